@@ -213,7 +213,7 @@ class FollowSession:
         for system_id, follower in self.followers.items():
             point = self._point_for(follower, now_s)
             if point is not None and follower.in_guided:
-                messages.append((system_id, _position_target(follower, point, now_s)))
+                messages.append((system_id, self._target(follower, point, now_s)))
         return messages
 
     def _point_for(self, follower: FollowerState, now_s: float) -> GlobalPosition | None:
@@ -227,6 +227,13 @@ class FollowSession:
             self._say(now_s, f"follower {follower.plan.system_id}: leader heard again, following")
         follower.guided = follower.guide.update(fix, now_s, follower.position)
         return follower.guided.point
+
+    def _target(self, follower: FollowerState, point: GlobalPosition, now_s: float) -> Any:
+        plan = follower.plan
+        facing = follower.guided is not None and follower.held_at is None
+        yaw_rad = follower.guided.yaw_rad if facing and follower.guided else None
+        altitude_m = plan.altitude_m + plan.slot.altitude_step_m
+        return position_target(plan.system_id, point, altitude_m, yaw_rad, now_s)
 
     def _hold(self, follower: FollowerState, now_s: float) -> GlobalPosition | None:
         """Stop where it is: a target at its own position, kept until the leader is back."""
@@ -295,22 +302,22 @@ class FollowSession:
         ]
 
 
-def _position_target(follower: FollowerState, point: GlobalPosition, now_s: float) -> Any:
-    """SET_POSITION_TARGET_GLOBAL_INT, altitude above the follower's home."""
-    plan = follower.plan
-    yaw_rad = follower.guided.yaw_rad if follower.guided and not follower.held_at else None
+def position_target(
+    system_id: int, point: GlobalPosition, altitude_m: float, yaw_rad: float | None, now_s: float
+) -> Any:
+    """SET_POSITION_TARGET_GLOBAL_INT, position only; `altitude_m` above the vehicle's home."""
     mask = _POSITION_ONLY
     if yaw_rad is None:
         mask |= mavlink.POSITION_TARGET_TYPEMASK_YAW_IGNORE
     return mavlink.MAVLink_set_position_target_global_int_message(
         round(now_s * 1000.0) & 0xFFFFFFFF,
-        plan.system_id,
+        system_id,
         mavlink.MAV_COMP_ID_AUTOPILOT1,
         mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
         mask,
         round(point.lat_deg * 1e7),
         round(point.lon_deg * 1e7),
-        plan.altitude_m + plan.slot.altitude_step_m,
+        altitude_m,
         *(0.0,) * 6,
         yaw_rad or 0.0,
         0.0,

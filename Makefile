@@ -1,0 +1,52 @@
+# Echowing. `make demo` flies the simulated formation, `make test` proves everything;
+# both install what they need first.
+
+.DEFAULT_GOAL := help
+BIN := .venv/bin
+export PATH := $(CURDIR)/$(BIN):$(PATH)
+
+.PHONY: help demo test test-long bench lint format setup setup-test core clean
+
+help: ## list the targets
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 16
+
+demo: setup core emulated ## fly the scenarios, print the table, write out/demo/report.html
+	@$(BIN)/echowing demo --out out/demo
+
+test: setup-test core emulated lint ## every check and every test
+	$(BIN)/pytest
+
+test-long: setup-test core emulated ## the tests that take longer than CI allows
+	$(BIN)/pytest -m long
+
+bench: setup-test core emulated ## speeds and sizes, as a table
+	@$(BIN)/echowing bench
+
+lint: setup-test ## formatters and linters, nothing is changed
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	luacheck -q lua
+	$(BIN)/clang-format --dry-run --Werror $$(git ls-files 'firmware/*.cpp' 'firmware/*.hpp' 'firmware/*.h' 'firmware/*.c' 'firmware/*.ino')
+
+format: setup-test ## let the formatters have their way
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+	$(BIN)/clang-format -i $$(git ls-files 'firmware/*.cpp' 'firmware/*.hpp' 'firmware/*.h' 'firmware/*.c' 'firmware/*.ino')
+
+setup: ## install what the simulator needs
+	@host_tools/setup.sh run
+
+setup-test: ## install what the tests need
+	@host_tools/setup.sh test
+
+core: setup ## the co-processor's core for this machine
+	@test -f build/host/build.ninja || $(BIN)/cmake -S firmware/host -B build/host -G Ninja \
+		-DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(BIN)/ninja -DPython3_EXECUTABLE=$(CURDIR)/$(BIN)/python >/dev/null
+	@$(BIN)/ninja -C build/host --quiet
+
+clean: ## remove what was built (not .venv)
+	rm -rf build out
+
+-include firmware/firmware.mk
+-include hw/hw.mk

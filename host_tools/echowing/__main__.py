@@ -1,0 +1,7 @@
+"""`python -m echowing` is `echowing`."""
+
+import sys
+
+from echowing.cli import main
+
+sys.exit(main())

@@ -1,0 +1,71 @@
+"""`echowing <verb>`: the command line. Each verb is a module, imported only when it is used."""
+
+import argparse
+import importlib
+import sys
+from collections.abc import Sequence
+from types import ModuleType
+
+from echowing import __version__
+from echowing.errors import EchowingError
+
+# Verb, and what it does in a line. Its module in `echowing.commands` has
+# `add_arguments(parser)` and `run(args) -> exit code`.
+VERBS = {
+    "sim": "fly a simulated formation",
+    "demo": "fly every scenario and write the report",
+    "analyze": "measure a flown formation from its logs",
+    "calibrate": "replay recorded flights through the copter model",
+    "bench": "print speeds and sizes",
+    "emulator": "run the co-processor's binary on this machine",
+}
+
+EXIT_USER_ERROR = 2
+EXIT_INTERRUPTED = 130
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a verb; returns the exit code. Errors that are the user's to mend have no traceback."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    args = _parser(arguments).parse_args(arguments)
+    try:
+        return int(_module(args.verb).run(args))
+    except EchowingError as error:
+        print(f"echowing {args.verb}: {error}", file=sys.stderr)
+        return EXIT_USER_ERROR
+    except KeyboardInterrupt:
+        print(f"echowing {args.verb}: interrupted", file=sys.stderr)
+        return EXIT_INTERRUPTED
+    except BrokenPipeError:
+        sys.stderr.close()  # the reader, `head` say, has seen enough
+        return 0
+
+
+def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="echowing",
+        description="Formation flight for small ArduPilot copters, held together by a cheap sonar.",
+        epilog="example: echowing sim echowing --seed 3\n`echowing VERB --help` has one a verb.",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"echowing {__version__}")
+    verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
+    asked = next((word for word in arguments if not word.startswith("-")), None)
+    for verb, summary in VERBS.items():
+        child = verbs.add_parser(
+            verb,
+            help=summary,
+            description=summary[0].upper() + summary[1:] + ".",
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        if verb == asked:
+            _module(verb).add_arguments(child)
+    return parser
+
+
+def _module(verb: str) -> ModuleType:
+    return importlib.import_module(f"echowing.commands.{verb}")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

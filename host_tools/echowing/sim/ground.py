@@ -1,0 +1,127 @@
+"""The ground station of a simulated flight: radios, the follow session, and the telemetry logs."""
+
+import struct
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from echowing.follow import TOOL_COMPONENT_ID, TOOL_SYSTEM_ID, FollowSession
+from echowing.sim.autopilot import Autopilot
+from echowing.sim.radio import Radio
+
+TELEMETRY = "telemetry"
+# Simulated flights begin here, so that two flights of one seed are the same to the byte.
+EPOCH_UNIX_S = 1_767_225_600  # 2026-01-01 00:00 UTC
+
+# What the follow session listens to; the rest is only logged, which saves the unpacking.
+_HEARD = {
+    mavlink.MAVLINK_MSG_ID_HEARTBEAT,
+    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
+    mavlink.MAVLINK_MSG_ID_TIMESYNC,
+}
+_V2_MAGIC, _V2_HEADER, _V2_CHECKSUM, _V2_SIGNATURE = 0xFD, 10, 2, 13
+
+# Changes what is sent to a follower: a fault of the scenario.
+Fault = Callable[[Any], Any]
+
+
+def frames(data: bytes) -> Iterator[bytes]:
+    """Whole MAVLink 2 frames out of what an endpoint has sent (nothing but whole frames)."""
+    start = 0
+    while start < len(data):
+        signed = data[start + 2] & mavlink.MAVLINK_IFLAG_SIGNED
+        length = _V2_HEADER + data[start + 1] + _V2_CHECKSUM + (_V2_SIGNATURE if signed else 0)
+        yield data[start : start + length]
+        start += length
+
+
+def message_id(frame: bytes) -> int:
+    """The message id of a MAVLink 2 frame."""
+    return int.from_bytes(frame[7:10], "little")
+
+
+class Telemetry:
+    """One vehicle's radio link, both ways, and its .tlog."""
+
+    def __init__(
+        self, autopilot: Autopilot, down: Radio, up: Radio, log: BinaryIO | None = None
+    ) -> None:
+        self.autopilot = autopilot
+        self.down = down
+        self.up = up
+        self._log = log
+        autopilot.add_link(TELEMETRY)
+
+    def collect(self, t_s: float) -> list[bytes]:
+        """Move what the vehicle sends into the radio; return what comes out on the ground."""
+        sent = self.autopilot.transmit(TELEMETRY)
+        if sent:
+            for frame in frames(sent):
+                self.down.send(t_s, frame)
+        arrived = self.down.receive(t_s)
+        for frame in arrived:
+            self._record(t_s, frame)
+        return arrived
+
+    def deliver(self, t_s: float) -> None:
+        """Hand the vehicle what has reached it."""
+        for packet in self.up.receive(t_s):
+            self.autopilot.receive(TELEMETRY, packet)
+
+    def send(self, t_s: float, frame: bytes) -> None:
+        """Send a frame from the ground."""
+        self._record(t_s, frame)
+        self.up.send(t_s, frame)
+
+    def _record(self, t_s: float, frame: bytes) -> None:
+        if self._log is not None:
+            stamp_us = round((EPOCH_UNIX_S + t_s) * 1e6)
+            self._log.write(struct.pack(">Q", stamp_us) + frame)
+
+    def close(self) -> None:
+        """Close the log."""
+        if self._log is not None:
+            self._log.close()
+
+
+def open_log(folder: Path | None, name: str) -> BinaryIO | None:
+    """A .tlog to be written, or None where nothing is kept."""
+    return None if folder is None else (folder / f"{name}.tlog").open("wb")
+
+
+class GroundStation:
+    """Runs a follow session over simulated radios."""
+
+    def __init__(
+        self,
+        session: FollowSession,
+        links: dict[int, Telemetry],
+        rate_hz: float,
+        fault: Fault | None = None,
+    ) -> None:
+        self.session = session
+        self.links = links
+        self._period_s = 1.0 / rate_hz
+        self._due_s = 0.0
+        self._fault = fault
+        self._mav = mavlink.MAVLink(None, srcSystem=TOOL_SYSTEM_ID, srcComponent=TOOL_COMPONENT_ID)
+        self._mav.robust_parsing = True
+
+    def step(self, t_s: float) -> None:
+        """Receive what has come, and send when it is time."""
+        for link in self.links.values():
+            link.deliver(t_s)
+            for frame in link.collect(t_s):
+                if message_id(frame) in _HEARD:
+                    self.session.receive(self._mav.decode(bytearray(frame)), t_s)
+        if t_s >= self._due_s - 1e-9:
+            self._due_s += self._period_s
+            self._send(t_s)
+
+    def _send(self, t_s: float) -> None:
+        for system_id, message in self.session.tick(t_s):
+            wanted = self._fault(message) if self._fault else message
+            self.links[system_id].send(t_s, bytes(wanted.pack(self._mav)))
+            self._mav.seq = (self._mav.seq + 1) % 256

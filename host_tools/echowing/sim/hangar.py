@@ -1,0 +1,121 @@
+"""Builds the vehicles of a scenario: bodies, autopilots, receivers, sonar rigs, radio links."""
+
+import random
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from echowing.geo import Ned
+from echowing.paths import lua_folder
+from echowing.sim.autopilot import Autopilot
+from echowing.sim.coprocessor import NativeCoprocessor
+from echowing.sim.copter import Copter
+from echowing.sim.gps import GpsDrift
+from echowing.sim.ground import Telemetry, open_log
+from echowing.sim.leader import TrackedBody, load_track, walk
+from echowing.sim.parameters import Generation
+from echowing.sim.radio import Radio
+from echowing.sim.scenario import LAWS, RadioSection, Scenario
+from echowing.sim.vehicles import Body, MakeCoprocessor, SimFollower, SimVehicle
+
+LEADER_ID = 1
+FIRST_FOLLOWER_ID = 2
+APPLET = "echowing.lua"
+
+Listen = Callable[[SimFollower, float], float | None]
+
+
+class Hangar:
+    """Where a scenario's vehicles come from, all airborne and in Guided.
+
+    `make_coprocessor` builds the co-processor on a sonar bus: the native core by default.
+    With `out`, telemetry logs are written there.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        seed: int,
+        *,
+        out: Path | None = None,
+        make_coprocessor: MakeCoprocessor | None = None,
+    ) -> None:
+        self.scenario = scenario
+        self.seed = seed
+        self._out = out
+        self._make_coprocessor = make_coprocessor or self._native
+
+    def rng(self, name: str) -> random.Random:
+        """A stream of chance of its own, so that adding a source disturbs no other."""
+        return random.Random(f"{self.seed} {name}")
+
+    def leader(self) -> SimVehicle:
+        """The leader at the origin, heading north."""
+        scenario, plan = self.scenario, self.scenario.leader
+        body: Body
+        if plan.path == "walk":
+            body = TrackedBody(walk(plan, scenario.duration_s))
+        elif plan.path == "track" and plan.track is not None:
+            body = TrackedBody(load_track(plan.track))
+        else:
+            body = Copter((0.0, 0.0, -plan.altitude_m), 0.0, flying=True)
+        return SimVehicle(body, self._autopilot(body, LEADER_ID, {}), self._drift("leader"))
+
+    def follower(
+        self, index: int, start_ned_m: Ned, yaw_rad: float, speed_mps: float, listen: Listen
+    ) -> SimFollower:
+        """Follower number `index` (from 0), with the applet running unless the law is none."""
+        scenario = self.scenario
+        body = Copter(start_ned_m, yaw_rad, flying=True)
+        follower = SimFollower(
+            body,
+            self._autopilot(body, FIRST_FOLLOWER_ID + index, self._parameters(speed_mps)),
+            self._drift(f"follower {index}"),
+            listen=listen,
+            make_coprocessor=self._make_coprocessor,
+            rng=self.rng(f"sonar {index}"),
+        )
+        if scenario.law != "none":
+            follower.load_applet(lua_folder() / APPLET)
+        return follower
+
+    def telemetry(self, vehicle: SimVehicle, name: str, radio: RadioSection) -> Telemetry:
+        """The vehicle's radio link."""
+        return Telemetry(
+            vehicle.autopilot,
+            down=Radio(radio.settings(), self.rng(f"radio down {name}")),
+            up=Radio(radio.settings(), self.rng(f"radio up {name}")),
+            log=open_log(self._out, name),
+        )
+
+    def _parameters(self, speed_mps: float) -> dict[str, float]:
+        scenario = self.scenario
+        modern = scenario.follower.autopilot_generation() in (Generation.V4_7, Generation.V4_8)
+        speed = {"WP_SPD": speed_mps} if modern else {"WPNAV_SPEED": speed_mps * 100.0}
+        applet: dict[str, float] = {}
+        if scenario.law != "none":
+            applet = {"ECHO_ENABLE": 1.0, "ECHO_LAW": LAWS[scenario.law], **scenario.applet}
+        return {
+            "RNGFND1_TYPE": 10.0,
+            "RNGFND1_ORIENT": 0.0,
+            "SCR_ENABLE": 1.0,
+            **speed,
+            **applet,
+            **scenario.follower.parameters,
+        }
+
+    def _autopilot(self, body: Body, system_id: int, parameters: Mapping[str, float]) -> Autopilot:
+        return Autopilot(
+            body,
+            system_id=system_id,
+            generation=self.scenario.follower.autopilot_generation(),
+            parameters=parameters,
+            seed=self.seed,
+        )
+
+    def _native(self, bus: Any) -> NativeCoprocessor:
+        return NativeCoprocessor(bus, seed=self.seed, parameters=self.scenario.coprocessor)
+
+    def _drift(self, name: str) -> GpsDrift:
+        gps = self.scenario.gps
+        return GpsDrift(gps.sigma_m, gps.tau_s, self.rng(f"gps {name}"))

@@ -1,0 +1,174 @@
+"""The vehicles of a simulated flight: body, autopilot, receiver, and the follower's sonar rig."""
+
+import math
+import random
+from collections.abc import Callable
+from pathlib import Path
+
+from echowing.geo import Ned
+from echowing.sim.autopilot import Autopilot
+from echowing.sim.coprocessor import Coprocessor, SonarBus
+from echowing.sim.copter import Copter
+from echowing.sim.gps import GpsDrift
+from echowing.sim.leader import TrackedBody, mission
+from echowing.sim.scenario import LeaderEvent, LeaderSection
+from echowing.sim.sonar import Ear, Gimbal, MaxSonar, Pose, body_to_ned
+
+COPROCESSOR = "coprocessor"
+AUTOPILOT_PORT = 0
+# The sonar looks again on every world step, so a body's pose is at most this old in a ping.
+STEP_US = 20_000
+
+Body = Copter | TrackedBody
+MakeCoprocessor = Callable[[SonarBus], Coprocessor]
+
+
+class SimVehicle:
+    """A body in the air with an autopilot and a GPS receiver that drifts."""
+
+    def __init__(self, body: Body, autopilot: Autopilot, drift: GpsDrift) -> None:
+        self.body = body
+        self.autopilot = autopilot
+        self.drift = drift
+
+    @property
+    def position_ned_m(self) -> Ned:
+        """True position."""
+        return self.body.north_m, self.body.east_m, self.body.down_m
+
+    @property
+    def velocity_ned_mps(self) -> Ned:
+        """True velocity."""
+        return self.body.vn_mps, self.body.ve_mps, self.body.vd_mps
+
+    def move(self, dt_s: float) -> None:
+        """Receiver and body, one step on."""
+        self.autopilot.set_gps_offset(self.drift.step(dt_s))
+        self.body.step(dt_s)
+
+
+class SimFollower(SimVehicle):
+    """A follower: the vehicle, with gimbal, sonar and co-processor on it."""
+
+    def __init__(
+        self,
+        body: Body,
+        autopilot: Autopilot,
+        drift: GpsDrift,
+        *,
+        listen: Callable[["SimFollower", float], float | None],
+        make_coprocessor: MakeCoprocessor,
+        rng: random.Random,
+    ) -> None:
+        super().__init__(body, autopilot, drift)
+        self.gimbal = Gimbal()
+        self.ear = Ear(rng)
+        self.sensor = MaxSonar(lambda t_s: listen(self, t_s))
+        self.coprocessor = make_coprocessor(self.sensor)
+        autopilot.add_link(COPROCESSOR)
+
+    def pose(self) -> Pose:
+        """Where the sonar is and looks, now."""
+        body = self.body
+        axis = body_to_ned(self.gimbal.axis_body(), body.roll_rad, body.pitch_rad, body.yaw_rad)
+        return Pose(self.position_ned_m, axis)
+
+    def run_coprocessor(self, t_us: int, dt_s: float) -> None:
+        """The co-processor and the wire between it and the autopilot, one step on."""
+        coprocessor = self.coprocessor
+        self.gimbal.step(dt_s, coprocessor.pan_us, coprocessor.tilt_us)
+        down = self.autopilot.transmit(COPROCESSOR)
+        if down:
+            coprocessor.feed(AUTOPILOT_PORT, down)
+        coprocessor.run_until(t_us)
+        up = coprocessor.take(AUTOPILOT_PORT)
+        if up:
+            self.autopilot.receive(COPROCESSOR, up)
+
+    def load_applet(self, path: Path) -> None:
+        """Put the applet on this vehicle's SD card and start it."""
+        self.autopilot.load_script(path)
+
+
+class LeaderPilot:
+    """Flies the leader: starts its mission, or acts out a script."""
+
+    # A stop-and-go leader waits this long at each corner.
+    WAIT_S = 6.0
+    ARRIVED_M, STILL_MPS = 1.0, 0.1
+
+    def __init__(self, leader: SimVehicle, plan: LeaderSection) -> None:
+        self._leader = leader
+        self._plan = plan
+        self._script = list(plan.script)
+        self._legs = mission(plan) if plan.path == "stop-and-go" else []
+        self._started = False
+        self._still_since_s: float | None = None
+        self.event: LeaderEvent | None = None
+        self.silent = False
+
+    def step(self, t_s: float, follower: Ned) -> None:
+        """Act at `t_s`; `follower` is where the first follower truly is (to be flown at)."""
+        if self._plan.path in ("walk", "track"):
+            return
+        if self._plan.path == "script":
+            self._act(t_s, follower)
+        elif self._plan.path == "stop-and-go":
+            self._next_leg(t_s)
+        elif not self._started and t_s >= self._plan.start_s:
+            self._started = True
+            self._leader.autopilot.start_mission(mission(self._plan), self._plan.speed_mps)
+
+    def _next_leg(self, t_s: float) -> None:
+        if t_s < self._plan.start_s or not self._legs or not self._waited(t_s):
+            return
+        self._leader.autopilot.start_mission([self._legs.pop(0)], self._plan.speed_mps)
+        self._still_since_s = None
+
+    def _waited(self, t_s: float) -> bool:
+        if not self._started:
+            self._started = True
+            return True
+        if math.hypot(*self._leader.velocity_ned_mps[:2]) > self.STILL_MPS:
+            self._still_since_s = t_s
+        if self._still_since_s is None:
+            return False
+        return t_s - self._still_since_s >= self.WAIT_S
+
+    def _act(self, t_s: float, follower: Ned) -> None:
+        while self._script and t_s >= self._script[0].at_s:
+            self.event = self._script.pop(0)
+            self._begin(self.event)
+        # A velocity target times out on the autopilot (GUID_TIMEOUT), so it is said again.
+        if self.event is not None and self.event.act in ("fly", "hold"):
+            self._fly(self.event.velocity_ned_mps, self.event.yaw_deg)
+        elif self.event is not None and self.event.act == "at_follower":
+            self._fly_at(follower, self.event)
+
+    def _begin(self, event: LeaderEvent) -> None:
+        leader = self._leader
+        if event.act == "auto":
+            leader.autopilot.start_mission(mission(self._plan), self._plan.speed_mps)
+        elif event.act == "gps_jump":
+            leader.drift.jump_ned_m = event.jump_ned_m
+        elif event.act == "silent":
+            self.silent = True
+        elif event.act == "heard":
+            self.silent = False
+            leader.drift.jump_ned_m = (0.0, 0.0, 0.0)
+        else:
+            leader.autopilot.set_mode("GUIDED")
+
+    def _fly_at(self, follower: Ned, event: LeaderEvent) -> None:
+        here = self._leader.position_ned_m
+        north, east = follower[0] - here[0], follower[1] - here[1]
+        distance_m = math.hypot(north, east)
+        if distance_m > 0.0:
+            pace = event.speed_mps / distance_m
+            self._fly((north * pace, east * pace, 0.0), math.degrees(math.atan2(east, north)))
+
+    def _fly(self, velocity: Ned, yaw_deg: float | None) -> None:
+        yaw_rad = None if yaw_deg is None else math.radians(yaw_deg)
+        body = self._leader.body
+        if isinstance(body, Copter):
+            body.guided_velocity(velocity, yaw_rad)

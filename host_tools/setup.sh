@@ -1,0 +1,85 @@
+#!/usr/bin/env bash
+# Sets up a fresh Debian 12 / Ubuntu machine:  host_tools/setup.sh run|test
+#   run   what flying the simulator needs;  test  that, and what the checks and tests need.
+# System packages come through apt where root or password-less sudo is there; Python packages go
+# into .venv at the root of the checkout. Does nothing when everything is in place.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+group=${1:-run}
+# Package names of Debian 12; each with what it is for.
+run_packages=(
+  g++                     # the co-processor's core for this machine
+  gcc-avr avr-libc        # the co-processor's binary
+  arduino-core-avr arduino-ctags
+  simavr libsimavr-dev libelf-dev pkg-config  # running that binary
+)
+test_packages=(
+  avrdude                 # flashing, tested against a fake programmer
+  clang                   # sanitizers and fuzzing of the core
+  doctest-dev             # unit tests of the core
+  gcc-arm-none-eabi libnewlib-arm-none-eabi libstdc++-arm-none-eabi-newlib qemu-system-arm
+  graphviz openscad       # wiring pictures and the gimbal mount
+  lua-check               # the applet's style
+)
+
+say() { printf 'setup: %s\n' "$*"; }
+fail() { say "$*" >&2; exit 1; }
+
+packages=("${run_packages[@]}")
+extras=build
+if [ "$group" = test ]; then
+  packages+=("${test_packages[@]}")
+  extras=build,test,hw
+fi
+
+stamp=.venv/.setup-$group
+wanted=$(cat pyproject.toml host_tools/setup.sh | sha256sum)
+if [ -f "$stamp" ] && [ "$(cat "$stamp")" = "$wanted" ]; then
+  exit 0
+fi
+
+python=$(command -v python3 || true)
+[ -n "$python" ] || packages+=(python3)
+if [ -z "$python" ] || ! "$python" -c 'import ensurepip, venv' 2>/dev/null; then
+  packages+=(python3-venv)
+fi
+if [ -z "$python" ] || ! "$python" -c \
+  'import os, sysconfig as s; os.stat(os.path.join(s.get_path("include"), "Python.h"))' 2>/dev/null; then
+  packages+=(python3-dev)   # lupa is built here, with 32-bit Lua numbers
+fi
+
+missing=()
+for package in "${packages[@]}"; do
+  dpkg-query -W -f '${Status}' "$package" 2>/dev/null | grep -q 'ok installed' || missing+=("$package")
+done
+if [ ${#missing[@]} -gt 0 ]; then
+  as_root=()
+  if [ "$(id -u)" != 0 ]; then
+    sudo -n true 2>/dev/null || fail "missing system packages; run: sudo apt-get install ${missing[*]}"
+    as_root=(sudo -n)
+  fi
+  say "installing system packages: ${missing[*]}"
+  "${as_root[@]}" apt-get update -qq
+  "${as_root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends \
+    "${missing[@]}" >/dev/null
+fi
+
+python3 -c 'import sys; sys.exit(sys.version_info < (3, 11))' ||
+  fail "Python 3.11 or newer is needed; python3 here is $(python3 --version)"
+[ -x .venv/bin/python ] || { say "making the virtual environment .venv"; python3 -m venv .venv; }
+
+lua_is_32_bit() {
+  .venv/bin/python -c 'import lupa.lua53 as l, sys
+sys.exit(l.LuaRuntime().eval("math.maxinteger") != 2**31 - 1)' 2>/dev/null
+}
+if ! lua_is_32_bit; then
+  say "building lupa (Lua 5.3 with the autopilot's 32-bit numbers; about a minute)"
+  CFLAGS=-DLUA_32BITS .venv/bin/pip install -q --disable-pip-version-check --force-reinstall \
+    --no-cache-dir --no-deps --no-binary lupa 'lupa>=2.4'
+fi
+say "installing Python packages into .venv ($extras)"
+.venv/bin/pip install -q --disable-pip-version-check -e ".[$extras]"
+lua_is_32_bit || fail "lupa was not built with 32-bit Lua numbers; remove .venv and run again"
+printf '%s' "$wanted" >"$stamp"
+say "done"

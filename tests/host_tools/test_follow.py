@@ -1,0 +1,266 @@
+import math
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from echowing.follow import (
+    AGREEING_REPORTS,
+    TOOL_SYSTEM_ID,
+    FollowerPlan,
+    FollowSession,
+    VehicleClock,
+)
+from echowing.geo import GlobalPosition, displace, ned_between
+from echowing.guidance import GuidanceSettings, Slot
+
+LEADER, FOLLOWER = 1, 2
+HERE = GlobalPosition(39.34, -86.03, 260.0)
+FOLLOWER_AT = displace(HERE, (-4.0, 0.0, 0.0))
+
+
+def from_vehicle(system_id: int, message: Any) -> Any:
+    """The message as received: packed by the vehicle, parsed by us."""
+    sender = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=1)
+    return mavlink.MAVLink(None).decode(bytearray(message.pack(sender)))
+
+
+def position(boot_s: float, at: GlobalPosition, velocity=(0.0, 0.0)) -> Any:
+    return mavlink.MAVLink_global_position_int_message(
+        round(boot_s * 1e3),
+        round(at.lat_deg * 1e7),
+        round(at.lon_deg * 1e7),
+        round(at.alt_m * 1e3),
+        10_000,
+        round(velocity[0] * 100),
+        round(velocity[1] * 100),
+        0,
+        0,
+    )
+
+
+def heartbeat(mode: int = 4, *, armed: bool = True) -> Any:
+    flags = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+    flags |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0
+    return mavlink.MAVLink_heartbeat_message(2, 3, flags, mode, 4, 3)
+
+
+def session(settings: GuidanceSettings | None = None) -> FollowSession:
+    plan = FollowerPlan(FOLLOWER, Slot(3.0), 12.0)
+    follow = FollowSession(LEADER, [plan], settings or GuidanceSettings())
+    follow.receive(from_vehicle(FOLLOWER, heartbeat()), 0.0)
+    follow.receive(from_vehicle(FOLLOWER, position(0.1, FOLLOWER_AT)), 0.0)
+    return follow
+
+
+def targets(follow: FollowSession, now_s: float) -> list[Any]:
+    return [
+        message
+        for _, message in follow.tick(now_s)
+        if message.get_type() == "SET_POSITION_TARGET_GLOBAL_INT"
+    ]
+
+
+def metres_from_here(target: Any) -> tuple[float, float]:
+    point = GlobalPosition(target.lat_int / 1e7, target.lon_int / 1e7, HERE.alt_m)
+    north, east, _ = ned_between(HERE, point)
+    return north, east
+
+
+def test_a_point_is_sent_behind_the_leader_at_the_planned_altitude() -> None:
+    follow = session()
+    follow.receive(from_vehicle(LEADER, position(1.0, HERE, (2.0, 0.0))), 1.0)
+
+    (target,) = targets(follow, 1.0)
+
+    # 3 m behind, led by 2 m.
+    assert metres_from_here(target) == pytest.approx((-1.0, 0.0), abs=0.03)
+    assert target.alt == pytest.approx(12.0)
+    assert target.coordinate_frame == mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT
+    assert target.target_system == FOLLOWER
+    assert target.yaw == pytest.approx(0.0, abs=0.01)
+    assert not target.type_mask & mavlink.POSITION_TARGET_TYPEMASK_YAW_IGNORE
+    assert target.type_mask & mavlink.POSITION_TARGET_TYPEMASK_VX_IGNORE
+
+
+@pytest.mark.parametrize("beat", [heartbeat(5), heartbeat(4, armed=False)])
+def test_a_follower_that_is_not_armed_in_guided_is_left_alone(beat: Any) -> None:
+    follow = session()
+    follow.receive(from_vehicle(LEADER, position(1.0, HERE)), 1.0)
+    assert len(targets(follow, 1.0)) == 1
+
+    follow.receive(from_vehicle(FOLLOWER, beat), 1.1)
+
+    assert targets(follow, 1.2) == []
+    assert any("hands off" in text for _, text in follow.events)
+
+
+def test_no_message_ever_changes_a_mode() -> None:
+    follow = session()
+    follow.receive(from_vehicle(LEADER, position(1.0, HERE)), 1.0)
+    follow.receive(from_vehicle(FOLLOWER, heartbeat(5)), 1.0)
+
+    sent = [message for step in range(100) for _, message in follow.tick(step * 0.125)]
+
+    commands = {m.command for m in sent if m.get_type() == "COMMAND_LONG"}
+    assert commands == {mavlink.MAV_CMD_SET_MESSAGE_INTERVAL}
+    assert "SET_MODE" not in {m.get_type() for m in sent}
+
+
+def test_a_heartbeat_of_another_component_does_not_engage() -> None:
+    follow = FollowSession(LEADER, [FollowerPlan(FOLLOWER, Slot(3.0))], GuidanceSettings())
+    sender = mavlink.MAVLink(None, srcSystem=FOLLOWER, srcComponent=191)
+    follow.receive(mavlink.MAVLink(None).decode(bytearray(heartbeat().pack(sender))), 0.0)
+    follow.receive(from_vehicle(LEADER, position(1.0, HERE)), 1.0)
+
+    assert targets(follow, 1.0) == []
+
+
+def test_a_stale_leader_stops_the_follower_where_it_is() -> None:
+    follow = session()
+    follow.receive(from_vehicle(LEADER, position(1.0, HERE, (2.0, 0.0))), 1.0)
+    assert metres_from_here(targets(follow, 1.9)[0]) != pytest.approx((-4.0, 0.0), abs=0.05)
+
+    (held,) = targets(follow, 2.1)
+    follow.receive(from_vehicle(FOLLOWER, position(2.1, displace(HERE, (-3.0, 0.0, 0.0)))), 2.15)
+    (still_held,) = targets(follow, 2.2)
+
+    assert metres_from_here(held) == pytest.approx((-4.0, 0.0), abs=0.03)
+    # The point stays where it was taken: it must not creep along with the vehicle.
+    assert metres_from_here(still_held) == pytest.approx((-4.0, 0.0), abs=0.03)
+    assert held.type_mask & mavlink.POSITION_TARGET_TYPEMASK_YAW_IGNORE
+
+
+def test_it_goes_on_when_the_leader_is_heard_again() -> None:
+    follow = session()
+    follow.receive(from_vehicle(LEADER, position(1.0, HERE)), 1.0)
+    targets(follow, 3.0)
+
+    follow.receive(from_vehicle(LEADER, position(3.4, HERE)), 3.4)
+
+    assert metres_from_here(targets(follow, 3.5)[0]) == pytest.approx((-3.0, 0.0), abs=0.03)
+    assert [text.split(": ")[1] for _, text in follow.events] == [
+        "leader is stale, holding",
+        "leader heard again, following",
+    ]
+
+
+def test_reordered_and_doubled_reports_are_dropped() -> None:
+    follow = session()
+    newest = position(2.0, displace(HERE, (1.0, 0.0, 0.0)))
+    follow.receive(from_vehicle(LEADER, newest), 2.0)
+    fix = follow.leader.fix
+
+    follow.receive(from_vehicle(LEADER, position(1.75, HERE)), 2.1)
+    follow.receive(from_vehicle(LEADER, newest), 2.2)
+
+    assert follow.leader.fix is fix
+
+
+def test_a_leader_that_reboots_is_taken_on_its_new_clock() -> None:
+    follow = session()
+    follow.receive(from_vehicle(LEADER, position(500.0, HERE)), 500.0)
+
+    follow.receive(from_vehicle(LEADER, position(3.0, displace(HERE, (1.0, 0, 0)))), 504.0)
+
+    assert follow.leader.fix is not None
+    assert follow.leader.fix.time_s == 504.0
+
+
+def test_a_jump_is_not_followed_and_stops_the_follower_after_a_second() -> None:
+    follow = session()
+    follow.receive(from_vehicle(LEADER, position(1.0, HERE)), 1.0)
+    away = displace(HERE, (15.0, 0.0, 0.0))
+    for number in range(1, 6):
+        t_s = 1.0 + number * 0.25
+        follow.receive(from_vehicle(LEADER, position(t_s, away)), t_s)
+
+    (target,) = targets(follow, 2.3)
+
+    assert metres_from_here(target) == pytest.approx((-4.0, 0.0), abs=0.03)
+    assert follow.leader.rejected == 5
+
+
+def test_a_place_that_many_reports_agree_on_is_believed() -> None:
+    follow = session()
+    follow.receive(from_vehicle(LEADER, position(1.0, HERE)), 1.0)
+    away = displace(HERE, (15.0, 0.0, 0.0))
+    for number in range(AGREEING_REPORTS + 2):
+        t_s = 1.25 + number * 0.25
+        follow.receive(from_vehicle(LEADER, position(t_s, away)), t_s)
+
+    assert follow.leader.fix is not None
+    assert ned_between(away, follow.leader.fix.position)[0] == pytest.approx(0.0, abs=0.02)
+
+
+def test_time_stamps_become_our_time_by_timesync() -> None:
+    """Booted at 100 s of our time; 0.46 s each way; the answer shows the vehicle's clock."""
+    clock = VehicleClock()
+    assert clock.to_ours(5.0, 105.9) == 105.9
+
+    clock.answered(asked_s=105.0, vehicle_boot_s=5.46, now_s=105.92)
+
+    assert clock.to_ours(6.0, 106.46) == pytest.approx(106.0)
+
+
+def test_the_quickest_answer_counts() -> None:
+    clock = VehicleClock()
+    clock.answered(asked_s=10.0, vehicle_boot_s=0.1, now_s=10.2)
+    clock.answered(asked_s=11.0, vehicle_boot_s=1.9, now_s=12.0)
+
+    assert clock.to_ours(1.0, 99.0) == pytest.approx(11.0)
+
+
+def test_the_leaders_age_is_measured_through_timesync() -> None:
+    follow = session(GuidanceSettings(keep_behind=False))
+    # The leader booted with our clock; its answers take 0.46 s each way.
+    answer = mavlink.MAVLink_timesync_message(round(5.46e9), round(5.0e9))
+    follow.receive(from_vehicle(LEADER, answer), 5.92)
+    follow.receive(from_vehicle(LEADER, position(6.0, HERE, (2.0, 0.0))), 6.46)
+
+    assert follow.leader.fix is not None
+    assert follow.leader.fix.time_s == pytest.approx(6.0)
+    (target,) = targets(follow, 6.46)
+    # 3 m behind, predicted 0.92 m on, led by 2 m.
+    assert metres_from_here(target)[0] == pytest.approx(-0.08, abs=0.05)
+
+
+def test_our_own_timesync_requests_coming_back_are_ignored() -> None:
+    follow = session()
+    follow.receive(from_vehicle(LEADER, mavlink.MAVLink_timesync_message(0, 5)), 1.0)
+
+    assert not follow.leader.clock.known
+
+
+def test_it_asks_for_rates_and_beats_under_its_own_id() -> None:
+    follow = session()
+
+    first = follow.tick(0.0)
+
+    wanted = {
+        (system_id, round(m.param1)): m.param2
+        for system_id, m in first
+        if m.get_type() == "COMMAND_LONG"
+    }
+    assert wanted[(LEADER, 33)] == pytest.approx(250_000)  # 4 Hz
+    assert wanted[(FOLLOWER, 33)] == pytest.approx(100_000)
+    beats = [m for _, m in first if m.get_type() == "HEARTBEAT"]
+    assert {beat.type for beat in beats} == {mavlink.MAV_TYPE_ONBOARD_CONTROLLER}
+    assert TOOL_SYSTEM_ID != 255
+    again = [m for _, m in follow.tick(0.5) if m.get_type() in ("HEARTBEAT", "COMMAND_LONG")]
+    assert again == []
+
+
+def test_fifty_followers_each_get_their_own_point() -> None:
+    plans = [FollowerPlan(2 + i, Slot(3.0 + 2 * i), 10.0) for i in range(50)]
+    follow = FollowSession(LEADER, plans, GuidanceSettings())
+    for plan in plans:
+        follow.receive(from_vehicle(plan.system_id, heartbeat()), 0.0)
+    follow.receive(from_vehicle(LEADER, position(1.0, HERE)), 1.0)
+
+    norths = {t.target_system: metres_from_here(t)[0] for t in targets(follow, 1.0)}
+
+    assert len(norths) == 50
+    for plan in plans:
+        assert norths[plan.system_id] == pytest.approx(-plan.slot.radius_m, abs=0.03)
+        assert math.isfinite(norths[plan.system_id])

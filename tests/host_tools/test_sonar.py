@@ -1,0 +1,236 @@
+import math
+import random
+import statistics
+
+import pytest
+
+from echowing.sim import sonar
+from echowing.sim.sonar import (
+    BEAM_HALF_ANGLE_DEG,
+    FOIL_X8_RANGE_M,
+    GROUND,
+    LEVER_ARM_M,
+    PAN_CENTRE_US,
+    SPEED_OF_SOUND_MPS,
+    STOCK_X8_RANGE_M,
+    TARGET_RADIUS_M,
+    TILT_CENTRE_US,
+    Ear,
+    Gimbal,
+    MaxSonar,
+    Pose,
+    Surface,
+    Target,
+    body_to_ned,
+    surface_range_m,
+    target_range_m,
+)
+
+NORTH = (1.0, 0.0, 0.0)
+HIGH = (0.0, 0.0, -10.0)
+WALL_AT_5_M = Surface((5.0, 0.0, 0.0), (-1.0, 0.0, 0.0))
+BODY_SIZES_M = LEVER_ARM_M + TARGET_RADIUS_M
+
+
+def quiet_ear(seed: int = 1) -> Ear:
+    return Ear(random.Random(seed), wild_share=0.0)
+
+
+def target_at(distance_m: float, off_axis_deg: float = 0.0, heard_to_m=FOIL_X8_RANGE_M) -> Target:
+    off = math.radians(off_axis_deg)
+    return Target((distance_m * math.cos(off), distance_m * math.sin(off), -10.0), heard_to_m)
+
+
+def heard_share(target: Target, pings: int = 400) -> float:
+    ear, pose = quiet_ear(), Pose(HIGH, NORTH)
+    heard = [ear.ping(k * 0.1, pose, [target], ()) is not None for k in range(pings)]
+    return sum(heard) / pings
+
+
+def test_the_range_is_from_the_sonars_face_to_the_leaders_foil() -> None:
+    assert target_range_m(Pose(HIGH, NORTH), target_at(3.0)) == pytest.approx(3.0 - BODY_SIZES_M)
+
+
+def test_the_cone_ends_at_its_half_angle() -> None:
+    pose = Pose(HIGH, NORTH)
+
+    # The lever arm brings the face nearer, so the angle from it is a little wider.
+    assert target_range_m(pose, target_at(3.0, BEAM_HALF_ANGLE_DEG - 1.5)) is not None
+    assert target_range_m(pose, target_at(3.0, BEAM_HALF_ANGLE_DEG + 0.1)) is None
+    assert target_range_m(pose, target_at(3.0, 180.0)) is None
+
+
+@pytest.mark.parametrize("heard_to_m", [STOCK_X8_RANGE_M, FOIL_X8_RANGE_M])
+def test_a_leader_is_heard_as_far_as_table_5_says(heard_to_m: float) -> None:
+    near = target_at(heard_to_m * 0.94 + BODY_SIZES_M, heard_to_m=heard_to_m)
+    at_limit = target_at(heard_to_m + BODY_SIZES_M, heard_to_m=heard_to_m)
+    beyond = target_at(heard_to_m * 1.06 + BODY_SIZES_M, heard_to_m=heard_to_m)
+
+    assert heard_share(near) == 1.0
+    assert 0.35 < heard_share(at_limit) < 0.65
+    assert heard_share(beyond) == 0.0
+
+
+def test_the_nearest_of_all_vehicles_is_what_is_heard() -> None:
+    pings = quiet_ear().ping(0.0, Pose(HIGH, NORTH), [target_at(4.0), target_at(2.0)], ())
+
+    assert pings == pytest.approx(2.0 - BODY_SIZES_M, abs=0.05)
+
+
+def test_readings_come_in_whole_centimetres_with_centimetre_noise() -> None:
+    ear, pose = quiet_ear(), Pose(HIGH, NORTH)
+
+    readings = [ear.ping(k * 0.1, pose, [target_at(3.0)], ()) for k in range(300)]
+
+    assert all(r is not None and abs(r * 100 - round(r * 100)) < 1e-9 for r in readings)
+    mean = statistics.mean(r for r in readings if r is not None)
+    # Truncation to the centimetre takes half of one off on average.
+    assert mean == pytest.approx(3.0 - BODY_SIZES_M - 0.005, abs=0.003)
+
+
+def test_nothing_is_nearer_than_the_shortest_range() -> None:
+    assert quiet_ear().ping(0.0, Pose(HIGH, NORTH), [target_at(0.25)], ()) == sonar.SHORTEST_M
+
+
+def test_a_wall_met_squarely_is_heard_and_one_met_along_is_not() -> None:
+    along = Surface((0.0, 2.0, 0.0), (0.0, -1.0, 0.0))
+
+    assert surface_range_m(Pose(HIGH, NORTH), WALL_AT_5_M) == pytest.approx(5.0)
+    assert surface_range_m(Pose(HIGH, NORTH), along) is None
+    assert surface_range_m(Pose((6.0, 0.0, -10.0), NORTH), WALL_AT_5_M) is None
+
+
+def test_the_beam_reaches_the_wall_by_its_squarest_ray() -> None:
+    aslant = body_to_ned((1.0, 0.0, 0.0), 0.0, 0.0, math.radians(30.0))
+
+    # 30 degrees off, 20 of them inside the beam.
+    expected = 5.0 / math.cos(math.radians(30.0 - BEAM_HALF_ANGLE_DEG))
+    assert surface_range_m(Pose(HIGH, aslant), WALL_AT_5_M) == pytest.approx(expected)
+
+
+def test_level_flight_at_ten_metres_does_not_hear_the_ground_and_looking_down_does() -> None:
+    down = (0.0, 0.0, 1.0)
+
+    assert surface_range_m(Pose(HIGH, NORTH), GROUND) is None
+    assert surface_range_m(Pose((0.0, 0.0, -5.0), down), GROUND) == pytest.approx(5.0)
+
+
+def test_a_far_echo_comes_back_in_the_next_reading_as_a_near_one() -> None:
+    ear, pose = quiet_ear(), Pose((0.0, 0.0, -10.0), (0.0, 0.0, 1.0))
+
+    first = ear.ping(0.0, pose, [], (GROUND,))
+    ghost = ear.ping(0.05, pose, [], (GROUND,))
+
+    # 10 m is beyond the span; 50 ms later it looks 8.6 m nearer (maxsonar.md: 1.4 m).
+    assert first is None
+    assert ghost == pytest.approx(10.0 - 0.05 * SPEED_OF_SOUND_MPS / 2.0, abs=0.05)
+
+
+def test_at_the_recommended_100_ms_there_is_no_ghost() -> None:
+    ear, pose = quiet_ear(), Pose((0.0, 0.0, -10.0), (0.0, 0.0, 1.0))
+    ear.ping(0.0, pose, [], (GROUND,))
+
+    assert ear.ping(0.1, pose, [], (GROUND,)) is None
+
+
+def test_one_reading_in_a_hundred_is_wild() -> None:
+    ear, pose = Ear(random.Random(5)), Pose(HIGH, NORTH)
+
+    wild = sum(ear.ping(k * 0.1, pose, [], ()) is not None for k in range(20_000))
+
+    # 200 expected, standard deviation 14.
+    assert 150 < wild < 250
+
+
+def test_two_sonars_that_face_each_other_hear_each_others_tone() -> None:
+    facing = Pose((4.0, 0.0, -10.0), (-1.0, 0.0, 0.0))
+    same_way = Pose((4.0, 0.0, -10.0), NORTH)
+    ear, pose = quiet_ear(), Pose(HIGH, NORTH)
+
+    assert all(ear.ping(k * 0.1, pose, [], (), [facing]) is not None for k in range(20))
+    assert all(ear.ping(k * 0.1, pose, [], (), [same_way]) is None for k in range(20))
+
+
+def test_the_gimbal_slews_at_the_servos_rate_and_stops_at_its_pulse() -> None:
+    gimbal = Gimbal()
+
+    gimbal.step(0.01, PAN_CENTRE_US - 100.0, TILT_CENTRE_US)
+    on_the_way = gimbal.pan_deg
+    gimbal.step(1.0, PAN_CENTRE_US - 100.0, TILT_CENTRE_US)
+
+    assert on_the_way == pytest.approx(-5.0)  # 500 deg/s for 10 ms
+    assert gimbal.pan_deg == pytest.approx(-10.0)  # 100 us at 10 us a degree
+
+
+def test_longer_pulses_look_right_and_up() -> None:
+    gimbal = Gimbal()
+
+    gimbal.step(1.0, PAN_CENTRE_US + 100.0, TILT_CENTRE_US + 100.0)
+    forward, right, down = gimbal.axis_body()
+
+    assert forward > 0.9
+    assert right > 0.1
+    assert down < -0.1
+
+
+def test_attitude_turns_the_beam() -> None:
+    nose_down = body_to_ned((1.0, 0.0, 0.0), 0.0, math.radians(-10.0), 0.0)
+    facing_east = body_to_ned((1.0, 0.0, 0.0), 0.0, 0.0, math.pi / 2)
+    rolled_right = body_to_ned((0.0, 1.0, 0.0), math.radians(90.0), 0.0, 0.0)
+
+    assert nose_down[2] == pytest.approx(math.sin(math.radians(10.0)))
+    assert facing_east == pytest.approx((0.0, 1.0, 0.0), abs=1e-9)
+    assert rolled_right == pytest.approx((0.0, 0.0, 1.0), abs=1e-9)
+
+
+def bus_sonar(range_m: float | None = 3.0) -> MaxSonar:
+    return MaxSonar(lambda _t_s: range_m)
+
+
+def test_a_reading_is_two_bytes_of_centimetres_high_first() -> None:
+    device = bus_sonar(3.21)
+
+    assert device.write(0, 0x70, b"\x51")
+    assert device.read(100_000, 0x70, 2) == (321).to_bytes(2, "big")
+
+
+def test_before_the_first_command_a_read_is_not_a_distance() -> None:
+    assert bus_sonar().read(0, 0x70, 2) == sonar.PART_INFORMATION
+
+
+def test_while_ranging_nothing_is_acknowledged_longer_for_far_targets() -> None:
+    def busy_us(range_m: float | None) -> int:
+        device = bus_sonar(range_m)
+        device.write(0, 0x70, b"\x51")
+        return next(t for t in range(0, 200_000, 500) if device.read(t, 0x70, 2) is not None)
+
+    assert busy_us(0.5) < 25_000  # "40 Hz possible for near targets"
+    assert 60_000 < busy_us(None) < 70_000  # "15 Hz at full range"
+
+
+def test_nothing_heard_is_reported_as_the_maximum() -> None:
+    device = bus_sonar(None)
+    device.write(0, 0x70, b"\x51")
+
+    assert device.read(100_000, 0x70, 2) == (765).to_bytes(2, "big")
+
+
+def test_the_address_changes_by_its_sequence_and_odd_or_refused_ones_do_not() -> None:
+    device = bus_sonar()
+
+    device.write(0, 0x70, bytes([0xAA, 0xA5, 0xE3]))
+    device.write(0, 0x70, bytes([0xAA, 0xA5, 164]))
+    assert device.address == 0x70
+    device.write(0, 0x70, bytes([0xAA, 0xA5, 0xE2]))
+
+    assert device.address == 0x71
+    assert not device.write(0, 0x70, b"\x51")
+    assert device.write(0, 0x71, b"\x51")
+
+
+def test_an_unplugged_sensor_is_silent() -> None:
+    device = bus_sonar()
+    device.plugged = False
+
+    assert not device.write(0, 0x70, b"\x51")
+    assert device.read(0, 0x70, 2) is None
