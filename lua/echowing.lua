@@ -1,0 +1,867 @@
+--[[
+  Echowing: holds a follower copter at its distance from the leader with a forward looking sonar.
+
+  A ground tool streams guided points that keep the follower roughly in its place behind the leader. This applet reads
+  the forward rangefinder (the co-processor's running average, by MAVLink) and the co-processor's newest single reading
+  (NAMED_VALUE_FLOAT "SNR_RAW") and turns the distance into the speed limit of Guided: slower when too near, faster when
+  too far.
+
+  It acts only while ECHO_ENABLE is 1, the vehicle is armed and in Guided, and the switch (if ECHO_SWITCH names one) is
+  high. The pilot takes over by any change of mode; the speed parameter is then the pilot's again.
+
+  Purpose, wiring, parameters, tests on the bench, in SITL and in the air, and what each message means: echowing.md.
+--]]
+
+---@diagnostic disable: need-check-nil
+
+local TEXT = 'ECHO: '
+local SEVERITY = { CRITICAL = 2, ERROR = 3, WARNING = 4, NOTICE = 5, INFO = 6 }
+local GUIDED = 4 -- Copter's mode number
+local FORWARD = 0 -- orientation of the rangefinder
+local STATUS_NO_DATA, STATUS_LOW, STATUS_GOOD = 1, 2, 4 -- RangeFinder::Status
+local MAVLINK_RANGEFINDER = 10 -- RNGFNDx_TYPE
+local SWITCH_HIGH = 2
+
+local ACTIVE_MS, EVADE_MS, IDLE_MS, REPAIR_MS = 50, 20, 200, 1000 -- pause before the next update
+local RAW_FRESH_MS = 300 -- an older single reading is not "the newest": 3 periods of the slower sonar rate
+local TARGET_FRESH_MS = 1000 -- an older streamed point is not the target in force
+local HARD_CLOSE_M = 1.0 -- under this it is too close, closing or not
+local SPEED_FLOOR_MPS = 0.2 -- below, the autopilot saves its own floor over the pilot's value; 0 would be no limit
+local SPIKE_M = 0.8 -- a single reading this far from the prediction waits for a second one like it
+local TRACK_TAU_S = 0.25 -- memory of the range and rate tracker: the rate settles in about 0.5 s
+local TRACK_GAP_MS = 700 -- after a gap this long the tracker starts again
+local CLEAR_M = 0.3 -- too close ends this far beyond where it began
+local CLOSING_MPS = 0.15 -- slower is noise of the tracker (1 cm steps at 10 Hz)
+local EVADE_LEAST_M, EVADE_MOST_M = 0.5, 5.0 -- how far back a target away from the leader lies
+local NOTICE_GAP_MS = 3000 -- the same state is not announced again sooner
+local NAMED_MS = 500 -- pace of the named floats
+local CONFLICT_CHANGES, CONFLICT_MS = 4, 10000 -- so many outside changes of the speed in this time: another script
+
+local OFF, SEARCHING, TRACKING, TOO_CLOSE, NO_SONAR, STREAM_LOST = 0, 1, 2, 3, 4, 5
+local STATE_TEXT = {
+    [SEARCHING] = 'searching', [TRACKING] = 'tracking', [TOO_CLOSE] = 'too close', [NO_SONAR] = 'no sonar data',
+    [STREAM_LOST] = 'stream lost, holding here',
+}
+local STATE_SEVERITY = {
+    [SEARCHING] = SEVERITY.NOTICE, [TRACKING] = SEVERITY.INFO, [TOO_CLOSE] = SEVERITY.WARNING,
+    [NO_SONAR] = SEVERITY.WARNING, [STREAM_LOST] = SEVERITY.CRITICAL,
+}
+
+local SET_POSITION_TARGET_GLOBAL_INT, NAMED_VALUE_FLOAT = 86, 251
+local RAW_NAME = 'SNR_RAW'
+
+local TABLE_KEY = 95 -- used by no script in ArduPilot's tree
+local PREFIX = 'ECHO_'
+
+local function say(severity, text)
+    gcs:send_text(severity, TEXT .. text)
+end
+
+-- What the applet needs of the autopilot; the name of the first thing missing, or nil.
+local function missing_call()
+    local needs = {
+        { 'vehicle', vehicle, { 'set_desired_speed', 'set_target_location', 'get_target_location', 'get_mode' } },
+        { 'rangefinder', rangefinder, { 'status_orient', 'has_orientation' } },
+        { 'ahrs', ahrs, { 'get_location', 'get_velocity_NED' } },
+        { 'mavlink', mavlink, { 'init', 'register_rx_msgid', 'receive_chan' } },
+        { 'param', param, { 'add_table', 'add_param' } },
+        { 'arming', arming, { 'is_armed' } },
+        { 'rc', rc, { 'find_channel_for_option' } },
+        { 'logger', logger, { 'write' } },
+    }
+    for _, need in ipairs(needs) do
+        if not need[2] then return need[1] end
+        for _, call in ipairs(need[3]) do
+            if not need[2][call] then return need[1] .. ':' .. call end
+        end
+    end
+    if not (rangefinder.distance_orient or rangefinder.distance_cm_orient) then return 'rangefinder:distance_orient' end
+    return nil
+end
+
+local missing = missing_call()
+if missing then
+    say(SEVERITY.ERROR, 'stopped, this firmware lacks ' .. missing)
+    return
+end
+
+-- The speed parameter and how many of its units make 1 m/s: WP_SPD from later 4.7 on, WPNAV_SPEED before.
+local SPEED_NAME = param:get('WP_SPD') and 'WP_SPD' or 'WPNAV_SPEED'
+local SPEED_UNITS = SPEED_NAME == 'WP_SPD' and 1.0 or 100.0
+if not param:get(SPEED_NAME) then
+    say(SEVERITY.ERROR, 'stopped, no parameter WP_SPD or WPNAV_SPEED')
+    return
+end
+local speed_parameter = Parameter(SPEED_NAME)
+
+local MY_SYSTEM = param:get('MAV_SYSID') or param:get('SYSID_THISMAV')
+local yaw_rad = ahrs.get_yaw_rad or ahrs.get_yaw
+
+-- Name, default, lowest and highest accepted value of each parameter, in the order of their numbers.
+local PARAMETERS = {
+    --[[
+      // @Param: ECHO_ENABLE
+      // @DisplayName: Echowing enable
+      // @Description: Lets the applet set the speed in Guided
+      // @Values: 0:Disabled,1:Enabled
+      // @User: Standard
+    --]]
+    { 'ENABLE', 0, 0, 1 },
+    --[[
+      // @Param: ECHO_LAW
+      // @DisplayName: Echowing speed law
+      // @Description: How the range becomes a speed. Thesis: fixed steps by bands, no change while the target is out of range. Bands: the same steps, and the speed recovers once the target is lost. Continuous: leader speed from the range rate plus a share of the range error
+      // @Values: 0:Thesis,1:Bands,2:Continuous
+      // @User: Standard
+    --]]
+    { 'LAW', 1, 0, 2 },
+    --[[
+      // @Param: ECHO_DIST
+      // @DisplayName: Echowing wanted distance
+      // @Description: Distance to the leader, as the sonar measures it
+      // @Range: 1.5 6
+      // @Units: m
+      // @User: Standard
+    --]]
+    { 'DIST', 3.0, 1.5, 6.0 },
+    --[[
+      // @Param: ECHO_DETECT
+      // @DisplayName: Echowing detection limit
+      // @Description: A range of this or more is no target
+      // @Range: 2 7.6
+      // @Units: m
+      // @User: Standard
+    --]]
+    { 'DETECT', 4.5, 2.0, 7.6 },
+    --[[
+      // @Param: ECHO_BAND_IN
+      // @DisplayName: Echowing monitor band
+      // @Description: Laws 0 and 1: within this of the wanted distance the speed stays
+      // @Range: 0.01 0.5
+      // @Units: m
+      // @User: Advanced
+    --]]
+    { 'BAND_IN', 0.05, 0.01, 0.5 },
+    --[[
+      // @Param: ECHO_BAND_OUT
+      // @DisplayName: Echowing small step band
+      // @Description: Laws 0 and 1: within this of the wanted distance the speed changes by the small step, beyond by the big one
+      // @Range: 0.05 1.5
+      // @Units: m
+      // @User: Advanced
+    --]]
+    { 'BAND_OUT', 0.25, 0.05, 1.5 },
+    --[[
+      // @Param: ECHO_STEP_SML
+      // @DisplayName: Echowing small step
+      // @Description: Laws 0 and 1: change of speed a period, near the wanted distance
+      // @Range: 0.05 2
+      // @Units: m/s
+      // @User: Advanced
+    --]]
+    { 'STEP_SML', 0.5, 0.05, 2.0 },
+    --[[
+      // @Param: ECHO_STEP_BIG
+      // @DisplayName: Echowing big step
+      // @Description: Laws 0 and 1: change of speed a period, far from the wanted distance
+      // @Range: 0.05 3
+      // @Units: m/s
+      // @User: Advanced
+    --]]
+    { 'STEP_BIG', 1.0, 0.05, 3.0 },
+    --[[
+      // @Param: ECHO_PERIOD
+      // @DisplayName: Echowing law period
+      // @Description: Laws 0 and 1: time between two steps
+      // @Range: 0.1 2
+      // @Units: s
+      // @User: Advanced
+    --]]
+    { 'PERIOD', 0.45, 0.1, 2.0 },
+    --[[
+      // @Param: ECHO_GAIN_P
+      // @DisplayName: Echowing range gain
+      // @Description: Law 2: speed towards the leader for each metre of range error
+      // @Range: 0.1 1.2
+      // @Units: 1/s
+      // @User: Advanced
+    --]]
+    { 'GAIN_P', 0.5, 0.1, 1.2 },
+    --[[
+      // @Param: ECHO_GAIN_D
+      // @DisplayName: Echowing rate gain
+      // @Description: Law 2: speed for each m/s of range rate, beyond what the leader's speed already takes from it
+      // @Range: 0 1
+      // @User: Advanced
+    --]]
+    { 'GAIN_D', 0.0, 0.0, 1.0 },
+    --[[
+      // @Param: ECHO_TAU
+      // @DisplayName: Echowing leader speed filter
+      // @Description: Law 2: time constant of the filter of the leader's speed
+      // @Range: 0.1 3
+      // @Units: s
+      // @User: Advanced
+    --]]
+    { 'TAU', 0.6, 0.1, 3.0 },
+    --[[
+      // @Param: ECHO_SPD_MIN
+      // @DisplayName: Echowing lowest speed
+      // @Description: The speed limit never goes below this; 0 would be no limit, and below 0.2 the autopilot saves a value of its own
+      // @Range: 0.2 2
+      // @Units: m/s
+      // @User: Standard
+    --]]
+    { 'SPD_MIN', 0.2, SPEED_FLOOR_MPS, 2.0 },
+    --[[
+      // @Param: ECHO_SPD_MAX
+      // @DisplayName: Echowing highest speed
+      // @Description: The speed limit never goes above this
+      // @Range: 1 15
+      // @Units: m/s
+      // @User: Standard
+    --]]
+    { 'SPD_MAX', 5.0, 1.0, 15.0 },
+    --[[
+      // @Param: ECHO_SPD_INIT
+      // @DisplayName: Echowing initial speed
+      // @Description: Speed limit when the applet takes control
+      // @Range: 0.2 15
+      // @Units: m/s
+      // @User: Standard
+    --]]
+    { 'SPD_INIT', 2.5, SPEED_FLOOR_MPS, 15.0 },
+    --[[
+      // @Param: ECHO_SPD_LOST
+      // @DisplayName: Echowing speed without sonar
+      // @Description: Speed limit while the sonar is silent or sees no target (law 0 keeps its speed while it sees no target)
+      // @Range: 0.2 15
+      // @Units: m/s
+      // @User: Standard
+    --]]
+    { 'SPD_LOST', 3.0, SPEED_FLOOR_MPS, 15.0 },
+    --[[
+      // @Param: ECHO_LOST_T
+      // @DisplayName: Echowing target lost time
+      // @Description: No target for this long is a lost target
+      // @Range: 0.3 10
+      // @Units: s
+      // @User: Standard
+    --]]
+    { 'LOST_T', 1.3, 0.3, 10.0 },
+    --[[
+      // @Param: ECHO_NODATA_T
+      // @DisplayName: Echowing sonar silent time
+      // @Description: No data from the rangefinder for this long is a silent sonar
+      // @Range: 0.3 10
+      // @Units: s
+      // @User: Standard
+    --]]
+    { 'NODATA_T', 1.0, 0.3, 10.0 },
+    --[[
+      // @Param: ECHO_CLOSE
+      // @DisplayName: Echowing close distance
+      // @Description: Too close where the range less the distance still closed before the vehicle stops is under this. Any range under 1 m is too close
+      // @Range: 0.5 4
+      // @Units: m
+      // @User: Standard
+    --]]
+    { 'CLOSE', 1.2, 0.5, 4.0 },
+    --[[
+      // @Param: ECHO_DELAY
+      // @DisplayName: Echowing reaction delay
+      // @Description: From a reading to the vehicle's answer: sonar, wire and attitude. For the closing distance
+      // @Range: 0.1 2
+      // @Units: s
+      // @User: Advanced
+    --]]
+    { 'DELAY', 0.4, 0.1, 2.0 },
+    --[[
+      // @Param: ECHO_DECEL
+      // @DisplayName: Echowing braking
+      // @Description: Deceleration the vehicle reaches, for the closing distance
+      // @Range: 0.5 10
+      // @Units: m/s/s
+      // @User: Advanced
+    --]]
+    { 'DECEL', 2.5, 0.5, 10.0 },
+    --[[
+      // @Param: ECHO_RATE
+      // @DisplayName: Echowing rate limit
+      // @Description: Laws 1 and 2: the speed limit changes no faster than this, except when too close. 0: no rate limit
+      // @Range: 0 20
+      // @Units: m/s/s
+      // @User: Advanced
+    --]]
+    { 'RATE', 4.0, 0.0, 20.0 },
+    --[[
+      // @Param: ECHO_STREAM_T
+      // @DisplayName: Echowing stream watchdog
+      // @Description: Once a stream of guided points has been seen, a silence of this long holds the vehicle where it is. 0: no watchdog
+      // @Range: 0 10
+      // @Units: s
+      // @User: Standard
+    --]]
+    { 'STREAM_T', 1.0, 0.0, 10.0 },
+    --[[
+      // @Param: ECHO_SWITCH
+      // @DisplayName: Echowing switch
+      // @Description: RC option (RCx_OPTION) of the switch that must be high. 0: no switch
+      // @Values: 0:None,300:Scripting1,301:Scripting2,302:Scripting3,303:Scripting4,304:Scripting5,305:Scripting6,306:Scripting7,307:Scripting8
+      // @User: Standard
+    --]]
+    { 'SWITCH', 0, 0, 307 },
+    --[[
+      // @Param: ECHO_LOG_HZ
+      // @DisplayName: Echowing log rate
+      // @Description: ECHO messages a second in the dataflash log. 0: none
+      // @Range: 0 20
+      // @Units: Hz
+      // @User: Advanced
+    --]]
+    { 'LOG_HZ', 10, 0, 20 },
+    --[[
+      // @Param: ECHO_ARM_CHK
+      // @DisplayName: Echowing arming check
+      // @Description: Refuses arming while the applet is enabled and the forward rangefinder is missing or not a MAVLink one, or another script sets the speed
+      // @Values: 0:Disabled,1:Enabled
+      // @User: Standard
+    --]]
+    { 'ARM_CHK', 1, 0, 1 },
+    --[[
+      // @Param: ECHO_MIRROR
+      // @DisplayName: Echowing mirror of the pilot's speed
+      // @Description: The pilot's value of the speed parameter, in its own unit, while the applet is in control; 0 otherwise. Written by the applet, so that a restarted script can put it back
+      // @Range: 0 5000
+      // @ReadOnly: True
+      // @User: Advanced
+    --]]
+    { 'MIRROR', 0, 0, 5000 },
+}
+
+-- Values in force (C.DIST, ...) and the parameters they come from.
+local C = {}
+local parameter_objects = {}
+local complained = {}
+
+assert(param:add_table(TABLE_KEY, PREFIX, #PARAMETERS), TEXT .. 'parameter table key ' .. TABLE_KEY .. ' is taken')
+for i, row in ipairs(PARAMETERS) do
+    assert(param:add_param(TABLE_KEY, i, row[1], row[2]), TEXT .. 'cannot add ' .. PREFIX .. row[1])
+    parameter_objects[i] = Parameter(PREFIX .. row[1])
+    C[row[1]] = row[2]
+end
+local mirror_parameter = parameter_objects[#PARAMETERS]
+
+-- Edges of the bands, from the wanted distance.
+local edges = {}
+
+local function derive()
+    C.SPD_MAX = math.max(C.SPD_MAX, C.SPD_MIN)
+    edges.far, edges.beyond = C.DIST + C.BAND_OUT, C.DIST + C.BAND_IN
+    edges.within, edges.near = C.DIST - C.BAND_IN, C.DIST - C.BAND_OUT
+end
+
+-- Takes parameter number i into force if it lies in its range (NaN does not); else the value in force stays.
+local function read_parameter(i)
+    local row = PARAMETERS[i]
+    local name = row[1]
+    local value = parameter_objects[i]:get()
+    if value and value >= row[3] and value <= row[4] then
+        C[name] = value
+        complained[name] = nil
+    elseif not complained[name] then
+        complained[name] = true
+        say(SEVERITY.WARNING, string.format('%s%s out of range, using %.2f', PREFIX, name, C[name]))
+    end
+end
+
+for i = 1, #PARAMETERS do read_parameter(i) end
+derive()
+
+-- Time: milliseconds since the script started, a plain integer (wraps after 24 days).
+local boot = millis()
+local function now_ms()
+    return (millis() - boot):toint()
+end
+
+-- State. Times are in ms; nil is "never".
+local S = {
+    in_control = false, state = OFF, announced = OFF, speed_mps = 0.0, law_mps = 0.0, out_mps = 0.0, read_next = 1,
+    announced_ms = {}, changes = {}, conflict = false,
+}
+
+local function clamp(value, low, high)
+    return math.max(low, math.min(high, value))
+end
+
+local function is_number(value) -- neither NaN nor infinite
+    return value and value - value == 0.0
+end
+
+-- The sonar ----------------------------------------------------------------------------------------------------------
+
+-- Range in metres as the rangefinder gives it (the running average), nil where it is no measurement; and the status.
+local function read_average()
+    local status = rangefinder:status_orient(FORWARD)
+    if status ~= STATUS_GOOD and status ~= STATUS_LOW then return nil, status end
+    local range_m
+    if rangefinder.distance_orient then
+        range_m = rangefinder:distance_orient(FORWARD)
+    else
+        range_m = rangefinder:distance_cm_orient(FORWARD) / 100.0
+    end
+    if not is_number(range_m) or range_m < 0.0 or (range_m == 0.0 and status == STATUS_GOOD) then return nil, status end
+    return range_m, status
+end
+
+-- Range and rate of the target, from single readings: a critically damped second-order tracker.
+local track = { range_m = nil, rate_mps = 0.0, at_ms = 0, spike_m = nil }
+
+local function track_reset()
+    track.range_m, track.rate_mps, track.spike_m = nil, 0.0, nil
+end
+
+local function track_update(range_m, t_ms)
+    local dt_s = (t_ms - track.at_ms) * 0.001
+    if not track.range_m or t_ms - track.at_ms > TRACK_GAP_MS then
+        track.range_m, track.rate_mps, track.at_ms, track.spike_m = range_m, 0.0, t_ms, nil
+        return
+    end
+    if dt_s <= 0.0 then return end
+    local predicted_m = track.range_m + track.rate_mps * dt_s
+    local residual_m = range_m - predicted_m
+    if math.abs(residual_m) > SPIKE_M then
+        if track.spike_m and math.abs(range_m - track.spike_m) < SPIKE_M then
+            track.range_m, track.rate_mps, track.at_ms, track.spike_m = range_m, 0.0, t_ms, nil
+        else
+            track.spike_m = range_m
+        end
+        return
+    end
+    local keep = math.exp(-dt_s / TRACK_TAU_S)
+    track.range_m = predicted_m + (1.0 - keep * keep) * residual_m
+    track.rate_mps = track.rate_mps + (1.0 - keep) * (1.0 - keep) / dt_s * residual_m
+    track.at_ms, track.spike_m = t_ms, nil
+end
+
+-- MAVLink ------------------------------------------------------------------------------------------------------------
+
+mavlink:init(10, 2)
+mavlink:register_rx_msgid(SET_POSITION_TARGET_GLOBAL_INT)
+mavlink:register_rx_msgid(NAMED_VALUE_FLOAT)
+
+local WIDE_STRUCTURE = 299 -- bytes of mavlink_message_t where system ids have 32 bits; 291 where they have 8
+
+local function take_raw(message, payload, t_ms)
+    local value, name = string.unpack('<fc10', message, payload + 4)
+    if name:gsub('%z', '') ~= RAW_NAME or not is_number(value) or value <= 0.0 then return end
+    S.raw_m, S.raw_ms = value, t_ms
+    if value < C.DETECT then track_update(value, t_ms) end
+end
+
+local function take_target(message, payload, t_ms)
+    local lat, lng, _, vn, ve = string.unpack('<i4i4fff', message, payload + 4)
+    local mask, system = string.unpack('<I2B', message, payload + 48)
+    if system ~= 0 and system ~= MY_SYSTEM then return end
+    S.stream_ms = t_ms
+    S.target_lat, S.target_lng = nil, nil
+    if mask & 0x0003 == 0 then S.target_lat, S.target_lng = lat, lng end
+    S.target_vn, S.target_ve = 0.0, 0.0
+    if mask & 0x0018 == 0 then S.target_vn, S.target_ve = vn, ve end
+end
+
+local function take_messages(t_ms)
+    for _ = 1, 10 do
+        local message = mavlink:receive_chan()
+        if not message then return end
+        local wide = #message >= WIDE_STRUCTURE and 3 or 0
+        local system = string.unpack(wide > 0 and '<I4' or '<B', message, 8)
+        local id = string.unpack('<I3', message, 10 + wide)
+        if id == SET_POSITION_TARGET_GLOBAL_INT then
+            take_target(message, 13 + wide, t_ms)
+        elseif system == MY_SYSTEM then
+            take_raw(message, 13 + wide, t_ms)
+        end
+    end
+end
+
+-- Laws: pure ---------------------------------------------------------------------------------------------------------
+
+-- Change of speed for a range, thesis Appendix A and Table 6.
+local function band_change(range_m)
+    if range_m >= edges.far then return C.STEP_BIG end
+    if range_m >= edges.beyond then return C.STEP_SML end
+    if range_m >= edges.within then return 0.0 end
+    if range_m >= edges.near then return -C.STEP_SML end
+    return -C.STEP_BIG
+end
+
+-- Law 0, Appendix A: one step. A step that would reach a limit is refused.
+local function thesis_step(speed_mps, range_m)
+    local change_mps = band_change(range_m)
+    local new_mps = speed_mps + change_mps
+    if change_mps > 0.0 and new_mps >= C.SPD_MAX then return speed_mps end
+    if change_mps < 0.0 and new_mps <= C.SPD_MIN then return speed_mps end
+    return new_mps
+end
+
+-- Law 1: the same step, which stops at the limits instead of being refused.
+local function band_step(speed_mps, range_m)
+    return clamp(speed_mps + band_change(range_m), C.SPD_MIN, C.SPD_MAX)
+end
+
+-- Law 2: the leader's speed along the line of sight (own speed towards it plus the range rate, filtered) and a share of
+-- the range error.
+local function continuous_speed(range_m, rate_mps, leader_mps)
+    return clamp(leader_mps + C.GAIN_P * (range_m - C.DIST) + C.GAIN_D * rate_mps, C.SPD_MIN, C.SPD_MAX)
+end
+
+-- Distance still closed at this rate before the vehicle stops.
+local function closing_distance(closing_mps)
+    local v = math.max(0.0, closing_mps)
+    return v * C.DELAY + v * v / (2.0 * C.DECEL)
+end
+
+-- Control ------------------------------------------------------------------------------------------------------------
+
+local function set_state(state)
+    S.state = state
+end
+
+-- One text a change of state; a state that flaps is told again no sooner than NOTICE_GAP_MS.
+local function announce(t_ms)
+    if S.state == S.announced then return end
+    local last_ms = S.announced_ms[S.state]
+    if last_ms and t_ms - last_ms < NOTICE_GAP_MS then return end
+    S.announced, S.announced_ms[S.state] = S.state, t_ms
+    local text = STATE_TEXT[S.state]
+    if S.state == SEARCHING or S.state == NO_SONAR then text = string.format('%s, %.1f m/s', text, S.out_mps) end
+    if S.state == TOO_CLOSE and S.evading then text = text .. ', backing off' end
+    say(STATE_SEVERITY[S.state], text)
+end
+
+local function write_speed(speed_mps)
+    local units = speed_mps * SPEED_UNITS
+    speed_parameter:set(units)
+    S.written = speed_parameter:get()
+    vehicle:set_desired_speed(speed_mps)
+    S.out_mps = speed_mps
+end
+
+local function take_control(t_ms)
+    S.pilot_units = speed_parameter:get()
+    mirror_parameter:set(S.pilot_units) -- before the speed is touched: a restart must find it
+    S.in_control, S.since_ms, S.step_ms, S.update_ms = true, t_ms, t_ms, t_ms
+    S.stream_ms, S.seen_ms, S.data_ms, S.leader_mps, S.holding, S.evading = nil, t_ms, t_ms, nil, false, false
+    S.announced, S.announced_ms, S.changes = OFF, {}, {}
+    S.speed_mps = clamp(C.SPD_INIT, C.SPD_MIN, C.SPD_MAX)
+    S.law_mps = S.speed_mps
+    track_reset()
+    set_state(TRACKING)
+    S.announced = TRACKING -- said when the first range comes
+    say(SEVERITY.INFO, string.format('in control, law %d, %.1f m/s', C.LAW, S.speed_mps))
+end
+
+local function hand_back(reason)
+    if not S.in_control then return end
+    S.in_control = false
+    speed_parameter:set(S.pilot_units)
+    if vehicle:get_mode() == GUIDED then vehicle:set_desired_speed(S.pilot_units / SPEED_UNITS) end
+    mirror_parameter:set(0)
+    S.written, S.state = nil, OFF
+    say(SEVERITY.NOTICE, string.format('handed back, %s %.2f (%s)', SPEED_NAME, S.pilot_units, reason))
+end
+
+-- The pilot, or another script, has set the speed parameter: his value now.
+local function watch_parameter(t_ms)
+    local units = speed_parameter:get()
+    if not S.written or units == S.written then return end
+    S.pilot_units = units
+    mirror_parameter:set(units)
+    local oldest = S.changes[1]
+    S.changes[#S.changes + 1] = t_ms
+    if #S.changes > CONFLICT_CHANGES then table.remove(S.changes, 1) end
+    S.conflict = #S.changes == CONFLICT_CHANGES and oldest ~= nil and t_ms - S.changes[1] < CONFLICT_MS
+end
+
+-- Why the applet must not act now, or nil.
+local function reason_not_to_act()
+    if C.ENABLE < 1 then return 'disabled' end
+    if not arming:is_armed() then
+        S.conflict = false
+        return 'disarmed'
+    end
+    if vehicle:get_mode() ~= GUIDED then return 'mode' end
+    if S.conflict then return 'another script sets ' .. SPEED_NAME end
+    if C.SWITCH >= 300 then
+        local channel = rc:find_channel_for_option(math.tointeger(C.SWITCH))
+        if not channel or channel:get_aux_switch_pos() ~= SWITCH_HIGH then return 'switch' end
+    end
+    return nil
+end
+
+-- Own speed along the heading, where the sonar looks.
+local function forward_speed()
+    local velocity = ahrs:get_velocity_NED()
+    if not velocity then return nil end
+    local yaw = yaw_rad(ahrs)
+    return velocity:x() * math.cos(yaw) + velocity:y() * math.sin(yaw)
+end
+
+-- Metres that a place lies ahead (along the heading) of the vehicle.
+local function ahead_m(here, lat, lng)
+    local target = here:copy()
+    target:lat(lat)
+    target:lng(lng)
+    local offset = here:get_distance_NE(target)
+    local yaw = yaw_rad(ahrs)
+    return offset:x() * math.cos(yaw) + offset:y() * math.sin(yaw)
+end
+
+-- Whether the target in force leads away from the leader, so that the limit must not hold the vehicle back.
+local function target_leads_away(here, t_ms)
+    if S.evading then return true end
+    if not S.holding and S.stream_ms and t_ms - S.stream_ms < TARGET_FRESH_MS and S.target_lat then
+        local yaw = yaw_rad(ahrs)
+        if S.target_vn * math.cos(yaw) + S.target_ve * math.sin(yaw) > 0.0 then return false end
+        return ahead_m(here, S.target_lat, S.target_lng) < 0.0
+    end
+    local target = vehicle:get_target_location()
+    return target ~= nil and ahead_m(here, target:lat(), target:lng()) < 0.0
+end
+
+-- A target straight back from the leader, far enough to reach the wanted distance and to outrun its approach.
+local function back_off(here, range_m, approach_mps)
+    local back_m = clamp(C.DIST - range_m + approach_mps, EVADE_LEAST_M, EVADE_MOST_M)
+    local yaw = yaw_rad(ahrs)
+    local target = here:copy()
+    target:offset(-back_m * math.cos(yaw), -back_m * math.sin(yaw))
+    return vehicle:set_target_location(target)
+end
+
+-- The law's wish for this update, before any gate: S.law_mps.
+local function run_law(range_m, t_ms)
+    if C.LAW >= 2 then
+        local own_mps = forward_speed()
+        if not own_mps or not track.range_m then return end
+        local leader_mps = own_mps + track.rate_mps
+        local dt_s = (t_ms - S.update_ms) * 0.001
+        local share = 1.0 - math.exp(-dt_s / C.TAU)
+        S.leader_mps = S.leader_mps and S.leader_mps + share * (leader_mps - S.leader_mps) or leader_mps
+        S.law_mps = continuous_speed(track.range_m, track.rate_mps, S.leader_mps)
+        return
+    end
+    if t_ms - S.step_ms < C.PERIOD * 1000.0 then return end
+    S.step_ms = t_ms
+    S.law_mps = C.LAW < 1 and thesis_step(S.law_mps, range_m) or band_step(S.law_mps, range_m)
+end
+
+-- Detection gate: a range at or beyond the limit is no target; what a lost target or a silent sonar means.
+local function gate(range_m, status, t_ms)
+    if status > STATUS_NO_DATA then S.data_ms = t_ms end
+    if range_m and range_m < C.DETECT then
+        S.seen_ms = t_ms
+        run_law(range_m, t_ms)
+        set_state(TRACKING)
+        return
+    end
+    S.step_ms = t_ms -- the next average begins when the target is back
+    if t_ms - S.data_ms >= C.NODATA_T * 1000.0 then
+        S.law_mps, S.leader_mps = C.SPD_LOST, nil
+        set_state(NO_SONAR)
+    elseif t_ms - S.seen_ms >= C.LOST_T * 1000.0 then
+        if C.LAW >= 1 then S.law_mps, S.leader_mps = C.SPD_LOST, nil end
+        set_state(SEARCHING)
+    end
+end
+
+local function limit_rate(t_ms)
+    S.law_mps = clamp(S.law_mps, C.SPD_MIN, C.SPD_MAX)
+    local most_mps = C.RATE * (t_ms - S.update_ms) * 0.001
+    if C.LAW < 1 or C.RATE <= 0.0 then
+        S.speed_mps = S.law_mps
+    else
+        S.speed_mps = S.speed_mps + clamp(S.law_mps - S.speed_mps, -most_mps, most_mps)
+    end
+    S.speed_mps = clamp(S.speed_mps, C.SPD_MIN, C.SPD_MAX)
+end
+
+-- The nearest the sonar has to offer: the newest single reading or the average.
+local function nearest(range_m, t_ms)
+    local raw_m = S.raw_ms and t_ms - S.raw_ms <= RAW_FRESH_MS and S.raw_m or nil
+    if raw_m and raw_m >= C.DETECT then raw_m = nil end
+    if raw_m and range_m then return math.min(raw_m, range_m) end
+    return raw_m or range_m
+end
+
+local function is_too_close(near_m, status)
+    if status == STATUS_LOW then return true end
+    if not near_m then return false end
+    local margin_m = S.too_close and CLEAR_M or 0.0
+    if near_m < HARD_CLOSE_M + margin_m then return true end
+    return near_m - closing_distance(-track.rate_mps) < C.CLOSE + margin_m
+end
+
+-- Too close wins over everything before it. Returns the speed to set.
+local function guard(near_m, status, t_ms)
+    S.too_close = is_too_close(near_m, status)
+    if not S.too_close then
+        S.evading = false
+        return S.speed_mps
+    end
+    set_state(TOO_CLOSE)
+    local here = ahrs:get_location()
+    local own_mps = forward_speed()
+    local approach_mps = own_mps and -(own_mps + track.rate_mps) or 0.0 -- of the leader, over ground
+    near_m = near_m or 0.0
+    if not here then
+        S.evading = false
+        return C.SPD_MIN
+    end
+    S.evading = S.evading and (approach_mps > 0.1 or track.rate_mps < 0.0)
+    if not target_leads_away(here, t_ms) then
+        S.evading = near_m < C.CLOSE and track.rate_mps < -CLOSING_MPS
+    end
+    if S.evading then S.evading = back_off(here, near_m, math.max(0.0, approach_mps)) end
+    if S.evading or target_leads_away(here, t_ms) then return C.SPD_MAX end
+    if C.LAW >= 1 then S.speed_mps, S.law_mps = C.SPD_MIN, C.SPD_MIN end -- recover from here, at the law's pace
+    return C.SPD_MIN
+end
+
+-- Holds the vehicle where it is once a stream of guided points has fallen silent.
+local function watch_stream(t_ms)
+    local silent = C.STREAM_T > 0.0 and S.stream_ms and t_ms - S.stream_ms > C.STREAM_T * 1000.0
+    if not silent then
+        S.holding = false
+        return
+    end
+    if S.state ~= TOO_CLOSE then set_state(STREAM_LOST) end
+    if S.evading then
+        S.holding = false -- hold again where the evasion ends
+        return
+    end
+    if S.holding then return end
+    local here = ahrs:get_location()
+    S.holding = here ~= nil and vehicle:set_target_location(here)
+end
+
+-- What pilots see ----------------------------------------------------------------------------------------------------
+
+local function report(range_m, t_ms)
+    if not S.named_ms or t_ms - S.named_ms >= NAMED_MS then
+        S.named_ms = t_ms
+        gcs:send_named_float('ECHO_RNG', range_m or 0.0)
+        gcs:send_named_float('ECHO_SPD', S.out_mps)
+        gcs:send_named_float('ECHO_STATE', S.state)
+    end
+    if C.LOG_HZ <= 0.0 or (S.log_ms and t_ms - S.log_ms < 1000.0 / C.LOG_HZ - 1.0) then return end
+    S.log_ms = t_ms
+    local range = range_m or 0.0
+    local filtered = track.range_m or 0.0
+    logger:write('ECHO', 'Rng,Flt,Err,Law,Spd,St', 'fffffB', 'mmmnn-', '00000-', range, filtered,
+        range_m and range_m - C.DIST or 0.0, S.law_mps, S.out_mps, S.state)
+end
+
+-- Before arming ------------------------------------------------------------------------------------------------------
+
+local auth_id = arming.get_aux_auth_id and arming:get_aux_auth_id()
+if not auth_id then say(SEVERITY.WARNING, 'no arming check, all authorisation ids are taken') end
+
+-- RNGFNDx_TYPE of the forward rangefinder, nil if none is set up.
+local function forward_type()
+    for i = 1, 9 do
+        if param:get('RNGFND' .. i .. '_ORIENT') == FORWARD then
+            local kind = param:get('RNGFND' .. i .. '_TYPE')
+            if kind and kind > 0 then return kind end
+        end
+    end
+    return nil
+end
+
+local function reason_not_to_arm()
+    local kind = forward_type()
+    if not kind or not rangefinder:has_orientation(FORWARD) then return 'no forward rangefinder' end
+    if kind ~= MAVLINK_RANGEFINDER then return 'forward rangefinder is not MAVLink' end
+    if #S.changes >= CONFLICT_CHANGES then return 'another script sets ' .. SPEED_NAME end
+    return nil
+end
+
+-- Changes of the speed parameter on the ground: so many in so short a time are no pilot's.
+local function watch_ground_changes(t_ms)
+    local units = speed_parameter:get()
+    if S.ground_units and units ~= S.ground_units then S.changes[#S.changes + 1] = t_ms end
+    S.ground_units = units
+    if #S.changes > 0 and t_ms - S.changes[1] > CONFLICT_MS then table.remove(S.changes, 1) end
+    if #S.changes > CONFLICT_CHANGES then table.remove(S.changes, 1) end
+end
+
+local function check_arming(t_ms)
+    if not auth_id or arming:is_armed() then return end
+    watch_ground_changes(t_ms)
+    local reason = C.ENABLE >= 1 and C.ARM_CHK >= 1 and reason_not_to_arm() or nil
+    if reason then
+        arming:set_aux_auth_failed(auth_id, TEXT .. reason)
+    else
+        arming:set_aux_auth_passed(auth_id)
+    end
+end
+
+-- The update ---------------------------------------------------------------------------------------------------------
+
+local function act(t_ms)
+    if not S.in_control then take_control(t_ms) end
+    watch_parameter(t_ms)
+    local range_m, status = read_average()
+    if range_m and range_m < C.DETECT and not (S.raw_ms and t_ms - S.raw_ms <= RAW_FRESH_MS) then
+        track_update(range_m, t_ms) -- no single readings: the average has to do
+    end
+    gate(range_m, status, t_ms)
+    limit_rate(t_ms)
+    local speed_mps = guard(nearest(range_m, t_ms), status, t_ms)
+    watch_stream(t_ms)
+    write_speed(speed_mps)
+    announce(t_ms)
+    S.update_ms = t_ms
+    report(range_m, t_ms)
+    return S.evading and EVADE_MS or ACTIVE_MS
+end
+
+local function update()
+    local t_ms = now_ms()
+    read_parameter(S.read_next)
+    S.read_next = S.read_next % (#PARAMETERS - 1) + 1 -- all but the mirror
+    if S.read_next == 1 then derive() end
+    take_messages(t_ms)
+    local reason = reason_not_to_act()
+    if not reason then return act(t_ms) end
+    hand_back(reason)
+    check_arming(t_ms)
+    return IDLE_MS
+end
+
+-- An error is told once with its place; the speed is handed back, and the next try is slower.
+local function protected_update()
+    local ok, result = pcall(update)
+    if ok then
+        S.error = nil
+        return protected_update, result
+    end
+    if result ~= S.error then
+        S.error = result
+        say(SEVERITY.CRITICAL, 'error ' .. tostring(result))
+    end
+    pcall(hand_back, 'error')
+    return protected_update, REPAIR_MS
+end
+
+-- A script that died in control left the pilot's value in the mirror.
+local mirrored = mirror_parameter:get()
+if mirrored and mirrored > 0.0 then
+    speed_parameter:set(mirrored)
+    if vehicle:get_mode() == GUIDED then vehicle:set_desired_speed(mirrored / SPEED_UNITS) end
+    mirror_parameter:set(0)
+    say(SEVERITY.WARNING, string.format('restarted, %s back to %.2f', SPEED_NAME, mirrored))
+end
+
+say(SEVERITY.INFO, 'ready')
+return protected_update()
