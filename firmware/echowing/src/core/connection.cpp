@@ -1,0 +1,182 @@
+#include "connection.h"
+
+#include <string.h>
+
+#include "version.h"
+
+namespace echowing {
+namespace {
+
+constexpr Microseconds kHeartbeatPeriod = kSecond;
+// Values that stand still are repeated, for a partner that joins late.
+constexpr Microseconds kRepeat = kSecond;
+// REPORT_RATE's limits, for SET_MESSAGE_INTERVAL.
+constexpr float kShortestReport_us = 25000.0f;
+constexpr float kLongestReport_us = 200000.0f;
+constexpr float kLongestValues_us = 60e6f;
+
+}  // namespace
+
+void Connection::send(Microseconds now, const Parameters& parameters, const Telemetry& telemetry,
+                      const char* git_hash) {
+  send_report(now, parameters, telemetry);
+  // One message at a time, and none when a reading is due: the range never waits in a queue.
+  if (link_.idle() && !telemetry.reading_soon) {
+    send_one_more(now, parameters, telemetry, git_hash);
+  }
+  link_.flush(port_);
+}
+
+void Connection::send_report(Microseconds now, const Parameters& parameters,
+                             const Telemetry& telemetry) {
+  const Microseconds usual = kSecond / parameters.whole(Parameter::kReportRate);
+  const Microseconds period = report_period_ != 0 ? report_period_ : usual;
+  const bool due = report_clock_.due(now, telemetry.new_reading, period);
+  if (due && telemetry.fresh && !reports_off_) {
+    link_.send(
+        telemetry.identity, MAVLINK_MSG_ID_DISTANCE_SENSOR, MAVLINK_MSG_ID_DISTANCE_SENSOR_CRC,
+        distance_report(parameters, telemetry.tracker, telemetry.pointing, telemetry.reading_ms));
+  }
+  if (!telemetry.new_reading || values_off_ || raw_pause_.running(now)) return;
+  if (value_period_ != 0) raw_pause_.start(now, value_period_);
+  send_value(telemetry, "SNR_RAW", telemetry.raw_m);
+}
+
+void Connection::send_one_more(Microseconds now, const Parameters& parameters,
+                               const Telemetry& telemetry, const char* git_hash) {
+  if (!heartbeat_pause_.running(now) && send_heartbeat(telemetry)) {
+    heartbeat_pause_.start(now, kHeartbeatPeriod);
+    return;
+  }
+  if (!notices_.empty() && send_notice(telemetry)) return;
+  if (told_ != kNone && send_parameter(telemetry, parameters, told_)) {
+    told_ = kNone;
+    return;
+  }
+  if (version_wanted_ && send_version(telemetry, git_hash)) return;
+  if (send_changed_value(now, telemetry)) return;
+  send_next_listed(telemetry, parameters);
+}
+
+bool Connection::send_heartbeat(const Telemetry& telemetry) {
+  mavlink_heartbeat_t message = {};
+  message.type = MAV_TYPE_ONBOARD_CONTROLLER;
+  message.autopilot = MAV_AUTOPILOT_INVALID;
+  message.system_status = telemetry.faulty ? MAV_STATE_CRITICAL : MAV_STATE_ACTIVE;
+  message.mavlink_version = 3;  // MAVLink's own number for the protocol
+  return link_.send(telemetry.identity, MAVLINK_MSG_ID_HEARTBEAT, MAVLINK_MSG_ID_HEARTBEAT_CRC,
+                    message);
+}
+
+bool Connection::send_notice(const Telemetry& telemetry) {
+  const NoticeText notice = notice_text(notices_.first());
+  mavlink_statustext_t message = {};
+  message.severity = notice.severity;
+  memcpy(message.text, notice.text, sizeof(message.text));
+  if (!link_.send(telemetry.identity, MAVLINK_MSG_ID_STATUSTEXT, MAVLINK_MSG_ID_STATUSTEXT_CRC,
+                  message)) {
+    return false;
+  }
+  notices_.drop_first();
+  return true;
+}
+
+bool Connection::send_parameter(const Telemetry& telemetry, const Parameters& parameters,
+                                uint8_t index) {
+  const ParameterInfo info = parameter_info(index);
+  mavlink_param_value_t message = {};
+  memcpy(message.param_id, info.name, sizeof(message.param_id));
+  message.param_value = parameters.at(index);
+  message.param_type = MAV_PARAM_TYPE_REAL32;
+  message.param_count = kParameterCount;
+  message.param_index = index;
+  return link_.send(telemetry.identity, MAVLINK_MSG_ID_PARAM_VALUE, MAVLINK_MSG_ID_PARAM_VALUE_CRC,
+                    message);
+}
+
+bool Connection::send_next_listed(const Telemetry& telemetry, const Parameters& parameters) {
+  if (listed_ == kNone || !send_parameter(telemetry, parameters, listed_)) return false;
+  ++listed_;
+  if (listed_ == kParameterCount) listed_ = kNone;
+  return true;
+}
+
+bool Connection::send_version(const Telemetry& telemetry, const char* git_hash) {
+  mavlink_autopilot_version_t message = {};
+  message.capabilities = MAV_PROTOCOL_CAPABILITY_MAVLINK2 | MAV_PROTOCOL_CAPABILITY_COMMAND_INT |
+                         MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST;
+  message.flight_sw_version = kVersion;
+  for (uint8_t i = 0; i < sizeof(message.flight_custom_version) && git_hash[i] != '\0'; ++i) {
+    message.flight_custom_version[i] = static_cast<uint8_t>(git_hash[i]);
+  }
+  if (!link_.send(telemetry.identity, MAVLINK_MSG_ID_AUTOPILOT_VERSION,
+                  MAVLINK_MSG_ID_AUTOPILOT_VERSION_CRC, message)) {
+    return false;
+  }
+  version_wanted_ = false;
+  return true;
+}
+
+bool Connection::send_changed_value(Microseconds now, const Telemetry& telemetry) {
+  if (values_off_) return false;
+  const float values[kNamedValues] = {telemetry.pan_us, telemetry.tilt_us, telemetry.state};
+  static const char kNames[kNamedValues][10] = {"SNR_PAN", "SNR_TILT", "SNR_STATE"};
+  for (uint8_t i = 0; i < kNamedValues; ++i) {
+    const bool pausing = value_pause_[i].running(now);
+    const bool changed = values[i] != value_sent_[i] && value_period_ == 0;
+    if (pausing && !changed) continue;
+    if (!send_value(telemetry, kNames[i], values[i])) return false;
+    value_sent_[i] = values[i];
+    value_pause_[i].start(now, value_period_ != 0 ? value_period_ : kRepeat);
+    return true;
+  }
+  return false;
+}
+
+bool Connection::send_value(const Telemetry& telemetry, const char* name, float value) {
+  mavlink_named_value_float_t message = {};
+  message.time_boot_ms = telemetry.uptime_ms;
+  memcpy(message.name, name, strlen(name));  // all are shorter than the field
+  message.value = value;
+  return link_.send(telemetry.identity, MAVLINK_MSG_ID_NAMED_VALUE_FLOAT,
+                    MAVLINK_MSG_ID_NAMED_VALUE_FLOAT_CRC, message);
+}
+
+void Connection::acknowledge(Identity identity, const mavlink_message_t& asked, uint16_t command,
+                             uint8_t result) {
+  mavlink_command_ack_t message = {};
+  message.command = command;
+  message.result = result;
+  message.target_system = asked.sysid;
+  message.target_component = asked.compid;
+  link_.send(identity, MAVLINK_MSG_ID_COMMAND_ACK, MAVLINK_MSG_ID_COMMAND_ACK_CRC, message);
+}
+
+uint8_t Connection::request_message(uint32_t id) {
+  if (id == MAVLINK_MSG_ID_AUTOPILOT_VERSION) {
+    version_wanted_ = true;
+    return MAV_RESULT_ACCEPTED;
+  }
+  if (id == MAVLINK_MSG_ID_HEARTBEAT) {
+    heartbeat_pause_.stop();
+    return MAV_RESULT_ACCEPTED;
+  }
+  return MAV_RESULT_UNSUPPORTED;
+}
+
+// MAVLink: 0 asks for the usual rate, -1 switches off.
+uint8_t Connection::set_interval(uint32_t id, float interval_us) {
+  const bool off = interval_us == -1.0f;
+  const bool usual = interval_us == 0.0f;
+  const bool reports = id == MAVLINK_MSG_ID_DISTANCE_SENSOR;
+  if (!reports && id != MAVLINK_MSG_ID_NAMED_VALUE_FLOAT) return MAV_RESULT_UNSUPPORTED;
+  const float least = reports ? kShortestReport_us : 1.0f;
+  const float most = reports ? kLongestReport_us : kLongestValues_us;
+  if (!off && !usual && !(interval_us >= least && interval_us <= most)) return MAV_RESULT_DENIED;
+  const Microseconds period = off || usual ? 0 : static_cast<Microseconds>(interval_us);
+  (reports ? reports_off_ : values_off_) = off;
+  (reports ? report_period_ : value_period_) = period;
+  return MAV_RESULT_ACCEPTED;
+}
+
+}  // namespace echowing

@@ -1,0 +1,109 @@
+#include "parameter_store.h"
+
+#include <string.h>
+
+#include "crc.h"
+
+namespace echowing {
+namespace {
+
+constexpr uint8_t kSlots = 2;
+constexpr Microseconds kCalm = 2 * kSecond;
+
+uint16_t read_word(SlotMemory& memory, uint8_t slot, uint16_t offset) {
+  const uint8_t low = memory.read(slot, offset);
+  return static_cast<uint16_t>(low | memory.read(slot, offset + 1) << 8);
+}
+
+bool intact(SlotMemory& memory, uint8_t slot) {
+  if (read_word(memory, slot, 0) != parameter_layout()) return false;
+  uint16_t crc = kCrcStart;
+  for (uint16_t offset = 0; offset < ParameterStore::kImageSize; ++offset) {
+    crc = crc_add(crc, memory.read(slot, offset));
+  }
+  return crc == read_word(memory, slot, ParameterStore::kImageSize);
+}
+
+// Erased memory reads as ones.
+bool blank(SlotMemory& memory, uint8_t slot) {
+  for (uint16_t offset = 0; offset < ParameterStore::kSlotSize; ++offset) {
+    if (memory.read(slot, offset) != 0xff) return false;
+  }
+  return true;
+}
+
+void read_values(SlotMemory& memory, uint8_t slot, Parameters& parameters) {
+  uint16_t offset = ParameterStore::kHeaderSize;
+  for (uint8_t index = 0; index < kParameterCount; ++index) {
+    uint8_t bytes[sizeof(float)];
+    for (uint8_t& byte : bytes) byte = memory.read(slot, offset++);
+    float value;
+    memcpy(&value, bytes, sizeof(value));
+    parameters.set(index, value);  // out of today's limits: the default stays
+  }
+}
+
+}  // namespace
+
+ParameterStore::Loaded ParameterStore::load(SlotMemory& memory, Parameters& parameters) {
+  const bool good[kSlots] = {intact(memory, 0), intact(memory, 1)};
+  if (!good[0] && !good[1]) {
+    return blank(memory, 0) && blank(memory, 1) ? Loaded::kBlank : Loaded::kCorrupt;
+  }
+  const uint16_t sequence[kSlots] = {read_word(memory, 0, 2), read_word(memory, 1, 2)};
+  const bool second_newer = static_cast<int16_t>(sequence[1] - sequence[0]) > 0;
+  slot_ = !good[0] || (good[1] && second_newer) ? 1 : 0;
+  sequence_ = sequence[slot_];
+  read_values(memory, slot_, parameters);
+  return Loaded::kStored;
+}
+
+void ParameterStore::touch(Microseconds now) {
+  wanted_ = true;
+  calm_.start(now, kCalm);
+}
+
+bool ParameterStore::step(Microseconds now, bool allowed, SlotMemory& memory,
+                          const Parameters& parameters) {
+  const bool calm = !calm_.running(now);
+  if (!allowed || memory.busy()) return false;
+  if (!writing_) {
+    if (wanted_ && calm) begin();
+    return false;
+  }
+  const uint8_t slot = 1 - slot_;
+  if (offset_ == kSlotSize) {
+    memory.flush(slot);
+    slot_ = slot;
+    writing_ = false;
+    return true;
+  }
+  const uint8_t byte = image_byte(offset_, parameters);
+  memory.write(slot, offset_, byte);
+  if (offset_ < kImageSize) crc_ = crc_add(crc_, byte);
+  ++offset_;
+  return false;
+}
+
+// A change that comes while bytes are written asks for another round: the set then stored first
+// may mix old and new values, each of them valid.
+void ParameterStore::begin() {
+  wanted_ = false;
+  writing_ = true;
+  offset_ = 0;
+  crc_ = kCrcStart;
+  ++sequence_;
+}
+
+uint8_t ParameterStore::image_byte(uint16_t offset, const Parameters& parameters) const {
+  if (offset >= kImageSize) return static_cast<uint8_t>(crc_ >> 8 * (offset - kImageSize));
+  if (offset < 2) return static_cast<uint8_t>(parameter_layout() >> 8 * offset);
+  if (offset < kHeaderSize) return static_cast<uint8_t>(sequence_ >> 8 * (offset - 2));
+  const uint16_t place = offset - kHeaderSize;
+  const float value = parameters.at(static_cast<uint8_t>(place / sizeof(float)));
+  uint8_t bytes[sizeof(float)];
+  memcpy(bytes, &value, sizeof(value));
+  return bytes[place % sizeof(float)];
+}
+
+}  // namespace echowing

@@ -1,0 +1,42 @@
+// Parameters in memory that survives power-off: two slots in turn, each with layout, sequence
+// number and CRC, so that losing power in mid-write leaves the older set whole.
+#pragma once
+
+#include <stdint.h>
+
+#include "parameters.h"
+#include "ports.h"
+#include "timing.h"
+
+namespace echowing {
+
+class ParameterStore {
+ public:
+  enum class Loaded : uint8_t { kStored, kBlank, kCorrupt };
+
+  static constexpr uint8_t kHeaderSize = 4;  // layout, sequence: 16 bits each, low byte first
+  static constexpr uint16_t kImageSize = kHeaderSize + kParameterCount * sizeof(float);
+  static constexpr uint16_t kSlotSize = kImageSize + 2;  // CRC
+
+  // Reads the newer good slot into `parameters`; leaves defaults when there is none.
+  Loaded load(SlotMemory& memory, Parameters& parameters);
+  // Tells that a parameter has changed: it is stored 2 s after the last change.
+  void touch(Microseconds now);
+  // One loop turn: at most one byte or one flush, and only while `allowed`. True when a set has
+  // just become safe.
+  bool step(Microseconds now, bool allowed, SlotMemory& memory, const Parameters& parameters);
+
+ private:
+  void begin();
+  uint8_t image_byte(uint16_t offset, const Parameters& parameters) const;
+
+  Timeout calm_;
+  bool wanted_ = false;
+  bool writing_ = false;
+  uint8_t slot_ = 1;  // in force; the other one is written next
+  uint16_t sequence_ = 0;
+  uint16_t offset_ = 0;
+  uint16_t crc_ = 0;
+};
+
+}  // namespace echowing

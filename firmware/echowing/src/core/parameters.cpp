@@ -1,0 +1,63 @@
+#include "parameters.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "crc.h"
+#include "flash_table.h"
+
+namespace echowing {
+namespace {
+
+constexpr ParameterInfo kTable[kParameterCount] ECHOWING_FLASH = {
+#define ECHOWING_PARAMETER(identifier, name, normal, least, most, whole, unit, text) \
+  {name, normal, least, most, whole},
+#include "parameters.def"
+#undef ECHOWING_PARAMETER
+};
+
+constexpr uint16_t layout_of(const ParameterInfo (&table)[kParameterCount]) {
+  uint16_t crc = kCrcStart;
+  for (uint8_t row = 0; row < kParameterCount; ++row) {
+    for (uint8_t i = 0; i < kParameterNameLength; ++i) {
+      crc = crc_add(crc, static_cast<uint8_t>(table[row].name[i]));
+    }
+  }
+  return crc;
+}
+
+constexpr uint16_t kLayout = layout_of(kTable);
+
+bool acceptable(const ParameterInfo& info, float value) {
+  // Not-a-number fails both comparisons.
+  if (!(value >= info.least && value <= info.most)) return false;
+  return !info.whole || floorf(value) == value;
+}
+
+}  // namespace
+
+ParameterInfo parameter_info(uint8_t index) { return from_flash(kTable[index]); }
+
+uint16_t parameter_layout() { return kLayout; }
+
+bool Parameters::set(uint8_t index, float value) {
+  if (index >= kParameterCount || !acceptable(parameter_info(index), value)) return false;
+  values_[index] = value;
+  return true;
+}
+
+int16_t Parameters::find(const char* name) {
+  for (uint8_t index = 0; index < kParameterCount; ++index) {
+    const ParameterInfo info = parameter_info(index);
+    if (strncmp(info.name, name, kParameterNameLength) == 0) return index;
+  }
+  return -1;
+}
+
+void Parameters::reset() {
+  for (uint8_t index = 0; index < kParameterCount; ++index) {
+    values_[index] = parameter_info(index).normal;
+  }
+}
+
+}  // namespace echowing

@@ -1,0 +1,56 @@
+// The tunables: names, limits and values in force. One table, in parameters.def.
+#pragma once
+
+#include <stdint.h>
+
+namespace echowing {
+
+enum class Parameter : uint8_t {
+#define ECHOWING_PARAMETER(identifier, name, normal, least, most, whole, unit, text) identifier,
+#include "parameters.def"
+#undef ECHOWING_PARAMETER
+};
+
+constexpr uint8_t kParameterCount = 0
+#define ECHOWING_PARAMETER(identifier, name, normal, least, most, whole, unit, text) +1
+#include "parameters.def"
+#undef ECHOWING_PARAMETER
+    ;
+
+// PARAM_VALUE.param_id holds 16 characters, without a null when all are used.
+constexpr uint8_t kParameterNameLength = 16;
+
+struct ParameterInfo {
+  char name[kParameterNameLength];
+  float normal;
+  float least;
+  float most;
+  bool whole;
+};
+
+// Row of the table; `index` below kParameterCount.
+ParameterInfo parameter_info(uint8_t index);
+
+// Changes with the names and order of the parameters: what another table stored is not ours.
+uint16_t parameter_layout();
+
+class Parameters {
+ public:
+  Parameters() { reset(); }
+
+  float get(Parameter parameter) const { return values_[static_cast<uint8_t>(parameter)]; }
+  // For whole parameters, all of which fit 16 bits.
+  uint16_t whole(Parameter parameter) const { return static_cast<uint16_t>(get(parameter)); }
+  float at(uint8_t index) const { return values_[index]; }
+
+  // False, and nothing changed, when out of range, not finite, or not whole where it has to be.
+  bool set(uint8_t index, float value);
+  // Index of a name (up to 16 characters, null-terminated if shorter), or -1.
+  static int16_t find(const char* name);
+  void reset();
+
+ private:
+  float values_[kParameterCount];
+};
+
+}  // namespace echowing

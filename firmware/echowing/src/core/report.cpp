@@ -1,0 +1,75 @@
+#include "report.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "scan.h"
+
+namespace echowing {
+namespace {
+
+constexpr float kRadiansPerDegree = 0.017453293f;
+constexpr uint8_t kCovarianceUnknown = 255;
+
+// A reading this much before its slot takes it; one that late is not waited for.
+constexpr Microseconds kEarly = milliseconds(5);
+constexpr Microseconds kGrace = milliseconds(2);
+
+float angle_rad(uint16_t pulse_us, uint16_t centre_us, float us_per_deg) {
+  if (us_per_deg == 0.0f) return 0.0f;
+  const float offset_us = static_cast<float>(pulse_us) - static_cast<float>(centre_us);
+  return offset_us / us_per_deg * kRadiansPerDegree;
+}
+
+}  // namespace
+
+// Pan about the down axis, then tilt about the right axis: the product of the two rotations.
+Pointing pointing(const Parameters& parameters, Aim aim) {
+  const Aim centre = scan_centre(parameters);
+  const float half_pan =
+      0.5f * angle_rad(aim.pan_us, centre.pan_us, parameters.get(Parameter::kPanScale));
+  const float half_tilt =
+      0.5f * angle_rad(aim.tilt_us, centre.tilt_us, parameters.get(Parameter::kTiltScale));
+  const float cos_pan = cosf(half_pan);
+  const float sin_pan = sinf(half_pan);
+  const float cos_tilt = cosf(half_tilt);
+  const float sin_tilt = sinf(half_tilt);
+  return {{cos_pan * cos_tilt, -sin_pan * sin_tilt, cos_pan * sin_tilt, sin_pan * cos_tilt}};
+}
+
+mavlink_distance_sensor_t distance_report(const Parameters& parameters, const Tracker& tracker,
+                                          const Pointing& direction, uint32_t reading_ms) {
+  mavlink_distance_sensor_t report = {};
+  report.time_boot_ms = reading_ms;
+  report.min_distance = kNearestCm;
+  report.max_distance = kFarthestCm;
+  report.current_distance = tracker.has_range() ? tracker.range_cm() : kNoTargetCm;
+  report.type = MAV_DISTANCE_SENSOR_ULTRASOUND;
+  report.id = static_cast<uint8_t>(parameters.whole(Parameter::kSensorId));
+  report.orientation = MAV_SENSOR_ROTATION_NONE;
+  report.covariance = kCovarianceUnknown;
+  report.horizontal_fov = parameters.get(Parameter::kBeamWidth) * kRadiansPerDegree;
+  report.vertical_fov = report.horizontal_fov;
+  memcpy(report.quaternion, direction.quaternion, sizeof(report.quaternion));
+  report.signal_quality = tracker.quality_percent();
+  return report;
+}
+
+float raw_range_m(uint16_t range_cm) {
+  const uint16_t told_cm = range_cm < kFarthestCm ? range_cm : kNoTargetCm;
+  return static_cast<float>(told_cm) * 0.01f;
+}
+
+bool ReportClock::due(Microseconds now, bool new_reading, Microseconds period) {
+  if (!started_) {
+    started_ = true;
+    next_ = now;
+  }
+  const bool with_reading = new_reading && reached(now + kEarly, next_);
+  if (!with_reading && !reached(now, next_ + kGrace)) return false;
+  next_ = with_reading ? now + period : next_ + period;
+  if (reached(now, next_)) next_ = now + period;  // no catching up after a gap
+  return true;
+}
+
+}  // namespace echowing

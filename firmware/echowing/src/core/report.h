@@ -1,0 +1,45 @@
+// What is told of the range, and when.
+#pragma once
+
+#include <stdint.h>
+
+#include "mavlink_headers.h"
+#include "parameters.h"
+#include "ports.h"
+#include "sonar_driver.h"
+#include "timing.h"
+#include "tracker.h"
+
+namespace echowing {
+
+// On the wire a range above the longest measurable says that there is no target.
+constexpr uint16_t kNoTargetCm = kFarthestCm + 1;
+
+// A range older than this is not told any more: the autopilot then sees "no data".
+constexpr Microseconds kStale = milliseconds(300);
+
+// Rotation from straight ahead to where the gimbal points, body frame, w x y z.
+struct Pointing {
+  float quaternion[4];
+};
+
+Pointing pointing(const Parameters& parameters, Aim aim);
+
+mavlink_distance_sensor_t distance_report(const Parameters& parameters, const Tracker& tracker,
+                                          const Pointing& direction, uint32_t reading_ms);
+
+// The newest single reading in metres, as SNR_RAW carries it.
+float raw_range_m(uint16_t range_cm);
+
+// When to report: with each reading where readings come at the rate wanted, else by the clock.
+class ReportClock {
+ public:
+  // True when a report is due; call once a turn.
+  bool due(Microseconds now, bool new_reading, Microseconds period);
+
+ private:
+  Microseconds next_ = 0;
+  bool started_ = false;
+};
+
+}  // namespace echowing

@@ -1,0 +1,114 @@
+#include "tracker.h"
+
+#include "scan.h"
+
+namespace echowing {
+namespace {
+
+constexpr uint8_t kQualityReadings = 10;
+// A servo hears of a new pulse with its next 50 Hz frame.
+constexpr Microseconds kServoFrame = milliseconds(20);
+
+uint16_t apart(uint16_t a, uint16_t b) { return a > b ? a - b : b - a; }
+
+bool same(Aim a, Aim b) { return a.pan_us == b.pan_us && a.tilt_us == b.tilt_us; }
+
+}  // namespace
+
+Tracker::Tracker(const Parameters& parameters, Microseconds now)
+    : parameters_(parameters),
+      aim_(scan_centre(parameters)),
+      hold_(aim_),
+      last_seen_(aim_),
+      arrival_(now) {}
+
+void Tracker::step(Microseconds now, GimbalMode mode) {
+  if (mode != mode_) restart_ = true;
+  mode_ = mode;
+  if (mode == GimbalMode::kCentre) move(now, scan_centre(parameters_));
+  if (mode == GimbalMode::kHold) move(now, hold_);
+  if (mode == GimbalMode::kScan && !tracking_) scan(now);
+}
+
+void Tracker::scan(Microseconds now) {
+  if (restart_) {
+    restart_ = false;
+    point_ = seen_ ? nearest_scan_point(parameters_, last_seen_) : 0;
+  } else if (heard_here_ && !dwell_.running(now)) {
+    point_ = static_cast<uint8_t>((point_ + 1) % kScanPoints);
+  } else {
+    return;
+  }
+  heard_here_ = false;
+  arrival_ = now;
+  dwell_.start(now, milliseconds(parameters_.whole(Parameter::kDwell)));
+  move(now, scan_point(parameters_, point_));
+}
+
+void Tracker::move(Microseconds now, Aim aim) {
+  if (same(aim, aim_)) return;
+  // What is heard from another direction is another target until it proves to be the same.
+  forget();
+  arrival_ = now + travel_time(aim);
+  aim_ = aim;
+}
+
+Microseconds Tracker::travel_time(Aim aim) const {
+  const uint16_t pan_us = apart(aim.pan_us, aim_.pan_us);
+  const uint16_t tilt_us = apart(aim.tilt_us, aim_.tilt_us);
+  const uint32_t farther_us = pan_us > tilt_us ? pan_us : tilt_us;
+  return kServoFrame +
+         milliseconds(farther_us * UINT32_C(1000) / parameters_.whole(Parameter::kServoRate));
+}
+
+void Tracker::on_reading(const Reading& reading) {
+  if (reached(reading.triggered, arrival_)) heard_here_ = true;
+  if (reading.range_cm >= parameters_.whole(Parameter::kTrackRange)) {
+    remember(false);
+    return miss();
+  }
+  const bool acquired = !tracking_;
+  tracking_ = true;
+  const bool taken = filter_.add(reading.range_cm,
+                                 static_cast<uint8_t>(parameters_.whole(Parameter::kAverageCount)),
+                                 parameters_.whole(Parameter::kAverageGate));
+  remember(taken || acquired);
+  if (taken) return see();
+  // A reading that nothing confirms is as good as none, or a stream of wild ones would keep an
+  // old average alive.
+  if (!acquired) miss();
+}
+
+void Tracker::see() {
+  misses_ = 0;
+  seen_ = true;
+  last_seen_ = aim_;
+}
+
+void Tracker::miss() {
+  if (!tracking_) return;
+  ++misses_;
+  if (misses_ < parameters_.whole(Parameter::kMissLimit)) return;
+  // One wild reading stops the search for a moment; it shall not send it back to where it began.
+  if (filter_.has_average()) restart_ = true;
+  forget();
+}
+
+void Tracker::forget() {
+  tracking_ = false;
+  misses_ = 0;
+  filter_.clear();
+}
+
+void Tracker::remember(bool good) {
+  history_ = static_cast<uint16_t>(history_ << 1 | (good ? 1 : 0));
+  if (history_size_ < kQualityReadings) ++history_size_;
+}
+
+uint8_t Tracker::quality_percent() const {
+  uint8_t good = 0;
+  for (uint8_t age = 0; age < history_size_; ++age) good += history_ >> age & 1;
+  return good == 0 ? 1 : static_cast<uint8_t>(100 * good / history_size_);
+}
+
+}  // namespace echowing

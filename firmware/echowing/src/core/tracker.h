@@ -1,0 +1,67 @@
+// The gimbal's mind: search with the figure 8, freeze on a target, search again when it is lost.
+#pragma once
+
+#include <stdint.h>
+
+#include "filter.h"
+#include "parameters.h"
+#include "ports.h"
+#include "sonar_driver.h"
+#include "timing.h"
+
+namespace echowing {
+
+// Who decides where the gimbal points.
+enum class GimbalMode : uint8_t {
+  kCentre,  // straight ahead
+  kScan,    // search and track
+  kHold,    // where the bench has put it
+};
+
+class Tracker {
+ public:
+  Tracker(const Parameters& parameters, Microseconds now);
+
+  // Once a loop turn, before the readings of that turn.
+  void step(Microseconds now, GimbalMode mode);
+  void on_reading(const Reading& reading);
+  // For GimbalMode::kHold.
+  void hold_at(Aim aim) { hold_ = aim; }
+
+  Aim aim() const { return aim_; }
+  // A target is in the beam; the gimbal stands still.
+  bool tracking() const { return tracking_; }
+  // A range may be told: the target has been confirmed by a second reading.
+  bool has_range() const { return tracking_ && filter_.has_average(); }
+  uint16_t range_cm() const { return filter_.average_cm(); }
+  // Share of good readings among the newest ten, 1 (none) to 100, as MAVLink counts quality.
+  uint8_t quality_percent() const;
+
+ private:
+  void move(Microseconds now, Aim aim);
+  void scan(Microseconds now);
+  void see();
+  void miss();
+  void forget();
+  void remember(bool good);
+  Microseconds travel_time(Aim aim) const;
+
+  const Parameters& parameters_;
+  RangeFilter filter_;
+  GimbalMode mode_ = GimbalMode::kCentre;
+  Aim aim_;
+  Aim hold_;
+  Aim last_seen_;
+  bool seen_ = false;
+  bool tracking_ = false;
+  bool restart_ = true;
+  bool heard_here_ = false;
+  uint8_t point_ = 0;
+  uint8_t misses_ = 0;
+  uint16_t history_ = 0;
+  uint8_t history_size_ = 0;
+  Timeout dwell_;
+  Microseconds arrival_ = 0;
+};
+
+}  // namespace echowing
