@@ -16,7 +16,7 @@ constexpr uint64_t kTurn_us = 500;
 constexpr ew_parameter kRows[] = {
 #define ECHOWING_PARAMETER(identifier, name, normal, least, most, whole, unit, text) \
   {name, normal, least, most, whole, unit, text},
-#include "parameters.def"
+#include "parameter_table.h"
 #undef ECHOWING_PARAMETER
 };
 

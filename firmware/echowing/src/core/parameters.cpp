@@ -12,7 +12,7 @@ namespace {
 constexpr ParameterInfo kTable[kParameterCount] ECHOWING_FLASH = {
 #define ECHOWING_PARAMETER(identifier, name, normal, least, most, whole, unit, text) \
   {name, normal, least, most, whole},
-#include "parameters.def"
+#include "parameter_table.h"
 #undef ECHOWING_PARAMETER
 };
 

@@ -1,4 +1,4 @@
-// The tunables: names, limits and values in force. One table, in parameters.def.
+// The tunables: names, limits and values in force. One table, in parameter_table.h.
 #pragma once
 
 #include <stdint.h>
@@ -7,13 +7,13 @@ namespace echowing {
 
 enum class Parameter : uint8_t {
 #define ECHOWING_PARAMETER(identifier, name, normal, least, most, whole, unit, text) identifier,
-#include "parameters.def"
+#include "parameter_table.h"
 #undef ECHOWING_PARAMETER
 };
 
 constexpr uint8_t kParameterCount = 0
 #define ECHOWING_PARAMETER(identifier, name, normal, least, most, whole, unit, text) +1
-#include "parameters.def"
+#include "parameter_table.h"
 #undef ECHOWING_PARAMETER
     ;
 

@@ -1,3 +1,4 @@
+// clang-format off
 // Every tunable of the co-processor, once: the code, the parameter protocol and the table in
 // firmware/README.md come from here. Order is the index on the wire and in memory.
 //

@@ -1,0 +1,33 @@
+#if defined(__AVR__)
+#include <avr/wdt.h>
+
+#include "arduino_board.h"
+
+namespace echowing {
+
+// After a watchdog reset the watchdog runs on with its shortest time: it has to be stopped before
+// anything else, or the board restarts for ever.
+__attribute__((naked, used, section(".init3"))) void stop_watchdog_early() {
+  MCUSR = 0;
+  wdt_disable();
+}
+
+// A hundred times the longest loop turn.
+void ArduinoBoard::start_watchdog() { wdt_enable(WDTO_250MS); }
+
+void ArduinoBoard::feed_watchdog() { wdt_reset(); }
+
+// An open analogue input: its lowest bits are noise.
+uint32_t ArduinoBoard::seed() const { return static_cast<uint32_t>(analogRead(A0)); }
+
+// The bootloader runs first after every reset.
+void ArduinoBoard::enter_bootloader_if_asked() {}
+
+void ArduinoBoard::reboot(bool) {
+  wdt_enable(WDTO_15MS);
+  for (;;) {
+  }
+}
+
+}  // namespace echowing
+#endif

@@ -1,0 +1,19 @@
+// The I2C bus through Wire, and its lines by hand.
+#pragma once
+
+#include "../core/ports.h"
+
+namespace echowing {
+
+class WireBus : public I2cBus {
+ public:
+  void begin();
+  bool write(uint8_t address, const uint8_t* bytes, uint8_t count) override;
+  bool read(uint8_t address, uint8_t* bytes, uint8_t count) override;
+  void take_lines() override;
+  void drive_clock(bool high) override;
+  void drive_data(bool high) override;
+  void return_lines() override { begin(); }
+};
+
+}  // namespace echowing
