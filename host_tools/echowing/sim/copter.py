@@ -1,0 +1,600 @@
+"""Motion of one ArduCopter: target shaping, position and velocity control, lean lag, yaw.
+
+The structure is the autopilot's own (libraries/AC_AttitudeControl/AC_PosControl.cpp and
+ArduCopter/mode_guided.cpp, 4.8): a target is shaped into a smooth desired motion, a cascade of
+controllers holds the vehicle on it, the lean follows the wanted acceleration after a lag, and air
+drags on the vehicle. Gains and limits are ArduCopter's default parameters; the four constants of
+the airframe come from all recordings of SITL together (see `Tuning`).
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from math import atan2, cos, exp, inf, pi, sin, sqrt, tan
+
+from echowing.sim.shaping import (
+    clamp,
+    inverse_sqrt_controller,
+    limit_corner,
+    limit_lean,
+    limit_length,
+    shape_axis,
+    sqrt_controller,
+)
+from echowing.sim.wpnav import Ned, TrackLimits, WaypointNavigator, along_limit
+
+GRAVITY_MPS2 = 9.80665  # standard gravity, as AP_Math's GRAVITY_MSS
+LONGEST_STEP_S = 0.02  # the controllers are stable and within 1 cm of 400 Hz up to this step
+# Below this share of the speed limit the heading is kept (AC_PosControl.cpp, yaw of the path).
+LOOK_SHARE = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Tuning:
+    """Gains, limits and airframe of one vehicle (SI units).
+
+    Values are ArduCopter 4.8's defaults, parameter names beside them, except the airframe's.
+    """
+
+    position_gain: float = 1.0  # PSC_NE_POS_P
+    velocity_p: float = 2.0  # PSC_NE_VEL_P
+    velocity_i: float = 1.0  # PSC_NE_VEL_I
+    velocity_d: float = 0.25  # PSC_NE_VEL_D
+    velocity_filter_hz: float = 5.0  # PSC_NE_VEL_FLTE and PSC_NE_VEL_FLTD
+    jerk_mps3: float = 5.0  # PSC_JERK_NE
+    lean_max_rad: float = pi / 6.0  # ATC_ANGLE_MAX 30 degrees
+    lean_input_s: float = 0.15  # ATC_INPUT_TC
+    down_position_gain: float = 1.0  # PSC_D_POS_P
+    down_velocity_p: float = 5.0  # PSC_D_VEL_P
+    down_jerk_mps3: float = 5.0  # PSC_JERK_D
+    land_speed_mps: float = 0.5  # LAND_SPD_MS
+    land_low_m: float = 10.0  # LAND_ALT_LOW_M
+    yaw_rate_rps: float = pi / 3.0  # ATC_RATE_WPY_MAX 60 deg/s
+    yaw_acceleration_rps2: float = 270.0 * pi / 180.0  # ATC_ACC_Y_MAX
+    guided_timeout_s: float = 3.0  # GUID_TIMEOUT
+    track: TrackLimits = field(default_factory=TrackLimits)  # WP_*
+    # Airframe.
+    lean_rps: float = 15.0
+    lean_damping: float = 0.7
+    drag_per_s: float = 0.2
+    drag_per_m: float = 0.02
+    thrust_lag_s: float = 0.1
+    yaw_lag_s: float = 0.1
+
+
+def wrap_pi(angle_rad: float) -> float:
+    """The same angle within -pi and pi."""
+    return (angle_rad + pi) % (2.0 * pi) - pi
+
+
+class Copter:
+    """Motion of one ArduCopter: position controller, input shaping, attitude lag.
+
+    True state: `north_m east_m down_m vn_mps ve_mps vd_mps` (local NED), `roll_rad pitch_rad
+    yaw_rad` and their rates `rollspeed_rps pitchspeed_rps yawspeed_rps`. Targets are in the frame
+    of the estimate, which is the truth plus `set_estimate_offset`; the ground is at
+    `ground_down_m`.
+
+    `default_speed_mps` is the speed parameter (WP_SPD): a sub-mode of Guided reads it once, when it
+    starts. Limits: 0 is no limit.
+    """
+
+    __slots__ = (
+        "_acc_d",
+        "_acc_e",
+        "_acc_n",
+        "_alpha_filter",
+        "_alpha_input",
+        "_alpha_thrust",
+        "_alpha_yaw",
+        "_control_e",
+        "_control_n",
+        "_dt",
+        "_error_e",
+        "_error_n",
+        "_fresh",
+        "_gap_d",
+        "_gap_e",
+        "_gap_n",
+        "_integral_e",
+        "_integral_n",
+        "_lean_e",
+        "_lean_n",
+        "_lean_rate_e",
+        "_lean_rate_n",
+        "_lift_d",
+        "_mode",
+        "_offset",
+        "_pos_d",
+        "_pos_e",
+        "_pos_n",
+        "_slope_e",
+        "_slope_n",
+        "_speed_limit",
+        "_target_age_s",
+        "_target_velocity",
+        "_vel_d",
+        "_vel_e",
+        "_vel_n",
+        "_wanted_e",
+        "_wanted_n",
+        "_yaw_command",
+        "_yaw_shaped_rate",
+        "_yaw_wanted",
+        "default_speed_mps",
+        "down_m",
+        "east_m",
+        "ground_down_m",
+        "landed",
+        "navigator",
+        "north_m",
+        "pitch_rad",
+        "pitchspeed_rps",
+        "roll_rad",
+        "rollspeed_rps",
+        "target_ned_m",
+        "tuning",
+        "vd_mps",
+        "ve_mps",
+        "vn_mps",
+        "yaw_rad",
+        "yawspeed_rps",
+    )
+
+    def __init__(
+        self,
+        position_ned_m: Ned,
+        yaw_rad: float = 0.0,
+        *,
+        tuning: Tuning | None = None,
+        flying: bool = False,
+        ground_down_m: float = 0.0,
+    ) -> None:
+        self.tuning = tuning or Tuning()
+        self.north_m, self.east_m, self.down_m = map(float, position_ned_m)
+        self.vn_mps = self.ve_mps = self.vd_mps = 0.0
+        self.roll_rad = self.pitch_rad = 0.0
+        self.rollspeed_rps = self.pitchspeed_rps = self.yawspeed_rps = 0.0
+        self.yaw_rad = wrap_pi(yaw_rad)
+        self.ground_down_m = ground_down_m if flying else self.down_m
+        self.landed = not flying
+        self.default_speed_mps = 10.0  # WP_SPD
+        self.target_ned_m: Ned | None = None
+        self.navigator: WaypointNavigator | None = None
+        self._offset: Ned = (0.0, 0.0, 0.0)
+        self._lean_n = self._lean_e = self._lean_rate_n = self._lean_rate_e = 0.0
+        self._wanted_n = self._wanted_e = self._control_n = self._control_e = 0.0
+        self._lift_d = 0.0
+        self._yaw_wanted = self.yaw_rad
+        self._yaw_shaped_rate = 0.0
+        self._dt = 0.0
+        self._enter(self._shape_hold)
+
+    # ---- estimate
+
+    def set_estimate_offset(self, offset_ned_m: Ned) -> None:
+        """Let the estimated position be the true one plus this (m, NED): GPS drift."""
+        self._offset = offset_ned_m
+
+    @property
+    def est_north_m(self) -> float:
+        """Estimated north, metres."""
+        return self.north_m + self._offset[0]
+
+    @property
+    def est_east_m(self) -> float:
+        """Estimated east, metres."""
+        return self.east_m + self._offset[1]
+
+    @property
+    def est_down_m(self) -> float:
+        """Estimated down, metres."""
+        return self.down_m + self._offset[2]
+
+    # ---- commands
+
+    def start_guided(self, speed_limit_mps: float) -> None:
+        """Enter Guided: the limit is read once, the target is where the vehicle can stop."""
+        self.default_speed_mps = abs(speed_limit_mps)
+        self._enter(self._shape_position)
+        self.target_ned_m = self.stopping_point()
+
+    def guided_position(self, target_ned_m: Ned, yaw_rad: float | None = None) -> None:
+        """Fly to a position (estimated frame). Never times out; the limit caps the total speed."""
+        if self._mode != self._shape_position:
+            self._enter(self._shape_position)
+        self._aim(target_ned_m, (0.0, 0.0, 0.0), yaw_rad)
+
+    def guided_posvel(
+        self, target_ned_m: Ned, velocity_ned_mps: Ned, yaw_rad: float | None = None
+    ) -> None:
+        """Follow a moving point (estimated frame). The limit caps the correction only.
+
+        Without another command for GUID_TIMEOUT the point stops where it got to.
+        """
+        if self._mode != self._shape_posvel:
+            self._enter(self._shape_posvel)
+        self._aim(target_ned_m, velocity_ned_mps, yaw_rad)
+
+    def guided_velocity(self, velocity_ned_mps: Ned, yaw_rad: float | None = None) -> None:
+        """Fly at a velocity; without another command for GUID_TIMEOUT, stop."""
+        if self._mode != self._shape_velocity:
+            self._enter(self._shape_velocity)
+        self._aim(None, velocity_ned_mps, yaw_rad)
+
+    def set_speed_limit(self, speed_mps: float) -> None:
+        """Limit the speed of the sub-mode or mission in force (set_desired_speed); 0: no limit."""
+        self._speed_limit = abs(speed_mps)
+        if self.navigator is not None and speed_mps > 0.0:
+            self.navigator.set_speed(speed_mps)
+
+    def start_auto(self, waypoints_ned_m: Sequence[Ned], speed_mps: float) -> None:
+        """Fly a mission of straight legs (estimated frame) at a speed; stop at the last point."""
+        start = self.stopping_point()
+        self._enter(self._shape_auto)
+        self._speed_limit = abs(speed_mps)
+        self._pos_n, self._pos_e, self._pos_d = start
+        self._vel_n = self._vel_e = self._vel_d = 0.0
+        self.navigator = WaypointNavigator(start, waypoints_ned_m, speed_mps, self.tuning.track)
+
+    def hold(self) -> None:
+        """Brake and stay: the desired velocity goes to zero within the limits."""
+        self._enter(self._shape_hold)
+
+    def land(self) -> None:
+        """Descend where the vehicle comes to a stop, until the ground."""
+        self._enter(self._shape_land)
+
+    def take_off(self, altitude_m: float) -> None:
+        """Climb straight up to this height above the ground (estimated altitude), then stay."""
+        self.landed = False
+        self._enter(self._shape_take_off)
+        here = self.stopping_point()
+        self.target_ned_m = (here[0], here[1], self.ground_down_m - altitude_m)
+
+    def stopping_point(self) -> Ned:
+        """Where the vehicle comes to rest if it brakes now (estimated frame)."""
+        tuning = self.tuning
+        speed = sqrt(self.vn_mps**2 + self.ve_mps**2)
+        reach = 0.0
+        if speed > 0.0:
+            limit = tuning.track.acceleration_mps2
+            reach = inverse_sqrt_controller(speed, tuning.position_gain, limit) / speed
+        drop = inverse_sqrt_controller(
+            self.vd_mps, tuning.down_position_gain, tuning.track.vertical_acceleration_mps2
+        )
+        return (
+            self.est_north_m + self.vn_mps * reach,
+            self.est_east_m + self.ve_mps * reach,
+            self.est_down_m + drop,
+        )
+
+    # ---- one step
+
+    def step(self, dt_s: float) -> None:
+        """Move on by dt; steps longer than 20 ms are split."""
+        if dt_s > LONGEST_STEP_S * 1.001:
+            parts = int(dt_s / LONGEST_STEP_S + 0.999)
+            for _ in range(parts):
+                self._step(dt_s / parts)
+        elif dt_s > 0.0:
+            self._step(dt_s)
+
+    def _step(self, dt: float) -> None:
+        if self.landed:
+            return
+        if dt != self._dt:
+            self._prepare(dt)
+        self._target_age_s += dt
+        self._mode(dt)
+        self._control_level(dt)
+        self._control_down()
+        self._turn(dt)
+        self._move(dt)
+        if self.navigator is None:
+            self._move_desired(dt)
+        else:
+            self._follow_navigator(dt)
+
+    def _move_desired(self, dt: float) -> None:
+        self._pos_n += (self._vel_n + 0.5 * self._acc_n * dt) * dt
+        self._pos_e += (self._vel_e + 0.5 * self._acc_e * dt) * dt
+        self._pos_d += (self._vel_d + 0.5 * self._acc_d * dt) * dt
+        self._vel_n += self._acc_n * dt
+        self._vel_e += self._acc_e * dt
+        self._vel_d += self._acc_d * dt
+
+    def _prepare(self, dt: float) -> None:
+        """Shares of the way a first-order lag goes within one step."""
+        tuning = self.tuning
+        self._dt = dt
+        self._alpha_filter = 1.0 - exp(-dt * 2.0 * pi * tuning.velocity_filter_hz)
+        self._alpha_input = 1.0 - exp(-dt / tuning.lean_input_s)
+        self._alpha_thrust = 1.0 - exp(-dt / tuning.thrust_lag_s)
+        self._alpha_yaw = 1.0 - exp(-dt / tuning.yaw_lag_s)
+
+    def _enter(self, mode: Callable[[float], None]) -> None:
+        """Start a (sub-)mode: desired motion from the present one, limit from the parameter."""
+        self._mode = mode
+        self._speed_limit = self.default_speed_mps
+        self.navigator = None
+        self.target_ned_m = None
+        self._target_velocity: Ned = (0.0, 0.0, 0.0)
+        self._target_age_s = 0.0
+        self._yaw_command: float | None = None
+        self._pos_n, self._pos_e, self._pos_d = self.est_north_m, self.est_east_m, self.est_down_m
+        self._vel_n, self._vel_e, self._vel_d = self.vn_mps, self.ve_mps, self.vd_mps
+        self._acc_n = self._acc_e = self._acc_d = 0.0
+        self._gap_n = self._gap_e = self._gap_d = 0.0
+        self._fresh = True
+        self._error_n = self._error_e = self._slope_n = self._slope_e = 0.0
+        # the integrator takes over what is being leaned now: no bump
+        self._integral_n, self._integral_e = self._control_n, self._control_e
+
+    def _aim(self, target: Ned | None, velocity: Ned, yaw_rad: float | None) -> None:
+        self.target_ned_m = target
+        self._target_velocity = velocity
+        self._target_age_s = 0.0
+        self._yaw_command = yaw_rad
+
+    # ---- shaping: each mode turns its target into a desired acceleration
+
+    def _shape_position(self, dt: float) -> None:
+        target = self.target_ned_m
+        if target is None:
+            return
+        north, east = target[0] - self._pos_n, target[1] - self._pos_e
+        down = target[2] - self._pos_d
+        distance = sqrt(north * north + east * east + down * down)
+        level = fall = 0.0
+        if distance > 0.0:
+            direction = (north / distance, east / distance, down / distance)
+            track = self.tuning.track
+            fastest = along_limit(direction, self._speed_limit, track.climb_mps, track.descent_mps)
+            level = fastest * sqrt(direction[0] ** 2 + direction[1] ** 2)
+            fall = fastest * abs(direction[2])
+        self._shape_level(north, east, 0.0, 0.0, level, dt)
+        self._shape_down(down, 0.0, -fall, fall, dt)
+
+    def _shape_posvel(self, dt: float) -> None:
+        target = self.target_ned_m
+        if target is None:
+            return
+        if self._target_age_s > self.tuning.guided_timeout_s:
+            self._target_velocity = (0.0, 0.0, 0.0)
+        vn, ve, vd = self._target_velocity
+        track = self.tuning.track
+        north, east, down = target
+        self._shape_level(north - self._pos_n, east - self._pos_e, vn, ve, self._speed_limit, dt)
+        self._shape_down(down - self._pos_d, vd, -track.climb_mps, track.descent_mps, dt)
+        self.target_ned_m = (north + vn * dt, east + ve * dt, down + vd * dt)
+
+    def _shape_velocity(self, dt: float) -> None:
+        if self._target_age_s > self.tuning.guided_timeout_s:
+            self._target_velocity = (0.0, 0.0, 0.0)
+        vn, ve, vd = self._target_velocity
+        self._shape_speed(vn, ve, vd, dt)
+
+    def _shape_hold(self, dt: float) -> None:
+        self._shape_speed(0.0, 0.0, 0.0, dt)
+
+    def _shape_auto(self, dt: float) -> None:
+        """Nothing to shape: the legs are smooth by themselves."""
+
+    def _follow_navigator(self, dt: float) -> None:
+        navigator = self.navigator
+        if navigator is None:
+            return
+        navigator.advance(
+            dt,
+            (self.est_north_m, self.est_east_m, self.est_down_m),
+            (self._gap_n, self._gap_e, self._gap_d),
+            (self.vn_mps, self.ve_mps, self.vd_mps),
+            self.tuning.position_gain,
+        )
+        self._pos_n, self._pos_e, self._pos_d = self.target_ned_m = navigator.position_m
+        self._vel_n, self._vel_e, self._vel_d = navigator.velocity_mps
+        self._acc_n, self._acc_e, self._acc_d = navigator.acceleration_mps2
+
+    def _shape_land(self, dt: float) -> None:
+        tuning = self.tuning
+        above_low_m = self.ground_down_m - self.est_down_m - tuning.land_low_m
+        braking = sqrt_controller(
+            above_low_m, tuning.down_position_gain, tuning.track.vertical_acceleration_mps2
+        )
+        slowest = tuning.land_speed_mps
+        self._shape_speed(0.0, 0.0, clamp(braking, slowest, tuning.track.descent_mps), dt)
+
+    def _shape_take_off(self, dt: float) -> None:
+        target = self.target_ned_m
+        if target is None:
+            return
+        track = self.tuning.track
+        self._shape_level(target[0] - self._pos_n, target[1] - self._pos_e, 0.0, 0.0, 0.0, dt)
+        self._shape_down(target[2] - self._pos_d, 0.0, -track.climb_mps, track.descent_mps, dt)
+
+    def _shape_level(
+        self, north: float, east: float, vn: float, ve: float, fastest: float, dt: float
+    ) -> None:
+        """Desired horizontal acceleration for a position error (shape_pos_vel_accel_xy)."""
+        tuning = self.tuning
+        limit = tuning.track.acceleration_mps2
+        gain = tuning.jerk_mps3 / limit
+        distance = sqrt(north * north + east * east)
+        want_n, want_e = vn, ve
+        if distance > 0.0:
+            along_n, along_e = north / distance, east / distance
+            closing = (self._vel_n - vn) * along_n + (self._vel_e - ve) * along_e
+            speed = sqrt_controller(distance, gain, limit)
+            if closing > 0.0:
+                linear = distance <= limit / (gain * gain)
+                speed -= closing if linear else limit * closing / (speed * gain)
+            if fastest > 0.0:
+                speed = clamp(speed, -fastest, fastest)
+            want_n += along_n * speed
+            want_e += along_e * speed
+        self._demand((want_n - self._vel_n) * gain, (want_e - self._vel_e) * gain, limit, dt)
+
+    def _demand(self, acc_n: float, acc_e: float, limit: float, dt: float) -> None:
+        """Let the desired horizontal acceleration move towards a demand, limited in jerk."""
+        acc_n, acc_e = limit_corner(acc_n, acc_e, self._vel_n, self._vel_e, limit)
+        step_n, step_e = limit_length(
+            acc_n - self._acc_n, acc_e - self._acc_e, self.tuning.jerk_mps3 * dt
+        )
+        self._acc_n += step_n
+        self._acc_e += step_e
+
+    def _shape_down(
+        self, error: float, feed_forward: float, slowest: float, fastest: float, dt: float
+    ) -> None:
+        tuning = self.tuning
+        limit, jerk = tuning.track.vertical_acceleration_mps2, tuning.down_jerk_mps3
+        wanted = shape_axis(error, self._vel_d, feed_forward, slowest, fastest, limit, jerk)
+        self._acc_d += clamp(wanted - self._acc_d, -jerk * dt, jerk * dt)
+
+    def _shape_speed(self, vn: float, ve: float, vd: float, dt: float) -> None:
+        """Desired acceleration for a velocity target (shape_vel_accel)."""
+        tuning = self.tuning
+        limit = tuning.track.acceleration_mps2
+        north, east = vn - self._vel_n, ve - self._vel_e
+        error = sqrt(north * north + east * east)
+        scale = 0.0
+        if error > 0.0:
+            scale = sqrt_controller(error, tuning.jerk_mps3 / limit, tuning.jerk_mps3) / error
+        self._demand(north * scale, east * scale, limit, dt)
+        limit, jerk = tuning.track.vertical_acceleration_mps2, tuning.down_jerk_mps3
+        wanted = clamp(sqrt_controller(vd - self._vel_d, jerk / limit, jerk), -limit, limit)
+        self._acc_d += clamp(wanted - self._acc_d, -jerk * dt, jerk * dt)
+
+    # ---- control: the desired motion becomes lean, thrust and turn
+
+    def _control_level(self, dt: float) -> None:
+        """Position P, velocity PID and feed-forward, as accelerations north and east."""
+        tuning = self.tuning
+        limit = tuning.track.acceleration_mps2
+        offset_n, offset_e, _ = self._offset
+        north = self._pos_n - self.north_m - offset_n
+        east = self._pos_e - self.east_m - offset_e
+        self._gap_n, self._gap_e = north, east
+        distance = sqrt(north * north + east * east)
+        want_n, want_e = self._vel_n, self._vel_e
+        if distance > 0.0:
+            leash = self._leash()
+            if distance > leash:
+                self._pos_n += north * (leash / distance - 1.0)
+                self._pos_e += east * (leash / distance - 1.0)
+                north, east, distance = north * leash / distance, east * leash / distance, leash
+            pull = sqrt_controller(distance, tuning.position_gain, limit) / distance
+            want_n += north * pull
+            want_e += east * pull
+        self._velocity_pid(want_n - self.vn_mps, want_e - self.ve_mps, dt)
+
+    def _leash(self) -> float:
+        """Farthest the desired position may run ahead of the estimated one."""
+        if self._speed_limit <= 0.0:
+            return inf
+        tuning = self.tuning
+        return inverse_sqrt_controller(
+            self._speed_limit, tuning.position_gain, tuning.track.acceleration_mps2
+        )
+
+    def _velocity_pid(self, raw_n: float, raw_e: float, dt: float) -> None:
+        tuning = self.tuning
+        if self._fresh:
+            self._fresh = False
+            self._error_n, self._error_e = raw_n, raw_e
+        else:
+            share = self._alpha_filter
+            moved_n, moved_e = (raw_n - self._error_n) * share, (raw_e - self._error_e) * share
+            self._error_n += moved_n
+            self._error_e += moved_e
+            self._slope_n += (moved_n / dt - self._slope_n) * share
+            self._slope_e += (moved_e / dt - self._slope_e) * share
+        p, d = tuning.velocity_p, tuning.velocity_d
+        self._integral_n += self._error_n * tuning.velocity_i * dt
+        self._integral_e += self._error_e * tuning.velocity_i * dt
+        acc_n = p * self._error_n + d * self._slope_n + self._integral_n + self._acc_n
+        acc_e = p * self._error_e + d * self._slope_e + self._integral_e + self._acc_e
+        self._control_n, self._control_e = limit_lean(
+            acc_n, acc_e, self._vel_n, self._vel_e, GRAVITY_MPS2 * tan(tuning.lean_max_rad)
+        )
+
+    def _control_down(self) -> None:
+        tuning = self.tuning
+        limit = tuning.track.vertical_acceleration_mps2
+        error = self._pos_d - self.down_m - self._offset[2]
+        self._gap_d = error
+        wanted = self._vel_d + sqrt_controller(error, tuning.down_position_gain, limit)
+        demand = tuning.down_velocity_p * (wanted - self.vd_mps) + self._acc_d
+        self._lift_d += (demand - self._lift_d) * self._alpha_thrust
+
+    def _turn(self, dt: float) -> None:
+        """Yaw towards the command, or along the desired path (WP_YAW_BEHAVIOR 2)."""
+        tuning = self.tuning
+        speed = sqrt(self._vel_n * self._vel_n + self._vel_e * self._vel_e)
+        if self._yaw_command is not None:
+            self._yaw_wanted = self._yaw_command
+        elif speed > LOOK_SHARE * self._speed_limit and self._mode != self._shape_hold:
+            self._yaw_wanted = atan2(self._vel_e, self._vel_n)
+        else:
+            return self._turn_by(0.0, dt)
+        error = wrap_pi(self._yaw_wanted - self.yaw_rad)
+        rate = sqrt_controller(error, 1.0 / tuning.lean_input_s, tuning.yaw_acceleration_rps2)
+        return self._turn_by(clamp(rate, -tuning.yaw_rate_rps, tuning.yaw_rate_rps), dt)
+
+    def _turn_by(self, rate: float, dt: float) -> None:
+        change = self.tuning.yaw_acceleration_rps2 * dt
+        self._yaw_shaped_rate += clamp(rate - self._yaw_shaped_rate, -change, change)
+        self.yawspeed_rps += (self._yaw_shaped_rate - self.yawspeed_rps) * self._alpha_yaw
+        self.yaw_rad = wrap_pi(self.yaw_rad + self.yawspeed_rps * dt)
+
+    # ---- airframe
+
+    def _move(self, dt: float) -> None:
+        """Lean follows the wanted acceleration; velocity and position follow the lean."""
+        tuning = self.tuning
+        share = self._alpha_input
+        self._wanted_n += (self._control_n - self._wanted_n) * share
+        self._wanted_e += (self._control_e - self._wanted_e) * share
+        omega = tuning.lean_rps
+        spring, damping = omega * omega * dt, 2.0 * tuning.lean_damping * omega * dt
+        self._lean_rate_n += spring * (self._wanted_n - self._lean_n) - damping * self._lean_rate_n
+        self._lean_rate_e += spring * (self._wanted_e - self._lean_e) - damping * self._lean_rate_e
+        self._lean_n += self._lean_rate_n * dt
+        self._lean_e += self._lean_rate_e * dt
+        vn, ve = self.vn_mps, self.ve_mps
+        drag = tuning.drag_per_s + tuning.drag_per_m * sqrt(vn * vn + ve * ve)
+        acc_n, acc_e = self._lean_n - drag * vn, self._lean_e - drag * ve
+        self.north_m += (vn + 0.5 * acc_n * dt) * dt
+        self.east_m += (ve + 0.5 * acc_e * dt) * dt
+        self.down_m += (self.vd_mps + 0.5 * self._lift_d * dt) * dt
+        self.vn_mps = vn + acc_n * dt
+        self.ve_mps = ve + acc_e * dt
+        self.vd_mps += self._lift_d * dt
+        if self.down_m >= self.ground_down_m and self.vd_mps >= 0.0:
+            self._touch_ground()
+        else:
+            self._lean_angles()
+
+    def _lean_angles(self) -> None:
+        """Roll and pitch (rad) whose thrust gives the horizontal acceleration, at this yaw."""
+        sine, cosine = sin(self.yaw_rad), cos(self.yaw_rad)
+        n, e, rate_n, rate_e = self._lean_n, self._lean_e, self._lean_rate_n, self._lean_rate_e
+        forward, right = n * cosine + e * sine, e * cosine - n * sine
+        self.pitch_rad = -atan2(forward, GRAVITY_MPS2)
+        self.roll_rad = atan2(right * cos(self.pitch_rad), GRAVITY_MPS2)
+        self.pitchspeed_rps = -(rate_n * cosine + rate_e * sine) / GRAVITY_MPS2
+        self.rollspeed_rps = (rate_e * cosine - rate_n * sine) / GRAVITY_MPS2
+
+    def _touch_ground(self) -> None:
+        """On the ground everything rests, except that a take-off in progress may still leave it."""
+        self.down_m = self.ground_down_m
+        self.vd_mps = 0.0
+        if self._mode == self._shape_take_off:
+            return
+        self.landed = True
+        self.vn_mps = self.ve_mps = 0.0
+        self._lean_n = self._lean_e = self._lean_rate_n = self._lean_rate_e = 0.0
+        self._wanted_n = self._wanted_e = self._control_n = self._control_e = 0.0
+        self._lift_d = 0.0
+        self.roll_rad = self.pitch_rad = 0.0
+        self.rollspeed_rps = self.pitchspeed_rps = self.yawspeed_rps = 0.0
