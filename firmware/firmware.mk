@@ -1,0 +1,55 @@
+# The co-processor: building, flashing, emulating. Included by the root Makefile.
+
+BOARD ?= mega
+ARDUINO_CLI := build/tools/arduino-cli
+ARDUINO_HOME := build/arduino-home/arduino-cli.yaml
+EMULATOR := build/emulator/libechowing_avr.so
+MAVLINK_HEADERS := firmware/echowing/src/mavlink/echowing/mavlink.h
+STM32_BOARDS := blackpill_f411 bluepill_f103 nucleo_f446
+FIRMWARE_SOURCES := $(shell find firmware/echowing -type f -not -path '*/src/mavlink/*')
+BUILD_TOOLS := firmware/tools/build.py host_tools/echowing/firmware.py
+
+.PHONY: arduino-cli firmware firmware-stm32 flash emulator emulated git-hash
+
+firmware: build/firmware/$(BOARD)/echowing.elf ## compile the sketch: BOARD=mega, blackpill_f411, bluepill_f103, nucleo_f446
+	@$(BIN)/python -m echowing.firmware $(BOARD)
+
+firmware-stm32: $(STM32_BOARDS:%=build/firmware/%/echowing.elf) ## compile it for all STM32 boards (fetches their core)
+	@for board in $(STM32_BOARDS); do $(BIN)/python -m echowing.firmware $$board || exit 1; done
+
+flash: build/firmware/$(BOARD)/echowing.elf ## put it on a board: BOARD=mega PORT=/dev/ttyACM0
+	@$(BIN)/python firmware/tools/flash.py $(BOARD) $(PORT)
+
+emulator: $(EMULATOR) ## the emulator that runs the AVR binary
+
+emulated: build/firmware/mega/echowing.elf $(EMULATOR)
+
+arduino-cli: $(ARDUINO_CLI) ## arduino-cli from its Go sources (once)
+
+build/firmware/%/echowing.elf: $(FIRMWARE_SOURCES) $(MAVLINK_HEADERS) $(BUILD_TOOLS) build/firmware/git-hash \
+		| setup $(ARDUINO_CLI) $(ARDUINO_HOME)
+	@$(BIN)/python firmware/tools/build.py $*
+
+# Touched only when the commit changes, so that the binary can tell which it was made from.
+build/firmware/git-hash: git-hash
+	@mkdir -p $(@D)
+	@hash=$$(git rev-parse --short=8 HEAD 2>/dev/null || echo 00000000); \
+		[ "$$(cat $@ 2>/dev/null)" = "$$hash" ] || echo $$hash >$@
+
+$(MAVLINK_HEADERS): firmware/dialect/echowing.xml | setup
+	@rm -rf firmware/echowing/src/mavlink
+	@$(BIN)/python -m pymavlink.tools.mavgen --lang C --wire-protocol 2.0 \
+		--output firmware/echowing/src/mavlink $< >/dev/null
+	@touch $@
+
+$(ARDUINO_CLI): firmware/tools/arduino_cli.sh firmware/tools/arduino-cli/go.mod firmware/tools/arduino-cli/go.sum | setup
+	@firmware/tools/arduino_cli.sh $@
+
+$(ARDUINO_HOME): firmware/tools/arduino_home.sh | setup
+	@firmware/tools/arduino_home.sh $(@D)
+	@touch $@
+
+$(EMULATOR): firmware/emulator/avr_board.c firmware/emulator/avr_board.h | setup
+	@mkdir -p $(@D)
+	@$(CC) -std=c11 -O2 -g -Wall -Wextra -Werror -fPIC -shared $< -o $@ \
+		$$(pkg-config --cflags simavr) -lsimavr -lelf

@@ -1,0 +1,115 @@
+"""Compile the sketch for one board: build.py BOARD [--sketch DIR] [--output DIR].
+
+The AVR board is compiled with Debian's core, offline; the others through the profiles of
+sketch.yaml, for which arduino-cli fetches the pinned core (internet, once). The ELF and what is
+flashed land in the output folder, by default build/firmware/BOARD.
+"""
+
+import argparse
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+from echowing import firmware
+from echowing.errors import EchowingError
+
+ARDUINO_CLI = firmware.REPOSITORY / "build" / "tools" / "arduino-cli"
+ARDUINO_HOME = firmware.REPOSITORY / "build" / "arduino-home"
+SKETCH = firmware.REPOSITORY / "firmware" / "echowing"
+
+# Boards that Debian's core knows; its flags are those of arduino_home.sh.
+OFFLINE_FQBN = {"mega": "arduino:avr:mega"}
+OFFLINE_FLAGS = "-std=gnu++14 -DDECIMAL_DIG=__DECIMAL_DIG__"
+
+# An offline home has no port discoveries, and compiling needs none.
+HARMLESS = "discovery builtin:"
+
+
+def git_hash() -> str:
+    """First eight characters of the commit, or zeros outside a repository."""
+    try:
+        asked = subprocess.run(
+            ["git", "rev-parse", "--short=8", "HEAD"],
+            cwd=firmware.REPOSITORY,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+    except (OSError, subprocess.CalledProcessError):
+        return "00000000"
+    return asked.stdout.strip()
+
+
+def command(board: str, sketch: Path, output: Path) -> list[str]:
+    """The arduino-cli call for a board."""
+    flags = f"'-DECHOWING_GIT_HASH=\"{git_hash()}\"'"
+    target = ["--profile", firmware.board(board).profile]
+    if board in OFFLINE_FQBN:
+        target = ["--fqbn", OFFLINE_FQBN[board]]
+        flags = f"{OFFLINE_FLAGS} {flags}"
+    return [
+        str(ARDUINO_CLI),
+        *("--config-file", str(ARDUINO_HOME / "arduino-cli.yaml")),
+        "compile",
+        *target,
+        *("--warnings", "all"),
+        *("--build-property", f"compiler.cpp.extra_flags={flags}"),
+        *("--build-path", str(output / "work")),
+        str(sketch),
+    ]
+
+
+def compile_sketch(board: str, sketch: Path, output: Path) -> None:
+    """Compile; warnings go to stderr, a failure raises with the compiler's words."""
+    output.mkdir(parents=True, exist_ok=True)
+    done = subprocess.run(
+        command(board, sketch, output), capture_output=True, text=True, check=False
+    )
+    said = "\n".join(line for line in done.stderr.splitlines() if HARMLESS not in line)
+    if done.returncode != 0:
+        raise EchowingError(f"{done.stdout}{said}\n{_advice(board)}")
+    if said:
+        print(said, file=sys.stderr)
+
+
+def _advice(board: str) -> str:
+    if board in OFFLINE_FQBN:
+        return f"the sketch does not compile for {board}"
+    return (
+        f"the sketch was not compiled for {board}. Its Arduino core is fetched from the maker's "
+        "index by arduino-cli, which needs internet the first time: if the lines above speak of "
+        "an index, a platform or a host that cannot be reached, try again on line. Offline, "
+        "BOARD=mega works."
+    )
+
+
+def collect(sketch: Path, output: Path) -> None:
+    """Copy what was built under the one name the other tools know."""
+    for kind in ("elf", "hex", "bin"):
+        built = output / "work" / f"{sketch.name}.ino.{kind}"
+        if built.exists():
+            shutil.copyfile(built, output / f"echowing.{kind}")
+
+
+def main() -> int:
+    """Build one board; 2 when that fails."""
+    parser = argparse.ArgumentParser(description="compile the co-processor's sketch")
+    parser.add_argument("board")
+    parser.add_argument("--sketch", type=Path, default=SKETCH)
+    parser.add_argument("--output", type=Path)
+    arguments = parser.parse_args()
+    try:
+        firmware.board(arguments.board)
+        output = arguments.output or firmware.elf_path(arguments.board).parent
+        sketch = arguments.sketch.resolve()
+        compile_sketch(arguments.board, sketch, output)
+        collect(sketch, output)
+    except EchowingError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,68 @@
+"""`echowing emulator`: the board's binary as a process of its own, in real time."""
+
+import argparse
+import contextlib
+from pathlib import Path
+
+EXAMPLES = """\
+examples:
+  echowing emulator --board mega --range-cm 350
+  echowing emulator --link tcp:127.0.0.1:5762 --target udp:9005
+      plugged into a serial port of ArduPilot's SITL; each datagram
+      {"forward_m": 3.5, "right_m": 0.2, "down_m": -0.1} says where the leader is
+      in the follower's body frame
+  echowing emulator --link tcpin:5770 --usb pty --eeprom board.eep
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The verb's options."""
+    parser.epilog = EXAMPLES
+    parser.add_argument("--board", default="mega", help="the board to emulate (mega)")
+    parser.add_argument("--elf", type=Path, help="another binary than build/firmware's")
+    parser.add_argument(
+        "--link",
+        default="pty",
+        metavar="WHERE",
+        help="the autopilot port: tcp:HOST:PORT connects, tcpin:PORT listens, pty (default)",
+    )
+    parser.add_argument("--usb", metavar="WHERE", help="the USB port, likewise (default: nowhere)")
+    seen = parser.add_mutually_exclusive_group()
+    seen.add_argument("--range-cm", type=int, metavar="N", help="the sonar always reads this")
+    seen.add_argument(
+        "--target", metavar="udp:PORT", help="the sonar hears the leader told in datagrams"
+    )
+    parser.add_argument(
+        "--eeprom", type=Path, metavar="FILE", help="keep the board's stored parameters here"
+    )
+    parser.add_argument("--duration", type=float, metavar="S", help="stop after this long")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run until stopped."""
+    from echowing.sim.avr import AvrBoard  # noqa: PLC0415
+    from echowing.sim.coprocessor import AUTOPILOT_PORT, USB_PORT  # noqa: PLC0415
+    from echowing.sim.desk import Desk, Scene  # noqa: PLC0415
+    from echowing.sim.wires import open_wire  # noqa: PLC0415
+
+    with contextlib.ExitStack() as stack:
+        scene = Scene(args.range_cm, args.target)
+        stack.callback(scene.close)
+        board = AvrBoard(scene.sensor, board=args.board, elf=args.elf, eeprom=_load(args.eeprom))
+        wires = {AUTOPILOT_PORT: open_wire(args.link)}
+        stack.callback(wires[AUTOPILOT_PORT].close)
+        print(f"autopilot port: {wires[AUTOPILOT_PORT].describe()}", flush=True)
+        if args.usb:
+            wires[USB_PORT] = open_wire(args.usb)
+            stack.callback(wires[USB_PORT].close)
+            print(f"USB port: {wires[USB_PORT].describe()}", flush=True)
+        if scene.udp_port is not None:
+            print(f"target datagrams: udp 127.0.0.1:{scene.udp_port}", flush=True)
+        if args.eeprom:
+            stack.callback(lambda: args.eeprom.write_bytes(board.eeprom()))
+        Desk(board, wires, scene).run(args.duration)
+    return 0
+
+
+def _load(path: Path | None) -> bytes | None:
+    return path.read_bytes() if path and path.exists() else None

@@ -1,0 +1,43 @@
+"""What the tests of the board's binary share: the emulator, a probe sketch, a fake programmer."""
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from echowing import firmware
+
+from .fake_programmer import FakeProgrammer
+
+BUILD = firmware.REPOSITORY / "firmware" / "tools" / "build.py"
+
+
+@pytest.fixture(scope="session")
+def probe_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The probe sketch, compiled for the Mega as the firmware is."""
+    output = tmp_path_factory.mktemp("probe")
+    sketch = Path(__file__).with_name("probe")
+    built = subprocess.run(
+        [sys.executable, BUILD, "mega", "--sketch", sketch, "--output", output],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert built.returncode == 0, built.stderr
+    return output
+
+
+@pytest.fixture(scope="session")
+def probe_elf(probe_folder: Path) -> Path:
+    """The probe's binary."""
+    return probe_folder / "echowing.elf"
+
+
+@pytest.fixture
+def programmer() -> Iterator[FakeProgrammer]:
+    """A Mega's bootloader on a pseudo-terminal."""
+    fake = FakeProgrammer()
+    yield fake
+    fake.close()
