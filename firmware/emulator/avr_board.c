@@ -18,19 +18,18 @@
 enum {
   UARTS = 4,
   PINS = 8,
-  EDGES = 1024,    /* kept for each pin; older ones are dropped */
-  BUS_BUFFER = 32, /* Wire's own buffer size */
-  READ_AHEAD = 2,  /* the sonar's answer: two bytes (PD11848) */
-  UART_DEPTH = 3,  /* ATmega2560 22.7.1: two buffered bytes and one in the shift register */
-  SUPPLY_MV = 5000,
+  OUTPUTS = 2,         /* PB7 of the ATmega2560 is on two timers */
+  EDGES = 1024,        /* kept for each pin; older ones are dropped */
+  BUS_BUFFER = 32,     /* Wire's own buffer size */
+  READ_AHEAD = 2,      /* the sonar's answer: two bytes (PD11848) */
+  UART_DEPTH = 3,      /* ATmega2560 22.7.1: two buffered bytes and one in the shift register */
   BITS_A_BYTE = 10,    /* 8N1 */
   BITS_A_TWI_BYTE = 9, /* eight and the acknowledgement */
-  BATCH_CYCLES =
-      1000,     /* instructions between looks at timers: simavr stops earlier at the next event */
+  BATCH_CYCLES = 1000, /* between looks at timers; simavr stops earlier at the next event */
+  SUPPLY_MV = 5000,
   PAINT = 0xa5, /* fresh stack memory */
   EEPROM_ERASED = 0xff,
-  EEPROM_WRITE_US =
-      3300, /* ATmega2560 table 8-1: erase and write in one operation, 3.3 ms typical */
+  EEPROM_WRITE_US = 3300, /* ATmega2560 table 8-1: erase and write in one operation */
 };
 
 /* TWI states of the data sheet that simavr 1.6 mixes up in its address phase. */
@@ -56,6 +55,7 @@ typedef struct {
 
 typedef struct {
   avr_board_t* board;
+  avr_timer_comp_t* outputs[OUTPUTS]; /* timer outputs that can drive this pin */
   board_pin_t state;
   board_edge_t edges[EDGES];
   size_t edge_first, edge_count;
@@ -123,6 +123,13 @@ static void hook_register(avr_t* avr, avr_io_addr_t address, avr_io_write_t mine
 static avr_io_t* find_io(avr_t* avr, const char* kind, char name) {
   for (avr_io_t* io = avr->io_port; io; io = io->next) {
     if (strcmp(io->kind, kind) == 0 && (!name || ((avr_uart_t*)io)->name == name)) return io;
+  }
+  return NULL;
+}
+
+static avr_io_t* find_port(avr_t* avr, char name) {
+  for (avr_io_t* io = avr->io_port; io; io = io->next) {
+    if (strcmp(io->kind, "port") == 0 && ((avr_ioport_t*)io)->name == name) return io;
   }
   return NULL;
 }
@@ -243,10 +250,7 @@ uint32_t board_uart_byte_cycles(const avr_board_t* board, char name) {
  * ------------------------------------------------------------------------------------------------------
  */
 
-static void pin_changed(avr_irq_t* irq, uint32_t value, void* param) {
-  (void)irq;
-  pin_t* pin = param;
-  int level = value & 1;
+static void set_level(pin_t* pin, int level) {
   if (level == pin->state.level) return;
   uint64_t now = pin->board->avr->cycle;
   pin->state.level = level;
@@ -264,12 +268,49 @@ static void pin_changed(avr_irq_t* irq, uint32_t value, void* param) {
     pin->edge_first = (pin->edge_first + 1) % EDGES;
 }
 
+/* A timer whose compare output is connected to its pin drives it alone; simavr lets writes to the
+ * port through as well. */
+static avr_timer_comp_t* connected_output(const pin_t* pin) {
+  for (int i = 0; i < OUTPUTS; i++) {
+    avr_timer_comp_t* output = pin->outputs[i];
+    if (output && avr_regbit_get(pin->board->avr, output->com)) return output;
+  }
+  return NULL;
+}
+
+static void port_changed(avr_irq_t* irq, uint32_t value, void* param) {
+  (void)irq;
+  pin_t* pin = param;
+  if (!connected_output(pin)) set_level(pin, value & 1);
+}
+
+static void output_changed(avr_irq_t* irq, uint32_t value, void* param) {
+  (void)irq;
+  pin_t* pin = param;
+  if (connected_output(pin)) set_level(pin, value & 1);
+}
+
+static void attach_outputs(pin_t* pin, avr_io_addr_t port, int bit) {
+  int count = 0;
+  for (avr_io_t* io = pin->board->avr->io_port; io; io = io->next) {
+    if (strcmp(io->kind, "timer") != 0) continue;
+    avr_timer_t* timer = (avr_timer_t*)io;
+    for (int i = 0; i < AVR_TIMER_COMP_COUNT && count < OUTPUTS; i++) {
+      avr_regbit_t place = timer->comp[i].com_pin;
+      if (place.reg != port || place.bit != bit) continue;
+      pin->outputs[count++] = &timer->comp[i];
+      avr_irq_register_notify(timer->io.irq + TIMER_IRQ_OUT_COMP + i, output_changed, pin);
+    }
+  }
+}
+
 int board_watch_pin(avr_board_t* board, char port, int bit) {
-  avr_irq_t* irq = avr_io_getirq(board->avr, AVR_IOCTL_IOPORT_GETIRQ(port), bit);
-  if (!irq || board->pin_count == PINS) return -1;
+  avr_ioport_t* io = (avr_ioport_t*)find_port(board->avr, port);
+  if (!io || bit < 0 || bit > 7 || board->pin_count == PINS) return -1;
   pin_t* pin = &board->pins[board->pin_count];
   pin->board = board;
-  avr_irq_register_notify(irq, pin_changed, pin);
+  attach_outputs(pin, io->r_port, bit);
+  avr_irq_register_notify(io->io.irq + bit, port_changed, pin);
   return board->pin_count++;
 }
 

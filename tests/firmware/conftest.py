@@ -1,4 +1,4 @@
-"""What the tests of the board's binary share: the emulator, a probe sketch, a fake programmer."""
+"""What the tests of the board's binary share: the binary, a probe sketch, a fake programmer."""
 
 import subprocess
 import sys
@@ -33,6 +33,14 @@ def probe_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def probe_elf(probe_folder: Path) -> Path:
     """The probe's binary."""
     return probe_folder / "echowing.elf"
+
+
+@pytest.fixture(scope="session")
+def mega_elf() -> Path:
+    """The firmware as `make firmware BOARD=mega` leaves it."""
+    elf = firmware.elf_path("mega")
+    firmware.check_elf(elf, "mega")
+    return elf
 
 
 @pytest.fixture

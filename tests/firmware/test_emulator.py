@@ -64,6 +64,16 @@ class TestPins:
         assert widths[-1] == board.pin(board.type.pan).width_us
         assert board.edges(board.type.pan) == []
 
+    def test_writing_the_port_leaves_a_timer_s_pulses_alone(self, board: AvrBoard) -> None:
+        board.pin(board.type.led)
+        board.edges(board.type.pan)
+        ask(board, "l" * 480, 45_000)  # the LED is on the servos' port
+        assert len(board.edges(board.type.led)) == 480
+        pan = board.edges(board.type.pan)
+        assert [later - t for (t, up), (later, _) in zip(pan, pan[1:], strict=False) if up] == [
+            pytest.approx(1380, abs=0.26)
+        ] * 2
+
 
 class TestSerialPorts:
     def test_each_port_has_its_own_line(self, board: AvrBoard) -> None:

@@ -19,6 +19,7 @@ static void start_pulses() {
   TCCR1B = _BV(WGM13) | _BV(WGM12) | _BV(CS11);
   pinMode(11, OUTPUT);
   pinMode(12, OUTPUT);
+  pinMode(LED_BUILTIN, OUTPUT);
 }
 
 static void read_sonar() {
@@ -102,6 +103,7 @@ static void obey(char letter) {
     case 'f': return free_bus();
     case 's': return use_stack();
     case 'e': return burn(7, 0x5a);
+    case 'l': return digitalWrite(LED_BUILTIN, !digitalRead(LED_BUILTIN));
     case 'd': return delay(5);
     case 'w': return hang();
     case 'o': return be_deaf();

@@ -1,0 +1,186 @@
+#include <doctest/doctest.h>
+
+#include <cstdlib>
+
+#include "rig.h"
+
+using namespace echowing;
+using rig::FakeMemory;
+using Loaded = ParameterStore::Loaded;
+
+namespace {
+
+constexpr uint8_t kDwellIndex = static_cast<uint8_t>(Parameter::kDwell);
+
+// Steps the store until it has written a set, or gives up.
+bool store(ParameterStore& store, FakeMemory& memory, const Parameters& parameters,
+           Microseconds& now) {
+  store.touch(now);
+  for (int turn = 0; turn < 5000; ++turn) {
+    if (store.step(now += 1000, true, memory, parameters)) return true;
+  }
+  return false;
+}
+
+// Memory in which `count` sets with SCAN_DWELL 100, 200, 300 ... were stored one after the other.
+FakeMemory memory_with(int count) {
+  FakeMemory memory;
+  ParameterStore kept;
+  Parameters parameters;
+  Microseconds now = 0;
+  kept.load(memory, parameters);
+  for (int i = 1; i <= count; ++i) {
+    parameters.set(kDwellIndex, static_cast<float>(100 * i));
+    store(kept, memory, parameters, now);
+  }
+  return memory;
+}
+
+float stored_dwell(FakeMemory& memory, Loaded expected) {
+  ParameterStore fresh;
+  Parameters parameters;
+  CHECK(fresh.load(memory, parameters) == expected);
+  return parameters.at(kDwellIndex);
+}
+
+}  // namespace
+
+TEST_CASE("erased memory gives defaults without complaint") {
+  FakeMemory memory;
+  CHECK(stored_dwell(memory, Loaded::kBlank) == 300);
+}
+
+TEST_CASE("the newest set comes back") {
+  for (int count = 1; count <= 5; ++count) {
+    FakeMemory memory = memory_with(count);
+    CHECK(stored_dwell(memory, Loaded::kStored) == 100 * count);
+  }
+}
+
+TEST_CASE("the order of the slots survives the wrap of the sequence number") {
+  FakeMemory memory = memory_with(1);
+  ParameterStore kept;
+  Parameters parameters;
+  Microseconds now = 0;
+  kept.load(memory, parameters);
+  for (int i = 0; i < 65600; ++i) {
+    kept.touch(now);
+    now += 2000000;
+    while (!kept.step(now, true, memory, parameters)) {
+    }
+    if (i % 16400 != 0 && i < 65530) continue;
+    parameters.set(kDwellIndex, static_cast<float>(100 + i % 4000));
+    CHECK(store(kept, memory, parameters, now));
+    CHECK(stored_dwell(memory, Loaded::kStored) == 100 + i % 4000);
+  }
+}
+
+TEST_CASE("losing power at any byte leaves the set before or the new one") {
+  const int size = ParameterStore::kSlotSize;
+  for (int lost = 0; lost <= size; ++lost) {
+    CAPTURE(lost);
+    FakeMemory memory = memory_with(2);
+    ParameterStore kept;
+    Parameters parameters;
+    Microseconds now = 0;
+    kept.load(memory, parameters);
+    parameters.set(kDwellIndex, 777);
+    memory.writes = 0;
+    memory.power_lost_after = lost;
+    store(kept, memory, parameters, now);
+    memory.power_lost_after = -1;
+    CHECK(stored_dwell(memory, Loaded::kStored) == (lost == size ? 777 : 200));
+  }
+}
+
+TEST_CASE("a flipped bit anywhere costs one slot, not the parameters") {
+  const FakeMemory good = memory_with(2);
+  for (int bit = 0; bit < 8 * ParameterStore::kSlotSize; ++bit) {
+    for (int slot = 0; slot < 2; ++slot) {
+      FakeMemory memory = good;
+      memory.slots[slot][bit / 8] ^= static_cast<uint8_t>(1 << bit % 8);
+      const float dwell = stored_dwell(memory, Loaded::kStored);
+      REQUIRE(dwell == (slot == 0 ? 200 : 100));  // the second set went into slot 1... or 0
+    }
+  }
+}
+
+TEST_CASE("both slots broken: defaults, and it is said") {
+  FakeMemory memory = memory_with(2);
+  memory.slots[0][10] ^= 1;
+  memory.slots[1][10] ^= 1;
+  CHECK(stored_dwell(memory, Loaded::kCorrupt) == 300);
+}
+
+TEST_CASE("random memory never loads") {
+  std::srand(1);
+  for (int trial = 0; trial < 2000; ++trial) {
+    FakeMemory memory;
+    for (auto& slot : memory.slots) {
+      for (uint8_t& byte : slot) byte = static_cast<uint8_t>(std::rand());
+    }
+    REQUIRE(stored_dwell(memory, Loaded::kCorrupt) == 300);
+  }
+}
+
+TEST_CASE("nothing is written before two quiet seconds, each change counted anew") {
+  FakeMemory memory;
+  ParameterStore kept;
+  const Parameters parameters;
+  kept.touch(0);
+  for (Microseconds now = 0; now < 1500000; now += 1000) kept.step(now, true, memory, parameters);
+  kept.touch(1500000);
+  for (Microseconds now = 1500000; now < 3500000; now += 1000) {
+    kept.step(now, true, memory, parameters);
+  }
+  CHECK(memory.writes == 0);
+  kept.step(3500000, true, memory, parameters);
+  kept.step(3501000, true, memory, parameters);
+  CHECK(memory.writes == 1);
+}
+
+TEST_CASE("one byte a turn, none while the memory is busy or writing is not allowed") {
+  FakeMemory memory;
+  ParameterStore kept;
+  const Parameters parameters;
+  kept.touch(0);
+  Microseconds now = 2000000;
+  kept.step(now, true, memory, parameters);
+  for (int turn = 1; turn <= 10; ++turn) {
+    kept.step(++now, true, memory, parameters);
+    CHECK(memory.writes == turn);
+  }
+  memory.is_busy = true;
+  for (int turn = 0; turn < 10; ++turn) kept.step(++now, true, memory, parameters);
+  memory.is_busy = false;
+  for (int turn = 0; turn < 10; ++turn) kept.step(++now, false, memory, parameters);
+  CHECK(memory.writes == 10);
+  CHECK(memory.flushes == 0);
+}
+
+TEST_CASE("a set is flushed once, when whole") {
+  FakeMemory memory = memory_with(1);
+  CHECK(memory.flushes == 1);
+  CHECK(memory.writes == ParameterStore::kSlotSize);
+}
+
+TEST_CASE("a stored value outside today's limits gives way to the default") {
+  FakeMemory memory = memory_with(1);
+  // Forge a set with SCAN_DWELL 40 ms, below its least, and a good CRC.
+  ParameterStore kept;
+  Parameters parameters;
+  kept.load(memory, parameters);
+  uint8_t* slot = memory.slots[0];
+  const float forged = 40;
+  memcpy(slot + ParameterStore::kHeaderSize + kDwellIndex * sizeof(float), &forged, sizeof(forged));
+  uint16_t crc = 0xffff;
+  for (uint16_t i = 0; i < ParameterStore::kImageSize; ++i) {
+    crc ^= static_cast<uint16_t>(slot[i] << 8);
+    for (int bit = 0; bit < 8; ++bit) {
+      crc = static_cast<uint16_t>(crc & 0x8000 ? crc << 1 ^ 0x1021 : crc << 1);
+    }
+  }
+  slot[ParameterStore::kImageSize] = static_cast<uint8_t>(crc & 0xff);
+  slot[ParameterStore::kImageSize + 1] = static_cast<uint8_t>(crc >> 8);
+  CHECK(stored_dwell(memory, Loaded::kStored) == 300);
+}
