@@ -26,10 +26,12 @@ end
 
 -- An error at the script's line that made the call, as luaL_error gives it.
 local function fail(text)
-    local level, info = 2, nil
-    repeat
-        level, info = level + 1, debug.getinfo(level, 'Sl')
-    until not info or info.source == script_source
+    local level = 2
+    local info = debug.getinfo(level, 'Sl')
+    while info and info.source ~= script_source do
+        level = level + 1
+        info = debug.getinfo(level, 'Sl')
+    end
     error(info and string.format('%s:%d: %s', info.short_src, info.currentline, text) or text, 0)
 end
 
@@ -161,7 +163,9 @@ end
 
 u32.meta.__tostring = function(a)
     local bits = a[KEY]
-    return bits >= 0 and tostring(bits) or tostring(unsigned_divide(bits, 10)) .. tostring(bits - unsigned_divide(bits, 10) * 10)
+    if bits >= 0 then return tostring(bits) end
+    local tens = unsigned_divide(bits, 10)
+    return tostring(tens) .. tostring(bits - tens * 10)
 end
 
 -- raw[owner][name]: what a call does once its arguments are checked. Methods of userdata get the object first.
@@ -226,11 +230,16 @@ local function longitude_scale(lat)
     return math.max(math.cos(math.rad(lat * 1e-7)), 0.01)
 end
 
+-- The short way round, without leaving 32 bits: near the antimeridian both are counted from there.
+local function longitude_difference(from, to)
+    if math.abs(from) < 900000000 then return to - from end
+    local function turned(lng) return lng > 0 and lng - 1800000000 or lng + 1800000000 end
+    return turned(to) - turned(from)
+end
+
 local function distance_ne(from, to)
     local middle = from.lat + (to.lat - from.lat) // 2
-    local east = to.lng - from.lng
-    if east > 1800000000 then east = east - 1800000000 - 1800000000 end
-    if east < -1800000000 then east = east + 1800000000 + 1800000000 end
+    local east = longitude_difference(from.lng, to.lng)
     return (to.lat - from.lat) * METRES_PER_LATLNG, east * METRES_PER_LATLNG * longitude_scale(middle)
 end
 
