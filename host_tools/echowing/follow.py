@@ -10,20 +10,23 @@ follower where it is.
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.geo import GlobalPosition, ned_between
+from echowing.geo import GlobalPosition, displace, ned_between
 from echowing.guidance import (
     GuidanceSettings,
     GuidedPoint,
+    Horizontal,
     LeaderFix,
     Slot,
     SlotGuide,
     is_stale,
+    predicted,
 )
+from echowing.offset import RelativeOffset
 
 # Not 255: a helper that beats as the pilot's ground station would mask its fail-safe.
 TOOL_SYSTEM_ID = 245
@@ -35,6 +38,11 @@ GUIDED_MODE = 4
 JUMP_M = 4.0
 # A new place is believed once this many reports in a row agree on it (2 s at 4 Hz).
 AGREEING_REPORTS = 8
+
+# The co-processor's newest single reading (firmware/README.md), and from where it is no target
+# (thesis 3.3.3: an X8 gives a consistent return out to 4.5 m).
+SONAR_READING = "SNR_RAW"
+DETECTION_LIMIT_M = 4.5
 
 TIMESYNC_PERIOD_S = 1.0
 HEARTBEAT_PERIOD_S = 1.0
@@ -164,7 +172,9 @@ class FollowerState:
     plan: FollowerPlan
     guide: SlotGuide
     clock: VehicleClock = field(default_factory=VehicleClock)
+    offset: RelativeOffset = field(default_factory=RelativeOffset)
     position: GlobalPosition | None = None
+    heading_rad: float = 0.0
     in_guided: bool = False
     held_at: GlobalPosition | None = None
     guided: GuidedPoint | None = None
@@ -225,8 +235,21 @@ class FollowSession:
         if follower.held_at is not None:
             follower.held_at = None
             self._say(now_s, f"follower {follower.plan.system_id}: leader heard again, following")
-        follower.guided = follower.guide.update(fix, now_s, follower.position)
+        follower.guided = self._guide(follower, fix, now_s)
         return follower.guided.point
+
+    def _guide(self, follower: FollowerState, fix: LeaderFix, now_s: float) -> GuidedPoint:
+        if not self.settings.learn_offset:
+            return follower.guide.update(fix, now_s, follower.position)
+        offset = follower.offset
+        offset.advance(now_s)
+        moved = displace(fix.position, (-offset.north_m, -offset.east_m, 0.0))
+        least_m = self.settings.clearance_m + self.settings.standoff_sigmas * offset.sigma_m(
+            self._line_rad(follower, now_s)
+        )
+        return follower.guide.update(
+            replace(fix, position=moved), now_s, follower.position, least_m
+        )
 
     def _target(self, follower: FollowerState, point: GlobalPosition, now_s: float) -> Any:
         plan = follower.plan
@@ -234,6 +257,11 @@ class FollowSession:
         yaw_rad = follower.guided.yaw_rad if facing and follower.guided else None
         altitude_m = plan.altitude_m + plan.slot.altitude_step_m
         return position_target(plan.system_id, point, altitude_m, yaw_rad, now_s)
+
+    def _line_rad(self, follower: FollowerState, now_s: float) -> float:
+        """Bearing from the follower to the leader by their own receivers."""
+        north_m, east_m = self._believed(follower, now_s) or (1.0, 0.0)
+        return math.atan2(east_m, north_m)
 
     def _hold(self, follower: FollowerState, now_s: float) -> GlobalPosition | None:
         """Stop where it is: a target at its own position, kept until the leader is back."""
@@ -263,8 +291,30 @@ class FollowSession:
             follower.position = GlobalPosition(
                 message.lat / 1e7, message.lon / 1e7, message.alt / 1e3
             )
+            follower.heading_rad = math.radians(message.hdg / 100.0)
+        elif kind == "NAMED_VALUE_FLOAT" and message.name == SONAR_READING:
+            self._sonar(follower, message.value, now_s)
         elif kind == "HEARTBEAT" and message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1:
             self._mode(follower, message, now_s)
+
+    def _sonar(self, follower: FollowerState, range_m: float, now_s: float) -> None:
+        """Learn the receivers' disagreement from a reading that may be of the leader."""
+        believed = self._believed(follower, now_s)
+        if believed is None or not 0.0 < range_m < DETECTION_LIMIT_M:
+            return
+        distance_m = range_m + self.settings.sonar_inset_m
+        follower.offset.heard(now_s, distance_m, follower.heading_rad, believed)
+
+    def _believed(self, follower: FollowerState, now_s: float) -> Horizontal | None:
+        """From follower to leader by their own receivers, (north, east) metres."""
+        fix = self.leader.fix
+        if fix is None or follower.position is None:
+            return None
+        age_s = max(0.0, now_s - fix.time_s)
+        if is_stale(age_s, self.settings):
+            return None
+        north_m, east_m, _ = ned_between(follower.position, predicted(fix, age_s))
+        return north_m, east_m
 
     def _mode(self, follower: FollowerState, heartbeat: Any, now_s: float) -> None:
         armed = bool(heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)

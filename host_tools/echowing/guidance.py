@@ -8,7 +8,7 @@ frame mix-up behind the thesis's north-south fault (Table 8).
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from echowing.geo import GlobalPosition, Ned, displace, ned_between, wrap_angle_rad
 
@@ -61,6 +61,11 @@ class GuidanceSettings:
     slot_rate_rps: how fast the slot may move round the leader (None: at once). At 3 m and
         30 deg/s the slot moves at 1.6 m/s, which a follower under its speed limit can follow
         without cutting through the circle.
+    learn_offset: learn from the sonar how far the two receivers disagree (`offset`), move the
+        leader by it, and stand off by `standoff_sigmas` of what is not known of it, so that
+        even then `clearance_m` is left.
+    sonar_inset_m: how much less than the separation the sonar reads: its face is ahead of the
+        follower's centre, the leader's reflecting legs are around its own. Measure yours.
     fresh_age_s, stale_age_s: the lead shrinks to nothing between these ages of the report;
         beyond the second the follower is stopped.
     """
@@ -71,6 +76,9 @@ class GuidanceSettings:
     clearance_m: float = 1.0
     face_leader: bool = True
     slot_rate_rps: float | None = math.radians(30.0)
+    learn_offset: bool = True
+    standoff_sigmas: float = 2.0
+    sonar_inset_m: float = 0.2
     fresh_age_s: float | None = 0.5
     stale_age_s: float | None = 1.0
 
@@ -80,6 +88,7 @@ GRAY = GuidanceSettings(
     keep_behind=False,
     face_leader=False,
     slot_rate_rps=None,
+    learn_offset=False,
     fresh_age_s=None,
     stale_age_s=None,
 )
@@ -167,17 +176,22 @@ class SlotGuide:
         self._turned_at_s = 0.0
 
     def update(
-        self, fix: LeaderFix, now_s: float, follower: GlobalPosition | None = None
+        self,
+        fix: LeaderFix,
+        now_s: float,
+        follower: GlobalPosition | None = None,
+        least_radius_m: float = 0.0,
     ) -> GuidedPoint:
         """The guided point at `now_s` from the newest report of the leader.
 
-        `follower` is where the follower is (for the bearing to the leader; the slot if unknown).
+        `follower` is where the follower is (for the bearing to the leader; the slot if unknown);
+        the slot is `least_radius_m` away from the leader at least.
         """
         settings = self.settings
         age_s = max(0.0, now_s - fix.time_s)
         course_rad = self._turn(self._course.update(fix), now_s)
-        leader = _predicted(fix, age_s) if settings.predict else fix.position
-        offset_m = slot_offset_m(self.slot, course_rad)
+        leader = predicted(fix, age_s) if settings.predict else fix.position
+        offset_m = slot_offset_m(self._slot(least_radius_m), course_rad)
         lead_s = settings.lead_time_s * lead_share(age_s, settings)
         point_m = _led(offset_m, fix, course_rad, lead_s)
         if settings.keep_behind:
@@ -190,6 +204,11 @@ class SlotGuide:
             yaw_rad=bearing_rad(follower or slot, leader) if settings.face_leader else None,
             age_s=age_s,
         )
+
+    def _slot(self, least_radius_m: float) -> Slot:
+        if self.slot.radius_m >= least_radius_m:
+            return self.slot
+        return replace(self.slot, radius_m=least_radius_m)
 
     def _turn(self, wanted_rad: float, now_s: float) -> float:
         elapsed_s = now_s - self._turned_at_s
@@ -211,7 +230,8 @@ def bearing_rad(start: GlobalPosition, end: GlobalPosition) -> float:
     return math.atan2(east_m, north_m)
 
 
-def _predicted(fix: LeaderFix, age_s: float) -> GlobalPosition:
+def predicted(fix: LeaderFix, age_s: float) -> GlobalPosition:
+    """Where the leader is `age_s` after its report, at the velocity it reported."""
     north, east, down = fix.velocity_ned_mps
     return displace(fix.position, (north * age_s, east * age_s, down * age_s))
 

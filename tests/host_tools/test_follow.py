@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -45,9 +46,13 @@ def heartbeat(mode: int = 4, *, armed: bool = True) -> Any:
     return mavlink.MAVLink_heartbeat_message(2, 3, flags, mode, 4, 3)
 
 
-def session(settings: GuidanceSettings | None = None) -> FollowSession:
+# Without what is learnt from the sonar, which has tests of its own below.
+PLAIN = GuidanceSettings(learn_offset=False)
+
+
+def session(settings: GuidanceSettings = PLAIN) -> FollowSession:
     plan = FollowerPlan(FOLLOWER, Slot(3.0), 12.0)
-    follow = FollowSession(LEADER, [plan], settings or GuidanceSettings())
+    follow = FollowSession(LEADER, [plan], settings)
     follow.receive(from_vehicle(FOLLOWER, heartbeat()), 0.0)
     follow.receive(from_vehicle(FOLLOWER, position(0.1, FOLLOWER_AT)), 0.0)
     return follow
@@ -212,7 +217,7 @@ def test_the_quickest_answer_counts() -> None:
 
 
 def test_the_leaders_age_is_measured_through_timesync() -> None:
-    follow = session(GuidanceSettings(keep_behind=False))
+    follow = session(replace(PLAIN, keep_behind=False))
     # The leader booted with our clock; its answers take 0.46 s each way.
     answer = mavlink.MAVLink_timesync_message(round(5.46e9), round(5.0e9))
     follow.receive(from_vehicle(LEADER, answer), 5.92)
@@ -253,7 +258,7 @@ def test_it_asks_for_rates_and_beats_under_its_own_id() -> None:
 
 def test_fifty_followers_each_get_their_own_point() -> None:
     plans = [FollowerPlan(2 + i, Slot(3.0 + 2 * i), 10.0) for i in range(50)]
-    follow = FollowSession(LEADER, plans, GuidanceSettings())
+    follow = FollowSession(LEADER, plans, PLAIN)
     for plan in plans:
         follow.receive(from_vehicle(plan.system_id, heartbeat()), 0.0)
     follow.receive(from_vehicle(LEADER, position(1.0, HERE)), 1.0)
@@ -264,3 +269,52 @@ def test_fifty_followers_each_get_their_own_point() -> None:
     for plan in plans:
         assert norths[plan.system_id] == pytest.approx(-plan.slot.radius_m, abs=0.03)
         assert math.isfinite(norths[plan.system_id])
+
+
+def sonar_reading(range_m: float) -> Any:
+    return mavlink.MAVLink_named_value_float_message(0, b"SNR_RAW", range_m)
+
+
+def listening_session(range_m: float) -> FollowSession:
+    """A still leader, a follower that believes to be 4 m south of it, and 20 s of readings."""
+    follow = session(GuidanceSettings())
+    for number in range(200):
+        t_s = 10.0 + number * 0.1
+        follow.receive(from_vehicle(LEADER, position(t_s, HERE)), t_s)
+        follow.receive(from_vehicle(FOLLOWER, position(t_s, FOLLOWER_AT)), t_s)
+        follow.receive(from_vehicle(FOLLOWER, sonar_reading(range_m)), t_s)
+    return follow
+
+
+def test_the_point_moves_by_the_receivers_disagreement_that_the_sonar_shows() -> None:
+    # 2.8 m + 0.2 m to the centres: the follower is 1 m nearer than the two receivers say.
+    (target,) = targets(listening_session(2.8), 30.0)
+
+    # To be at 3 m it has to go where its own receiver says 4 m.
+    assert metres_from_here(target) == pytest.approx((-4.0, 0.0), abs=0.15)
+
+
+@pytest.mark.parametrize("range_m", [7.66, 4.5, 0.0, math.nan])
+def test_what_is_no_target_teaches_nothing(range_m: float) -> None:
+    follow = listening_session(range_m)
+
+    assert follow.followers[FOLLOWER].offset.north_m == 0.0
+
+
+def test_an_unheard_leader_is_given_a_wider_berth() -> None:
+    """Two receivers of 0.8 m disagree by 1.13 m: 1 m + 2 x 1.13 m = 3.26 m."""
+    (target,) = targets(listening_session(7.66), 30.0)
+
+    assert metres_from_here(target)[0] == pytest.approx(-3.26, abs=0.03)
+
+
+def test_another_vehicles_echo_is_not_taken_for_the_leader() -> None:
+    follow = session(GuidanceSettings())
+    far_away = displace(HERE, (-20.0, 0.0, 0.0))
+    for number in range(200):
+        t_s = 10.0 + number * 0.1
+        follow.receive(from_vehicle(LEADER, position(t_s, HERE)), t_s)
+        follow.receive(from_vehicle(FOLLOWER, position(t_s, far_away)), t_s)
+        follow.receive(from_vehicle(FOLLOWER, sonar_reading(3.0)), t_s)
+
+    assert follow.followers[FOLLOWER].offset.north_m == 0.0

@@ -16,7 +16,7 @@ from echowing.analysis.flight import Flight
 from echowing.follow import FollowerPlan, FollowSession
 from echowing.geo import GlobalPosition, Ned, displace, ned_between
 from echowing.guidance import MOVING_MPS, slot_offset_m
-from echowing.sim.autopilot import Autopilot
+from echowing.sim.autopilot import ORIGIN, Autopilot
 from echowing.sim.ground import GroundStation
 from echowing.sim.hangar import FIRST_FOLLOWER_ID, LEADER_ID, Hangar
 from echowing.sim.recorder import Recorder, Sample, write_truth
@@ -44,7 +44,9 @@ class FlightResult:
     """What a flown scenario leaves behind.
 
     flights: one a follower; closest_m: the least distance between any two vehicles;
-    phases: for a scripted leader, the least separation in each part of the script.
+    phases: for a scripted leader, the least separation in each part of the script;
+    commanded_slot_m: horizontal distance from the leader to the first follower's slot as the
+    guidance saw it, 10 Hz, NaN before the first point.
     """
 
     scenario: Scenario
@@ -52,6 +54,7 @@ class FlightResult:
     flights: list[Flight]
     closest_m: float
     phases: dict[str, float]
+    commanded_slot_m: list[float]
     events: list[tuple[float, str]]
     simulated_s: float
     wall_s: float
@@ -84,6 +87,7 @@ class FormationFlight:
         self.followers = [self._make_follower(i) for i in range(len(scenario.formation.slots))]
         self.ground = self._make_ground()
         self._course_rad = 0.0
+        self._commanded_slot_m: list[float] = []
         self.recorders = [
             Recorder(scenario.name, slot, scenario.law, seed) for slot in scenario.slots()
         ]
@@ -187,6 +191,14 @@ class FormationFlight:
             self._course_rad = math.atan2(body.ve_mps, body.vn_mps)
         for follower, recorder in zip(self.followers, self.recorders, strict=True):
             recorder.samples.append(self._sample(follower))
+        self._commanded_slot_m.append(self._commanded_slot())
+
+    def _commanded_slot(self) -> float:
+        guided = self.ground.session.followers[FIRST_FOLLOWER_ID].guided
+        if guided is None:
+            return math.nan
+        north_m, east_m, _ = ned_between(ORIGIN, guided.slot)
+        return math.hypot(north_m - self.leader.body.north_m, east_m - self.leader.body.east_m)
 
     def _sample(self, follower: SimFollower) -> Sample:
         return Sample(
@@ -217,6 +229,7 @@ class FormationFlight:
             flights=flights,
             closest_m=self.closest_m,
             phases=self.phases,
+            commanded_slot_m=self._commanded_slot_m,
             events=self.ground.session.events,
             simulated_s=self.t_s,
             wall_s=wall_s,

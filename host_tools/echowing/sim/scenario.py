@@ -3,6 +3,7 @@
 import math
 import tomllib
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -11,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from echowing.errors import EchowingError
 from echowing.formation import DEFAULT_SLOT_SEPARATION_M, check_formation
-from echowing.guidance import GuidanceSettings, Slot
+from echowing.guidance import GRAY, GuidanceSettings, Slot
 from echowing.sim.parameters import Generation
 from echowing.sim.radio import RadioSettings
 
@@ -101,6 +102,9 @@ class GuidanceSection(_Section):
     clearance_m: NotNegative = 1.0
     face_leader: bool = True
     slot_rate_dps: Positive | None = 30.0
+    learn_offset: bool = True
+    standoff_sigmas: NotNegative = 2.0
+    sonar_inset_m: NotNegative = 0.2
     fresh_age_s: Positive | None = 0.5
     stale_age_s: Positive | None = 1.0
     gray: bool = False  # guided points as the thesis made them: none of the protections
@@ -108,15 +112,7 @@ class GuidanceSection(_Section):
     def settings(self) -> GuidanceSettings:
         """The same for the guidance."""
         if self.gray:
-            return GuidanceSettings(
-                lead_time_s=self.lead_time_s,
-                predict=False,
-                keep_behind=False,
-                face_leader=False,
-                slot_rate_rps=None,
-                fresh_age_s=None,
-                stale_age_s=None,
-            )
+            return replace(GRAY, lead_time_s=self.lead_time_s)
         return GuidanceSettings(
             lead_time_s=self.lead_time_s,
             predict=self.predict,
@@ -124,6 +120,9 @@ class GuidanceSection(_Section):
             clearance_m=self.clearance_m,
             face_leader=self.face_leader,
             slot_rate_rps=None if self.slot_rate_dps is None else math.radians(self.slot_rate_dps),
+            learn_offset=self.learn_offset,
+            standoff_sigmas=self.standoff_sigmas,
+            sonar_inset_m=self.sonar_inset_m,
             fresh_age_s=self.fresh_age_s,
             stale_age_s=self.stale_age_s,
         )

@@ -1,15 +1,20 @@
 """The wall flight (thesis 4.2.2): a follower alone, told to fly to a point behind a wall."""
 
 import math
+import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.analysis.flight import Flight
 from echowing.follow import TOOL_COMPONENT_ID, TOOL_SYSTEM_ID, position_target
 from echowing.geo import displace
 from echowing.sim.autopilot import ORIGIN
-from echowing.sim.flight import STEP_S, STEP_US
+from echowing.sim.flight import STEP_S, STEP_US, STEPS_PER_SAMPLE, speed_parameter_mps
+from echowing.sim.ground import Telemetry
 from echowing.sim.hangar import FIRST_FOLLOWER_ID, Hangar
+from echowing.sim.recorder import Recorder, Sample
 from echowing.sim.scenario import Scenario
 from echowing.sim.sonar import GROUND, Surface
 from echowing.sim.vehicles import MakeCoprocessor, SimFollower
@@ -20,15 +25,15 @@ BODY_RADIUS_M = 0.25
 
 @dataclass(frozen=True)
 class WallResult:
-    """How near the follower came, and where it was at the end; distances of its centre."""
+    """How near the follower's centre came to the wall, where it ended, and the whole way there.
 
-    law: str
-    speed_mps: float
+    In `flight` the wall's nearest point stands in for the leader.
+    """
+
+    flight: Flight
     closest_m: float
     final_m: float
-    time_s: list[float]
-    distance_m: list[float]
-    ground_speed_mps: list[float]
+    wall_s: float
 
     @property
     def touched(self) -> bool:
@@ -55,40 +60,60 @@ def fly_at_wall(
     def listen(follower: SimFollower, t_s: float) -> float | None:
         return follower.ear.ping(t_s, follower.pose(), (), (GROUND, surface))
 
+    started_s = time.perf_counter()
     hangar = Hangar(scenario, seed, make_coprocessor=make_coprocessor)
     follower = hangar.follower(0, (0.0, 0.0, -wall.altitude_m), 0.0, pace_mps, listen)
     link = hangar.telemetry(follower, "follower", scenario.radio.follower)
-    result = WallResult(scenario.law, pace_mps, math.inf, math.inf, [], [], [])
-    target = displace(ORIGIN, (wall.distance_m + wall.target_behind_m, 0.0, 0.0))
-    mav = mavlink.MAVLink(None, srcSystem=TOOL_SYSTEM_ID, srcComponent=TOOL_COMPONENT_ID)
-    period_steps = round(1.0 / scenario.guidance.rate_hz / STEP_S)
-    closest_m = math.inf
-    for step in range(round(scenario.duration_s / STEP_S)):
+    send = _target_sender(scenario, link)
+    recorder = Recorder(scenario.name, scenario.slots()[0], scenario.law, seed)
+    closest_m = distance_m = math.inf
+    for step in range(1, round(scenario.duration_s / STEP_S) + 1):
         t_s = step * STEP_S
-        if step % period_steps == 0:
-            message = position_target(FIRST_FOLLOWER_ID, target, wall.altitude_m, 0.0, t_s)
-            link.send(t_s, bytes(message.pack(mav)))
+        send(step, t_s)
         link.deliver(t_s)
         follower.move(STEP_S)
-        follower.run_coprocessor((step + 1) * STEP_US, STEP_S)
+        follower.run_coprocessor(step * STEP_US, STEP_S)
         follower.autopilot.step(t_s)
         link.collect(t_s)
         distance_m = wall.distance_m - follower.body.north_m
         closest_m = min(closest_m, distance_m)
-        if step % 5 == 0:
-            result.time_s.append(t_s)
-            result.distance_m.append(distance_m)
-            result.ground_speed_mps.append(math.hypot(*follower.velocity_ned_mps[:2]))
+        if step % STEPS_PER_SAMPLE == 0:
+            recorder.samples.append(_sample(follower, t_s, wall.distance_m))
         if distance_m <= BODY_RADIUS_M:
             break
-    return WallResult(
-        scenario.law,
-        pace_mps,
-        closest_m,
-        distance_m,
-        result.time_s,
-        result.distance_m,
-        result.ground_speed_mps,
+    wall_s = time.perf_counter() - started_s
+    return WallResult(recorder.flight(), closest_m, distance_m, wall_s)
+
+
+def _target_sender(scenario: Scenario, link: Telemetry) -> Callable[[int, float], None]:
+    """Sends the target behind the wall at the guidance rate."""
+    wall = scenario.wall
+    target = displace(ORIGIN, (wall.distance_m + wall.target_behind_m, 0.0, 0.0))
+    mav = mavlink.MAVLink(None, srcSystem=TOOL_SYSTEM_ID, srcComponent=TOOL_COMPONENT_ID)
+    every = round(1.0 / scenario.guidance.rate_hz / STEP_S)
+
+    def send(step: int, t_s: float) -> None:
+        if step % every == 0:
+            message = position_target(FIRST_FOLLOWER_ID, target, wall.altitude_m, 0.0, t_s)
+            link.send(t_s, bytes(message.pack(mav)))
+
+    return send
+
+
+def _sample(follower: SimFollower, t_s: float, wall_m: float) -> Sample:
+    body = follower.body
+    return Sample(
+        time_s=t_s,
+        leader=(wall_m, body.east_m, body.down_m),
+        leader_velocity=(0.0, 0.0, 0.0),
+        leader_course_rad=0.0,
+        follower=follower.position_ned_m,
+        follower_velocity=follower.velocity_ned_mps,
+        follower_yaw_rad=body.yaw_rad,
+        sonar_m=follower.sensor.last_range_m,
+        speed_command_mps=speed_parameter_mps(follower.autopilot),
+        pan_us=follower.coprocessor.pan_us,
+        tilt_us=follower.coprocessor.tilt_us,
     )
 
 

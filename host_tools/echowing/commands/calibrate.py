@@ -1,0 +1,50 @@
+"""`echowing calibrate`: replay recorded flights through the copter model."""
+
+import argparse
+import json
+from pathlib import Path
+
+EXAMPLES = """\
+examples:
+  echowing calibrate recordings/
+  echowing calibrate recordings/ --json
+
+A recording is a CSV with time_s, north_m, east_m, down_m, vn_mps, ve_mps, vd_mps, yaw_rad and the
+command in force: cmd_n, cmd_e, cmd_vn, cmd_ve, speed_cap. Without command columns it is taken as
+an Auto mission, whose corners are found in the track.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The verb's options."""
+    parser.epilog = EXAMPLES
+    parser.add_argument("folder", type=Path, metavar="DIR", help="a folder of recordings (*.csv)")
+    parser.add_argument("--json", action="store_true", help="print one JSON list")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Replay and print."""
+    from echowing.sim.calibrate import replay_directory  # noqa: PLC0415 (imported when used)
+
+    results = replay_directory(args.folder)
+    if args.json:
+        rows = [
+            {
+                "recording": result.name,
+                "kind": result.kind,
+                "rms_position_error_m": round(result.rms_position_error_m, 4),
+                "max_error_m": round(result.max_error_m, 4),
+                "duration_s": round(result.duration_s, 2),
+            }
+            for result in results
+        ]
+        print(json.dumps(rows, indent=2))
+        return 0
+    width = max(len(result.name) for result in results)
+    print(f"{'recording':<{width}}  {'kind':<8}  RMS error  largest  length")
+    for result in results:
+        print(
+            f"{result.name:<{width}}  {result.kind:<8}  {result.rms_position_error_m:7.3f} m"
+            f"  {result.max_error_m:5.2f} m  {result.duration_s:4.0f} s"
+        )
+    return 0

@@ -1,0 +1,158 @@
+"""`echowing sim`: fly a simulated formation."""
+
+import argparse
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from echowing.errors import EchowingError
+
+if TYPE_CHECKING:
+    from echowing.sim.scenario import Scenario
+    from echowing.sim.summary import FlownScenario
+
+EXAMPLES = """\
+examples:
+  echowing sim --list
+  echowing sim echowing --seed 3 --out out/mine
+  echowing sim gray --seed 1-10 --json
+  echowing sim my-flight.toml --law continuous --set gps.sigma_m=1.2
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The verb's options."""
+    from echowing.sim.scenario import LAWS  # noqa: PLC0415 (imported when the verb is used)
+
+    parser.epilog = EXAMPLES
+    parser.add_argument(
+        "scenario", nargs="?", default="echowing", help="a name from --list, or a TOML file"
+    )
+    parser.add_argument("--list", action="store_true", help="list the scenarios and stop")
+    parser.add_argument(
+        "--seed", default="1", metavar="N", help="the seed of all chance, or a range as 1-10"
+    )
+    parser.add_argument("--law", choices=["none", *LAWS], help="the applet's speed law")
+    parser.add_argument("--duration", type=float, metavar="S", help="simulated seconds to fly")
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        dest="changes",
+        help="change a key of the scenario, as gps.sigma_m=0.5 (may be repeated)",
+    )
+    parser.add_argument("--out", type=Path, metavar="DIR", help="write logs, truth and report here")
+    parser.add_argument(
+        "--firmware",
+        choices=["native", "avr"],
+        default="native",
+        help="co-processor: the core built for this machine, or the board's binary emulated",
+    )
+    parser.add_argument(
+        "--serve",
+        type=int,
+        metavar="PORT",
+        help="fly in real time and let other tools connect: leader on tcp PORT, "
+        "followers on PORT+10, PORT+20 …; guidance is then theirs",
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object a flight")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Fly, print, write."""
+    if args.list:
+        return _list(as_json=args.json)
+    scenario = _scenario(args)
+    if args.serve is not None:
+        from echowing.sim.serve_flight import serve  # noqa: PLC0415
+
+        return serve(scenario, _seeds(args.seed)[0], args.serve)
+    flown = list(_fly_all(scenario, _seeds(args.seed), args))
+    if not args.json:
+        _print_table(flown)
+        if args.out is not None:
+            _write_report(args.out, flown)
+    return 0
+
+
+def _list(*, as_json: bool) -> int:
+    from echowing.sim.scenario import load_scenario, scenario_names  # noqa: PLC0415
+
+    titles = {name: load_scenario(name).title for name in scenario_names()}
+    if as_json:
+        print(json.dumps(titles, indent=2))
+        return 0
+    width = max(map(len, titles))
+    for name, title in titles.items():
+        print(f"{name:<{width}}  {title}")
+    return 0
+
+
+def _scenario(args: argparse.Namespace) -> "Scenario":
+    from echowing.sim.scenario import load_scenario  # noqa: PLC0415
+
+    changes = list(args.changes)
+    if args.law is not None:
+        changes.append(f'law="{args.law}"')
+    if args.duration is not None:
+        changes.append(f"duration_s={args.duration}")
+    return load_scenario(args.scenario, changes)
+
+
+def _seeds(text: str) -> list[int]:
+    first, dash, last = text.partition("-")
+    try:
+        low, high = int(first), int(last) if dash else int(first)
+    except ValueError:
+        raise EchowingError(f"--seed {text!r}: give a whole number, or a range as 1-10") from None
+    if high < low:
+        raise EchowingError(f"--seed {text!r}: the range is empty")
+    return list(range(low, high + 1))
+
+
+def _fly_all(
+    scenario: "Scenario", seeds: list[int], args: argparse.Namespace
+) -> Iterator["FlownScenario"]:
+    from echowing.sim.progress import flight_progress  # noqa: PLC0415
+    from echowing.sim.summary import fly  # noqa: PLC0415
+
+    with flight_progress(len(seeds) * scenario.duration_s, quiet=args.json) as progress:
+        for seed in seeds:
+            out = _flight_folder(args.out, scenario, seed, alone=len(seeds) == 1)
+            flown = fly(scenario, seed, out=out, firmware=args.firmware, progress=progress)
+            progress.next_flight()
+            for summary in flown.summaries:
+                if args.json:
+                    print(json.dumps(summary), flush=True)
+            yield flown
+
+
+def _flight_folder(
+    out: Path | None, scenario: "Scenario", seed: int, *, alone: bool
+) -> Path | None:
+    if out is None:
+        return None
+    folder = out if alone else out / f"{scenario.name}-{seed}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise EchowingError(f"--out {out}: cannot be written: {error}") from error
+    return folder
+
+
+def _print_table(flown: "list[FlownScenario]") -> None:
+    from rich.console import Console  # noqa: PLC0415
+
+    from echowing.analysis.tables import terminal_table  # noqa: PLC0415
+
+    Console().print(terminal_table([row for one in flown for row in one.rows()]))
+
+
+def _write_report(out: Path, flown: "list[FlownScenario]") -> None:
+    from echowing.analysis.report import write_report  # noqa: PLC0415
+
+    path = out / "report.html"
+    write_report(path, [flight for one in flown for flight in one.flights])
+    print(f"report: {path}")

@@ -1,0 +1,83 @@
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from echowing import __version__
+from echowing.cli import VERBS, main
+
+
+def test_the_version_is_the_packages(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        main(["--version"])
+
+    assert stopped.value.code == 0
+    assert capsys.readouterr().out.strip() == f"echowing {__version__}"
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_every_verb_helps_with_an_example(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        main([verb, "--help"])
+
+    assert stopped.value.code == 0
+    assert f"  echowing {verb}" in capsys.readouterr().out
+
+
+def test_help_lists_the_verbs_without_importing_what_they_need() -> None:
+    code = (
+        "import sys\nfrom echowing.cli import main\n"
+        "try: main(['--help'])\nexcept SystemExit: pass\n"
+        "print([m for m in ('numpy', 'pymavlink', 'plotly', 'pydantic', 'rich', 'lupa') "
+        "if m in sys.modules])"
+    )
+
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+
+    assert all(verb in done.stdout for verb in VERBS)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["sim", "grey"], "no scenario 'grey'"),
+        (["sim", "--set", "gps.sigma=1"], "gps.sigma: no such key; allowed here: sigma_m, tau_s"),
+        (["sim", "--seed", "many"], "--seed 'many': give a whole number"),
+        (["sim", "--seed", "5-1"], "the range is empty"),
+        (["sim", "absent.toml"], "absent.toml: cannot read the scenario"),
+        (["calibrate", "absent-folder"], "absent-folder"),
+        (["analyze", "absent.tlog", "absent2.tlog"], "absent.tlog"),
+    ],
+)
+def test_a_users_mistake_is_one_clear_message_and_exit_code_2(
+    arguments: list[str], says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code = main(arguments)
+
+    shown = capsys.readouterr().err
+    assert code == 2
+    assert says in shown
+    assert "Traceback" not in shown
+
+
+def test_scenarios_are_listed_as_text_and_as_json(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["sim", "--list"]) == 0
+    text = capsys.readouterr().out
+    assert main(["sim", "--list", "--json"]) == 0
+    listed = json.loads(capsys.readouterr().out)
+
+    assert set(listed) >= {"gray", "thesis", "echowing", "hostile"}
+    assert all(name in text and title in text for name, title in listed.items())
+
+
+def test_out_that_cannot_be_written_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    in_the_way = tmp_path / "file"
+    in_the_way.write_text("x")
+
+    assert main(["sim", "gray", "--duration", "30", "--out", str(in_the_way)]) == 2
+    assert "cannot be written" in capsys.readouterr().err

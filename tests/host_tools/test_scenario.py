@@ -1,0 +1,118 @@
+from pathlib import Path
+
+import pytest
+
+from echowing.errors import EchowingError
+from echowing.sim.scenario import load_scenario, scenario_names
+
+
+def user_file(folder: Path, text: str) -> str:
+    path = folder / "mine.toml"
+    path.write_text(text, encoding="utf-8")
+    return str(path)
+
+
+def test_every_scenario_of_the_demo_is_shipped_and_valid() -> None:
+    names = scenario_names()
+
+    assert set(names) == {
+        "gray",
+        "thesis",
+        "echowing",
+        "thesis-4m",
+        "thesis-initial",
+        "wall",
+        "walked-leader",
+        "hostile",
+        "many",
+    }
+    assert all(load_scenario(name).name == name for name in names)
+
+
+@pytest.mark.parametrize("name", ["gray", "thesis", "echowing"])
+def test_the_geometry_is_the_theses(name: str) -> None:
+    scenario = load_scenario(name)
+
+    assert (scenario.leader.north_m, scenario.leader.east_m) == (60.0, 40.0)
+    assert (scenario.leader.speed_mps, scenario.leader.altitude_m) == (2.0, 10.0)
+    assert scenario.slots()[0].radius_m == 3.0
+    assert (scenario.guidance.telemetry_hz, scenario.guidance.rate_hz) == (4.0, 8.0)
+    assert scenario.radio.leader.latency_s == 0.46
+    assert (scenario.gps.sigma_m, scenario.gps.tau_s) == (0.8, 60.0)
+
+
+@pytest.mark.parametrize("name", ["gray", "thesis"])
+def test_the_theses_flights_have_none_of_our_protections(name: str) -> None:
+    settings = load_scenario(name).guidance.settings()
+
+    assert settings.lead_time_s == 1.0
+    assert not (settings.predict or settings.keep_behind or settings.face_leader)
+    assert settings.slot_rate_rps is None
+    assert settings.stale_age_s is None
+
+
+def test_many_means_fifty() -> None:
+    assert len(load_scenario("many").slots()) == 50
+
+
+def test_a_users_file_is_taken(tmp_path: Path) -> None:
+    scenario = load_scenario(user_file(tmp_path, 'title = "mine"\n[gps]\nsigma_m = 0.1\n'))
+
+    assert scenario.name == "mine"
+    assert scenario.gps.sigma_m == 0.1
+
+
+def test_changes_reach_nested_keys() -> None:
+    changes = ["gps.sigma_m=0.25", "guidance.lead_time_s=1.4", "law=thesis"]
+
+    scenario = load_scenario("echowing", changes)
+
+    assert scenario.gps.sigma_m == 0.25
+    assert scenario.guidance.settings().lead_time_s == 1.4
+    assert scenario.law == "thesis"
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ("gps.sigma=0.5", r"gps\.sigma: no such key; allowed here: sigma_m, tau_s"),
+        ("gps.sigma_m=-1", r"gps\.sigma_m: .*greater than or equal to 0.*got -1"),
+        ("gps.sigma_m=wide", r"gps\.sigma_m: .*valid number.*got 'wide'"),
+        ("law=magic", r"law: .*'none', 'thesis', 'bands' or 'continuous'.*got 'magic'"),
+        ("guidance.rate_hz=50", r"guidance\.rate_hz: .*less than or equal to 20"),
+        ("duration_s=5", r"settle_s \(20\) must be less than duration_s \(5\)"),
+        ("leader.path=track", "path 'track' needs `track`"),
+        ("gps", "write key=value"),
+        ("title.x=1", "'title' is a value, not a section"),
+        ("nonsense=1", r"nonsense: no such key; allowed here: .*duration_s"),
+    ],
+)
+def test_a_wrong_change_names_itself_and_what_is_allowed(change: str, says: str) -> None:
+    with pytest.raises(EchowingError, match=says):
+        load_scenario("echowing", [change])
+
+
+def test_a_wrong_key_in_a_list_names_its_place(tmp_path: Path) -> None:
+    text = 'title = "x"\n[formation]\nslots = [{ radius_m = 3.0, angle = 5.0 }]\n'
+
+    with pytest.raises(EchowingError, match=r"formation\.slots\.0\.angle: no such key.*angle_deg"):
+        load_scenario(user_file(tmp_path, text))
+
+
+def test_slots_too_near_each_other_are_refused(tmp_path: Path) -> None:
+    text = 'title = "x"\n[formation]\nslots = [{ radius_m = 3.0 }, { radius_m = 3.5 }]\n'
+
+    with pytest.raises(EchowingError, match=r"slots 1 and 2 are 0\.50 m apart"):
+        load_scenario(user_file(tmp_path, text))
+
+
+def test_an_unknown_name_lists_the_known_ones() -> None:
+    with pytest.raises(EchowingError, match=r"no scenario 'grey'; there are .*gray"):
+        load_scenario("grey")
+
+
+def test_a_missing_file_and_broken_toml_are_named(tmp_path: Path) -> None:
+    with pytest.raises(EchowingError, match=r"absent\.toml: cannot read"):
+        load_scenario(str(tmp_path / "absent.toml"))
+    with pytest.raises(EchowingError, match=r"mine\.toml: not valid TOML"):
+        load_scenario(user_file(tmp_path, "title = \n"))
