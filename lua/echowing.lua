@@ -28,7 +28,6 @@ local TARGET_FRESH_MS = 1000 -- an older streamed point is not the target in for
 local HARD_CLOSE_M = 1.0 -- under this it is too close, closing or not
 local SPEED_FLOOR_MPS = 0.2 -- below, the autopilot saves its own floor over the pilot's value; 0 would be no limit
 local SPIKE_M = 0.8 -- a single reading this far from the prediction waits for a second one like it
-local TRACK_TAU_S = 0.25 -- memory of the range and rate tracker: the rate settles in about 0.5 s
 local TRACK_GAP_MS = 700 -- after a gap this long the tracker starts again
 local CLEAR_M = 0.3 -- too close ends this far beyond where it began
 local CLOSING_MPS = 0.15 -- slower is noise of the tracker (1 cm steps at 10 Hz)
@@ -186,24 +185,24 @@ local PARAMETERS = {
       // @Units: 1/s
       // @User: Advanced
     --]]
-    { 'GAIN_P', 0.5, 0.1, 1.2 },
+    { 'GAIN_P', 0.7, 0.1, 1.2 },
     --[[
       // @Param: ECHO_GAIN_D
       // @DisplayName: Echowing rate gain
-      // @Description: Law 2: speed for each m/s of range rate, beyond what the leader's speed already takes from it
+      // @Description: Law 2: speed for each m/s of range rate
       // @Range: 0 1
       // @User: Advanced
     --]]
-    { 'GAIN_D', 0.0, 0.0, 1.0 },
+    { 'GAIN_D', 0.3, 0.0, 1.0 },
     --[[
       // @Param: ECHO_TAU
-      // @DisplayName: Echowing leader speed filter
-      // @Description: Law 2: time constant of the filter of the leader's speed
-      // @Range: 0.1 3
+      // @DisplayName: Echowing filter of single readings
+      // @Description: Time constant of the filter that makes range and leader speed of the sonar's single readings, for law 2 and the closing distance
+      // @Range: 0.1 1
       // @Units: s
       // @User: Advanced
     --]]
-    { 'TAU', 0.6, 0.1, 3.0 },
+    { 'TAU', 0.2, 0.1, 1.0 },
     --[[
       // @Param: ECHO_SPD_MIN
       // @DisplayName: Echowing lowest speed
@@ -266,7 +265,7 @@ local PARAMETERS = {
       // @Units: m
       // @User: Standard
     --]]
-    { 'CLOSE', 1.2, 0.5, 4.0 },
+    { 'CLOSE', 1.5, 0.5, 4.0 },
     --[[
       // @Param: ECHO_DELAY
       // @DisplayName: Echowing reaction delay
@@ -275,7 +274,7 @@ local PARAMETERS = {
       // @Units: s
       // @User: Advanced
     --]]
-    { 'DELAY', 0.4, 0.1, 2.0 },
+    { 'DELAY', 0.6, 0.1, 2.0 },
     --[[
       // @Param: ECHO_DECEL
       // @DisplayName: Echowing braking
@@ -387,7 +386,7 @@ end
 -- State. Times are in ms; nil is "never".
 local S = {
     in_control = false, state = OFF, announced = OFF, speed_mps = 0.0, law_mps = 0.0, out_mps = 0.0, read_next = 1,
-    announced_ms = {}, changes = {}, conflict = false,
+    announced_ms = {}, changes = {}, conflict = false, own_mps = 0.0,
 }
 
 local function clamp(value, low, high)
@@ -414,34 +413,56 @@ local function read_average()
     return range_m, status
 end
 
--- Range and rate of the target, from single readings: a critically damped second-order tracker.
-local track = { range_m = nil, rate_mps = 0.0, at_ms = 0, spike_m = nil }
+-- Range of the target and the leader's speed along the line of sight, from single readings: a critically damped observer
+-- that knows the own speed, so that own braking is not taken for the leader's.
+local track = { range_m = nil, leader_mps = 0.0, own_mps = 0.0, at_ms = 0, readings = 0, spike_m = nil }
 
-local function track_reset()
-    track.range_m, track.rate_mps, track.spike_m = nil, 0.0, nil
+local function track_start(range_m, own_mps, t_ms)
+    track.range_m, track.leader_mps, track.own_mps, track.at_ms = range_m, own_mps, own_mps, t_ms
+    track.readings, track.spike_m = 1, nil
 end
 
-local function track_update(range_m, t_ms)
+local function track_fresh(t_ms)
+    return track.range_m ~= nil and t_ms - track.at_ms <= TRACK_GAP_MS
+end
+
+-- Range now, carried on from the last reading.
+local function track_range(t_ms)
+    return track.range_m + (track.leader_mps - track.own_mps) * (t_ms - track.at_ms) * 0.001
+end
+
+-- A reading far from the prediction counts only when the next one is like it: propellers make single wild ones.
+local function track_spike(range_m, own_mps, t_ms)
+    if track.spike_m and math.abs(range_m - track.spike_m) < SPIKE_M then
+        track_start(range_m, own_mps, t_ms)
+    else
+        track.spike_m = range_m
+    end
+end
+
+local function track_update(range_m, own_mps, t_ms)
+    if not track_fresh(t_ms) then return track_start(range_m, own_mps, t_ms) end
     local dt_s = (t_ms - track.at_ms) * 0.001
-    if not track.range_m or t_ms - track.at_ms > TRACK_GAP_MS then
-        track.range_m, track.rate_mps, track.at_ms, track.spike_m = range_m, 0.0, t_ms, nil
-        return
-    end
     if dt_s <= 0.0 then return end
-    local predicted_m = track.range_m + track.rate_mps * dt_s
+    local predicted_m = track.range_m + (track.leader_mps - 0.5 * (track.own_mps + own_mps)) * dt_s
     local residual_m = range_m - predicted_m
-    if math.abs(residual_m) > SPIKE_M then
-        if track.spike_m and math.abs(range_m - track.spike_m) < SPIKE_M then
-            track.range_m, track.rate_mps, track.at_ms, track.spike_m = range_m, 0.0, t_ms, nil
-        else
-            track.spike_m = range_m
-        end
-        return
-    end
-    local keep = math.exp(-dt_s / TRACK_TAU_S)
-    track.range_m = predicted_m + (1.0 - keep * keep) * residual_m
-    track.rate_mps = track.rate_mps + (1.0 - keep) * (1.0 - keep) / dt_s * residual_m
-    track.at_ms, track.spike_m = t_ms, nil
+    if math.abs(residual_m) > SPIKE_M then return track_spike(range_m, own_mps, t_ms) end
+    local keep = math.exp(-dt_s / C.TAU)
+    local n = track.readings + 1 -- the first readings count as in a straight line through all of them
+    local range_share = math.max(1.0 - keep * keep, 2.0 * (2.0 * n - 1.0) / (n * (n + 1.0)))
+    local rate_share = math.max((1.0 - keep) * (1.0 - keep), 6.0 / (n * (n + 1.0)))
+    track.range_m = predicted_m + range_share * residual_m
+    track.leader_mps = track.leader_mps + rate_share / dt_s * residual_m
+    track.own_mps, track.at_ms, track.readings, track.spike_m = own_mps, t_ms, n, nil
+end
+
+-- Own speed along the heading, where the sonar looks; 0 while the estimator has none.
+local function forward_speed()
+    local velocity = ahrs:get_velocity_NED()
+    if not velocity then return 0.0 end
+    local yaw = yaw_rad(ahrs)
+    local forward_mps = velocity:x() * math.cos(yaw) + velocity:y() * math.sin(yaw)
+    return is_number(forward_mps) and forward_mps or 0.0
 end
 
 -- MAVLink ------------------------------------------------------------------------------------------------------------
@@ -456,7 +477,7 @@ local function take_raw(message, payload, t_ms)
     local value, name = string.unpack('<fc10', message, payload + 4)
     if name:gsub('%z', '') ~= RAW_NAME or not is_number(value) or value <= 0.0 then return end
     S.raw_m, S.raw_ms = value, t_ms
-    if value < C.DETECT then track_update(value, t_ms) end
+    if value < C.DETECT then track_update(value, S.own_mps, t_ms) end
 end
 
 local function take_target(message, payload, t_ms)
@@ -510,8 +531,8 @@ local function band_step(speed_mps, range_m)
     return clamp(speed_mps + band_change(range_m), C.SPD_MIN, C.SPD_MAX)
 end
 
--- Law 2: the leader's speed along the line of sight (own speed towards it plus the range rate, filtered) and a share of
--- the range error.
+-- Law 2: the leader's speed along the line of sight, a share of the range error, and a share of its rate, which stands
+-- for where the error will be once the vehicle has answered.
 local function continuous_speed(range_m, rate_mps, leader_mps)
     return clamp(leader_mps + C.GAIN_P * (range_m - C.DIST) + C.GAIN_D * rate_mps, C.SPD_MIN, C.SPD_MAX)
 end
@@ -552,11 +573,11 @@ local function take_control(t_ms)
     S.pilot_units = speed_parameter:get()
     mirror_parameter:set(S.pilot_units) -- before the speed is touched: a restart must find it
     S.in_control, S.since_ms, S.step_ms, S.update_ms = true, t_ms, t_ms, t_ms
-    S.stream_ms, S.seen_ms, S.data_ms, S.leader_mps, S.holding, S.evading = nil, t_ms, t_ms, nil, false, false
+    S.stream_ms, S.seen_ms, S.data_ms, S.holding, S.evading = nil, t_ms, t_ms, false, false
     S.announced, S.announced_ms, S.changes = OFF, {}, {}
     S.speed_mps = clamp(C.SPD_INIT, C.SPD_MIN, C.SPD_MAX)
     S.law_mps = S.speed_mps
-    track_reset()
+    track.range_m = nil
     set_state(TRACKING)
     S.announced = TRACKING -- said when the first range comes
     say(SEVERITY.INFO, string.format('in control, law %d, %.1f m/s', C.LAW, S.speed_mps))
@@ -600,14 +621,6 @@ local function reason_not_to_act()
     return nil
 end
 
--- Own speed along the heading, where the sonar looks.
-local function forward_speed()
-    local velocity = ahrs:get_velocity_NED()
-    if not velocity then return nil end
-    local yaw = yaw_rad(ahrs)
-    return velocity:x() * math.cos(yaw) + velocity:y() * math.sin(yaw)
-end
-
 -- Metres that a place lies ahead (along the heading) of the vehicle.
 local function ahead_m(here, lat, lng)
     local target = here:copy()
@@ -630,8 +643,10 @@ local function target_leads_away(here, t_ms)
     return target ~= nil and ahead_m(here, target:lat(), target:lng()) < 0.0
 end
 
--- A target straight back from the leader, far enough to reach the wanted distance and to outrun its approach.
-local function back_off(here, range_m, approach_mps)
+-- A target straight back from the leader: as far as the wanted distance, and the leader's approach of one second more
+-- (Guided flies about 1 m/s for each metre to its target).
+local function back_off(here, range_m)
+    local approach_mps = math.max(0.0, -track.leader_mps)
     local back_m = clamp(C.DIST - range_m + approach_mps, EVADE_LEAST_M, EVADE_MOST_M)
     local yaw = yaw_rad(ahrs)
     local target = here:copy()
@@ -642,13 +657,8 @@ end
 -- The law's wish for this update, before any gate: S.law_mps.
 local function run_law(range_m, t_ms)
     if C.LAW >= 2 then
-        local own_mps = forward_speed()
-        if not own_mps or not track.range_m then return end
-        local leader_mps = own_mps + track.rate_mps
-        local dt_s = (t_ms - S.update_ms) * 0.001
-        local share = 1.0 - math.exp(-dt_s / C.TAU)
-        S.leader_mps = S.leader_mps and S.leader_mps + share * (leader_mps - S.leader_mps) or leader_mps
-        S.law_mps = continuous_speed(track.range_m, track.rate_mps, S.leader_mps)
+        if not track_fresh(t_ms) then return end
+        S.law_mps = continuous_speed(track_range(t_ms), track.leader_mps - S.own_mps, track.leader_mps)
         return
     end
     if t_ms - S.step_ms < C.PERIOD * 1000.0 then return end
@@ -667,10 +677,10 @@ local function gate(range_m, status, t_ms)
     end
     S.step_ms = t_ms -- the next average begins when the target is back
     if t_ms - S.data_ms >= C.NODATA_T * 1000.0 then
-        S.law_mps, S.leader_mps = C.SPD_LOST, nil
+        S.law_mps = C.SPD_LOST
         set_state(NO_SONAR)
     elseif t_ms - S.seen_ms >= C.LOST_T * 1000.0 then
-        if C.LAW >= 1 then S.law_mps, S.leader_mps = C.SPD_LOST, nil end
+        if C.LAW >= 1 then S.law_mps = C.SPD_LOST end
         set_state(SEARCHING)
     end
 end
@@ -694,38 +704,46 @@ local function nearest(range_m, t_ms)
     return raw_m or range_m
 end
 
-local function is_too_close(near_m, status)
-    if status == STATUS_LOW then return true end
-    if not near_m then return false end
-    local margin_m = S.too_close and CLEAR_M or 0.0
+local function is_too_close(near_m, closing_mps, margin_m)
     if near_m < HARD_CLOSE_M + margin_m then return true end
-    return near_m - closing_distance(-track.rate_mps) < C.CLOSE + margin_m
+    return near_m - closing_distance(closing_mps) < C.CLOSE + margin_m
 end
 
--- Too close wins over everything before it. Returns the speed to set.
-local function guard(near_m, status, t_ms)
-    S.too_close = is_too_close(near_m, status)
-    if not S.too_close then
-        S.evading = false
-        return S.speed_mps
-    end
+-- Whether to fly a target of the applet's own away from the leader: nothing else leads away, and it is still closing.
+local function should_back_off(here, near_m, closing_mps, t_ms)
+    if S.evading then return track.leader_mps < -CLOSING_MPS or closing_mps > 0.0 end
+    if closing_mps <= CLOSING_MPS or target_leads_away(here, t_ms) then return false end
+    return near_m < C.CLOSE or near_m - closing_distance(closing_mps) < HARD_CLOSE_M
+end
+
+-- Too close and two readings agree on it: the state, backing off, and the law starts again from the bottom.
+local function too_close(near_m, closing_mps, t_ms)
+    S.too_close = true
     set_state(TOO_CLOSE)
+    if C.LAW >= 1 then S.speed_mps, S.law_mps = C.SPD_MIN, C.SPD_MIN end
     local here = ahrs:get_location()
-    local own_mps = forward_speed()
-    local approach_mps = own_mps and -(own_mps + track.rate_mps) or 0.0 -- of the leader, over ground
-    near_m = near_m or 0.0
     if not here then
         S.evading = false
         return C.SPD_MIN
     end
-    S.evading = S.evading and (approach_mps > 0.1 or track.rate_mps < 0.0)
-    if not target_leads_away(here, t_ms) then
-        S.evading = near_m < C.CLOSE and track.rate_mps < -CLOSING_MPS
-    end
-    if S.evading then S.evading = back_off(here, near_m, math.max(0.0, approach_mps)) end
-    if S.evading or target_leads_away(here, t_ms) then return C.SPD_MAX end
-    if C.LAW >= 1 then S.speed_mps, S.law_mps = C.SPD_MIN, C.SPD_MIN end -- recover from here, at the law's pace
+    S.evading = should_back_off(here, near_m, closing_mps, t_ms) and back_off(here, near_m)
+    if S.evading or target_leads_away(here, t_ms) then return C.SPD_MAX end -- free to get away
     return C.SPD_MIN
+end
+
+-- Too close wins over everything before it. Returns the speed to set.
+local function guard(range_m, status, t_ms)
+    local fresh = track_fresh(t_ms)
+    local closing_mps = fresh and S.own_mps - track.leader_mps or 0.0
+    local tracked_m = fresh and track_range(t_ms) or range_m
+    local margin_m = S.too_close and CLEAR_M or 0.0
+    if status == STATUS_LOW or (tracked_m and is_too_close(tracked_m, closing_mps, margin_m)) then
+        return too_close(tracked_m or 0.0, closing_mps, t_ms)
+    end
+    S.too_close, S.evading = false, false
+    local near_m = nearest(range_m, t_ms)
+    if near_m and is_too_close(near_m, closing_mps, 0.0) then return C.SPD_MIN end -- one reading alone slows, no more
+    return S.speed_mps
 end
 
 -- Holds the vehicle where it is once a stream of guided points has fallen silent.
@@ -813,11 +831,11 @@ local function act(t_ms)
     watch_parameter(t_ms)
     local range_m, status = read_average()
     if range_m and range_m < C.DETECT and not (S.raw_ms and t_ms - S.raw_ms <= RAW_FRESH_MS) then
-        track_update(range_m, t_ms) -- no single readings: the average has to do
+        track_update(range_m, S.own_mps, t_ms) -- no single readings: the average has to do
     end
     gate(range_m, status, t_ms)
     limit_rate(t_ms)
-    local speed_mps = guard(nearest(range_m, t_ms), status, t_ms)
+    local speed_mps = guard(range_m, status, t_ms)
     watch_stream(t_ms)
     write_speed(speed_mps)
     announce(t_ms)
@@ -831,6 +849,7 @@ local function update()
     read_parameter(S.read_next)
     S.read_next = S.read_next % (#PARAMETERS - 1) + 1 -- all but the mirror
     if S.read_next == 1 then derive() end
+    S.own_mps = forward_speed()
     take_messages(t_ms)
     local reason = reason_not_to_act()
     if not reason then return act(t_ms) end
