@@ -1,4 +1,4 @@
-"""A bench for the board's binary: a sonar to command, both ports to listen to, an autopilot to play."""
+"""A bench for the board's binary: a sonar to command, ports to listen to, an autopilot."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field

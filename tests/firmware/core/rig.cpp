@@ -15,6 +15,17 @@ std::string text_of(const char* field, size_t size) {
   return {field, field + strnlen(field, size)};
 }
 
+Report report_of(const mavlink_message_t& message) {
+  mavlink_distance_sensor_t packed;
+  mavlink_msg_distance_sensor_decode(&message, &packed);
+  Report report = {packed.time_boot_ms,     packed.min_distance, packed.max_distance,
+                   packed.current_distance, packed.type,         packed.id,
+                   packed.orientation,      packed.covariance,   packed.signal_quality,
+                   packed.horizontal_fov,   packed.vertical_fov, {}};
+  memcpy(report.quaternion, packed.quaternion, sizeof(report.quaternion));
+  return report;
+}
+
 }  // namespace
 
 uint8_t FakeSerial::read(uint8_t* bytes, uint8_t capacity) {
@@ -141,9 +152,7 @@ std::vector<Range> Rig::ranges(int port) {
   std::vector<Range> found;
   for (const Sent& each : sent_[port]) {
     if (each.message.msgid != MAVLINK_MSG_ID_DISTANCE_SENSOR) continue;
-    Range range = {each.at, {}};
-    mavlink_msg_distance_sensor_decode(&each.message, &range.report);
-    found.push_back(range);
+    found.push_back({each.at, report_of(each.message)});
   }
   return found;
 }
@@ -170,13 +179,14 @@ std::vector<Ack> Rig::acks(int port) {
   return found;
 }
 
-std::vector<mavlink_param_value_t> Rig::values(int port) {
-  std::vector<mavlink_param_value_t> found;
+std::vector<Value> Rig::values(int port) {
+  std::vector<Value> found;
   for (const Sent& each : sent_[port]) {
     if (each.message.msgid != MAVLINK_MSG_ID_PARAM_VALUE) continue;
     mavlink_param_value_t value;
     mavlink_msg_param_value_decode(&each.message, &value);
-    found.push_back(value);
+    found.push_back({text_of(value.param_id, sizeof(value.param_id)), value.param_value,
+                     value.param_type, value.param_count, value.param_index});
   }
   return found;
 }

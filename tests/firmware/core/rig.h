@@ -91,9 +91,25 @@ struct Sent {
   mavlink_message_t message;
 };
 
+// DISTANCE_SENSOR and PARAM_VALUE unpacked, so that assertions can refer to their fields.
+struct Report {
+  uint32_t time_boot_ms;
+  uint16_t min_distance, max_distance, current_distance;
+  uint8_t type, id, orientation, covariance, signal_quality;
+  float horizontal_fov, vertical_fov;
+  float quaternion[4];
+};
+
 struct Range {
   Microseconds at;
-  mavlink_distance_sensor_t report;
+  Report report;
+};
+
+struct Value {
+  std::string name;
+  float value;
+  uint8_t type;
+  uint16_t count, index;
 };
 
 struct Ack {
@@ -126,7 +142,7 @@ class Rig {
   std::vector<Range> ranges(int port = 0);
   std::vector<std::string> texts(int port = 0);
   std::vector<Ack> acks(int port = 0);
-  std::vector<mavlink_param_value_t> values(int port = 0);
+  std::vector<Value> values(int port = 0);
   std::vector<mavlink_heartbeat_t> heartbeats(int port = 0);
   std::vector<float> named(const char* name, int port = 0);
   bool said(const char* part, int port = 0);

@@ -1,0 +1,205 @@
+#include <doctest/doctest.h>
+
+#include <cmath>
+
+#include "rig.h"
+
+using namespace echowing;
+using rig::Report;
+using rig::Rig;
+
+namespace {
+
+constexpr Microseconds ms(uint32_t count) { return count * 1000; }
+
+uint16_t nothing(Microseconds) { return 765; }
+
+}  // namespace
+
+TEST_CASE("reports come at 20 Hz within 2 ms, tracking as well as searching") {
+  for (const bool target : {true, false}) {
+    CAPTURE(target);
+    Rig rig;
+    if (!target) {
+      rig.sonar.listen = nothing;
+      rig.sonar.ranging_us = 66000;
+    }
+    rig.run(ms(2000));
+    rig.forget();
+    rig.run(ms(5000));
+    const auto ranges = rig.ranges();
+    CHECK(ranges.size() >= 99);
+    CHECK(ranges.size() <= 101);
+    for (size_t i = 1; target && i < ranges.size(); ++i) {
+      CHECK(std::abs(static_cast<int>(ranges[i].at - ranges[i - 1].at) - 50000) <= 2000);
+    }
+  }
+}
+
+TEST_CASE("a second after start a report leaves in the turn of its reading") {
+  Rig rig;
+  rig.run(ms(1000));
+  rig.forget();
+  rig.run(ms(3000));
+  for (const auto& range : rig.ranges()) CHECK(range.at / 1000 == range.report.time_boot_ms);
+}
+
+TEST_CASE("the rate is settable from 5 to 40 Hz, by parameter and by command") {
+  Rig rig;
+  for (const int rate : {5, 10, 40}) {
+    CAPTURE(rate);
+    rig.set_parameter("REPORT_RATE", static_cast<float>(rate));
+    rig.run(ms(1000));
+    rig.forget();
+    rig.run(ms(4000));
+    CHECK(std::abs(static_cast<int>(rig.ranges().size()) - 4 * rate) <= 1);
+  }
+  CHECK(rig.command(511, 132, 100000) == MAV_RESULT_ACCEPTED);
+  rig.run(ms(1000));
+  rig.forget();
+  rig.run(ms(4000));
+  CHECK(std::abs(static_cast<int>(rig.ranges().size()) - 40) <= 1);
+  CHECK(std::abs(static_cast<int>(rig.ranges(1).size()) - 160) <= 1);  // the other port: as before
+}
+
+TEST_CASE("message intervals: usual, off, out of limits, unknown") {
+  Rig rig;
+  CHECK(rig.command(511, 132, 24999) == MAV_RESULT_DENIED);
+  CHECK(rig.command(511, 132, 200001) == MAV_RESULT_DENIED);
+  CHECK(rig.command(511, 132, -2) == MAV_RESULT_DENIED);
+  CHECK(rig.command(511, 132, std::nanf("")) == MAV_RESULT_DENIED);
+  CHECK(rig.command(511, 33, 100000) == MAV_RESULT_UNSUPPORTED);
+  CHECK(rig.command(511, -5, 100000) == MAV_RESULT_DENIED);
+  CHECK(rig.command(511, 132, -1) == MAV_RESULT_ACCEPTED);
+  rig.run(ms(500));
+  rig.forget();
+  rig.run(ms(1000));
+  CHECK(rig.ranges().empty());
+  CHECK(rig.command(511, 132, 0) == MAV_RESULT_ACCEPTED);
+  rig.run(ms(1000));
+  CHECK(rig.ranges().size() >= 19);
+}
+
+TEST_CASE("single readings can be slowed down or switched off") {
+  Rig rig;
+  CHECK(rig.command(511, 251, 500000) == MAV_RESULT_ACCEPTED);
+  rig.run(ms(1000));
+  rig.forget();
+  rig.run(ms(5000));
+  CHECK(std::abs(static_cast<int>(rig.named("SNR_RAW").size()) - 10) <= 1);
+  CHECK(rig.command(511, 251, -1) == MAV_RESULT_ACCEPTED);
+  rig.forget();
+  rig.run(ms(2000));
+  CHECK(rig.named("SNR_RAW").empty());
+  CHECK(rig.named("SNR_PAN").empty());
+}
+
+TEST_CASE("reports stop 300 ms after the newest reading") {
+  Rig rig;
+  rig.run(ms(2000));
+  rig.sonar.plugged = false;
+  rig.run(ms(3000));
+  const auto last = rig.ranges().back();
+  CHECK(last.at - last.report.time_boot_ms * 1000 < ms(300));
+  CHECK(last.at - last.report.time_boot_ms * 1000 > ms(200));
+}
+
+TEST_CASE("the fixed fields of a report") {
+  Rig rig;
+  rig.set_parameter("SENSOR_ID", 7);
+  rig.run(ms(1000));
+  const auto report = rig.ranges().back().report;
+  CHECK(report.orientation == 0);  // forward
+  CHECK(report.type == MAV_DISTANCE_SENSOR_ULTRASOUND);
+  CHECK(report.id == 7);
+  CHECK(report.covariance == 255);
+  CHECK(report.horizontal_fov == doctest::Approx(40.0 * 3.14159265 / 180));
+  CHECK(report.vertical_fov == report.horizontal_fov);
+}
+
+TEST_CASE("signal quality is the share of good readings among ten") {
+  Rig rig;
+  rig.set_parameter("MISS_LIMIT", 5);
+  size_t count = 0;
+  rig.sonar.listen = [&](Microseconds) { return ++count % 5 == 0 ? uint16_t{765} : uint16_t{300}; };
+  rig.run(ms(3000));
+  CHECK(rig.ranges().back().report.signal_quality == 80);
+}
+
+TEST_CASE("the quaternion says where the gimbal points") {
+  struct Row {
+    float pitch_deg, yaw_deg;
+  };
+  for (const Row row : {Row{0, 0}, Row{10, 0}, Row{0, 20}, Row{-10, 5}}) {
+    CAPTURE(row.pitch_deg);
+    CAPTURE(row.yaw_deg);
+    Rig rig;
+    rig.command(1000, row.pitch_deg, row.yaw_deg);
+    rig.run(ms(500));
+    const Report report = rig.ranges().back().report;
+    const float* q = report.quaternion;
+    // Forward axis turned by the quaternion: forward, right, down.
+    const double forward = 1 - 2 * (q[2] * q[2] + q[3] * q[3]);
+    const double right = 2 * (q[1] * q[2] + q[0] * q[3]);
+    const double down = 2 * (q[1] * q[3] - q[0] * q[2]);
+    const double degree = 3.14159265358979 / 180;
+    CHECK(forward == doctest::Approx(cos(row.pitch_deg * degree) * cos(row.yaw_deg * degree)));
+    CHECK(right == doctest::Approx(cos(row.pitch_deg * degree) * sin(row.yaw_deg * degree)));
+    CHECK(down == doctest::Approx(-sin(row.pitch_deg * degree)));
+  }
+}
+
+TEST_CASE("a servo scale of nought makes no infinities") {
+  Rig rig;
+  rig.set_parameter("PAN_US_DEG", 0);
+  rig.run(ms(1000));
+  const Report report = rig.ranges().back().report;
+  const float* q = report.quaternion;
+  CHECK(q[0] == doctest::Approx(1.0));
+}
+
+TEST_CASE("pan, tilt and state travel when they change, and once a second anyway") {
+  Rig rig;
+  rig.autopilot(1, false);
+  rig.run(ms(1000));
+  rig.forget();
+  rig.run(ms(5000));
+  CHECK(std::abs(static_cast<int>(rig.named("SNR_PAN").size()) - 5) <= 1);
+  CHECK(rig.named("SNR_PAN").back() == 1380);
+  CHECK(rig.named("SNR_STATE").back() == 2);
+  rig.command(183, 1, 1500);
+  rig.run(ms(60));
+  CHECK(rig.named("SNR_PAN").back() == 1500);
+  CHECK(rig.named("SNR_TILT").back() == 1400);
+}
+
+TEST_CASE("both ports get the same reports") {
+  Rig rig;
+  rig.run(ms(3000));
+  CHECK(rig.ranges(0).size() == rig.ranges(1).size());
+  CHECK(rig.ranges(1).back().report.current_distance == 300);
+}
+
+TEST_CASE("a port that takes nothing does not hold up the other") {
+  Rig rig;
+  rig.serial[1].blocked = true;
+  rig.run(ms(2000));
+  rig.forget();
+  rig.run(ms(2000));
+  CHECK(rig.ranges(0).size() == 40);
+  rig.serial[1].blocked = false;
+  rig.run(ms(1000));
+  CHECK(rig.ranges(1).size() >= 19);  // and it comes back clean when it is opened
+}
+
+TEST_CASE("time goes on through the wrap of the microseconds, unnoticed") {
+  Rig rig(0xffffffffu - 3000000u);
+  rig.run(ms(6000));
+  const auto ranges = rig.ranges();
+  CHECK(ranges.size() >= 115);
+  for (size_t i = 1; i < ranges.size(); ++i) {
+    const uint32_t gap = ranges[i].report.time_boot_ms - ranges[i - 1].report.time_boot_ms;
+    CHECK(gap <= 52);
+  }
+  CHECK(rig.texts().size() == 1);  // started
+}

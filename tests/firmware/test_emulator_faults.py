@@ -1,0 +1,209 @@
+"""The flashed binary, emulated: a sonar in trouble, memory in trouble, and what the LED says."""
+
+import random
+from pathlib import Path
+
+import pytest
+
+from .bench import Bench, BenchSonar
+
+NO_TARGET_CM = 766
+STALE_US = 300_000
+ACTIVE, CRITICAL = 4, 5
+STORE_AFTER_S = 2.0
+STORED_S = 4.0  # the pause, and 3.3 ms for each of a hundred-odd bytes, with room
+
+
+class TestSonarInTrouble:
+    def test_unplugged_falls_silent_after_300_ms_and_says_so(self, mega_elf: Path) -> None:
+        bench = Bench(mega_elf, BenchSonar(2.0))
+        bench.run(2.0)
+        bench.sonar.plugged = False
+        begun_us = bench.t_us
+        bench.run(3.0)
+        last_reading_us = bench.sonar.readings[-1][0]
+        reports = bench.messages("DISTANCE_SENSOR", since_us=begun_us)
+        assert reports[-1].t_us - last_reading_us < STALE_US + 10_000
+        assert reports[-1].t_us - last_reading_us > STALE_US - 60_000
+        assert "Echowing: sonar does not answer" in bench.texts(since_us=begun_us)
+        assert bench.messages("HEARTBEAT")[-1].message.system_status == CRITICAL
+        assert bench.named("SNR_STATE")[-1] == 3
+
+    def test_returned_it_says_so_and_reports_again(self, mega_elf: Path) -> None:
+        bench = Bench(mega_elf, BenchSonar(2.0))
+        bench.run(1.0)
+        bench.sonar.plugged = False
+        bench.run(3.0)
+        bench.sonar.plugged = True
+        begun_us = bench.t_us
+        bench.run(1.5)
+        assert bench.texts(since_us=begun_us) == ["Echowing: sonar answers again"]
+        assert bench.messages("HEARTBEAT")[-1].message.system_status == ACTIVE
+        assert bench.ranges_cm(begun_us)[-1] == 200
+
+    def test_never_there(self, mega_elf: Path) -> None:
+        sonar = BenchSonar(2.0)
+        sonar.plugged = False
+        bench = Bench(mega_elf, sonar)
+        bench.run(3.0)
+        assert bench.ranges_cm() == []
+        assert "Echowing: sonar does not answer" in bench.texts()
+        assert bench.messages("HEARTBEAT")[-1].message.system_status == CRITICAL
+        assert bench.board.meters().restarts == 0
+
+    def test_stuck_value_is_reported_as_long_as_it_is_measured(self, mega_elf: Path) -> None:
+        # Never judged by equality: a still target repeats its centimetre.
+        bench = Bench(mega_elf, BenchSonar(2.0))
+        bench.sonar.raw_cm = 123
+        bench.run(5.0)
+        assert set(bench.ranges_cm(1e6)) == {123}
+        assert len(bench.ranges_cm(1e6)) == pytest.approx(80, abs=2)
+
+    @pytest.mark.parametrize("raw_cm", [0, 19, 766, 0x8000, 0xFFFF])
+    def test_impossible_values_are_no_readings(self, mega_elf: Path, raw_cm: int) -> None:
+        bench = Bench(mega_elf, BenchSonar(2.0))
+        bench.run(1.0)
+        bench.sonar.raw_cm = raw_cm
+        begun_us = bench.t_us
+        bench.run(1.5)
+        reports = bench.messages("DISTANCE_SENSOR", since_us=begun_us)
+        assert {m.message.current_distance for m in reports} <= {200, NO_TARGET_CM}
+        assert reports[-1].t_us < begun_us + STALE_US + 10_000
+
+    def test_first_read_after_power_on_is_thrown_away(self, mega_elf: Path) -> None:
+        # It would be part information: 0x1202, that is 46.1 m, were it taken for a distance.
+        bench = Bench(mega_elf, BenchSonar(2.0))
+        bench.run(1.0)
+        assert set(bench.ranges_cm()) <= {200, NO_TARGET_CM}
+        assert bench.named("SNR_RAW")[0] == 2.0
+
+    def test_far_target_is_waited_for(self, mega_elf: Path) -> None:
+        # 7 m take 61 ms: longer than the period, and no fault.
+        bench = Bench(mega_elf, BenchSonar(7.0))
+        bench.run(3.0)
+        assert bench.texts() == ["Echowing: started"]
+        assert set(bench.named("SNR_RAW")) == {7.0}
+        assert len(bench.named("SNR_RAW")) > 2.5 / 0.070
+
+    def test_held_data_line_is_freed_by_nine_clocks_and_a_stop(self, mega_elf: Path) -> None:
+        bench = Bench(mega_elf, BenchSonar(2.0))
+        bench.run(1.0)
+        bench.board.clear_meters()
+        bench.board.hold_bus(9)
+        begun_us = bench.t_us
+        bench.run(1.0)
+        assert bench.board.meters().bus_clocks >= 9
+        assert bench.board.meters().bus_stops >= 1
+        assert bench.board.meters().longest_turn_us < 2_000
+        assert bench.ranges_cm(begun_us)[-1] == 200
+        assert len(bench.ranges_cm(begun_us + 500_000)) >= 9
+
+    def test_wild_readings_one_in_ten_do_not_shake_the_average(self, mega_elf: Path) -> None:
+        noise = random.Random(4)
+        bench = Bench(mega_elf, BenchSonar(2.0))
+        bench.sonar.range_m = lambda _: 4.2 if noise.random() < 0.1 else 2.0
+        bench.run(10.0)
+        ranges = bench.ranges_cm(1e6)
+        assert sum(cm == 200 for cm in ranges) > 0.9 * len(ranges)
+
+
+class TestMemory:
+    def test_change_outlives_a_power_cut_once_stored(self, mega_elf: Path) -> None:
+        bench = Bench(mega_elf)
+        bench.run(0.5)
+        bench.set_parameter("SCAN_DWELL", 450)
+        bench.run(STORED_S)
+        assert "Echowing: parameters stored" in bench.texts()
+        assert self.dwell_after(mega_elf, bench.board.power_off()) == 450
+
+    def test_not_stored_before_2_s_of_calm(self, mega_elf: Path) -> None:
+        bench = Bench(mega_elf)
+        bench.run(0.5)
+        before = bench.board.eeprom()
+        for dwell in (400, 410, 420):
+            bench.set_parameter("SCAN_DWELL", dwell)
+            bench.run(STORE_AFTER_S - 0.3)
+        assert bench.board.eeprom() == before
+
+    def test_armed_it_waits_for_the_landing(self, mega_elf: Path) -> None:
+        bench = Bench(mega_elf, armed=True)
+        bench.run(1.5)
+        before = bench.board.eeprom()
+        bench.set_parameter("SCAN_DWELL", 450)
+        bench.run(STORED_S)
+        assert bench.board.eeprom() == before
+        bench.armed = False
+        bench.run(STORED_S)
+        assert bench.board.eeprom() != before
+
+    def test_power_cut_at_any_moment_leaves_the_old_set_or_the_new(self, mega_elf: Path) -> None:
+        bench = Bench(mega_elf)
+        bench.run(0.5)
+        bench.set_parameter("SCAN_DWELL", 410)
+        bench.run(STORED_S)
+        bench.set_parameter("SCAN_DWELL", 420)
+        bench.run(STORE_AFTER_S - 0.05)
+        outcomes: list[float] = []
+        images: list[bytes] = []
+        for _ in range(120):  # every 5 ms from before the first byte until after the last
+            bench.run(0.005)
+            image = bench.board.eeprom()
+            if not images or image != images[-1]:
+                images.append(image)
+        assert len(images) > 20
+        for image in images[:: max(1, len(images) // 16)] + images[-1:]:
+            outcomes.append(self.dwell_after(mega_elf, image))
+        assert set(outcomes) == {410, 420}
+        assert outcomes == sorted(outcomes)
+
+    @staticmethod
+    def dwell_after(elf: Path, image: bytes) -> float:
+        """SCAN_DWELL of a board booted with that memory, which it must not complain of."""
+        again = Bench(elf, eeprom=image)
+        again.run(0.3)
+        assert again.texts() == ["Echowing: started"]
+        return float(again.set_parameter("SCAN_DWELL", float("nan")).param_value)
+
+    def test_corrupt_memory_falls_back_to_defaults_and_says_so(self, mega_elf: Path) -> None:
+        bench = Bench(mega_elf, eeprom=random.Random(5).randbytes(4096))
+        bench.run(1.0)
+        assert "Echowing: memory corrupt, default parameters" in bench.texts()
+        assert bench.set_parameter("SCAN_DWELL", float("nan")).param_value == 300
+
+    def test_one_flipped_bit_is_found(self, mega_elf: Path) -> None:
+        bench = Bench(mega_elf)
+        bench.run(0.5)
+        bench.set_parameter("SCAN_DWELL", 450)
+        bench.run(STORED_S)
+        image = bytearray(bench.board.power_off())
+        used = [place for place, byte in enumerate(image) if byte != 0xFF]
+        image[used[len(used) // 2]] ^= 0x10
+        again = Bench(mega_elf, eeprom=bytes(image))
+        again.run(1.0)
+        assert "Echowing: memory corrupt, default parameters" in again.texts()
+
+
+class TestLight:
+    """LED codes: sixteen steps of 125 ms, over and over."""
+
+    @pytest.mark.parametrize(
+        ("range_m", "plugged", "armed", "pattern"),
+        [
+            (None, True, True, 0x0F0F),  # searching: slow blink
+            (2.0, True, True, 0xFFFF),  # tracking: steady
+            (2.0, False, True, 0x0015),  # sonar fault: three flashes
+            (2.0, True, None, 0x0005),  # no autopilot: two flashes
+        ],
+    )
+    def test_codes(
+        self, mega_elf: Path, range_m: float | None, plugged: bool, armed: bool | None, pattern: int
+    ) -> None:
+        sonar = BenchSonar(range_m)
+        sonar.plugged = plugged
+        bench = Bench(mega_elf, sonar, armed=armed)
+        bench.run(4.0)
+        seen = 0
+        for step in range(16):
+            bench.board.run_until(4e6 + step * 125_000 + 60_000)
+            seen |= bench.board.pin(bench.board.type.led).level << step
+        assert seen == pattern
