@@ -15,6 +15,7 @@ enum CommandId : uint16_t {
   kCommandGimbalAngles = 1000,   // pitch up, yaw right in degrees. Holds the gimbal there
   kCommandScan = 31010,          // USER_1. 0: automatic, 1: scan, 2: stop, centred
   kCommandSonarAddress = 31011,  // USER_2. new 7-bit address
+  kCommandSelfTest = 31012,      // USER_3. results come as STATUSTEXT
 };
 
 struct Command {

@@ -49,13 +49,9 @@ void Connection::send_one_more(Microseconds now, const Parameters& parameters,
     return;
   }
   if (!notices_.empty() && send_notice(telemetry)) return;
-  if (told_ != kNone && send_parameter(telemetry, parameters, told_)) {
-    told_ = kNone;
-    return;
-  }
   if (version_wanted_ && send_version(telemetry, git_hash)) return;
   if (send_changed_value(now, telemetry)) return;
-  send_next_listed(telemetry, parameters);
+  send_next_asked(telemetry, parameters);
 }
 
 bool Connection::send_heartbeat(const Telemetry& telemetry) {
@@ -94,11 +90,21 @@ bool Connection::send_parameter(const Telemetry& telemetry, const Parameters& pa
                     message);
 }
 
-bool Connection::send_next_listed(const Telemetry& telemetry, const Parameters& parameters) {
-  if (listed_ == kNone || !send_parameter(telemetry, parameters, listed_)) return false;
-  ++listed_;
-  if (listed_ == kParameterCount) listed_ = kNone;
-  return true;
+void Connection::list_parameters() {
+  for (bool& asked : asked_) asked = true;
+}
+
+// Goes round from where it was, so that no storm of requests can keep a parameter from its turn.
+bool Connection::send_next_asked(const Telemetry& telemetry, const Parameters& parameters) {
+  for (uint8_t looked = 0; looked < kParameterCount; ++looked) {
+    const uint8_t index = next_asked_;
+    if (asked_[index] && !send_parameter(telemetry, parameters, index)) return false;
+    next_asked_ = index + 1 < kParameterCount ? static_cast<uint8_t>(index + 1) : 0;
+    if (!asked_[index]) continue;
+    asked_[index] = false;
+    return true;
+  }
+  return false;
 }
 
 bool Connection::send_version(const Telemetry& telemetry, const char* git_hash) {

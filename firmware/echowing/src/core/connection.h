@@ -42,15 +42,14 @@ class Connection {
   void acknowledge(Identity identity, const mavlink_message_t& asked, uint16_t command,
                    uint8_t result);
 
-  void list_parameters() { listed_ = 0; }
-  void tell_parameter(uint8_t index) { told_ = index; }
+  void list_parameters();
+  void tell_parameter(uint8_t index) { asked_[index] = true; }
 
   // REQUEST_MESSAGE and SET_MESSAGE_INTERVAL; a MAV_RESULT.
   uint8_t request_message(uint32_t id);
   uint8_t set_interval(uint32_t id, float interval_us);
 
  private:
-  static constexpr uint8_t kNone = 255;
   static constexpr uint8_t kNamedValues = 3;
 
   void send_report(Microseconds now, const Parameters& parameters, const Telemetry& telemetry);
@@ -59,7 +58,7 @@ class Connection {
   bool send_heartbeat(const Telemetry& telemetry);
   bool send_notice(const Telemetry& telemetry);
   bool send_parameter(const Telemetry& telemetry, const Parameters& parameters, uint8_t index);
-  bool send_next_listed(const Telemetry& telemetry, const Parameters& parameters);
+  bool send_next_asked(const Telemetry& telemetry, const Parameters& parameters);
   bool send_version(const Telemetry& telemetry, const char* git_hash);
   bool send_changed_value(Microseconds now, const Telemetry& telemetry);
   bool send_value(const Telemetry& telemetry, const char* name, float value);
@@ -77,8 +76,8 @@ class Connection {
   bool reports_off_ = false;
   bool values_off_ = false;
   bool version_wanted_ = false;
-  uint8_t listed_ = kNone;  // next of a list under way
-  uint8_t told_ = kNone;    // a single parameter to tell
+  bool asked_[kParameterCount] = {};  // parameters to be told
+  uint8_t next_asked_ = 0;
 };
 
 }  // namespace echowing

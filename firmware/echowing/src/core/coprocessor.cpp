@@ -51,12 +51,19 @@ Coprocessor::Coprocessor(const Ports& ports, uint32_t seed, Microseconds now)
   if (loaded == ParameterStore::Loaded::kCorrupt) notify(Notice::kParametersCorrupt);
 }
 
+bool Coprocessor::set_parameter(uint8_t index, float value) {
+  const bool taken = parameters_.set(index, value);
+  update_pointing();
+  return taken;
+}
+
 void Coprocessor::step(Microseconds now) {
   uptime_.advance(now);
-  receive(now, autopilot_connection_, true);
-  receive(now, usb_connection_, false);
+  receive(now, autopilot_connection_, kAutopilotPort);
+  receive(now, usb_connection_, kUsbPort);
   autopilot_.step(now);
   range(now);
+  examine(now);
   point(now);
   tell(now);
   const bool may_store = !autopilot_.armed();
@@ -67,10 +74,13 @@ void Coprocessor::step(Microseconds now) {
   }
 }
 
-void Coprocessor::receive(Microseconds now, Connection& connection, bool from_autopilot) {
+void Coprocessor::receive(Microseconds now, Connection& connection, Port port) {
   connection.receive();
   while (const mavlink_message_t* message = connection.next_message()) {
-    if (from_autopilot) autopilot_.on_message(now, *message);
+    const Identity we = identity();
+    const bool our_own = message->sysid == we.system && message->compid == we.component;
+    if (our_own) self_test_.on_own_message(port);
+    if (port == kAutopilotPort) autopilot_.on_message(now, *message);
     handle(now, connection, *message);
   }
 }
@@ -121,6 +131,7 @@ void Coprocessor::on_parameter_set(Microseconds now, Connection& connection,
   const uint8_t row = static_cast<uint8_t>(index);
   const bool changes = parameters_.at(row) != asked.param_value;
   if (parameters_.set(row, asked.param_value) && changes) store_.touch(now);
+  update_pointing();
   // The value in force, which is the old one if the new one was refused.
   connection.tell_parameter(row);
 }
@@ -158,7 +169,8 @@ uint8_t Coprocessor::execute_on_bench(Microseconds now, const Command& command) 
     case kCommandScan:
     case kCommandReboot:
     case kCommandStorage:
-    case kCommandSonarAddress: break;
+    case kCommandSonarAddress:
+    case kCommandSelfTest: break;
     default: return MAV_RESULT_UNSUPPORTED;
   }
   // In flight the gimbal belongs to the leader.
@@ -169,7 +181,8 @@ uint8_t Coprocessor::execute_on_bench(Microseconds now, const Command& command) 
     case kCommandScan: return scan_override(value[0]);
     case kCommandReboot: return reboot(now, value[0]);
     case kCommandStorage: return restore_defaults(now, value[0]);
-    default: return change_sonar_address(value[0]);
+    case kCommandSonarAddress: return change_sonar_address(value[0]);
+    default: return start_self_test(now);
   }
 }
 
@@ -221,6 +234,7 @@ uint8_t Coprocessor::reboot(Microseconds now, float choice) {
 uint8_t Coprocessor::restore_defaults(Microseconds now, float choice) {
   if (choice != 2.0f) return MAV_RESULT_DENIED;
   parameters_.reset();
+  update_pointing();
   store_.touch(now);
   notify(Notice::kParametersReset);
   return MAV_RESULT_ACCEPTED;
@@ -231,6 +245,31 @@ uint8_t Coprocessor::change_sonar_address(float address) {
   if (wanted < 0 || wanted > 127) return MAV_RESULT_DENIED;
   asked_address_ = static_cast<uint8_t>(wanted);
   return sonar_.change_address(asked_address_) ? MAV_RESULT_ACCEPTED : MAV_RESULT_DENIED;
+}
+
+uint8_t Coprocessor::start_self_test(Microseconds now) {
+  if (self_test_.running()) return MAV_RESULT_TEMPORARILY_REJECTED;
+  self_test_.start(now);
+  return MAV_RESULT_ACCEPTED;
+}
+
+void Coprocessor::examine(Microseconds now) {
+  if (autopilot_.armed()) self_test_.abort();
+  if (new_reading_) self_test_.on_reading();
+  // The memory is asked at the end, and a byte that still burns would make that wait.
+  if (ports_.memory.busy()) return;
+  if (self_test_.step(now)) tell_test_results();
+}
+
+void Coprocessor::tell_test_results() {
+  const bool memory = store_.sound(ports_.memory);
+  const bool link = self_test_.looped(kAutopilotPort);
+  const bool usb = self_test_.looped(kUsbPort);
+  notify(self_test_.sonar_heard() ? Notice::kTestSonarGood : Notice::kTestSonarBad);
+  notify(memory ? Notice::kTestMemoryGood : Notice::kTestMemoryBad);
+  notify(link ? Notice::kTestLinkLooped : Notice::kTestLinkOpen);
+  notify(usb ? Notice::kTestUsbLooped : Notice::kTestUsbOpen);
+  notify(Notice::kTestEnded);
 }
 
 void Coprocessor::range(Microseconds now) {
@@ -254,16 +293,20 @@ void Coprocessor::adopt_new_address(Microseconds now) {
 void Coprocessor::point(Microseconds now) {
   // Taking off ends what the bench had ordered.
   if (autopilot_.armed()) override_ = Override::kNone;
+  if (self_test_.running()) tracker_.hold_at(self_test_.aim(parameters_));
   tracker_.step(now, gimbal_mode());
   if (new_reading_) tracker_.on_reading(sonar_.reading());
   const Aim aim = tracker_.aim();
   ports_.servos.write(aim);
   if (aim.pan_us == pointed_.pan_us && aim.tilt_us == pointed_.tilt_us) return;
   pointed_ = aim;
-  pointing_ = pointing(parameters_, aim);
+  update_pointing();
 }
 
+void Coprocessor::update_pointing() { pointing_ = pointing(parameters_, pointed_); }
+
 GimbalMode Coprocessor::gimbal_mode() const {
+  if (self_test_.running()) return GimbalMode::kHold;
   switch (override_) {
     case Override::kScan: return GimbalMode::kScan;
     case Override::kCentre: return GimbalMode::kCentre;

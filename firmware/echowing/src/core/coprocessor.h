@@ -11,6 +11,7 @@
 #include "parameters.h"
 #include "ports.h"
 #include "report.h"
+#include "self_test.h"
 #include "sonar_driver.h"
 #include "timing.h"
 #include "tracker.h"
@@ -48,12 +49,13 @@ class Coprocessor {
   DeviceState state() const;
   const Parameters& parameters() const { return parameters_; }
   // As if the set had come by PARAM_SET, but not stored. False: no such index, or out of range.
-  bool set_parameter(uint8_t index, float value) { return parameters_.set(index, value); }
+  bool set_parameter(uint8_t index, float value);
 
  private:
   enum class Override : uint8_t { kNone, kScan, kCentre, kHold };
+  enum Port : uint8_t { kAutopilotPort, kUsbPort };
 
-  void receive(Microseconds now, Connection& connection, bool from_autopilot);
+  void receive(Microseconds now, Connection& connection, Port port);
   void handle(Microseconds now, Connection& connection, const mavlink_message_t& message);
   void on_parameter_read(Connection& connection, const mavlink_message_t& message);
   void on_parameter_list(Connection& connection, const mavlink_message_t& message);
@@ -69,10 +71,14 @@ class Coprocessor {
   uint8_t reboot(Microseconds now, float choice);
   uint8_t restore_defaults(Microseconds now, float choice);
   uint8_t change_sonar_address(float address);
+  uint8_t start_self_test(Microseconds now);
 
   void range(Microseconds now);
   void adopt_new_address(Microseconds now);
   void point(Microseconds now);
+  void update_pointing();
+  void examine(Microseconds now);
+  void tell_test_results();
   void tell(Microseconds now);
   void notify(Notice notice);
   GimbalMode gimbal_mode() const;
@@ -88,9 +94,10 @@ class Coprocessor {
   Tracker tracker_;
   Connection autopilot_connection_;
   Connection usb_connection_;
+  SelfTest self_test_;
   Override override_ = Override::kNone;
   Aim pointed_;
-  Pointing pointing_;
+  Pointing pointing_;  // of pointed_: its sines are dear on AVR, and change with the aim only
   Timeout freshness_;
   uint32_t reading_ms_ = 0;
   bool new_reading_ = false;

@@ -13,6 +13,16 @@ enum class Notice : uint8_t {
   kParametersCorrupt,
   kParametersStored,
   kParametersReset,
+  kTestSonarGood,
+  kTestSonarBad,
+  kTestMemoryGood,
+  kTestMemoryBad,
+  kTestLinkLooped,
+  kTestLinkOpen,
+  kTestUsbLooped,
+  kTestUsbOpen,
+  kTestEnded,
+  kCount,
 };
 
 // STATUSTEXT.text holds 50 characters, without a null when all are used.

@@ -63,6 +63,10 @@ void ParameterStore::touch(Microseconds now) {
   calm_.start(now, kCalm);
 }
 
+bool ParameterStore::sound(SlotMemory& memory) const {
+  return intact(memory, slot_) || (blank(memory, 0) && blank(memory, 1));
+}
+
 bool ParameterStore::step(Microseconds now, bool allowed, SlotMemory& memory,
                           const Parameters& parameters) {
   const bool calm = !calm_.running(now);

@@ -20,6 +20,8 @@ class ParameterStore {
 
   // Reads the newer good slot into `parameters`; leaves defaults when there is none.
   Loaded load(SlotMemory& memory, Parameters& parameters);
+  // Whether what is stored can be read back, or nothing has been stored yet. Not while busy.
+  bool sound(SlotMemory& memory) const;
   // Tells that a parameter has changed: it is stored 2 s after the last change.
   void touch(Microseconds now);
   // One loop turn: at most one byte or one flush, and only while `allowed`. True when a set has

@@ -11,9 +11,12 @@ namespace {
 constexpr float kRadiansPerDegree = 0.017453293f;
 constexpr uint8_t kCovarianceUnknown = 255;
 
-// A reading this much before its slot takes it; one that late is not waited for.
-constexpr Microseconds kEarly = milliseconds(5);
+// A reading this near to its beat, before or after, takes it with it.
 constexpr Microseconds kGrace = milliseconds(2);
+// One that is farther off moves the beat its way a little; one as far as this from a beat belongs
+// to none, as readings are usually twice this apart.
+constexpr Microseconds kLean = 1500;
+constexpr Microseconds kCapture = milliseconds(25);
 
 float angle_rad(uint16_t pulse_us, uint16_t centre_us, float us_per_deg) {
   if (us_per_deg == 0.0f) return 0.0f;
@@ -65,11 +68,23 @@ bool ReportClock::due(Microseconds now, bool new_reading, Microseconds period) {
     started_ = true;
     next_ = now;
   }
-  const bool with_reading = new_reading && reached(now + kEarly, next_);
-  if (!with_reading && !reached(now, next_ + kGrace)) return false;
-  next_ = with_reading ? now + period : next_ + period;
+  const bool on_the_beat = new_reading && reached(now + kGrace, next_);
+  if (!on_the_beat && !reached(now, next_ + kGrace)) {
+    if (new_reading) lean(now, period);
+    return false;
+  }
+  next_ = on_the_beat ? now + period : next_ + period;
   if (reached(now, next_)) next_ = now + period;  // no catching up after a gap
   return true;
+}
+
+void ReportClock::lean(Microseconds now, Microseconds period) {
+  const Microseconds before_beat = next_ - now;
+  if (before_beat < kCapture) {
+    next_ -= kLean;
+  } else if (before_beat + kCapture > period) {
+    next_ += kLean;
+  }
 }
 
 }  // namespace echowing

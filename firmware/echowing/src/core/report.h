@@ -31,13 +31,16 @@ mavlink_distance_sensor_t distance_report(const Parameters& parameters, const Tr
 // The newest single reading in metres, as SNR_RAW carries it.
 float raw_range_m(uint16_t range_cm);
 
-// When to report: with each reading where readings come at the rate wanted, else by the clock.
+// When to report: a steady beat that locks on to the readings where they come regularly, so that
+// a report leaves in the turn of its reading.
 class ReportClock {
  public:
   // True when a report is due; call once a turn.
   bool due(Microseconds now, bool new_reading, Microseconds period);
 
  private:
+  void lean(Microseconds now, Microseconds period);
+
   Microseconds next_ = 0;
   bool started_ = false;
 };
