@@ -1,4 +1,4 @@
-"""Compile the sketch for one board: build.py BOARD [--sketch DIR] [--output DIR].
+"""Compile the sketch for one board: build.py BOARD [--sketch DIR] [--output DIR] [--home DIR].
 
 The AVR board is compiled with Debian's core, offline; the others through the profiles of
 sketch.yaml, for which arduino-cli fetches the pinned core (internet, once). The ELF and what is
@@ -6,9 +6,11 @@ flashed land in the output folder, by default build/firmware/BOARD.
 """
 
 import argparse
+import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from echowing import firmware
@@ -41,8 +43,8 @@ def git_hash() -> str:
     return asked.stdout.strip()
 
 
-def command(board: str, sketch: Path, output: Path) -> list[str]:
-    """The arduino-cli call for a board."""
+def command(board: str, sketch: Path, output: Path, home: Path) -> list[str]:
+    """The arduino-cli call for a board; `home` is where it keeps its cores."""
     flags = f"'-DECHOWING_GIT_HASH=\"{git_hash()}\"'"
     target = ["--profile", firmware.board(board).profile]
     if board in OFFLINE_FQBN:
@@ -50,7 +52,7 @@ def command(board: str, sketch: Path, output: Path) -> list[str]:
         flags = f"{OFFLINE_FLAGS} {flags}"
     return [
         str(ARDUINO_CLI),
-        *("--config-file", str(ARDUINO_HOME / "arduino-cli.yaml")),
+        *("--config-file", str(home / "arduino-cli.yaml")),
         "compile",
         *target,
         *("--warnings", "all"),
@@ -60,17 +62,27 @@ def command(board: str, sketch: Path, output: Path) -> list[str]:
     ]
 
 
-def compile_sketch(board: str, sketch: Path, output: Path) -> None:
-    """Compile; warnings go to stderr, a failure raises with the compiler's words."""
+def compile_sketch(board: str, sketch: Path, output: Path, home: Path = ARDUINO_HOME) -> None:
+    """Compile; warnings of the sketch go to stderr, a failure raises with the compiler's words."""
     output.mkdir(parents=True, exist_ok=True)
     done = subprocess.run(
-        command(board, sketch, output), capture_output=True, text=True, check=False
+        command(board, sketch, output, home), capture_output=True, text=True, check=False
     )
-    said = "\n".join(line for line in done.stderr.splitlines() if HARMLESS not in line)
+    said = [line for line in done.stderr.splitlines() if HARMLESS not in line]
     if done.returncode != 0:
-        raise EchowingError(f"{done.stdout}{said}\n{_advice(board)}")
-    if said:
-        print(said, file=sys.stderr)
+        raise EchowingError("\n".join([done.stdout, *said, _advice(board)]))
+    for line in own_warnings(said, sketch):
+        print(line, file=sys.stderr)
+
+
+def own_warnings(said: Iterable[str], sketch: Path) -> Iterator[str]:
+    """What the compiler says of the sketch's files, without what it says of the Arduino core's."""
+    own = False
+    for line in said:
+        if re.match(r"(In file included from )?/", line):
+            own = str(sketch) in line
+        if own:
+            yield line
 
 
 def _advice(board: str) -> str:
@@ -98,12 +110,13 @@ def main() -> int:
     parser.add_argument("board")
     parser.add_argument("--sketch", type=Path, default=SKETCH)
     parser.add_argument("--output", type=Path)
+    parser.add_argument("--home", type=Path, default=ARDUINO_HOME)
     arguments = parser.parse_args()
     try:
         firmware.board(arguments.board)
         output = arguments.output or firmware.elf_path(arguments.board).parent
         sketch = arguments.sketch.resolve()
-        compile_sketch(arguments.board, sketch, output)
+        compile_sketch(arguments.board, sketch, output, arguments.home)
         collect(sketch, output)
     except EchowingError as error:
         print(f"error: {error}", file=sys.stderr)

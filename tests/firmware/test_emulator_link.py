@@ -264,7 +264,7 @@ class TestGarbage:
         assert len(reports) == pytest.approx(20 * seconds, abs=2)
         assert {m.message.current_distance for m in reports} == {200}
         assert bench.board.meters().restarts == 0
-        # And it still listens, once what the noise announced as a frame (280 bytes at most) is over.
+        # It still listens, once what the noise announced as a frame (280 bytes at most) is over.
         bench.board.feed(AUTOPILOT_PORT, bytes(280))
         bench.run(0.1)
         assert bench.command(512, 148, port=AUTOPILOT_PORT).result == ACCEPTED
