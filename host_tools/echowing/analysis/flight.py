@@ -33,6 +33,10 @@ class Flight:
     law: str = ""
     seed: int | None = None
     source: str = "truth"  # "truth" (simulator) or "logs"
+    sonar_known: bool = True  # False: no sonar was logged, which is not "it saw nothing"
+    start_unix_s: float | None = None  # UTC of time_s = 0, where known
+    # One line for each thing that could not be read or had to be guessed.
+    warnings: tuple[str, ...] = ()
 
     @property
     def separation_m(self) -> Floats:

@@ -1,0 +1,211 @@
+"""How well a follower kept its place: one definition for simulated flights and for real logs.
+
+The *separation error* is separation minus wanted separation (thesis 4.3, Fig. 41: positive is too
+far). The *position error* is the horizontal vector from the slot to the follower, split in the
+leader's course frame into forward and right as in Gray's table (thesis Table 10). RMSD and DRMS
+are sqrt(mean(e^2)) and sigma is the population standard deviation, so that
+RMSD^2 = sigma^2 + mean^2 holds to the last digit; the thesis's own figures do not all obey that.
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, fields
+
+import numpy as np
+
+from echowing.analysis.flight import Flight, Floats
+from echowing.errors import EchowingError
+
+# A reading this near to the distance between the two positions is a sight of the leader. Generous:
+# in real logs two receivers drift apart by metres (0.8 m an axis each in the simulator).
+SIGHT_TOLERANCE_M = 2.0
+# A search of the figure 8 takes about 6 s (thesis 3.4.3: 12 points, 0.5 s each): after three
+# of them in vain the leader is gone.
+DEAD_LOCK_WINDOW_S = 20.0
+
+
+@dataclass(frozen=True)
+class Metrics:
+    """One flight in numbers; metres unless named otherwise. NaN: the flight does not tell.
+
+    mean_abs_error_m: mean of |separation - wanted|, the thesis's "average position error".
+    slot_error_m: mean horizontal distance follower to slot, Table 10's position error mean.
+    forward_*, right_*: position error in the leader's course frame, right positive.
+    seen_share: share of the samples with a sonar reading, 0 to 1.
+    samples, left_out: how many moments the figures are made from, and how many had no positions.
+    """
+
+    mean_separation_m: float
+    mean_abs_error_m: float
+    rmsd_m: float
+    std_m: float
+    min_separation_m: float
+    max_separation_m: float
+    slot_error_m: float
+    forward_mean_m: float
+    forward_sigma_m: float
+    forward_drms_m: float
+    right_mean_m: float
+    right_sigma_m: float
+    right_drms_m: float
+    position_sigma_m: float
+    position_drms_m: float
+    seen_share: float
+    samples: int
+    left_out: int
+
+    def to_json(self) -> dict[str, float | int | None]:
+        """The same as plain values, to a tenth of a millimetre; None where unknown."""
+        return {name: _plain(value) for name, value in asdict(self).items()}
+
+
+@dataclass(frozen=True)
+class Spread:
+    """One figure over several flights: mean, standard deviation, extremes, how many had it."""
+
+    mean: float
+    std: float
+    lowest: float
+    highest: float
+    count: int
+
+
+def measure(flight: Flight, settle_s: float = 0.0) -> Metrics:
+    """The figures of one flight, its first `settle_s` seconds left out.
+
+    Raises EchowingError when nothing is left to measure.
+    """
+    settled = _settled(flight, settle_s)
+    separation_m = flight.separation_m
+    known = settled & np.isfinite(separation_m)
+    if not known.any():
+        raise EchowingError(_nothing_left(flight, settle_s))
+    separation_m = separation_m[known]
+    error_m = separation_m - flight.wanted_separation_m
+    placed_m = position_error_m(flight)[known]
+    placed_m = placed_m[np.isfinite(placed_m).all(axis=1)]
+    forward, right = _statistics(placed_m[:, 0]), _statistics(placed_m[:, 1])
+    position = _statistics(np.hypot(placed_m[:, 0], placed_m[:, 1]))
+    return Metrics(
+        mean_separation_m=float(separation_m.mean()),
+        mean_abs_error_m=float(np.abs(error_m).mean()),
+        rmsd_m=_root_mean_square(error_m),
+        std_m=float(separation_m.std()),
+        min_separation_m=float(separation_m.min()),
+        max_separation_m=float(separation_m.max()),
+        slot_error_m=position[0],
+        forward_mean_m=forward[0],
+        forward_sigma_m=forward[1],
+        forward_drms_m=forward[2],
+        right_mean_m=right[0],
+        right_sigma_m=right[1],
+        right_drms_m=right[2],
+        position_sigma_m=position[1],
+        position_drms_m=position[2],
+        seen_share=_seen_share(flight, known),
+        samples=int(known.sum()),
+        left_out=int(settled.sum() - known.sum()),
+    )
+
+
+def position_error_m(flight: Flight) -> Floats:
+    """From the slot to the follower in the leader's course frame, (n, 2): forward, right.
+
+    The course is the one the slot was built on: the slot lies behind it, turned by the wanted
+    angle (guidance.slot_offset_m). NaN where the slot is unknown or on the leader itself.
+    """
+    arm_m = (flight.slot_ned_m - flight.leader_ned_m)[:, :2]
+    bearing_rad = np.arctan2(arm_m[:, 1], arm_m[:, 0])
+    course_rad = bearing_rad - math.pi + flight.wanted_angle_rad
+    course_rad = np.where((arm_m == 0.0).all(axis=1), math.nan, course_rad)
+    error_m = (flight.follower_ned_m - flight.slot_ned_m)[:, :2]
+    cos, sin = np.cos(course_rad), np.sin(course_rad)
+    forward_m = error_m[:, 0] * cos + error_m[:, 1] * sin
+    right_m = error_m[:, 1] * cos - error_m[:, 0] * sin
+    return np.column_stack([forward_m, right_m])
+
+
+def aggregate(runs: Iterable[Metrics]) -> dict[str, Spread]:
+    """Each figure over several flights, by field name. The deviation is that of a sample (n - 1)."""
+    collected = list(runs)
+    if not collected:
+        raise EchowingError("no flights to summarise: fly or read at least one")
+    return {
+        item.name: _spread([float(getattr(run, item.name)) for run in collected])
+        for item in fields(Metrics)
+    }
+
+
+def dead_locked(flight: Flight, window_s: float = DEAD_LOCK_WINDOW_S) -> bool:
+    """Whether the speed law has lost its leader for good while its own speed is held low.
+
+    Appendix A's law changes the speed only on a reading. Lose the leader just after "too close,
+    slow down" and the follower is left slower than its leader: it never comes back into sonar
+    range, so the law never speeds it up again. True when, from the last sight of the leader to
+    the end of the flight,
+
+    - at least `window_s` pass (a sight: a reading within 2 m of the separation);
+    - the speed command stays under the leader's median speed;
+    - the separation has grown: in the last `window_s` its mean is above that at the last sight.
+    """
+    if len(flight.time_s) == 0:
+        return False
+    separation_m = flight.separation_m
+    sights = np.flatnonzero(np.abs(flight.sonar_m - separation_m) <= SIGHT_TOLERANCE_M)
+    last = int(sights[-1]) if len(sights) else 0
+    end_s = float(flight.time_s[-1])
+    if end_s - float(flight.time_s[last]) < window_s:
+        return False
+    command_mps = flight.speed_command_mps[last + 1 :]
+    leader_mps = np.hypot(*flight.leader_velocity_mps[last + 1 :, :2].T)
+    if not (np.isfinite(command_mps).any() and np.isfinite(leader_mps).any()):
+        return False
+    held_low = np.nanmax(command_mps) < np.nanmedian(leader_mps)
+    late_m = separation_m[flight.time_s >= end_s - window_s]
+    grown = np.isfinite(late_m).any() and np.nanmean(late_m) > separation_m[last]
+    return bool(held_low and grown)
+
+
+def _settled(flight: Flight, settle_s: float) -> "np.ndarray[tuple[int], np.dtype[np.bool_]]":
+    if len(flight.time_s) == 0:
+        raise EchowingError(f"flight {flight.name!r} is empty: no samples to measure")
+    return np.asarray(flight.time_s >= flight.time_s[0] + settle_s)
+
+
+def _nothing_left(flight: Flight, settle_s: float) -> str:
+    length_s = float(flight.time_s[-1] - flight.time_s[0])
+    return (
+        f"flight {flight.name!r}: no sample with both positions after the first {settle_s:g} s "
+        f"of {length_s:.1f} s; fly longer, skip less, or give logs that overlap"
+    )
+
+
+def _seen_share(flight: Flight, known: "np.ndarray[tuple[int], np.dtype[np.bool_]]") -> float:
+    if not flight.sonar_known:
+        return math.nan
+    return float(np.isfinite(flight.sonar_m[known]).mean())
+
+
+def _root_mean_square(values: Floats) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def _statistics(values: Floats) -> tuple[float, float, float]:
+    """Mean, sigma and DRMS; NaN of nothing."""
+    if len(values) == 0:
+        return math.nan, math.nan, math.nan
+    return float(values.mean()), float(values.std()), _root_mean_square(values)
+
+
+def _spread(values: Sequence[float]) -> Spread:
+    known = np.array([value for value in values if math.isfinite(value)])
+    if len(known) == 0:
+        return Spread(math.nan, math.nan, math.nan, math.nan, 0)
+    std = float(known.std(ddof=1)) if len(known) > 1 else 0.0
+    return Spread(float(known.mean()), std, float(known.min()), float(known.max()), len(known))
+
+
+def _plain(value: float) -> float | int | None:
+    if isinstance(value, int):
+        return value
+    return round(value, 4) if math.isfinite(value) else None
