@@ -32,8 +32,10 @@ local TRACK_GAP_MS = 700 -- after a gap this long the tracker starts again
 local CLEAR_M = 0.3 -- too close ends this far beyond where it began
 local CLOSING_MPS = 0.15 -- slower is noise of the tracker (1 cm steps at 10 Hz)
 local EVADE_LEAST_M, EVADE_MOST_M = 0.5, 5.0 -- how far back a target away from the leader lies
-local NOTICE_GAP_MS = 3000 -- the same state is not announced again sooner
+local STREAM_LENGTH = 3 -- so many points without a gap are a stream; one alone may be a pilot's click on the map
 local NAMED_MS = 500 -- pace of the named floats
+local ARMING_MS = 1000 -- pace of the arming check
+local PARAMETERS_A_TURN = 3 -- read at each update: all of them within half a second in control, two seconds otherwise
 local CONFLICT_CHANGES, CONFLICT_MS = 4, 10000 -- so many outside changes of the speed in this time: another script
 
 local OFF, SEARCHING, TRACKING, TOO_CLOSE, NO_SONAR, STREAM_LOST = 0, 1, 2, 3, 4, 5
@@ -41,13 +43,16 @@ local STATE_TEXT = {
     [SEARCHING] = 'searching', [TRACKING] = 'tracking', [TOO_CLOSE] = 'too close', [NO_SONAR] = 'no sonar data',
     [STREAM_LOST] = 'stream lost, holding here',
 }
+local NOTICE_GAP_MS = { -- the same state is not announced again sooner, however often it comes and goes
+    [SEARCHING] = 10000, [TRACKING] = 10000, [TOO_CLOSE] = 3000, [NO_SONAR] = 10000, [STREAM_LOST] = 3000,
+}
 local STATE_SEVERITY = {
     [SEARCHING] = SEVERITY.NOTICE, [TRACKING] = SEVERITY.INFO, [TOO_CLOSE] = SEVERITY.WARNING,
     [NO_SONAR] = SEVERITY.WARNING, [STREAM_LOST] = SEVERITY.CRITICAL,
 }
 
 local SET_POSITION_TARGET_GLOBAL_INT, NAMED_VALUE_FLOAT = 86, 251
-local RAW_NAME = 'SNR_RAW'
+local RAW_NAME = 'SNR_RAW\0\0\0' -- ten characters on the wire
 
 local TABLE_KEY = 95 -- used by no script in ArduPilot's tree
 local PREFIX = 'ECHO_'
@@ -376,6 +381,15 @@ end
 
 for i = 1, #PARAMETERS do read_parameter(i) end
 derive()
+local next_parameter = 1
+
+local function read_some_parameters()
+    for _ = 1, PARAMETERS_A_TURN do
+        read_parameter(next_parameter)
+        next_parameter = next_parameter % (#PARAMETERS - 1) + 1 -- all but the mirror
+        if next_parameter == 1 then derive() end
+    end
+end
 
 -- Time: milliseconds since the script started, a plain integer (wraps after 24 days).
 local boot = millis()
@@ -385,8 +399,9 @@ end
 
 -- State. Times are in ms; nil is "never".
 local S = {
-    in_control = false, state = OFF, announced = OFF, speed_mps = 0.0, law_mps = 0.0, out_mps = 0.0, read_next = 1,
+    in_control = false, state = OFF, announced = OFF, speed_mps = 0.0, law_mps = 0.0, out_mps = 0.0,
     announced_ms = {}, changes = {}, conflict = false, own_mps = 0.0,
+    streaming = 0,
 }
 
 local function clamp(value, low, high)
@@ -475,7 +490,7 @@ local WIDE_STRUCTURE = 299 -- bytes of mavlink_message_t where system ids have 3
 
 local function take_raw(message, payload, t_ms)
     local value, name = string.unpack('<fc10', message, payload + 4)
-    if name:gsub('%z', '') ~= RAW_NAME or not is_number(value) or value <= 0.0 then return end
+    if name ~= RAW_NAME or not is_number(value) or value <= 0.0 then return end
     S.raw_m, S.raw_ms = value, t_ms
     if value < C.DETECT then track_update(value, S.own_mps, t_ms) end
 end
@@ -484,6 +499,10 @@ local function take_target(message, payload, t_ms)
     local lat, lng, _, vn, ve = string.unpack('<i4i4fff', message, payload + 4)
     local mask, system = string.unpack('<I2B', message, payload + 48)
     if system ~= 0 and system ~= MY_SYSTEM then return end
+    if S.streaming < STREAM_LENGTH then
+        local gap = not S.stream_ms or t_ms - S.stream_ms > TARGET_FRESH_MS
+        S.streaming = gap and 1 or S.streaming + 1
+    end
     S.stream_ms = t_ms
     S.target_lat, S.target_lng = nil, nil
     if mask & 0x0003 == 0 then S.target_lat, S.target_lng = lat, lng end
@@ -549,11 +568,11 @@ local function set_state(state)
     S.state = state
 end
 
--- One text a change of state; a state that flaps is told again no sooner than NOTICE_GAP_MS.
+-- One text a change of state.
 local function announce(t_ms)
     if S.state == S.announced then return end
     local last_ms = S.announced_ms[S.state]
-    if last_ms and t_ms - last_ms < NOTICE_GAP_MS then return end
+    if last_ms and t_ms - last_ms < NOTICE_GAP_MS[S.state] then return end
     S.announced, S.announced_ms[S.state] = S.state, t_ms
     local text = STATE_TEXT[S.state]
     if S.state == SEARCHING or S.state == NO_SONAR then text = string.format('%s, %.1f m/s', text, S.out_mps) end
@@ -574,13 +593,13 @@ local function take_control(t_ms)
     mirror_parameter:set(S.pilot_units) -- before the speed is touched: a restart must find it
     S.in_control, S.since_ms, S.step_ms, S.update_ms = true, t_ms, t_ms, t_ms
     S.stream_ms, S.seen_ms, S.data_ms, S.holding, S.evading = nil, t_ms, t_ms, false, false
-    S.announced, S.announced_ms, S.changes = OFF, {}, {}
+    S.announced_ms, S.changes, S.streaming = {}, {}, 0
     S.speed_mps = clamp(C.SPD_INIT, C.SPD_MIN, C.SPD_MAX)
     S.law_mps = S.speed_mps
     track.range_m = nil
     set_state(TRACKING)
-    S.announced = TRACKING -- said when the first range comes
-    say(SEVERITY.INFO, string.format('in control, law %d, %.1f m/s', C.LAW, S.speed_mps))
+    S.announced = TRACKING -- a target is assumed until it is missed
+    say(SEVERITY.INFO, string.format('in control, law %.0f, %.1f m/s', C.LAW // 1, S.speed_mps))
 end
 
 local function hand_back(reason)
@@ -593,16 +612,29 @@ local function hand_back(reason)
     say(SEVERITY.NOTICE, string.format('handed back, %s %.2f (%s)', SPEED_NAME, S.pilot_units, reason))
 end
 
--- The pilot, or another script, has set the speed parameter: his value now.
+-- Outside changes of the speed parameter: one is the pilot's, many in a short time are another script's.
+local function note_change(t_ms)
+    S.changes[#S.changes + 1] = t_ms
+    if #S.changes > CONFLICT_CHANGES then table.remove(S.changes, 1) end
+end
+
+local function fought_over(t_ms)
+    return #S.changes == CONFLICT_CHANGES and t_ms - S.changes[1] < CONFLICT_MS
+end
+
+-- The pilot has set the speed parameter while the applet is in control: his value from now on.
 local function watch_parameter(t_ms)
     local units = speed_parameter:get()
     if not S.written or units == S.written then return end
     S.pilot_units = units
     mirror_parameter:set(units)
-    local oldest = S.changes[1]
-    S.changes[#S.changes + 1] = t_ms
-    if #S.changes > CONFLICT_CHANGES then table.remove(S.changes, 1) end
-    S.conflict = #S.changes == CONFLICT_CHANGES and oldest ~= nil and t_ms - S.changes[1] < CONFLICT_MS
+    note_change(t_ms)
+    S.conflict = fought_over(t_ms)
+end
+
+local function switch_is_high()
+    local channel = rc:find_channel_for_option(math.tointeger(C.SWITCH // 1))
+    return channel ~= nil and channel:get_aux_switch_pos() == SWITCH_HIGH
 end
 
 -- Why the applet must not act now, or nil.
@@ -614,10 +646,7 @@ local function reason_not_to_act()
     end
     if vehicle:get_mode() ~= GUIDED then return 'mode' end
     if S.conflict then return 'another script sets ' .. SPEED_NAME end
-    if C.SWITCH >= 300 then
-        local channel = rc:find_channel_for_option(math.tointeger(C.SWITCH))
-        if not channel or channel:get_aux_switch_pos() ~= SWITCH_HIGH then return 'switch' end
-    end
+    if C.SWITCH > 0 and not switch_is_high() then return 'switch' end
     return nil
 end
 
@@ -637,10 +666,10 @@ local function target_leads_away(here, t_ms)
     if not S.holding and S.stream_ms and t_ms - S.stream_ms < TARGET_FRESH_MS and S.target_lat then
         local yaw = yaw_rad(ahrs)
         if S.target_vn * math.cos(yaw) + S.target_ve * math.sin(yaw) > 0.0 then return false end
-        return ahead_m(here, S.target_lat, S.target_lng) < 0.0
+        return ahead_m(here, S.target_lat, S.target_lng) < -EVADE_LEAST_M
     end
     local target = vehicle:get_target_location()
-    return target ~= nil and ahead_m(here, target:lat(), target:lng()) < 0.0
+    return target ~= nil and ahead_m(here, target:lat(), target:lng()) < -EVADE_LEAST_M
 end
 
 -- A target straight back from the leader: as far as the wanted distance, and the leader's approach of one second more
@@ -676,6 +705,7 @@ local function gate(range_m, status, t_ms)
         return
     end
     S.step_ms = t_ms -- the next average begins when the target is back
+    set_state(TRACKING)
     if t_ms - S.data_ms >= C.NODATA_T * 1000.0 then
         S.law_mps = C.SPD_LOST
         set_state(NO_SONAR)
@@ -721,7 +751,7 @@ local function too_close(near_m, closing_mps, t_ms)
     S.too_close = true
     set_state(TOO_CLOSE)
     if C.LAW >= 1 then S.speed_mps, S.law_mps = C.SPD_MIN, C.SPD_MIN end
-    local here = ahrs:get_location()
+    local here = vehicle:get_likely_flying() and ahrs:get_location()
     if not here then
         S.evading = false
         return C.SPD_MIN
@@ -748,7 +778,7 @@ end
 
 -- Holds the vehicle where it is once a stream of guided points has fallen silent.
 local function watch_stream(t_ms)
-    local silent = C.STREAM_T > 0.0 and S.stream_ms and t_ms - S.stream_ms > C.STREAM_T * 1000.0
+    local silent = C.STREAM_T > 0.0 and S.streaming >= STREAM_LENGTH and t_ms - S.stream_ms > C.STREAM_T * 1000.0
     if not silent then
         S.holding = false
         return
@@ -759,8 +789,8 @@ local function watch_stream(t_ms)
         return
     end
     if S.holding then return end
-    local here = ahrs:get_location()
-    S.holding = here ~= nil and vehicle:set_target_location(here)
+    local here = vehicle:get_likely_flying() and ahrs:get_location()
+    S.holding = here and vehicle:set_target_location(here) or false
 end
 
 -- What pilots see ----------------------------------------------------------------------------------------------------
@@ -796,27 +826,22 @@ local function forward_type()
     return nil
 end
 
-local function reason_not_to_arm()
+local function reason_not_to_arm(t_ms)
     local kind = forward_type()
     if not kind or not rangefinder:has_orientation(FORWARD) then return 'no forward rangefinder' end
     if kind ~= MAVLINK_RANGEFINDER then return 'forward rangefinder is not MAVLink' end
-    if #S.changes >= CONFLICT_CHANGES then return 'another script sets ' .. SPEED_NAME end
+    if fought_over(t_ms) then return 'another script sets ' .. SPEED_NAME end
     return nil
-end
-
--- Changes of the speed parameter on the ground: so many in so short a time are no pilot's.
-local function watch_ground_changes(t_ms)
-    local units = speed_parameter:get()
-    if S.ground_units and units ~= S.ground_units then S.changes[#S.changes + 1] = t_ms end
-    S.ground_units = units
-    if #S.changes > 0 and t_ms - S.changes[1] > CONFLICT_MS then table.remove(S.changes, 1) end
-    if #S.changes > CONFLICT_CHANGES then table.remove(S.changes, 1) end
 end
 
 local function check_arming(t_ms)
     if not auth_id or arming:is_armed() then return end
-    watch_ground_changes(t_ms)
-    local reason = C.ENABLE >= 1 and C.ARM_CHK >= 1 and reason_not_to_arm() or nil
+    local units = speed_parameter:get()
+    if S.ground_units and units ~= S.ground_units then note_change(t_ms) end
+    S.ground_units = units
+    if S.arming_ms and t_ms - S.arming_ms < ARMING_MS then return end
+    S.arming_ms = t_ms
+    local reason = C.ENABLE >= 1 and C.ARM_CHK >= 1 and reason_not_to_arm(t_ms) or nil
     if reason then
         arming:set_aux_auth_failed(auth_id, TEXT .. reason)
     else
@@ -846,9 +871,7 @@ end
 
 local function update()
     local t_ms = now_ms()
-    read_parameter(S.read_next)
-    S.read_next = S.read_next % (#PARAMETERS - 1) + 1 -- all but the mirror
-    if S.read_next == 1 then derive() end
+    read_some_parameters()
     S.own_mps = forward_speed()
     take_messages(t_ms)
     local reason = reason_not_to_act()
@@ -883,4 +906,4 @@ if mirrored and mirrored > 0.0 then
 end
 
 say(SEVERITY.INFO, 'ready')
-return protected_update()
+return protected_update, IDLE_MS

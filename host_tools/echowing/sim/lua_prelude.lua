@@ -452,14 +452,30 @@ end
 function host.out_of_memory() return exhausted end
 
 -- The count hook: once over the limit every further instruction fails, so no pcall of the script can swallow it.
-function host.new_limit(limit)
+function host.new_limit()
     local over = false
     local function stop()
         over = true
         debug.sethook(stop, '', 1)
         error('Exceeded CPU time', 0)
     end
-    return function() over = false; debug.sethook(stop, '', limit) end, function() return over end
+    return function(limit) over = false; debug.sethook(stop, '', limit) end, function() return over end
+end
+
+-- A local function of the script by its name, reached through the functions that use it.
+function host.find(start, name)
+    local seen, queue = {}, { start }
+    while #queue > 0 do
+        local f = table.remove(queue)
+        seen[f] = true
+        local i, upvalue_name, upvalue = 1, debug.getupvalue(f, 1)
+        while upvalue_name do
+            if upvalue_name == name then return upvalue end
+            if TRUE_TYPE(upvalue) == 'function' and not seen[upvalue] then queue[#queue + 1] = upvalue end
+            i = i + 1
+            upvalue_name, upvalue = debug.getupvalue(f, i)
+        end
+    end
 end
 
 -- Counts the script's own instructions, one by one: slow, for measuring only.

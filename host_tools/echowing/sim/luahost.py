@@ -374,10 +374,10 @@ class LuaHost:
         self._function = self._load(script)
         chunk = "@" + self._name
         self._arm, self._tell = (
-            self._host.new_counter(chunk)
-            if count_instructions
-            else self._host.new_limit(max(instruction_limit, MINIMUM_INSTRUCTIONS))
+            self._host.new_counter(chunk) if count_instructions else self._host.new_limit()
         )
+        self._usual_limit = max(instruction_limit, MINIMUM_INSTRUCTIONS)
+        self._limit = self._usual_limit
         self._counting = count_instructions
 
     def step(self, t_ms: int) -> None:
@@ -386,6 +386,14 @@ class LuaHost:
             self._inbox.offer(received[0], received[1], t_ms)
         if self.running and t_ms >= self.next_run_ms:
             self._run(t_ms)
+
+    def kill_after(self, instructions: int) -> None:
+        """Let the next run exceed its limit after so few instructions: death in mid-update."""
+        self._limit = instructions
+
+    def local_value(self, name: str) -> Any:
+        """A local of the script by name (a pure function, a table), for tests; None: not found."""
+        return self._host.find(self._function, name)
 
     def heap_bytes(self) -> int:
         """Heap in use by the script after a full collection (64-bit pointers)."""
@@ -416,7 +424,8 @@ class LuaHost:
         return int(self._lua.get_memory_used())
 
     def _run(self, t_ms: int) -> None:
-        self._arm()
+        self._arm(self._limit)
+        self._limit = self._usual_limit
         try:
             result = self._pcall(self._function)
         except lua53.LuaError as problem:  # memory may run out in the call itself

@@ -1,0 +1,173 @@
+"""A vehicle on the desk with the applet itself running on it, in both parameter generations."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from echowing.paths import lua_folder
+from echowing.sim.desk_vehicle import GOOD, NO_DATA, DeskVehicle, restarted
+from echowing.sim.luahost import LuaHost
+from echowing.sim.parameters import Generation
+
+PILOT_MPS = 10.0
+STEP_MS = 10
+METRES_PER_E7 = 0.011131884502145034  # 1e-7 degrees of latitude
+HERE = (39.34, -86.03, 260.0)
+POSITION_ONLY = 0x0DF8
+POSITION_VELOCITY = 0x0DC0
+GROUND_TOOL, CO_PROCESSOR = 245, 1
+
+
+@dataclass(frozen=True)
+class Names:
+    """What differs between the generations."""
+
+    generation: Generation
+    speed: str
+    units_per_mps: float
+    system_id: str
+
+
+OLD = Names(Generation.V4_6, "WPNAV_SPEED", 100.0, "SYSID_THISMAV")
+NEW = Names(Generation.V4_8, "WP_SPD", 1.0, "MAV_SYSID")
+
+
+def mavlink_frame(message_id: int, payload: bytes, system: int) -> bytes:
+    head = bytes([0xFD, len(payload), 0, 0, 0, system, 191]) + message_id.to_bytes(3, "little")
+    return head + payload + b"\0\0"
+
+
+class Rig:
+    """The applet on a vehicle; time goes on in steps of 10 ms."""
+
+    def __init__(self, names: Names, script: Path | None = None, **applet: float) -> None:
+        self.names = names
+        self.script = script or lua_folder() / "echowing.lua"
+        firmware = {
+            names.speed: PILOT_MPS * names.units_per_mps,
+            names.system_id: 1.0,
+            "RNGFND1_TYPE": 10.0,
+            "RNGFND1_ORIENT": 0.0,
+        }
+        self.vehicle = DeskVehicle({**firmware, "ECHO_ENABLE": 1.0})
+        for name, value in applet.items():
+            self.vehicle.parameters[f"ECHO_{name}"] = value
+        self.vehicle.place = HERE
+        self.stream_every_ms: int | None = None
+        self.raw_every_ms: int | None = None
+        self.ahead_m = 5.0
+        self.raw_m = 3.0
+        self.host = self.new_host()
+
+    def new_host(self) -> LuaHost:
+        return LuaHost(self.vehicle, self.script, generation=self.names.generation)
+
+    def restart_script(self) -> None:
+        self.host = self.new_host()
+
+    def reboot(self) -> None:
+        """Parameters come back as saved: the pilot's, and what scripts saved."""
+        firmware = {
+            name: value
+            for name, value in self.vehicle.parameters.items()
+            if not name.startswith("ECHO_")
+        }
+        firmware[self.names.speed] = PILOT_MPS * self.names.units_per_mps
+        self.vehicle = restarted(self.vehicle, {**firmware, "ECHO_ENABLE": 1.0})
+        self.restart_script()
+
+    def run(self, seconds: float) -> Rig:
+        for _ in range(round(seconds * 1000 / STEP_MS)):
+            self.step()
+        return self
+
+    def step(self) -> None:
+        vehicle = self.vehicle
+        vehicle.t_ms += STEP_MS
+        if self.stream_every_ms and vehicle.t_ms % self.stream_every_ms == 0:
+            self.send_target(self.ahead_m)
+        if self.raw_every_ms and vehicle.t_ms % self.raw_every_ms == 0:
+            self.send_raw(self.raw_m)
+        self.host.step(vehicle.t_ms)
+        assert self.host.error is None, self.host.error
+
+    def range(self, metres: float, status: int = GOOD) -> Rig:
+        """What the rangefinder shows from now on; the single readings say the same."""
+        self.vehicle.ranges[0] = (status, metres)
+        self.raw_m = metres
+        return self
+
+    def no_data(self) -> Rig:
+        self.raw_every_ms = None
+        return self.range(0.0, NO_DATA)
+
+    def send_raw(self, metres: float, *, system: int = CO_PROCESSOR, name: bytes = b"SNR_RAW") -> None:
+        payload = struct.pack("<If10s", self.vehicle.t_ms, metres, name)
+        self.vehicle.inbox.append((mavlink_frame(251, payload, system), 1))
+
+    def send_target(
+        self,
+        ahead_m: float,
+        velocity_mps: float | None = None,
+        *,
+        system: int = 1,
+    ) -> None:
+        """A guided point so far north of the vehicle, with or without a velocity."""
+        lat = round(HERE[0] * 1e7 + ahead_m / METRES_PER_E7)
+        mask = POSITION_ONLY if velocity_mps is None else POSITION_VELOCITY
+        fields = (lat, round(HERE[1] * 1e7), 10.0, velocity_mps or 0.0, *(0.0,) * 7)
+        payload = struct.pack("<Iii9fHBBB", self.vehicle.t_ms, *fields, mask, system, 1, 6)
+        self.vehicle.inbox.append((mavlink_frame(86, payload, GROUND_TOOL), 0))
+
+    @property
+    def speed_mps(self) -> float:
+        """The limit last given to the vehicle."""
+        return self.vehicle.desired_speeds[-1]
+
+    @property
+    def parameter_mps(self) -> float:
+        """The speed parameter in m/s."""
+        return self.vehicle.parameters[self.names.speed] / self.names.units_per_mps
+
+    @property
+    def mirror_mps(self) -> float:
+        return self.vehicle.parameters["ECHO_MIRROR"] / self.names.units_per_mps
+
+    @property
+    def texts(self) -> list[str]:
+        return [text.removeprefix("ECHO: ") for _, text in self.vehicle.texts]
+
+    @property
+    def state(self) -> float:
+        return self.vehicle.named["ECHO_STATE"][-1]
+
+    def target_ahead_m(self) -> float:
+        """How far ahead (north) the applet's last own target lies."""
+        kind, target = self.vehicle.targets[-1]
+        assert kind == "location"
+        assert isinstance(target[0], float)
+        return (target[0] - HERE[0]) * 1e7 * METRES_PER_E7
+
+
+MakeRig = Callable[..., Rig]
+
+
+@pytest.fixture(params=[OLD, NEW], ids=["WPNAV_SPEED", "WP_SPD"])
+def names(request: pytest.FixtureRequest) -> Names:
+    found: Names = request.param
+    return found
+
+
+@pytest.fixture
+def rig(names: Names) -> MakeRig:
+    """Makes a rig: `rig(LAW=2)` with those applet parameters."""
+
+    def make(script: Path | None = None, **applet: float) -> Rig:
+        return Rig(names, script, **applet)
+
+    return make
