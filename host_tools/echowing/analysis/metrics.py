@@ -19,8 +19,8 @@ from echowing.errors import EchowingError
 # A reading this near to the distance between the two positions is a sight of the leader. Generous:
 # in real logs two receivers drift apart by metres (0.8 m an axis each in the simulator).
 SIGHT_TOLERANCE_M = 2.0
-# A search of the figure 8 takes about 6 s (thesis 3.4.3: 12 points, 0.5 s each): after three
-# of them in vain the leader is gone.
+# One sweep of the figure 8 takes 3.6 s (thesis Appendix A: 12 points, 0.3 s each): after more
+# than five of them in vain the leader is gone.
 DEAD_LOCK_WINDOW_S = 20.0
 
 
@@ -70,7 +70,7 @@ class Spread:
     count: int
 
 
-def measure(flight: Flight, settle_s: float = 0.0) -> Metrics:
+def metrics(flight: Flight, settle_s: float = 0.0) -> Metrics:
     """The figures of one flight, its first `settle_s` seconds left out.
 
     Raises EchowingError when nothing is left to measure.
@@ -126,7 +126,7 @@ def position_error_m(flight: Flight) -> Floats:
 
 
 def aggregate(runs: Iterable[Metrics]) -> dict[str, Spread]:
-    """Each figure over several flights, by field name. The deviation is that of a sample (n - 1)."""
+    """Each figure over several flights, by field name; the deviation is a sample's (n - 1)."""
     collected = list(runs)
     if not collected:
         raise EchowingError("no flights to summarise: fly or read at least one")
