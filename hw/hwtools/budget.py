@@ -10,6 +10,11 @@ from hwtools.facts import HW, WIRING, load
 SOURCE = HW / "budget.toml"
 REPORT = HW / "BUDGET.md"
 
+METER_STAGES = (
+    "1 no power, JP1 out, servos unplugged",
+    "2 flight battery on, JP1 out, servos unplugged",
+    "3 JP1 in, autopilot powered as in flight, servos unplugged",
+)
 Sense = Literal["<=", ">="]
 ROUNDING = 1e-9  # two ways to the same number may differ in the last bits
 
@@ -230,7 +235,7 @@ def _board(board: str, f: Figures) -> list[Check]:
             ">=",
             f.bus_high_share * sonar_volts(f),
             "V",
-            "pull-up's rail against 0.7 of the sonar's supply behind R1",
+            "0.7 of its supply behind R1 (UM10204; PD11848 gives none)",
         ),
         Check(board, "servo signal, high", logic, ">=", f.servo_signal, "V", "an unloaded output"),
         Check(board, "LED", led, "<=", own["led_limit_ma"], "mA", "(logic supply - LED) / R4"),
@@ -280,6 +285,44 @@ def _link(board: str, logic: float, f: Figures) -> list[Check]:
     ]
 
 
+def meter_rows(board: str) -> list[tuple[str, str, str]]:
+    """Return what a multimeter shows on this board: (when, where, reading)."""
+    f = figures()
+    logic = float(wiring.board_sheet(board)["metadata"]["logic_v"])
+    pullup = bus_pullup_ohm(board, f)
+    link = "no short" if logic > f.autopilot_high else "under 1 ohm"
+    dead, bec, live = METER_STAGES
+    return [
+        (dead, "GND of battery, BEC, board, sonar, servos, TELEM2", "joined, under 1 ohm"),
+        (dead, "board's 5V to GND", "no short"),
+        (dead, "servos' 5V to GND", "no short, once C2 has charged"),
+        (dead, "servos' 5V to board's 5V", "open"),
+        (dead, "board's 5V to the sonar's V+", f"{f.filter_resistor:.0f} ohm"),
+        (dead, "SDA to the pull-ups' rail, and SCL", f"about {pullup / 1e3:.1f} kohm"),
+        (dead, "sonar lead's shield to GND", "under 1 ohm"),
+        (dead, "board's TX to TELEM2 pin 3, RX to pin 2", link),
+        (bec, "servos' 5V", "4.9 to 5.1 V"),
+        (live, "board's 5V", "4.8 to 5.2 V"),
+        (live, "board's 3V3", "3.2 to 3.4 V"),
+        (live, "sonar's V+", f"about {sonar_volts(f):.2f} V"),
+        (live, "SDA and SCL, at the sonar", f"near {logic:g} V, dipping"),
+        (live, "TELEM2 pins 2 and 3", f"near {f.autopilot_high:g} V, dipping"),
+    ]
+
+
+def _meter_table() -> list[str]:
+    by_board = {board: meter_rows(board) for board in wiring.BOARDS}
+    rows = by_board[wiring.BOARDS[0]]
+    return [
+        "| when | where | " + " | ".join(wiring.BOARDS) + " |",
+        "|---|---|" + "---|" * len(wiring.BOARDS),
+        *(
+            f"| {when} | {where} | " + " | ".join(by_board[b][i][2] for b in wiring.BOARDS) + " |"
+            for i, (when, where, _) in enumerate(rows)
+        ),
+    ]
+
+
 def report_text() -> str:
     """Return BUDGET.md."""
     table = load(SOURCE)
@@ -298,6 +341,13 @@ def report_text() -> str:
             f"| {c.sense} {_number(c.limit)} {c.unit} | {c.how} |"
             for c in checks()
         ),
+        "",
+        "## What a multimeter shows",
+        "",
+        "In this order; stop at the first that differs. The sonar's supply tells most: at the",
+        "board's 5V the sonar is not connected, far below 4 V something behind R1 is shorted.",
+        "",
+        *_meter_table(),
         "",
         "## Where noise gets in",
         "",

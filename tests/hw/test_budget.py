@@ -96,3 +96,15 @@ def test_every_part_says_what_for_and_what_else() -> None:
         assert part["alternatives"]
         assert part["mass_g"] > 0
         assert set(part.get("boards", [])) <= set(wiring.BOARDS)
+
+
+def test_meter_readings_follow_the_board() -> None:
+    def reading(board: str, where: str) -> str:
+        return next(reads for _, at, reads in budget.meter_rows(board) if at.startswith(where))
+
+    assert reading("mega", "SDA to") == "about 3.2 kohm"
+    assert reading("bluepill_f103", "SDA to") == "about 4.7 kohm"
+    assert reading("mega", "SDA and SCL").startswith("near 5 V")
+    assert reading("mega", "board's TX") == "no short"
+    assert reading("nucleo_f446", "board's TX") == "under 1 ohm"
+    assert reading("nucleo_f446", "sonar's V+") == "about 4.56 V"

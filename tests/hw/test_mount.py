@@ -135,8 +135,9 @@ def test_the_beam_turns_with_the_gimbal(rig: keepout.Rig) -> None:
     assert keepout.off_axis_deg(rig, point, Aim(-30.0, 10.0)) > 45.0
 
 
-def test_sampling_leaves_no_gap_for_the_beam(rig: keepout.Rig) -> None:
-    corners = trimesh.creation.box((200.0, 200.0, 2.0))
-    points = keepout.sampled(corners)
+def test_sampling_leaves_no_gap_for_the_beam() -> None:
+    # a plate with corners only far apart; the beam is never narrower than the transducer
+    points = keepout.sampled(trimesh.creation.box((200.0, 200.0, 2.0)))
     probe = np.array([13.0, 29.0, 1.0])
     assert np.linalg.norm(points - probe, axis=1).min() < keepout.SAMPLE_MM
+    assert number("sonar_transducer_diameter_mm") > keepout.SAMPLE_MM
