@@ -1,0 +1,276 @@
+"""Results beside the thesis's figures: for the terminal (rich), for the README (Markdown).
+
+Both are made from the same `Grid`s of text, so that they cannot tell different stories.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from echowing.analysis.metrics import Metrics, Spread, aggregate
+from echowing.analysis.thesis import BESIDE, FOOTNOTES, TABLE_11, ErrorFigures, ThesisFigures
+
+if TYPE_CHECKING:
+    from rich.console import Group
+
+NOTHING = "-"
+
+
+@dataclass(frozen=True)
+class Result:
+    """One follower of one flight. Results of one name are pooled into one row, in order.
+
+    A name of `thesis.BESIDE` gets the thesis's figures printed under it.
+    """
+
+    name: str
+    metrics: Metrics
+    dead_locked: bool = False
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of text cells; `printed`: the thesis's figures, not ours."""
+
+    cells: tuple[str, ...]
+    printed: bool = False
+
+
+@dataclass(frozen=True)
+class Grid:
+    """One table as text, the first column a label."""
+
+    title: str
+    head: tuple[str, ...]
+    rows: tuple[Row, ...]
+
+
+def grids(results: Sequence[Result]) -> list[Grid]:
+    """Separation; position error as in Table 10; the gain on `gray` as in Table 11."""
+    pools = list(_pools(results))
+    return [
+        Grid(
+            "Separation, m (mean ± deviation over the flights; min, max of all)",
+            ("flight", "n", "mean", "mean |e|", "RMSD", "sigma", "min", "max", "seen"),
+            _rows(pools, _separation_cells, _thesis_separation),
+        ),
+        Grid(
+            "Position error, m: mean/sigma/DRMS (± deviation over the flights)",
+            ("flight", "forward", "right", "to the slot"),
+            _rows(pools, _position_cells, _thesis_position),
+        ),
+        *_gain(pools),
+    ]
+
+
+def footnotes(results: Sequence[Result]) -> list[str]:
+    """What must be known about the figures of the thesis that stand in these tables."""
+    keys = {
+        key for name in _names(results) for printed in BESIDE.get(name, ()) for key in printed.notes
+    }
+    ours = (
+        "Ours: RMSD and DRMS are sqrt(mean(e^2)), e = separation - wanted; sigma is about the "
+        "mean; seen is the share of time with a sonar reading. "
+        "Indented rows are the thesis's, as printed."
+    )
+    return [ours, *(f"[{key}] {FOOTNOTES[key]}" for key in sorted(keys))]
+
+
+def terminal_table(results: Sequence[Result]) -> "Group":
+    """The tables and footnotes for rich's Console.print; at home in 100 columns."""
+    from rich import box  # noqa: PLC0415 (imported when a table is wanted)
+    from rich.console import Group  # noqa: PLC0415
+    from rich.padding import Padding  # noqa: PLC0415
+    from rich.table import Table  # noqa: PLC0415
+    from rich.text import Text  # noqa: PLC0415
+
+    parts: list[Table | Padding] = []
+    for grid in grids(results):
+        table = Table(
+            title=grid.title,
+            title_justify="left",
+            box=box.SIMPLE_HEAD,
+            collapse_padding=True,
+            pad_edge=False,
+        )
+        for number, heading in enumerate(grid.head):
+            table.add_column(
+                heading,
+                justify="right" if number else "left",
+                no_wrap=bool(number),
+                overflow="fold",
+            )
+        for row in grid.rows:
+            table.add_row(*map(Text, row.cells), style="dim" if row.printed else "")
+        parts.append(table)
+    notes = "\n".join(footnotes(results))
+    return Group(*parts, Padding(Text(notes, style="dim"), (0, 1)))
+
+
+def markdown_tables(results: Sequence[Result]) -> str:
+    """The same for the README; the thesis's rows in italics."""
+    parts = []
+    for grid in grids(results):
+        lines = [
+            f"**{grid.title}**",
+            "",
+            _markdown_row(grid.head),
+            _markdown_row(["---", *["---:"] * (len(grid.head) - 1)]),
+            *(_markdown_row(_italic(row)) for row in grid.rows),
+        ]
+        parts.append("\n".join(lines))
+    parts.append("\n".join(f"- {note}" for note in footnotes(results)))
+    return "\n\n".join(parts) + "\n"
+
+
+def _names(results: Sequence[Result]) -> list[str]:
+    return list(dict.fromkeys(result.name for result in results))
+
+
+@dataclass(frozen=True)
+class _Pool:
+    """The flights of one row, and what the thesis printed to stand under it."""
+
+    name: str
+    label: str
+    runs: list[Metrics]
+    printed: tuple[ThesisFigures, ...]
+
+
+def _pools(results: Sequence[Result]) -> Iterable[_Pool]:
+    """A row for each name; a name with dead-locks gets a second one over the other flights."""
+    for name in _names(results):
+        runs = [result for result in results if result.name == name]
+        free = [run.metrics for run in runs if not run.dead_locked]
+        locked = len(runs) - len(free)
+        label = f"{name} ({locked} of {len(runs)} dead-locked)" if locked else name
+        printed = BESIDE.get(name, ())
+        yield _Pool(name, label, [run.metrics for run in runs], () if locked and free else printed)
+        if locked and free:
+            yield _Pool(name, f"{name}, not dead-locked", free, printed)
+
+
+def _rows(
+    pools: Sequence[_Pool],
+    ours: Callable[[dict[str, Spread], int], list[str]],
+    theirs: Callable[[ThesisFigures], list[str]],
+) -> tuple[Row, ...]:
+    rows = []
+    for pool in pools:
+        rows.append(Row((pool.label, *ours(aggregate(pool.runs), len(pool.runs)))))
+        for printed in pool.printed:
+            cells = theirs(printed)
+            if any(cell not in ("", NOTHING) for cell in cells):
+                rows.append(Row((_marked(printed), *cells), printed=True))
+    return tuple(rows)
+
+
+def _gain(pools: Sequence[_Pool]) -> list[Grid]:
+    """How much smaller than Gray's the errors are, where both were flown."""
+    figures = {pool.label: aggregate(pool.runs) for pool in pools if pool.name in _COMPARED}
+    gray = figures.pop("gray", None)
+    if gray is None or not figures:
+        return []
+    rows = [
+        Row((name, *(_reduced(gray[key].mean, ours[key].mean) for key in _GAIN_FIGURES)))
+        for name, ours in figures.items()
+    ]
+    printed = tuple(f"{line.reduced_percent:.1f}" for line in TABLE_11)
+    rows.append(Row(("  Table 11 [c]", *printed), printed=True))
+    return [Grid("Error reduced against gray, %", ("flight", "RMSD", "mean |e|"), tuple(rows))]
+
+
+_COMPARED = ("gray", "thesis", "echowing")
+_GAIN_FIGURES = ("rmsd_m", "mean_abs_error_m")  # in the order of TABLE_11
+
+
+def _reduced(gray_m: float, ours_m: float) -> str:
+    return f"{100.0 * (1.0 - ours_m / gray_m):.1f}"
+
+
+def _marked(printed: ThesisFigures) -> str:
+    marks = f" [{','.join(printed.notes)}]" if printed.notes else ""
+    return f"  {printed.title}{marks}"
+
+
+def _separation_cells(spread: dict[str, Spread], runs: int) -> list[str]:
+    return [
+        str(runs),
+        *(_cell(spread[f]) for f in ("mean_separation_m", "mean_abs_error_m", "rmsd_m", "std_m")),
+        _number(spread["min_separation_m"].lowest),
+        _number(spread["max_separation_m"].highest),
+        _percent(spread["seen_share"].mean),
+    ]
+
+
+def _thesis_separation(printed: ThesisFigures) -> list[str]:
+    values = (printed.mean_separation_m, printed.mean_abs_error_m, printed.rmsd_m, printed.std_m)
+    return ["", *map(_printed, values), NOTHING, NOTHING, NOTHING]
+
+
+def _position_cells(spread: dict[str, Spread], _runs: int) -> list[str]:
+    return [
+        _triple(spread["forward_mean_m"], spread["forward_sigma_m"], spread["forward_drms_m"]),
+        _triple(spread["right_mean_m"], spread["right_sigma_m"], spread["right_drms_m"]),
+        _to_the_slot(spread),
+    ]
+
+
+def _to_the_slot(spread: dict[str, Spread]) -> str:
+    mean, rest = spread["slot_error_m"], ("position_sigma_m", "position_drms_m")
+    if mean.count == 0:
+        return NOTHING
+    return "/".join([_cell(mean), *(_number(spread[name].mean) for name in rest)])
+
+
+def _triple(mean: Spread, sigma: Spread, drms: Spread) -> str:
+    if mean.count == 0:
+        return NOTHING
+    return "/".join(_number(figure.mean) for figure in (mean, sigma, drms))
+
+
+def _thesis_position(printed: ThesisFigures) -> list[str]:
+    return [_figures(group) for group in (printed.forward, printed.right, printed.position)]
+
+
+def _figures(figures: ErrorFigures | None) -> str:
+    if figures is None:
+        return NOTHING
+    values = (figures.mean_m, figures.sigma_m, figures.drms_m)
+    return "/".join(_printed(value) for value in values)
+
+
+def _cell(spread: Spread) -> str:
+    """Mean and, over several flights, the deviation."""
+    if spread.count == 0:
+        return NOTHING
+    if spread.count == 1:
+        return _number(spread.mean)
+    return f"{_number(spread.mean)}±{_number(spread.std)}"
+
+
+def _number(value: float) -> str:
+    if not math.isfinite(value):
+        return NOTHING
+    return f"{value:.2f}" if abs(value) < 99.995 else f"{value:.0f}"
+
+
+def _percent(share: float) -> str:
+    return f"{share:.0%}" if math.isfinite(share) else NOTHING
+
+
+def _printed(value: float | None) -> str:
+    """As the thesis has it, to its own number of places."""
+    if value is None:
+        return NOTHING
+    return f"{value:.3f}" if round(value, 2) != value else f"{value:.2f}"
+
+
+def _markdown_row(cells: Iterable[str]) -> str:
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+
+def _italic(row: Row) -> list[str]:
+    cells = [cell.strip() for cell in row.cells]
+    return [f"*{cell}*" if row.printed and cell else cell for cell in cells]
