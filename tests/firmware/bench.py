@@ -20,9 +20,9 @@ PORTS = (AUTOPILOT_PORT, USB_PORT)
 class BenchSonar(MaxSonar):
     """A sonar whose target, answers and health the test decides, and which notes what it did."""
 
-    def __init__(self, range_m: float | None = None) -> None:
+    def __init__(self, range_m: Callable[[float], float | None] | float | None = None) -> None:
         super().__init__(self._look)
-        self.range_m: Callable[[float], float | None] | float | None = range_m
+        self.range_m = range_m
         self.raw_cm: int | None = None  # what is read whatever was measured
         self.deaf = False  # acknowledges, but never starts to range
         self.triggers_us: list[int] = []

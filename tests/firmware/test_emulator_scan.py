@@ -295,7 +295,7 @@ class TestReport:
         bench.run(0.5)
         begun_us = bench.t_us
         bench.run(2.0)
-        assert len(bench.ranges_cm(begun_us)) == pytest.approx(2 * rate_hz, abs=2)
+        assert len(bench.ranges_cm(begun_us)) == pytest.approx(2 * rate_hz, rel=0.05, abs=1)
 
     def test_still_target_stays_fresh(self, reported: Bench) -> None:
         ranges = reported.ranges_cm(1e6)

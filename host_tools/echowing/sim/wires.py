@@ -63,6 +63,11 @@ class _TcpWire:
 
     _peer: socket.socket | None = None
 
+    @property
+    def connected(self) -> bool:
+        """Whether somebody is at the other end."""
+        return self._peer is not None
+
     def exchange(self, data: bytes, now_s: float) -> bytes:
         """As `Wire.exchange`; connects when there is no connection."""
         if self._peer is None:

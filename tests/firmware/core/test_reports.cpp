@@ -1,5 +1,6 @@
 #include <doctest/doctest.h>
 
+#include <algorithm>
 #include <cmath>
 
 #include "rig.h"
@@ -146,6 +147,27 @@ TEST_CASE("the quaternion says where the gimbal points") {
     CHECK(forward == doctest::Approx(cos(row.pitch_deg * degree) * cos(row.yaw_deg * degree)));
     CHECK(right == doctest::Approx(cos(row.pitch_deg * degree) * sin(row.yaw_deg * degree)));
     CHECK(down == doctest::Approx(-sin(row.pitch_deg * degree)));
+  }
+}
+
+TEST_CASE("the quaternion keeps its length up to straight back, where the angle ends") {
+  for (const uint16_t pan_us : {800, 1100, 1500, 1700, 2200}) {
+    for (const float scale : {10.0f, 4.0f, -10.0f, 0.001f}) {
+      CAPTURE(pan_us);
+      CAPTURE(scale);
+      Parameters parameters;
+      REQUIRE(parameters.set(static_cast<uint8_t>(Parameter::kPanScale), scale));
+      const Pointing direction = pointing(parameters, {pan_us, 1500});
+      const float* q = direction.quaternion;
+      const double half_tilt = 5.0 * 3.14159265 / 180;
+      const double degrees = std::max(-180.0, std::min((pan_us - 1380) / double{scale}, 180.0));
+      CHECK(q[0] ==
+            doctest::Approx(cos(degrees / 360 * 3.14159265) * cos(half_tilt)).epsilon(1e-5));
+      CHECK(q[3] ==
+            doctest::Approx(sin(degrees / 360 * 3.14159265) * cos(half_tilt)).epsilon(1e-5));
+      const float length = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3];
+      CHECK(length == doctest::Approx(1.0).epsilon(1e-5));
+    }
   }
 }
 

@@ -1,0 +1,226 @@
+"""`echowing emulator`: a process whose ports other programs open."""
+
+import re
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pymavlink import mavutil
+
+from echowing.errors import EchowingError
+from echowing.sim.avr import AvrBoard
+from echowing.sim.desk import Desk, Scene, leader_from
+from echowing.sim.wires import PtyWire, TcpServerWire, open_udp, open_wire
+
+from .bench import BenchSonar
+
+# Generous: a busy machine may take its time, a broken emulator takes for ever.
+PATIENCE_S = 60.0
+
+
+class Emulator:
+    """The process, and what it says."""
+
+    def __init__(self, *options: str | Path) -> None:
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "echowing.cli", "emulator", *map(str, options)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+
+    def told(self, pattern: str) -> str:
+        """The first group of the next line that matches."""
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            if found := re.search(pattern, line):
+                return found[1]
+        raise AssertionError(f"never said {pattern!r}: {self.stop()}")
+
+    def stop(self) -> str:
+        """Interrupt it as a user would; returns what it complained of."""
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGINT)
+        return self.process.communicate(timeout=PATIENCE_S)[1]
+
+
+@pytest.fixture
+def start(mega_elf: Path) -> Iterator[Callable[..., Emulator]]:
+    """Starts emulators, and stops them after the test."""
+    started: list[Emulator] = []
+
+    def run(*options: str | Path) -> Emulator:
+        started.append(Emulator(*options))
+        return started[-1]
+
+    yield run
+    for emulator in started:
+        emulator.stop()
+
+
+def report(link: Any, wanted: Callable[[Any], bool] = lambda _: True) -> Any:
+    """The next DISTANCE_SENSOR that satisfies."""
+    while True:
+        message = link.recv_match(type="DISTANCE_SENSOR", blocking=True, timeout=PATIENCE_S)
+        assert message is not None
+        if wanted(message):
+            return message
+
+
+class TestProcess:
+    def test_listens_on_tcp_and_opens_a_terminal(self, start: Callable[..., Emulator]) -> None:
+        emulator = start("--link", "tcpin:0", "--usb", "pty", "--range-cm", "321")
+        port = emulator.told(r"autopilot port: tcp 127\.0\.0\.1:(\d+)")
+        usb = emulator.told(r"USB port: (/dev/\S+)")
+        for where in (f"tcp:127.0.0.1:{port}", usb):
+            link = mavutil.mavlink_connection(where, baud=115200)
+            assert report(link, lambda m: m.current_distance < 766).current_distance == 321
+            link.close()
+
+    def test_connects_to_a_listener_that_comes_late(self, start: Callable[..., Emulator]) -> None:
+        with socket.create_server(("127.0.0.1", 0)) as place:
+            port = place.getsockname()[1]
+        emulator = start("--link", f"tcp:127.0.0.1:{port}", "--range-cm", "200")
+        emulator.told(rf"autopilot port: (tcp 127\.0\.0\.1:{port})")
+        link = mavutil.mavlink_connection(f"tcpin:127.0.0.1:{port}")
+        report(link)
+        link.close()
+
+    def test_follows_the_target_told_in_datagrams(self, start: Callable[..., Emulator]) -> None:
+        emulator = start("--link", "tcpin:0", "--target", "udp:0")
+        port = emulator.told(r"autopilot port: tcp 127\.0\.0\.1:(\d+)")
+        target = int(emulator.told(r"target datagrams: udp 127\.0\.0\.1:(\d+)"))
+        link = mavutil.mavlink_connection(f"tcp:127.0.0.1:{port}")
+        assert report(link).current_distance == 766
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            sender.sendto(b"nonsense", ("127.0.0.1", target))
+            place = b'{"forward_m": 3.2, "right_m": 0.0, "down_m": 0.0}'
+            sender.sendto(place, ("127.0.0.1", target))
+        # Face of the sonar 0.1 m ahead, legs of the leader 0.1 m nearer than its centre.
+        near = report(link, lambda m: m.current_distance < 766)
+        assert near.current_distance == pytest.approx(300, abs=5)
+        link.close()
+        assert "nonsense" in emulator.told("(.*nonsense.*)")
+
+    def test_keeps_its_memory_in_a_file(
+        self, start: Callable[..., Emulator], tmp_path: Path
+    ) -> None:
+        image = tmp_path / "board.eep"
+        emulator = start("--eeprom", image, "--duration", "0.05")
+        emulator.process.wait(timeout=PATIENCE_S)
+        assert image.stat().st_size == 4096
+
+    def test_missing_binary_names_the_command(self, tmp_path: Path) -> None:
+        emulator = Emulator("--elf", tmp_path / "none.elf")
+        assert emulator.process.wait(timeout=PATIENCE_S) == 2
+        complaint = emulator.stop()
+        assert "make firmware BOARD=mega" in complaint
+        assert "Traceback" not in complaint
+
+    @pytest.mark.parametrize(
+        ("options", "words"),
+        [
+            (["--board", "uno"], "only mega can be emulated"),
+            (["--link", "serial"], "write tcp:HOST:PORT, tcpin:PORT or pty"),
+            (["--link", "tcp:localhost:http"], "the port has to be a number"),
+            (["--range-cm", "-1"], "0 to 10000"),
+            (["--target", "tcp:1"], "write udp:PORT"),
+            (["--range-cm", "100", "--target", "udp:1"], "not allowed with"),
+        ],
+    )
+    def test_bad_options(self, mega_elf: Path, options: list[str], words: str) -> None:
+        emulator = Emulator(*options)
+        assert emulator.process.wait(timeout=PATIENCE_S) == 2
+        assert words in emulator.stop()
+
+
+class TestWires:
+    def test_terminal_that_nobody_reads_loses_bytes_and_does_not_block(self) -> None:
+        wire = PtyWire()
+        for _ in range(1000):
+            assert wire.exchange(b"x" * 100, 0.0) == b""
+        wire.close()
+
+    def test_listener_takes_the_next_after_one_has_gone(self) -> None:
+        wire = TcpServerWire(0)
+        for _ in range(2):
+            with socket.create_connection(("127.0.0.1", wire.port)) as peer:
+                peer.sendall(b"hello")
+                heard = b""
+                while not heard:
+                    heard = wire.exchange(b"board", 0.0)
+                assert heard == b"hello"
+                assert peer.recv(5) == b"board"
+            while wire.exchange(b"", 0.0) == b"" and wire.connected:
+                pass
+        wire.close()
+
+    def test_port_that_is_taken(self) -> None:
+        wire = TcpServerWire(0)
+        with pytest.raises(EchowingError, match=f"cannot listen on port {wire.port}"):
+            open_wire(f"tcpin:{wire.port}")
+        with pytest.raises(EchowingError, match="the port has to be a number from 1"):
+            open_wire("tcp:localhost:0")
+        wire.close()
+
+    def test_udp_port_that_is_taken(self) -> None:
+        with open_udp("udp:0") as first, pytest.raises(EchowingError, match="cannot listen"):
+            open_udp(f"udp:{first.getsockname()[1]}")
+
+
+class TestDatagrams:
+    def test_place(self) -> None:
+        told = b'{"forward_m": 3.5, "right_m": -1, "down_m": 0.25}'
+        assert leader_from(told) == (3.5, -1.0, 0.25)
+
+    @pytest.mark.parametrize(
+        "told",
+        [
+            b"",
+            b"\xff\xfe",
+            b"[1,2,3]",
+            b"7",
+            b'{"forward_m": 1}',
+            b'{"forward_m": NaN, "right_m": 0, "down_m": 0}',
+            b'{"forward_m": null, "right_m": 0, "down_m": 0}',
+        ],
+    )
+    def test_nonsense_says_what_is_wanted(self, told: bytes) -> None:
+        with pytest.raises(EchowingError, match=r"forward_m.*right_m.*down_m"):
+            leader_from(told)
+
+
+class TestPace:
+    """The desk against a clock of its own."""
+
+    def desk(self, probe_elf: Path, speed: float) -> tuple[Desk, list[float]]:
+        """A desk on a machine on which a slice takes `speed` ms; and the clock."""
+        now = [100.0]
+
+        def clock() -> float:
+            now[0] += speed / 1000.0
+            return now[0]
+
+        def sleep(seconds: float) -> None:
+            now[0] += seconds
+
+        board = AvrBoard(BenchSonar(), elf=probe_elf)
+        return Desk(board, {}, Scene(), clock=clock, sleep=sleep), now
+
+    def test_keeps_to_the_clock(self, probe_elf: Path) -> None:
+        desk, now = self.desk(probe_elf, 0.1)
+        desk.run(1.0)
+        assert now[0] - 100.0 == pytest.approx(1.0, abs=0.01)
+
+    def test_says_that_a_machine_is_too_slow(
+        self, probe_elf: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        desk, now = self.desk(probe_elf, 3.0)
+        desk.run(1.0)
+        assert now[0] - 100.0 > 2.0
+        assert capsys.readouterr().out.count("too slow") == 1
