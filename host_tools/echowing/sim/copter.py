@@ -23,7 +23,7 @@ from echowing.sim.shaping import (
 from echowing.sim.wpnav import Ned, TrackLimits, WaypointNavigator, along_limit
 
 GRAVITY_MPS2 = 9.80665  # standard gravity, as AP_Math's GRAVITY_MSS
-LONGEST_STEP_S = 0.02  # the controllers are stable and within 1 cm of 400 Hz up to this step
+LONGEST_STEP_S = 0.02  # the airframe's constants are fitted at this step: the simulator's
 # Below this share of the speed limit the heading is kept (AC_PosControl.cpp, yaw of the path).
 LOOK_SHARE = 0.05
 

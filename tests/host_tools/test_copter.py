@@ -1,0 +1,342 @@
+"""The copter's motion: what the autopilot's rules say, and what recordings of it showed."""
+
+import math
+from collections.abc import Callable
+
+import pytest
+
+from echowing.sim.copter import Copter, Tuning, wrap_pi
+
+STEP_S = 0.02
+START = (0.0, 0.0, -10.0)
+
+
+def fly(
+    copter: Copter, duration_s: float, each: Callable[[float], None] | None = None
+) -> list[tuple[float, float, float]]:
+    """Step the copter; gives (time, north, speed north) after every step."""
+    track = []
+    for count in range(round(duration_s / STEP_S)):
+        if each is not None:
+            each(count * STEP_S)
+        copter.step(STEP_S)
+        track.append(((count + 1) * STEP_S, copter.north_m, copter.vn_mps))
+    return track
+
+
+def guided(speed_limit_mps: float = 5.0) -> Copter:
+    copter = Copter(START, flying=True)
+    copter.start_guided(speed_limit_mps)
+    return copter
+
+
+def test_stays_where_it_is_without_a_target() -> None:
+    copter = guided()
+    fly(copter, 10.0)
+    assert (copter.north_m, copter.east_m, copter.down_m) == pytest.approx(START, abs=1e-9)
+
+
+def test_streamed_position_is_trailed_by_the_recorded_distance() -> None:
+    # ArduCopter settles 2.2 m behind a position-only target that moves at 2 m/s, sent at 8 Hz.
+    copter = guided()
+    sent = 0.0
+
+    def stream(time_s: float) -> None:
+        nonlocal sent
+        if time_s >= sent:
+            copter.guided_position((2.0 * time_s, 0.0, -10.0))
+            sent += 0.125
+
+    track = fly(copter, 20.0, stream)
+    behind = [2.0 * time_s - north for time_s, north, _ in track if time_s > 15.0]
+    assert sum(behind) / len(behind) == pytest.approx(2.2, abs=0.1)
+
+
+def test_position_and_velocity_settles_on_the_target() -> None:
+    copter = guided()
+    track = fly(
+        copter, 20.0, lambda time_s: copter.guided_posvel((2.0 * time_s, 0, -10), (2.0, 0, 0))
+    )
+    assert track[-1][1] == pytest.approx(2.0 * track[-1][0], abs=0.1)
+
+
+def test_limit_holds_back_only_the_correction_of_a_moving_target() -> None:
+    copter = guided()
+    copter.guided_posvel((0.0, 0.0, -10.0), (2.0, 0.0, 0.0))
+    copter.set_speed_limit(1.0)
+    track = fly(
+        copter, 30.0, lambda time_s: copter.guided_posvel((2.0 * time_s, 0, -10), (2.0, 0, 0))
+    )
+    fastest = max(speed for _, _, speed in track)
+    assert fastest == pytest.approx(3.1, abs=0.15)  # 2 m/s and at most 1 m/s more, as recorded
+    assert track[-1][1] == pytest.approx(60.0, abs=0.1)
+
+
+def test_limit_caps_the_whole_speed_towards_a_position() -> None:
+    copter = guided(1.0)
+    copter.guided_position((50.0, 0.0, -10.0))
+    track = fly(copter, 20.0)
+    assert track[-1][2] == pytest.approx(1.0, abs=0.01)
+    assert max(speed for _, _, speed in track) < 1.1
+
+
+def test_limit_of_zero_is_no_limit() -> None:
+    copter = guided(1.0)
+    copter.guided_position((200.0, 0.0, -10.0))
+    copter.set_speed_limit(0.0)
+    assert max(speed for _, _, speed in fly(copter, 20.0)) > 9.0
+
+
+def test_response_to_the_limit_is_the_recorded_one() -> None:
+    # Recorded: dead time about 0.3 s, 63 % after 1.0-1.1 s, 90 % after 1.2-1.4 s (rising, 3 m/s),
+    # and 2.3 m travelled from 2.5 to 0.5 m/s.
+    copter = guided(0.5)
+    copter.guided_position((500.0, 0.0, -10.0))
+    fly(copter, 10.0)
+    copter.set_speed_limit(3.5)
+    rise = fly(copter, 10.0)
+    assert first_time(rise, lambda speed: speed > 0.5 + 0.05 * 3.0) == pytest.approx(0.45, abs=0.1)
+    assert first_time(rise, lambda speed: speed > 0.5 + 0.63 * 3.0) == pytest.approx(1.1, abs=0.12)
+    assert first_time(rise, lambda speed: speed > 0.5 + 0.9 * 3.0) == pytest.approx(1.35, abs=0.15)
+    copter.set_speed_limit(2.5)
+    fly(copter, 10.0)
+    copter.set_speed_limit(0.5)
+    begin = copter.north_m
+    fall = fly(copter, 10.0)
+    reached = next(north for _, north, speed in fall if speed < 0.55)
+    assert reached - begin == pytest.approx(2.3, abs=0.2)
+
+
+def first_time(
+    track: list[tuple[float, float, float]], condition: Callable[[float], bool]
+) -> float:
+    return next(time_s for time_s, _, speed in track if condition(speed))
+
+
+def test_position_target_never_times_out() -> None:
+    copter = guided(2.0)
+    copter.guided_position((60.0, 0.0, -10.0))
+    fly(copter, 60.0)
+    assert copter.north_m == pytest.approx(60.0, abs=0.01)
+
+
+def test_velocity_target_times_out_after_three_seconds() -> None:
+    copter = guided()
+    copter.guided_velocity((2.0, 0.0, 0.0))
+    fly(copter, 2.9)
+    assert copter.vn_mps > 1.9
+    fly(copter, 5.0)
+    assert abs(copter.vn_mps) < 0.1
+
+
+def test_moving_point_stops_after_three_seconds_of_silence() -> None:
+    copter = guided()
+    copter.guided_posvel((0.0, 0.0, -10.0), (2.0, 0.0, 0.0))
+    fly(copter, 20.0)
+    assert copter.north_m == pytest.approx(6.0, abs=0.1)  # 3 s at 2 m/s
+
+
+def test_new_sub_mode_reads_the_limit_of_the_parameter_again() -> None:
+    copter = guided(5.0)
+    copter.guided_position((200.0, 0.0, -10.0))
+    copter.set_speed_limit(1.0)
+    fly(copter, 8.0)
+    copter.guided_velocity((1.0, 0.0, 0.0))
+    copter.guided_position((200.0, 0.0, -10.0))
+    fly(copter, 8.0)
+    assert copter.vn_mps == pytest.approx(5.0, abs=0.1)
+
+
+def test_changing_the_parameter_alone_changes_nothing() -> None:
+    copter = guided(1.0)
+    copter.guided_position((200.0, 0.0, -10.0))
+    copter.default_speed_mps = 5.0
+    fly(copter, 8.0)
+    assert copter.vn_mps == pytest.approx(1.0, abs=0.05)
+
+
+def test_drifting_estimate_moves_the_vehicle_the_other_way() -> None:
+    copter = guided()
+    copter.guided_position(START)
+
+    def drift(time_s: float) -> None:
+        copter.set_estimate_offset((0.05 * time_s, -0.02 * time_s, 0.01 * time_s))
+
+    fly(copter, 40.0, drift)
+    assert copter.north_m == pytest.approx(-2.0, abs=0.1)
+    assert copter.east_m == pytest.approx(0.8, abs=0.05)
+    assert copter.down_m == pytest.approx(-10.4, abs=0.05)
+    assert copter.est_north_m == pytest.approx(0.0, abs=0.1)
+    assert copter.est_down_m == pytest.approx(-10.0, abs=0.05)
+
+
+def test_jump_of_the_estimate_pulls_no_harder_than_the_limit() -> None:
+    copter = guided(1.0)
+    copter.guided_position(START)
+    copter.set_estimate_offset((30.0, 0.0, 0.0))
+    track = fly(copter, 60.0)
+    assert (
+        min(speed for _, _, speed in track) > -2.5
+    )  # the leash: correction and return, 1 m/s each
+    assert copter.north_m == pytest.approx(-30.0, abs=0.1)
+
+
+@pytest.mark.parametrize("angle_rad", [0.7, math.pi / 2, -2.2])
+def test_no_direction_is_special(angle_rad: float) -> None:
+    straight, turned = guided(), guided()
+    cosine, sine = math.cos(angle_rad), math.sin(angle_rad)
+
+    def turn(north: float, east: float) -> tuple[float, float, float]:
+        return north * cosine - east * sine, north * sine + east * cosine, -10.0
+
+    for target in ((20.0, 0.0), (20.0, 10.0), (0.0, 5.0)):
+        straight.guided_position((*target, -10.0))
+        turned.guided_position(turn(*target))
+        for _ in range(150):
+            straight.step(STEP_S)
+            turned.step(STEP_S)
+        north, east, _ = turn(straight.north_m, straight.east_m)
+        assert (turned.north_m, turned.east_m) == pytest.approx((north, east), abs=1e-6)
+
+
+def test_mirrored_flight_is_the_mirrored_trajectory() -> None:
+    right, left = guided(), guided()
+    for target in ((20.0, 15.0), (-5.0, 10.0)):
+        right.guided_position((*target, -10.0))
+        left.guided_position((target[0], -target[1], -10.0))
+        fly(right, 4.0)
+        fly(left, 4.0)
+        assert (left.north_m, left.east_m) == pytest.approx((right.north_m, -right.east_m))
+        assert left.roll_rad == pytest.approx(-right.roll_rad)
+
+
+def test_step_length_hardly_matters() -> None:
+    # The autopilot's loop runs at 400 Hz, the simulator's at 50 Hz: 12 m on they are 5 cm apart.
+    coarse, fine = guided(), guided()
+    for copter, step_s in ((coarse, 0.02), (fine, 0.0025)):
+        copter.guided_position((20.0, 10.0, -12.0))
+        for _ in range(round(4.0 / step_s)):
+            copter.step(step_s)
+    assert math.dist((coarse.north_m, coarse.east_m), (fine.north_m, fine.east_m)) < 0.06
+
+
+def test_long_step_is_split() -> None:
+    one, many = guided(), guided()
+    for copter in (one, many):
+        copter.guided_position((20.0, 0.0, -10.0))
+    one.step(1.0)
+    fly(many, 1.0)
+    assert one.north_m == pytest.approx(many.north_m, abs=1e-9)
+
+
+def test_climbs_and_descends_within_the_limits() -> None:
+    copter = guided(5.0)
+    copter.guided_position((0.0, 0.0, -30.0))
+    fastest = 0.0
+    for _ in range(1000):
+        copter.step(STEP_S)
+        fastest = min(fastest, copter.vd_mps)
+    assert fastest == pytest.approx(-2.5, abs=0.1)  # WP_SPD_UP
+    assert copter.down_m == pytest.approx(-30.0, abs=0.02)
+    copter.guided_position((0.0, 0.0, -10.0))
+    for _ in range(1000):
+        copter.step(STEP_S)
+        fastest = max(fastest, copter.vd_mps)
+    assert fastest == pytest.approx(1.5, abs=0.1)  # WP_SPD_DN
+    assert copter.down_m == pytest.approx(-10.0, abs=0.02)
+
+
+def test_looks_along_the_path_and_keeps_the_heading_at_rest() -> None:
+    copter = guided(5.0)
+    copter.guided_position((0.0, 30.0, -10.0))
+    fly(copter, 5.0)
+    assert copter.yaw_rad == pytest.approx(math.pi / 2, abs=0.02)
+    fly(copter, 20.0)
+    assert copter.yaw_rad == pytest.approx(math.pi / 2, abs=0.1)
+
+
+def test_turns_no_faster_than_sixty_degrees_a_second() -> None:
+    copter = guided(5.0)
+    copter.guided_position(START, yaw_rad=3.0)
+    rates = []
+    for _ in range(300):
+        copter.step(STEP_S)
+        rates.append(copter.yawspeed_rps)
+    assert max(rates) == pytest.approx(math.pi / 3, abs=0.01)
+    assert copter.yaw_rad == pytest.approx(3.0, abs=0.01)
+
+
+def test_commanded_yaw_wins_over_the_path() -> None:
+    copter = guided(5.0)
+    copter.guided_position((30.0, 0.0, -10.0), yaw_rad=-1.0)
+    fly(copter, 4.0)
+    assert copter.vn_mps > 3.0
+    assert copter.yaw_rad == pytest.approx(-1.0, abs=0.01)
+
+
+def test_leans_into_the_acceleration() -> None:
+    copter = Copter(START, yaw_rad=math.pi / 2, flying=True)
+    copter.start_guided(5.0)
+    copter.guided_position((30.0, 0.0, -10.0), yaw_rad=math.pi / 2)
+    fly(copter, 1.0)
+    # looking east and speeding up northwards means leaning to the left
+    assert copter.roll_rad < -0.1
+    assert abs(copter.pitch_rad) < 0.02
+
+
+def test_lean_reaches_its_limit_and_stays_within() -> None:
+    # without a speed limit drag grows until only the full lean holds the speed
+    copter = guided(0.0)
+    copter.guided_position((400.0, 0.0, -10.0))
+    most = 0.0
+    for _ in range(1000):
+        copter.step(STEP_S)
+        most = max(most, abs(copter.pitch_rad))
+    assert most == pytest.approx(Tuning().lean_max_rad, abs=0.01)
+    assert most <= Tuning().lean_max_rad + 1e-6
+
+
+def test_hold_brakes_and_stays() -> None:
+    copter = Copter(START, flying=True, velocity_ned_mps=(5.0, 0.0, 0.0))
+    copter.hold()
+    track = fly(copter, 20.0)
+    assert abs(copter.vn_mps) < 0.01
+    # 5 m/s at 2.5 m/s2 is 5 m, and the jerk limit and lean lag add some
+    assert 5.0 < track[-1][1] < 8.0
+
+
+def test_takes_off_to_the_height_and_stays() -> None:
+    copter = Copter((3.0, 4.0, 0.0))
+    assert copter.landed
+    fly(copter, 1.0)
+    assert copter.down_m == 0.0
+    copter.take_off(10.0)
+    fly(copter, 15.0)
+    assert not copter.landed
+    assert (copter.north_m, copter.east_m, copter.down_m) == pytest.approx((3, 4, -10), abs=0.02)
+
+
+def test_lands_slowly_and_rests() -> None:
+    copter = Copter((0.0, 0.0, -20.0), flying=True)
+    copter.land()
+    fly(copter, 6.0)
+    assert copter.vd_mps > 1.2  # WP_SPD_DN above LAND_ALT_LOW_M
+    fly(copter, 10.0)
+    assert copter.vd_mps == pytest.approx(0.5, abs=0.05)  # LAND_SPD_MS below
+    fly(copter, 30.0)
+    assert copter.landed
+    assert (copter.down_m, copter.vd_mps) == (0.0, 0.0)
+
+
+def test_same_commands_give_the_same_flight() -> None:
+    flights = []
+    for _ in range(2):
+        copter = guided()
+        copter.guided_position((20.0, 10.0, -12.0))
+        flights.append(fly(copter, 5.0))
+    assert flights[0] == flights[1]
+
+
+@pytest.mark.parametrize(("angle", "wrapped"), [(4.0, 4.0 - math.tau), (-4.0, math.tau - 4.0)])
+def test_angles_wrap(angle: float, wrapped: float) -> None:
+    assert wrap_pi(angle) == pytest.approx(wrapped)
