@@ -1,0 +1,612 @@
+"""One ArduCopter as a MAVLink endpoint: bytes in, bytes out.
+
+The autopilot owns the links, the parameters, the modes and the scripts of one vehicle; the body
+moves by itself. What is modelled, and from which file of ArduPilot, stands in the modules used
+here. Not modelled: polygon fences, pilot's sticks, battery and estimator fail-safes.
+"""
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from echowing.geo import Ned
+from echowing.sim.commands import ACCEPTED, FAILED, Commands, command_of
+from echowing.sim.dataflash import DataflashLog
+from echowing.sim.flightlog import FlightLog
+from echowing.sim.guided import Body, SubMode
+from echowing.sim.links import Router, SerialLink
+from echowing.sim.luahost import AltitudeFrame, LuaHost, Position
+from echowing.sim.modes import GUIDED, MODES, Arming, FlightModes
+from echowing.sim.parameters import Generation, Parameters
+from echowing.sim.places import ORIGIN, Places
+from echowing.sim.rangefinder import MavlinkRangefinder
+from echowing.sim.streams import START_UNIX_S, STREAM_NUMBERS, STREAMS, Reports, Schedule
+from echowing.sim.targets import TargetReader
+
+__all__ = ["ORIGIN", "Autopilot"]
+
+# Which serial port, and so which stream-rate parameters, a link of this name has.
+USB, TELEMETRY, COPROCESSOR = "usb", "telemetry", "coprocessor"
+_PORT_NUMBERS = {USB: 0, TELEMETRY: 1, COPROCESSOR: 2}
+_FIRST_OTHER_PORT = 3
+
+# A port gives about 30 % of its 57600 baud to a parameter list: one 37-byte value every 20 ms.
+PARAMETER_PERIOD_S = 0.02
+TEXT_CHARACTERS = 50
+HELD_TEXTS = 30  # texts kept for a link where nobody has been heard yet (GCS_Common.cpp)
+# Receiver as SITL's default: sticks in the middle, throttle low, switches as it has them.
+_RC_US = (1500, 1500, 1000, 1500, 1800, 1000, 1000, 1800, *(0,) * 8)
+_AUX_HIGH_US, _AUX_LOW_US = 1800, 1200  # RC_Channel.h: AUX_SWITCH_PWM_TRIGGER_HIGH, _LOW
+_RC_VALID_US = range(801, 2200)
+_RC_OPTION_CHANNELS = 16
+
+
+class _Port:
+    """One link of the autopilot, with its streams and its parameter list."""
+
+    def __init__(self, autopilot: "Autopilot", link: SerialLink) -> None:
+        self.link = link
+        self.schedule = Schedule()
+        self.rates_hz: dict[str, float] = {}
+        """Rates asked for by REQUEST_DATA_STREAM, where the port has no parameters for them."""
+        self.list_next: int | None = None
+        self.list_due_s = 0.0
+        self.held: deque[Any] = deque(maxlen=HELD_TEXTS)
+        self._autopilot = autopilot
+
+    def send(self, message: Any) -> None:
+        self.link.send(message)
+
+    def report(self, message_id: int) -> bool:
+        message = self._autopilot.reports.build(message_id)
+        if message is not None:
+            self.link.send(message)
+        return message is not None
+
+    def set_interval(self, message_id: int, interval_us: int) -> bool:
+        if message_id not in self._autopilot.reports.builders:
+            return False
+        self.schedule.set_interval(message_id, interval_us)
+        self._autopilot.plan_streams(self)
+        return True
+
+    def interval_us(self, message_id: int) -> int:
+        return self.schedule.interval_us(message_id)
+
+
+class Autopilot:
+    """ArduCopter on one vehicle; implements `VehicleApi` for its scripts.
+
+    `body` is a `Copter`, or anything with its sensed attributes that moves by itself. A body in the
+    air starts armed and in Guided. `parameters` are the values saved by former flights; names that
+    this firmware does not know are kept for scripts. Times are seconds from the flight's start; the
+    autopilot boots at the first of them. `seed` is taken for symmetry with other parts: nothing
+    here is random.
+    """
+
+    def __init__(
+        self,
+        copter: Body,
+        *,
+        system_id: int,
+        generation: Generation = Generation.V4_8,
+        parameters: Mapping[str, float] | None = None,
+        seed: int = 0,
+    ) -> None:
+        self.copter = copter
+        self.generation = generation
+        self.seed = seed
+        self.links: dict[str, SerialLink] = {}
+        self.rc_us = list(_RC_US)
+        self.dataflash: DataflashLog | None = None
+        self.script: LuaHost | None = None
+        self._script_path: Path | None = None
+        self._ports: dict[str, _Port] = {}
+        self._boot_s = 0.0
+        self._unix_s = float(START_UNIX_S)
+        self._t_s = 0.0
+        self._text_id = 0
+        self._reboot_wanted = False
+        identity = {"MAV_SYSID": float(system_id), "SYSID_THISMAV": float(system_id)}
+        self._boot({**identity, **(parameters or {})})
+        self._router = Router(self.links, lambda: self.system_id)
+
+    def _boot(self, saved: Mapping[str, float]) -> None:
+        """Everything that a restart forgets."""
+        self.parameters = Parameters(self.generation, saved)
+        self.rangefinder = MavlinkRangefinder(self.parameters)
+        self.rangefinder.update(self.millis())
+        self.arming = Arming(self.parameters, self.rangefinder)
+        self.places = Places(self.copter, self.parameters)
+        self._inbox: deque[tuple[bytes, int]] = deque()
+        self._flight_log: FlightLog | None = None
+        self.modes = FlightModes(
+            self.copter,
+            self.parameters,
+            self.places,
+            self.arming,
+            say=self.send_text,
+            on_change=self._mode_changed,
+            log_target=self._log_target,
+        )
+        self.reports = Reports(
+            self.copter, self.parameters, self.places, self.modes, self.rangefinder, self.rc_us
+        )
+        self._targets = TargetReader(self.copter, self.places, self.modes.guided)
+        self._commands = Commands(self.modes, self.parameters, self.places, self._want_reboot)
+        self._handlers = {
+            mavlink.MAVLINK_MSG_ID_HEARTBEAT: self._heartbeat,
+            mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR: self._distance_sensor,
+            mavlink.MAVLINK_MSG_ID_TIMESYNC: self._timesync,
+            mavlink.MAVLINK_MSG_ID_COMMAND_LONG: self._command,
+            mavlink.MAVLINK_MSG_ID_COMMAND_INT: self._command,
+            mavlink.MAVLINK_MSG_ID_SET_MODE: self._set_mode,
+            mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT: self._target,
+            mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED: self._target,
+            mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_LIST: self._param_request_list,
+            mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_READ: self._param_request_read,
+            mavlink.MAVLINK_MSG_ID_PARAM_SET: self._param_set,
+            mavlink.MAVLINK_MSG_ID_REQUEST_DATA_STREAM: self._request_data_stream,
+        }
+
+    # ---- set-up ---------------------------------------------------------------------------------
+
+    @property
+    def system_id(self) -> int:
+        """Its MAVLink system id, from the parameter."""
+        return int(self.parameters.value(self.parameters.dialect.system_id))
+
+    def add_link(self, name: str) -> None:
+        """Add a MAVLink port. usb, telemetry and coprocessor are SERIAL0, 1 and 2."""
+        taken = {link.number for link in self.links.values()}
+        number = _PORT_NUMBERS.get(name, _FIRST_OTHER_PORT)
+        while number in taken:
+            number += 1
+        link = SerialLink(name, number, self.system_id)
+        self.links[name] = link
+        self._ports[name] = _Port(self, link)
+        self.plan_streams(self._ports[name])
+
+    def sign_link(self, name: str, key: bytes) -> None:
+        """Sign a link with a 32-byte key: only what carries its signature is heard there."""
+        self.links[name].sign(key, self._unix_s)
+
+    def receive(self, link: str, data: bytes) -> None:
+        """Bytes off the wire; they are looked at in the next step."""
+        self.links[link].feed(data)
+
+    def transmit(self, link: str) -> bytes:
+        """What it wants to send, whole frames."""
+        return self.links[link].drain()
+
+    def set_gps_offset(self, offset_ned_m: Ned) -> None:
+        """Error of the receiver: estimated minus true position."""
+        self.copter.set_estimate_offset(offset_ned_m)
+
+    def set_rc(self, channel: int, pwm: int) -> None:
+        """Move a channel of the pilot's transmitter (1 to 16), microseconds."""
+        self.rc_us[channel - 1] = pwm
+
+    def set_mode(self, name: str) -> bool:
+        """Change the mode as by the pilot's switch: GUIDED, LOITER, …; False: refused."""
+        return self.modes.set_mode(MODES[name])
+
+    def arm_and_fly(self, altitude_m: float) -> bool:
+        """Arm whatever the checks say, and take off in Guided; False: cannot."""
+        return (
+            self.modes.set_mode(GUIDED)
+            and self.modes.arm(force=True)
+            and self.modes.take_off(altitude_m)
+        )
+
+    def start_mission(self, waypoints_ned_m: Sequence[Ned], speed_mps: float | None = None) -> None:
+        """Fly waypoints (NED metres) in Auto; without a speed, at the speed parameter."""
+        self.modes.start_mission(waypoints_ned_m, speed_mps)
+
+    def load_script(self, path: Path) -> None:
+        """Put a script on the SD card and start it, unless SCR_ENABLE is 0."""
+        self._script_path = path
+        if self.parameters.value("SCR_ENABLE") == 0.0:
+            return
+        self.script = LuaHost(
+            self,
+            path,
+            generation=self.generation,
+            instruction_limit=int(self.parameters.value("SCR_VM_I_COUNT")),
+            heap_bytes=int(self.parameters.value("SCR_HEAP_SIZE")),
+        )
+
+    def start_log(self, path: Path) -> DataflashLog:
+        """Write a dataflash log (.BIN) from now on; `dataflash.close()` ends it."""
+        self.dataflash = DataflashLog(path.open("wb"), self._t_s)
+        self._begin_log()
+        return self.dataflash
+
+    def reboot(self) -> None:
+        """Restart the autopilot: what was only set is lost, its clock begins again."""
+        self._boot_s += self._t_s
+        self._t_s = 0.0
+        self._boot(self.parameters.saved)
+        for port in self._ports.values():
+            port.list_next = None
+            port.link.routes.clear()
+            port.schedule = Schedule()
+            port.rates_hz.clear()
+            self.plan_streams(port)
+        self.script = None
+        if self._script_path is not None:
+            self.load_script(self._script_path)
+        if self.dataflash is not None:
+            self._begin_log()
+
+    def _want_reboot(self) -> None:
+        self._reboot_wanted = True  # after this step, so that the command is acknowledged
+
+    # ---- one step -------------------------------------------------------------------------------
+
+    def step(self, t_s: float) -> None:
+        """Work at `t_s`, after the body has moved: input, checks, script, output, log."""
+        self._unix_s = START_UNIX_S + t_s
+        self._t_s = t_s = t_s - self._boot_s
+        self.reports.t_s = t_s
+        self.reports.unix_s = self._unix_s
+        for port in self._ports.values():
+            self._listen(port)
+        self.rangefinder.update(self.millis())
+        self.modes.step(t_s)
+        if self.script is not None:
+            self.script.step(self.millis())
+        for port in self._ports.values():
+            self._speak(port, t_s)
+        if self._flight_log is not None:
+            self._flight_log.step(t_s, self._unix_s)
+        if self._reboot_wanted:
+            self._reboot_wanted = False
+            self.reboot()
+
+    def _listen(self, port: _Port) -> None:
+        for message in port.link.messages():
+            if not self._router.accept(port.link, message):
+                continue
+            if self.script is not None:
+                self._inbox.append((bytes(message.get_msgbuf()), port.link.number))
+            handler = self._handlers.get(message.get_msgId())
+            if handler is not None:
+                handler(port, message)
+
+    def _speak(self, port: _Port, t_s: float) -> None:
+        if port.held and port.link.active:
+            for text in port.held:
+                port.link.send(text)
+            port.held.clear()
+        for message_id in port.schedule.due(t_s):
+            port.report(message_id)
+        if port.list_next is not None and t_s >= port.list_due_s:
+            self._send_listed(port, t_s)
+
+    # ---- messages in ----------------------------------------------------------------------------
+
+    def _heartbeat(self, port: _Port, message: Any) -> None:
+        names = self.parameters.dialect
+        if message.get_srcSystem() == self.parameters.value(names.ground_station_id):
+            self.modes.heard_ground_station(self._t_s)
+
+    def _distance_sensor(self, port: _Port, message: Any) -> None:
+        self.rangefinder.receive(message, self.millis())
+
+    def _timesync(self, port: _Port, message: Any) -> None:
+        if message.tc1 != 0:
+            return  # an answer, and it asked nothing
+        boot_ns = max(1, round(self._t_s * 1e9))  # 0 would make it a question
+        port.send(mavlink.MAVLink_timesync_message(boot_ns, message.ts1))
+
+    def _command(self, port: _Port, message: Any) -> None:
+        result = self._commands.run(command_of(message), port)
+        self._acknowledge(port, message, message.command, result)
+
+    def _set_mode(self, port: _Port, message: Any) -> None:
+        custom = message.base_mode & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+        done = custom and self.modes.set_mode(message.custom_mode)
+        result = ACCEPTED if done else FAILED
+        self._acknowledge(port, message, mavlink.MAVLINK_MSG_ID_SET_MODE, result)
+
+    def _acknowledge(self, port: _Port, message: Any, command: int, result: int) -> None:
+        source = message.get_srcSystem(), message.get_srcComponent()
+        port.send(mavlink.MAVLink_command_ack_message(command, result, 0, 0, *source))
+
+    def _target(self, port: _Port, message: Any) -> None:
+        if self.modes.mode != GUIDED:
+            return
+        if message.get_msgId() == mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT:
+            self._targets.read_global(message)
+        else:
+            self._targets.read_local(message)
+
+    def _request_data_stream(self, port: _Port, message: Any) -> None:
+        rate_hz = message.req_message_rate if message.start_stop else 0
+        for stream in STREAM_NUMBERS.get(message.req_stream_id, ()):
+            self.parameters.set(self._rate_name(port, stream), rate_hz)
+            port.rates_hz[stream] = rate_hz
+        self.plan_streams(port)
+
+    # ---- parameters -----------------------------------------------------------------------------
+
+    def _param_request_list(self, port: _Port, message: Any) -> None:
+        port.list_next = 0
+        port.list_due_s = self._t_s
+
+    def _send_listed(self, port: _Port, t_s: float) -> None:
+        index = port.list_next or 0
+        name = self.parameters.name(index)
+        if name is None:
+            port.list_next = None
+            return
+        port.send(self._param_value(name, index))
+        port.list_next = index + 1
+        port.list_due_s = t_s + PARAMETER_PERIOD_S - 1e-6  # sums of steps are rounded
+
+    def _param_value(self, name: str, index: int) -> Any:
+        parameters = self.parameters
+        return mavlink.MAVLink_param_value_message(
+            name.encode(),
+            parameters.value(name),
+            parameters.mavlink_type(name),
+            len(parameters),
+            index,
+        )
+
+    def _param_request_read(self, port: _Port, message: Any) -> None:
+        if message.param_index >= 0:
+            name = self.parameters.name(message.param_index)
+        else:
+            name = message.param_id
+        if name is not None and self.parameters.get(name) is not None:
+            port.send(self._param_value(name, self.parameters.index(name)))
+
+    def _param_set(self, port: _Port, message: Any) -> None:
+        name = message.param_id
+        if not self.parameters.save(name, message.param_value):
+            return
+        self._parameter_changed(name)
+        for other in self._ports.values():
+            if other is port or other.link.active:
+                other.send(self._param_value(name, self.parameters.index(name)))
+
+    def _parameter_changed(self, name: str) -> None:
+        names = self.parameters.dialect
+        if name == names.system_id:
+            for link in self.links.values():
+                link.set_system_id(self.system_id)
+        if name.startswith(names.stream_prefix):
+            for port in self._ports.values():
+                port.rates_hz.clear()
+                self.plan_streams(port)
+        if self._flight_log is not None:
+            self._flight_log.parameter(self._t_s, name)
+
+    def _rate_name(self, port: _Port, stream: str) -> str:
+        names = self.parameters.dialect
+        return f"{names.stream_prefix}{port.link.number + names.first_stream}_{stream}"
+
+    def plan_streams(self, port: _Port) -> None:
+        """Work out a port's message rates anew, from parameters and requests."""
+        rates_hz = {
+            stream: port.rates_hz.get(stream, self.parameters.value(self._rate_name(port, stream)))
+            for stream in STREAMS
+        }
+        port.schedule.plan(rates_hz, self._t_s)
+
+    # ---- the log --------------------------------------------------------------------------------
+
+    def _begin_log(self) -> None:
+        if self.dataflash is None:
+            return
+        self._flight_log = FlightLog(self.dataflash, self)
+        self._flight_log.begin(self._t_s)
+
+    def _mode_changed(self) -> None:
+        if self._flight_log is not None:
+            self._flight_log.mode(self._t_s)
+
+    def _log_target(self, sub_mode: SubMode, position: Ned, velocity: Ned) -> None:
+        if self._flight_log is not None:
+            self._flight_log.target(self._t_s, sub_mode, position, velocity)
+
+    # ---- VehicleApi: what scripts see -----------------------------------------------------------
+
+    def millis(self) -> int:
+        """Milliseconds since the autopilot started."""
+        return int(self._t_s * 1000.0 + 0.5)
+
+    def armed(self) -> bool:
+        """Motors armed."""
+        return self.modes.armed
+
+    def mode_number(self) -> int:
+        """Copter's mode number."""
+        return self.modes.mode
+
+    def flying(self) -> bool:
+        """Armed and off the ground."""
+        return self.modes.flying
+
+    def parameter_get(self, name: str) -> float | None:
+        """Value in force, or None where this firmware has no such parameter."""
+        return self.parameters.get(name)
+
+    def parameter_set(self, name: str, value: float) -> bool:
+        """Set until the next restart."""
+        done = self.parameters.set(name, value)
+        if done:
+            self._parameter_changed(name)
+        return done
+
+    def parameter_save(self, name: str, value: float) -> bool:
+        """Set and keep."""
+        done = self.parameters.save(name, value)
+        if done:
+            self._parameter_changed(name)
+        return done
+
+    def parameter_add_table(self, key: int, prefix: str, count: int) -> bool:
+        """Room for a script's parameters."""
+        return self.parameters.add_table(key, prefix, count)
+
+    def parameter_add(self, key: int, index: int, name: str, default: float) -> bool:
+        """Add one parameter of a script."""
+        return self.parameters.add(key, index, name, default)
+
+    def rangefinder_orientations(self) -> Sequence[int]:
+        """Orientation of each configured sensor."""
+        return [self.rangefinder.orientation] if self.rangefinder.configured else []
+
+    def rangefinder_status(self, orientation: int) -> int:
+        """0 not connected, 1 no data, 2 too low, 3 too high, 4 good."""
+        return self.rangefinder.status if self._looks(orientation) else 0
+
+    def rangefinder_distance_m(self, orientation: int) -> float:
+        """Handed out in every state; 0 without data."""
+        return self.rangefinder.distance_m if self._looks(orientation) else 0.0
+
+    def rangefinder_signal_quality(self, orientation: int) -> int:
+        """Per cent, -1 unknown."""
+        return self.rangefinder.quality if self._looks(orientation) else -1
+
+    def rangefinder_min_m(self, orientation: int) -> float:
+        """Nearest believed range."""
+        return self.rangefinder.min_m() if self._looks(orientation) else 0.0
+
+    def rangefinder_max_m(self, orientation: int) -> float:
+        """Farthest believed range."""
+        return self.rangefinder.max_m() if self._looks(orientation) else 0.0
+
+    def _looks(self, orientation: int) -> bool:
+        return self.rangefinder.configured and self.rangefinder.orientation == orientation
+
+    def set_desired_speed(self, speed_mps: float) -> bool:
+        """Speed limit in Guided or Auto; 0 is no limit."""
+        return self.modes.set_speed(speed_mps)
+
+    def set_target_location(
+        self, lat_deg: float, lon_deg: float, alt_m: float, frame: AltitudeFrame
+    ) -> bool:
+        """Guided position target; False: not in Guided, or outside the fence."""
+        if self.modes.mode != GUIDED:
+            return False
+        return self.modes.guided.position(self.places.ned(lat_deg, lon_deg, alt_m, frame))
+
+    def get_target_location(self) -> Position | None:
+        """Position target in force, None where there is none."""
+        target = self.modes.position_target()
+        if target is None:
+            return None
+        place = self.places.place(target)
+        return place.lat_deg, place.lon_deg, -target[2], "above_origin"
+
+    def set_target_position_ned(self, position_ned_m: Ned, yaw_rad: float | None) -> bool:
+        """Guided position target from the estimator's origin."""
+        if self.modes.mode != GUIDED:
+            return False
+        return self.modes.guided.position(position_ned_m, yaw_rad)
+
+    def set_target_posvel_ned(self, position_ned_m: Ned, velocity_ned_mps: Ned) -> bool:
+        """Guided position and velocity target."""
+        if self.modes.mode != GUIDED:
+            return False
+        return self.modes.guided.position_velocity(position_ned_m, velocity_ned_mps)
+
+    def set_target_velocity_ned(self, velocity_ned_mps: Ned) -> bool:
+        """Guided velocity target; times out after 3 s."""
+        if self.modes.mode != GUIDED:
+            return False
+        self.modes.guided.velocity(velocity_ned_mps)
+        return True
+
+    def position_ned_m(self) -> Ned | None:
+        """Estimated position from the estimator's origin."""
+        return self.places.here_ned_m()
+
+    def velocity_ned_mps(self) -> Ned | None:
+        """Estimated velocity."""
+        return self.copter.vn_mps, self.copter.ve_mps, self.copter.vd_mps
+
+    def location(self) -> tuple[float, float, float] | None:
+        """Estimated latitude, longitude (degrees) and altitude above mean sea level."""
+        return self.reports.here()
+
+    def yaw_rad(self) -> float:
+        """Heading, -pi to pi."""
+        return self.copter.yaw_rad
+
+    def rc_option_position(self, option: int) -> int | None:
+        """Switch with this RC option: 0 low, 1 middle, 2 high; None: not assigned or no signal."""
+        for channel in range(1, _RC_OPTION_CHANNELS + 1):
+            if self.parameters.get(f"RC{channel}_OPTION") == option:
+                pwm = self.rc_us[channel - 1]
+                if pwm not in _RC_VALID_US:
+                    return None
+                return 2 if pwm > _AUX_HIGH_US else 0 if pwm < _AUX_LOW_US else 1
+        return None
+
+    def send_text(self, severity: int, text: str) -> None:
+        """STATUSTEXT on every link (kept for links where nobody has been heard yet), and MSG."""
+        for message in self._text_messages(severity, text):
+            for port in self._ports.values():
+                port.held.append(message)
+        if self._flight_log is not None:
+            self._flight_log.text(self._t_s, text)
+
+    def _text_messages(self, severity: int, text: str) -> list[Any]:
+        """A long text goes in pieces of 50 characters under one id."""
+        data = text.encode("utf-8", "replace")
+        pieces = [data[i : i + TEXT_CHARACTERS] for i in range(0, len(data), TEXT_CHARACTERS)]
+        number = 0
+        if len(pieces) > 1:
+            self._text_id = number = self._text_id % 0xFFFF + 1
+        return [
+            mavlink.MAVLink_statustext_message(severity, piece, number, sequence)
+            for sequence, piece in enumerate(pieces)
+        ]
+
+    def send_named_float(self, name: str, value: float) -> None:
+        """NAMED_VALUE_FLOAT on the links where somebody has been heard."""
+        message = mavlink.MAVLink_named_value_float_message(
+            self.millis() & 0xFFFFFFFF, name[:10].encode(), value
+        )
+        for link in self.links.values():
+            if link.active:
+                link.send(message)
+
+    def log_write(
+        self,
+        name: str,
+        labels: str,
+        formats: str,
+        units: str,
+        multipliers: str,
+        values: Sequence[float | int | str],
+    ) -> None:
+        """One message of a script in the dataflash log, if one is written."""
+        if self.dataflash is not None:
+            self.dataflash.write_script(
+                name, self._t_s, labels, formats, units, multipliers, values
+            )
+
+    def aux_auth_id(self) -> int | None:
+        """Reserve one of the three pre-arm authorisation ids."""
+        return self.arming.new_id()
+
+    def aux_auth_passed(self, auth_id: int) -> None:
+        """Let the vehicle arm as far as this id goes."""
+        self.arming.passed(auth_id)
+
+    def aux_auth_failed(self, auth_id: int, reason: str) -> None:
+        """Refuse arming with a reason."""
+        self.arming.failed(auth_id, reason)
+
+    def next_mavlink(self) -> tuple[bytes, int] | None:
+        """Oldest frame not yet handed to scripting, and its link's number."""
+        return self._inbox.popleft() if self._inbox else None

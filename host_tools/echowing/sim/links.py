@@ -1,0 +1,137 @@
+"""The autopilot's MAVLink ports: parsing, packing, and routing between them.
+
+Routing follows ArduPilot's libraries/GCS_MAVLink/MAVLink_routing.cpp.
+"""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+_NOT_FORWARDED = {
+    mavlink.MAVLINK_MSG_ID_RADIO,
+    mavlink.MAVLINK_MSG_ID_RADIO_STATUS,
+    mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE,
+}
+_BROADCAST = 0
+# Signing times are counted in 10 us from here: 2015-01-01 (MAVLink signing specification).
+SIGNING_EPOCH_UNIX_S = 1_420_070_400
+SIGNING_TICKS_PER_S = 100_000
+# Messages accepted without a signature on a signed link (AP's accept_unsigned_callback).
+_NEEDS_NO_SIGNATURE = {mavlink.MAVLINK_MSG_ID_RADIO, mavlink.MAVLINK_MSG_ID_RADIO_STATUS}
+
+
+class SerialLink:
+    """One MAVLink port: its own parser, sequence numbers, routes and outgoing bytes."""
+
+    def __init__(self, name: str, number: int, system_id: int) -> None:
+        self.name = name
+        self.number = number
+        self.routes: set[tuple[int, int]] = set()
+        self._incoming = bytearray()
+        self._outgoing = bytearray()
+        self._mav = mavlink.MAVLink(None, system_id, mavlink.MAV_COMP_ID_AUTOPILOT1)
+        self._mav.robust_parsing = True  # garbage is skipped, as by the autopilot's parser
+
+    @property
+    def active(self) -> bool:
+        """Whether anybody has been heard here."""
+        return bool(self.routes)
+
+    def set_system_id(self, system_id: int) -> None:
+        """Send as this system from now on."""
+        self._mav.srcSystem = system_id
+
+    def sign(self, key: bytes, unix_s: float, *, accept_unsigned: bool = False) -> None:
+        """Sign what is sent with a 32-byte key, and accept only what is signed with it."""
+        signing = self._mav.signing
+        signing.secret_key = key
+        signing.sign_outgoing = True
+        signing.link_id = self.number
+        signing.timestamp = round((unix_s - SIGNING_EPOCH_UNIX_S) * SIGNING_TICKS_PER_S)
+        signing.allow_unsigned_callback = lambda mav, message_id: (
+            accept_unsigned or message_id in _NEEDS_NO_SIGNATURE
+        )
+
+    def feed(self, data: bytes) -> None:
+        """Bytes off the wire, to be parsed at the next `messages`."""
+        self._incoming += data
+
+    def messages(self) -> Iterator[Any]:
+        """Whole messages of what has come; garbage and unknown messages are dropped."""
+        if not self._incoming:
+            return
+        data, self._incoming = self._incoming, bytearray()
+        for message in self._mav.parse_buffer(data) or ():
+            if message.get_msgId() >= 0:  # bad data and unknown messages are below 0
+                yield message
+
+    def send(self, message: Any) -> None:
+        """Pack a message and queue its bytes."""
+        mav = self._mav
+        self._outgoing += message.pack(mav)
+        mav.seq = (mav.seq + 1) & 0xFF
+
+    def forward(self, message: Any) -> None:
+        """Queue a message of somebody else unchanged."""
+        self._outgoing += message.get_msgbuf()
+
+    def drain(self) -> bytes:
+        """What is to go on the wire."""
+        if not self._outgoing:
+            return b""
+        data = bytes(self._outgoing)
+        self._outgoing.clear()
+        return data
+
+
+class Router:
+    """Learns who is behind which link, and forwards between links."""
+
+    def __init__(self, links: dict[str, SerialLink], own_id: Callable[[], int]) -> None:
+        self._links = links
+        self._own_id = own_id
+
+    def accept(self, link: SerialLink, message: Any) -> bool:
+        """Forward `message` where it belongs; True: the autopilot itself handles it too."""
+        source = (message.get_srcSystem(), message.get_srcComponent())
+        if source == (self._own_id(), mavlink.MAV_COMP_ID_AUTOPILOT1):
+            return True
+        if source[0] != _BROADCAST:
+            link.routes.add(source)
+        message_id = message.get_msgId()
+        if message_id in _NOT_FORWARDED:
+            return True
+        if message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
+            self._spread_heartbeat(link, message, source)
+            return True
+        return self._forward(link, message)
+
+    def _spread_heartbeat(self, link: SerialLink, message: Any, source: tuple[int, int]) -> None:
+        for other in self._links.values():
+            if other is not link and other.active and source not in other.routes:
+                other.forward(message)
+
+    def _forward(self, link: SerialLink, message: Any) -> bool:
+        system = getattr(message, "target_system", _BROADCAST)
+        component = getattr(message, "target_component", _BROADCAST)
+        for_me = system in (_BROADCAST, self._own_id())
+        local = for_me and component in (_BROADCAST, mavlink.MAV_COMP_ID_AUTOPILOT1)
+        if local and _BROADCAST not in (system, component):
+            return True
+        forwarded = False
+        for other in self._links.values():
+            if other is not link and _leads_to(other, system, component, for_me=for_me):
+                other.forward(message)
+                forwarded = True
+        return local or (for_me and not forwarded)
+
+
+def _leads_to(link: SerialLink, system: int, component: int, *, for_me: bool) -> bool:
+    if system == _BROADCAST:
+        return link.active
+    any_component = component == _BROADCAST or not for_me
+    return any(
+        known_system == system and (any_component or known_component == component)
+        for known_system, known_component in link.routes
+    )
