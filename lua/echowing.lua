@@ -38,17 +38,18 @@ local ARMING_MS = 1000 -- pace of the arming check
 local PARAMETERS_A_TURN = 3 -- read at each update: all of them within half a second in control, two seconds otherwise
 local CONFLICT_CHANGES, CONFLICT_MS = 4, 10000 -- so many outside changes of the speed in this time: another script
 
-local OFF, SEARCHING, TRACKING, TOO_CLOSE, NO_SONAR, STREAM_LOST = 0, 1, 2, 3, 4, 5
+local OFF, SEARCHING, TRACKING, TOO_CLOSE, NO_SONAR, STREAM_LOST, BACKING_OFF = 0, 1, 2, 3, 4, 5, 6
 local STATE_TEXT = {
     [SEARCHING] = 'searching', [TRACKING] = 'tracking', [TOO_CLOSE] = 'too close', [NO_SONAR] = 'no sonar data',
-    [STREAM_LOST] = 'stream lost, holding here',
+    [STREAM_LOST] = 'stream lost, holding here', [BACKING_OFF] = 'too close, backing off',
 }
 local NOTICE_GAP_MS = { -- the same state is not announced again sooner, however often it comes and goes
     [SEARCHING] = 10000, [TRACKING] = 10000, [TOO_CLOSE] = 3000, [NO_SONAR] = 10000, [STREAM_LOST] = 3000,
+    [BACKING_OFF] = 3000,
 }
 local STATE_SEVERITY = {
     [SEARCHING] = SEVERITY.NOTICE, [TRACKING] = SEVERITY.INFO, [TOO_CLOSE] = SEVERITY.WARNING,
-    [NO_SONAR] = SEVERITY.WARNING, [STREAM_LOST] = SEVERITY.CRITICAL,
+    [NO_SONAR] = SEVERITY.WARNING, [STREAM_LOST] = SEVERITY.CRITICAL, [BACKING_OFF] = SEVERITY.CRITICAL,
 }
 
 local SET_POSITION_TARGET_GLOBAL_INT, NAMED_VALUE_FLOAT = 86, 251
@@ -575,8 +576,7 @@ local function announce(t_ms)
     if last_ms and t_ms - last_ms < NOTICE_GAP_MS[S.state] then return end
     S.announced, S.announced_ms[S.state] = S.state, t_ms
     local text = STATE_TEXT[S.state]
-    if S.state == SEARCHING or S.state == NO_SONAR then text = string.format('%s, %.1f m/s', text, S.out_mps) end
-    if S.state == TOO_CLOSE and S.evading then text = text .. ', backing off' end
+    if S.state == SEARCHING or S.state == NO_SONAR then text = string.format('%s, %.1f m/s', text, S.law_mps) end
     say(STATE_SEVERITY[S.state], text)
 end
 
@@ -757,6 +757,7 @@ local function too_close(near_m, closing_mps, t_ms)
         return C.SPD_MIN
     end
     S.evading = should_back_off(here, near_m, closing_mps, t_ms) and back_off(here, near_m)
+    if S.evading then set_state(BACKING_OFF) end
     if S.evading or target_leads_away(here, t_ms) then return C.SPD_MAX end -- free to get away
     return C.SPD_MIN
 end
@@ -783,7 +784,7 @@ local function watch_stream(t_ms)
         S.holding = false
         return
     end
-    if S.state ~= TOO_CLOSE then set_state(STREAM_LOST) end
+    if not S.too_close then set_state(STREAM_LOST) end
     if S.evading then
         S.holding = false -- hold again where the evasion ends
         return

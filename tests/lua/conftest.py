@@ -106,7 +106,9 @@ class Rig:
         self.raw_every_ms = None
         return self.range(0.0, NO_DATA)
 
-    def send_raw(self, metres: float, *, system: int = CO_PROCESSOR, name: bytes = b"SNR_RAW") -> None:
+    def send_raw(
+        self, metres: float, *, system: int = CO_PROCESSOR, name: bytes = b"SNR_RAW"
+    ) -> None:
         payload = struct.pack("<If10s", self.vehicle.t_ms, metres, name)
         self.vehicle.inbox.append((mavlink_frame(251, payload, system), 1))
 

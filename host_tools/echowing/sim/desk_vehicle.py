@@ -26,6 +26,7 @@ class DeskVehicle:
     """Script parameters that a former flight saved, by full name."""
     t_ms: int = 0
     is_armed: bool = True
+    is_flying: bool = True
     mode: int = 4
     ranges: dict[int, tuple[int, float]] = field(default_factory=lambda: {0: (NO_DATA, 0.0)})
     """Orientation -> (status, metres)."""
@@ -57,7 +58,7 @@ class DeskVehicle:
         return self.mode
 
     def flying(self) -> bool:
-        return self.is_armed
+        return self.is_flying
 
     def parameter_get(self, name: str) -> float | None:
         return self.parameters.get(name)

@@ -459,7 +459,7 @@ function host.new_limit()
         debug.sethook(stop, '', 1)
         error('Exceeded CPU time', 0)
     end
-    return function(limit) over = false; debug.sethook(stop, '', limit) end, function() return over end
+    return stop, function() over = false end, function() return over end
 end
 
 -- A local function of the script by its name, reached through the functions that use it.
@@ -484,7 +484,7 @@ function host.new_counter(chunk_name)
     local function tick()
         if debug.getinfo(2, 'S').source == chunk_name then count = count + 1 end
     end
-    return function() count = 0; debug.sethook(tick, '', 1) end, function() return count end
+    return tick, function() count = 0 end, function() return count end
 end
 
 return host

@@ -367,16 +367,18 @@ class LuaHost:
         self._name = f"scripts/{script.name}"
         self._lua = _new_runtime()
         self._pcall = self._lua.globals().pcall
-        self._unhook = self._lua.globals().debug.sethook
+        self._sethook = self._lua.globals().debug.sethook
         self._host = self._prelude(version)
         self._base_bytes = self._collect()
         self._lua.set_max_memory(self._base_bytes + heap_bytes)
         self._function = self._load(script)
         chunk = "@" + self._name
-        self._arm, self._tell = (
+        self._hook, self._reset, self._tell = (
             self._host.new_counter(chunk) if count_instructions else self._host.new_limit()
         )
-        self._usual_limit = max(instruction_limit, MINIMUM_INSTRUCTIONS)
+        self._usual_limit = (
+            1 if count_instructions else max(instruction_limit, MINIMUM_INSTRUCTIONS)
+        )
         self._limit = self._usual_limit
         self._counting = count_instructions
 
@@ -424,14 +426,15 @@ class LuaHost:
         return int(self._lua.get_memory_used())
 
     def _run(self, t_ms: int) -> None:
-        self._arm(self._limit)
+        self._reset()
+        self._sethook(self._hook, "", self._limit)
         self._limit = self._usual_limit
         try:
             result = self._pcall(self._function)
         except lua53.LuaError as problem:  # memory may run out in the call itself
             result = (False, str(problem))
         finally:
-            self._unhook()
+            self._sethook()
         if self._fault is not None:
             raise self._fault
         if self._counting:
@@ -552,5 +555,9 @@ def _to_e7(lat_deg: float, lon_deg: float, alt_m: float) -> tuple[int, int, int]
 
 
 def _centimetres(distance_m: float) -> int:
-    """Metres as `distance_cm_orient` gives them: float32 times 100, cut off, 16 bits."""
-    return int(c_float(c_float(distance_m).value * 100.0).value) & 0xFFFF
+    """Metres as `distance_cm_orient` gives them: float32 times 100, cut off, into 16 bits.
+
+    The autopilot's processor saturates what does not fit and makes 0 of NaN.
+    """
+    centimetres = c_float(c_float(distance_m).value * 100.0).value
+    return int(min(max(centimetres, 0.0), 65535.0)) if centimetres == centimetres else 0
