@@ -1,0 +1,211 @@
+"""The report: one HTML file with everything in it, readable without a network."""
+
+import html
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+from echowing.analysis import plots
+from echowing.analysis.flight import Flight
+from echowing.analysis.metrics import metrics
+from echowing.analysis.tables import Grid, Result, Row, footnotes, grids
+from echowing.errors import EchowingError
+
+BASELINE = "gray"  # what the thesis compares its own flight with (Fig. 42)
+MOST_COMPARISONS = 4
+
+_STYLE = """
+:root { color-scheme: light; --ink: #253046; --quiet: #667085; --rule: #e0e4eb; --accent: #1f6feb; }
+* { box-sizing: border-box; }
+body { margin: 0; font: 15px/1.55 system-ui, sans-serif; color: var(--ink); background: #f4f6f9; }
+main { max-width: 1360px; margin: 0 auto; padding: 24px 20px 64px; }
+header h1 { margin: 0 0 4px; font-size: 28px; letter-spacing: -0.01em; }
+h2 { margin: 40px 0 4px; font-size: 20px; scroll-margin-top: 12px; }
+p, li { max-width: 90ch; }
+.facts, .notes { color: var(--quiet); margin: 0 0 12px; }
+.notes { font-size: 13px; padding-left: 18px; }
+.warning { color: #9a3412; }
+nav ol { columns: 3 260px; margin: 8px 0 0; padding-left: 22px; }
+nav a { color: var(--accent); text-decoration: none; }
+nav a:hover { text-decoration: underline; }
+.card { background: #fff; border: 1px solid var(--rule); border-radius: 10px; padding: 16px 18px;
+  margin-top: 16px; overflow-x: auto; }
+.plots { display: grid; gap: 16px; grid-template-columns: repeat(auto-fit, minmax(min(540px, 100%), 1fr)); }
+.plot { background: #fff; border: 1px solid var(--rule); border-radius: 10px; overflow: hidden;
+  min-height: 340px; min-width: 0; }
+.plot.map { min-height: 460px; }
+table { border-collapse: collapse; font-size: 14px; font-variant-numeric: tabular-nums; }
+caption { text-align: left; font-weight: 600; padding-bottom: 6px; }
+th, td { text-align: right; padding: 4px 12px; white-space: nowrap; }
+th { color: var(--quiet); font-weight: 600; border-bottom: 1px solid var(--rule); }
+th:first-child, td:first-child { text-align: left; padding-left: 0; }
+tr.printed td { color: var(--quiet); font-style: italic; border-bottom: 1px solid var(--rule); }
+tr.printed td:first-child { padding-left: 20px; }
+table + table { margin-top: 22px; }
+"""
+
+# Figures are drawn when they come near the screen: a report of many flights opens at once.
+_SCRIPT = """
+const options = {responsive: true, displaylogo: false,
+  modeBarButtonsToRemove: ['lasso2d', 'select2d', 'autoScale2d']};
+const draw = box => {
+  const figure = FIGURES[box.dataset.figure];
+  Plotly.newPlot(box, figure.data, figure.layout, options);
+};
+const boxes = document.querySelectorAll('.plot');
+const watcher = new IntersectionObserver(entries => {
+  for (const entry of entries) if (entry.isIntersecting) {
+    watcher.unobserve(entry.target);
+    draw(entry.target);
+  }
+}, {rootMargin: '800px'});
+boxes.forEach(box => watcher.observe(box));
+addEventListener('beforeprint', () => boxes.forEach(box => { if (!box.data) draw(box); }));
+"""
+
+
+def write_report(
+    path: Path,
+    flights: Sequence[Flight],
+    results: Sequence[Result] = (),
+    notes: Sequence[str] = (),
+    title: str = "Echowing: flown formations",
+) -> None:
+    """Write the HTML file.
+
+    flights: those that are plotted. results: what the table is made from (all flights, over the
+    seeds); without, the plotted flights. notes: paragraphs of plain text under the table.
+    Raises EchowingError when there is nothing to show or the file cannot be written.
+    """
+    if not flights:
+        raise EchowingError("report: no flights to show; fly or read at least one")
+    shown = results or [Result(flight.name, metrics(flight)) for flight in flights]
+    figures: dict[str, plots.Figure] = {}
+    sections = [
+        _flight_section(number, flight, figures) for number, flight in enumerate(flights, 1)
+    ]
+    comparisons = _comparison_section(flights, figures)
+    body = [
+        f"<header><h1>{html.escape(title)}</h1>{_contents(flights, bool(comparisons))}</header>",
+        f'<h2 id="results">Results</h2><div class="card">{_tables(shown)}</div>',
+        *(f"<p>{html.escape(note)}</p>" for note in notes),
+        comparisons,
+        *sections,
+    ]
+    _write(path, _page(title, "\n".join(body), figures))
+
+
+def flight_label(flight: Flight) -> str:
+    """How a flight is called in headings: name, law and seed."""
+    parts = [flight.name]
+    if flight.law not in ("", "none", flight.name):
+        parts.append(f"{flight.law} law")
+    if flight.seed is not None:
+        parts.append(f"seed {flight.seed}")
+    return ", ".join(parts)
+
+
+def _flight_section(number: int, flight: Flight, figures: dict[str, plots.Figure]) -> str:
+    drawn = {
+        "tracks": plots.tracks(flight),
+        "matching": plots.matching_times(flight),
+        "error": plots.separation_error([flight], ["separation error"], "Separation error"),
+        "sonar": plots.sonar(flight),
+        "speed": plots.speeds(flight),
+        "gimbal": plots.gimbal(flight),
+    }
+    figures.update({f"{number}-{name}": figure for name, figure in drawn.items()})
+    boxes = "".join(_box(f"{number}-{name}", name in ("tracks", "matching")) for name in drawn)
+    warnings = "".join(f"<li>{html.escape(text)}</li>" for text in flight.warnings)
+    return (
+        f'<section><h2 id="flight-{number}">{html.escape(flight_label(flight))}</h2>'
+        f'<p class="facts">{html.escape(_facts(flight))}</p>'
+        + (f'<ul class="notes warning">{warnings}</ul>' if warnings else "")
+        + f'<div class="plots">{boxes}</div></section>'
+    )
+
+
+def _facts(flight: Flight) -> str:
+    figures = metrics(flight)
+    seen = f", leader seen {figures.seen_share:.0%} of the time" if flight.sonar_known else ""
+    origin = (
+        "true positions" if flight.source == "truth" else "positions as the vehicles logged them"
+    )
+    return (
+        f"wanted {flight.wanted_separation_m:g} m; mean {figures.mean_separation_m:.2f} m, "
+        f"RMSD {figures.rmsd_m:.2f} m, {figures.min_separation_m:.2f} to "
+        f"{figures.max_separation_m:.2f} m{seen}; {origin}, whole flight"
+    )
+
+
+def _comparison_section(flights: Sequence[Flight], figures: dict[str, plots.Figure]) -> str:
+    """The baseline's separation error beside that of each other flight of its kind (Fig. 42)."""
+    base = next((flight for flight in flights if flight.name == BASELINE), flights[0])
+    others = [
+        flight
+        for flight in flights
+        if flight is not base and flight.wanted_separation_m == base.wanted_separation_m
+    ][:MOST_COMPARISONS]
+    if not others:
+        return ""
+    boxes = []
+    for number, other in enumerate(others, 1):
+        pair = [base, other]
+        labels = [flight_label(flight) for flight in pair]
+        figures[f"compare-{number}"] = plots.separation_error(
+            pair, labels, f"Separation error: {base.name} and {other.name}"
+        )
+        boxes.append(_box(f"compare-{number}"))
+    return (
+        '<section><h2 id="compared">Separation error compared</h2>'
+        f'<div class="plots">{"".join(boxes)}</div></section>'
+    )
+
+
+def _contents(flights: Sequence[Flight], compared: bool) -> str:
+    links = [("results", "Results")]
+    links += [("compared", "Separation error compared")] if compared else []
+    links += [(f"flight-{i}", flight_label(flight)) for i, flight in enumerate(flights, 1)]
+    items = "".join(f'<li><a href="#{anchor}">{html.escape(t)}</a></li>' for anchor, t in links)
+    return f"<nav><ol>{items}</ol></nav>"
+
+
+def _tables(results: Sequence[Result]) -> str:
+    notes = "".join(f"<li>{html.escape(note)}</li>" for note in footnotes(results))
+    return "".join(map(_table, grids(results))) + f'<ul class="notes">{notes}</ul>'
+
+
+def _table(grid: Grid) -> str:
+    head = "".join(f"<th>{html.escape(text)}</th>" for text in grid.head)
+    rows = "".join(map(_table_row, grid.rows))
+    caption = html.escape(grid.title)
+    return f"<table><caption>{caption}</caption><tr>{head}</tr>{rows}</table>"
+
+
+def _table_row(row: Row) -> str:
+    cells = "".join(f"<td>{html.escape(cell.strip())}</td>" for cell in row.cells)
+    return f'<tr class="printed">{cells}</tr>' if row.printed else f"<tr>{cells}</tr>"
+
+
+def _box(name: str, is_map: bool = False) -> str:
+    return f'<div class="plot{" map" if is_map else ""}" data-figure="{name}"></div>'
+
+
+def _page(title: str, body: str, figures: dict[str, plots.Figure]) -> str:
+    from plotly.offline import get_plotlyjs  # noqa: PLC0415 (large; only for reports)
+
+    data = json.dumps(figures, separators=(",", ":"), allow_nan=False).replace("</", "<\\/")
+    return (
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{html.escape(title)}</title><style>{_STYLE}</style>"
+        f"<script>{get_plotlyjs()}</script></head>\n<body><main>\n{body}\n</main>\n"
+        f"<script>const FIGURES = {data};\n{_SCRIPT}</script></body></html>\n"
+    )
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise EchowingError(f"report {path}: cannot be written: {error.strerror}") from error
