@@ -14,6 +14,7 @@ from echowing.sim.calibrate import (
     replay,
     replay_directory,
 )
+from echowing.sim.copter import Copter
 
 RECORDINGS = Path(__file__).parent / "data" / "sitl"
 # What each reached when the constants were fitted, and about a third more: a change of the model
@@ -54,7 +55,7 @@ def test_known_waypoints_bring_the_mission_nearer(tmp_path: Path) -> None:
 def test_waypoints_are_seen_in_the_track() -> None:
     path = RECORDINGS / "leader_auto_rectangle_2mps.csv"
     mission = estimate_mission(path, read_recording(path))
-    assert mission.speed_mps == 2.0
+    assert mission.speed_mps == pytest.approx(2.0)
     expected = [(60.0, 0.0), (60.0, 40.0), (0.0, 40.0), (0.0, 0.0)]
     assert len(mission.waypoints_m) == 4
     for point, wanted in zip(mission.waypoints_m, expected, strict=True):
@@ -90,6 +91,32 @@ def turn_recording(source: Path, target: Path, angle_rad: float, mirror: float) 
                     row[one] = repr(north * cosine - east * sine)
                     row[two] = repr(north * sine + east * cosine)
             writer.writerow(row)
+
+
+@pytest.mark.parametrize(
+    ("waypoints", "speed_mps"),
+    [
+        ([(40.0, 0.0), (20.0, 35.0), (0.0, 0.0)], 3.0),
+        ([(15.0, 0.0), (15.0, 15.0), (0.0, 15.0), (0.0, 0.0)], 8.0),  # never reaches 8 m/s
+        ([(30.0, 30.0), (60.0, 25.0), (90.0, 60.0)], 5.0),
+        ([(20.0, 0.0), (20.0, -30.0), (-10.0, -30.0)], 1.25),
+    ],
+)
+def test_mission_of_another_shape_is_understood(
+    tmp_path: Path, waypoints: list[tuple[float, float]], speed_mps: float
+) -> None:
+    path = tmp_path / "mission.csv"
+    copter = Copter((0.0, 0.0, -10.0), flying=True)
+    copter.start_auto([(north, east, -10.0) for north, east in waypoints], speed_mps)
+    lines = [HEADER]
+    for k in range(2000):
+        copter.step(0.04)
+        lines.append(
+            f"{0.04 * (k + 1)},{copter.north_m},{copter.east_m},{copter.down_m},"
+            f"{copter.vn_mps},{copter.ve_mps},{copter.vd_mps},{copter.yaw_rad}"
+        )
+    path.write_text("\n".join(lines) + "\n")
+    assert replay(path).rms_position_error_m < 0.25
 
 
 HEADER = ",".join(STATE_COLUMNS)

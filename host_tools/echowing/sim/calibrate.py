@@ -6,7 +6,8 @@ local NED) and, for Guided flight, those of `COMMAND_COLUMNS`: the target in for
 mission. Its waypoints and speed stand in `NAME.toml` beside `NAME.csv` (`speed_mps = 2.0`,
 `waypoints_m = [[60, 0], [60, 40]]`, north and east and, if wanted, down), or else are estimated
 from the track: straight stretches are fitted with lines, neighbouring lines intersected, the last
-waypoint is where the vehicle stays, the speed is the median of the legs' own, to whole cm/s.
+waypoint is where the vehicle stays, the speed is the median of the legs' own, to the next
+0.05 m/s. A way straight back shows its waypoint only to the metre: give such missions a sidecar.
 
 What a row cannot say is taken from its rate: the first command came one row before the first row;
 a command that appears in a row was given half a row before it. A mission starts when its first
@@ -16,6 +17,7 @@ motion fits the recorded one.
 import csv
 import math
 import tomllib
+from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -43,8 +45,13 @@ LEG_HEADING_RAD = math.radians(2.0)
 LEG_LEAST_S = 1.0
 # Lines nearer to parallel than this do not meet in a waypoint: they are one leg, or a way back.
 PARALLEL_RAD = math.radians(4.0)
-# Mission speeds are set in whole cm/s (WPNAV_SPEED).
-SPEED_DIGITS = 2
+# The track shows the speed to about 1 %, people set it in round numbers: steps of this, m/s.
+SPEED_STEP_MPS = 0.05
+# A leg cruises where its speed stays within this share for this long.
+CRUISE_S = 1.0
+STEADY_SHARE = 0.985
+# Any speed above the peak then gives the same flight: the legs' length is what limits it.
+NO_CRUISE_FACTOR = 1.5
 # A mission has visibly begun at this share of its speed.
 BEGUN_SHARE = 0.1
 
@@ -372,7 +379,7 @@ def estimate_mission(path: Path, rows: Sequence[Row]) -> Mission:
             f"{path}: no straight legs in this track; give waypoints_m and speed_mps "
             f"in {path.with_suffix('.toml').name}"
         )
-    speed = round(median(_pace(line) for line in lines), SPEED_DIGITS)
+    speed = _cruise_mps(lines)
     points = [_corner(before, after, rows) for before, after in pairwise(lines)]
     end = rows[-1].position_m
     return Mission((*points, (*_foot(lines[-1], end[0], end[1]), end[2])), speed)
@@ -407,11 +414,29 @@ def _fit(rows: Sequence[Row]) -> _Line:
     return _Line(north, east, course, tuple(rows))
 
 
-def _pace(line: _Line) -> float:
-    """Speed over the settled half of a leg, by its positions: a receiver's velocity has a bias."""
-    begin, end = line.rows[len(line.rows) // 2], line.rows[-1]
-    way_m = math.dist(begin.position_m[:2], end.position_m[:2])
-    return way_m / (end.time_s - begin.time_s)
+def _cruise_mps(lines: Sequence[_Line]) -> float:
+    """Speed the mission was set to; where no leg comes to cruise, one that holds nothing back."""
+    steady = [pace for pace in map(_pace, lines) if pace is not None]
+    if steady:
+        return round(median(steady) / SPEED_STEP_MPS) * SPEED_STEP_MPS
+    return NO_CRUISE_FACTOR * max(row.speed_mps for line in lines for row in line.rows)
+
+
+def _pace(line: _Line) -> float | None:
+    """Speed of a leg's fastest steady window, by its positions; None if it never cruises.
+
+    Positions, because a receiver's velocity has a bias; the settled half of the leg only.
+    """
+    settled = line.rows[len(line.rows) // 2 :]
+    count = bisect_left(settled, settled[0].time_s + CRUISE_S, key=lambda row: row.time_s)
+    paces = []
+    for begin in range(len(settled) - count):
+        window = settled[begin : begin + count + 1]
+        speeds = [row.speed_mps for row in window]
+        if min(speeds) > STEADY_SHARE * max(speeds):
+            way_m = math.dist(window[0].position_m[:2], window[-1].position_m[:2])
+            paces.append(way_m / (window[-1].time_s - window[0].time_s))
+    return max(paces, default=None)
 
 
 def _mean(rows: Sequence[Row]) -> tuple[float, float]:
