@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from echowing.analysis.flight import Flight, Floats
 from echowing.analysis.plots import (
@@ -21,25 +22,32 @@ EDGE_PX = 48.0
 HEAD_PX = 40.0
 SCALE_BAR_M = 10.0
 
+Indices = NDArray[np.intp]
 # NED metres (n, 3) to picture (n, 2).
 Project = Callable[[Floats], Floats]
 
 
-def write_formation_svg(path: Path, flight: Flight, title: str = "") -> None:
+def write_formation_svg(
+    path: Path, flight: Flight, title: str = "", span_s: tuple[float, float] | None = None
+) -> None:
     """Both tracks, and the distance between the two about every 10 s (thesis Fig. 37).
+
+    span_s: only this part of the flight (from, to), as one lap; all of it without.
 
     East is right and north is up, unless the flight is longer north than east: then the picture
     is turned a quarter to lie down, and its north arrow points left.
     """
-    known = np.flatnonzero(np.isfinite(flight.separation_m))
+    start_s, end_s = span_s or (-np.inf, np.inf)
+    inside = (flight.time_s >= start_s) & (flight.time_s <= end_s)
+    known = np.flatnonzero(inside & np.isfinite(flight.separation_m))
     if len(known) == 0:
-        raise EchowingError(f"picture of {flight.name!r}: no sample has both positions")
+        raise EchowingError(f"picture of {flight.name!r}: no sample in it has both positions")
     project, height_px = _projection(flight, known)
     leader, follower = project(flight.leader_ned_m), project(flight.follower_ned_m)
     parts = [
         _path(leader[known], LEADER_COLOUR),
         _path(follower[known], FOLLOWER_COLOUR),
-        *_pairs(flight, leader, follower),
+        *_pairs(flight, leader, follower, known),
         _heading(title or f"{flight.name}: wanted {flight.wanted_separation_m:g} m"),
         _scale_bar(project, height_px),
         _north_arrow(project, height_px),
@@ -50,9 +58,7 @@ def write_formation_svg(path: Path, flight: Flight, title: str = "") -> None:
         raise EchowingError(f"picture {path}: cannot be written: {error.strerror}") from error
 
 
-def _projection(
-    flight: Flight, known: "np.ndarray[tuple[int], np.dtype[np.intp]]"
-) -> tuple[Project, float]:
+def _projection(flight: Flight, known: Indices) -> tuple[Project, float]:
     both = np.vstack([flight.leader_ned_m[known, :2], flight.follower_ned_m[known, :2]])
     low, high = both.min(axis=0), both.max(axis=0)
     north_m, east_m = high - low
@@ -81,10 +87,10 @@ def _path(points: Floats, colour: str) -> str:
     )
 
 
-def _pairs(flight: Flight, leader: Floats, follower: Floats) -> list[str]:
+def _pairs(flight: Flight, leader: Floats, follower: Floats, known: Indices) -> list[str]:
     separation_m = flight.separation_m
     parts = []
-    for index in matching_indices(flight):
+    for index in np.intersect1d(matching_indices(flight), known):
         (ax, ay), (bx, by) = leader[index], follower[index]
         label_x, label_y = _label_place(float(ax - bx), float(ay - by))
         parts.append(
@@ -129,12 +135,12 @@ def _scale_bar(project: Project, height_px: float) -> str:
 def _north_arrow(project: Project, height_px: float) -> str:
     ends = project(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]))
     dx, dy = (ends[1] - ends[0]) / np.hypot(*(ends[1] - ends[0]))
-    x, y = WIDTH_PX - EDGE_PX - 12.0, height_px - 26.0
+    x, y = WIDTH_PX - EDGE_PX - 8.0, height_px - 26.0
     angle_deg = float(np.degrees(np.arctan2(dx, -dy)))
     return (
         f'<g transform="translate({x} {y}) rotate({angle_deg:.0f})">'
         '<path d="M0,-12 L5,8 L0,4 L-5,8 Z" fill="#253046"/></g>'
-        f'<text x="{x - 18 + 30 * float(dx < -0.5)}" y="{y + 5}" text-anchor="end">N</text>'
+        f'<text x="{x - 20}" y="{y + 5}" text-anchor="end">north</text>'
     )
 
 

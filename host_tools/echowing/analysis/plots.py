@@ -21,7 +21,9 @@ QUIET_COLOUR = "#8a94a6"
 GOOD_COLOUR = "#1a7f5a"
 SECOND_COLOUR = "#8250df"
 
-MATCHING_PERIOD_S = 10.0  # thesis Fig. 37: about one position every 10 s
+# Thesis Fig. 37: about one position every 10 s. Not 10 itself: a lap of the standard rectangle
+# takes 100 s, and the positions of two laps would cover each other.
+MATCHING_PERIOD_S = 9.5
 NOTHING_SEEN_M = 7.65  # where the sonar's own "no target" lies (MB1202 datasheet), thesis Fig. 38
 # A plot is some 1200 px wide on a large screen: more points than this cannot be told apart.
 MOST_POINTS = 1200
@@ -46,7 +48,7 @@ def matching_times(flight: Flight) -> Figure:
     separation_m, middle = flight.separation_m[at], (leader + follower) / 2.0
     seconds = _plain(flight.time_s[at], 1)
     return _map(
-        f"Positions every {MATCHING_PERIOD_S:.0f} s, distance in metres between them",
+        f"Positions every {MATCHING_PERIOD_S:g} s, distance in metres between them",
         [
             _joined(leader, follower),
             _points("leader", leader, seconds, LEADER_COLOUR),
@@ -58,7 +60,8 @@ def matching_times(flight: Flight) -> Figure:
                 "hoverinfo": "skip",
                 "x": _plain(middle[:, 1]),
                 "y": _plain(middle[:, 0]),
-                "text": [f"{metres:.1f}" for metres in separation_m],
+                "text": [f"  {metres:.1f}" for metres in separation_m],
+                "textposition": _beside(leader - follower),
                 "textfont": {"size": 11},
             },
         ],
@@ -66,7 +69,7 @@ def matching_times(flight: Flight) -> Figure:
 
 
 def matching_indices(flight: Flight) -> NDArray[np.intp]:
-    """One sample about every 10 s at which both positions are known."""
+    """A sample every MATCHING_PERIOD_S at which both positions are known."""
     known = np.flatnonzero(np.isfinite(flight.separation_m))
     if len(known) == 0:
         return known
@@ -126,7 +129,7 @@ def separation_error(flights: Sequence[Flight], labels: Sequence[str], title: st
         time_s = flight.time_s - flight.time_s[0] if len(flights) > 1 else flight.time_s
         error_m = flight.separation_m - flight.wanted_separation_m
         data.append(_line(label, time_s, error_m, colour))
-        data.append(_mean_line(label, time_s, error_m, colour))
+        data.append(_mean_line(time_s, error_m, colour))
     return _with_level(_over_time(title, "m", data), 0.0, "", QUIET_COLOUR)
 
 
@@ -171,11 +174,11 @@ def _line(name: str, time_s: Floats, values: Floats, colour: str, places: int = 
     }
 
 
-def _mean_line(label: str, time_s: Floats, error_m: Floats, colour: str) -> Figure:
+def _mean_line(time_s: Floats, error_m: Floats, colour: str) -> Figure:
     known = error_m[np.isfinite(error_m)]
     mean_m = float(known.mean()) if len(known) else math.nan
     ends = np.array([time_s[0], time_s[-1]]) if len(time_s) else np.array([])
-    line = _line(f"mean of {label}: {mean_m:+.2f} m", ends, np.full(len(ends), mean_m), colour)
+    line = _line(f"its mean, {mean_m:+.2f} m", ends, np.full(len(ends), mean_m), colour)
     line["line"].update(dash="dash", width=1.2)
     return line
 
@@ -203,6 +206,12 @@ def _apart(ned_m: Floats) -> NDArray[np.intp]:
             keep.append(index)
             last = (north_m, east_m)
     return np.array(keep, dtype=np.intp)
+
+
+def _beside(across_ned_m: Floats) -> list[str]:
+    """Where to write a distance so that it does not cover the line it belongs to."""
+    upright = np.abs(across_ned_m[:, 0]) > np.abs(across_ned_m[:, 1])
+    return ["middle right" if along_north else "top center" for along_north in upright]
 
 
 def _points(name: str, ned_m: Floats, seconds: list[float | None], colour: str) -> Figure:
@@ -237,13 +246,14 @@ def _joined(a_ned_m: Floats, b_ned_m: Floats) -> Figure:
 def _map(title: str, data: list[Figure]) -> Figure:
     figure = _figure(title, "east, m", "north, m", data)
     figure["layout"]["yaxis"].update(scaleanchor="x", scaleratio=1)
-    figure["layout"]["height"] = 460
+    figure["layout"]["legend"]["y"] = -0.16
+    figure["layout"]["height"] = 520
     return figure
 
 
 def _over_time(title: str, unit: str, data: list[Figure]) -> Figure:
     figure = _figure(title, "time, s", unit, data)
-    figure["layout"].update(hovermode="x unified", height=340)
+    figure["layout"].update(hovermode="x unified", height=370)
     return figure
 
 
@@ -255,14 +265,9 @@ def _figure(title: str, x_title: str, y_title: str, data: list[Figure]) -> Figur
             "title": {"text": title, "x": 0.01, "xanchor": "left", "font": {"size": 15}},
             "xaxis": {**axis, "title": {"text": x_title}},
             "yaxis": {**axis, "title": {"text": y_title}},
-            "legend": {
-                "orientation": "h",
-                "x": 1,
-                "xanchor": "right",
-                "y": 1.0,
-                "yanchor": "bottom",
-            },
-            "margin": {"l": 56, "r": 16, "t": 64, "b": 48},
+            # Under the plot: many or long names must not run into the title.
+            "legend": {"orientation": "h", "x": 0, "y": -0.26, "yanchor": "top"},
+            "margin": {"l": 56, "r": 16, "t": 48, "b": 104},
             "paper_bgcolor": "#ffffff",
             "plot_bgcolor": "#ffffff",
             "font": {"family": "system-ui, sans-serif", "size": 12, "color": "#253046"},

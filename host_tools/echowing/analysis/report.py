@@ -21,7 +21,7 @@ body { margin: 0; font: 15px/1.55 system-ui, sans-serif; color: var(--ink); back
 main { max-width: 1360px; margin: 0 auto; padding: 24px 20px 64px; }
 header h1 { margin: 0 0 4px; font-size: 28px; letter-spacing: -0.01em; }
 h2 { margin: 40px 0 4px; font-size: 20px; scroll-margin-top: 12px; }
-p, li { max-width: 90ch; }
+p, li { max-width: 110ch; }
 .facts, .notes { color: var(--quiet); margin: 0 0 12px; }
 .notes { font-size: 13px; padding-left: 18px; }
 .warning { color: #9a3412; }
@@ -30,10 +30,11 @@ nav a { color: var(--accent); text-decoration: none; }
 nav a:hover { text-decoration: underline; }
 .card { background: #fff; border: 1px solid var(--rule); border-radius: 10px; padding: 16px 18px;
   margin-top: 16px; overflow-x: auto; }
-.plots { display: grid; gap: 16px; grid-template-columns: repeat(auto-fit, minmax(min(540px, 100%), 1fr)); }
+.plots { display: grid; gap: 16px;
+  grid-template-columns: repeat(auto-fit, minmax(min(540px, 100%), 1fr)); }
 .plot { background: #fff; border: 1px solid var(--rule); border-radius: 10px; overflow: hidden;
-  min-height: 340px; min-width: 0; }
-.plot.map { min-height: 460px; }
+  min-height: 372px; min-width: 0; }
+.plot.map { min-height: 522px; }
 table { border-collapse: collapse; font-size: 14px; font-variant-numeric: tabular-nums; }
 caption { text-align: left; font-weight: 600; padding-bottom: 6px; }
 th, td { text-align: right; padding: 4px 12px; white-space: nowrap; }
