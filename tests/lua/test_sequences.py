@@ -1,0 +1,144 @@
+"""Thousands of random flights of the applet: what must hold whatever happens."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+if TYPE_CHECKING:
+    from tests.lua.conftest import MakeRig, Rig
+
+FLOOR_MPS, HARD_CLOSE_M = 0.2, 1.0
+DEFAULT_DETECT_M = 4.5
+LOW, GOOD = 2, 4
+SLACK = 1e-5  # 32-bit floats of metres a second
+
+odd_numbers = st.sampled_from([math.nan, math.inf, -math.inf, -1.0, 0.0, 1e9])
+metres = st.floats(0.05, 8.0) | odd_numbers
+applet_values = st.floats(-2.0, 20.0) | odd_numbers
+APPLET = ["LAW", "DIST", "CLOSE", "SPD_MIN", "SPD_MAX", "SPD_LOST", "RATE", "DELAY", "STREAM_T"]
+
+actions = st.one_of(
+    st.tuples(st.just("range"), metres, st.sampled_from([0, 1, LOW, 3, GOOD, GOOD, GOOD])),
+    st.tuples(st.just("raw"), metres),
+    st.tuples(st.just("mode"), st.sampled_from([4, 4, 4, 0, 3, 5, 6])),
+    st.tuples(st.just("arm"), st.sampled_from([True, True, False])),
+    st.tuples(st.just("switch"), st.sampled_from([2, 2, 1, 0, None])),
+    st.tuples(st.just("target"), st.floats(-8.0, 8.0), st.none() | st.floats(-3.0, 3.0)),
+    st.tuples(st.just("velocity"), st.floats(-4.0, 4.0) | odd_numbers),
+    st.tuples(st.just("place"), st.booleans()),
+    st.tuples(st.just("applet"), st.sampled_from(APPLET), applet_values),
+    st.tuples(st.just("restart")),
+    st.tuples(st.just("wait"), st.floats(0.05, 1.0)),
+)
+
+
+class Watch:
+    """Acts on the rig and checks after every step."""
+
+    def __init__(self, r: Rig) -> None:
+        self.r = r
+        self.near_ms = -(10**6)  # when a reading last said "under 1 m"
+        self.behind_ms = -(10**6)
+        self.heard = 0
+        self.tables: tuple[Any, Any] | None = None
+
+    def do(self, action: tuple[Any, ...]) -> None:
+        r, vehicle = self.r, self.r.vehicle
+        match action:
+            case ("range", value, status):
+                vehicle.ranges[0] = (status, value)
+            case ("raw", value):
+                r.send_raw(value)
+                self.near_ms = vehicle.t_ms if 0.0 < value < HARD_CLOSE_M else -(10**6)
+            case ("mode", number):
+                vehicle.mode = number
+            case ("arm", armed):
+                vehicle.is_armed = armed
+            case ("switch", None):
+                vehicle.switches.clear()
+            case ("switch", position):
+                vehicle.switches[300] = position
+            case ("target", ahead_m, velocity_mps):
+                r.send_target(ahead_m, velocity_mps)
+                if ahead_m < 0.0:
+                    self.behind_ms = vehicle.t_ms
+            case ("velocity", north_mps):
+                vehicle.velocity = (north_mps, 0.0, 0.0)
+            case ("place", known):
+                vehicle.place = (39.34, -86.03, 260.0) if known else None
+            case ("applet", name, value):
+                vehicle.parameters[f"ECHO_{name}"] = value
+            case ("restart",):
+                r.restart_script()
+                self.tables = None
+            case ("wait", seconds):
+                self.wait(round(seconds * 20))
+        self.wait(1)
+
+    def wait(self, updates: int) -> None:
+        for _ in range(updates):
+            self.r.vehicle.t_ms += 50
+            self.r.host.step(self.r.vehicle.t_ms)
+            self.check()
+
+    def check(self) -> None:
+        r = self.r
+        assert r.host.error is None, r.host.error
+        self.check_texts()
+        if self.tables is None and r.host.local_value("S") is not None:
+            self.tables = r.host.local_value("S"), r.host.local_value("C")
+        if self.tables is None:  # restarted, and not yet run
+            return
+        state, limits = self.tables
+        if not state.in_control:
+            assert r.parameter_mps == pytest.approx(10.0)
+            assert r.mirror_mps == 0.0
+            return
+        low, high = limits.SPD_MIN, limits.SPD_MAX
+        assert FLOOR_MPS - SLACK <= low - SLACK <= r.speed_mps <= high + SLACK
+        assert r.parameter_mps == pytest.approx(r.speed_mps, abs=SLACK)
+        assert r.mirror_mps == pytest.approx(10.0)
+        if self.too_close() and not self.led_away(state):
+            assert r.speed_mps <= low + SLACK
+
+    def check_texts(self) -> None:
+        """No error of the applet's own, which it would survive and tell."""
+        texts = self.r.vehicle.texts
+        while self.heard < len(texts):
+            assert not texts[self.heard][1].startswith("ECHO: error"), texts[self.heard]
+            self.heard += 1
+
+    def too_close(self) -> bool:
+        vehicle = self.r.vehicle
+        status, value = vehicle.ranges[0]
+        average = status == LOW and value >= 0.0 and math.isfinite(value)
+        average = average or (status == GOOD and 0.01 <= value < HARD_CLOSE_M)
+        return average or vehicle.t_ms - self.near_ms <= 250
+
+    def led_away(self, state: Any) -> bool:
+        """A target away from the leader: the applet's own, or the stream's of late."""
+        vehicle = self.r.vehicle
+        target = vehicle.target
+        own = target is not None and target[0] < 39.34
+        return bool(state.evading) or own or vehicle.t_ms - self.behind_ms <= 1000
+
+
+@settings(
+    max_examples=1000,
+    deadline=None,
+    derandomize=True,  # the same flights everywhere
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
+@given(law=st.integers(0, 2), sequence=st.lists(actions, min_size=5, max_size=20))
+def test_what_must_always_hold(rig: MakeRig, law: int, sequence: list[tuple[Any, ...]]) -> None:
+    r = rig(LAW=law, SWITCH=300)
+    r.vehicle.switches[300] = 2
+    watch = Watch(r)
+    watch.wait(8)
+    for action in sequence:
+        watch.do(action)
