@@ -69,6 +69,7 @@ def export_stl(part: str, path: Path, **changed: float) -> None:
 
     """
     _openscad(path, part, [f"-D{name}={value:g}" for name, value in changed.items()])
+    path.write_text(_in_order(path.read_text(encoding="utf-8")), encoding="utf-8")
 
 
 def render(view: str, path: Path) -> None:
@@ -103,6 +104,18 @@ def _openscad(path: Path, part: str, more: Sequence[str] = (), first: Sequence[s
         raise HardwareError(f"{command[0]} is missing: install openscad, xvfb, xauth") from error
     if done.returncode != 0:
         raise HardwareError(f"openscad, part {part}: {done.stderr.strip()[-500:]}")
+
+
+def _in_order(stl: str) -> str:
+    """Sort an ASCII STL's facets and turn each to its least corner: CGAL's order is never twice."""
+    first, *_, last = stl.splitlines()
+    facets = []
+    for facet in re.findall(r"^  facet.*?endfacet$", stl, re.DOTALL | re.MULTILINE):
+        normal, loop, *corners, endloop, endfacet = facet.splitlines()
+        least = corners.index(min(corners))
+        turned = corners[least:] + corners[:least]
+        facets.append("\n".join([normal, loop, *turned, endloop, endfacet]))
+    return "\n".join([first, *sorted(facets), last]) + "\n"
 
 
 def _scad(value: float | list[float]) -> str:
