@@ -196,7 +196,7 @@ class Scenario(_Section):
     kind: Literal["formation", "wall"] = "formation"
     duration_s: Positive = 240.0
     settle_s: NotNegative = 20.0
-    law: LawName = "bands"
+    law: LawName = "continuous"
     leader: LeaderSection = LeaderSection()
     formation: FormationSection = FormationSection()
     guidance: GuidanceSection = GuidanceSection()

@@ -1,0 +1,148 @@
+"""Whole flights, over many seeds: the figures the product is judged by."""
+
+import math
+import statistics
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from echowing.sim.scenario import load_scenario
+from echowing.sim.summary import FlownScenario, fly
+
+SEEDS = range(1, 11)
+GRAY_SEEDS = range(1, 21)
+
+
+@cache
+def flown(scenario: str, seed: int, *changes: str) -> FlownScenario:
+    """Each flight is flown once for all the tests that look at it."""
+    return fly(load_scenario(scenario, changes), seed)
+
+
+def mean_of(flights: Sequence[FlownScenario], figure: str) -> float:
+    return statistics.mean(getattr(one.metrics[0], figure) for one in flights)
+
+
+def test_grays_scheme_flies_as_ardupilot_does() -> None:
+    """The figures of two ArduCopter 4.8 in SITL, flown the same way over eight seeds."""
+    flights = [flown("gray", seed) for seed in GRAY_SEEDS]
+
+    assert mean_of(flights, "mean_separation_m") == pytest.approx(4.6, abs=0.3)
+    assert mean_of(flights, "mean_abs_error_m") == pytest.approx(1.65, abs=0.25)
+    assert mean_of(flights, "rmsd_m") == pytest.approx(1.95, abs=0.3)
+
+
+def test_the_thesis_law_flown_unchanged_dead_locks() -> None:
+    """Repelled to less than the leader's speed, then out of sight: no change for ever."""
+    locked = [one for seed in SEEDS if (one := flown("thesis", seed)).dead_locked]
+
+    assert locked
+    for one in locked:
+        flight = one.flights[0]
+        assert flight.speed_command_mps[-1] < 2.0
+        assert flight.separation_m[-1] > 4.5
+
+
+@pytest.mark.parametrize("figure", ["mean_abs_error_m", "rmsd_m"])
+def test_echowing_is_ahead_of_gray_and_of_the_thesis(figure: str) -> None:
+    ours = mean_of([flown("echowing", seed) for seed in SEEDS], figure)
+    gray = mean_of([flown("gray", seed) for seed in SEEDS], figure)
+    thesis = [flown("thesis", seed) for seed in SEEDS]
+    unlocked = [one for one in thesis if not one.dead_locked]
+
+    assert ours < gray
+    assert ours < mean_of(thesis, figure)
+    # Even leaving out the flights that the thesis law lost.
+    assert ours < mean_of(unlocked, figure)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_echowing_never_comes_within_a_metre(seed: int) -> None:
+    assert flown("echowing", seed).closest_m > 1.0
+
+
+@pytest.mark.parametrize("seed", range(1, 6))
+def test_a_hostile_leader_is_kept_at_a_distance(seed: int) -> None:
+    phases = dict(flown("hostile", seed).phases)
+
+    attacked_m = phases.pop("flies at its follower")
+    assert attacked_m > 0.5
+    assert min(phases.values()) > 1.0, phases
+
+
+def test_fifty_followers_stay_apart() -> None:
+    many = flown("many", 1, "duration_s=40")
+
+    assert len(many.flights) == 50
+    assert many.closest_m > 1.0
+
+
+def test_the_default_law_stops_before_a_wall_and_the_thesis_law_is_flown_beside_it() -> None:
+    ours = flown("wall", 1)
+    thesis = flown("wall", 1, "law=thesis")
+
+    assert ours.closest_m >= 1.0
+    # Its slowest step is 0.5 m/s, never 0, so it creeps on into the wall.
+    assert thesis.closest_m < 0.3
+
+
+def test_a_sonar_that_sees_its_leader_most_of_the_time() -> None:
+    seen = [flown("echowing", seed).metrics[0].seen_share for seed in SEEDS]
+
+    assert statistics.mean(seen) > 0.6
+
+
+def test_prediction_brings_the_commanded_slot_to_where_it_should_be() -> None:
+    """Thesis 4.2.3: 3.005 m on average, 0.279 m of deviation, behind a leader carried by hand."""
+    reported = flown("walked-leader", 1, "guidance.predict=false").commanded_slot
+    predicted = flown("walked-leader", 1, "guidance.predict=true").commanded_slot
+
+    # 1.3 m/s x (0.46 s + on average half of 0.25 s) = 0.76 m too far back where nothing predicts.
+    assert reported["mean_m"] == pytest.approx(3.0 + 0.76, abs=0.15)
+    assert predicted["mean_m"] == pytest.approx(3.0, abs=0.05)
+    assert predicted["max_error_m"] < reported["max_error_m"]
+
+
+def test_the_frame_fault_of_the_initial_flight_makes_it_worse() -> None:
+    faulty = mean_of([flown("thesis-initial", seed) for seed in (1, 2, 3)], "right_drms_m")
+    sound = mean_of([flown("thesis", seed) for seed in (1, 2, 3)], "right_drms_m")
+
+    assert faulty > sound
+
+
+def test_one_seed_gives_the_same_bytes_twice_and_another_gives_others(tmp_path: Path) -> None:
+    def logs(name: str, seed: int) -> dict[str, bytes]:
+        folder = tmp_path / name
+        folder.mkdir()
+        fly(load_scenario("echowing", ["duration_s=30"]), seed, out=folder)
+        return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
+
+    first = logs("first", 1)
+
+    assert set(first) >= {"leader.tlog", "follower-2.tlog", "truth.csv"}
+    assert logs("again", 1) == first
+    assert logs("other", 2)["truth.csv"] != first["truth.csv"]
+
+
+@pytest.mark.parametrize("path", ["circle", "figure-eight", "stop-and-go"])
+def test_other_leader_paths_are_followed_safely(path: str) -> None:
+    one = flown("echowing", 1, f"leader.path={path}", "duration_s=120")
+
+    assert one.closest_m > 1.0
+    assert one.metrics[0].mean_abs_error_m < 1.0
+
+
+@pytest.mark.parametrize("generation", ["4.5", "4.6", "4.7", "4.8"])
+def test_both_parameter_generations_fly_alike(generation: str) -> None:
+    one = flown("echowing", 1, f'follower.generation="{generation}"', "duration_s=60")
+
+    assert one.metrics[0].mean_abs_error_m < 1.0
+    assert math.isfinite(one.flights[0].speed_command_mps[-1])
+
+
+def test_lost_and_jittered_telemetry_degrades_but_does_not_endanger() -> None:
+    changes = ("radio.leader.loss=0.2", "radio.leader.jitter_s=0.2", "duration_s=120")
+
+    assert flown("echowing", 1, *changes).closest_m > 1.0
