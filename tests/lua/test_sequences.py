@@ -25,8 +25,8 @@ APPLET = ["LAW", "DIST", "CLOSE", "SPD_MIN", "SPD_MAX", "SPD_LOST", "RATE", "DEL
 actions = st.one_of(
     st.tuples(st.just("range"), metres, st.sampled_from([0, 1, LOW, 3, GOOD, GOOD, GOOD])),
     st.tuples(st.just("raw"), metres),
-    st.tuples(st.just("mode"), st.sampled_from([4, 4, 4, 0, 3, 5, 6])),
-    st.tuples(st.just("arm"), st.sampled_from([True, True, False])),
+    st.tuples(st.just("set"), st.just("mode"), st.sampled_from([4, 4, 4, 0, 3, 5, 6])),
+    st.tuples(st.just("set"), st.just("is_armed"), st.sampled_from([True, True, False])),
     st.tuples(st.just("switch"), st.sampled_from([2, 2, 1, 0, None])),
     st.tuples(st.just("target"), st.floats(-8.0, 8.0), st.none() | st.floats(-3.0, 3.0)),
     st.tuples(st.just("velocity"), st.floats(-4.0, 4.0) | odd_numbers),
@@ -55,10 +55,8 @@ class Watch:
             case ("raw", value):
                 r.send_raw(value)
                 self.near_ms = vehicle.t_ms if 0.0 < value < HARD_CLOSE_M else -(10**6)
-            case ("mode", number):
-                vehicle.mode = number
-            case ("arm", armed):
-                vehicle.is_armed = armed
+            case ("set", name, value):
+                setattr(vehicle, name, value)
             case ("switch", None):
                 vehicle.switches.clear()
             case ("switch", position):

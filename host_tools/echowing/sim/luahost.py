@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from ctypes import c_float
 from dataclasses import dataclass
 from functools import cache
+from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
@@ -560,4 +561,4 @@ def _centimetres(distance_m: float) -> int:
     The autopilot's processor saturates what does not fit and makes 0 of NaN.
     """
     centimetres = c_float(c_float(distance_m).value * 100.0).value
-    return int(min(max(centimetres, 0.0), 65535.0)) if centimetres == centimetres else 0
+    return 0 if isnan(centimetres) else int(min(max(centimetres, 0.0), 65535.0))
