@@ -130,7 +130,7 @@ def _wiring_bom(board: str, name: str) -> str:
 
 
 def _write_svg(board: str, name: str, path: Path) -> None:
-    _write(path, wiring.draw(board, name).svg)
+    _write(path, wiring.svg_text(wiring.draw(board, name)))
 
 
 def _write_png(board: str, name: str, path: Path) -> None:
