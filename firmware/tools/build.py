@@ -63,16 +63,17 @@ def command(board: str, sketch: Path, output: Path, home: Path) -> list[str]:
 
 
 def compile_sketch(board: str, sketch: Path, output: Path, home: Path = ARDUINO_HOME) -> None:
-    """Compile; warnings of the sketch go to stderr, a failure raises with the compiler's words."""
+    """Compile; what the compiler says of the sketch goes to stderr, all of it on a failure."""
     output.mkdir(parents=True, exist_ok=True)
     done = subprocess.run(
         command(board, sketch, output, home), capture_output=True, text=True, check=False
     )
     said = [line for line in done.stderr.splitlines() if HARMLESS not in line]
-    if done.returncode != 0:
-        raise EchowingError("\n".join([done.stdout, *said, _advice(board)]))
-    for line in own_warnings(said, sketch):
+    failed = done.returncode != 0
+    for line in said if failed else own_warnings(said, sketch):
         print(line, file=sys.stderr)
+    if failed:
+        raise EchowingError(_advice(board))
 
 
 def own_warnings(said: Iterable[str], sketch: Path) -> Iterator[str]:

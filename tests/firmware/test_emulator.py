@@ -1,13 +1,15 @@
 """The emulated board against the chip's data sheet, by a probe sketch."""
 
 import itertools
+import re
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from echowing import firmware
 from echowing.errors import EchowingError
-from echowing.sim.avr import AvrBoard
+from echowing.sim.avr import BOARDS, AvrBoard, Pin
 from echowing.sim.sonar import MaxSonar
 
 LINK, USB = 0, 1
@@ -251,3 +253,23 @@ class TestBadInput:
     def test_board_without_emulator(self) -> None:
         with pytest.raises(EchowingError, match="only mega can be emulated"):
             AvrBoard(MaxSonar(lambda _: None), board="bluepill_f103")
+
+
+class TestBoardTable:
+    def test_pins_are_those_of_the_firmware(self) -> None:
+        # The firmware counts pins as Arduino does; the core's variant says where they are.
+        table = firmware.REPOSITORY / "firmware" / "echowing" / "src" / "board" / "pin_table.h"
+        row = re.search(r"^ECHOWING_PINS_mega\((.*), HIGH\)", table.read_text(), re.MULTILINE)
+        assert row is not None
+        pan, tilt, data, clock, link_rx, link_tx, led = map(int, row[1].split(","))
+        variant = Path("/usr/share/arduino/hardware/arduino/avr/variants/mega/pins_arduino.h")
+        places = {
+            int(number): Pin(port, int(bit))
+            for port, bit, number in re.findall(
+                r"// P(\w) (\d) \*\* (\d+) \*\*", variant.read_text()
+            )
+        }
+        mega = BOARDS["mega"]
+        emulated = (mega.pan, mega.tilt, mega.sda, mega.scl, mega.led)
+        assert emulated == tuple(places[number] for number in (pan, tilt, data, clock, led))
+        assert (link_rx, link_tx, mega.uarts[LINK]) == (19, 18, "1")  # Serial1

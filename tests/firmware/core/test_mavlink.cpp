@@ -393,13 +393,16 @@ TEST_CASE("a megabyte of random bytes: reports go on, nothing changes") {
   rig.run(ms(1000));
   rig.forget();
   std::srand(3);
+  size_t reports = 0;
   for (int block = 0; block < 10000; ++block) {
     std::vector<uint8_t> noise(100);
     for (uint8_t& byte : noise) byte = static_cast<uint8_t>(std::rand());
     feed(rig, noise);
     rig.run(ms(10));
+    reports += rig.ranges().size();
+    rig.forget();
   }
-  CHECK(rig.ranges().size() == 2000);
+  CHECK(reports == 2000);
   const Parameters untouched;
   for (uint8_t i = 0; i < kParameterCount; ++i) {
     CHECK(rig.core.parameters().at(i) == untouched.at(i));

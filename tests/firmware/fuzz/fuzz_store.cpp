@@ -1,0 +1,72 @@
+// libFuzzer on the parameter store: whatever the memory holds, what is loaded is within limits,
+// and what is stored next can be loaded again, even when power is lost in between.
+
+#include <stdlib.h>
+
+#include <algorithm>
+
+#include "../core/rig.h"
+#include "crc.h"
+
+namespace {
+
+using namespace echowing;
+using rig::FakeMemory;
+using Loaded = ParameterStore::Loaded;
+
+void require(bool holds) {
+  if (!holds) abort();
+}
+
+void require_limits(const Parameters& parameters) {
+  for (uint8_t i = 0; i < kParameterCount; ++i) require(Parameters().set(i, parameters.at(i)));
+}
+
+// Gives a slot today's layout and a good CRC, which a fuzzer would hardly find.
+void seal(uint8_t* slot) {
+  slot[0] = static_cast<uint8_t>(parameter_layout() & 0xff);
+  slot[1] = static_cast<uint8_t>(parameter_layout() >> 8);
+  uint16_t crc = kCrcStart;
+  for (uint16_t i = 0; i < ParameterStore::kImageSize; ++i) crc = crc_add(crc, slot[i]);
+  slot[ParameterStore::kImageSize] = static_cast<uint8_t>(crc & 0xff);
+  slot[ParameterStore::kImageSize + 1] = static_cast<uint8_t>(crc >> 8);
+}
+
+void store(ParameterStore& store, FakeMemory& memory, const Parameters& parameters) {
+  Microseconds now = 0;
+  store.touch(now);
+  for (int turn = 0; turn < 3000; ++turn) store.step(now += 1000, true, memory, parameters);
+}
+
+}  // namespace
+
+// Two bytes say which slots to seal and where power is lost; the rest is the memory.
+extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
+  if (size < 2) return 0;
+  FakeMemory memory;
+  const size_t taken = std::min(size - 2, sizeof(memory.slots));
+  memcpy(memory.slots, data + 2, taken);
+  if (data[0] & 1) seal(memory.slots[0]);
+  if (data[0] & 2) seal(memory.slots[1]);
+
+  ParameterStore kept;
+  Parameters before;
+  const Loaded loaded = kept.load(memory, before);
+  require_limits(before);
+  if (data[0] & 3) require(loaded == Loaded::kStored);
+
+  Parameters changed = before;
+  changed.set(static_cast<uint8_t>(Parameter::kDwell), 777);
+  memory.power_lost_after = data[1];
+  store(kept, memory, changed);
+  Parameters after;
+  const Loaded again = ParameterStore().load(memory, after);
+  require_limits(after);
+  const bool whole = data[1] >= ParameterStore::kSlotSize;
+  if (whole) require(after.get(Parameter::kDwell) == 777);
+  if (!whole && loaded == Loaded::kStored) {
+    require(again == Loaded::kStored);
+    require(after.get(Parameter::kDwell) == before.get(Parameter::kDwell));
+  }
+  return 0;
+}

@@ -1,0 +1,60 @@
+"""Fuzz the core:  run.py SECONDS   (shared by the targets; finds are kept in build/fuzz).
+
+Starts from the corpus beside this file and what earlier runs have found. An input that breaks a
+target is left in build/fuzz and printed; to keep what a long run has learned:
+`build/fuzz/TARGET -merge=1 tests/firmware/fuzz/corpus/TARGET build/fuzz/corpus/TARGET`.
+"""
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+BUILD = HERE.parents[2] / "build" / "fuzz"
+TARGETS = ("fuzz_bytes", "fuzz_store")
+
+
+def build() -> None:
+    """Compile the targets; clang is needed for libFuzzer."""
+    cmake = shutil.which("cmake", path=str(Path(sys.executable).parent)) or "cmake"
+    configure = ["-S", str(HERE), "-B", str(BUILD), "-G", "Ninja", "-DCMAKE_CXX_COMPILER=clang++"]
+    for command in ([cmake, *configure], [cmake, "--build", str(BUILD)]):
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+
+
+def fuzz(target: str, seconds: int) -> subprocess.CompletedProcess[str]:
+    """Run one target for that long, from a fixed seed."""
+    found = BUILD / "corpus" / target
+    found.mkdir(parents=True, exist_ok=True)
+    return subprocess.run(
+        [
+            str(BUILD / target),
+            f"-max_total_time={seconds}",
+            "-seed=1",
+            "-verbosity=0",
+            "-print_final_stats=1",
+            f"-artifact_prefix={BUILD}/{target}-",
+            str(found),
+            str(HERE / "corpus" / target),
+        ],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def main() -> int:
+    """Fuzz every target; 1 if one broke."""
+    seconds = int(sys.argv[1]) if len(sys.argv) > 1 else 60
+    build()
+    broken = 0
+    for target in TARGETS:
+        done = fuzz(target, seconds // len(TARGETS))
+        print(f"{target}: {'ok' if done.returncode == 0 else 'BROKEN'}\n{done.stderr}")
+        broken |= done.returncode != 0
+    return int(broken)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
