@@ -15,6 +15,9 @@ namespace {
 using namespace echowing;
 using rig::Rig;
 
+// Longer than any real turn, and five times as many inputs a second.
+constexpr Microseconds kLongTurn = 5000;
+
 struct Kind {
   uint8_t id;
   uint8_t crc_extra;
@@ -67,20 +70,20 @@ void check(Rig& rig) {
 
 extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
   Rig rig;
-  rig.run(100000);
+  rig.run(100000, kLongTurn);
   while (size >= 2) {
     const uint8_t length = static_cast<uint8_t>(std::min<size_t>(data[1], size - 2));
     feed(rig, data[0], data + 2, length);
-    rig.run(5000);
+    rig.run(kLongTurn, kLongTurn);
     data += 2 + length;
     size -= 2 + length;
   }
   check(rig);
   // The sonar's period can be set to a second and its address to where nobody answers: but no
   // input may stop the loop, the heartbeat or the answers.
-  rig.run(500000);
+  rig.run(500000, kLongTurn);
   rig.forget();
-  rig.run(2500000);
+  rig.run(2500000, kLongTurn);
   check(rig);
   require(rig.heartbeats(0).size() >= 2 && rig.heartbeats(1).size() >= 2);
   return 0;

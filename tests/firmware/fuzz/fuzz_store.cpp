@@ -66,7 +66,9 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
   if (whole) require(after.get(Parameter::kDwell) == 777);
   if (!whole && loaded == Loaded::kStored) {
     require(again == Loaded::kStored);
-    require(after.get(Parameter::kDwell) == before.get(Parameter::kDwell));
+    // The new set is whole early if the bytes not written were there by chance.
+    const float dwell = after.get(Parameter::kDwell);
+    require(dwell == before.get(Parameter::kDwell) || dwell == 777);
   }
   return 0;
 }

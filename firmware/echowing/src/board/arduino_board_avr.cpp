@@ -5,6 +5,10 @@
 
 namespace echowing {
 
+// Of 8 kB, with 0.4 kB for the Arduino core and 1 kB at least left for the stack; the limit that
+// the build prints is 4 kB in all.
+static_assert(sizeof(Coprocessor) + sizeof(ArduinoBoard) <= 2560, "too much static RAM");
+
 // After a watchdog reset the watchdog runs on with its shortest time: it has to be stopped before
 // anything else, or the board restarts for ever.
 __attribute__((naked, used, section(".init3"))) void stop_watchdog_early() {

@@ -7,6 +7,17 @@
 namespace echowing {
 namespace {
 
+// A message's struct is copied to the wire as it is: no compiler may pad it.
+static_assert(sizeof(mavlink_heartbeat_t) == MAVLINK_MSG_ID_HEARTBEAT_LEN, "padded");
+static_assert(sizeof(mavlink_param_value_t) == MAVLINK_MSG_ID_PARAM_VALUE_LEN, "padded");
+static_assert(sizeof(mavlink_command_ack_t) == MAVLINK_MSG_ID_COMMAND_ACK_LEN, "padded");
+static_assert(sizeof(mavlink_distance_sensor_t) == MAVLINK_MSG_ID_DISTANCE_SENSOR_LEN, "padded");
+static_assert(sizeof(mavlink_autopilot_version_t) == MAVLINK_MSG_ID_AUTOPILOT_VERSION_LEN,
+              "padded");
+static_assert(sizeof(mavlink_named_value_float_t) == MAVLINK_MSG_ID_NAMED_VALUE_FLOAT_LEN,
+              "padded");
+static_assert(sizeof(mavlink_statustext_t) == MAVLINK_MSG_ID_STATUSTEXT_LEN, "padded");
+
 constexpr Microseconds kHeartbeatPeriod = kSecond;
 // Values that stand still are repeated, for a partner that joins late.
 constexpr Microseconds kRepeat = kSecond;

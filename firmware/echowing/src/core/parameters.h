@@ -34,6 +34,8 @@ ParameterInfo parameter_info(uint8_t index);
 // Changes with the names and order of the parameters: what another table stored is not ours.
 uint16_t parameter_layout();
 
+static_assert(sizeof(float) == 4, "values travel and are stored as 32-bit floats");
+
 class Parameters {
  public:
   Parameters() { reset(); }

@@ -1,0 +1,118 @@
+// The calls of stm32duino (core 2.12.0) that the board layer makes, declared and no more: enough
+// to see that it compiles where the core itself cannot be had.
+#pragma once
+
+#include <stddef.h>
+#include <stdint.h>
+#include <string.h>
+
+#define HIGH 0x1
+#define LOW 0x0
+#define INPUT_PULLUP 0x2
+#define OUTPUT 0x1
+
+// Digital pin numbers, all different, as the variants have them.
+enum : uint8_t {
+  PA2 = 2,
+  PA3,
+  PA5 = 5,
+  PA6,
+  PA7,
+  PA9 = 9,
+  PA10,
+  PB6 = 22,
+  PB7,
+  PB8,
+  PB9,
+  PC13 = 45
+};
+
+uint32_t micros();
+void pinMode(uint32_t pin, uint32_t mode);
+void digitalWrite(uint32_t pin, uint32_t level);
+
+class Stream {
+ public:
+  virtual ~Stream() = default;
+  virtual int available() = 0;
+  virtual int read() = 0;
+  virtual int availableForWrite();
+  virtual size_t write(uint8_t byte) = 0;
+  virtual size_t write(const uint8_t* bytes, size_t count);
+};
+
+class HardwareSerial : public Stream {
+ public:
+  HardwareSerial(uint32_t rx, uint32_t tx);
+  void begin(unsigned long baud);
+  int available() override;
+  int read() override;
+  int availableForWrite() override;
+  size_t write(uint8_t byte) override;
+  size_t write(const uint8_t* bytes, size_t count) override;
+};
+
+class USBSerial : public Stream {
+ public:
+  void begin(uint32_t baud);
+  int available() override;
+  int read() override;
+  int availableForWrite() override;
+  size_t write(uint8_t byte) override;
+  size_t write(const uint8_t* bytes, size_t count) override;
+};
+
+#if defined(USBD_USE_CDC)
+extern USBSerial Serial;
+#else
+extern HardwareSerial Serial;
+#endif
+
+// Timers.
+struct TIM_TypeDef;
+extern TIM_TypeDef* const TIM3;
+enum TimerModes_t { TIMER_OUTPUT_COMPARE_PWM1 };
+enum TimerFormat_t { MICROSEC_FORMAT };
+enum TimerCompareFormat_t { MICROSEC_COMPARE_FORMAT };
+class HardwareTimer {
+ public:
+  explicit HardwareTimer(TIM_TypeDef* instance);
+  ~HardwareTimer();
+  void setMode(uint32_t channel, TimerModes_t mode, uint32_t pin);
+  void setOverflow(uint32_t value, TimerFormat_t format);
+  void setCaptureCompare(uint32_t channel, uint32_t compare, TimerCompareFormat_t format);
+  void resume();
+};
+
+// What stm32duino includes of ST's HAL and of CMSIS.
+enum HAL_StatusTypeDef { HAL_OK, HAL_ERROR };
+#define FLASH_TYPEPROGRAM_WORD 0x2u
+#if defined(STM32F1xx)
+#define FLASH_TYPEERASE_PAGES 0x0u
+struct FLASH_EraseInitTypeDef {
+  uint32_t TypeErase, Banks, PageAddress, NbPages;
+};
+HAL_StatusTypeDef HAL_FLASH_Program(uint32_t type, uint32_t address, uint64_t data);
+#else
+#define FLASH_TYPEERASE_SECTORS 0x0u
+#define FLASH_SECTOR_6 6u
+#define FLASH_SECTOR_7 7u
+#define FLASH_VOLTAGE_RANGE_3 0x2u
+struct FLASH_EraseInitTypeDef {
+  uint32_t TypeErase, Banks, Sector, NbSectors, VoltageRange;
+};
+HAL_StatusTypeDef HAL_FLASH_Program(uint32_t type, uint32_t address, uint64_t data);
+#endif
+HAL_StatusTypeDef HAL_FLASH_Unlock();
+HAL_StatusTypeDef HAL_FLASH_Lock();
+HAL_StatusTypeDef HAL_FLASHEx_Erase(FLASH_EraseInitTypeDef* order, uint32_t* failed);
+HAL_StatusTypeDef HAL_RCC_DeInit();
+uint32_t HAL_GetUIDw0();
+uint32_t HAL_GetUIDw1();
+uint32_t HAL_GetUIDw2();
+struct SysTick_Type {
+  volatile uint32_t CTRL;
+};
+extern SysTick_Type* const SysTick;
+void __set_MSP(uint32_t stack);
+[[noreturn]] void NVIC_SystemReset();
