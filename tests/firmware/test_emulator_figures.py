@@ -1,0 +1,49 @@
+"""The figures `echowing bench` prints of the binary, within the limits beside them."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from echowing.sim.firmware_figures import FirmwareFigure, firmware_figures
+
+SPEED = "emulated board, simulated per wall"  # this machine's business, not the firmware's
+
+
+@pytest.fixture(scope="module")
+def figures(mega_elf: Path) -> dict[str, FirmwareFigure]:
+    """All of them, by name."""
+    assert mega_elf.exists()
+    return {figure.what: figure for figure in firmware_figures()}
+
+
+@pytest.mark.parametrize(
+    "what",
+    [
+        "mega: flash",
+        "mega: static RAM",
+        "power-on to first report",
+        "reading to last byte of its report",
+        "jitter of the reports",
+        "command to acknowledgement",
+        "error of the servo pulses",
+        "longest loop turn",
+        "stack head-room",
+        "bytes lost by the receivers",
+    ],
+)
+def test_figure_is_within_its_limit(figures: dict[str, FirmwareFigure], what: str) -> None:
+    figure = figures[what]
+    found = re.search(r"(under|over)? ?(\d+)$", figure.goal)
+    assert found is not None
+    limit = float(found[2])
+    if found[1] == "over":
+        assert figure.value > limit
+    elif found[1] == "under":
+        assert 0 < figure.value < limit
+    else:
+        assert figure.value == limit
+
+
+def test_speed_is_among_them(figures: dict[str, FirmwareFigure]) -> None:
+    assert figures[SPEED].value > 0
