@@ -428,9 +428,8 @@ class Schedule:
         for entry in self._entries:
             if t_s >= entry.due_s:
                 due.append(entry.message_id)
-                entry.due_s += entry.period_s
-                if entry.due_s <= t_s:  # shorter than a step: once a step is all there is
-                    entry.due_s = t_s
+                # A period shorter than a step: once a step is all there is.
+                entry.due_s = max(t_s, entry.due_s + entry.period_s)
             next_s = min(next_s, entry.due_s)
         self._next_s = next_s
         return due

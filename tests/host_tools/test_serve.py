@@ -1,0 +1,175 @@
+"""Real ground tools connect to simulated vehicles over real sockets."""
+
+import threading
+import time
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import Any
+
+import pytest
+from pymavlink import mavutil
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from echowing.errors import EchowingError
+from echowing.sim.autopilot import Autopilot
+from echowing.sim.copter import Copter
+from echowing.sim.serve import HOPELESS_S, STEP_S, Server, open_port
+
+SYSTEM_ID = 3
+
+
+class Vehicle:
+    """A vehicle on the ground, on one thread of its own."""
+
+    def __init__(self) -> None:
+        self.copter = Copter((0.0, 0.0, 0.0))
+        self.autopilot = Autopilot(self.copter, system_id=SYSTEM_ID)
+        for link in ("usb", "telemetry"):
+            self.autopilot.add_link(link)
+        self.server = Server(self.step)
+
+    def step(self, t_s: float) -> None:
+        self.copter.step(STEP_S)
+        self.autopilot.step(t_s)
+
+
+@pytest.fixture
+def vehicle() -> Iterator[tuple[Vehicle, str, str]]:
+    """A running vehicle with pymavlink's strings for its TCP and its UDP port."""
+    made = Vehicle()
+    tcp: Any = made.server.connect(made.autopilot, "telemetry", "tcpin:0")
+    udp: Any = made.server.connect(made.autopilot, "usb", "udpin:0")
+    done = threading.Event()
+    thread = threading.Thread(target=made.server.run, args=(done.is_set,))
+    thread.start()
+    yield made, f"tcp:127.0.0.1:{tcp.port}", f"udpout:127.0.0.1:{udp.port}"
+    done.set()
+    thread.join()
+    made.server.close()
+
+
+def connect(where: str) -> Any:
+    link = mavutil.mavlink_connection(where, source_system=245, dialect="ardupilotmega")
+    link.mav.heartbeat_send(6, 8, 0, 0, 4)
+    assert link.wait_heartbeat(timeout=5) is not None
+    return link
+
+
+def command(link: Any, number: int, *values: float) -> int:
+    link.mav.command_long_send(SYSTEM_ID, 1, number, 0, *values, *(0.0,) * (7 - len(values)))
+    answer = link.recv_match(type="COMMAND_ACK", blocking=True, timeout=5)
+    assert answer is not None
+    assert answer.command == number
+    return int(answer.result)
+
+
+def fly(link: Any) -> None:
+    link.set_mode("GUIDED")
+    while link.wait_heartbeat(timeout=5).custom_mode != 4:
+        pass
+    while link.recv_match(type="COMMAND_ACK") is not None:
+        pass  # of the mode
+    assert command(link, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0) == 0
+    assert command(link, mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, 2.0) == 0
+    assert command(link, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 32, 50_000) == 0
+
+
+def test_over_tcp_arm_take_off_fly_and_read_parameters(
+    vehicle: tuple[Vehicle, str, str],
+) -> None:
+    link = connect(vehicle[1])
+    fly(link)
+    link.mav.param_request_list_send(SYSTEM_ID, 1)
+    names: set[str] = set()
+    rates = []
+    last = None
+    while True:
+        message = link.recv_match(
+            type=["PARAM_VALUE", "LOCAL_POSITION_NED"], blocking=True, timeout=5
+        )
+        assert message is not None
+        if message.get_type() == "LOCAL_POSITION_NED":
+            rates.append(message.time_boot_ms)
+            last = message
+            continue
+        names.add(message.param_id)
+        if len(names) == message.param_count:
+            break
+    assert {"WP_SPD", "MAV_SYSID", "RNGFND1_ADDR"} <= names
+    periods = [b - a for a, b in pairwise(rates)]
+    assert sum(periods) / len(periods) == pytest.approx(50.0, abs=2.0)  # of the vehicle's clock
+    assert last is not None
+    assert last.z < -1.0  # three seconds later it is on its way up to 2 m
+    link.mav.set_position_target_local_ned_send(
+        0, SYSTEM_ID, 1, 1, 0x0DF8, 3.0, 0.0, -2.0, *(0.0,) * 8
+    )
+    while link.recv_match(type="LOCAL_POSITION_NED", blocking=True, timeout=5).x < 0.5:
+        pass
+    link.close()
+
+
+def test_over_udp_and_tcp_at_once(vehicle: tuple[Vehicle, str, str]) -> None:
+    by_udp, by_tcp = connect(vehicle[2]), connect(vehicle[1])
+    by_udp.mav.param_set_send(SYSTEM_ID, 1, b"WP_SPD", 3.5, 9)
+    for link in (by_udp, by_tcp):  # a change is told to everybody
+        told = link.recv_match(type="PARAM_VALUE", blocking=True, timeout=5)
+        assert (told.param_id, told.param_value) == ("WP_SPD", 3.5)
+        link.close()
+
+
+class FakeClock:
+    """Time that moves only when slept."""
+
+    def __init__(self) -> None:
+        self.now_s = 100.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+    def sleep(self, seconds: float) -> None:
+        self.now_s += seconds
+
+
+def test_pace_is_real_time_and_lost_time_is_let_go() -> None:
+    clock = FakeClock()
+    times: list[float] = []
+    server = Server(times.append, clock=clock, sleep=clock.sleep)
+    server.run(lambda: clock.now_s >= 102.0)
+    assert len(times) == pytest.approx(2.0 / STEP_S, abs=2)
+    assert times[0] == pytest.approx(STEP_S)
+    clock.now_s += HOPELESS_S / 2  # a hiccup is caught up
+    before = len(times)
+    server.run(lambda: clock.now_s >= 103.0)
+    assert len(times) - before == pytest.approx(1.0 / STEP_S, abs=2)
+    clock.now_s += 60.0  # a suspended machine is not
+    before = len(times)
+    end_s = clock.now_s + 1.0
+    server.run(lambda: clock.now_s >= end_s)
+    assert len(times) - before == pytest.approx(1.0 / STEP_S, abs=2)
+
+
+def test_nobody_there_does_no_harm() -> None:
+    clock = FakeClock()
+    copter = Copter((0.0, 0.0, 0.0))
+    autopilot = Autopilot(copter, system_id=1)
+    autopilot.add_link("telemetry")
+    server = Server(autopilot.step, clock=clock, sleep=clock.sleep)
+    wire: Any = server.connect(autopilot, "telemetry", "udpout:127.0.0.1:9")
+    assert wire.describe() == "udpout:127.0.0.1:9"
+    server.run(lambda: clock.now_s >= 103.0)
+    time.sleep(0.01)  # the refusal of a datagram comes back
+    server.run(lambda: clock.now_s >= 104.0)
+    server.close()
+
+
+@pytest.mark.parametrize("where", ["udpin:x", "udpout:5000", "udpin:70000", "nonsense:1"])
+def test_wrong_ports_say_what_to_write(where: str) -> None:
+    with pytest.raises(EchowingError, match="write"):
+        open_port(where)
+
+
+def test_a_taken_port_is_named() -> None:
+    first: Any = open_port("udpin:0")
+    with pytest.raises(EchowingError, match=str(first.port)):
+        open_port(f"udpin:{first.port}")
+    first.close()
