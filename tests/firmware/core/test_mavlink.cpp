@@ -503,3 +503,15 @@ TEST_CASE("a storm of parameter sets and lists: every report still leaves in its
     CHECK(std::any_of(values.begin(), values.end(), [i](const auto& v) { return v.index == i; }));
   }
 }
+
+TEST_CASE("no frame is longer than its message, whatever the compiler pads a struct with") {
+  Rig rig;
+  rig.hear(0, list_request(1, kUs));
+  rig.command(512, 148);
+  rig.command(31012);
+  rig.run(ms(4000));
+  REQUIRE(rig.sent().size() > 200);
+  for (const auto& each : rig.sent()) {
+    CHECK(each.message.len <= mavlink_max_message_length(&each.message));
+  }
+}

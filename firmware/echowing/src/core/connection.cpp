@@ -7,17 +7,6 @@
 namespace echowing {
 namespace {
 
-// A message's struct is copied to the wire as it is: no compiler may pad it.
-static_assert(sizeof(mavlink_heartbeat_t) == MAVLINK_MSG_ID_HEARTBEAT_LEN, "padded");
-static_assert(sizeof(mavlink_param_value_t) == MAVLINK_MSG_ID_PARAM_VALUE_LEN, "padded");
-static_assert(sizeof(mavlink_command_ack_t) == MAVLINK_MSG_ID_COMMAND_ACK_LEN, "padded");
-static_assert(sizeof(mavlink_distance_sensor_t) == MAVLINK_MSG_ID_DISTANCE_SENSOR_LEN, "padded");
-static_assert(sizeof(mavlink_autopilot_version_t) == MAVLINK_MSG_ID_AUTOPILOT_VERSION_LEN,
-              "padded");
-static_assert(sizeof(mavlink_named_value_float_t) == MAVLINK_MSG_ID_NAMED_VALUE_FLOAT_LEN,
-              "padded");
-static_assert(sizeof(mavlink_statustext_t) == MAVLINK_MSG_ID_STATUSTEXT_LEN, "padded");
-
 constexpr Microseconds kHeartbeatPeriod = kSecond;
 // Values that stand still are repeated, for a partner that joins late.
 constexpr Microseconds kRepeat = kSecond;
@@ -44,9 +33,8 @@ void Connection::send_report(Microseconds now, const Parameters& parameters,
   const Microseconds period = report_period_ != 0 ? report_period_ : usual;
   const bool due = report_clock_.due(now, telemetry.new_reading, period);
   if (due && telemetry.fresh && !reports_off_) {
-    link_.send(
-        telemetry.identity, MAVLINK_MSG_ID_DISTANCE_SENSOR, MAVLINK_MSG_ID_DISTANCE_SENSOR_CRC,
-        distance_report(parameters, telemetry.tracker, telemetry.pointing, telemetry.reading_ms));
+    link_.send(telemetry.identity, distance_report(parameters, telemetry.tracker,
+                                                   telemetry.pointing, telemetry.reading_ms));
   }
   if (!telemetry.new_reading || values_off_ || raw_pause_.running(now)) return;
   if (value_period_ != 0) raw_pause_.start(now, value_period_);
@@ -71,8 +59,7 @@ bool Connection::send_heartbeat(const Telemetry& telemetry) {
   message.autopilot = MAV_AUTOPILOT_INVALID;
   message.system_status = telemetry.faulty ? MAV_STATE_CRITICAL : MAV_STATE_ACTIVE;
   message.mavlink_version = 3;  // MAVLink's own number for the protocol
-  return link_.send(telemetry.identity, MAVLINK_MSG_ID_HEARTBEAT, MAVLINK_MSG_ID_HEARTBEAT_CRC,
-                    message);
+  return link_.send(telemetry.identity, message);
 }
 
 bool Connection::send_notice(const Telemetry& telemetry) {
@@ -80,8 +67,7 @@ bool Connection::send_notice(const Telemetry& telemetry) {
   mavlink_statustext_t message = {};
   message.severity = notice.severity;
   memcpy(message.text, notice.text, sizeof(message.text));
-  if (!link_.send(telemetry.identity, MAVLINK_MSG_ID_STATUSTEXT, MAVLINK_MSG_ID_STATUSTEXT_CRC,
-                  message)) {
+  if (!link_.send(telemetry.identity, message)) {
     return false;
   }
   notices_.drop_first();
@@ -97,8 +83,7 @@ bool Connection::send_parameter(const Telemetry& telemetry, const Parameters& pa
   message.param_type = MAV_PARAM_TYPE_REAL32;
   message.param_count = kParameterCount;
   message.param_index = index;
-  return link_.send(telemetry.identity, MAVLINK_MSG_ID_PARAM_VALUE, MAVLINK_MSG_ID_PARAM_VALUE_CRC,
-                    message);
+  return link_.send(telemetry.identity, message);
 }
 
 void Connection::list_parameters() {
@@ -126,8 +111,7 @@ bool Connection::send_version(const Telemetry& telemetry, const char* git_hash) 
   for (uint8_t i = 0; i < sizeof(message.flight_custom_version) && git_hash[i] != '\0'; ++i) {
     message.flight_custom_version[i] = static_cast<uint8_t>(git_hash[i]);
   }
-  if (!link_.send(telemetry.identity, MAVLINK_MSG_ID_AUTOPILOT_VERSION,
-                  MAVLINK_MSG_ID_AUTOPILOT_VERSION_CRC, message)) {
+  if (!link_.send(telemetry.identity, message)) {
     return false;
   }
   version_wanted_ = false;
@@ -155,8 +139,7 @@ bool Connection::send_value(const Telemetry& telemetry, const char* name, float 
   message.time_boot_ms = telemetry.uptime_ms;
   memcpy(message.name, name, strlen(name));  // all are shorter than the field
   message.value = value;
-  return link_.send(telemetry.identity, MAVLINK_MSG_ID_NAMED_VALUE_FLOAT,
-                    MAVLINK_MSG_ID_NAMED_VALUE_FLOAT_CRC, message);
+  return link_.send(telemetry.identity, message);
 }
 
 void Connection::acknowledge(Identity identity, const mavlink_message_t& asked, uint16_t command,
@@ -166,7 +149,7 @@ void Connection::acknowledge(Identity identity, const mavlink_message_t& asked, 
   message.result = result;
   message.target_system = asked.sysid;
   message.target_component = asked.compid;
-  link_.send(identity, MAVLINK_MSG_ID_COMMAND_ACK, MAVLINK_MSG_ID_COMMAND_ACK_CRC, message);
+  link_.send(identity, message);
 }
 
 uint8_t Connection::request_message(uint32_t id) {

@@ -5,6 +5,7 @@
 
 #include "mavlink_headers.h"
 #include "ports.h"
+#include "wire_format.h"
 
 namespace echowing {
 
@@ -26,12 +27,12 @@ class Link {
   const mavlink_message_t* next();
 
   // Queues a message; false, and nothing queued, when it does not fit. Trailing zeros are cut as
-  // MAVLink 2 wants. `payload` is the packed struct that mavgen defines for the message.
+  // MAVLink 2 wants.
   template <typename Payload>
-  bool send(Identity from, uint8_t id, uint8_t crc_extra, const Payload& payload) {
-    static_assert(sizeof(Payload) <= kLongestPayload, "raise the queue for this message");
-    return send_bytes(from, id, crc_extra, reinterpret_cast<const uint8_t*>(&payload),
-                      sizeof(Payload));
+  bool send(Identity from, const Payload& payload) {
+    using Format = WireFormat<Payload>;
+    return send_bytes(from, Format::kId, Format::kCrcExtra,
+                      reinterpret_cast<const uint8_t*>(&payload), Format::kLength);
   }
 
   // Hands queued bytes to the port as far as it takes them.
@@ -39,7 +40,6 @@ class Link {
   bool idle() const { return queued_ == 0; }
 
  private:
-  static constexpr uint8_t kLongestPayload = 100;
   static constexpr uint16_t kQueueSize = 256;  // power of two: indices wrap by masking
   static constexpr uint8_t kHeaderLength = 10;
   static constexpr uint8_t kChecksumLength = 2;
