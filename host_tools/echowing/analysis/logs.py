@@ -141,6 +141,11 @@ def _leader(vehicles: Sequence[VehicleLog], stated: Path | int | None) -> Vehicl
         leaders = [vehicle for vehicle in vehicles if not follows(vehicle)]
         if len(leaders) == 1:
             return leaders[0]
+    if len({vehicle.system_id for vehicle in vehicles}) == 1:
+        raise EchowingError(
+            f"all of {_listed(vehicles)} are of one system id: give the logs of two vehicles, or, "
+            "if two vehicles share the id, say which file is the leader's"
+        )
     raise EchowingError(
         f"which vehicle led cannot be told from {_listed(vehicles)}: exactly one of them must "
         "have no forward rangefinder, or not fly in Guided; say which one is the leader"

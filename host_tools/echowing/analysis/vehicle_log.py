@@ -5,13 +5,14 @@ message of ArduPilot's simulator is ever read: a real log has none.
 """
 
 import contextlib
-import io
 import math
+import os
+import tempfile
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
@@ -36,6 +37,7 @@ SONAR_NAMES = ("SNR_RAW",)
 PAN_NAME, TILT_NAME = "SNR_PAN", "SNR_TILT"
 NAMED = {*SPEED_NAMES, *SONAR_NAMES, PAN_NAME, TILT_NAME}
 
+LONGEST_PAUSE_S = 86_400.0  # within one recording; a greater jump is a damaged time stamp
 GPS_EPOCH_UNIX_S = 315_964_800  # 1980-01-06
 WEEK_S = 604_800
 # GPS time minus UTC from each moment on (IERS Bulletin C), newest first; Unix seconds.
@@ -137,28 +139,43 @@ def gps_to_unix_s(week: int, milliseconds: float) -> float:
 
 
 class _Reader:
-    """The messages of one file; pymavlink's complaints are counted, not printed."""
+    """The messages of one file; pymavlink's complaints become one warning."""
 
     def __init__(self, path: Path, kind: str, types: list[str]) -> None:
         self._path, self._kind, self._types = path, kind, types
-        self._noise = io.StringIO()
-        self._bad = 0
+        self._damaged = False
 
     def __iter__(self) -> Iterator[Any]:
-        log = self._quietly(self._open)
-        types = [*self._types, "BAD_DATA"]
-        while (message := self._quietly(lambda: log.recv_match(type=types))) is not None:
-            if message.get_type() == "BAD_DATA":
-                self._bad += 1
-            else:
+        with _quiet_stderr() as complaints:
+            log = self._guarded(self._open)
+            self._damaged = "bad header" in complaints()
+        last_s: float | None = None
+        while (message := self._guarded(lambda: self._next(log))) is not None:
+            if self._is_bad(message, last_s):
+                self._damaged = True
+                continue
+            last_s = float(message._timestamp)
+            if message.get_type() in self._types:
                 yield message
+
+    def _next(self, log: Any) -> Any:
+        if self._kind == "BIN":
+            return log.recv_match(type=self._types)  # skips by its index
+        return log.recv_msg()
+
+    def _is_bad(self, message: Any, last_s: float | None) -> bool:
+        """Bytes that are no message, or one whose time stamp is such bytes."""
+        if message.get_type() == "BAD_DATA":
+            return True
+        jump_s = 0.0 if last_s is None else abs(float(message._timestamp) - last_s)
+        return self._kind == "tlog" and jump_s > LONGEST_PAUSE_S
 
     @property
     def damage(self) -> list[str]:
         """A warning, if some of the file could not be read; to be asked at the end."""
-        if self._bad == 0 and "bad header" not in self._noise.getvalue():
+        if not self._damaged:
             return []
-        return [f"{self._path}: damaged in places or cut off; what could be read is used"]
+        return [f"{self._path}: damaged in places; what could be read is used"]
 
     def _open(self) -> Any:
         from pymavlink import DFReader, mavutil  # noqa: PLC0415 (slow to import)
@@ -167,15 +184,32 @@ class _Reader:
             return DFReader.DFReader_binary(str(self._path), zero_time_base=False)
         return mavutil.mavlink_connection(str(self._path), dialect="ardupilotmega")
 
-    def _quietly(self, read: Callable[[], Any]) -> Any:
-        with contextlib.redirect_stderr(self._noise), contextlib.redirect_stdout(self._noise):
-            try:
-                return read()
-            except Exception as error:  # pymavlink raises whatever damage makes it trip over
-                raise EchowingError(
-                    f"log {self._path}: cannot be read as a {self._kind} file ({error!r}); "
-                    "fetch it from the vehicle again"
-                ) from error
+    def _guarded(self, read: Callable[[], Any]) -> Any:
+        try:
+            return read()
+        except Exception as error:  # pymavlink raises whatever damage makes it trip over
+            raise EchowingError(
+                f"log {self._path}: cannot be read as a {self._kind} file ({error!r}); "
+                "fetch it from the vehicle again"
+            ) from error
+
+
+@contextlib.contextmanager
+def _quiet_stderr() -> Iterator[Callable[[], str]]:
+    """Keep what is written to stderr, also by C code: pymavlink's indexer complains there."""
+    with tempfile.TemporaryFile() as kept:
+        before = os.dup(2)
+        os.dup2(kept.fileno(), 2)
+        try:
+            yield lambda: _text(kept)
+        finally:
+            os.dup2(before, 2)
+            os.close(before)
+
+
+def _text(file: IO[bytes]) -> str:
+    file.seek(0)
+    return file.read().decode(errors="replace")
 
 
 # --- telemetry -----------------------------------------------------------------------------
