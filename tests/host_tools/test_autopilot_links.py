@@ -177,7 +177,8 @@ def test_the_whole_list_paced(generation: Generation) -> None:
     assert len(set(names)) == len(names)
     metric = generation in (Generation.V4_7, Generation.V4_8)
     for name, there in {
-        "WP_SPD": metric, "WPNAV_SPEED": not metric, "MAV_SYSID": metric, "SYSID_THISMAV": not metric,
+        "WP_SPD": metric, "WPNAV_SPEED": not metric,
+        "MAV_SYSID": metric, "SYSID_THISMAV": not metric,
         "RNGFND1_MAX": metric, "RNGFND1_MAX_CM": not metric, "MAV1_POSITION": metric,
         "SR0_POSITION": not metric, "RTL_SPEED_MS": generation is Generation.V4_8,
     }.items():  # fmt: skip

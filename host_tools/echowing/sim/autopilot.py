@@ -19,6 +19,7 @@ from echowing.sim.flightlog import FlightLog
 from echowing.sim.guided import Body, SubMode
 from echowing.sim.links import Router, SerialLink
 from echowing.sim.luahost import AltitudeFrame, LuaHost, Position
+from echowing.sim.mission import Mission
 from echowing.sim.modes import GUIDED, MODES, Arming, FlightModes
 from echowing.sim.parameters import Generation, Parameters
 from echowing.sim.places import ORIGIN, Places
@@ -42,6 +43,13 @@ _RC_US = (1500, 1500, 1000, 1500, 1800, 1000, 1000, 1800, *(0,) * 8)
 _AUX_HIGH_US, _AUX_LOW_US = 1800, 1200  # RC_Channel.h: AUX_SWITCH_PWM_TRIGGER_HIGH, _LOW
 _RC_VALID_US = range(801, 2200)
 _RC_OPTION_CHANNELS = 16
+_MISSION_MESSAGES = (
+    mavlink.MAVLINK_MSG_ID_MISSION_COUNT,
+    mavlink.MAVLINK_MSG_ID_MISSION_ITEM_INT,
+    mavlink.MAVLINK_MSG_ID_MISSION_CLEAR_ALL,
+    mavlink.MAVLINK_MSG_ID_MISSION_REQUEST_LIST,
+    mavlink.MAVLINK_MSG_ID_MISSION_REQUEST_INT,
+)
 
 
 class _Port:
@@ -82,8 +90,8 @@ class Autopilot:
 
     `body` is a `Copter`, or anything with its sensed attributes that moves by itself. A body in the
     air starts armed and in Guided. `parameters` are the values saved by former flights; names that
-    this firmware does not know are kept for scripts. Times are seconds from the flight's start; the
-    autopilot boots at the first of them. `seed` is taken for symmetry with other parts: nothing
+    this firmware does not know are kept for scripts. Times are seconds from the flight's start,
+    which is when the autopilot boots. `seed` is taken for symmetry with other parts: nothing
     here is random.
     """
 
@@ -137,7 +145,8 @@ class Autopilot:
         )
         self._targets = TargetReader(self.copter, self.places, self.modes.guided)
         self._commands = Commands(self.modes, self.parameters, self.places, self._want_reboot)
-        self._handlers = {
+        self._mission = Mission(self.modes, self.places)
+        self._handlers = dict.fromkeys(_MISSION_MESSAGES, self._mission_message) | {
             mavlink.MAVLINK_MSG_ID_HEARTBEAT: self._heartbeat,
             mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR: self._distance_sensor,
             mavlink.MAVLINK_MSG_ID_TIMESYNC: self._timesync,
@@ -324,6 +333,9 @@ class Autopilot:
             self._targets.read_global(message)
         else:
             self._targets.read_local(message)
+
+    def _mission_message(self, port: _Port, message: Any) -> None:
+        self._mission.receive(message, port.send)
 
     def _request_data_stream(self, port: _Port, message: Any) -> None:
         rate_hz = message.req_message_rate if message.start_stop else 0
