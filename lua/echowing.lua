@@ -29,6 +29,7 @@ local HARD_CLOSE_M = 1.0 -- under this it is too close, closing or not
 local SPEED_FLOOR_MPS = 0.2 -- below, the autopilot saves its own floor over the pilot's value; 0 would be no limit
 local SPIKE_M = 0.8 -- a single reading this far from the prediction waits for a second one like it
 local TRACK_GAP_MS = 700 -- after a gap this long the tracker starts again
+local BLIND_MS = 2500 -- a target lost while too close is still there for so long: no speed without sonar yet
 local CLEAR_M = 0.3 -- too close ends this far beyond where it began
 local CLOSING_MPS = 0.15 -- slower is noise of the tracker (1 cm steps at 10 Hz)
 local EVADE_LEAST_M, EVADE_MOST_M = 0.5, 5.0 -- how far back a target away from the leader lies
@@ -65,9 +66,9 @@ end
 -- What the applet needs of the autopilot; the name of the first thing missing, or nil.
 local function missing_call()
     local needs = {
-        { 'vehicle', vehicle, { 'set_desired_speed', 'set_target_location', 'get_target_location', 'get_mode' } },
+        { 'vehicle', vehicle, { 'set_desired_speed', 'set_target_pos_NED', 'get_target_location', 'get_mode' } },
         { 'rangefinder', rangefinder, { 'status_orient', 'has_orientation' } },
-        { 'ahrs', ahrs, { 'get_location', 'get_velocity_NED' } },
+        { 'ahrs', ahrs, { 'get_location', 'get_velocity_NED', 'get_relative_position_NED_origin' } },
         { 'mavlink', mavlink, { 'init', 'register_rx_msgid', 'receive_chan' } },
         { 'param', param, { 'add_table', 'add_param' } },
         { 'arming', arming, { 'is_armed' } },
@@ -431,20 +432,24 @@ end
 
 -- Range of the target and the leader's speed along the line of sight, from single readings: a critically damped observer
 -- that knows the own speed, so that own braking is not taken for the leader's.
-local track = { range_m = nil, leader_mps = 0.0, own_mps = 0.0, at_ms = 0, readings = 0, spike_m = nil }
+local track = { range_m = nil, leader_mps = 0.0, own_mps = 0.0, at_ms = 0, seen_ms = 0, readings = 0, spike_m = nil }
 
 local function track_start(range_m, own_mps, t_ms)
     track.range_m, track.leader_mps, track.own_mps, track.at_ms = range_m, own_mps, own_mps, t_ms
-    track.readings, track.spike_m = 1, nil
+    track.seen_ms, track.readings, track.spike_m = t_ms, 1, nil
 end
 
+-- While it backs off the nose is up and the sonar often sees nothing: the track is then carried on for longer.
 local function track_fresh(t_ms)
-    return track.range_m ~= nil and t_ms - track.at_ms <= TRACK_GAP_MS
+    return track.range_m ~= nil and t_ms - track.seen_ms <= (S.evading and BLIND_MS or TRACK_GAP_MS)
 end
 
--- Range now, carried on from the last reading.
-local function track_range(t_ms)
-    return track.range_m + (track.leader_mps - track.own_mps) * (t_ms - track.at_ms) * 0.001
+-- Carries the range on to now.
+local function track_carry(own_mps, t_ms)
+    if not track.range_m then return end
+    local dt_s = (t_ms - track.at_ms) * 0.001
+    track.range_m = track.range_m + (track.leader_mps - 0.5 * (track.own_mps + own_mps)) * dt_s
+    track.own_mps, track.at_ms = own_mps, t_ms
 end
 
 -- A reading far from the prediction counts only when the next one is like it: propellers make single wild ones.
@@ -458,18 +463,18 @@ end
 
 local function track_update(range_m, own_mps, t_ms)
     if not track_fresh(t_ms) then return track_start(range_m, own_mps, t_ms) end
-    local dt_s = (t_ms - track.at_ms) * 0.001
+    local dt_s = (t_ms - track.seen_ms) * 0.001
     if dt_s <= 0.0 then return end
-    local predicted_m = track.range_m + (track.leader_mps - 0.5 * (track.own_mps + own_mps)) * dt_s
-    local residual_m = range_m - predicted_m
+    track_carry(own_mps, t_ms)
+    local residual_m = range_m - track.range_m
     if math.abs(residual_m) > SPIKE_M then return track_spike(range_m, own_mps, t_ms) end
     local keep = math.exp(-dt_s / C.TAU)
     local n = track.readings + 1 -- the first readings count as in a straight line through all of them
     local range_share = math.max(1.0 - keep * keep, 2.0 * (2.0 * n - 1.0) / (n * (n + 1.0)))
     local rate_share = math.max((1.0 - keep) * (1.0 - keep), 6.0 / (n * (n + 1.0)))
-    track.range_m = predicted_m + range_share * residual_m
+    track.range_m = track.range_m + range_share * residual_m
     track.leader_mps = track.leader_mps + rate_share / dt_s * residual_m
-    track.own_mps, track.at_ms, track.readings, track.spike_m = own_mps, t_ms, n, nil
+    track.seen_ms, track.readings, track.spike_m = t_ms, n, nil
 end
 
 -- Own speed along the heading, where the sonar looks; 0 while the estimator has none.
@@ -593,7 +598,7 @@ local function take_control(t_ms)
     mirror_parameter:set(S.pilot_units) -- before the speed is touched: a restart must find it
     S.in_control, S.since_ms, S.step_ms, S.update_ms = true, t_ms, t_ms, t_ms
     S.stream_ms, S.seen_ms, S.data_ms, S.holding, S.evading = nil, t_ms, t_ms, false, false
-    S.announced_ms, S.changes, S.streaming = {}, {}, 0
+    S.announced_ms, S.changes, S.streaming, S.close_ms = {}, {}, 0, t_ms - BLIND_MS
     S.speed_mps = clamp(C.SPD_INIT, C.SPD_MIN, C.SPD_MAX)
     S.law_mps = S.speed_mps
     track.range_m = nil
@@ -660,34 +665,38 @@ local function ahead_m(here, lat, lng)
     return offset:x() * math.cos(yaw) + offset:y() * math.sin(yaw)
 end
 
--- Whether the target in force leads away from the leader, so that the limit must not hold the vehicle back.
-local function target_leads_away(here, t_ms)
-    if S.evading then return true end
+-- Metres that the target in force lies behind the vehicle, away from the leader; 0 if it leads towards the leader.
+local function target_behind_m(here, t_ms)
     if not S.holding and S.stream_ms and t_ms - S.stream_ms < TARGET_FRESH_MS and S.target_lat then
         local yaw = yaw_rad(ahrs)
-        if S.target_vn * math.cos(yaw) + S.target_ve * math.sin(yaw) > 0.0 then return false end
-        return ahead_m(here, S.target_lat, S.target_lng) < -EVADE_LEAST_M
+        if S.target_vn * math.cos(yaw) + S.target_ve * math.sin(yaw) > 0.0 then return 0.0 end
+        return math.max(0.0, -ahead_m(here, S.target_lat, S.target_lng))
     end
     local target = vehicle:get_target_location()
-    return target ~= nil and ahead_m(here, target:lat(), target:lng()) < -EVADE_LEAST_M
+    return target and math.max(0.0, -ahead_m(here, target:lat(), target:lng())) or 0.0
 end
 
--- A target straight back from the leader: as far as the wanted distance, and the leader's approach of one second more
--- (Guided flies about 1 m/s for each metre to its target).
-local function back_off(here, range_m)
-    local approach_mps = math.max(0.0, -track.leader_mps)
-    local back_m = clamp(C.DIST - range_m + approach_mps, EVADE_LEAST_M, EVADE_MOST_M)
+-- A target so far straight back (0: right here), at this height, looking where it looks now: Guided would turn the nose,
+-- and with it the sonar, towards a target without a yaw.
+local function fly_back(back_m)
+    local position = ahrs:get_relative_position_NED_origin()
+    if not position then return false end
     local yaw = yaw_rad(ahrs)
-    local target = here:copy()
-    target:offset(-back_m * math.cos(yaw), -back_m * math.sin(yaw))
-    return vehicle:set_target_location(target)
+    position:x(position:x() - back_m * math.cos(yaw))
+    position:y(position:y() - back_m * math.sin(yaw))
+    return vehicle:set_target_pos_NED(position, true, math.deg(yaw), false, 0.0, false, false)
+end
+
+-- How far back to fly from a leader: to the wanted distance, and the leader's approach of one second more.
+local function retreat_m(range_m)
+    return clamp(C.DIST - range_m + math.max(0.0, -track.leader_mps), EVADE_LEAST_M, EVADE_MOST_M)
 end
 
 -- The law's wish for this update, before any gate: S.law_mps.
 local function run_law(range_m, t_ms)
     if C.LAW >= 2 then
         if not track_fresh(t_ms) then return end
-        S.law_mps = continuous_speed(track_range(t_ms), track.leader_mps - S.own_mps, track.leader_mps)
+        S.law_mps = continuous_speed(track.range_m, track.leader_mps - S.own_mps, track.leader_mps)
         return
     end
     if t_ms - S.step_ms < C.PERIOD * 1000.0 then return end
@@ -709,7 +718,7 @@ local function gate(range_m, status, t_ms)
     if t_ms - S.data_ms >= C.NODATA_T * 1000.0 then
         S.law_mps = C.SPD_LOST
         set_state(NO_SONAR)
-    elseif t_ms - S.seen_ms >= C.LOST_T * 1000.0 then
+    elseif t_ms - S.seen_ms >= C.LOST_T * 1000.0 and t_ms - S.close_ms >= BLIND_MS then
         if C.LAW >= 1 then S.law_mps = C.SPD_LOST end
         set_state(SEARCHING)
     end
@@ -739,16 +748,18 @@ local function is_too_close(near_m, closing_mps, margin_m)
     return near_m - closing_distance(closing_mps) < C.CLOSE + margin_m
 end
 
--- Whether to fly a target of the applet's own away from the leader: nothing else leads away, and it is still closing.
-local function should_back_off(here, near_m, closing_mps, t_ms)
-    if S.evading then return track.leader_mps < -CLOSING_MPS or closing_mps > 0.0 end
-    if closing_mps <= CLOSING_MPS or target_leads_away(here, t_ms) then return false end
-    return near_m < C.CLOSE or near_m - closing_distance(closing_mps) < HARD_CLOSE_M
+-- Whether to fly a target of the applet's own away from the leader: it is still closing, and the target in force does not
+-- lead away fast enough (Guided flies about 1 m/s for each metre to its target).
+local function should_back_off(behind_m, near_m, closing_mps)
+    local approach_mps = -track.leader_mps
+    if S.evading then return approach_mps > CLOSING_MPS or closing_mps > 0.0 end
+    if closing_mps <= CLOSING_MPS or behind_m > math.max(EVADE_LEAST_M, approach_mps) then return false end
+    return approach_mps > CLOSING_MPS or near_m < C.CLOSE or near_m - closing_distance(closing_mps) < HARD_CLOSE_M
 end
 
 -- Too close and two readings agree on it: the state, backing off, and the law starts again from the bottom.
 local function too_close(near_m, closing_mps, t_ms)
-    S.too_close = true
+    S.too_close, S.close_ms = true, t_ms
     set_state(TOO_CLOSE)
     if C.LAW >= 1 then S.speed_mps, S.law_mps = C.SPD_MIN, C.SPD_MIN end
     local here = vehicle:get_likely_flying() and ahrs:get_location()
@@ -756,9 +767,10 @@ local function too_close(near_m, closing_mps, t_ms)
         S.evading = false
         return C.SPD_MIN
     end
-    S.evading = should_back_off(here, near_m, closing_mps, t_ms) and back_off(here, near_m)
+    local behind_m = target_behind_m(here, t_ms)
+    S.evading = should_back_off(behind_m, near_m, closing_mps) and fly_back(retreat_m(near_m))
     if S.evading then set_state(BACKING_OFF) end
-    if S.evading or target_leads_away(here, t_ms) then return C.SPD_MAX end -- free to get away
+    if S.evading or behind_m > EVADE_LEAST_M then return C.SPD_MAX end -- free to get away
     return C.SPD_MIN
 end
 
@@ -766,7 +778,7 @@ end
 local function guard(range_m, status, t_ms)
     local fresh = track_fresh(t_ms)
     local closing_mps = fresh and S.own_mps - track.leader_mps or 0.0
-    local tracked_m = fresh and track_range(t_ms) or range_m
+    local tracked_m = fresh and track.range_m or range_m
     local margin_m = S.too_close and CLEAR_M or 0.0
     if status == STATUS_LOW or (tracked_m and is_too_close(tracked_m, closing_mps, margin_m)) then
         return too_close(tracked_m or 0.0, closing_mps, t_ms)
@@ -790,8 +802,7 @@ local function watch_stream(t_ms)
         return
     end
     if S.holding then return end
-    local here = vehicle:get_likely_flying() and ahrs:get_location()
-    S.holding = here and vehicle:set_target_location(here) or false
+    S.holding = vehicle:get_likely_flying() and fly_back(0.0)
 end
 
 -- What pilots see ----------------------------------------------------------------------------------------------------
@@ -874,6 +885,7 @@ local function update()
     local t_ms = now_ms()
     read_some_parameters()
     S.own_mps = forward_speed()
+    track_carry(S.own_mps, t_ms)
     take_messages(t_ms)
     local reason = reason_not_to_act()
     if not reason then return act(t_ms) end

@@ -15,7 +15,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.geo import GlobalPosition, displace, ned_between
+from echowing.geo import GlobalPosition, Ned, displace, ned_between, wrap_angle_rad
 from echowing.guidance import (
     GuidanceSettings,
     GuidedPoint,
@@ -25,6 +25,7 @@ from echowing.guidance import (
     SlotGuide,
     is_stale,
     predicted,
+    sweep_rad,
 )
 from echowing.offset import RelativeOffset
 
@@ -36,6 +37,10 @@ GUIDED_MODE = 4
 # A leader's report further than this from where the last one leads is a jump, not a movement:
 # twice what a hard reversal at 2 m/s can do between two reports.
 JUMP_M = 4.0
+# Accelerations beyond this are noise: a copter's default is 2.5 m/s2 (WP_ACC).
+MOST_MPS2 = 3.0
+# Two reports further apart than this say nothing of the acceleration now.
+LONGEST_GAP_S = 0.6
 # A new place is believed once this many reports in a row agree on it (2 s at 4 Hz).
 AGREEING_REPORTS = 8
 
@@ -121,14 +126,28 @@ class LeaderTrack:
         if boot_s <= self._newest_boot_s:
             return
         self._newest_boot_s = boot_s
+        velocity = (message.vx / 100.0, message.vy / 100.0, message.vz / 100.0)
+        time_s = self.clock.to_ours(boot_s, now_s)
         fix = LeaderFix(
-            time_s=self.clock.to_ours(boot_s, now_s),
+            time_s=time_s,
             position=GlobalPosition(message.lat / 1e7, message.lon / 1e7, message.alt / 1e3),
-            velocity_ned_mps=(message.vx / 100.0, message.vy / 100.0, message.vz / 100.0),
+            velocity_ned_mps=velocity,
             heading_rad=math.radians(message.hdg / 100.0),
+            acceleration_ned_mps2=self._acceleration(time_s, velocity),
         )
         if self._believable(fix):
             self.fix = fix
+
+    def _acceleration(self, time_s: float, velocity: Ned) -> Ned:
+        """Between the last report and this one, limited to what copters do; 0 after a gap."""
+        if self.fix is None or not 0.0 < time_s - self.fix.time_s < LONGEST_GAP_S:
+            return (0.0, 0.0, 0.0)
+        elapsed_s = time_s - self.fix.time_s
+        change = [
+            (b - a) / elapsed_s for a, b in zip(self.fix.velocity_ned_mps, velocity, strict=True)
+        ]
+        north, east, down = (max(-MOST_MPS2, min(MOST_MPS2, one)) for one in change)
+        return north, east, down
 
     def _reboot(self) -> None:
         self.clock.restarted()
@@ -244,12 +263,24 @@ class FollowSession:
         offset = follower.offset
         offset.advance(now_s)
         moved = displace(fix.position, (-offset.north_m, -offset.east_m, 0.0))
-        least_m = self.settings.clearance_m + self.settings.standoff_sigmas * offset.sigma_m(
-            self._line_rad(follower, now_s)
-        )
-        return follower.guide.update(
+        unsure_m = self.settings.standoff_sigmas * offset.sigma_m(self._line_rad(follower, now_s))
+        least_m = self.settings.clearance_m + unsure_m
+        guided = follower.guide.update(
             replace(fix, position=moved), now_s, follower.position, least_m
         )
+        return self._looking_around(follower, guided, DETECTION_LIMIT_M + unsure_m, now_s)
+
+    def _looking_around(
+        self, follower: FollowerState, guided: GuidedPoint, hearing_m: float, now_s: float
+    ) -> GuidedPoint:
+        """Sweep the nose about the leader's bearing where the sonar could hear it and does not."""
+        if guided.yaw_rad is None or follower.position is None:
+            return guided
+        north_m, east_m, _ = ned_between(follower.position, guided.leader)
+        if math.hypot(north_m, east_m) > hearing_m:
+            return guided
+        off_rad = sweep_rad(follower.offset.unheard_s(now_s), now_s)
+        return replace(guided, yaw_rad=wrap_angle_rad(guided.yaw_rad + off_rad))
 
     def _target(self, follower: FollowerState, point: GlobalPosition, now_s: float) -> Any:
         plan = follower.plan
@@ -313,7 +344,7 @@ class FollowSession:
         age_s = max(0.0, now_s - fix.time_s)
         if is_stale(age_s, self.settings):
             return None
-        north_m, east_m, _ = ned_between(follower.position, predicted(fix, age_s))
+        north_m, east_m, _ = ned_between(follower.position, predicted(fix, age_s).position)
         return north_m, east_m
 
     def _mode(self, follower: FollowerState, heartbeat: Any, now_s: float) -> None:

@@ -18,6 +18,15 @@ Horizontal = tuple[float, float]
 SLOW_MPS = 0.25
 # Back to the course only here, so that a leader near the limit does not swap between the two.
 MOVING_MPS = 0.35
+# The slot waits for its follower: it is never further round the leader than this, so that the
+# straight way to it stays clear of the leader (3 m x cos 30 deg = 2.6 m in a 3 m formation).
+FURTHEST_ROUND_RAD = math.radians(60.0)
+# A follower that has not heard its leader looks to either side of where it should be: so long
+# after the last reading, so far, in so many seconds there and back (63 deg/s at the most, about
+# what a copter turns; the beam is 40 degrees wide).
+SWEEP_AFTER_S = 1.5
+SWEEP_RAD = math.radians(60.0)
+SWEEP_PERIOD_S = 6.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,12 +46,16 @@ class Slot:
 
 @dataclass(frozen=True, slots=True)
 class LeaderFix:
-    """One report of the leader: where it was at `time_s` on our clock."""
+    """One report of the leader: where it was at `time_s` on our clock.
+
+    The acceleration is worked out from this report and the one before.
+    """
 
     time_s: float
     position: GlobalPosition
     velocity_ned_mps: Ned
     heading_rad: float
+    acceleration_ned_mps2: Ned = (0.0, 0.0, 0.0)
 
     @property
     def speed_mps(self) -> float:
@@ -55,7 +68,7 @@ class GuidanceSettings:
     """How guided points are made. The defaults are ours; `GRAY` is the thesis's scheme.
 
     lead_time_s: L1 = lead time x leader speed, the slot moved ahead (thesis Appendix B).
-    predict: carry the leader on at its reported velocity over the age of the report.
+    predict: carry the leader on, at its velocity and acceleration, over the age of the report.
     keep_behind: hold the guided point behind the leader and `clearance_m` away from it.
     face_leader: send the bearing of the leader as yaw, so that the sonar looks at it.
     slot_rate_rps: how fast the slot may move round the leader (None: at once). At 3 m and
@@ -77,7 +90,7 @@ class GuidanceSettings:
     face_leader: bool = True
     slot_rate_rps: float | None = math.radians(30.0)
     learn_offset: bool = True
-    standoff_sigmas: float = 2.0
+    standoff_sigmas: float = 2.5
     sonar_inset_m: float = 0.2
     fresh_age_s: float | None = 0.5
     stale_age_s: float | None = 1.0
@@ -152,6 +165,13 @@ def held_behind(offset_m: Horizontal, course_rad: float, clearance_m: float) -> 
     return offset_m[0] - back_m * cos, offset_m[1] - back_m * sin
 
 
+def sweep_rad(unheard_s: float, now_s: float) -> float:
+    """How far off the leader's bearing to look, to find a leader that is not where it should be."""
+    if unheard_s < SWEEP_AFTER_S:
+        return 0.0
+    return SWEEP_RAD * math.sin(2.0 * math.pi * now_s / SWEEP_PERIOD_S)
+
+
 def lead_share(age_s: float, settings: GuidanceSettings) -> float:
     """The part of the lead time in force for a report this old: 1 when fresh, 0 when stale."""
     if settings.fresh_age_s is None or settings.stale_age_s is None:
@@ -189,19 +209,19 @@ class SlotGuide:
         """
         settings = self.settings
         age_s = max(0.0, now_s - fix.time_s)
-        course_rad = self._turn(self._course.update(fix), now_s)
-        leader = predicted(fix, age_s) if settings.predict else fix.position
+        now = predicted(fix, age_s) if settings.predict else fix
+        course_rad = self._turn(self._course.update(now), now_s, self._course_of(follower, now))
         offset_m = slot_offset_m(self._slot(least_radius_m), course_rad)
         lead_s = settings.lead_time_s * lead_share(age_s, settings)
-        point_m = _led(offset_m, fix, course_rad, lead_s)
+        point_m = _led(offset_m, now, course_rad, lead_s)
         if settings.keep_behind:
             point_m = held_behind(point_m, course_rad, settings.clearance_m)
-        slot = self._at(leader, offset_m)
+        slot = self._at(now.position, offset_m)
         return GuidedPoint(
-            point=self._at(leader, point_m),
+            point=self._at(now.position, point_m),
             slot=slot,
-            leader=leader,
-            yaw_rad=bearing_rad(follower or slot, leader) if settings.face_leader else None,
+            leader=now.position,
+            yaw_rad=bearing_rad(follower or slot, now.position) if settings.face_leader else None,
             age_s=age_s,
         )
 
@@ -210,14 +230,24 @@ class SlotGuide:
             return self.slot
         return replace(self.slot, radius_m=least_radius_m)
 
-    def _turn(self, wanted_rad: float, now_s: float) -> float:
+    def _course_of(self, follower: GlobalPosition | None, leader: LeaderFix) -> float | None:
+        """The course with which the follower would be in its slot where it is now."""
+        if follower is None:
+            return None
+        return bearing_rad(leader.position, follower) + math.pi + self.slot.angle_rad
+
+    def _turn(self, wanted_rad: float, now_s: float, followers_rad: float | None) -> float:
+        """Turn the formation's course, so fast at the most, and not away from the follower."""
         elapsed_s = now_s - self._turned_at_s
         self._turned_at_s = now_s
         rate_rps = self.settings.slot_rate_rps
-        if self._course_rad is None or rate_rps is None:
-            self._course_rad = wanted_rad
-        else:
-            self._course_rad = turned_towards(self._course_rad, wanted_rad, rate_rps * elapsed_s)
+        if rate_rps is None:
+            return wanted_rad
+        if self._course_rad is None:
+            self._course_rad = wanted_rad if followers_rad is None else followers_rad
+        self._course_rad = turned_towards(self._course_rad, wanted_rad, rate_rps * elapsed_s)
+        if followers_rad is not None:
+            self._course_rad = turned_towards(followers_rad, self._course_rad, FURTHEST_ROUND_RAD)
         return self._course_rad
 
     def _at(self, leader: GlobalPosition, offset_m: Horizontal) -> GlobalPosition:
@@ -230,10 +260,15 @@ def bearing_rad(start: GlobalPosition, end: GlobalPosition) -> float:
     return math.atan2(east_m, north_m)
 
 
-def predicted(fix: LeaderFix, age_s: float) -> GlobalPosition:
-    """Where the leader is `age_s` after its report, at the velocity it reported."""
-    north, east, down = fix.velocity_ned_mps
-    return displace(fix.position, (north * age_s, east * age_s, down * age_s))
+def predicted(fix: LeaderFix, age_s: float) -> LeaderFix:
+    """The leader `age_s` after its report, at the velocity and the acceleration it had."""
+    velocity, acceleration = fix.velocity_ned_mps, fix.acceleration_ned_mps2
+    north, east, down = (
+        v * age_s + a * age_s * age_s / 2.0 for v, a in zip(velocity, acceleration, strict=True)
+    )
+    vn, ve, vd = (v + a * age_s for v, a in zip(velocity, acceleration, strict=True))
+    position = displace(fix.position, (north, east, down))
+    return replace(fix, position=position, velocity_ned_mps=(vn, ve, vd))
 
 
 def _led(offset_m: Horizontal, fix: LeaderFix, course_rad: float, lead_s: float) -> Horizontal:

@@ -22,8 +22,8 @@ ALONG_SIGMA_M = 0.5
 # One reading every half second: the noise above is meant for that.
 UPDATE_PERIOD_S = 0.5
 # Another vehicle, the ground or a wild reading: further from what is believed than this many
-# standard deviations.
-GATE_SIGMAS = 3.0
+# standard deviations (one leader in 3000 is really further off).
+GATE_SIGMAS = 4.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +45,10 @@ class RelativeOffset:
         self._p_nn, self._p_ne, self._p_ee = self._prior_m2, 0.0, self._prior_m2
         self._at_s: float | None = None
         self._heard_at_s = -math.inf
+
+    def unheard_s(self, now_s: float) -> float:
+        """For how long no reading has been taken for the leader; infinite at first."""
+        return now_s - self._heard_at_s
 
     def sigma_m(self, direction_rad: float) -> float:
         """Standard deviation of the estimate along a bearing."""

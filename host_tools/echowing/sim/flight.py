@@ -8,7 +8,7 @@ everybody, and only the physics and the recorder are told.
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +35,8 @@ STEP_US = 20_000
 STEPS_PER_SAMPLE = 5  # 10 Hz
 # Nothing further away than this can matter to a sonar that reports up to 7.65 m.
 HEARING_M = 9.0
+# Followers start this far outside their slots, as they would be flown up by hand.
+JOIN_UP_M = 3.0
 
 Progress = Callable[[float], None]
 
@@ -126,6 +128,7 @@ class FormationFlight:
 
     def _make_follower(self, index: int) -> SimFollower:
         slot = self.scenario.slots()[index]
+        slot = replace(slot, radius_m=slot.radius_m + JOIN_UP_M)
         body = self.leader.body
         north_m, east_m = slot_offset_m(slot, body.yaw_rad)
         start = (

@@ -59,7 +59,8 @@ class Hangar:
             body = TrackedBody(load_track(plan.track))
         else:
             body = Copter((0.0, 0.0, -plan.altitude_m), 0.0, flying=True)
-        return SimVehicle(body, self._autopilot(body, LEADER_ID, {}), self._drift("leader"))
+        drift = self._drift("leader", body)
+        return SimVehicle(body, self._autopilot(body, LEADER_ID, {}), drift)
 
     def follower(
         self, index: int, start_ned_m: Ned, yaw_rad: float, speed_mps: float, listen: Listen
@@ -67,10 +68,11 @@ class Hangar:
         """Follower number `index` (from 0), with the applet running unless the law is none."""
         scenario = self.scenario
         body = Copter(start_ned_m, yaw_rad, flying=True)
+        drift = self._drift(f"follower {index}", body)
         follower = SimFollower(
             body,
             self._autopilot(body, FIRST_FOLLOWER_ID + index, self._parameters(speed_mps)),
-            self._drift(f"follower {index}"),
+            drift,
             listen=listen,
             make_coprocessor=self._make_coprocessor,
             rng=self.rng(f"sonar {index}"),
@@ -116,6 +118,9 @@ class Hangar:
     def _native(self, bus: Any) -> NativeCoprocessor:
         return NativeCoprocessor(bus, seed=self.seed, parameters=self.scenario.coprocessor)
 
-    def _drift(self, name: str) -> GpsDrift:
+    def _drift(self, name: str, body: Body) -> GpsDrift:
+        """The receiver's drift; the body believes it before its autopilot starts to hold."""
         gps = self.scenario.gps
-        return GpsDrift(gps.sigma_m, gps.tau_s, self.rng(f"gps {name}"))
+        drift = GpsDrift(gps.sigma_m, gps.tau_s, self.rng(f"gps {name}"))
+        body.set_estimate_offset(drift.step(0.0))
+        return drift

@@ -103,7 +103,7 @@ class GuidanceSection(_Section):
     face_leader: bool = True
     slot_rate_dps: Positive | None = 30.0
     learn_offset: bool = True
-    standoff_sigmas: NotNegative = 2.0
+    standoff_sigmas: NotNegative = 2.5
     sonar_inset_m: NotNegative = 0.2
     fresh_age_s: Positive | None = 0.5
     stale_age_s: Positive | None = 1.0
