@@ -37,6 +37,9 @@ SONAR_NAMES = ("SNR_RAW",)
 PAN_NAME, TILT_NAME = "SNR_PAN", "SNR_TILT"
 NAMED = {*SPEED_NAMES, *SONAR_NAMES, PAN_NAME, TILT_NAME}
 
+# A .tlog: microseconds in 8 bytes, then a MAVLink frame (header, payload, checksum, signature).
+STAMP_BYTES, MAVLINK_1, MAVLINK_2, SIGNATURE_BYTES = 8, 0xFE, 0xFD, 13
+FRAME_OVERHEAD = {MAVLINK_1: 6 + 2, MAVLINK_2: 10 + 2}
 LONGEST_PAUSE_S = 86_400.0  # within one recording; a greater jump is a damaged time stamp
 GPS_EPOCH_UNIX_S = 315_964_800  # 1980-01-06
 WEEK_S = 604_800
@@ -149,24 +152,16 @@ class _Reader:
         with _quiet_stderr() as complaints:
             log = self._guarded(self._open)
             self._damaged = "bad header" in complaints()
+        if self._kind == "tlog":
+            self._damaged = not _whole(self._path.read_bytes())
         last_s: float | None = None
-        while (message := self._guarded(lambda: self._next(log))) is not None:
-            if self._is_bad(message, last_s):
-                self._damaged = True
-                continue
-            last_s = float(message._timestamp)
-            if message.get_type() in self._types:
+        while (message := self._guarded(lambda: log.recv_match(type=self._types))) is not None:
+            if not self._is_stray(message, last_s):
+                last_s = float(message._timestamp)
                 yield message
 
-    def _next(self, log: Any) -> Any:
-        if self._kind == "BIN":
-            return log.recv_match(type=self._types)  # skips by its index
-        return log.recv_msg()
-
-    def _is_bad(self, message: Any, last_s: float | None) -> bool:
-        """Bytes that are no message, or one whose time stamp is such bytes."""
-        if message.get_type() == "BAD_DATA":
-            return True
+    def _is_stray(self, message: Any, last_s: float | None) -> bool:
+        """Whether its time stamp is damaged bytes; a dataflash log has its own times."""
         jump_s = 0.0 if last_s is None else abs(float(message._timestamp) - last_s)
         return self._kind == "tlog" and jump_s > LONGEST_PAUSE_S
 
@@ -175,7 +170,7 @@ class _Reader:
         """A warning, if some of the file could not be read; to be asked at the end."""
         if not self._damaged:
             return []
-        return [f"{self._path}: damaged in places; what could be read is used"]
+        return [f"{self._path}: damaged or cut off; what could be read is used"]
 
     def _open(self) -> Any:
         from pymavlink import DFReader, mavutil  # noqa: PLC0415 (slow to import)
@@ -192,6 +187,21 @@ class _Reader:
                 f"log {self._path}: cannot be read as a {self._kind} file ({error!r}); "
                 "fetch it from the vehicle again"
             ) from error
+
+
+def _whole(data: bytes) -> bool:
+    """Whether a .tlog is nothing but time stamps and frames, one after the other, to its end.
+
+    pymavlink searches its way over damage without a word.
+    """
+    at = 0
+    while at < len(data):
+        head = data[at + STAMP_BYTES : at + STAMP_BYTES + 3]
+        if len(head) < 3 or head[0] not in FRAME_OVERHEAD:
+            return False
+        signed = head[0] == MAVLINK_2 and head[2] & 1
+        at += STAMP_BYTES + FRAME_OVERHEAD[head[0]] + head[1] + (SIGNATURE_BYTES if signed else 0)
+    return at == len(data)
 
 
 @contextlib.contextmanager
