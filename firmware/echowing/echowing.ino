@@ -6,12 +6,17 @@
 #include "src/core/coprocessor.h"
 
 static echowing::ArduinoBoard board;
-static echowing::Coprocessor device(board.ports(), board.seed(), micros());
 
-void setup() { board.begin(device.aim()); }
+// Comes to life with the first call: only then have the Arduino core's clocks been started.
+static echowing::Coprocessor& device() {
+  static echowing::Coprocessor device(board.ports(), board.seed(), micros());
+  return device;
+}
+
+void setup() { board.begin(device().aim()); }
 
 void loop() {
   board.feed_watchdog();
-  device.step(micros());
-  board.show(device.led_on());
+  device().step(micros());
+  board.show(device().led_on());
 }
