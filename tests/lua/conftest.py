@@ -151,9 +151,10 @@ class Rig:
     def target_ahead_m(self) -> float:
         """How far ahead (north) the applet's last own target lies."""
         kind, target = self.vehicle.targets[-1]
-        assert kind == "location"
+        assert kind == "position"
         assert isinstance(target[0], float)
-        return (target[0] - HERE[0]) * 1e7 * METRES_PER_E7
+        assert self.vehicle.position is not None
+        return target[0] - self.vehicle.position[0]
 
 
 MakeRig = Callable[..., Rig]

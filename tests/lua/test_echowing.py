@@ -362,11 +362,12 @@ def test_backs_off_along_the_heading(rig: MakeRig) -> None:
     r.range(3.0).run(2.0)
     r.vehicle.velocity = (0.0, 0.0, 0.0)
     close_in(r, 2.5, 1.0, 1.2, own_mps=0.0)
-    kind, (lat, lon, alt, frame) = r.vehicle.targets[-1]
-    assert (kind, frame) == ("location", "absolute")
-    assert lat == pytest.approx(39.34, abs=2e-7)
-    assert float(lon or 0) < -86.03 - 1e-5
-    assert alt == pytest.approx(260.0)
+    kind, (north_m, east_m, down_m, yaw_rad) = r.vehicle.targets[-1]
+    assert kind == "position"
+    assert north_m == pytest.approx(0.0, abs=1e-3)
+    assert float(east_m or 0.0) < -1.5
+    assert down_m == -10.0
+    assert yaw_rad == pytest.approx(math.pi / 2)  # the sonar keeps looking at the leader
 
 
 def test_a_posvel_target_towards_the_leader_does_not_lead_away(rig: MakeRig) -> None:
@@ -442,10 +443,10 @@ def test_hold_is_repeated_until_it_is_accepted(rig: MakeRig) -> None:
     r.stream_every_ms = 120
     r.range(3.0).run(3.0)
     r.stream_every_ms = None
-    r.vehicle.place = None
+    r.vehicle.position = None
     r.run(2.0)
     assert r.vehicle.targets == []
-    r.vehicle.place = (39.34, -86.03, 260.0)
+    r.vehicle.position = (0.0, 0.0, -10.0)
     r.run(0.2)
     assert len(r.vehicle.targets) == 1
 

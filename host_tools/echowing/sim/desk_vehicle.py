@@ -114,6 +114,9 @@ class DeskVehicle:
 
     def set_target_position_ned(self, position_ned_m: Ned, yaw_rad: float | None) -> bool:
         self.targets.append(("position", (*position_ned_m, yaw_rad)))
+        if self.place is not None and self.position is not None:
+            ahead_m = position_ned_m[0] - self.position[0]
+            self.target = (self.place[0] + ahead_m / 111318.845, *self.place[1:], "absolute")
         return self.mode == 4
 
     def set_target_posvel_ned(self, position_ned_m: Ned, velocity_ned_mps: Ned) -> bool:
