@@ -32,16 +32,18 @@ class _Section(BaseModel):
 class LeaderEvent(_Section):
     """Something the leader does, from `at_s` on.
 
-    fly: at `velocity_ned_mps` with heading `yaw_deg`; at_follower: straight at the first follower
+    auto: its mission; goto: Auto to `point_ned_m` at `speed_mps`, braking and turning as Auto does;
+    fly: at `velocity_ned_mps` with heading `yaw_deg`, at once; at_follower: straight at the first follower
     at `speed_mps`; hold: stop; gps_jump: its position is off by `jump_ned_m`; silent: its radio
     is dead; heard: radio and GPS are well again.
     """
 
     at_s: NotNegative
-    act: Literal["auto", "fly", "at_follower", "hold", "gps_jump", "silent", "heard"]
+    act: Literal["auto", "goto", "fly", "at_follower", "hold", "gps_jump", "silent", "heard"]
     label: str = ""
     velocity_ned_mps: tuple[float, float, float] = (0.0, 0.0, 0.0)
     yaw_deg: float | None = None
+    point_ned_m: tuple[float, float, float] = (0.0, 0.0, -10.0)
     speed_mps: Positive = 1.0
     jump_ned_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
 

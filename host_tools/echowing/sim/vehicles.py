@@ -149,6 +149,8 @@ class LeaderPilot:
         leader = self._leader
         if event.act == "auto":
             leader.autopilot.start_mission(mission(self._plan), self._plan.speed_mps)
+        elif event.act == "goto":
+            leader.autopilot.start_mission([event.point_ned_m], event.speed_mps)
         elif event.act == "gps_jump":
             leader.drift.jump_ned_m = event.jump_ned_m
         elif event.act == "silent":
