@@ -177,15 +177,17 @@ class _Reader:
 
         if self._kind == "BIN":
             return DFReader.DFReader_binary(str(self._path), zero_time_base=False)
-        return mavutil.mavlink_connection(str(self._path), dialect="ardupilotmega")
+        # Not mavlink_connection: that goes by the file's suffix.
+        mavutil.set_dialect("ardupilotmega")
+        return mavutil.mavmmaplog(str(self._path))
 
     def _guarded(self, read: Callable[[], Any]) -> Any:
         try:
             return read()
         except Exception as error:  # pymavlink raises whatever damage makes it trip over
             raise EchowingError(
-                f"log {self._path}: cannot be read as a {self._kind} file ({error!r}); "
-                "fetch it from the vehicle again"
+                f"log {self._path}: cannot be read as a {self._kind} file "
+                f"({type(error).__name__}); fetch it from the vehicle again"
             ) from error
 
 

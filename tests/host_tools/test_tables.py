@@ -1,0 +1,112 @@
+"""The tables beside the thesis: what is printed, where, and that it fits a terminal."""
+
+import io
+from dataclasses import fields, replace
+
+import pytest
+from rich.console import Console
+
+from echowing.analysis.metrics import Metrics
+from echowing.analysis.tables import Result, footnotes, grids, markdown_tables, terminal_table
+from echowing.analysis.thesis import TABLE_8, TABLE_10, TABLE_11
+
+
+def figures(mean_m: float = 3.2, rmsd_m: float = 1.0) -> Metrics:
+    values = {item.name: 0.5 for item in fields(Metrics)}
+    return Metrics(**{**values, "mean_separation_m": mean_m, "rmsd_m": rmsd_m})  # type: ignore[arg-type]
+
+
+ALL = [
+    Result("gray", figures(4.6, 2.0)),
+    Result("thesis", figures(3.5)),
+    Result("thesis", figures(40.0, 39.0), dead_locked=True),
+    Result("echowing", figures(3.0, 0.5)),
+    Result("echowing", figures(3.2, 0.7)),
+    Result("thesis-4m", figures(7.0)),
+    Result("thesis-initial", figures(6.0)),
+    Result("hostile", figures(5.0)),
+]
+
+
+def rows(number: int) -> dict[str, tuple[str, ...]]:
+    return {row.cells[0]: row.cells[1:] for row in grids(ALL)[number].rows}
+
+
+def test_flights_of_one_name_are_pooled_with_their_spread() -> None:
+    # 3.0 and 3.2: sample deviation 0.1414
+    assert rows(0)["echowing"][:2] == ("2", "3.10±0.14")
+    assert rows(0)["hostile"][:2] == ("1", "5.00")
+
+
+def test_dead_locks_are_counted_and_the_others_stand_below() -> None:
+    assert rows(0)["thesis (1 of 2 dead-locked)"][0] == "2"
+    assert rows(0)["thesis, not dead-locked"][:2] == ("1", "3.50")
+
+
+@pytest.mark.parametrize(
+    ("label", "cells"),
+    [
+        ("  Table 7", ("7.67", "-", "4.76", "3.02")),
+        ("  Table 8 [a]", ("6.51", "-", "2.55", "2.51")),
+        ("  Table 9 [d]", ("3.08", "0.896", "1.11", "1.11")),
+        ("  Table 11, Gray [c]", ("-", "3.08", "1.77", "-")),
+    ],
+)
+def test_the_thesis_stands_beside_as_printed(label: str, cells: tuple[str, ...]) -> None:
+    assert rows(0)[label][1:5] == cells
+
+
+def test_grays_best_test_stands_in_the_position_table() -> None:
+    printed = rows(1)["  Table 10, test 2 [b]"]
+    assert printed == ("-1.80/1.18/1.21", "0.70/0.85/0.62", "3.08/0.63/1.77")
+
+
+def test_the_gain_on_gray_is_in_per_cent() -> None:
+    # RMSD 2.0 against 0.6
+    assert rows(2)["echowing"][0] == "70.0"
+    assert rows(2)["  Table 11 [c]"] == ("37.3", "70.9")
+
+
+def test_no_gain_table_without_gray() -> None:
+    assert len(grids([Result("echowing", figures())])) == 2
+
+
+def test_every_mark_has_its_footnote_and_no_other_is_printed() -> None:
+    marks = {key for row in grids(ALL)[0].rows for key in "abcd" if f"[{key}]" in row.cells[0]}
+    noted = {note[1] for note in footnotes(ALL) if note.startswith("[")}
+    assert marks <= noted == {"a", "b", "c", "d"}
+    assert {note[1] for note in footnotes(ALL[3:4]) if note.startswith("[")} == {"d"}
+
+
+def test_the_oddities_named_in_the_footnotes_are_in_the_printed_figures() -> None:
+    right = TABLE_10[1].right
+    assert right is not None and right.drms_m < right.sigma_m
+    assert TABLE_8.mean_separation_m is not None and TABLE_8.std_m is not None
+    by_definition = ((TABLE_8.mean_separation_m - 3.0) ** 2 + TABLE_8.std_m**2) ** 0.5
+    assert by_definition == pytest.approx(4.31, abs=0.01)
+    for line in TABLE_11:
+        reduced = 100.0 * (1.0 - line.sonar_m / line.gray_m)
+        assert reduced == pytest.approx(line.reduced_percent, abs=0.05)
+
+
+@pytest.mark.parametrize("width", [80, 100, 120])
+def test_the_terminal_table_fits_and_loses_no_figure(width: int) -> None:
+    console = Console(file=io.StringIO(), width=width)
+    console.print(terminal_table(ALL))
+    text = console.file.getvalue()  # type: ignore[attr-defined]
+    assert max(map(len, text.splitlines())) <= width
+    assert "…" not in text
+    for cell in ("3.10±0.14", "0.896", "3.08/0.63/1.77", "70.9"):
+        assert cell in text
+
+
+def test_markdown_has_a_cell_for_every_column() -> None:
+    lines = [line for line in markdown_tables(ALL).splitlines() if line.startswith("|")]
+    widths = {line.replace("\\|", "").count("|") for line in lines[:10]}
+    assert len(widths) == 1
+    assert "| *3.08* | *0.896* |" in markdown_tables(ALL)
+
+
+def test_an_unknown_figure_is_a_dash() -> None:
+    unseen = Result("hostile", replace(figures(), seen_share=float("nan")))
+    assert grids([unseen])[0].rows[0].cells[-1] == "-"
