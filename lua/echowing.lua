@@ -120,7 +120,7 @@ local PARAMETERS = {
       // @Values: 0:Thesis,1:Bands,2:Continuous
       // @User: Standard
     --]]
-    { 'LAW', 1, 0, 2 },
+    { 'LAW', 2, 0, 2 },
     --[[
       // @Param: ECHO_DIST
       // @DisplayName: Echowing wanted distance

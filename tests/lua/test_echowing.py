@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from echowing.paths import lua_folder
-from echowing.sim.luahost import BINDINGS
+from echowing.sim.luahost import BINDINGS, LuaHost
 
 if TYPE_CHECKING:
     from tests.lua.conftest import MakeRig, Names, Rig
@@ -24,7 +24,7 @@ FLOOR_MPS = pytest.approx(0.2)
 
 
 def test_writes_parameter_and_limit_at_every_update(rig: MakeRig) -> None:
-    r = rig().range(3.0).run(2.0)
+    r = rig(LAW=1).range(3.0).run(2.0)
     assert len(r.vehicle.desired_speeds) >= 35  # 20 a second once it is ready
     assert r.parameter_mps == r.speed_mps == 2.5  # ECHO_SPD_INIT
     assert r.names.speed not in r.vehicle.saved
@@ -93,7 +93,7 @@ def test_acts_only_enabled_armed_and_in_guided(
 
 
 def test_pilot_may_change_the_speed_parameter_in_flight(rig: MakeRig) -> None:
-    r = rig().range(3.0).run(2.0)
+    r = rig(LAW=1).range(3.0).run(2.0)
     r.vehicle.parameters[r.names.speed] = 7.0 * r.names.units_per_mps
     r.run(0.5)
     assert r.parameter_mps == r.speed_mps == 2.5
@@ -222,6 +222,20 @@ def test_stops_when_its_parameter_key_is_taken(rig: MakeRig) -> None:
     r.vehicle.t_ms = 10
     r.host.step(10)
     assert "parameter table key 95 is taken" in str(r.host.error)
+
+
+def test_an_update_stays_far_below_the_limits(rig: MakeRig) -> None:
+    """A tenth of SCR_VM_I_COUNT an update, a third of the heap (64-bit pointers)."""
+    r = rig(LAW=2)
+    r.host = LuaHost(r.vehicle, r.script, generation=r.names.generation, count_instructions=True)
+    r.raw_every_ms = r.stream_every_ms = 50
+    worst = 0
+    for i in range(500):
+        r.range(3.0 if i < 250 else 1.2).step()
+        if r.vehicle.t_ms > 500:  # the first run sets everything up
+            worst = max(worst, r.host.instructions)
+    assert 200 < worst < 1200
+    assert r.host.heap_bytes() < 204800 / 3
 
 
 # Too close
@@ -597,7 +611,7 @@ def test_arming_check_can_be_turned_off(rig: MakeRig, applet: dict[str, float]) 
 
 
 def test_goes_on_without_an_authorisation_id(rig: MakeRig) -> None:
-    r = rig()
+    r = rig(LAW=1)
     r.vehicle.free_auth_ids = 0
     r.range(3.0).run(1.0)
     assert "no arming check, all authorisation ids are taken" in r.texts

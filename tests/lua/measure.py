@@ -1,0 +1,83 @@
+"""Instructions and heap of the applet per update, as figures for its doc.
+
+    .venv/bin/python tests/lua/measure.py
+
+Each situation is flown on a vehicle on the desk with the instruction counter on: it counts the
+applet's own instructions; what ArduPilot does in C costs one each. The heap is the script's alone,
+after a full collection, with this machine's 64-bit pointers (the autopilot's take half of that).
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+
+from echowing.paths import lua_folder
+from echowing.sim.desk_vehicle import GOOD, DeskVehicle
+from echowing.sim.luahost import LuaHost
+from echowing.sim.parameters import Generation
+
+STEP_MS = 10
+
+
+def new_vehicle(law: int) -> DeskVehicle:
+    """Enabled, armed, in Guided, leader in sight at 3 m."""
+    vehicle = DeskVehicle({"WP_SPD": 10.0, "MAV_SYSID": 1.0, "RNGFND1_TYPE": 10.0})
+    vehicle.parameters.update(RNGFND1_ORIENT=0.0, ECHO_ENABLE=1.0, ECHO_LAW=law)
+    vehicle.ranges[0] = (GOOD, 3.0)
+    return vehicle
+
+
+def frame(message_id: int, payload: bytes, system: int) -> bytes:
+    """A MAVLink 2 frame."""
+    head = bytes([0xFD, len(payload), 0, 0, 0, system, 191]) + message_id.to_bytes(3, "little")
+    return head + payload + b"\0\0"
+
+
+def feed(vehicle: DeskVehicle, range_m: float) -> None:
+    """A single reading every 50 ms and a guided point every 120 ms."""
+    if vehicle.t_ms % 50 == 0:
+        vehicle.ranges[0] = (GOOD, range_m)
+        vehicle.inbox.append((frame(251, struct.pack("<If10s", 0, range_m, b"SNR_RAW"), 1), 1))
+    if vehicle.t_ms % 120 == 0:
+        fields = (0, 393400300, -860300000, 10.0, *(0.0,) * 8, 0x0DF8, 1, 1, 6)
+        vehicle.inbox.append((frame(86, struct.pack("<Iii9fHBBB", *fields), 245), 0))
+
+
+def most(law: int, range_m: Callable[[float], float]) -> tuple[int, int, int]:
+    """Most instructions of the start and of any update in 20 s, and the heap at the end."""
+    vehicle = new_vehicle(law)
+    host = LuaHost(
+        vehicle,
+        lua_folder() / "echowing.lua",
+        generation=Generation.V4_8,
+        count_instructions=True,
+    )
+    host.step(0)
+    start, worst = host.instructions, 0
+    host.instructions = 0
+    for _ in range(2000):
+        vehicle.t_ms += STEP_MS
+        feed(vehicle, range_m(vehicle.t_ms / 1000.0))
+        host.step(vehicle.t_ms)
+        worst = max(worst, host.instructions)
+    if host.error is not None:
+        raise SystemExit(host.error)
+    return start, worst, host.heap_bytes()
+
+
+def main() -> None:
+    """Print one line a situation."""
+    situations: list[tuple[str, int, Callable[[float], float]]] = [
+        ("law 0, tracking", 0, lambda t: 3.0),
+        ("law 1, tracking", 1, lambda t: 3.0),
+        ("law 2, tracking", 2, lambda t: 3.0),
+        ("law 2, leader closing", 2, lambda t: max(0.3, 4.0 - t % 4.0)),
+    ]
+    for name, law, range_m in situations:
+        start, worst, heap = most(law, range_m)
+        print(f"{name:24} start {start:5d}, update {worst:5d} of 10000; heap {heap / 1024:.0f} KiB")
+
+
+if __name__ == "__main__":
+    main()
