@@ -27,7 +27,8 @@ enum {
   BITS_A_TWI_BYTE = 9, /* eight and the acknowledgement */
   BATCH_CYCLES = 1000, /* between looks at timers; simavr stops earlier at the next event */
   SUPPLY_MV = 5000,
-  PAINT = 0xa5, /* fresh stack memory */
+  STARTING_RESETS = 3, /* watchdog off, watchdog on, and the one that begins the first turn */
+  PAINT = 0xa5,        /* fresh stack memory */
   EEPROM_ERASED = 0xff,
   EEPROM_WRITE_US = 3300, /* ATmega2560 table 8-1: erase and write in one operation */
 };
@@ -87,6 +88,7 @@ struct avr_board {
   avr_eeprom_t* eeprom;
   int eeprom_writing; /* address + 1 of the byte being written, 0 for none */
   uint64_t turn_cycle;
+  uint64_t watchdog_resets; /* since the program started */
   board_meters_t meters;
   uint32_t stack_floor;
   char fault[160];
@@ -545,7 +547,7 @@ static int watchdog_reset_seen(avr_io_t* io, uint32_t control, void* param) {
   if (control != AVR_IOCTL_WATCHDOG_RESET) return -1;
   avr_board_t* board = board_of(io->avr);
   uint64_t now = io->avr->cycle;
-  if (board->turn_cycle) {
+  if (++board->watchdog_resets > STARTING_RESETS) {
     uint64_t cycles = now - board->turn_cycle;
     board->meters.turns++;
     if (cycles > board->meters.longest_cycles) board->meters.longest_cycles = cycles;
@@ -558,7 +560,7 @@ static void chip_restarted(avr_io_t* io) {
   avr_board_t* board = board_of(io->avr);
   io->avr->run_cycle_limit = BATCH_CYCLES;
   board->meters.restarts++;
-  board->turn_cycle = 0;
+  board->watchdog_resets = 0;
   board->eeprom_writing = 0;
   for (int i = 0; i < UARTS; i++) { /* simavr has dropped all timers */
     board->uarts[i].receiving = 0;
