@@ -622,6 +622,13 @@ static int load(avr_board_t* board, elf_firmware_t* firmware, uint32_t hz) {
   return 1;
 }
 
+static void release(elf_firmware_t* firmware) {
+  for (uint32_t i = 0; i < firmware->symbolcount; i++) free(firmware->symbol[i]);
+  free(firmware->symbol);
+  free(firmware->flash);
+  free(firmware->eeprom);
+}
+
 avr_board_t* board_power_on(const char* elf, const char* mcu, uint32_t hz, char* error,
                             size_t error_size) {
   avr_global_logger_set(keep_first_error);
@@ -632,7 +639,7 @@ avr_board_t* board_power_on(const char* elf, const char* mcu, uint32_t hz, char*
   }
   avr_t* avr = avr_make_mcu_by_name(mcu);
   if (!avr) {
-    free(firmware.flash);
+    release(&firmware);
     snprintf(error, error_size, "simavr does not know the chip %s", mcu);
     return NULL;
   }
@@ -643,8 +650,7 @@ avr_board_t* board_power_on(const char* elf, const char* mcu, uint32_t hz, char*
   avr->log = LOG_ERROR;
   avr->sleep = do_not_sleep;
   int fits = load(board, &firmware, hz);
-  free(firmware.flash);
-  free(firmware.eeprom);
+  release(&firmware);
   if (!fits) {
     snprintf(error, error_size, "%s does not fit into an %s", elf, mcu);
     board_power_off(board);
