@@ -19,7 +19,7 @@ test_packages=(
   clang                   # sanitizers and fuzzing of the core
   doctest-dev             # unit tests of the core
   gcc-arm-none-eabi libnewlib-arm-none-eabi libstdc++-arm-none-eabi-newlib qemu-system-arm
-  graphviz openscad       # wiring pictures and the gimbal mount
+  graphviz openscad xvfb xauth fonts-liberation  # wiring pictures and the gimbal mount
   lua-check               # the applet's style
 )
 

@@ -26,7 +26,7 @@ def from_vehicle(system_id: int, message: Any) -> Any:
     return mavlink.MAVLink(None).decode(bytearray(message.pack(sender)))
 
 
-def position(boot_s: float, at: GlobalPosition, velocity=(0.0, 0.0)) -> Any:
+def position(boot_s: float, at: GlobalPosition, velocity: tuple[float, float] = (0.0, 0.0)) -> Any:
     return mavlink.MAVLink_global_position_int_message(
         round(boot_s * 1e3),
         round(at.lat_deg * 1e7),

@@ -4,6 +4,7 @@ import pytest
 
 from echowing.geo import (
     GlobalPosition,
+    Ned,
     displace,
     distance_m,
     ned_between,
@@ -26,7 +27,7 @@ EVERYWHERE = [
 
 @pytest.mark.parametrize("origin", EVERYWHERE)
 @pytest.mark.parametrize("ned_m", [(3.0, -4.0, 1.5), (-60.0, 40.0, 0.0), (900.0, 1200.0, -30.0)])
-def test_a_displaced_position_is_found_where_it_was_put(origin: GlobalPosition, ned_m) -> None:
+def test_a_displaced_position_is_found_where_it_was_put(origin: GlobalPosition, ned_m: Ned) -> None:
     there = displace(origin, ned_m)
 
     # 1 cm: the resolution of a MAVLink latitude.
@@ -60,7 +61,9 @@ def test_one_degree_of_latitude_is_111_km() -> None:
         (GlobalPosition(-45.0, 170.0, 5.0), GlobalPosition(-45.0, 170.0, 25.0)),
     ],
 )
-def test_the_relay_is_as_far_from_both_and_at_their_mean_altitude(ground, remote) -> None:
+def test_the_relay_is_as_far_from_both_and_at_their_mean_altitude(
+    ground: GlobalPosition, remote: GlobalPosition
+) -> None:
     relay = relay_pos(ground, remote)
 
     level = [point._replace(alt_m=0.0) for point in (ground, relay, remote)]

@@ -34,7 +34,9 @@ def fix_on_course(
     return LeaderFix(time_s, position, velocity, math.radians(heading_deg))
 
 
-def seen_from_leader(point: GlobalPosition, course_deg: float, leader=HERE) -> tuple[float, float]:
+def seen_from_leader(
+    point: GlobalPosition, course_deg: float, leader: GlobalPosition = HERE
+) -> tuple[float, float]:
     """(ahead, right) of the leader in metres, worked out without the guidance's own algebra."""
     north, east, _ = ned_between(leader, point)
     distance, bearing = math.hypot(north, east), math.atan2(east, north)

@@ -9,11 +9,13 @@ def radio(**settings: float) -> Radio:
     return Radio(RadioSettings(**settings), random.Random(1))
 
 
-def arrivals(link: Radio, packets: int, every_s: float = 0.1, until_s: float = 100.0):
+def arrivals(
+    link: Radio, packets: int, every_s: float = 0.1, until_s: float = 100.0
+) -> list[tuple[float, int]]:
     """(time, packet number) of everything that arrives, on a clock of 1 ms."""
     for number in range(packets):
         link.send(number * every_s, number.to_bytes(2, "big"))
-    out = []
+    out: list[tuple[float, int]] = []
     for ms in range(int(until_s * 1000)):
         out += [(ms / 1000, int.from_bytes(p, "big")) for p in link.receive(ms / 1000)]
     return out

@@ -36,7 +36,9 @@ def quiet_ear(seed: int = 1) -> Ear:
     return Ear(random.Random(seed), wild_share=0.0)
 
 
-def target_at(distance_m: float, off_axis_deg: float = 0.0, heard_to_m=FOIL_X8_RANGE_M) -> Target:
+def target_at(
+    distance_m: float, off_axis_deg: float = 0.0, heard_to_m: float = FOIL_X8_RANGE_M
+) -> Target:
     off = math.radians(off_axis_deg)
     return Target((distance_m * math.cos(off), distance_m * math.sin(off), -10.0), heard_to_m)
 

@@ -22,7 +22,7 @@ def flown(scenario: str, seed: int, *changes: str) -> FlownScenario:
 
 
 def mean_of(flights: Sequence[FlownScenario], figure: str) -> float:
-    return statistics.mean(getattr(one.metrics[0], figure) for one in flights)
+    return statistics.mean(float(getattr(one.metrics[0], figure)) for one in flights)
 
 
 def test_grays_scheme_flies_as_ardupilot_does() -> None:

@@ -15,7 +15,7 @@ examples:
   echowing bench --only speed --json
 """
 
-SECTIONS = ("speed", "laws")
+SECTIONS = ("speed",)
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Measure and print."""
-    sections: dict[str, Callable[[], Iterator[Figure]]] = {"speed": _speed, "laws": _laws}
+    sections: dict[str, Callable[[], Iterator[Figure]]] = {"speed": _speed}
     chosen = [args.only] if args.only else list(SECTIONS)
     figures = [figure for name in chosen for figure in sections[name]()]
     if args.json:
@@ -58,17 +58,18 @@ def _print(figures: list[Figure]) -> None:
 
 
 def _speed() -> Iterator[Figure]:
-    yield _flight_speed("echowing", ["duration_s=60"], "one flight, simulated per wall", "at least 50")
-    yield _flight_speed("many", ["duration_s=22"], "50 followers, simulated per wall", "")
+    yield _flight_speed("echowing", 60, "one flight, simulated per wall", "at least 50")
+    yield _flight_speed("many", 22, "50 followers, simulated per wall", "")
     yield _guidance_time()
     yield _help_time()
 
 
-def _flight_speed(scenario: str, changes: list[str], what: str, goal: str) -> Figure:
+def _flight_speed(scenario: str, duration_s: int, what: str, goal: str) -> Figure:
     from echowing.sim.flight import FormationFlight  # noqa: PLC0415
     from echowing.sim.scenario import load_scenario  # noqa: PLC0415
 
-    result = FormationFlight(load_scenario(scenario, changes), seed=1).run()
+    flight = FormationFlight(load_scenario(scenario, [f"duration_s={duration_s}"]), seed=1)
+    result = flight.run()
     return Figure(what, result.simulated_s / result.wall_s, "s/s", goal)
 
 
@@ -96,4 +97,6 @@ def _help_time(runs: int = 5) -> Figure:
         return time.perf_counter() - started_s
 
     once()
-    return Figure("echowing --help", statistics.median(once() for _ in range(runs)), "s", "under 0.3")
+    return Figure(
+        "echowing --help", statistics.median(once() for _ in range(runs)), "s", "under 0.3"
+    )

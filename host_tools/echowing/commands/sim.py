@@ -147,12 +147,13 @@ def _print_table(flown: "list[FlownScenario]") -> None:
 
     from echowing.analysis.tables import terminal_table  # noqa: PLC0415
 
-    Console().print(terminal_table([row for one in flown for row in one.rows()]))
+    Console().print(terminal_table([result for one in flown for result in one.results()]))
 
 
 def _write_report(out: Path, flown: "list[FlownScenario]") -> None:
     from echowing.analysis.report import write_report  # noqa: PLC0415
 
     path = out / "report.html"
-    write_report(path, [flight for one in flown for flight in one.flights])
+    results = [result for one in flown for result in one.results()]
+    write_report(path, [flight for one in flown for flight in one.flights], results)
     print(f"report: {path}")

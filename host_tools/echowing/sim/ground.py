@@ -10,10 +10,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from echowing.follow import TOOL_COMPONENT_ID, TOOL_SYSTEM_ID, FollowSession
 from echowing.sim.autopilot import Autopilot
 from echowing.sim.radio import Radio
+from echowing.sim.streams import START_UNIX_S
 
 TELEMETRY = "telemetry"
-# Simulated flights begin here, so that two flights of one seed are the same to the byte.
-EPOCH_UNIX_S = 1_767_225_600  # 2026-01-01 00:00 UTC
 
 # What the follow session listens to; the rest is only logged, which saves the unpacking.
 _HEARD = {
@@ -78,7 +77,7 @@ class Telemetry:
 
     def _record(self, t_s: float, frame: bytes) -> None:
         if self._log is not None:
-            stamp_us = round((EPOCH_UNIX_S + t_s) * 1e6)
+            stamp_us = round((START_UNIX_S + t_s) * 1e6)
             self._log.write(struct.pack(">Q", stamp_us) + frame)
 
     def close(self) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from echowing.analysis.flight import Flight, Floats
 from echowing.geo import Ned
 from echowing.guidance import Slot, slot_offset_m
-from echowing.sim.ground import EPOCH_UNIX_S
+from echowing.sim.streams import START_UNIX_S
 
 TRUTH_COLUMNS = (
     "unix_time_s",
@@ -70,6 +70,7 @@ class Recorder:
             wanted_angle_rad=self.slot.angle_rad,
             law=self.law,
             seed=self.seed,
+            start_unix_s=float(START_UNIX_S),
             time_s=np.array([s.time_s for s in samples]),
             leader_ned_m=leader,
             leader_velocity_mps=np.array([s.leader_velocity for s in samples]),
@@ -97,7 +98,7 @@ def write_truth(path: Path, flight: Flight) -> None:
     """truth.csv: what no real log knows, to compare an analysis with."""
     slot_error = np.hypot(*(flight.follower_ned_m - flight.slot_ned_m)[:, :2].T)
     columns = [
-        EPOCH_UNIX_S + flight.time_s,
+        START_UNIX_S + flight.time_s,
         flight.separation_m,
         slot_error,
         np.hypot(*flight.follower_velocity_mps[:, :2].T),

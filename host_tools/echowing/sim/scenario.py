@@ -22,6 +22,9 @@ NotNegative = Annotated[float, Field(ge=0.0)]
 
 # The names of the speed laws, and the applet's number for each (lua/echowing.md).
 LAWS = {"thesis": 0, "bands": 1, "continuous": 2}
+LeaderPath = Literal[
+    "rectangle", "circle", "figure-eight", "stop-and-go", "script", "walk", "track"
+]
 LawName = Literal["none", "thesis", "bands", "continuous"]
 
 
@@ -33,8 +36,8 @@ class LeaderEvent(_Section):
     """Something the leader does, from `at_s` on.
 
     auto: its mission; goto: Auto to `point_ned_m` at `speed_mps`, braking and turning as Auto does;
-    fly: at `velocity_ned_mps` with heading `yaw_deg`, at once; at_follower: straight at the first follower
-    at `speed_mps`; hold: stop; gps_jump: its position is off by `jump_ned_m`; silent: its radio
+    fly: at `velocity_ned_mps` with heading `yaw_deg`, at once; at_follower: straight at the first
+    follower at `speed_mps`; hold: stop; gps_jump: its position is off by `jump_ned_m`; silent: its radio
     is dead; heard: radio and GPS are well again.
     """
 
@@ -51,9 +54,7 @@ class LeaderEvent(_Section):
 class LeaderSection(_Section):
     """The leader's path: an Auto mission, a script, a walk, or a recorded track."""
 
-    path: Literal[
-        "rectangle", "circle", "figure-eight", "stop-and-go", "script", "walk", "track"
-    ] = "rectangle"
+    path: LeaderPath = "rectangle"
     north_m: Positive = 60.0
     east_m: Positive = 40.0
     radius_m: Positive = 20.0

@@ -9,6 +9,7 @@ import numpy as np
 
 from echowing.analysis.flight import Flight
 from echowing.analysis.metrics import Metrics, dead_locked, metrics
+from echowing.analysis.tables import Result
 from echowing.errors import EchowingError
 from echowing.sim.flight import FormationFlight, Progress
 from echowing.sim.scenario import Scenario
@@ -38,6 +39,10 @@ class FlownScenario:
     phases: dict[str, float] = field(default_factory=dict)
     commanded_slot: dict[str, float] = field(default_factory=dict)
     events: list[tuple[float, str]] = field(default_factory=list)
+
+    def results(self, name: str = "") -> list[Result]:
+        """One a follower, for the tables, under `name` or the scenario's."""
+        return [Result(name or self.scenario, one, self.dead_locked) for one in self.metrics]
 
     @property
     def summaries(self) -> list[dict[str, Any]]:

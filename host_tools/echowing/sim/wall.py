@@ -21,6 +21,8 @@ from echowing.sim.vehicles import MakeCoprocessor, SimFollower
 
 # Half of an X8 (thesis Table 3: 0.5 m across): nearer than this it has touched the wall.
 BODY_RADIUS_M = 0.25
+# ECHO_SPD_MAX, the thesis's 5 m/s (Appendix A).
+DEFAULT_TOP_SPEED_MPS = 5.0
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,7 @@ def fly_at_wall(
         return follower.ear.ping(t_s, follower.pose(), (), (GROUND, surface))
 
     started_s = time.perf_counter()
-    hangar = Hangar(scenario, seed, make_coprocessor=make_coprocessor)
+    hangar = Hangar(_at_pace(scenario, pace_mps), seed, make_coprocessor=make_coprocessor)
     follower = hangar.follower(0, (0.0, 0.0, -wall.altitude_m), 0.0, pace_mps, listen)
     link = hangar.telemetry(follower, "follower", scenario.radio.follower)
     send = _target_sender(scenario, link)
@@ -83,6 +85,13 @@ def fly_at_wall(
             break
     wall_s = time.perf_counter() - started_s
     return WallResult(recorder.flight(), closest_m, distance_m, wall_s)
+
+
+def _at_pace(scenario: Scenario, pace_mps: float) -> Scenario:
+    """The scenario with the applet told to approach at this speed while it sees nothing."""
+    speeds = {"ECHO_SPD_INIT": pace_mps, "ECHO_SPD_LOST": pace_mps}
+    speeds["ECHO_SPD_MAX"] = max(DEFAULT_TOP_SPEED_MPS, pace_mps)
+    return scenario.model_copy(update={"applet": {**speeds, **scenario.applet}})
 
 
 def _target_sender(scenario: Scenario, link: Telemetry) -> Callable[[int, float], None]:
