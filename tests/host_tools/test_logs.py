@@ -203,6 +203,18 @@ class Tlog:
                 self.put(heard_s, mavlink.MAVLink_distance_sensor_message(*reading))
         return self
 
+    def sync(self, *, boot_s: float, delay_s: float) -> "Tlog":
+        """A question of the ground station and the vehicle's answer, `delay_s` each way."""
+        asked_ns = 4_200_000_000
+        ground = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
+        own, self.mav = self.mav, ground
+        self.put(START_UNIX_S, mavlink.MAVLink_timesync_message(0, asked_ns))
+        self.mav = own
+        vehicle_ns = round((boot_s + delay_s) * 1e9)
+        answer = mavlink.MAVLink_timesync_message(vehicle_ns, asked_ns)
+        self.put(START_UNIX_S + 2.0 * delay_s, answer)
+        return self
+
     def _once_a_second(self, heard_s: float, unix_s: float, boot_ms: int) -> None:
         heartbeat = (self.kind, 3, 209, self.mode, 4, 3)
         self.put(heard_s, mavlink.MAVLink_heartbeat_message(*heartbeat))
@@ -247,11 +259,57 @@ def test_without_gps_time_reception_aligns_them_with_a_warning(tmp_path: Path) -
     assert any("no GPS time" in text and "b.tlog" in text for text in flight.warnings)
 
 
+def test_timesync_aligns_them_before_reception_does(tmp_path: Path) -> None:
+    """No GPS time, and one radio takes 0.8 s each way: 1.6 m if reception were believed."""
+    leader = Tlog(1, clock=False, mode=3).sync(boot_s=40.0, delay_s=0.8)
+    leader.fly(north, boot_s=40.0, delay_s=0.8)
+    follower = Tlog(2, clock=False).sync(boot_s=9.0, delay_s=0.1)
+    follower.fly(behind, boot_s=9.0, delay_s=0.1, sonar_cm=350)
+    (flight,) = read_flights(pair(tmp_path, leader, follower))
+    assert flight.separation_m == pytest.approx(3.5, abs=0.03)
+    assert any("TIMESYNC" in text for text in flight.warnings)
+
+
+def test_the_sonars_own_word_for_nothing_is_no_reading(tmp_path: Path) -> None:
+    follower = Tlog(2).fly(behind, sonar_cm=350)
+    for step in range(100):
+        value_m = 3.4 if step < 50 else 7.66
+        value = mavlink.MAVLink_named_value_float_message(0, b"SNR_RAW", value_m)
+        follower.put(START_UNIX_S + step / 10.0 + 0.3, value)
+    (flight,) = read_flights(pair(tmp_path, Tlog(1, mode=3).fly(north), follower))
+    assert metrics(flight).seen_share == pytest.approx(0.5, abs=0.03)
+    assert np.nanmax(flight.sonar_m) == pytest.approx(3.4)
+
+
 def test_a_reading_out_of_limits_is_no_target(tmp_path: Path) -> None:
     follower = Tlog(2).fly(behind, sonar_cm=800)
     (flight,) = read_flights(pair(tmp_path, Tlog(1, mode=3).fly(north), follower))
     assert flight.sonar_known
     assert metrics(flight).seen_share == 0.0
+
+
+def test_an_old_reading_is_no_reading(tmp_path: Path) -> None:
+    follower = Tlog(2).fly(behind, seconds=5.0, sonar_cm=350)
+    follower.fly(
+        lambda t_s: behind(t_s + 5.0),
+        seconds=5.0,
+        boot_s=105.0,
+        start_unix_s=START_UNIX_S + 5.0,
+    )
+    (flight,) = read_flights(pair(tmp_path, Tlog(1, mode=3).fly(north), follower))
+    last_s = flight.time_s[np.isfinite(flight.sonar_m)].max()
+    assert last_s == pytest.approx(4.8 + 0.5, abs=0.15)  # the last reading, and 0.5 s
+
+
+def test_the_clock_of_another_component_is_not_the_vehicles(tmp_path: Path) -> None:
+    """A co-processor shares the system id, and has its own idea of time and place."""
+    follower = Tlog(2).fly(behind, sonar_cm=350)
+    other = Tlog(2, kind=18)
+    other.mav = mavlink.MAVLink(None, srcSystem=2, srcComponent=158)
+    other.fly(lambda t_s: 900.0, boot_s=3.0, start_unix_s=START_UNIX_S + 60.0)
+    follower.data = other.data + follower.data
+    (flight,) = read_flights(pair(tmp_path, Tlog(1, mode=3).fly(north), follower))
+    assert flight.separation_m == pytest.approx(3.5, abs=0.03)
 
 
 def test_the_one_not_in_guided_leads_where_nobody_has_a_sonar(tmp_path: Path) -> None:
@@ -340,7 +398,7 @@ def test_the_wanted_slot_is_the_callers(tmp_path: Path) -> None:
     ],
 )
 def test_gps_time_loses_its_leap_seconds(week: int, milliseconds: float, unix_s: float) -> None:
-    assert gps_to_unix_s(week, milliseconds) == pytest.approx(unix_s)
+    assert gps_to_unix_s(week, milliseconds) == pytest.approx(unix_s, abs=0.001)
 
 
 def test_a_dataflash_log_tells_its_system() -> None:

@@ -38,6 +38,13 @@ def test_flights_of_one_name_are_pooled_with_their_spread() -> None:
     assert rows(0)["hostile"][:2] == ("1", "5.00")
 
 
+def test_extremes_are_those_of_all_flights() -> None:
+    near = replace(figures(), min_separation_m=1.2, max_separation_m=4.0)
+    far = replace(figures(), min_separation_m=2.2, max_separation_m=9.0)
+    (row,) = grids([Result("hostile", near), Result("hostile", far)])[0].rows
+    assert row.cells[6:8] == ("1.20", "9.00")
+
+
 def test_dead_locks_are_counted_and_the_others_stand_below() -> None:
     assert rows(0)["thesis (1 of 2 dead-locked)"][0] == "2"
     assert rows(0)["thesis, not dead-locked"][:2] == ("1", "3.50")

@@ -171,16 +171,22 @@ def _listed(vehicles: Iterable[VehicleLog]) -> str:
 
 def _one_clock(vehicles: Sequence[VehicleLog]) -> list[str]:
     """Set all on GPS time, or all on the ground computer's where one has no GPS time."""
-    timeless = [vehicle for vehicle in vehicles if vehicle.clock == "receive"]
-    if not timeless:
+    if all(vehicle.clock == "gps" for vehicle in vehicles):
         return []
     for vehicle in vehicles:
-        if vehicle not in timeless and math.isfinite(vehicle.to_receive_s):
-            vehicle.shift(vehicle.to_receive_s)
+        if vehicle.clock == "gps" and math.isfinite(vehicle.to_ground_s):
+            vehicle.shift(vehicle.to_ground_s)
     return [
-        f"no GPS time in {_listed(timeless)}: aligned by the times of reception, "
-        "so a difference in radio delay is in the separation"
+        f"no GPS time in {_listed(timeless)}: {_GROUND_CLOCKS[clock]} is in the separation"
+        for clock in _GROUND_CLOCKS
+        if (timeless := [vehicle for vehicle in vehicles if vehicle.clock == clock])
     ]
+
+
+_GROUND_CLOCKS = {
+    "ground": "aligned by TIMESYNC; what the radio is slower one way than the other, halved,",
+    "receive": "aligned by the times of reception; a difference in radio delay",
+}
 
 
 def _flight(leader: VehicleLog, follower: VehicleLog, slot: Slot, warnings: list[str]) -> Flight:

@@ -18,6 +18,7 @@ import numpy as np
 
 from echowing.analysis.flight import Floats
 from echowing.errors import EchowingError
+from echowing.follow import VehicleClock
 
 FORWARD = 0  # MAV_SENSOR_ROTATION_NONE, the sonar's mounting
 COPTER_GUIDED = 4  # ArduCopter's mode numbers
@@ -35,6 +36,8 @@ SPEED_NAMES = ("ECHO_SPD", "VCMD")
 SPEED_PARAMETERS = {"WP_SPD": 1.0, "WPNAV_SPEED": 0.01}  # to m/s
 SONAR_NAMES = ("SNR_RAW",)
 PAN_NAME, TILT_NAME = "SNR_PAN", "SNR_TILT"
+# What the sonar can tell (MB1202 datasheet): from 7.65 m on it means "no target".
+SONAR_NEAREST_M, SONAR_NOTHING_M = 0.20, 7.65
 NAMED = {*SPEED_NAMES, *SONAR_NAMES, PAN_NAME, TILT_NAME}
 
 # A .tlog: microseconds in 8 bytes, then a MAVLink frame (header, payload, checksum, signature).
@@ -54,6 +57,7 @@ LEAP_SECONDS = (
 TLOG_TYPES = [
     "HEARTBEAT",
     "SYSTEM_TIME",
+    "TIMESYNC",
     "GLOBAL_POSITION_INT",
     "DISTANCE_SENSOR",
     "NAMED_VALUE_FLOAT",
@@ -89,8 +93,8 @@ class VehicleLog:
 
     position: (UTC s, latitude deg, longitude deg, altitude AMSL m); velocity: (s, north, east,
     down m/s); yaw: (s, rad); sonar: (s, m or NaN for "no target"); speed_command: (s, m/s);
-    pan, tilt: (s, us); guided: (s, 1 in Guided, else 0). clock: "gps", or "receive" where the
-    ground computer's time had to do.
+    pan, tilt: (s, us); guided: (s, 1 in Guided, else 0). clock: "gps"; without GPS time "ground",
+    the ground computer's by TIMESYNC, or "receive", its time of reception.
     """
 
     path: Path
@@ -105,7 +109,7 @@ class VehicleLog:
     pan: Series = field(default_factory=Series)
     tilt: Series = field(default_factory=Series)
     guided: Series = field(default_factory=Series)
-    to_receive_s: float = math.nan  # what to add to its times for the ground computer's clock
+    to_ground_s: float = math.nan  # what to add to its times for the ground computer's clock
     warnings: list[str] = field(default_factory=list)
 
     @property
@@ -238,15 +242,17 @@ class _Telemetry:
     named: dict[str, Series] = field(default_factory=lambda: defaultdict(Series))
     parameter: Series = field(default_factory=Series)
     ranges: dict[int, Series] = field(default_factory=lambda: defaultdict(Series))
+    ground_clock: VehicleClock = field(default_factory=VehicleClock)
     rebooted: bool = False
 
-    def take(self, message: Any) -> None:
-        """Sort one message in."""
+    def take(self, message: Any, asked_s: dict[int, float]) -> None:
+        """Sort one message in. asked_s: when the ground sent the TIMESYNC of that stamp."""
         received_s = float(message._timestamp)
         own = message.get_srcComponent() == AUTOPILOT_COMPONENT
         kind = message.get_type()
         if kind == "NAMED_VALUE_FLOAT" and message.name in NAMED:
-            self.named[message.name].rows.append((received_s, message.value))
+            value = _heard_m(message.value) if message.name in SONAR_NAMES else message.value
+            self.named[message.name].rows.append((received_s, value))
         elif kind == "DISTANCE_SENSOR" and message.orientation == FORWARD:
             self.ranges[message.get_srcComponent()].rows.append((received_s, _range_m(message)))
         elif kind == "HEARTBEAT" and message.autopilot != NOT_AN_AUTOPILOT:
@@ -255,6 +261,8 @@ class _Telemetry:
         elif kind == "SYSTEM_TIME" and own and message.time_unix_usec > 0:
             boot_s = message.time_boot_ms / 1000.0
             self.unix_minus_boot_s.append(message.time_unix_usec / 1e6 - boot_s)
+        elif kind == "TIMESYNC" and own and message.tc1 and message.ts1 in asked_s:
+            self.ground_clock.answered(asked_s[message.ts1], message.tc1 / 1e9, received_s)
         elif kind == "GLOBAL_POSITION_INT" and own:
             self._fix(message, received_s)
         elif kind == "PARAM_VALUE" and message.param_id in SPEED_PARAMETERS:
@@ -268,6 +276,7 @@ class _Telemetry:
             self.rebooted = True
             self.fixes.clear()
             self.unix_minus_boot_s.clear()
+            self.ground_clock = VehicleClock()
         if message.lat or message.lon:
             self.fixes.append((boot_s, received_s, message))
 
@@ -278,11 +287,18 @@ def _range_m(message: Any) -> float:
     return message.current_distance / 100.0 if inside else math.nan
 
 
+def _heard_m(value_m: float) -> float:
+    return value_m if SONAR_NEAREST_M <= value_m < SONAR_NOTHING_M else math.nan
+
+
 def _telemetry(path: Path) -> list[VehicleLog]:
     systems: dict[int, _Telemetry] = defaultdict(_Telemetry)
     reader = _Reader(path, "tlog", TLOG_TYPES)
+    asked_s: dict[int, float] = {}
     for message in reader:
-        systems[message.get_srcSystem()].take(message)
+        if message.get_type() == "TIMESYNC" and message.tc1 == 0:
+            asked_s[message.ts1] = float(message._timestamp)
+        systems[message.get_srcSystem()].take(message, asked_s)
     if not systems:
         raise EchowingError(f"log {path}: holds no MAVLink messages; is it a .tlog or .BIN file?")
     found = {number: system for number, system in systems.items() if system.fixes}
@@ -305,16 +321,20 @@ def _from_telemetry(path: Path, number: int, heard: _Telemetry) -> VehicleLog:
     received = np.array([received_s for _, received_s, _ in heard.fixes])
     # A backlog may come late, nothing comes early: the typical fix tells the delay of the link.
     receive_minus_boot_s = float(np.median(received - boot))
-    unix_minus_boot_s = receive_minus_boot_s
+    ground_minus_boot_s = receive_minus_boot_s
+    if heard.ground_clock.known:
+        ground_minus_boot_s = heard.ground_clock.to_ours(0.0, math.inf)
     if heard.unix_minus_boot_s:
-        unix_minus_boot_s = float(np.median(heard.unix_minus_boot_s))
+        own_minus_boot_s = float(np.median(heard.unix_minus_boot_s))
     else:
-        log.clock = "receive"
+        own_minus_boot_s = ground_minus_boot_s
+        log.clock = "ground" if heard.ground_clock.known else "receive"
     if heard.rebooted:
         log.warnings.append(f"{log.label}: rebooted; only what follows the last boot is used")
-    log.to_receive_s = receive_minus_boot_s - unix_minus_boot_s
+    log.to_ground_s = ground_minus_boot_s - own_minus_boot_s
+    delay_s = receive_minus_boot_s - own_minus_boot_s
     for boot_s, _, message in heard.fixes:
-        _add_fix(log, boot_s + unix_minus_boot_s, message)
+        _add_fix(log, boot_s + own_minus_boot_s, message)
     for mine, theirs in (
         (log.sonar, _first(heard.named, SONAR_NAMES) or _nearest_source(heard.ranges)),
         (log.speed_command, _first(heard.named, SPEED_NAMES) or heard.parameter),
@@ -322,7 +342,7 @@ def _from_telemetry(path: Path, number: int, heard: _Telemetry) -> VehicleLog:
         (log.tilt, heard.named[TILT_NAME]),
         (log.guided, heard.guided),
     ):
-        mine.rows = [(row[0] - log.to_receive_s, *row[1:]) for row in theirs.rows]
+        mine.rows = [(row[0] - delay_s, *row[1:]) for row in theirs.rows]
     return log
 
 
@@ -373,7 +393,8 @@ def _dataflash(path: Path) -> VehicleLog:
             good = message.Stat == RANGE_GOOD
             log.sonar.rows.append((time_s, message.Dist if good else math.nan))
         elif kind == "NVF" and message.Name in NAMED:
-            named[message.Name].rows.append((time_s, message.Value))
+            value = _heard_m(message.Value) if message.Name in SONAR_NAMES else message.Value
+            named[message.Name].rows.append((time_s, value))
         elif kind == "ECHO":
             named[SPEED_NAMES[0]].rows.append((time_s, message.Spd))
         elif kind == "PARM":
