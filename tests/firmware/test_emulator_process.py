@@ -129,6 +129,8 @@ class TestProcess:
             (["--link", "serial"], "write tcp:HOST:PORT, tcpin:PORT or pty"),
             (["--link", "tcp:localhost:http"], "the port has to be a number"),
             (["--range-cm", "-1"], "0 to 10000"),
+            (["--eeprom", "/"], "cannot read the memory from /: Is a directory"),
+            (["--eeprom", "/no/where", "--duration", "0"], "cannot keep the memory in /no/where"),
             (["--target", "tcp:1"], "write udp:PORT"),
             (["--range-cm", "100", "--target", "udp:1"], "not allowed with"),
         ],

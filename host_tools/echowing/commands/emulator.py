@@ -4,6 +4,8 @@ import argparse
 import contextlib
 from pathlib import Path
 
+from echowing.errors import EchowingError
+
 EXAMPLES = """\
 examples:
   echowing emulator --board mega --range-cm 350
@@ -59,10 +61,20 @@ def run(args: argparse.Namespace) -> int:
         if scene.udp_port is not None:
             print(f"target datagrams: udp 127.0.0.1:{scene.udp_port}", flush=True)
         if args.eeprom:
-            stack.callback(lambda: args.eeprom.write_bytes(board.eeprom()))
+            stack.callback(lambda: _save(args.eeprom, board.eeprom()))
         Desk(board, wires, scene).run(args.duration)
     return 0
 
 
 def _load(path: Path | None) -> bytes | None:
-    return path.read_bytes() if path and path.exists() else None
+    try:
+        return path.read_bytes() if path and path.exists() else None
+    except OSError as error:
+        raise EchowingError(f"cannot read the memory from {path}: {error.strerror}") from error
+
+
+def _save(path: Path, image: bytes) -> None:
+    try:
+        path.write_bytes(image)
+    except OSError as error:
+        raise EchowingError(f"cannot keep the memory in {path}: {error.strerror}") from error
