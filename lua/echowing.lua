@@ -28,6 +28,7 @@ local TARGET_FRESH_MS = 1000 -- an older streamed point is not the target in for
 local HARD_CLOSE_M = 1.0 -- under this it is too close, closing or not
 local SPEED_FLOOR_MPS = 0.2 -- below, the autopilot saves its own floor over the pilot's value; 0 would be no limit
 local SPIKE_M = 0.8 -- a single reading this far from the prediction waits for a second one like it
+local TRUST_READINGS = 3 -- so many readings in agreement are a target
 local TRACK_GAP_MS = 700 -- after a gap this long the tracker starts again
 local BLIND_MS = 2500 -- a target lost while too close is still there for so long: no speed without sonar yet
 local CLEAR_M = 0.3 -- too close ends this far beyond where it began
@@ -444,6 +445,11 @@ local function track_fresh(t_ms)
     return track.range_m ~= nil and t_ms - track.seen_ms <= (S.evading and BLIND_MS or TRACK_GAP_MS)
 end
 
+-- Two wild readings in a row happen; three that agree are a target.
+local function track_trusted(t_ms)
+    return track_fresh(t_ms) and track.readings >= TRUST_READINGS
+end
+
 -- Carries the range on to now.
 local function track_carry(own_mps, t_ms)
     if not track.range_m then return end
@@ -498,7 +504,11 @@ local function take_raw(message, payload, t_ms)
     local value, name = string.unpack('<fc10', message, payload + 4)
     if name ~= RAW_NAME or not is_number(value) or value <= 0.0 then return end
     S.raw_m, S.raw_ms = value, t_ms
-    if value < C.DETECT then track_update(value, S.own_mps, t_ms) end
+    if value < C.DETECT then
+        track_update(value, S.own_mps, t_ms)
+    elseif track.readings < TRUST_READINGS then
+        track.range_m = nil -- what was seen before was a wild reading
+    end
 end
 
 local function take_target(message, payload, t_ms)
@@ -695,7 +705,7 @@ end
 -- The law's wish for this update, before any gate: S.law_mps.
 local function run_law(range_m, t_ms)
     if C.LAW >= 2 then
-        if not track_fresh(t_ms) then return end
+        if not track_trusted(t_ms) then return end
         S.law_mps = continuous_speed(track.range_m, track.leader_mps - S.own_mps, track.leader_mps)
         return
     end
@@ -757,7 +767,7 @@ local function should_back_off(behind_m, near_m, closing_mps)
     return approach_mps > CLOSING_MPS or near_m < C.CLOSE or near_m - closing_distance(closing_mps) < HARD_CLOSE_M
 end
 
--- Too close and two readings agree on it: the state, backing off, and the law starts again from the bottom.
+-- Too close and the track agrees: the state, backing off, and the law starts again from the bottom.
 local function too_close(near_m, closing_mps, t_ms)
     S.too_close, S.close_ms = true, t_ms
     set_state(TOO_CLOSE)
@@ -776,16 +786,16 @@ end
 
 -- Too close wins over everything before it. Returns the speed to set.
 local function guard(range_m, status, t_ms)
-    local fresh = track_fresh(t_ms)
-    local closing_mps = fresh and S.own_mps - track.leader_mps or 0.0
-    local tracked_m = fresh and track.range_m or range_m
+    local trusted = track_trusted(t_ms)
+    local closing_mps = trusted and S.own_mps - track.leader_mps or 0.0
+    local tracked_m = trusted and track.range_m or nil
     local margin_m = S.too_close and CLEAR_M or 0.0
     if status == STATUS_LOW or (tracked_m and is_too_close(tracked_m, closing_mps, margin_m)) then
         return too_close(tracked_m or 0.0, closing_mps, t_ms)
     end
     S.too_close, S.evading = false, false
     local near_m = nearest(range_m, t_ms)
-    if near_m and is_too_close(near_m, closing_mps, 0.0) then return C.SPD_MIN end -- one reading alone slows, no more
+    if near_m and is_too_close(near_m, closing_mps, 0.0) then return C.SPD_MIN end -- readings not yet trusted slow, no more
     return S.speed_mps
 end
 

@@ -272,6 +272,18 @@ def test_one_wild_reading_is_forgotten(rig: MakeRig) -> None:
     assert "too close" not in " ".join(r.texts)
 
 
+def test_wild_readings_among_none_are_no_target(rig: MakeRig) -> None:
+    """Nothing in range but now and then an echo from nowhere: it slows while that is the newest."""
+    r = rig(LAW=2).range(7.66, HIGH).run(3.0)
+    assert r.speed_mps == 3.0
+    for i in range(98):
+        r.send_raw(1.1 if i % 7 in (0, 1) else 7.66)
+        r.run(0.05)
+    assert "too close" not in " ".join(r.texts)
+    assert r.vehicle.targets == []
+    assert r.speed_mps == 3.0
+
+
 @pytest.mark.parametrize(
     "reading",
     [

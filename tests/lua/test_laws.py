@@ -222,7 +222,8 @@ def test_continuous_law_settles_from_everywhere(
     last = loop.ranges[-500:]
     assert max(abs(m - 3.0) for m in last) < 0.1
     assert max(last) - min(last) < 0.05  # no limit cycle
-    assert min(loop.ranges) > min(start_m, 3.0) - 0.15  # what overshoot there is
+    # it starts 1 m/s too fast, for as long as three readings and the dead time last
+    assert min(loop.ranges) > min(start_m, 3.0) - 0.3
 
 
 @pytest.mark.parametrize("reading_ms", [50, 100])
