@@ -163,6 +163,13 @@ def test_unknown_values_are_gaps_not_numbers() -> None:
     assert set(plots.gimbal(unknown)["data"][0]["y"]) == {None}
 
 
+def test_what_was_not_recorded_gets_no_empty_plot(tmp_path: Path) -> None:
+    unknown = np.full(COUNT, np.nan)
+    write_report(tmp_path / "r.html", [replace(FLIGHTS[0], pan_us=unknown, tilt_us=unknown)])
+    drawn = Page((tmp_path / "r.html").read_text(encoding="utf-8")).plots
+    assert drawn == ["1-tracks", "1-matching", "1-error", "1-sonar", "1-speed"]
+
+
 def test_labels_tell_flights_apart() -> None:
     assert flight_label(flight("echowing", seed=7)) == "echowing, banded law, seed 7"
 

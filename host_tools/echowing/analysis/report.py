@@ -115,6 +115,7 @@ def _flight_section(number: int, flight: Flight, figures: dict[str, plots.Figure
         "speed": plots.speeds(flight),
         "gimbal": plots.gimbal(flight),
     }
+    drawn = {name: figure for name, figure in drawn.items() if _holds_data(figure)}
     figures.update({f"{number}-{name}": figure for name, figure in drawn.items()})
     boxes = "".join(_box(f"{number}-{name}", name in ("tracks", "matching")) for name in drawn)
     warnings = "".join(f"<li>{html.escape(text)}</li>" for text in flight.warnings)
@@ -124,6 +125,11 @@ def _flight_section(number: int, flight: Flight, figures: dict[str, plots.Figure
         + (f'<ul class="notes warning">{warnings}</ul>' if warnings else "")
         + f'<div class="plots">{boxes}</div></section>'
     )
+
+
+def _holds_data(figure: plots.Figure) -> bool:
+    """Whether anything was recorded of it (many rigs do not log their gimbal)."""
+    return any(value is not None for trace in figure["data"] for value in trace["y"])
 
 
 def _facts(flight: Flight) -> str:
