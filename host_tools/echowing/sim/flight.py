@@ -62,69 +62,33 @@ class FlightResult:
     wall_s: float
 
 
-class FormationFlight:
-    """One leader and its followers, stepped together.
+class FormationWorld:
+    """A scenario's leader and followers in one air, applets and sonars at work. Nobody guides."""
 
-    `make_coprocessor` builds the co-processor on a sonar bus: the native core by default.
-    With `out` the telemetry logs and the truth are written there.
-    """
-
-    def __init__(
-        self,
-        scenario: Scenario,
-        seed: int,
-        *,
-        out: Path | None = None,
-        make_coprocessor: MakeCoprocessor | None = None,
-    ) -> None:
+    def __init__(self, scenario: Scenario, hangar: Hangar) -> None:
         self.scenario = scenario
-        self.seed = seed
-        self._out = out
-        self._hangar = Hangar(scenario, seed, out=out, make_coprocessor=make_coprocessor)
+        self._hangar = hangar
         self._step = 0
-        self.closest_m = math.inf
-        self.phases: dict[str, float] = {}
-        self.leader = self._hangar.leader()
+        self.leader = hangar.leader()
         self.pilot = LeaderPilot(self.leader, scenario.leader)
         self.followers = [self._make_follower(i) for i in range(len(scenario.formation.slots))]
-        self.ground = self._make_ground()
-        self._course_rad = 0.0
-        self._commanded_slot_m: list[float] = []
-        self.recorders = [
-            Recorder(scenario.name, slot, scenario.law, seed) for slot in scenario.slots()
-        ]
 
     @property
     def t_s(self) -> float:
         """Simulated time."""
         return self._step * STEP_S
 
-    def run(self, progress: Progress | None = None) -> FlightResult:
-        """Fly it all. `progress` is told the simulated seconds flown, once a second."""
-        started_s = time.perf_counter()
-        steps = round(self.scenario.duration_s / STEP_S)
-        while self._step < steps:
-            self.step()
-            if progress is not None and self._step % 50 == 0:
-                progress(self.t_s)
-        return self._result(time.perf_counter() - started_s)
-
     def step(self) -> None:
         """One world step of 20 ms."""
         self._step += 1
         t_s, t_us = self.t_s, self._step * STEP_US
         self.pilot.step(t_s, self.followers[0].position_ned_m)
-        self.ground.links[LEADER_ID].down.silent = self.pilot.silent
         for vehicle in (self.leader, *self.followers):
             vehicle.move(STEP_S)
         for follower in self.followers:
             follower.run_coprocessor(t_us, STEP_S)
         for vehicle in (self.leader, *self.followers):
             vehicle.autopilot.step(t_s)
-        self.ground.step(t_s)
-        self._watch()
-        if self._step % STEPS_PER_SAMPLE == 0:
-            self._record()
 
     def _make_follower(self, index: int) -> SimFollower:
         slot = self.scenario.slots()[index]
@@ -138,6 +102,66 @@ class FormationFlight:
         )
         speed_mps = self.scenario.follower.speed_mps
         return self._hangar.follower(index, start, body.yaw_rad, speed_mps, self._listen)
+
+    def _listen(self, follower: SimFollower, t_s: float) -> float | None:
+        """What this follower's sonar hears now."""
+        pose = follower.pose()
+        heard_to_m = FOIL_X8_RANGE_M if self.scenario.leader.target == "foil" else STOCK_X8_RANGE_M
+        targets = [Target(self.leader.position_ned_m, heard_to_m)]
+        others: list[Pose] = []
+        for other in self.followers:
+            if other is not follower and _near(pose.position_ned_m, other.position_ned_m):
+                targets.append(Target(other.position_ned_m, STOCK_X8_RANGE_M))
+                others.append(other.pose())
+        return follower.ear.ping(t_s, pose, targets, (GROUND,), others)
+
+
+class FormationFlight(FormationWorld):
+    """A formation guided from the ground over radios, and recorded.
+
+    `make_coprocessor` builds the co-processor on a sonar bus: the native core by default.
+    With `out` the telemetry logs and the truth are written there.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        seed: int,
+        *,
+        out: Path | None = None,
+        make_coprocessor: MakeCoprocessor | None = None,
+    ) -> None:
+        hangar = Hangar(scenario, seed, out=out, make_coprocessor=make_coprocessor)
+        super().__init__(scenario, hangar)
+        self.seed = seed
+        self._out = out
+        self.closest_m = math.inf
+        self.phases: dict[str, float] = {}
+        self.ground = self._make_ground()
+        self._course_rad = 0.0
+        self._commanded_slot_m: list[float] = []
+        self.recorders = [
+            Recorder(scenario.name, slot, scenario.law, seed) for slot in scenario.slots()
+        ]
+
+    def run(self, progress: Progress | None = None) -> FlightResult:
+        """Fly it all. `progress` is told the simulated seconds flown, once a second."""
+        started_s = time.perf_counter()
+        steps = round(self.scenario.duration_s / STEP_S)
+        while self._step < steps:
+            self.step()
+            if progress is not None and self._step % 50 == 0:
+                progress(self.t_s)
+        return self._result(time.perf_counter() - started_s)
+
+    def step(self) -> None:
+        """One world step of 20 ms, and what the ground makes of it."""
+        super().step()
+        self.ground.links[LEADER_ID].down.silent = self.pilot.silent
+        self.ground.step(self.t_s)
+        self._watch()
+        if self._step % STEPS_PER_SAMPLE == 0:
+            self._record()
 
     def _make_ground(self) -> GroundStation:
         scenario = self.scenario
@@ -157,18 +181,6 @@ class FormationFlight:
             links[plan.system_id] = self._hangar.telemetry(follower, name, scenario.radio.follower)
         fault = self._north_south_fault if scenario.fault.north_south_offset else None
         return GroundStation(session, links, scenario.guidance.rate_hz, fault)
-
-    def _listen(self, follower: SimFollower, t_s: float) -> float | None:
-        """What this follower's sonar hears now."""
-        pose = follower.pose()
-        heard_to_m = FOIL_X8_RANGE_M if self.scenario.leader.target == "foil" else STOCK_X8_RANGE_M
-        targets = [Target(self.leader.position_ned_m, heard_to_m)]
-        others: list[Pose] = []
-        for other in self.followers:
-            if other is not follower and _near(pose.position_ned_m, other.position_ned_m):
-                targets.append(Target(other.position_ned_m, STOCK_X8_RANGE_M))
-                others.append(other.pose())
-        return follower.ear.ping(t_s, pose, targets, (GROUND,), others)
 
     def _watch(self) -> None:
         """Keep the least distance between any two vehicles, and by part of the script."""

@@ -1,0 +1,78 @@
+"""A scenario's world in real time for other tools: vehicles in the air, nobody on the ground."""
+
+from contextlib import closing
+
+from echowing.errors import EchowingError
+from echowing.sim.flight import FormationWorld
+from echowing.sim.ground import TELEMETRY
+from echowing.sim.hangar import Hangar
+from echowing.sim.scenario import Scenario
+from echowing.sim.serve import Endpoint, Server
+from echowing.sim.vehicles import LeaderPilot, SimVehicle
+from echowing.stopping import stop_on_signals
+
+# Ports of one vehicle, as SITL lays them out: the next vehicle 10 on, a second link 2 on.
+VEHICLE_PORTS = 10
+PILOT_PORT = 2
+PILOT_LINK = "pilot"
+HIGHEST_PORT = 65_535
+
+
+class SilencedLeader:
+    """The leader's endpoint, whose radio the scenario may silence."""
+
+    def __init__(self, endpoint: Endpoint, pilot: LeaderPilot) -> None:
+        self._endpoint = endpoint
+        self._pilot = pilot
+
+    def receive(self, link: str, data: bytes) -> None:
+        """Bytes off the wire."""
+        self._endpoint.receive(link, data)
+
+    def transmit(self, link: str) -> bytes:
+        """Bytes to go on the wire; lost while the radio is dead."""
+        data = self._endpoint.transmit(link)
+        return b"" if self._pilot.silent and link == TELEMETRY else data
+
+
+def serve(scenario: Scenario, seed: int, port: int) -> int:
+    """Fly `scenario` in real time until Ctrl-C or SIGTERM; returns the exit code.
+
+    The leader's telemetry is on TCP `port` of this machine, each follower's 10 further on, and a
+    second link of each vehicle, for the pilot's own ground station, 2 above its first.
+    Raises EchowingError for a port that cannot be had.
+    """
+    if scenario.kind != "formation":
+        raise EchowingError(f"--serve: scenario {scenario.name} has no leader and followers")
+    _check_ports(port, 1 + len(scenario.slots()))
+    world = FormationWorld(scenario, Hangar(scenario, seed))
+    with closing(Server(lambda t_s: world.step())) as server, stop_on_signals() as stop:
+        _connect(server, world, port)
+        server.run(stop)
+    print("stopped", flush=True)
+    return 0
+
+
+def _check_ports(port: int, vehicles: int) -> None:
+    highest = HIGHEST_PORT - VEHICLE_PORTS * (vehicles - 1) - PILOT_PORT
+    if not 1 <= port <= highest:
+        raise EchowingError(f"--serve {port}: {vehicles} vehicles need a port from 1 to {highest}")
+
+
+def _connect(server: Server, world: FormationWorld, port: int) -> None:
+    vehicles: list[SimVehicle] = [world.leader, *world.followers]
+    for index, vehicle in enumerate(vehicles):
+        autopilot = vehicle.autopilot
+        leads = vehicle is world.leader
+        endpoint = SilencedLeader(autopilot, world.pilot) if leads else autopilot
+        for link, shift in ((TELEMETRY, 0), (PILOT_LINK, PILOT_PORT)):
+            autopilot.add_link(link)
+            server.connect(endpoint, link, f"tcpin:{port + VEHICLE_PORTS * index + shift}")
+    for index, vehicle in enumerate(vehicles):
+        here = port + VEHICLE_PORTS * index
+        role = "follower" if index else "leader"
+        print(
+            f"{role:<8}  system {vehicle.autopilot.system_id:<3}  tcp:127.0.0.1:{here}"
+            f"  (the pilot's own ground station: tcp:127.0.0.1:{here + PILOT_PORT})",
+            flush=True,
+        )
