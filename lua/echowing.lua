@@ -606,7 +606,7 @@ end
 local function take_control(t_ms)
     S.pilot_units = speed_parameter:get()
     mirror_parameter:set(S.pilot_units) -- before the speed is touched: a restart must find it
-    S.in_control, S.since_ms, S.step_ms, S.update_ms = true, t_ms, t_ms, t_ms
+    S.in_control, S.step_ms, S.update_ms = true, t_ms, t_ms
     S.stream_ms, S.seen_ms, S.data_ms, S.holding, S.evading = nil, t_ms, t_ms, false, false
     S.announced_ms, S.changes, S.streaming, S.close_ms = {}, {}, 0, t_ms - BLIND_MS
     S.speed_mps = clamp(C.SPD_INIT, C.SPD_MIN, C.SPD_MAX)
