@@ -24,7 +24,8 @@ class BenchSonar(MaxSonar):
         super().__init__(self._look)
         self.range_m = range_m
         self.raw_cm: int | None = None  # what is read whatever was measured
-        self.deaf = False  # acknowledges, but never starts to range
+        self.part_information: int | None = None  # what is read before the first command
+        self.read_before_ranging = False
         self.triggers_us: list[int] = []
         self.readings: list[tuple[int, int]] = []  # time, centimetres
 
@@ -43,6 +44,10 @@ class BenchSonar(MaxSonar):
         answer = super().read(t_us, address, count)
         if answer is not None and self.raw_cm is not None:
             answer = self.raw_cm.to_bytes(2, "big")
+        if answer is not None and not self.triggers_us:
+            self.read_before_ranging = True
+            if self.part_information is not None:
+                answer = self.part_information.to_bytes(2, "big")
         if answer is not None and self.triggers_us:
             self.readings.append((t_us, int.from_bytes(answer[:2], "big")))
         return answer

@@ -71,9 +71,11 @@ class TestSonarInTrouble:
         assert reports[-1].t_us < begun_us + STALE_US + 10_000
 
     def test_first_read_after_power_on_is_thrown_away(self, mega_elf: Path) -> None:
-        # It would be part information: 0x1202, that is 46.1 m, were it taken for a distance.
+        # It is part information, here one that could be taken for a distance of 1 m.
         bench = Bench(mega_elf, BenchSonar(2.0))
+        bench.sonar.part_information = 100
         bench.run(1.0)
+        assert bench.sonar.read_before_ranging
         assert set(bench.ranges_cm()) <= {200, NO_TARGET_CM}
         assert bench.named("SNR_RAW")[0] == 2.0
 
@@ -151,7 +153,7 @@ class TestMemory:
             image = bench.board.eeprom()
             if not images or image != images[-1]:
                 images.append(image)
-        assert len(images) > 20
+        assert len(images) > 5
         for image in images[:: max(1, len(images) // 16)] + images[-1:]:
             outcomes.append(self.dwell_after(mega_elf, image))
         assert set(outcomes) == {410, 420}
