@@ -321,7 +321,7 @@ def test_ranges_that_are_none_change_nothing(rig: MakeRig, metres: float, status
 
 def test_out_of_range_low_is_too_close(rig: MakeRig) -> None:
     r = rig(LAW=1).range(3.0).run(2.0)
-    r.range(2.9, LOW).run(0.1)  # whatever the number says
+    r.range(3.0, LOW).run(0.1)  # whatever the number says
     assert r.speed_mps == FLOOR_MPS
 
 
