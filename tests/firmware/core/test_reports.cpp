@@ -37,12 +37,13 @@ TEST_CASE("reports come at 20 Hz within 2 ms, tracking as well as searching") {
   }
 }
 
-TEST_CASE("a second after start a report leaves in the turn of its reading") {
+// 51 bytes go to the port in three turns of 24.
+TEST_CASE("a second after start a report leaves with the turn of its reading") {
   Rig rig;
   rig.run(ms(1000));
   rig.forget();
   rig.run(ms(3000));
-  for (const auto& range : rig.ranges()) CHECK(range.at / 1000 == range.report.time_boot_ms);
+  for (const auto& range : rig.ranges()) CHECK(range.at / 1000 - range.report.time_boot_ms <= 2);
 }
 
 TEST_CASE("the rate is settable from 5 to 40 Hz, by parameter and by command") {

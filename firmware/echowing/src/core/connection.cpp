@@ -17,40 +17,42 @@ constexpr float kLongestValues_us = 60e6f;
 
 }  // namespace
 
-void Connection::send(Microseconds now, const Parameters& parameters, const Telemetry& telemetry,
-                      const char* git_hash) {
-  send_report(now, parameters, telemetry);
-  // One message at a time, and none when a reading is due: the range never waits in a queue.
-  if (link_.idle() && !telemetry.reading_soon) {
-    send_one_more(now, parameters, telemetry, git_hash);
-  }
-  link_.flush(port_);
+bool Connection::send_reading(Microseconds now, const Parameters& parameters,
+                              const Telemetry& telemetry) {
+  if (!reading_untold_ && !raw_untold_ && report_clock_.quiet(now)) return false;
+  if (send_report(now, parameters, telemetry)) return true;
+  return raw_untold_ && send_raw(now, telemetry);
 }
 
-void Connection::send_report(Microseconds now, const Parameters& parameters,
+bool Connection::send_report(Microseconds now, const Parameters& parameters,
                              const Telemetry& telemetry) {
   const Microseconds usual = kSecond / parameters.whole(Parameter::kReportRate);
   const Microseconds period = report_period_ != 0 ? report_period_ : usual;
-  const bool due = report_clock_.due(now, telemetry.new_reading, period);
-  if (due && telemetry.fresh && !reports_off_) {
-    link_.send(telemetry.identity, distance_report(parameters, telemetry.tracker,
-                                                   telemetry.pointing, telemetry.reading_ms));
-  }
-  if (!telemetry.new_reading || values_off_ || raw_pause_.running(now)) return;
-  if (value_period_ != 0) raw_pause_.start(now, value_period_);
-  send_value(telemetry, "SNR_RAW", telemetry.raw_m);
+  const bool due = report_clock_.due(now, reading_untold_, period);
+  reading_untold_ = false;
+  if (!due || !telemetry.fresh || reports_off_) return false;
+  return link_.send(telemetry.identity, distance_report(parameters, telemetry.tracker,
+                                                        telemetry.pointing, telemetry.reading_ms));
 }
 
-void Connection::send_one_more(Microseconds now, const Parameters& parameters,
-                               const Telemetry& telemetry, const char* git_hash) {
-  if (!heartbeat_pause_.running(now) && send_heartbeat(telemetry)) {
+bool Connection::send_raw(Microseconds now, const Telemetry& telemetry) {
+  raw_untold_ = false;
+  if (values_off_ || raw_pause_.running(now)) return false;
+  if (value_period_ != 0) raw_pause_.start(now, value_period_);
+  return send_value(telemetry, "SNR_RAW", raw_range_m(telemetry.raw_cm));
+}
+
+bool Connection::send_other(Microseconds now, const Parameters& parameters,
+                            const Telemetry& telemetry, const char* git_hash) {
+  // When a reading is due the wire is kept free for it: a range never stands in a queue.
+  if (!link_.idle() || telemetry.reading_soon) return false;
+  if (!heartbeat_pause_.running(now)) {
     heartbeat_pause_.start(now, kHeartbeatPeriod);
-    return;
+    return send_heartbeat(telemetry);
   }
-  if (!notices_.empty() && send_notice(telemetry)) return;
-  if (version_wanted_ && send_version(telemetry, git_hash)) return;
-  if (send_changed_value(now, telemetry)) return;
-  send_next_asked(telemetry, parameters);
+  if (!notices_.empty()) return send_notice(telemetry);
+  if (version_wanted_) return send_version(telemetry, git_hash);
+  return send_changed_value(now, telemetry) || send_next_asked(telemetry, parameters);
 }
 
 bool Connection::send_heartbeat(const Telemetry& telemetry) {
@@ -87,20 +89,24 @@ bool Connection::send_parameter(const Telemetry& telemetry, const Parameters& pa
 }
 
 void Connection::list_parameters() {
-  for (bool& asked : asked_) asked = true;
+  for (uint8_t index = 0; index < kParameterCount; ++index) tell_parameter(index);
+}
+
+void Connection::tell_parameter(uint8_t index) {
+  if (!asked_[index]) ++asked_count_;
+  asked_[index] = true;
 }
 
 // Goes round from where it was, so that no storm of requests can keep a parameter from its turn.
 bool Connection::send_next_asked(const Telemetry& telemetry, const Parameters& parameters) {
-  for (uint8_t looked = 0; looked < kParameterCount; ++looked) {
-    const uint8_t index = next_asked_;
-    if (asked_[index] && !send_parameter(telemetry, parameters, index)) return false;
-    next_asked_ = index + 1 < kParameterCount ? static_cast<uint8_t>(index + 1) : 0;
-    if (!asked_[index]) continue;
-    asked_[index] = false;
-    return true;
+  if (asked_count_ == 0) return false;
+  while (!asked_[next_asked_]) {
+    next_asked_ = next_asked_ + 1 < kParameterCount ? static_cast<uint8_t>(next_asked_ + 1) : 0;
   }
-  return false;
+  if (!send_parameter(telemetry, parameters, next_asked_)) return false;
+  asked_[next_asked_] = false;
+  --asked_count_;
+  return true;
 }
 
 bool Connection::send_version(const Telemetry& telemetry, const char* git_hash) {
@@ -120,7 +126,8 @@ bool Connection::send_version(const Telemetry& telemetry, const char* git_hash) 
 
 bool Connection::send_changed_value(Microseconds now, const Telemetry& telemetry) {
   if (values_off_) return false;
-  const float values[kNamedValues] = {telemetry.pan_us, telemetry.tilt_us, telemetry.state};
+  const uint16_t values[kNamedValues] = {telemetry.aim.pan_us, telemetry.aim.tilt_us,
+                                         telemetry.state};
   static const char kNames[kNamedValues][10] = {"SNR_PAN", "SNR_TILT", "SNR_STATE"};
   for (uint8_t i = 0; i < kNamedValues; ++i) {
     const bool pausing = value_pause_[i].running(now);

@@ -18,32 +18,37 @@ struct Telemetry {
   Identity identity;
   uint32_t uptime_ms;
   bool faulty;
-  bool new_reading;   // in this turn
   bool fresh;         // the newest reading is young enough to be reported
   bool reading_soon;  // keep the wire free for it
-  float raw_m;
-  float pan_us;
-  float tilt_us;
-  float state;
+  uint16_t raw_cm;
+  Aim aim;
+  uint8_t state;
 };
 
 class Connection {
  public:
   explicit Connection(SerialPort& port) : port_(port) {}
 
-  void receive() { link_.receive(port_); }
-  const mavlink_message_t* next_message() { return link_.next(); }
+  const mavlink_message_t* receive() { return link_.receive(port_); }
 
-  // Queues what is due now and hands it to the port.
-  void send(Microseconds now, const Parameters& parameters, const Telemetry& telemetry,
-            const char* git_hash);
+  // A new reading is there to be told.
+  void on_reading() { reading_untold_ = raw_untold_ = true; }
+
+  // Queues the report, or the raw reading, if it is due; true if so. Once a turn, unless that turn
+  // has been filled by another connection.
+  bool send_reading(Microseconds now, const Parameters& parameters, const Telemetry& telemetry);
+  // Queues one of the other messages; true if there was one to send and the wire was free for it.
+  bool send_other(Microseconds now, const Parameters& parameters, const Telemetry& telemetry,
+                  const char* git_hash);
+  // Hands what is queued to the port, as far as it takes it.
+  void flush() { link_.flush(port_); }
 
   void notify(Notice notice) { notices_.add(notice); }
   void acknowledge(Identity identity, const mavlink_message_t& asked, uint16_t command,
                    uint8_t result);
 
   void list_parameters();
-  void tell_parameter(uint8_t index) { asked_[index] = true; }
+  void tell_parameter(uint8_t index);
 
   // REQUEST_MESSAGE and SET_MESSAGE_INTERVAL; a MAV_RESULT.
   uint8_t request_message(uint32_t id);
@@ -52,9 +57,8 @@ class Connection {
  private:
   static constexpr uint8_t kNamedValues = 3;
 
-  void send_report(Microseconds now, const Parameters& parameters, const Telemetry& telemetry);
-  void send_one_more(Microseconds now, const Parameters& parameters, const Telemetry& telemetry,
-                     const char* git_hash);
+  bool send_report(Microseconds now, const Parameters& parameters, const Telemetry& telemetry);
+  bool send_raw(Microseconds now, const Telemetry& telemetry);
   bool send_heartbeat(const Telemetry& telemetry);
   bool send_notice(const Telemetry& telemetry);
   bool send_parameter(const Telemetry& telemetry, const Parameters& parameters, uint8_t index);
@@ -70,13 +74,16 @@ class Connection {
   Timeout heartbeat_pause_;
   Timeout raw_pause_;
   Timeout value_pause_[kNamedValues];
-  float value_sent_[kNamedValues] = {};
+  uint16_t value_sent_[kNamedValues] = {};
   Microseconds report_period_ = 0;  // 0: the parameter's
   Microseconds value_period_ = 0;   // 0: as they come
+  bool reading_untold_ = false;
+  bool raw_untold_ = false;
   bool reports_off_ = false;
   bool values_off_ = false;
   bool version_wanted_ = false;
   bool asked_[kParameterCount] = {};  // parameters to be told
+  uint8_t asked_count_ = 0;           // how many of them are true
   uint8_t next_asked_ = 0;
 };
 

@@ -47,42 +47,50 @@ Coprocessor::Coprocessor(const Ports& ports, uint32_t seed, Microseconds now)
       pointed_(tracker_.aim()),
       pointing_(pointing(parameters_, pointed_)) {
   const ParameterStore::Loaded loaded = store_.load(ports_.memory, parameters_);
+  renew_identity();
   notify(Notice::kStarted);
   if (loaded == ParameterStore::Loaded::kCorrupt) notify(Notice::kParametersCorrupt);
 }
 
 bool Coprocessor::set_parameter(uint8_t index, float value) {
   const bool taken = parameters_.set(index, value);
-  update_pointing();
+  pointing_stale_ = true;
+  renew_identity();
   return taken;
 }
 
+// A turn does one of its costly things, a reading with its report first of all: so it stays short
+// on AVR, and what waits has its turn within two milliseconds.
 void Coprocessor::step(Microseconds now) {
   uptime_.advance(now);
-  receive(now, autopilot_connection_, kAutopilotPort);
-  receive(now, usb_connection_, kUsbPort);
   autopilot_.step(now);
   range(now);
   examine(now);
   point(now);
-  tell(now);
-  const bool may_store = !autopilot_.armed();
-  if (store_.step(now, may_store, ports_.memory, parameters_)) notify(Notice::kParametersStored);
-  if (rebooting_ && !reboot_delay_.running(now)) {
-    rebooting_ = false;
-    ports_.board.reboot(into_bootloader_);
-  }
+  const Telemetry telemetry = observe(now);
+  const bool told = tell_reading(now, telemetry);
+  const bool handled = !told && !new_reading_ && listen(now);
+  if (!told && !new_reading_ && !handled && !renew_pointing()) tell_other(now, telemetry);
+  autopilot_connection_.flush();
+  usb_connection_.flush();
+  keep(now);
 }
 
-void Coprocessor::receive(Microseconds now, Connection& connection, Port port) {
-  connection.receive();
-  while (const mavlink_message_t* message = connection.next_message()) {
-    const Identity we = identity();
-    const bool our_own = message->sysid == we.system && message->compid == we.component;
-    if (our_own) self_test_.on_own_message(port);
-    if (port == kAutopilotPort) autopilot_.on_message(now, *message);
-    handle(now, connection, *message);
-  }
+// The autopilot goes first.
+bool Coprocessor::listen(Microseconds now) {
+  return receive(now, autopilot_connection_, kAutopilotPort) ||
+         receive(now, usb_connection_, kUsbPort);
+}
+
+bool Coprocessor::receive(Microseconds now, Connection& connection, Port port) {
+  const mavlink_message_t* message = connection.receive();
+  if (message == nullptr) return false;
+  const bool our_own = message->sysid == identity_.system && message->compid == identity_.component;
+  if (our_own) self_test_.on_own_message(port);
+  if (port == kAutopilotPort) autopilot_.on_message(now, *message);
+  handle(now, connection, *message);
+  renew_identity();
+  return true;
 }
 
 void Coprocessor::handle(Microseconds now, Connection& connection,
@@ -131,7 +139,7 @@ void Coprocessor::on_parameter_set(Microseconds now, Connection& connection,
   const uint8_t row = static_cast<uint8_t>(index);
   const bool changes = parameters_.at(row) != asked.param_value;
   if (parameters_.set(row, asked.param_value) && changes) store_.touch(now);
-  update_pointing();
+  pointing_stale_ = true;
   // The value in force, which is the old one if the new one was refused.
   connection.tell_parameter(row);
 }
@@ -140,7 +148,7 @@ void Coprocessor::on_command(Microseconds now, Connection& connection,
                              const mavlink_message_t& message, const Command& command) {
   if (!is_for_us(command.target_system, command.target_component, false)) return;
   const uint8_t result = execute(now, connection, command);
-  connection.acknowledge(identity(), message, command.id, result);
+  connection.acknowledge(identity_, message, command.id, result);
 }
 
 uint8_t Coprocessor::execute(Microseconds now, Connection& connection, const Command& command) {
@@ -234,7 +242,7 @@ uint8_t Coprocessor::reboot(Microseconds now, float choice) {
 uint8_t Coprocessor::restore_defaults(Microseconds now, float choice) {
   if (choice != 2.0f) return MAV_RESULT_DENIED;
   parameters_.reset();
-  update_pointing();
+  pointing_stale_ = true;
   store_.touch(now);
   notify(Notice::kParametersReset);
   return MAV_RESULT_ACCEPTED;
@@ -280,6 +288,8 @@ void Coprocessor::range(Microseconds now) {
   if (sonar_.take_address_changed()) adopt_new_address(now);
   if (!new_reading_) return;
   heard_sonar_ = true;
+  autopilot_connection_.on_reading();
+  usb_connection_.on_reading();
   reading_ms_ = uptime_.ms();
   freshness_.start(now, kStale);
 }
@@ -298,12 +308,17 @@ void Coprocessor::point(Microseconds now) {
   if (new_reading_) tracker_.on_reading(sonar_.reading());
   const Aim aim = tracker_.aim();
   ports_.servos.write(aim);
-  if (aim.pan_us == pointed_.pan_us && aim.tilt_us == pointed_.tilt_us) return;
+  const bool moved = aim.pan_us != pointed_.pan_us || aim.tilt_us != pointed_.tilt_us;
+  pointing_stale_ = pointing_stale_ || moved;
   pointed_ = aim;
-  update_pointing();
 }
 
-void Coprocessor::update_pointing() { pointing_ = pointing(parameters_, pointed_); }
+bool Coprocessor::renew_pointing() {
+  if (!pointing_stale_) return false;
+  pointing_stale_ = false;
+  pointing_ = pointing(parameters_, pointed_);
+  return true;
+}
 
 GimbalMode Coprocessor::gimbal_mode() const {
   if (self_test_.running()) return GimbalMode::kHold;
@@ -317,24 +332,39 @@ GimbalMode Coprocessor::gimbal_mode() const {
   return on_the_ground ? GimbalMode::kCentre : GimbalMode::kScan;
 }
 
-void Coprocessor::tell(Microseconds now) {
-  const Telemetry telemetry = {
+Telemetry Coprocessor::observe(Microseconds now) {
+  return {
       tracker_,
       pointing_,
       reading_ms_,
-      identity(),
+      identity_,
       uptime_.ms(),
       sonar_.faulty(),
-      new_reading_,
       freshness_.running(now),
       sonar_.reading_within(now, kClearWire),
-      raw_range_m(sonar_.reading().range_cm),
-      static_cast<float>(tracker_.aim().pan_us),
-      static_cast<float>(tracker_.aim().tilt_us),
-      static_cast<float>(state()),
+      sonar_.reading().range_cm,
+      tracker_.aim(),
+      static_cast<uint8_t>(state()),
   };
-  autopilot_connection_.send(now, parameters_, telemetry, ports_.board.git_hash());
-  usb_connection_.send(now, parameters_, telemetry, ports_.board.git_hash());
+}
+
+bool Coprocessor::tell_reading(Microseconds now, const Telemetry& telemetry) {
+  return autopilot_connection_.send_reading(now, parameters_, telemetry) ||
+         usb_connection_.send_reading(now, parameters_, telemetry);
+}
+
+void Coprocessor::tell_other(Microseconds now, const Telemetry& telemetry) {
+  const char* git_hash = ports_.board.git_hash();
+  if (autopilot_connection_.send_other(now, parameters_, telemetry, git_hash)) return;
+  usb_connection_.send_other(now, parameters_, telemetry, git_hash);
+}
+
+void Coprocessor::keep(Microseconds now) {
+  const bool may_store = !autopilot_.armed();
+  if (store_.step(now, may_store, ports_.memory, parameters_)) notify(Notice::kParametersStored);
+  if (!rebooting_ || reboot_delay_.running(now)) return;
+  rebooting_ = false;
+  ports_.board.reboot(into_bootloader_);
 }
 
 void Coprocessor::notify(Notice notice) {
@@ -358,18 +388,16 @@ LedState Coprocessor::led_state() const {
   return tracker_.tracking() ? LedState::kTracking : LedState::kSearching;
 }
 
-Identity Coprocessor::identity() const {
+void Coprocessor::renew_identity() {
   const uint8_t before = static_cast<uint8_t>(parameters_.whole(Parameter::kSystemId));
-  return {autopilot_.system_id(before),
-          static_cast<uint8_t>(parameters_.whole(Parameter::kComponentId))};
+  identity_.system = autopilot_.system_id(before);
+  identity_.component = static_cast<uint8_t>(parameters_.whole(Parameter::kComponentId));
 }
 
 bool Coprocessor::is_for_us(uint8_t system, uint8_t component, bool broadcast_too) const {
-  const Identity we = identity();
-  if (broadcast_too && component == MAV_COMP_ID_ALL && (system == we.system || system == 0)) {
-    return true;
-  }
-  return system == we.system && component == we.component;
+  const bool our_system = system == identity_.system;
+  if (broadcast_too && component == MAV_COMP_ID_ALL) return our_system || system == 0;
+  return our_system && component == identity_.component;
 }
 
 }  // namespace echowing

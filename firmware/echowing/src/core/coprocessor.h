@@ -55,7 +55,8 @@ class Coprocessor {
   enum class Override : uint8_t { kNone, kScan, kCentre, kHold };
   enum Port : uint8_t { kAutopilotPort, kUsbPort };
 
-  void receive(Microseconds now, Connection& connection, Port port);
+  bool listen(Microseconds now);
+  bool receive(Microseconds now, Connection& connection, Port port);
   void handle(Microseconds now, Connection& connection, const mavlink_message_t& message);
   void on_parameter_read(Connection& connection, const mavlink_message_t& message);
   void on_parameter_list(Connection& connection, const mavlink_message_t& message);
@@ -76,13 +77,16 @@ class Coprocessor {
   void range(Microseconds now);
   void adopt_new_address(Microseconds now);
   void point(Microseconds now);
-  void update_pointing();
   void examine(Microseconds now);
   void tell_test_results();
-  void tell(Microseconds now);
+  bool renew_pointing();
+  Telemetry observe(Microseconds now);
+  bool tell_reading(Microseconds now, const Telemetry& telemetry);
+  void tell_other(Microseconds now, const Telemetry& telemetry);
+  void keep(Microseconds now);
   void notify(Notice notice);
   GimbalMode gimbal_mode() const;
-  Identity identity() const;
+  void renew_identity();
   bool is_for_us(uint8_t system, uint8_t component, bool broadcast_too) const;
 
   Ports ports_;
@@ -95,9 +99,11 @@ class Coprocessor {
   Connection autopilot_connection_;
   Connection usb_connection_;
   SelfTest self_test_;
+  Identity identity_ = {};
   Override override_ = Override::kNone;
   Aim pointed_;
-  Pointing pointing_;  // of pointed_: its sines are dear on AVR, and change with the aim only
+  Pointing pointing_;  // of pointed_
+  bool pointing_stale_ = false;
   Timeout freshness_;
   uint32_t reading_ms_ = 0;
   bool new_reading_ = false;

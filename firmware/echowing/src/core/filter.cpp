@@ -38,11 +38,13 @@ void RangeFilter::take(uint16_t range_cm, uint8_t count) {
 }
 
 uint16_t RangeFilter::average_cm() const {
-  uint32_t sum = 0;
-  for (uint8_t age = 0; age < size_; ++age) {
-    sum += readings_cm_[(newest_ + kCapacity - age) % kCapacity];
+  uint16_t sum = 0;  // 20 readings of 765 are 15300
+  uint8_t place = newest_;
+  for (uint8_t left = size_; left > 0; --left) {
+    sum = static_cast<uint16_t>(sum + readings_cm_[place]);
+    place = place == 0 ? kCapacity - 1 : static_cast<uint8_t>(place - 1);
   }
-  return static_cast<uint16_t>((sum + size_ / 2) / size_);
+  return static_cast<uint16_t>(sum + size_ / 2) / size_;
 }
 
 }  // namespace echowing

@@ -1,6 +1,7 @@
 // Constant tables: on AVR they would be copied to RAM unless told to stay in flash.
 #pragma once
 
+#include <stdint.h>
 #include <string.h>
 
 #if defined(__AVR__)
@@ -20,6 +21,15 @@ Row from_flash(const Row& row) {
   return copy;
 #else
   return row;
+#endif
+}
+
+// Compares up to `length` characters with a string of a table.
+inline bool same_as_in_flash(const char* text, const char* in_flash, uint8_t length) {
+#if defined(__AVR__)
+  return strncmp_P(text, in_flash, length) == 0;
+#else
+  return strncmp(text, in_flash, length) == 0;
 #endif
 }
 

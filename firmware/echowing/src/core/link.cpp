@@ -2,12 +2,11 @@
 
 namespace echowing {
 
-void Link::receive(SerialPort& port) {
-  received_count_ = port.read(received_, kBytesPerTurn);
-  received_next_ = 0;
-}
-
-const mavlink_message_t* Link::next() {
+const mavlink_message_t* Link::receive(SerialPort& port) {
+  if (received_next_ == received_count_) {
+    received_count_ = port.read(received_, kBytesInPerTurn);
+    received_next_ = 0;
+  }
   while (received_next_ < received_count_) {
     const uint8_t byte = received_[received_next_++];
     const uint8_t framing = mavlink_frame_char_buffer(&incoming_, &parser_, byte, nullptr, nullptr);
@@ -39,13 +38,15 @@ void Link::push(uint8_t byte) {
 }
 
 void Link::flush(SerialPort& port) {
-  while (queued_ > 0) {
+  uint8_t left = kBytesOutPerTurn;
+  while (queued_ > 0 && left > 0) {
     const uint16_t to_end = kQueueSize - first_;
     const uint16_t run = queued_ < to_end ? queued_ : to_end;
-    const uint8_t offered = run > 255 ? 255 : static_cast<uint8_t>(run);
+    const uint8_t offered = run < left ? static_cast<uint8_t>(run) : left;
     const uint8_t taken = port.write(queue_ + first_, offered);
     first_ = (first_ + taken) % kQueueSize;
     queued_ -= taken;
+    left = static_cast<uint8_t>(left - taken);
     if (taken < offered) return;
   }
 }

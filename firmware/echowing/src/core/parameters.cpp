@@ -1,7 +1,6 @@
 #include "parameters.h"
 
 #include <math.h>
-#include <string.h>
 
 #include "crc.h"
 #include "flash_table.h"
@@ -48,8 +47,7 @@ bool Parameters::set(uint8_t index, float value) {
 
 int16_t Parameters::find(const char* name) {
   for (uint8_t index = 0; index < kParameterCount; ++index) {
-    const ParameterInfo info = parameter_info(index);
-    if (strncmp(info.name, name, kParameterNameLength) == 0) return index;
+    if (same_as_in_flash(name, kTable[index].name, kParameterNameLength)) return index;
   }
   return -1;
 }

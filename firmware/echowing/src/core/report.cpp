@@ -11,10 +11,8 @@ namespace {
 constexpr float kRadiansPerDegree = 0.017453293f;
 constexpr uint8_t kCovarianceUnknown = 255;
 
-// A reading this near to its beat, before or after, takes it with it.
-constexpr Microseconds kGrace = milliseconds(2);
-// One that is farther off moves the beat its way a little; one as far as this from a beat belongs
-// to none, as readings are usually twice this apart.
+// A reading that is too far off to take the beat with it moves it its way a little; one as far as
+// this from a beat belongs to none, as readings are usually twice this apart.
 constexpr Microseconds kLean = 1500;
 constexpr Microseconds kCapture = milliseconds(25);
 
@@ -29,9 +27,9 @@ struct SineCosine {
 // functions, made for every angle, take 4 kB on the boards without a floating-point unit.
 SineCosine sine_cosine(float angle_rad) {
   const float x2 = angle_rad * angle_rad;
-  const float s = 1 - x2 / 20 * (1 - x2 / 42 * (1 - x2 / 72));
-  const float c = 1 - x2 / 30 * (1 - x2 / 56 * (1 - x2 / 90));
-  return {angle_rad * (1 - x2 / 6 * s), 1 - x2 / 2 * (1 - x2 / 12 * c)};
+  const float s = 1 - x2 * (1 / 20.0f) * (1 - x2 * (1 / 42.0f) * (1 - x2 * (1 / 72.0f)));
+  const float c = 1 - x2 * (1 / 30.0f) * (1 - x2 * (1 / 56.0f) * (1 - x2 * (1 / 90.0f)));
+  return {angle_rad * (1 - x2 * (1 / 6.0f) * s), 1 - x2 * 0.5f * (1 - x2 * (1 / 12.0f) * c)};
 }
 
 // Half the angle of a servo, at most a quarter turn either way: no gimbal looks farther than

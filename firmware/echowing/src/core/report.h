@@ -35,10 +35,16 @@ float raw_range_m(uint16_t range_cm);
 // a report leaves in the turn of its reading.
 class ReportClock {
  public:
+  // True when `due` would be false, were it asked without a new reading: a quick answer for the
+  // many turns in between.
+  bool quiet(Microseconds now) const { return started_ && !reached(now, next_ + kGrace); }
   // True when a report is due; call once a turn.
   bool due(Microseconds now, bool new_reading, Microseconds period);
 
  private:
+  // A reading this near to its beat, before or after, takes it with it.
+  static constexpr Microseconds kGrace = milliseconds(2);
+
   void lean(Microseconds now, Microseconds period);
 
   Microseconds next_ = 0;

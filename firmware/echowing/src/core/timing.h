@@ -41,10 +41,10 @@ class Uptime {
  public:
   explicit Uptime(Microseconds start) : last_(start) {}
   void advance(Microseconds now) {
-    const uint32_t elapsed_us = now - last_ + rest_us_;
-    ms_ += elapsed_us / kMillisecond;
-    rest_us_ = elapsed_us % kMillisecond;
+    rest_us_ += now - last_;
     last_ = now;
+    // A turn is a millisecond or two: this is faster than a 32-bit division on AVR.
+    for (; rest_us_ >= kMillisecond; rest_us_ -= kMillisecond) ++ms_;
   }
   uint32_t ms() const { return ms_; }
 
