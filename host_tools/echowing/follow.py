@@ -3,19 +3,21 @@
 Messages and the time are arguments; sockets, radios and clocks are the caller's. The simulator
 and the tool for real vehicles drive this same class.
 
-What it will not do (design rule 6): it never changes a vehicle's mode, it sends points only to
-a vehicle that reports itself armed and in Guided, and on old or jumping leader data it stops the
-follower where it is.
+What it will not do (design rule 6): it never changes a vehicle's mode of its own accord (a stop
+switch in the pilot's hand may), it sends points only to a vehicle that reports itself flying in
+Guided, and on old or jumping leader data it stops the follower where it is. In the field a
+`guard` stops it for more reasons, and sees that it stands.
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.geo import GlobalPosition, Ned, displace, ned_between, wrap_angle_rad
+from echowing.guard import Guard, Limits, RateWatch, is_flying, mode_name
 from echowing.guidance import (
     GuidanceSettings,
     GuidedPoint,
@@ -33,6 +35,7 @@ from echowing.offset import RelativeOffset
 TOOL_SYSTEM_ID = 245
 TOOL_COMPONENT_ID = mavlink.MAV_COMP_ID_MISSIONPLANNER
 GUIDED_MODE = 4
+STALE = "leader is stale"
 
 # A leader's report further than this from where the last one leads is a jump, not a movement:
 # twice what a hard reversal at 2 m/s can do between two reports.
@@ -48,6 +51,13 @@ AGREEING_REPORTS = 8
 # (thesis 3.3.3: an X8 gives a consistent return out to 4.5 m).
 SONAR_READING = "SNR_RAW"
 DETECTION_LIMIT_M = 4.5
+
+# Propellers make single wild readings: one counts when the one before it was like it.
+CONFIRM_S, CONFIRM_M = 0.3, 0.5
+
+# A stop keeps the wanted altitude where it is this near (barometers wander), else its own.
+SAME_ALTITUDE_M = 1.0
+FOLLOWER_POSITION_HZ = 10.0
 
 TIMESYNC_PERIOD_S = 1.0
 HEARTBEAT_PERIOD_S = 1.0
@@ -186,16 +196,29 @@ class FollowerPlan:
 
 @dataclass(slots=True)
 class FollowerState:
-    """What is known and wanted of one follower."""
+    """What is known and wanted of one follower.
+
+    held_at, held_altitude_m, hold_reason: where, how high above its home and why it was stopped;
+    flown: a point has gone to it since it was put in Guided.
+    """
 
     plan: FollowerPlan
     guide: SlotGuide
     clock: VehicleClock = field(default_factory=VehicleClock)
     offset: RelativeOffset = field(default_factory=RelativeOffset)
+    reading: tuple[float, float] = (-math.inf, math.nan)
+    """When the newest sonar reading came, and its range in metres."""
     position: GlobalPosition | None = None
+    position_at_s: float = -math.inf
+    altitude_m: float | None = None
+    ground_speed_mps: float = 0.0
     heading_rad: float = 0.0
+    mode: int | None = None
     in_guided: bool = False
+    flown: bool = False
     held_at: GlobalPosition | None = None
+    held_altitude_m: float | None = None
+    hold_reason: str | None = None
     guided: GuidedPoint | None = None
 
 
@@ -203,7 +226,8 @@ class FollowSession:
     """One leader, any number of followers.
 
     `tick` is called at the rate of the guided points (thesis Table 4: 8 Hz) and returns the
-    messages to send, each with the system id of the vehicle it is for.
+    messages to send, each with the system id of the vehicle it is for. With `limits` a guard
+    watches (see `guard`); while not `engaged`, nothing is sent that moves a vehicle.
     """
 
     def __init__(
@@ -213,6 +237,8 @@ class FollowSession:
         settings: GuidanceSettings,
         *,
         leader_rate_hz: float = 4.0,
+        limits: Limits | None = None,
+        engaged: bool = True,
     ) -> None:
         self.leader_id = leader_id
         self.settings = settings
@@ -221,7 +247,12 @@ class FollowSession:
             plan.system_id: FollowerState(plan, SlotGuide(plan.slot, settings)) for plan in plans
         }
         self.events: list[tuple[float, str]] = []
-        self._leader_period_us = round(1e6 / leader_rate_hz)
+        self.engaged = engaged
+        self.guard = None if limits is None else self._make_guard(limits)
+        self._stopping: str | None = None
+        self._leader_rate_hz = leader_rate_hz
+        self._rates = None if limits is None else RateWatch(self._wanted(), self._say)
+        self._leader_jumps = False
         self._beat_at_s = -math.inf
         self._rates_at_s = -math.inf
 
@@ -229,10 +260,14 @@ class FollowSession:
         """Take any MAVLink message from any link; what is not needed is ignored."""
         system_id = message.get_srcSystem()
         kind = message.get_type()
+        if self.guard is not None and (system_id == self.leader_id or system_id in self.followers):
+            self.guard.receive(system_id, kind, message, now_s)
+        if self._rates is not None:
+            self._rates.received(system_id, message.get_msgId())
         if kind == "TIMESYNC":
             self._timesync(system_id, message, now_s)
         elif system_id == self.leader_id and kind == "GLOBAL_POSITION_INT":
-            self.leader.receive(message, now_s)
+            self._leader_position(message, now_s)
         elif system_id in self.followers:
             self._follower_message(self.followers[system_id], kind, message, now_s)
 
@@ -241,21 +276,90 @@ class FollowSession:
         messages = self._housekeeping(now_s)
         for system_id, follower in self.followers.items():
             point = self._point_for(follower, now_s)
-            if point is not None and follower.in_guided:
+            if point is not None and self._may_send(follower, now_s):
                 messages.append((system_id, self._target(follower, point, now_s)))
+                self._sent(follower, point, now_s)
+        if self.guard is not None and self.engaged:
+            messages.extend(self.guard.messages(self.followers, now_s))
         return messages
+
+    def stop(self, reason: str) -> None:
+        """Stop every follower that has been moved, for good; the others are left alone."""
+        self._stopping = reason
+
+    def stopped(self, now_s: float) -> bool:
+        """Whether all that has been moved stands, is the pilot's, or cannot be heard."""
+        return all(
+            not self._may_send(follower, now_s)
+            or (self.guard is not None and self.guard.stands(system_id))
+            for system_id, follower in self.followers.items()
+        )
+
+    def _make_guard(self, limits: Limits) -> Guard:
+        return Guard(limits, self.leader_id, self.followers, self._say)
+
+    def _may_send(self, follower: FollowerState, now_s: float) -> bool:
+        if not self.engaged or not follower.in_guided:
+            return False
+        if self._stopping is not None and not follower.flown:
+            return False
+        return self.guard is None or self.guard.lets(follower, now_s)
+
+    def _sent(self, follower: FollowerState, point: GlobalPosition, now_s: float) -> None:
+        follower.flown = True
+        if self.guard is None:
+            return
+        self.guard.sent(follower.plan.system_id, point, now_s)
+        if follower.held_at is not None:
+            self.guard.holding(follower, now_s)
 
     def _point_for(self, follower: FollowerState, now_s: float) -> GlobalPosition | None:
         fix = self.leader.fix
+        if fix is None and not follower.flown:
+            return None
+        reason = self._reason_to_stop(follower, fix, now_s)
+        if reason is not None or fix is None:
+            return self._hold(follower, reason or "leader has restarted", now_s)
+        if follower.held_at is not None:
+            self._let_go(follower, now_s)
+        follower.guided = self._guide(follower, fix, now_s)
+        return follower.guided.point
+
+    def _reason_to_stop(
+        self, follower: FollowerState, fix: LeaderFix | None, now_s: float
+    ) -> str | None:
+        if self._stopping is not None:
+            return self._stopping
         if fix is None:
             return None
         if is_stale(now_s - fix.time_s, self.settings):
-            return self._hold(follower, now_s)
-        if follower.held_at is not None:
-            follower.held_at = None
-            self._say(now_s, f"follower {follower.plan.system_id}: leader heard again, following")
-        follower.guided = self._guide(follower, fix, now_s)
-        return follower.guided.point
+            return STALE
+        if self.guard is None:
+            return None
+        leader = self._leader_for(follower, fix, now_s)
+        return self.guard.reason_to_stop(follower, leader, self.followers, now_s)
+
+    def _leader_for(self, follower: FollowerState, fix: LeaderFix, now_s: float) -> GlobalPosition:
+        """Where the leader is now, as this follower's receiver would have it."""
+        now = predicted(fix, max(0.0, now_s - fix.time_s)).position
+        if not self.settings.learn_offset:
+            return now
+        return displace(now, (-follower.offset.north_m, -follower.offset.east_m, 0.0))
+
+    def _let_go(self, follower: FollowerState, now_s: float) -> None:
+        again = "leader heard again" if follower.hold_reason == STALE else "clear again"
+        self._release(follower)
+        if self._moves(follower):
+            self._say(now_s, f"follower {follower.plan.system_id}: {again}, following")
+
+    def _release(self, follower: FollowerState) -> None:
+        follower.held_at = follower.hold_reason = follower.held_altitude_m = None
+        if self.guard is not None:
+            self.guard.moving(follower.plan.system_id)
+
+    def _moves(self, follower: FollowerState) -> bool:
+        """Whether it is ours to move, so that a stop is worth a word."""
+        return self.guard is None or (self.engaged and follower.in_guided)
 
     def _guide(self, follower: FollowerState, fix: LeaderFix, now_s: float) -> GuidedPoint:
         if not self.settings.learn_offset:
@@ -286,7 +390,9 @@ class FollowSession:
         plan = follower.plan
         facing = follower.guided is not None and follower.held_at is None
         yaw_rad = follower.guided.yaw_rad if facing and follower.guided else None
-        altitude_m = plan.altitude_m + plan.slot.altitude_step_m
+        altitude_m = follower.held_altitude_m
+        if altitude_m is None:
+            altitude_m = plan.altitude_m + plan.slot.altitude_step_m
         return position_target(plan.system_id, point, altitude_m, yaw_rad, now_s)
 
     def _line_rad(self, follower: FollowerState, now_s: float) -> float:
@@ -294,11 +400,14 @@ class FollowSession:
         north_m, east_m = self._believed(follower, now_s) or (1.0, 0.0)
         return math.atan2(east_m, north_m)
 
-    def _hold(self, follower: FollowerState, now_s: float) -> GlobalPosition | None:
-        """Stop where it is: a target at its own position, kept until the leader is back."""
+    def _hold(self, follower: FollowerState, reason: str, now_s: float) -> GlobalPosition | None:
+        """Stop where it is: a target at its own position, kept until there is no reason left."""
         if follower.held_at is None and follower.position is not None:
             follower.held_at = follower.position
-            self._say(now_s, f"follower {follower.plan.system_id}: leader is stale, holding")
+            follower.held_altitude_m = _altitude_to_keep(follower)
+            if self._moves(follower):
+                self._say(now_s, f"follower {follower.plan.system_id}: {reason}, holding")
+        follower.hold_reason = reason
         return follower.held_at
 
     def _say(self, now_s: float, text: str) -> None:
@@ -322,6 +431,9 @@ class FollowSession:
             follower.position = GlobalPosition(
                 message.lat / 1e7, message.lon / 1e7, message.alt / 1e3
             )
+            follower.position_at_s = now_s
+            follower.altitude_m = message.relative_alt / 1e3
+            follower.ground_speed_mps = math.hypot(message.vx, message.vy) / 100.0
             follower.heading_rad = math.radians(message.hdg / 100.0)
         elif kind == "NAMED_VALUE_FLOAT" and message.name == SONAR_READING:
             self._sonar(follower, message.value, now_s)
@@ -330,8 +442,11 @@ class FollowSession:
 
     def _sonar(self, follower: FollowerState, range_m: float, now_s: float) -> None:
         """Learn the receivers' disagreement from a reading that may be of the leader."""
+        before_s, before_m = follower.reading
+        follower.reading = (now_s, range_m)
+        confirmed = now_s - before_s < CONFIRM_S and abs(range_m - before_m) < CONFIRM_M
         believed = self._believed(follower, now_s)
-        if believed is None or not 0.0 < range_m < DETECTION_LIMIT_M:
+        if believed is None or not confirmed or not 0.0 < range_m < DETECTION_LIMIT_M:
             return
         distance_m = range_m + self.settings.sonar_inset_m
         follower.offset.heard(now_s, distance_m, follower.heading_rad, believed)
@@ -347,12 +462,32 @@ class FollowSession:
         north_m, east_m, _ = ned_between(follower.position, predicted(fix, age_s).position)
         return north_m, east_m
 
+    def _leader_position(self, message: Any, now_s: float) -> None:
+        rejected = self.leader.rejected
+        self.leader.receive(message, now_s)
+        jumped = self.leader.rejected > rejected
+        if self.guard is not None and jumped and not self._leader_jumps:
+            self._say(now_s, "leader jumps: not believed until its reports agree again")
+        self._leader_jumps = jumped
+
     def _mode(self, follower: FollowerState, heartbeat: Any, now_s: float) -> None:
-        armed = bool(heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
-        in_guided = armed and heartbeat.custom_mode == GUIDED_MODE
-        if follower.in_guided and not in_guided:
-            self._say(now_s, f"follower {follower.plan.system_id}: left Guided, hands off")
+        follower.mode = heartbeat.custom_mode
+        in_guided = is_flying(heartbeat) and follower.mode == GUIDED_MODE
+        if in_guided is follower.in_guided:
+            return
         follower.in_guided = in_guided
+        # Whatever was held against it, and wherever it was held, was in another flight.
+        follower.flown = False
+        self._release(follower)
+        if not in_guided:
+            left = f"left Guided for {mode_name(heartbeat.custom_mode)}"
+            if heartbeat.custom_mode == GUIDED_MODE:
+                left = "not flying any more"
+            self._say(now_s, f"follower {follower.plan.system_id}: {left}, hands off")
+        elif self.guard is not None:
+            self.guard.entered_guided(follower.plan.system_id)
+            deed = "following" if self.engaged else "only watched"
+            self._say(now_s, f"follower {follower.plan.system_id}: in Guided, {deed}")
 
     def _housekeeping(self, now_s: float) -> list[tuple[int, Any]]:
         messages: list[tuple[int, Any]] = []
@@ -369,18 +504,32 @@ class FollowSession:
         if now_s - self._rates_at_s >= RATE_REQUEST_PERIOD_S:
             self._rates_at_s = now_s
             messages.extend(self._rate_requests())
+        if self._rates is not None:
+            self._rates.check(now_s)
         return messages
 
     def _rate_requests(self) -> list[tuple[int, Any]]:
-        position = mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
-        periods: Sequence[tuple[int, int]] = [
-            (self.leader_id, self._leader_period_us),
-            *((system_id, 100_000) for system_id in self.followers),
-        ]
         return [
-            (system_id, _message_interval(system_id, position, period_us))
-            for system_id, period_us in periods
+            (system_id, _message_interval(system_id, message_id, round(1e6 / rate_hz)))
+            for system_id, message_id, rate_hz in self._wanted()
         ]
+
+    def _wanted(self) -> list[tuple[int, int, float]]:
+        """What each vehicle is to send: system id, message id, rate in Hz."""
+        position = mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
+        return [
+            (self.leader_id, position, self._leader_rate_hz),
+            *((system_id, position, FOLLOWER_POSITION_HZ) for system_id in self.followers),
+            *(self.guard.requests() if self.guard is not None else ()),
+        ]
+
+
+def _altitude_to_keep(follower: FollowerState) -> float:
+    """Above its home: the wanted altitude where it is about there, else its own."""
+    wanted_m = follower.plan.altitude_m + follower.plan.slot.altitude_step_m
+    if follower.altitude_m is None or abs(follower.altitude_m - wanted_m) <= SAME_ALTITUDE_M:
+        return wanted_m
+    return follower.altitude_m
 
 
 def position_target(

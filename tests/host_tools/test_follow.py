@@ -302,10 +302,10 @@ def test_what_is_no_target_teaches_nothing(range_m: float) -> None:
 
 
 def test_an_unheard_leader_is_given_a_wider_berth() -> None:
-    """Two receivers of 0.8 m disagree by 1.13 m: 1 m + 2 x 1.13 m = 3.26 m."""
+    """Two receivers of 0.8 m disagree by 1.13 m: 1 m + 2.5 x 1.13 m = 3.83 m."""
     (target,) = targets(listening_session(7.66), 30.0)
 
-    assert metres_from_here(target)[0] == pytest.approx(-3.26, abs=0.03)
+    assert metres_from_here(target)[0] == pytest.approx(-3.83, abs=0.03)
 
 
 def test_another_vehicles_echo_is_not_taken_for_the_leader() -> None:
@@ -316,5 +316,14 @@ def test_another_vehicles_echo_is_not_taken_for_the_leader() -> None:
         follow.receive(from_vehicle(LEADER, position(t_s, HERE)), t_s)
         follow.receive(from_vehicle(FOLLOWER, position(t_s, far_away)), t_s)
         follow.receive(from_vehicle(FOLLOWER, sonar_reading(3.0)), t_s)
+
+    assert follow.followers[FOLLOWER].offset.north_m == 0.0
+
+
+def test_a_single_wild_reading_teaches_nothing() -> None:
+    follow = listening_session(7.66)
+
+    for number, range_m in enumerate((1.0, 7.66, 3.9, 2.1)):
+        follow.receive(from_vehicle(FOLLOWER, sonar_reading(range_m)), 30.0 + number * 0.1)
 
     assert follow.followers[FOLLOWER].offset.north_m == 0.0

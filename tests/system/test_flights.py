@@ -10,6 +10,7 @@ import pytest
 
 from echowing.sim.scenario import load_scenario
 from echowing.sim.summary import FlownScenario, fly
+from echowing.sim.wall import highest_stopping_speed_mps
 
 SEEDS = range(1, 11)
 GRAY_SEEDS = range(1, 21)
@@ -80,12 +81,17 @@ def test_fifty_followers_stay_apart() -> None:
 
 
 def test_the_default_law_stops_before_a_wall_and_the_thesis_law_is_flown_beside_it() -> None:
-    ours = flown("wall", 1)
-    thesis = flown("wall", 1, "law=thesis")
+    assert flown("wall", 1).closest_m >= 1.0
+    assert flown("wall", 1, "law=thesis").closest_m < flown("wall", 1).closest_m
 
-    assert ours.closest_m >= 1.0
-    # Its slowest step is 0.5 m/s, never 0, so it creeps on into the wall.
-    assert thesis.closest_m < 0.3
+
+def test_the_default_law_stops_from_higher_speeds_than_the_thesis_law() -> None:
+    ours_mps = highest_stopping_speed_mps(load_scenario("wall"), 1)
+    thesis_mps = highest_stopping_speed_mps(load_scenario("wall", ["law=thesis"]), 1)
+
+    # 2 m/s is what the thesis flew at its wall.
+    assert ours_mps >= 2.0
+    assert thesis_mps < ours_mps
 
 
 def test_a_sonar_that_sees_its_leader_most_of_the_time() -> None:
