@@ -1,0 +1,437 @@
+"""What stops a follower in the field, and whether it really stopped. Pure.
+
+The follow session asks the guard before every point. The guard never frees a vehicle: what it
+has stopped for a reason that does not pass by itself (a refused target, the stop switch) stays
+stopped until the pilot has left Guided and come back.
+"""
+
+import math
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from echowing.errors import EchowingError
+from echowing.geo import GlobalPosition, distance_m, ned_between
+
+if TYPE_CHECKING:
+    from echowing.follow import FollowerState
+
+Say = Callable[[float, str], None]
+
+# Modes that a stop switch may choose. STABILIZE is none: a low throttle stick drops the vehicle.
+SWITCH_MODES = {
+    "LOITER": mavlink.COPTER_MODE_LOITER,
+    "BRAKE": mavlink.COPTER_MODE_BRAKE,
+    "LAND": mavlink.COPTER_MODE_LAND,
+    "RTL": mavlink.COPTER_MODE_RTL,
+}
+# What ArduPilot takes as a pulse of a receiver; 0 means that there is none.
+VALID_PULSE_US = range(801, 2200)
+CHANNELS = 18  # of RC_CHANNELS
+
+# A hovering copter's estimate wanders by a decimetre a second; below this it stands.
+STILL_MPS = 0.3
+STILL_FOR_S = 1.0
+# From 2 m/s a copter stands within 3 s; one that still moves then is told of.
+REMIND_S = 3.0
+# Two missed reports of a second each, and the mode is no longer known.
+UNHEARD_S = 2.0
+# A stop ends only when things are this much better than what caused it.
+CLEAR_M = 0.5
+CLEAR_SHARE = 0.9
+
+# Read back: positions travel as 1e-7 degrees (1 cm), so this far from everything sent is refused.
+REFUSED_M = 0.5
+REFUSED_FOR_S = 2.0
+REMEMBERED_S = 3.0
+# The applet's own targets (lua/echowing.md): too close, stream lost, backing off.
+APPLET_STATE = "ECHO_STATE"
+APPLET_FLIES = (3, 5, 6)
+WATCHDOG = "ECHO_STREAM_T"
+WATCHDOG_ASKS = 3
+WATCHDOG_PERIOD_S = 2.0
+
+READ_BACK_HZ = 4.0
+SWITCH_HZ = 4.0
+MODE_PERIOD_S = 0.5
+# Rates are judged over this long; so much of what was asked for will do.
+RATE_WINDOW_S = 8.0
+RATE_SHARE = 0.6
+
+
+@dataclass(frozen=True, slots=True)
+class StopSwitch:
+    """A switch on a transmitter: on above `pwm_us`; `mode`: what to change to, None: just stop."""
+
+    channel: int
+    pwm_us: int
+    mode: str | None = None
+
+    def pulse_us(self, message: Any) -> int:
+        """The channel's pulse in an RC_CHANNELS; 0: none."""
+        return int(getattr(message, f"chan{self.channel}_raw"))
+
+
+def parse_stop_switch(text: str) -> StopSwitch:
+    """`CH:PWM[:MODE]`, as `5:1200` or `7:1700:LOITER`. Raises EchowingError."""
+    channel, _, rest = text.partition(":")
+    pwm, _, mode = rest.partition(":")
+    if not channel.isdecimal() or not 1 <= int(channel) <= CHANNELS:
+        raise EchowingError(f"stop switch {text!r}: the channel is a number from 1 to {CHANNELS}")
+    if not pwm.isdecimal() or int(pwm) not in VALID_PULSE_US:
+        raise EchowingError(f"stop switch {text!r}: the pulse is a number from 801 to 2199 us")
+    if mode.upper() == "STABILIZE":
+        raise EchowingError(
+            f"stop switch {text!r}: STABILIZE is refused, since a low throttle stick drops the "
+            f"vehicle; take {', '.join(SWITCH_MODES)}, or no mode to stop in Guided"
+        )
+    if mode and mode.upper() not in SWITCH_MODES:
+        raise EchowingError(f"stop switch {text!r}: the mode is one of {', '.join(SWITCH_MODES)}")
+    return StopSwitch(int(channel), int(pwm), mode.upper() or None)
+
+
+def mode_name(number: int) -> str:
+    """Copter's name of a mode."""
+    entry = mavlink.enums["COPTER_MODE"].get(number)
+    return entry.name.removeprefix("COPTER_MODE_") if entry else f"mode {number}"
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """When to stop.
+
+    max_distance_m: from follower to leader; min_separation_m: between any two vehicles, heights
+    included; leader_flies: the leader has to be armed and in the air.
+    """
+
+    max_distance_m: float | None = None
+    min_separation_m: float | None = None
+    leader_flies: bool = True
+    switch: StopSwitch | None = None
+
+
+@dataclass(slots=True)
+class _Watch:
+    """What the guard knows of one follower."""
+
+    sent: deque[tuple[float, GlobalPosition]] = field(default_factory=deque)
+    off_since_s: float | None = None
+    refused: bool = False
+    applet_state: int = 0
+    switched: bool = False
+    released: bool = False
+    mode_at_s: float = -math.inf
+    unheard: bool = False
+    still_since_s: float | None = None
+    told_at_s: float | None = None
+    verified: bool = False
+    watchdog_s: float | None = None
+    watchdog_asks: int = 0
+    watchdog_at_s: float = -math.inf
+
+
+class Guard:
+    """Watches the vehicles of one session; `say(now_s, text)` tells the operator."""
+
+    def __init__(
+        self, limits: Limits, leader_id: int, follower_ids: Iterable[int], say: Say
+    ) -> None:
+        self.limits = limits
+        self._leader_id = leader_id
+        self._watches = {system_id: _Watch() for system_id in follower_ids}
+        self._say = say
+        self._leader_flies: bool | None = None
+        self._leader_switched = False
+
+    # ---- what comes in --------------------------------------------------------------------------
+
+    def receive(self, system_id: int, kind: str, message: Any, now_s: float) -> None:
+        """Take a message of the leader or of a follower."""
+        if kind == "RC_CHANNELS" and self.limits.switch is not None:
+            self._switch(system_id, self.limits.switch, message)
+        elif system_id == self._leader_id:
+            self._leader_message(kind, message)
+        elif kind == "POSITION_TARGET_GLOBAL_INT":
+            self._read_back(system_id, message, now_s)
+        elif kind == "NAMED_VALUE_FLOAT" and message.name == APPLET_STATE:
+            self._watches[system_id].applet_state = round(message.value)
+        elif kind == "PARAM_VALUE" and message.param_id == WATCHDOG:
+            self._watches[system_id].watchdog_s = message.param_value
+
+    def _leader_message(self, kind: str, message: Any) -> None:
+        autopilot = message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1
+        if kind == "HEARTBEAT" and autopilot:
+            self._leader_flies = is_flying(message)
+
+    def _switch(self, system_id: int, switch: StopSwitch, message: Any) -> None:
+        pulse_us = switch.pulse_us(message)
+        if pulse_us not in VALID_PULSE_US:
+            return
+        on = pulse_us > switch.pwm_us
+        if system_id == self._leader_id:
+            self._leader_switched = on
+        else:
+            self._watches[system_id].switched = on
+
+    def _read_back(self, system_id: int, message: Any, now_s: float) -> None:
+        """Note a target that is none of those sent lately, unless the applet set it."""
+        watch = self._watches[system_id]
+        while watch.sent and now_s - watch.sent[0][0] > REMEMBERED_S:
+            watch.sent.popleft()
+        target = GlobalPosition(message.lat_int / 1e7, message.lon_int / 1e7, 0.0)
+        if (
+            not watch.sent
+            or watch.applet_state in APPLET_FLIES
+            or any(_apart_m(target, point) < REFUSED_M for _, point in watch.sent)
+        ):
+            watch.off_since_s = None
+        elif watch.off_since_s is None:
+            watch.off_since_s = now_s
+        elif now_s - watch.off_since_s >= REFUSED_FOR_S and not watch.refused:
+            watch.refused = True
+            self._say(
+                now_s,
+                f"follower {system_id}: its autopilot did not take the points sent "
+                "(a fence in the way?)",
+            )
+
+    def entered_guided(self, system_id: int) -> None:
+        """The pilot has put a follower in Guided: what was held against it is forgotten."""
+        known = self._watches[system_id]
+        self._watches[system_id] = _Watch(
+            applet_state=known.applet_state,
+            switched=known.switched,
+            watchdog_s=known.watchdog_s,
+            watchdog_asks=known.watchdog_asks,
+        )
+
+    # ---- what is to be done ---------------------------------------------------------------------
+
+    def reason_to_stop(
+        self,
+        follower: "FollowerState",
+        leader: GlobalPosition,
+        followers: Mapping[int, "FollowerState"],
+        now_s: float,
+    ) -> str | None:
+        """Why this follower may not move now; None: it may. `leader`: where it is believed."""
+        watch = self._watches[follower.plan.system_id]
+        if watch.switched or self._leader_switched:
+            return "stop switch"
+        if watch.refused:
+            return "its points are refused"
+        if self.limits.leader_flies and self._leader_flies is not True:
+            return "leader is not known to fly"
+        if follower.position is None:
+            return None
+        return self._too_far(follower, leader) or self._too_near(follower, leader, followers, now_s)
+
+    def _too_far(self, follower: "FollowerState", leader: GlobalPosition) -> str | None:
+        most_m = self.limits.max_distance_m
+        if most_m is None or follower.position is None:
+            return None
+        if follower.hold_reason is not None:
+            most_m *= CLEAR_SHARE
+        apart_m = distance_m(follower.position, leader)
+        return f"leader is beyond {most_m:.0f} m" if apart_m > most_m else None
+
+    def _too_near(
+        self,
+        follower: "FollowerState",
+        leader: GlobalPosition,
+        followers: Mapping[int, "FollowerState"],
+        now_s: float,
+    ) -> str | None:
+        least_m = self.limits.min_separation_m
+        if least_m is None or follower.position is None:
+            return None
+        if follower.hold_reason is not None:
+            least_m += CLEAR_M
+        places = {"the leader": leader}
+        for system_id, other in followers.items():
+            fresh = now_s - other.position_at_s < UNHEARD_S
+            if other is not follower and other.position is not None and fresh:
+                places[f"follower {system_id}"] = other.position
+        for name, place in places.items():
+            if distance_m(follower.position, place) < least_m:
+                return f"nearer to {name} than {least_m:g} m"
+        return None
+
+    def lets(self, follower: "FollowerState", now_s: float) -> bool:
+        """Whether points may go to this follower at all: it is heard, and not handed back."""
+        system_id = follower.plan.system_id
+        watch = self._watches[system_id]
+        unheard = now_s - follower.position_at_s > UNHEARD_S
+        if unheard is not watch.unheard:
+            watch.unheard = unheard
+            text = f"not heard for {UNHEARD_S:g} s, no points sent" if unheard else "heard again"
+            self._say(now_s, f"follower {system_id}: {text}")
+        handed_back = watch.released or (self._switched(watch) and not follower.flown)
+        return not unheard and not handed_back
+
+    def sent(self, system_id: int, point: GlobalPosition, now_s: float) -> None:
+        """A point has gone to a follower."""
+        self._watches[system_id].sent.append((now_s, point))
+
+    def moving(self, system_id: int) -> None:
+        """A follower is flown again: its next stop has to be verified anew."""
+        watch = self._watches[system_id]
+        watch.still_since_s = watch.told_at_s = None
+        watch.verified = False
+
+    def holding(self, follower: "FollowerState", now_s: float) -> None:
+        """A follower is told to hold: see whether it does."""
+        system_id = follower.plan.system_id
+        watch = self._watches[system_id]
+        if watch.told_at_s is None:
+            watch.told_at_s = now_s
+        if follower.ground_speed_mps > STILL_MPS:
+            self._remind(system_id, watch, follower.ground_speed_mps, now_s)
+        elif watch.still_since_s is None:
+            watch.still_since_s = now_s
+        elif now_s - watch.still_since_s >= STILL_FOR_S and not watch.verified:
+            watch.verified = True
+            self._say(now_s, f"follower {system_id}: stands")
+            if self._switched(watch):
+                watch.released = True
+                self._say(now_s, f"follower {system_id}: hands off, by the stop switch")
+
+    def _remind(self, system_id: int, watch: _Watch, speed_mps: float, now_s: float) -> None:
+        watch.still_since_s = None
+        watch.verified = False
+        if watch.told_at_s is not None and now_s - watch.told_at_s >= REMIND_S:
+            watch.told_at_s = now_s
+            self._say(
+                now_s, f"follower {system_id}: still moves at {speed_mps:.1f} m/s, stopped again"
+            )
+
+    def _switched(self, watch: _Watch) -> bool:
+        return watch.switched or self._leader_switched
+
+    def stands(self, system_id: int) -> bool:
+        """Whether this follower's stop has been verified."""
+        return self._watches[system_id].verified
+
+    # ---- what it asks of the vehicles -----------------------------------------------------------
+
+    def messages(
+        self, followers: Mapping[int, "FollowerState"], now_s: float
+    ) -> list[tuple[int, Any]]:
+        """Mode changes that the pilot's switch asks for, and the question for the watchdog."""
+        messages: list[tuple[int, Any]] = []
+        for system_id, follower in followers.items():
+            watch = self._watches[system_id]
+            mode = self._wanted_mode(follower, watch, now_s)
+            if mode is not None:
+                messages.append((system_id, _set_mode(system_id, mode)))
+            if self._asks_watchdog(system_id, watch, now_s):
+                messages.append((system_id, _read_parameter(system_id, WATCHDOG)))
+        return messages
+
+    def _wanted_mode(self, follower: "FollowerState", watch: _Watch, now_s: float) -> int | None:
+        switch = self.limits.switch
+        wanted = switch is not None and switch.mode is not None and self._switched(watch)
+        if not wanted or not follower.in_guided or not follower.flown:
+            return None
+        if now_s - watch.mode_at_s < MODE_PERIOD_S:
+            return None
+        watch.mode_at_s = now_s
+        return SWITCH_MODES[switch.mode] if switch and switch.mode else None
+
+    def _asks_watchdog(self, system_id: int, watch: _Watch, now_s: float) -> bool:
+        if watch.watchdog_s is not None or watch.watchdog_asks > WATCHDOG_ASKS:
+            return False
+        if now_s - watch.watchdog_at_s < WATCHDOG_PERIOD_S:
+            return False
+        watch.watchdog_at_s = now_s
+        watch.watchdog_asks += 1
+        if watch.watchdog_asks <= WATCHDOG_ASKS:
+            return True
+        self._say(
+            now_s,
+            f"follower {system_id}: no stream watchdog ({WATCHDOG} does not answer): should this "
+            "tool or the radio die, it flies on to its last point",
+        )
+        return False
+
+    def requests(self) -> list[tuple[int, int, float]]:
+        """Messages wanted beside the positions: system id, message id, rate in Hz."""
+        wanted = [
+            (system_id, mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT, READ_BACK_HZ)
+            for system_id in self._watches
+        ]
+        if self.limits.switch is not None:
+            for system_id in (self._leader_id, *self._watches):
+                wanted.append((system_id, mavlink.MAVLINK_MSG_ID_RC_CHANNELS, SWITCH_HZ))
+        return wanted
+
+
+class RateWatch:
+    """Whether the messages that were asked for come as often as asked."""
+
+    def __init__(self, wanted: Iterable[tuple[int, int, float]], say: Say) -> None:
+        self._wanted_hz = {(system_id, kind): rate_hz for system_id, kind, rate_hz in wanted}
+        self._counts = dict.fromkeys(self._wanted_hz, 0)
+        self._short: set[tuple[int, int]] = set()
+        self._since_s: float | None = None
+        self._say = say
+
+    def received(self, system_id: int, message_id: int) -> None:
+        """Count a message."""
+        key = (system_id, message_id)
+        if key in self._counts:
+            self._counts[key] += 1
+
+    def check(self, now_s: float) -> None:
+        """Say which messages have begun to come too seldom, and which are well again."""
+        if self._since_s is None:
+            self._since_s = now_s
+        elapsed_s = now_s - self._since_s
+        if elapsed_s < RATE_WINDOW_S:
+            return
+        for key, count in self._counts.items():
+            self._judge(key, count / elapsed_s, now_s)
+            self._counts[key] = 0
+        self._since_s = now_s
+
+    def _judge(self, key: tuple[int, int], rate_hz: float, now_s: float) -> None:
+        short = rate_hz < RATE_SHARE * self._wanted_hz[key]
+        if short is (key in self._short):
+            return
+        self._short.symmetric_difference_update({key})
+        name = mavlink.mavlink_map[key[1]].msgname
+        wish = f"{self._wanted_hz[key]:g} Hz asked for"
+        advice = ": check the radio and the stream rates" if short else ": well again"
+        self._say(now_s, f"system {key[0]}: {name} comes at {rate_hz:.1f} Hz, {wish}{advice}")
+
+
+def is_flying(heartbeat: Any) -> bool:
+    """Armed and off the ground (ArduCopter says STANDBY while landed)."""
+    armed = heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED
+    return bool(armed) and heartbeat.system_status >= mavlink.MAV_STATE_ACTIVE
+
+
+def _apart_m(a: GlobalPosition, b: GlobalPosition) -> float:
+    north_m, east_m, _ = ned_between(a, b._replace(alt_m=a.alt_m))
+    return math.hypot(north_m, east_m)
+
+
+def _set_mode(system_id: int, mode: int) -> Any:
+    return mavlink.MAVLink_command_long_message(
+        system_id,
+        mavlink.MAV_COMP_ID_AUTOPILOT1,
+        mavlink.MAV_CMD_DO_SET_MODE,
+        0,
+        mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED,
+        mode,
+        *(0.0,) * 5,
+    )
+
+
+def _read_parameter(system_id: int, name: str) -> Any:
+    return mavlink.MAVLink_param_request_read_message(
+        system_id, mavlink.MAV_COMP_ID_AUTOPILOT1, name.encode(), -1
+    )
