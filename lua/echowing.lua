@@ -686,6 +686,19 @@ local function target_behind_m(here, t_ms)
     return target and math.max(0.0, -ahead_m(here, target:lat(), target:lng())) or 0.0
 end
 
+-- Whether the streamed target leads clear of the leader: back, or more than 60 degrees to the side of where the sonar
+-- looks. The limit is against coming nearer, never against getting away.
+local function leads_clear(t_ms)
+    if S.holding or not S.stream_ms or t_ms - S.stream_ms >= TARGET_FRESH_MS or not S.target_lat then return false end
+    local here = vehicle:get_likely_flying() and ahrs:get_location()
+    if not here then return false end
+    local target = here:copy()
+    target:lat(S.target_lat)
+    target:lng(S.target_lng)
+    local distance_m = here:get_distance(target)
+    return distance_m > EVADE_LEAST_M and ahead_m(here, S.target_lat, S.target_lng) < 0.5 * distance_m
+end
+
 -- A target so far straight back (0: right here), at this height, looking where it looks now: Guided would turn the nose,
 -- and with it the sonar, towards a target without a yaw.
 local function fly_back(back_m)
@@ -794,6 +807,7 @@ local function guard(range_m, status, t_ms)
         return too_close(tracked_m or 0.0, closing_mps, t_ms)
     end
     S.too_close, S.evading = false, false
+    if C.LAW >= 1 and leads_clear(t_ms) then return C.SPD_MAX end
     local near_m = nearest(range_m, t_ms)
     if near_m and is_too_close(near_m, closing_mps, 0.0) then return C.SPD_MIN end -- readings not yet trusted slow, no more
     return S.speed_mps

@@ -36,9 +36,9 @@ class LeaderEvent(_Section):
     """Something the leader does, from `at_s` on.
 
     auto: its mission; goto: Auto to `point_ned_m` at `speed_mps`, braking and turning as Auto does;
-    fly: at `velocity_ned_mps` with heading `yaw_deg`, at once; at_follower: straight at the first
-    follower at `speed_mps`; hold: stop; gps_jump: its position is off by `jump_ned_m`; silent: its
-    radio is dead; heard: radio and GPS are well again.
+    fly: at `velocity_ned_mps` with heading `yaw_deg`, at once; at_follower: at `speed_mps`
+    straight at where the first follower then is, and on; hold: stop; gps_jump: its position is
+    off by `jump_ned_m`; silent: its radio is dead; heard: radio and GPS are well again.
     """
 
     at_s: NotNegative

@@ -106,6 +106,7 @@ class LeaderPilot:
         self._still_since_s: float | None = None
         self.event: LeaderEvent | None = None
         self.silent = False
+        self._attack: Ned = (0.0, 0.0, 0.0)
 
     def step(self, t_s: float, follower: Ned) -> None:
         """Act at `t_s`; `follower` is where the first follower truly is (to be flown at)."""
@@ -138,14 +139,14 @@ class LeaderPilot:
     def _act(self, t_s: float, follower: Ned) -> None:
         while self._script and t_s >= self._script[0].at_s:
             self.event = self._script.pop(0)
-            self._begin(self.event)
+            self._begin(self.event, follower)
         # A velocity target times out on the autopilot (GUID_TIMEOUT), so it is said again.
         if self.event is not None and self.event.act in ("fly", "hold"):
             self._fly(self.event.velocity_ned_mps, self.event.yaw_deg)
         elif self.event is not None and self.event.act == "at_follower":
-            self._fly_at(follower, self.event)
+            self._fly(self._attack, math.degrees(math.atan2(self._attack[1], self._attack[0])))
 
-    def _begin(self, event: LeaderEvent) -> None:
+    def _begin(self, event: LeaderEvent, follower: Ned) -> None:
         leader = self._leader
         if event.act == "auto":
             leader.autopilot.start_mission(mission(self._plan), self._plan.speed_mps)
@@ -159,15 +160,15 @@ class LeaderPilot:
             self.silent = False
             leader.drift.jump_ned_m = (0.0, 0.0, 0.0)
         else:
+            self._attack = self._attack_on(follower, event.speed_mps)
             leader.autopilot.set_mode("GUIDED")
 
-    def _fly_at(self, follower: Ned, event: LeaderEvent) -> None:
+    def _attack_on(self, follower: Ned, speed_mps: float) -> Ned:
+        """The velocity straight at where the follower is now."""
         here = self._leader.position_ned_m
         north, east = follower[0] - here[0], follower[1] - here[1]
-        distance_m = math.hypot(north, east)
-        if distance_m > 0.0:
-            pace = event.speed_mps / distance_m
-            self._fly((north * pace, east * pace, 0.0), math.degrees(math.atan2(east, north)))
+        pace = speed_mps / max(math.hypot(north, east), 1e-6)
+        return north * pace, east * pace, 0.0
 
     def _fly(self, velocity: Ned, yaw_deg: float | None) -> None:
         yaw_rad = None if yaw_deg is None else math.radians(yaw_deg)
