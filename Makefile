@@ -8,13 +8,13 @@ export PATH := $(CURDIR)/$(BIN):$(PATH)
 .PHONY: help demo test test-long bench lint format setup setup-test core clean
 
 help: ## list the targets
-	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 16
+	@grep -hE '^[a-z0-9-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z0-9-]+):.*## /\1\t/' | expand -t 16
 
 demo: setup core emulated ## fly the scenarios, print the table, write out/demo/report.html
 	@$(BIN)/echowing demo --out out/demo
 
 test: setup-test core emulated lint ## every check and every test
-	$(BIN)/pytest
+	$(BIN)/pytest -n 2 --dist loadfile
 
 test-long: setup-test core emulated ## the tests that take longer than CI allows
 	$(BIN)/pytest -m long
@@ -26,7 +26,7 @@ lint: setup-test ## formatters and linters, nothing is changed
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
-	luacheck -q lua
+	luacheck -q --config lua/.luacheckrc lua host_tools/echowing/sim/lua_prelude.lua
 	$(BIN)/clang-format --dry-run --Werror $$(git ls-files 'firmware/*.cpp' 'firmware/*.hpp' 'firmware/*.h' 'firmware/*.c' 'firmware/*.ino')
 
 format: setup-test ## let the formatters have their way

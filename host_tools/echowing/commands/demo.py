@@ -51,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--firmware",
         choices=["native", "avr"],
-        default="native",
+        default="avr",
         help="the co-processor in the flights that are plotted",
     )
 
