@@ -193,6 +193,17 @@ TEST_CASE("a change is stored after two seconds, only on the ground, and lives o
   CHECK_FALSE(later.said("corrupt"));
 }
 
+TEST_CASE("nothing is stored when the autopilot falls silent in flight") {
+  Rig rig;
+  rig.autopilot(1, true);
+  rig.run(ms(500));
+  rig.set_parameter("SCAN_DWELL", 400);
+  rig.silence_autopilot();
+  rig.run(ms(20000));
+  CHECK(rig.memory.writes == 0);
+  CHECK(rig.command(246, 1) == MAV_RESULT_TEMPORARILY_REJECTED);
+}
+
 TEST_CASE("setting what is set already does not wear the memory") {
   Rig rig;
   rig.set_parameter("SCAN_DWELL", 300);

@@ -109,6 +109,21 @@ TEST_CASE("one missed acknowledgement passes unnoticed") {
   CHECK(rig.sonar.recoveries == 0);
 }
 
+TEST_CASE("with a slow period too, one missed acknowledgement is asked for again") {
+  Rig rig;
+  rig.set_parameter("SONAR_PERIOD", 1000);
+  rig.run(ms(5000));
+  rig.forget();
+  rig.run_until([&] { return rig.named("SNR_RAW").size() == 1; }, ms(2000));
+  rig.run(ms(990));
+  rig.sonar.plugged = false;
+  rig.run(ms(60));
+  rig.sonar.plugged = true;
+  rig.run(ms(3000));
+  CHECK(rig.sonar.recoveries == 0);
+  CHECK(rig.named("SNR_RAW").size() >= 3);
+}
+
 TEST_CASE("a sonar that browns out between ping and reading tells nothing false") {
   Rig rig;
   rig.run(ms(3000));

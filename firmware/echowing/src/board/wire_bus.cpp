@@ -13,6 +13,8 @@ constexpr uint32_t kClock_hz = 100000;
 
 #if defined(__AVR__)
 // A read of three bytes takes 0.3 ms at 100 kHz; a stuck bus may not hold a loop turn for long.
+// On STM32 the same is said in milliseconds by I2C_TIMEOUT_TICK in the sketch's build_opt.h, a
+// file in which that core takes compiler options and no comments.
 constexpr uint32_t kTimeout_us = 1000;
 #endif
 

@@ -17,6 +17,8 @@ class AutopilotWatch {
 
   bool heard() const { return heard_; }
   bool armed() const { return heard_ && armed_; }
+  // Armed when last heard: silence may be a broken wire in flight.
+  bool maybe_flying() const { return armed_; }
   // The vehicle's system id once learned, else `before`.
   uint8_t system_id(uint8_t before) const { return system_id_ != 0 ? system_id_ : before; }
 

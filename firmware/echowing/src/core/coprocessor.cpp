@@ -182,7 +182,7 @@ uint8_t Coprocessor::execute_on_bench(Microseconds now, const Command& command) 
     default: return MAV_RESULT_UNSUPPORTED;
   }
   // In flight the gimbal belongs to the leader.
-  if (autopilot_.armed()) return MAV_RESULT_TEMPORARILY_REJECTED;
+  if (autopilot_.maybe_flying()) return MAV_RESULT_TEMPORARILY_REJECTED;
   switch (command.id) {
     case kCommandSetServo: return hold_servo(value[0], value[1]);
     case kCommandGimbalAngles: return hold_angles(value[0], value[1]);
@@ -360,7 +360,7 @@ void Coprocessor::tell_other(Microseconds now, const Telemetry& telemetry) {
 }
 
 void Coprocessor::keep(Microseconds now) {
-  const bool may_store = !autopilot_.armed();
+  const bool may_store = !autopilot_.maybe_flying();
   if (store_.step(now, may_store, ports_.memory, parameters_)) notify(Notice::kParametersStored);
   if (!rebooting_ || reboot_delay_.running(now)) return;
   rebooting_ = false;

@@ -60,7 +60,10 @@ SonarEvent SonarDriver::trigger(Microseconds now, I2cBus& bus) {
   reading_.triggered = now;
   phase_ = Phase::kAwait;
   next_ = read_due_;
-  return answered(now);
+  const SonarEvent event = answered(now);
+  // Not asked before the reading is due, it cannot be late before.
+  patience_.start(reached(now, read_due_) ? now : read_due_, kLongestRanging);
+  return event;
 }
 
 SonarEvent SonarDriver::await(Microseconds now, I2cBus& bus) {
