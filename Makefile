@@ -42,7 +42,7 @@ setup-test: ## install what the tests need
 
 core: setup ## the co-processor's core for this machine
 	@test -f build/host/build.ninja || $(BIN)/cmake -S firmware/host -B build/host -G Ninja \
-		-DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(BIN)/ninja -DPython3_EXECUTABLE=$(CURDIR)/$(BIN)/python >/dev/null
+		-DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(BIN)/ninja >/dev/null
 	@$(BIN)/ninja -C build/host --quiet
 
 clean: ## remove what was built (not .venv)

@@ -22,7 +22,7 @@ class FlownScenario:
     """One scenario flown with one seed.
 
     metrics and flights: one a follower, in the formation's order. closest_m: the least distance
-    between any two vehicles, or to the wall. phases: the same by part of a leader's script.
+    between any two vehicles, or to the wall. locked: which followers are dead-locked. phases: the same by part of a leader's script.
     commanded_slot: of the slot that the guidance had in mind, seen from where the leader truly
     was (thesis 4.2.3): mean_m, std_m, max_error_m.
     """
@@ -35,14 +35,23 @@ class FlownScenario:
     closest_m: float
     simulated_s: float
     wall_s: float
-    dead_locked: bool = False
+    locked: tuple[bool, ...] = ()
     phases: dict[str, float] = field(default_factory=dict)
     commanded_slot: dict[str, float] = field(default_factory=dict)
     events: list[tuple[float, str]] = field(default_factory=list)
 
     def results(self, name: str = "") -> list[Result]:
         """One a follower, for the tables, under `name` or the scenario's."""
-        return [Result(name or self.scenario, one, self.dead_locked) for one in self.metrics]
+        locked = self.locked or (False,) * len(self.metrics)
+        return [
+            Result(name or self.scenario, one, lost)
+            for one, lost in zip(self.metrics, locked, strict=True)
+        ]
+
+    @property
+    def dead_locked(self) -> bool:
+        """Whether a follower's law has lost the leader for good."""
+        return any(self.locked)
 
     @property
     def summaries(self) -> list[dict[str, Any]]:
@@ -94,7 +103,7 @@ def fly(
         closest_m=result.closest_m,
         simulated_s=result.simulated_s,
         wall_s=result.wall_s,
-        dead_locked=dead_locked(result.flights[0]),
+        locked=tuple(dead_locked(one) for one in result.flights),
         phases=result.phases,
         commanded_slot=_commanded(result.commanded_slot_m, scenario),
         events=result.events,
