@@ -22,9 +22,9 @@ class FlownScenario:
     """One scenario flown with one seed.
 
     metrics and flights: one a follower, in the formation's order. closest_m: the least distance
-    between any two vehicles, or to the wall. locked: which followers are dead-locked. phases: the same by part of a leader's script.
-    commanded_slot: of the slot that the guidance had in mind, seen from where the leader truly
-    was (thesis 4.2.3): mean_m, std_m, max_error_m.
+    between any two vehicles, or to the wall. locked: which followers are dead-locked. phases:
+    the least distance by part of a leader's script. commanded_slot: of the slot that the guidance
+    had in mind, seen from where the leader truly was (thesis 4.2.3): mean_m, std_m, max_error_m.
     """
 
     scenario: str

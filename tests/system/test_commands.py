@@ -1,0 +1,158 @@
+"""The commands as a user runs them, each a process of its own."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+RECORDINGS = Path(__file__).parents[1] / "host_tools" / "data" / "sitl"
+
+
+def echowing(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "echowing", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+
+
+def succeeded(*arguments: str | Path) -> str:
+    done = echowing(*arguments)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a flight of 90 s, flown by the command."""
+    folder = tmp_path_factory.mktemp("flight")
+    succeeded("sim", "echowing", "--seed", "3", "--duration", "90", "--out", folder)
+    return folder
+
+
+def test_sim_prints_one_object_a_flight() -> None:
+    lines = succeeded("sim", "gray", "--seed", "4-5", "--duration", "30", "--json").splitlines()
+
+    flights: list[dict[str, Any]] = [json.loads(line) for line in lines]
+    assert [one["seed"] for one in flights] == [4, 5]
+    for one in flights:
+        assert set(one) >= {
+            "scenario",
+            "seed",
+            "law",
+            "mean_separation_m",
+            "mean_abs_error_m",
+            "rmsd_m",
+            "std_m",
+            "min_separation_m",
+            "max_separation_m",
+            "slot_error_m",
+            "seen_share",
+            "simulated_s",
+            "wall_s",
+        }
+        assert one["scenario"] == "gray"
+        assert one["law"] == "none"
+        assert one["simulated_s"] == pytest.approx(30.0)
+        assert one["min_separation_m"] <= one["mean_separation_m"] <= one["max_separation_m"]
+
+
+def test_the_law_and_the_settings_reach_the_flight() -> None:
+    changed = ("--law", "bands", "--set", "gps.sigma_m=0.0", "--duration", "30")
+
+    plain = json.loads(succeeded("sim", "echowing", "--duration", "30", "--json"))
+    other = json.loads(succeeded("sim", "echowing", *changed, "--json"))
+
+    assert other["law"] == "bands"
+    assert other["mean_separation_m"] != plain["mean_separation_m"]
+
+
+def test_sim_leaves_logs_truth_and_a_report(flight: Path) -> None:
+    names = {path.name for path in flight.iterdir()}
+
+    assert names == {"leader.tlog", "follower-2.tlog", "truth.csv", "report.html"}
+    page = (flight / "report.html").read_text(encoding="utf-8")
+    assert "<script" in page
+    assert 'src="http' not in page
+
+
+def test_analyze_finds_in_the_logs_what_was_true(flight: Path) -> None:
+    output = succeeded(
+        "analyze",
+        flight / "leader.tlog",
+        flight / "follower-2.tlog",
+        "--truth",
+        flight / "truth.csv",
+        "--settle",
+        "20",
+        "--json",
+    )
+
+    found = json.loads(output)
+    # Two receivers of 0.8 m a piece: the logs may be off by their drift, and by no more.
+    assert abs(found["truth"]["bias_m"]) < 2.5
+    assert found["truth"]["rms_m"] < 2.5
+    # Logged telemetry is 0.46 s late; the vehicles' own time stamps take that out.
+    assert abs(found["truth"]["clock_shift_s"]) < 0.2
+
+
+def test_analyze_refuses_one_vehicle_alone(flight: Path) -> None:
+    done = echowing("analyze", flight / "leader.tlog")
+
+    assert done.returncode == 2
+    assert "a flight needs a leader and a follower" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_calibrate_prints_every_recordings_error() -> None:
+    rows = json.loads(succeeded("calibrate", RECORDINGS, "--json"))
+
+    assert len(rows) == len(list(RECORDINGS.glob("*.csv"))) == 8
+    assert all(row["rms_position_error_m"] < 0.25 for row in rows)
+
+
+def test_a_scenario_of_ones_own_is_flown(tmp_path: Path) -> None:
+    mine = tmp_path / "mine.toml"
+    mine.write_text(
+        'title = "mine"\nduration_s = 30\n[leader]\npath = "circle"\nradius_m = 15\n',
+        encoding="utf-8",
+    )
+
+    found = json.loads(succeeded("sim", mine, "--json"))
+
+    assert found["scenario"] == "mine"
+
+
+def test_a_recorded_track_leads(tmp_path: Path) -> None:
+    track = tmp_path / "track.csv"
+    rows = "\n".join(f"{t},{1.5 * t},0,-10,0" for t in range(60))
+    track.write_text(f"time_s,north_m,east_m,down_m,yaw_rad\n{rows}\n", encoding="utf-8")
+    set_track = ("--set", 'leader.path="track"', "--set", f'leader.track="{track}"')
+
+    found = json.loads(succeeded("sim", "echowing", *set_track, "--duration", "50", "--json"))
+
+    assert found["mean_abs_error_m"] < 1.5
+
+
+def test_a_flights_telemetry_can_lead_another(flight: Path) -> None:
+    set_track = ("--set", 'leader.path="track"', "--set", f'leader.track="{flight}/leader.tlog"')
+
+    found = json.loads(succeeded("sim", "echowing", *set_track, "--duration", "60", "--json"))
+
+    assert found["min_separation_m"] > 1.0
+
+
+def test_interrupted_flights_say_so_and_leave_readable_logs(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "echowing", "sim", "--duration", "3000", "--out", tmp_path]
+    flying = subprocess.Popen(list(map(str, command)), stderr=subprocess.PIPE, text=True)
+    log = tmp_path / "leader.tlog"
+    while not (log.exists() and log.stat().st_size > 5000):
+        assert flying.poll() is None
+    flying.send_signal(2)
+
+    _, said = flying.communicate(timeout=30)
+
+    assert flying.returncode == 130
+    assert "interrupted" in said
+    assert "Traceback" not in said
+    assert log.stat().st_size > 5000
