@@ -119,7 +119,10 @@ void Rig::collect(int port) {
   for (const uint8_t byte : serial[port].out) {
     const uint8_t framing =
         mavlink_frame_char_buffer(&incoming_[port], &parser_[port], byte, nullptr, nullptr);
-    if (framing == MAVLINK_FRAMING_OK) sent_[port].push_back({now, incoming_[port]});
+    ++bytes_[port];
+    if (framing != MAVLINK_FRAMING_OK) continue;
+    sent_[port].push_back({now, incoming_[port]});
+    framed_bytes_[port] += MAVLINK_NUM_NON_PAYLOAD_BYTES + incoming_[port].len;
   }
   serial[port].out.clear();
 }

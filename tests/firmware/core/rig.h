@@ -146,6 +146,8 @@ class Rig {
   std::vector<mavlink_heartbeat_t> heartbeats(int port = 0);
   std::vector<float> named(const char* name, int port = 0);
   bool said(const char* part, int port = 0);
+  // Bytes that left a port and belonged to no frame.
+  size_t stray_bytes(int port) const { return bytes_[port] - framed_bytes_[port]; }
   void forget();
 
   float parameter(Parameter which) const { return core.parameters().get(which); }
@@ -174,6 +176,8 @@ class Rig {
   void collect(int port);
 
   std::vector<Sent> sent_[2];
+  size_t bytes_[2] = {};
+  size_t framed_bytes_[2] = {};
   mavlink_message_t incoming_[2] = {};
   mavlink_status_t parser_[2] = {};
   bool beating_ = false;

@@ -36,6 +36,15 @@ TEST_CASE("a lone wild reading leaves the average untouched") {
   CHECK(filter.average_cm() == 300);
 }
 
+TEST_CASE("two wild readings that agree do not count with a good one between them") {
+  RangeFilter filter;
+  for (int i = 0; i < 10; ++i) add(filter, 300);
+  CHECK_FALSE(add(filter, 200));
+  CHECK(add(filter, 300));
+  CHECK_FALSE(add(filter, 200));
+  CHECK(filter.average_cm() == 300);
+}
+
 TEST_CASE("a jump that lasts begins a new average") {
   RangeFilter filter;
   for (int i = 0; i < 10; ++i) add(filter, 300);

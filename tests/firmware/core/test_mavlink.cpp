@@ -524,5 +524,10 @@ TEST_CASE("no frame is longer than its message, whatever the compiler pads a str
   REQUIRE(rig.sent().size() > 200);
   for (const auto& each : rig.sent()) {
     CHECK(each.message.len <= mavlink_max_message_length(&each.message));
+    if (each.message.msgid != MAVLINK_MSG_ID_STATUSTEXT) continue;
+    // Trailing zeros are cut: a severity, then the text up to its last letter.
+    mavlink_statustext_t text;
+    mavlink_msg_statustext_decode(&each.message, &text);
+    CHECK(each.message.len == 1 + strnlen(text.text, sizeof(text.text)));
   }
 }

@@ -212,7 +212,49 @@ TEST_CASE("a port that takes nothing does not hold up the other") {
   CHECK(rig.ranges(0).size() == 40);
   rig.serial[1].blocked = false;
   rig.run(ms(1000));
-  CHECK(rig.ranges(1).size() >= 19);  // and it comes back clean when it is opened
+  CHECK(rig.ranges(1).size() >= 19);
+  CHECK(rig.stray_bytes(1) == 0);  // what had been queued were whole frames
+}
+
+TEST_CASE("the wire is kept free for a range whatever else is asked for") {
+  Rig rig;
+  rig.run(ms(1000));
+  rig.forget();
+  mavlink_param_request_list_t list = {};
+  list.target_system = 1;
+  list.target_component = MAV_COMP_ID_ONBOARD_COMPUTER;
+  for (int i = 0; i < 10; ++i) {
+    rig.hear(0, list);
+    rig.run(ms(100));
+  }
+  for (const auto& range : rig.ranges()) {
+    const Microseconds reading = range.report.time_boot_ms * 1000;
+    for (const auto& each : rig.sent())
+      CHECK_FALSE((each.at > reading - 4000 && each.at < reading));
+  }
+}
+
+TEST_CASE("a pause of the loop is not made up for by a burst") {
+  ReportClock clock;
+  clock.due(0, true, ms(50));
+  CHECK(clock.due(ms(250), false, ms(50)));
+  for (uint32_t now_ms = 251; now_ms < 300; ++now_ms)
+    CHECK_FALSE(clock.due(ms(now_ms), false, ms(50)));
+  CHECK(clock.due(ms(302), false, ms(50)));
+}
+
+TEST_CASE("the beat of the reports locks on to readings at whatever distance they begin") {
+  for (uint32_t offset_ms = 0; offset_ms < 50; ++offset_ms) {
+    CAPTURE(offset_ms);
+    ReportClock clock;
+    uint32_t late = 0;
+    for (uint32_t now_ms = 0; now_ms < 3000; ++now_ms) {
+      const bool reading = now_ms % 50 == offset_ms;
+      const bool due = clock.due(ms(now_ms), reading, ms(50));
+      if (now_ms >= 1000) late += due != reading;
+    }
+    CHECK(late == 0);
+  }
 }
 
 TEST_CASE("time goes on through the wrap of the microseconds, unnoticed") {

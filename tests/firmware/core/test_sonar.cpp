@@ -34,6 +34,14 @@ TEST_CASE("a near target is read every 50 ms on a steady grid") {
   }
 }
 
+TEST_CASE("turns that do not divide the period do not stretch it") {
+  Rig rig;
+  rig.run(ms(2000), 700);
+  rig.forget();
+  rig.run(ms(20000), 700);
+  CHECK(rig.named("SNR_RAW").size() == 400);
+}
+
 TEST_CASE("pings are jittered by up to 5 ms, and more than one value") {
   Rig rig;
   rig.run(ms(4000), 100);

@@ -93,7 +93,7 @@ bool ReportClock::due(Microseconds now, bool new_reading, Microseconds period) {
 
 void ReportClock::lean(Microseconds now, Microseconds period) {
   const Microseconds before_beat = next_ - now;
-  if (before_beat < kCapture) {
+  if (before_beat <= kCapture) {
     next_ -= kLean;
   } else if (before_beat + kCapture > period) {
     next_ += kLean;
