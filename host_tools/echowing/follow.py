@@ -276,7 +276,7 @@ class FollowSession:
         messages = self._housekeeping(now_s)
         for system_id, follower in self.followers.items():
             point = self._point_for(follower, now_s)
-            if point is not None and self._may_send(follower, now_s):
+            if point is not None and self.sends_to(follower, now_s):
                 messages.append((system_id, self._target(follower, point, now_s)))
                 self._sent(follower, point, now_s)
         if self.guard is not None and self.engaged:
@@ -290,7 +290,7 @@ class FollowSession:
     def stopped(self, now_s: float) -> bool:
         """Whether all that has been moved stands, is the pilot's, or cannot be heard."""
         return all(
-            not self._may_send(follower, now_s)
+            not self.sends_to(follower, now_s)
             or (self.guard is not None and self.guard.stands(system_id))
             for system_id, follower in self.followers.items()
         )
@@ -298,7 +298,8 @@ class FollowSession:
     def _make_guard(self, limits: Limits) -> Guard:
         return Guard(limits, self.leader_id, self.followers, self._say)
 
-    def _may_send(self, follower: FollowerState, now_s: float) -> bool:
+    def sends_to(self, follower: FollowerState, now_s: float) -> bool:
+        """Whether points go to this follower now."""
         if not self.engaged or not follower.in_guided:
             return False
         if self._stopping is not None and not follower.flown:
@@ -336,10 +337,10 @@ class FollowSession:
             return STALE
         if self.guard is None:
             return None
-        leader = self._leader_for(follower, fix, now_s)
+        leader = self.leader_for(follower, fix, now_s)
         return self.guard.reason_to_stop(follower, leader, self.followers, now_s)
 
-    def _leader_for(self, follower: FollowerState, fix: LeaderFix, now_s: float) -> GlobalPosition:
+    def leader_for(self, follower: FollowerState, fix: LeaderFix, now_s: float) -> GlobalPosition:
         """Where the leader is now, as this follower's receiver would have it."""
         now = predicted(fix, max(0.0, now_s - fix.time_s)).position
         if not self.settings.learn_offset:
@@ -500,7 +501,7 @@ class FollowSession:
                 )
         if now_s - self._beat_at_s >= HEARTBEAT_PERIOD_S:
             self._beat_at_s = now_s
-            messages.extend((system_id, _heartbeat()) for system_id in vehicles)
+            messages.extend((system_id, tool_heartbeat()) for system_id in vehicles)
         if now_s - self._rates_at_s >= RATE_REQUEST_PERIOD_S:
             self._rates_at_s = now_s
             messages.extend(self._rate_requests())
@@ -554,7 +555,8 @@ def position_target(
     )
 
 
-def _heartbeat() -> Any:
+def tool_heartbeat() -> Any:
+    """HEARTBEAT of a ground tool that is no ground station."""
     return mavlink.MAVLink_heartbeat_message(
         mavlink.MAV_TYPE_ONBOARD_CONTROLLER,
         mavlink.MAV_AUTOPILOT_INVALID,

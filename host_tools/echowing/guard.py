@@ -46,7 +46,7 @@ CLEAR_SHARE = 0.9
 # Read back: positions travel as 1e-7 degrees (1 cm), so this far from everything sent is refused.
 REFUSED_M = 0.5
 REFUSED_FOR_S = 2.0
-REMEMBERED_S = 3.0
+REMEMBERED_S = 1.5  # longer than any link takes there and back
 # The applet's own targets (lua/echowing.md): too close, stream lost, backing off.
 APPLET_STATE = "ECHO_STATE"
 APPLET_FLIES = (3, 5, 6)

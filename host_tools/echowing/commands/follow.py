@@ -1,0 +1,204 @@
+"""`echowing follow`: guide real followers behind a real leader."""
+
+import argparse
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from echowing.errors import EchowingError
+
+if TYPE_CHECKING:
+    from echowing.follow_run import FollowOptions, Seat
+    from echowing.guidance import Slot
+
+EXAMPLES = """\
+examples:
+  echowing follow --leader udpin:14550 --follower udpin:14560
+      only watches; add --engage, and points go to followers that fly in Guided
+  echowing follow --leader /dev/ttyUSB0 --follower /dev/ttyUSB1 --baud 57600 --radius 8 --engage
+  echowing follow --leader udpin:14550@1 --follower udpin:14550@2 --follower udpin:14550@3 \\
+      --formation vee.toml --stop-switch 5:1200 --log out/flight-7 --engage
+      all vehicles on one link, told apart by system id; vee.toml:
+          [[slots]]
+          radius_m = 4.0
+          angle_deg = 40.0
+          [[slots]]
+          radius_m = 4.0
+          angle_deg = -40.0
+The pilot takes over by any change of mode; points go on when he puts the vehicle in Guided again.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The verb's options."""
+    from echowing.links import DEFAULT_BAUD  # noqa: PLC0415 (imported when the verb is used)
+
+    parser.epilog = EXAMPLES
+    links = parser.add_argument_group(
+        "vehicles",
+        "CONN: udpin:[HOST:]PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:[HOST:]PORT or a serial "
+        "device; CONN@ID where several vehicles share a link",
+    )
+    links.add_argument("--leader", required=True, metavar="CONN")
+    links.add_argument("--follower", action="append", required=True, metavar="CONN")
+    links.add_argument("--baud", type=int, default=DEFAULT_BAUD, help="of serial devices")
+    place = parser.add_argument_group("formation")
+    place.add_argument("--radius", type=float, default=3.0, metavar="M", help="from the leader")
+    place.add_argument(
+        "--angle", type=float, default=0.0, metavar="DEG", help="off its tail, counter-clockwise"
+    )
+    place.add_argument("--formation", type=Path, metavar="FILE", help="a slot a follower, TOML")
+    place.add_argument(
+        "--altitude", type=float, default=10.0, metavar="M", help="above each follower's home"
+    )
+    place.add_argument(
+        "--lead-time",
+        type=float,
+        default=1.4,
+        metavar="S",
+        help="how far points run ahead; a copter trails them by about 1.4 s",
+    )
+    place.add_argument("--rate", type=float, default=8.0, metavar="HZ", help="of points, up to 20")
+    _add_safety(parser.add_argument_group("safety"))
+    parser.add_argument("--log", type=Path, metavar="DIR", help="write a .tlog and a CSV here")
+    parser.add_argument("--duration", type=float, metavar="S", help="end after this long")
+    parser.add_argument("--json", action="store_true", help="print JSON, an object a line")
+
+
+def _add_safety(safety: "argparse._ArgumentGroup") -> None:
+    safety.add_argument("--engage", action="store_true", help="send points; without, only watch")
+    safety.add_argument(
+        "--stop-switch",
+        metavar="CH:PWM[:MODE]",
+        help="stop while this channel of a follower's transmitter (of the leader's: all) is above "
+        "PWM us; MODE: LOITER, BRAKE, LAND or RTL",
+    )
+    safety.add_argument(
+        "--max-distance", type=float, default=100.0, metavar="M", help="stop beyond this (100)"
+    )
+    safety.add_argument(
+        "--min-separation",
+        type=float,
+        default=1.5,
+        metavar="M",
+        help="stop where two vehicles are nearer by their receivers (1.5)",
+    )
+    safety.add_argument(
+        "--carried-leader",
+        action="store_true",
+        help="the leader need not fly: it is carried on foot, or stands on the ground",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Follow until told to end."""
+    from echowing.follow_run import FollowTool  # noqa: PLC0415
+    from echowing.follow_view import open_view  # noqa: PLC0415
+    from echowing.stopping import stop_on_signals  # noqa: PLC0415
+
+    options = _options(args)
+    with stop_on_signals() as stop:
+        return FollowTool(options, open_view(as_json=args.json), stop).run()
+
+
+def _options(args: argparse.Namespace) -> "FollowOptions":
+    from echowing.follow_run import FollowOptions, VehicleFinder  # noqa: PLC0415
+    from echowing.guard import Limits, parse_stop_switch  # noqa: PLC0415
+    from echowing.guidance import GuidanceSettings  # noqa: PLC0415
+
+    _check_numbers(args)
+    switch = None if args.stop_switch is None else parse_stop_switch(args.stop_switch)
+    seats = _seats(args)
+    VehicleFinder(seats)  # refuses what could never be told apart
+    return FollowOptions(
+        seats=seats,
+        slots=_slots(args),
+        settings=GuidanceSettings(lead_time_s=args.lead_time),
+        altitude_m=args.altitude,
+        rate_hz=args.rate,
+        limits=Limits(
+            max_distance_m=args.max_distance,
+            min_separation_m=args.min_separation,
+            leader_flies=not args.carried_leader,
+            switch=switch,
+        ),
+        engage=args.engage,
+        duration_s=args.duration,
+        log=args.log,
+    )
+
+
+def _check_numbers(args: argparse.Namespace) -> None:
+    """Refuse what could not be flown. Each: option, least and greatest value."""
+    spans = {
+        "--lead-time": (args.lead_time, 0.0, 5.0),
+        "--rate": (args.rate, 1.0, 20.0),
+        "--altitude": (args.altitude, 1.0, 500.0),
+        "--max-distance": (args.max_distance, 5.0, 10_000.0),
+        "--min-separation": (args.min_separation, 0.5, 1_000.0),
+        "--baud": (args.baud, 1_200, 4_000_000),
+        "--duration": (0.0 if args.duration is None else args.duration, 0.0, math.inf),
+    }
+    for option, (value, least, most) in spans.items():
+        if not least <= value <= most:
+            raise EchowingError(f"{option} {value:g}: give {least:g} to {most:g}")
+
+
+def _seats(args: argparse.Namespace) -> "list[Seat]":
+    from echowing.follow_run import parse_seat  # noqa: PLC0415
+
+    leader = parse_seat("leader", args.leader, args.baud)
+    return [leader, *(parse_seat("follower", text, args.baud) for text in args.follower)]
+
+
+def _slots(args: argparse.Namespace) -> "list[Slot]":
+    """A checked slot for each follower."""
+    from echowing.formation import check_formation  # noqa: PLC0415
+    from echowing.guidance import Slot  # noqa: PLC0415
+
+    followers = len(args.follower)
+    if args.formation is not None:
+        slots = _load_formation(args.formation)
+        if len(slots) != followers:
+            raise EchowingError(
+                f"--formation {args.formation}: {len(slots)} slots for {followers} followers"
+            )
+        nearest_m = min(slot.radius_m for slot in slots)
+    else:
+        if followers > 1:
+            raise EchowingError(f"{followers} followers need --formation FILE, a slot for each")
+        slots = [Slot(args.radius, math.radians(args.angle))]
+        check_formation(slots)
+        nearest_m = args.radius
+    if nearest_m <= args.min_separation:
+        raise EchowingError(
+            f"a slot {nearest_m:g} m from the leader is inside --min-separation "
+            f"{args.min_separation:g} m; move it out, or the follower will never get there"
+        )
+    return slots
+
+
+def _load_formation(path: Path) -> "list[Slot]":
+    """Slots of a TOML file with [[slots]]; the same keys as in a scenario's formation."""
+    import tomllib  # noqa: PLC0415
+
+    from pydantic import ValidationError  # noqa: PLC0415
+
+    from echowing.formation import check_formation  # noqa: PLC0415
+    from echowing.sim.scenario import FormationSection  # noqa: PLC0415
+
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+        formation = FormationSection.model_validate(table)
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise EchowingError(f"--formation {path}: cannot be read: {error}") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])
+        raise EchowingError(f"--formation {path}: {key}: {first['msg']}") from error
+    slots = [section.slot() for section in formation.slots]
+    try:
+        check_formation(slots, formation.slot_separation_m)
+    except EchowingError as error:
+        raise EchowingError(f"--formation {path}: {error}") from error
+    return slots

@@ -1,0 +1,72 @@
+"""What `echowing follow` writes down: a .tlog of all frames and a CSV of all rows.
+
+A log that cannot be written is said once and given up; it never stops the flying.
+"""
+
+import csv
+import struct
+from collections.abc import Callable, Sequence
+from dataclasses import fields
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import BinaryIO, TextIO
+
+from echowing.panel import Row
+
+Say = Callable[[str], None]
+
+
+class FollowLog:
+    """Logs of one flight in `folder`, named by the UTC time of the start."""
+
+    def __init__(self, folder: Path, start_unix_s: float, say: Say) -> None:
+        self._say = say
+        self._tlog: BinaryIO | None = None
+        self._table: TextIO | None = None
+        stamp = datetime.fromtimestamp(start_unix_s, UTC).strftime("%Y%m%d-%H%M%S")
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            self._tlog = (folder / f"follow-{stamp}.tlog").open("wb")
+            self._table = (folder / f"follow-{stamp}.csv").open("w", newline="", encoding="utf-8")
+            names = [column.name for column in fields(Row)]
+            self._writer = csv.DictWriter(self._table, ["unix_time_s", *names])
+            self._writer.writeheader()
+        except OSError as error:
+            self._give_up(error)
+
+    def frame(self, unix_s: float, frame: bytes) -> None:
+        """A frame received or sent."""
+        if self._tlog is None:
+            return
+        try:
+            self._tlog.write(struct.pack(">Q", round(unix_s * 1e6)) + frame)
+        except OSError as error:
+            self._give_up(error)
+
+    def rows(self, unix_s: float, rows: Sequence[Row]) -> None:
+        """The rows of one moment; all that was written until now is on the disk after this."""
+        if self._tlog is None or self._table is None:
+            return
+        try:
+            for row in rows:
+                self._writer.writerow({"unix_time_s": f"{unix_s:.3f}", **row.as_dict()})
+            self._table.flush()
+            self._tlog.flush()
+        except OSError as error:
+            self._give_up(error)
+
+    def close(self) -> None:
+        """End the logs."""
+        files, self._tlog, self._table = (self._tlog, self._table), None, None
+        for file in files:
+            try:
+                if file is not None:
+                    file.close()
+            except OSError as error:
+                self._say(f"log: its end was lost: {error.strerror}")
+
+    def _give_up(self, error: OSError) -> None:
+        self._say(
+            f"log: {error.filename or ''} cannot be written ({error.strerror}); flying on without"
+        )
+        self.close()

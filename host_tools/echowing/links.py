@@ -1,0 +1,444 @@
+"""MAVLink links to real vehicles: connection strings as pymavlink writes them.
+
+The transports are our own: pymavlink's block while they reconnect and print as they go, and a
+tool that flies several vehicles may not wait for one. Nothing here blocks.
+"""
+
+import errno
+import os
+import select
+import socket
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from echowing.errors import EchowingError
+
+LOOPBACK = "127.0.0.1"
+DEFAULT_BAUD = 57_600  # of telemetry radios and of ArduPilot's SERIAL1
+RETRY_S = 1.0
+# One datagram, or what a serial port can hold back.
+CHUNK_BYTES = 65_535
+# More senders than this at one listening port are not vehicles.
+MOST_PEERS = 8
+
+_STILL_CONNECTING = {errno.EINPROGRESS, errno.EALREADY, errno.EWOULDBLOCK}
+_FORMS = "udpin:[HOST:]PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:[HOST:]PORT or a serial device"
+
+
+@dataclass(frozen=True, slots=True)
+class Address:
+    """A connection string taken apart. kind: udpin, udpout, tcp, tcpin or serial."""
+
+    text: str
+    kind: str
+    host: str = ""
+    port: int = 0
+    baud: int = DEFAULT_BAUD
+
+
+def parse_address(text: str, baud: int = DEFAULT_BAUD) -> Address:
+    """Read a connection string; listening is on loopback unless a host is given.
+
+    Raises EchowingError that says what to write.
+    """
+    kind, _, rest = text.partition(":")
+    if kind == "udp":  # pymavlink's other name for it
+        kind = "udpin"
+    if kind not in ("udpin", "udpout", "tcp", "tcpin"):
+        return _serial_address(text, baud)
+    host, _, port = rest.rpartition(":")
+    if not port.isdecimal() or not 1 <= int(port) <= 65_535:
+        raise EchowingError(f"link {text!r}: the port is a number from 1 to 65535 ({_FORMS})")
+    if not host and kind in ("udpout", "tcp"):
+        raise EchowingError(f"link {text!r}: which host? Write {kind}:HOST:PORT")
+    return Address(text, kind, host or LOOPBACK, int(port))
+
+
+def _serial_address(text: str, baud: int) -> Address:
+    device, comma, own_baud = text.partition(",")
+    if not device.startswith("/") and not device.upper().startswith("COM"):
+        raise EchowingError(f"link {text!r}: no such kind; write {_FORMS}")
+    if comma and not own_baud.isdecimal():
+        raise EchowingError(f"link {text!r}: the baud rate after the comma is a number")
+    return Address(text, "serial", device, baud=int(own_baud) if comma else baud)
+
+
+class Transport(Protocol):
+    """An open way to send and receive bytes; OSError: it is lost.
+
+    datagrams: what `read` returns is whole frames, so that nothing is left over for the next.
+    """
+
+    datagrams: bool
+
+    def fileno(self) -> int:
+        """For `select`."""
+
+    def read(self) -> bytes:
+        """What has come; empty: nothing now."""
+
+    def write(self, data: bytes) -> None:
+        """Send; what does not fit is lost, as on a radio."""
+
+    def close(self) -> None:
+        """Let go."""
+
+
+class UdpListener:
+    """Listens for datagrams; answers everybody in whose datagrams MAVLink was found."""
+
+    datagrams = True
+
+    def __init__(self, address: Address) -> None:
+        self._socket = _bound(socket.SOCK_DGRAM, address)
+        self._peers: list[tuple[str, int]] = []
+        self._last_peer: tuple[str, int] | None = None
+
+    def fileno(self) -> int:
+        """As `Transport`."""
+        return self._socket.fileno()
+
+    def read(self) -> bytes:
+        """As `Transport`; one datagram."""
+        try:
+            data, self._last_peer = self._socket.recvfrom(CHUNK_BYTES)
+        except (BlockingIOError, ConnectionRefusedError):
+            return b""
+        return data
+
+    def understood(self) -> None:
+        """The last datagram held MAVLink: its sender is answered from now on."""
+        peer = self._last_peer
+        if peer is not None and peer not in self._peers:
+            self._peers = [*self._peers, peer][-MOST_PEERS:]
+
+    def write(self, data: bytes) -> None:
+        """As `Transport`."""
+        for peer in self._peers:
+            _send_datagram(self._socket, data, peer)
+
+    def close(self) -> None:
+        """As `Transport`."""
+        self._socket.close()
+
+
+class UdpSender:
+    """Datagrams to one address, and what comes back from it."""
+
+    datagrams = True
+
+    def __init__(self, address: Address) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+        self._peer = (socket.gethostbyname(address.host), address.port)
+
+    def fileno(self) -> int:
+        """As `Transport`."""
+        return self._socket.fileno()
+
+    def read(self) -> bytes:
+        """As `Transport`; one datagram."""
+        try:
+            return self._socket.recv(CHUNK_BYTES)
+        except (BlockingIOError, ConnectionRefusedError):
+            return b""
+
+    def write(self, data: bytes) -> None:
+        """As `Transport`."""
+        _send_datagram(self._socket, data, self._peer)
+
+    def close(self) -> None:
+        """As `Transport`."""
+        self._socket.close()
+
+
+def _send_datagram(sender: socket.socket, data: bytes, peer: tuple[str, int]) -> None:
+    try:
+        sender.sendto(data, peer)
+    except OSError as error:
+        if error.errno not in (errno.EAGAIN, errno.ECONNREFUSED, errno.ENOBUFS):
+            raise
+
+
+class Stream:
+    """A connected TCP socket, or one that is still connecting."""
+
+    datagrams = False
+
+    def __init__(self, connection: socket.socket) -> None:
+        connection.setblocking(False)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._socket = connection
+
+    @classmethod
+    def to(cls, address: Address) -> "Stream":
+        """Begin to connect; a refusal shows at the first `read`."""
+        stream = cls(socket.socket(socket.AF_INET, socket.SOCK_STREAM))
+        code = stream._socket.connect_ex((address.host, address.port))
+        if code != 0 and code not in _STILL_CONNECTING:
+            stream.close()
+            raise OSError(code, os.strerror(code))
+        return stream
+
+    def fileno(self) -> int:
+        """As `Transport`."""
+        return self._socket.fileno()
+
+    def read(self) -> bytes:
+        """As `Transport`."""
+        try:
+            data = self._socket.recv(CHUNK_BYTES)
+        except BlockingIOError:
+            return b""
+        except OSError as error:
+            if error.errno == errno.ENOTCONN:  # still on its way
+                return b""
+            raise
+        if not data:
+            raise ConnectionResetError(errno.ECONNRESET, "closed by the other end")
+        return data
+
+    def write(self, data: bytes) -> None:
+        """As `Transport`."""
+        try:
+            self._socket.send(data)
+        except BlockingIOError:
+            return
+        except OSError as error:
+            if error.errno != errno.ENOTCONN:
+                raise
+
+    def close(self) -> None:
+        """As `Transport`."""
+        self._socket.close()
+
+
+class TcpListener:
+    """Waits for one TCP connection, and for the next when it has ended."""
+
+    datagrams = False
+
+    def __init__(self, address: Address) -> None:
+        self._listener = _bound(socket.SOCK_STREAM, address)
+        self._listener.listen(1)
+        self._stream: Stream | None = None
+
+    def fileno(self) -> int:
+        """As `Transport`: the connection's, or the listener's while there is none."""
+        return self._stream.fileno() if self._stream else self._listener.fileno()
+
+    def read(self) -> bytes:
+        """As `Transport`; a connection that ends is no loss, the next may come."""
+        if self._stream is None:
+            try:
+                self._stream = Stream(self._listener.accept()[0])
+            except BlockingIOError:
+                return b""
+        try:
+            return self._stream.read()
+        except OSError:
+            self._hang_up()
+            return b""
+
+    def write(self, data: bytes) -> None:
+        """As `Transport`."""
+        try:
+            if self._stream is not None:
+                self._stream.write(data)
+        except OSError:
+            self._hang_up()
+
+    def _hang_up(self) -> None:
+        if self._stream is not None:
+            self._stream.close()
+        self._stream = None
+
+    def close(self) -> None:
+        """As `Transport`."""
+        self._hang_up()
+        self._listener.close()
+
+
+class SerialPort:
+    """A serial device, by pyserial."""
+
+    datagrams = False
+
+    def __init__(self, address: Address) -> None:
+        import serial  # noqa: PLC0415 (slow import, not needed for sockets)
+
+        self._port = serial.Serial(address.host, address.baud, timeout=0, write_timeout=0)
+
+    def fileno(self) -> int:
+        """As `Transport`."""
+        return int(self._port.fileno())
+
+    def read(self) -> bytes:
+        """As `Transport`."""
+        return bytes(self._port.read(CHUNK_BYTES))
+
+    def write(self, data: bytes) -> None:
+        """As `Transport`."""
+        self._port.write(data)
+
+    def close(self) -> None:
+        """As `Transport`."""
+        self._port.close()
+
+
+def _bound(kind: socket.SocketKind, address: Address) -> socket.socket:
+    listener = socket.socket(socket.AF_INET, kind)
+    if kind == socket.SOCK_STREAM:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    listener.setblocking(False)
+    try:
+        listener.bind((address.host, address.port))
+    except OSError:
+        listener.close()
+        raise
+    return listener
+
+
+_OPENERS: dict[str, Callable[[Address], Transport]] = {
+    "udpin": UdpListener,
+    "udpout": UdpSender,
+    "tcp": Stream.to,
+    "tcpin": TcpListener,
+    "serial": SerialPort,
+}
+
+
+class Link:
+    """One link: connects, connects again when lost, and turns bytes into MAVLink messages.
+
+    `news` is what the operator should hear of it; the owner empties it.
+    """
+
+    def __init__(self, address: Address) -> None:
+        self.address = address
+        self.news: list[str] = []
+        self.connected = False
+        self._transport: Transport | None = None
+        self._parser = _parser()
+        self._try_at_s = 0.0
+        self._complaint = ""
+
+    @property
+    def name(self) -> str:
+        """The connection string."""
+        return self.address.text
+
+    def open(self) -> None:
+        """Open what has to work at once: listening ports and serial devices.
+
+        Raises EchowingError that says why it cannot. Who is connected to may come later.
+        """
+        if self.address.kind == "tcp":
+            return
+        try:
+            self._transport = _OPENERS[self.address.kind](self.address)
+        except (OSError, OverflowError, ValueError) as error:
+            raise EchowingError(f"link {self.name}: {_reason(error)}") from error
+
+    def fileno(self) -> int | None:
+        """For `select`; None while there is nothing to wait for."""
+        return None if self._transport is None else self._transport.fileno()
+
+    def receive(self, now_s: float) -> list[Any]:
+        """The messages that have come; tries to connect where there is no connection."""
+        if self._transport is None and not self._connect(now_s):
+            return []
+        messages: list[Any] = []
+        try:
+            while self._transport is not None and (data := self._transport.read()):
+                messages += self._parse(data)
+        except OSError as error:
+            self._lost(error, now_s)
+        if messages and not self.connected:
+            self._heard()
+        return messages
+
+    def send(self, frame: bytes, now_s: float) -> None:
+        """Send a frame; lost where there is no connection."""
+        if self._transport is None:
+            return
+        try:
+            self._transport.write(frame)
+        except OSError as error:
+            self._lost(error, now_s)
+
+    def close(self) -> None:
+        """Let go of it."""
+        if self._transport is not None:
+            self._transport.close()
+        self._transport = None
+
+    def _connect(self, now_s: float) -> bool:
+        if now_s < self._try_at_s:
+            return False
+        self._try_at_s = now_s + RETRY_S
+        try:
+            self._transport = _OPENERS[self.address.kind](self.address)
+        except (OSError, OverflowError, ValueError) as error:
+            self._complain(error)
+        self._parser = _parser()
+        return self._transport is not None
+
+    def _heard(self) -> None:
+        self.connected = True
+        self._complaint = ""
+        self.news.append(f"link {self.name}: MAVLink heard")
+
+    def _lost(self, error: OSError, now_s: float) -> None:
+        self.close()
+        self._complain(error)
+        self.connected = False
+        self._try_at_s = now_s + RETRY_S
+
+    def _complain(self, error: Exception) -> None:
+        """Say why there is no connection, once a reason."""
+        reason = _reason(error)
+        if self.connected or reason != self._complaint:
+            self._complaint = reason
+            self.news.append(f"link {self.name}: {reason}; trying again every {RETRY_S:g} s")
+
+    def _parse(self, data: bytes) -> list[Any]:
+        """Whole, known, undamaged messages out of what has come."""
+        found = [m for m in self._parser.parse_buffer(data) or () if m.get_msgId() >= 0]
+        transport = self._transport
+        if transport is not None and transport.datagrams and self._parser.buf_len() > 0:
+            self._parser = _parser()  # half a frame is garbage here, not a beginning
+        if found and isinstance(transport, UdpListener):
+            transport.understood()
+        return found
+
+
+def _parser() -> Any:
+    parser = mavlink.MAVLink(None)
+    parser.robust_parsing = True
+    return parser
+
+
+def _reason(error: Exception) -> str:
+    """Why a link cannot be had, and what to do."""
+    number = getattr(error, "errno", None)
+    if number == errno.EADDRINUSE:
+        return "the port is taken; another tool listens there"
+    if number == errno.EACCES:
+        return "not allowed; on Linux your user has to be in the group dialout"
+    if number == errno.ENOENT:
+        return "no such device; is it plugged in?"
+    if number == errno.EBUSY:
+        return "the device is busy; another tool has it open"
+    if number == errno.ECONNREFUSED:
+        return "nobody listens there"
+    return getattr(error, "strerror", None) or str(error)
+
+
+def wait(links: Iterable[Link], timeout_s: float) -> None:
+    """Wait until something has come on a link, or for `timeout_s`."""
+    numbers = [number for link in links if (number := link.fileno()) is not None]
+    select.select(numbers, [], [], max(0.0, timeout_s))

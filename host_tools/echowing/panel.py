@@ -1,0 +1,209 @@
+"""What the operator sees of each vehicle: readings off the links, and rows made of them. Pure."""
+
+import math
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from echowing.follow import DETECTION_LIMIT_M, FollowerState, FollowSession
+from echowing.geo import distance_m, ned_between
+from echowing.guard import is_flying, mode_name
+from echowing.guidance import is_stale
+
+# The applet's and the co-processor's named floats (lua/echowing.md, firmware's DeviceState).
+SPEED_LIMIT, GIMBAL_STATE = "ECHO_SPD", "SNR_STATE"
+GIMBAL = {0: "starting", 1: "searching", 2: "tracking", 3: "sonar fault"}
+SONAR_FRESH_S = 0.5  # ArduPilot's own limit for a MAVLink rangefinder
+NAMED_FRESH_S = 2.0
+FORWARD = mavlink.MAV_SENSOR_ROTATION_NONE
+LINK_WINDOW_S = 5.0
+MOST_LOST = 50  # in a row; more is a restart or another sender, not a gap
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One follower at one moment; None: not known. Times in seconds.
+
+    separation_m, error_m: from the leader by their receivers, heights included, and less the
+    wanted radius; slot_error_m: horizontally from the slot; leader_age_s: of the leader's report
+    in use; age_s: of the follower's; command_mps: the applet's speed limit.
+    """
+
+    time_s: float
+    system_id: int
+    state: str
+    mode: str
+    separation_m: float | None
+    error_m: float | None
+    slot_error_m: float | None
+    sonar_m: float | None
+    gimbal: str | None
+    leader_age_s: float | None
+    age_s: float | None
+    command_mps: float | None
+    speed_mps: float
+    leader_speed_mps: float | None
+    altitude_m: float | None
+    link_percent: float | None
+    north_offset_m: float
+    east_offset_m: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """Its fields by name, numbers to the millimetre."""
+        return {
+            key: round(value, 3) if isinstance(value, float) else value
+            for key, value in asdict(self).items()
+        }
+
+
+@dataclass(slots=True)
+class _Quality:
+    """Share of a vehicle's frames that arrive, by their sequence numbers."""
+
+    last: int | None = None
+    received: int = 0
+    lost: int = 0
+    since_s: float | None = None
+    percent: float | None = None
+
+    def count(self, sequence: int, now_s: float) -> None:
+        gap = 0 if self.last is None else (sequence - self.last - 1) % 256
+        self.last = sequence
+        self.received += 1
+        self.lost += gap if gap <= MOST_LOST else 0
+        if self.since_s is None:
+            self.since_s = now_s
+        if now_s - self.since_s >= LINK_WINDOW_S:
+            self.percent = 100.0 * self.received / (self.received + self.lost)
+            self.received = self.lost = 0
+            self.since_s = now_s
+
+
+@dataclass(slots=True)
+class _Readings:
+    """The newest of each reading of a vehicle, and when it came."""
+
+    quality: _Quality = field(default_factory=_Quality)
+    mode: str = "?"
+    sonar_m: float | None = None
+    sonar_at_s: float = -math.inf
+    named: dict[str, tuple[float, float]] = field(default_factory=dict)
+
+    def newest(self, name: str, now_s: float) -> float | None:
+        at_s, value = self.named.get(name, (-math.inf, math.nan))
+        return value if now_s - at_s < NAMED_FRESH_S else None
+
+
+class Panel:
+    """Readings of the vehicles of one session. `texts` holds what the vehicles warn of."""
+
+    def __init__(self, system_ids: Iterable[int]) -> None:
+        self._readings = {system_id: _Readings() for system_id in system_ids}
+        self.texts: list[tuple[int, str]] = []
+
+    def receive(self, message: Any, now_s: float) -> None:
+        """Take any message of any vehicle."""
+        readings = self._readings.get(message.get_srcSystem())
+        if readings is None:
+            return
+        kind = message.get_type()
+        if message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1:
+            readings.quality.count(message.get_seq(), now_s)
+            self._autopilot_says(readings, kind, message)
+        if kind == "DISTANCE_SENSOR" and message.orientation == FORWARD:
+            range_m = message.current_distance / 100.0
+            nothing = range_m >= min(DETECTION_LIMIT_M, message.max_distance / 100.0)
+            readings.sonar_m = None if nothing else range_m
+            readings.sonar_at_s = now_s
+        elif kind == "NAMED_VALUE_FLOAT":
+            readings.named[message.name] = (now_s, message.value)
+
+    def _autopilot_says(self, readings: _Readings, kind: str, message: Any) -> None:
+        if kind == "HEARTBEAT":
+            mode = mode_name(message.custom_mode)
+            readings.mode = mode if is_flying(message) else f"{mode}, not flying"
+        elif kind == "STATUSTEXT" and message.severity <= mavlink.MAV_SEVERITY_WARNING:
+            self.texts.append((message.get_srcSystem(), message.text))
+
+    def rows(self, session: FollowSession, now_s: float) -> list[Row]:
+        """A row a follower."""
+        return [self._row(session, follower, now_s) for follower in session.followers.values()]
+
+    def _row(self, session: FollowSession, follower: FollowerState, now_s: float) -> Row:
+        readings = self._readings[follower.plan.system_id]
+        fix = session.leader.fix
+        separation_m = _separation_m(session, follower, now_s)
+        gimbal = readings.newest(GIMBAL_STATE, now_s)
+        fresh = now_s - readings.sonar_at_s < SONAR_FRESH_S
+        return Row(
+            time_s=now_s,
+            system_id=follower.plan.system_id,
+            state=state_of(session, follower, now_s),
+            mode=readings.mode,
+            separation_m=separation_m,
+            error_m=None if separation_m is None else separation_m - follower.plan.slot.radius_m,
+            slot_error_m=_slot_error_m(follower),
+            sonar_m=readings.sonar_m if fresh else None,
+            gimbal=None if gimbal is None else GIMBAL.get(round(gimbal)),
+            leader_age_s=None if fix is None else max(0.0, now_s - fix.time_s),
+            age_s=_finite(now_s - follower.position_at_s),
+            command_mps=readings.newest(SPEED_LIMIT, now_s),
+            speed_mps=follower.ground_speed_mps,
+            leader_speed_mps=None if fix is None else fix.speed_mps,
+            altitude_m=follower.altitude_m,
+            link_percent=readings.quality.percent,
+            north_offset_m=follower.offset.north_m,
+            east_offset_m=follower.offset.east_m,
+        )
+
+
+def state_of(session: FollowSession, follower: FollowerState, now_s: float) -> str:
+    """What is being done with a follower, in a few words."""
+    if not session.engaged:
+        return "only watched"
+    if not follower.in_guided:
+        return "hands off"
+    if not session.sends_to(follower, now_s):
+        return "no points sent"
+    if follower.held_at is not None:
+        return f"holding: {follower.hold_reason}"
+    return "following" if follower.flown else "waiting for the leader"
+
+
+def _separation_m(session: FollowSession, follower: FollowerState, now_s: float) -> float | None:
+    """From the leader, as this follower's receiver would have it."""
+    fix = session.leader.fix
+    if follower.position is None or fix is None or is_stale(now_s - fix.time_s, session.settings):
+        return None
+    return distance_m(follower.position, session.leader_for(follower, fix, now_s))
+
+
+def _slot_error_m(follower: FollowerState) -> float | None:
+    """Horizontally from the slot, while it is being led there."""
+    if follower.position is None or follower.guided is None or follower.held_at is not None:
+        return None
+    north_m, east_m, _ = ned_between(follower.position, follower.guided.slot)
+    return math.hypot(north_m, east_m)
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def left_as(session: FollowSession, follower: FollowerState, now_s: float) -> tuple[str, bool]:
+    """How a follower is left at the end, and whether that needs nobody's hand."""
+    height = "" if follower.altitude_m is None else f", {follower.altitude_m:.1f} m up"
+    speed = f"{follower.ground_speed_mps:.1f} m/s"
+    mode = "mode unknown" if follower.mode is None else mode_name(follower.mode)
+    if not follower.in_guided:
+        return f"left to its pilot ({mode}{height})", True
+    if not follower.flown:
+        return f"was not moved ({mode}{height})", True
+    if session.guard is not None and session.guard.stands(follower.plan.system_id):
+        return f"stopped and stands, {mode}{height}, {speed}", True
+    silent_s = now_s - follower.position_at_s
+    if not session.sends_to(follower, now_s):
+        return f"NOT KNOWN TO STAND, not heard for {silent_s:.0f} s: take over", False
+    return f"NOT KNOWN TO STAND, {mode}{height}, {speed}: take over", False
