@@ -327,3 +327,25 @@ def test_a_single_wild_reading_teaches_nothing() -> None:
         follow.receive(from_vehicle(FOLLOWER, sonar_reading(range_m)), 30.0 + number * 0.1)
 
     assert follow.followers[FOLLOWER].offset.north_m == 0.0
+
+
+def test_an_unheard_leader_within_hearing_is_looked_for_to_both_sides() -> None:
+    follow = listening_session(7.66)
+
+    yaws = [targets(follow, 30.0 + step * 0.125)[0].yaw for step in range(7)]
+    follow = listening_session(2.8)
+    steady = [targets(follow, 30.0 + step * 0.125)[0].yaw for step in range(7)]
+
+    assert max(yaws) - min(yaws) > 0.3
+    assert max(steady) - min(steady) < 0.02
+
+
+def test_the_leaders_acceleration_is_taken_from_two_reports_and_limited() -> None:
+    follow = session()
+    follow.receive(from_vehicle(LEADER, position(1.0, HERE, (2.0, 0.0))), 1.0)
+    follow.receive(from_vehicle(LEADER, position(1.25, HERE, (1.5, 0.0))), 1.25)
+    assert follow.leader.fix is not None
+    assert follow.leader.fix.acceleration_ned_mps2[0] == pytest.approx(-2.0)
+
+    follow.receive(from_vehicle(LEADER, position(1.5, HERE, (-2.0, 0.0))), 1.5)
+    assert follow.leader.fix.acceleration_ned_mps2[0] == pytest.approx(-3.0)

@@ -1,5 +1,6 @@
 import itertools
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -14,7 +15,9 @@ from echowing.guidance import (
     bearing_rad,
     held_behind,
     lead_share,
+    predicted,
     slot_offset_m,
+    sweep_rad,
 )
 
 HERE = GlobalPosition(39.34, -86.03, 260.0)
@@ -217,3 +220,41 @@ def test_bearings_are_clockwise_from_north(offset: Ned, degrees: float) -> None:
 def test_slot_offsets_turn_with_the_course() -> None:
     assert slot_offset_m(Slot(3.0), 0.0) == pytest.approx((-3.0, 0.0))
     assert slot_offset_m(Slot(3.0), math.pi / 2) == pytest.approx((0.0, -3.0))
+
+
+def test_the_slot_waits_for_a_follower_on_the_other_side() -> None:
+    """A northbound leader with its follower ahead of it: the way to the slot leads round it."""
+    guide = SlotGuide(Slot(3.0), GuidanceSettings())
+    follower = displace(HERE, (3.0, 0.5, 0.0))
+
+    for step in range(100):
+        now_s = step / 8.0
+        guided = guide.update(fix_on_course(0.0, time_s=now_s), now_s, follower)
+        start = ned_between(guided.leader, follower)
+        end = ned_between(guided.leader, guided.slot)
+        apart = math.atan2(end[1], end[0]) - math.atan2(start[1], start[0])
+        assert abs(wrap_angle_rad(apart)) <= math.radians(60.0) + 0.02
+
+
+def test_an_accelerating_leader_is_predicted_with_its_acceleration() -> None:
+    fix = replace(fix_on_course(0.0, 2.0), acceleration_ned_mps2=(-2.0, 0.0, 0.0))
+
+    now = predicted(fix, 0.5)
+
+    # 2 m/s x 0.5 s - 2 m/s2 x (0.5 s)^2 / 2, and 2 - 1 m/s.
+    assert ned_between(HERE, now.position)[0] == pytest.approx(0.75, abs=0.02)
+    assert now.velocity_ned_mps[0] == pytest.approx(1.0)
+
+
+def test_the_look_sweeps_to_both_sides_only_while_the_leader_is_unheard() -> None:
+    looks = [sweep_rad(10.0, t / 10.0) for t in range(60)]
+
+    assert max(looks) == pytest.approx(math.radians(60.0), abs=0.02)
+    assert min(looks) == pytest.approx(-math.radians(60.0), abs=0.02)
+    assert sweep_rad(1.4, 3.3) == 0.0
+
+
+def test_the_slot_is_further_out_where_the_caller_says_so() -> None:
+    guided = SlotGuide(Slot(3.0), GRAY).update(fix_on_course(0.0), 0.0, least_radius_m=4.0)
+
+    assert ned_between(HERE, guided.slot)[0] == pytest.approx(-4.0, abs=0.02)
