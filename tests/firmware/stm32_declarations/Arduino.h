@@ -103,6 +103,8 @@ struct FLASH_EraseInitTypeDef {
 };
 HAL_StatusTypeDef HAL_FLASH_Program(uint32_t type, uint32_t address, uint64_t data);
 #endif
+void __HAL_RCC_SYSCFG_CLK_ENABLE();
+void __HAL_SYSCFG_REMAPMEMORY_SYSTEMFLASH();
 HAL_StatusTypeDef HAL_FLASH_Unlock();
 HAL_StatusTypeDef HAL_FLASH_Lock();
 HAL_StatusTypeDef HAL_FLASHEx_Erase(FLASH_EraseInitTypeDef* order, uint32_t* failed);

@@ -27,6 +27,11 @@ constexpr uint32_t kSystemMemory = 0x1fff0000;
   const uint32_t entry = *reinterpret_cast<const volatile uint32_t*>(kSystemMemory + 4);
   HAL_RCC_DeInit();
   SysTick->CTRL = 0;
+#if defined(STM32F4xx)
+  // Its vectors are read from address 0, where the flash is seen otherwise.
+  __HAL_RCC_SYSCFG_CLK_ENABLE();
+  __HAL_SYSCFG_REMAPMEMORY_SYSTEMFLASH();
+#endif
   __set_MSP(stack);
   reinterpret_cast<void (*)()>(entry)();
   for (;;) {
