@@ -47,8 +47,9 @@ def test_core_behaves_the_same_on_a_cortex_m3() -> None:
 @pytest.mark.parametrize("board", STM32_BOARDS)
 def test_sketch_and_board_layer_compile_for_stm32(board: str) -> None:
     """Against declarations of stm32duino's calls, with the standard that it uses."""
-    run("cmake", "-S", "tests/firmware", "-B", "build/core_tests", "-G", "Ninja")
-    run("cmake", "--build", "build/core_tests", "--target", "mavlink_headers")
+    if not (SKETCH / "src" / "mavlink" / "echowing" / "mavlink.h").exists():
+        run("cmake", "-S", "firmware/host", "-B", "build/host", "-G", "Ninja")
+        run("cmake", "--build", "build/host", "--target", "mavlink_headers")
     defines = [f"-D{name}" for name in ("ARDUINO_ARCH_STM32", *STM32_BOARDS[board])]
     sources = [SKETCH / "echowing.ino", *sorted((SKETCH / "src").glob("*/*.cpp"))]
     run(
