@@ -193,6 +193,14 @@ TEST_CASE("a change is stored after two seconds, only on the ground, and lives o
   CHECK_FALSE(later.said("corrupt"));
 }
 
+TEST_CASE("the first pulses are the stored ones") {
+  Rig rig;
+  rig.set_parameter("PAN_MIDDLE", 1420);
+  rig.run(ms(3000));
+  const Rig later(0, rig.memory);
+  CHECK(later.core.aim().pan_us == 1420);
+}
+
 TEST_CASE("nothing is stored when the autopilot falls silent in flight") {
   Rig rig;
   rig.autopilot(1, true);

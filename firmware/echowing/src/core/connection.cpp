@@ -69,9 +69,7 @@ bool Connection::send_notice(const Telemetry& telemetry) {
   mavlink_statustext_t message = {};
   message.severity = notice.severity;
   memcpy(message.text, notice.text, sizeof(message.text));
-  if (!link_.send(telemetry.identity, message)) {
-    return false;
-  }
+  if (!link_.send(telemetry.identity, message)) return false;
   notices_.drop_first();
   return true;
 }
@@ -117,9 +115,7 @@ bool Connection::send_version(const Telemetry& telemetry, const char* git_hash) 
   for (uint8_t i = 0; i < sizeof(message.flight_custom_version) && git_hash[i] != '\0'; ++i) {
     message.flight_custom_version[i] = static_cast<uint8_t>(git_hash[i]);
   }
-  if (!link_.send(telemetry.identity, message)) {
-    return false;
-  }
+  if (!link_.send(telemetry.identity, message)) return false;
   version_wanted_ = false;
   return true;
 }

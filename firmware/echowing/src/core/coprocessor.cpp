@@ -1,7 +1,6 @@
 #include "coprocessor.h"
 
 #include <math.h>
-#include <string.h>
 
 #include "scan.h"
 
@@ -39,6 +38,7 @@ int32_t whole_number(float value) {
 
 Coprocessor::Coprocessor(const Ports& ports, uint32_t seed, Microseconds now)
     : ports_(ports),
+      loaded_(store_.load(ports_.memory, parameters_)),
       uptime_(now),
       sonar_(parameters_, seed, now),
       tracker_(parameters_, now),
@@ -46,10 +46,9 @@ Coprocessor::Coprocessor(const Ports& ports, uint32_t seed, Microseconds now)
       usb_connection_(ports.usb),
       pointed_(tracker_.aim()),
       pointing_(pointing(parameters_, pointed_)) {
-  const ParameterStore::Loaded loaded = store_.load(ports_.memory, parameters_);
   renew_identity();
   notify(Notice::kStarted);
-  if (loaded == ParameterStore::Loaded::kCorrupt) notify(Notice::kParametersCorrupt);
+  if (loaded_ == ParameterStore::Loaded::kCorrupt) notify(Notice::kParametersCorrupt);
 }
 
 bool Coprocessor::set_parameter(uint8_t index, float value) {

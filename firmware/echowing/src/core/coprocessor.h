@@ -92,6 +92,7 @@ class Coprocessor {
   Ports ports_;
   Parameters parameters_;
   ParameterStore store_;
+  ParameterStore::Loaded loaded_;  // before what follows: it all starts from the stored parameters
   Uptime uptime_;
   AutopilotWatch autopilot_;
   SonarDriver sonar_;
