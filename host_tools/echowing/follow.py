@@ -316,23 +316,19 @@ class FollowSession:
 
     def _point_for(self, follower: FollowerState, now_s: float) -> GlobalPosition | None:
         fix = self.leader.fix
-        if fix is None and not follower.flown:
+        if fix is None:
             return None
         reason = self._reason_to_stop(follower, fix, now_s)
-        if reason is not None or fix is None:
-            return self._hold(follower, reason or "leader has restarted", now_s)
+        if reason is not None:
+            return self._hold(follower, reason, now_s)
         if follower.held_at is not None:
             self._let_go(follower, now_s)
         follower.guided = self._guide(follower, fix, now_s)
         return follower.guided.point
 
-    def _reason_to_stop(
-        self, follower: FollowerState, fix: LeaderFix | None, now_s: float
-    ) -> str | None:
+    def _reason_to_stop(self, follower: FollowerState, fix: LeaderFix, now_s: float) -> str | None:
         if self._stopping is not None:
             return self._stopping
-        if fix is None:
-            return None
         if is_stale(now_s - fix.time_s, self.settings):
             return STALE
         if self.guard is None:

@@ -88,16 +88,23 @@ class LiveView:
 
     def __init__(self, console: Console | None = None) -> None:
         self._events: deque[str] = deque(maxlen=EVENTS_SHOWN)
+        self._rows: Sequence[Row] = ()
         self._live = Live(console=console, refresh_per_second=TABLE_HZ, transient=False)
         self._live.start()
 
     def event(self, time_s: float, text: str) -> None:
         """As `View`."""
         self._events.append(f"{time_s:7.1f} s  {text}")
+        self._update()
 
     def rows(self, time_s: float, rows: Sequence[Row]) -> None:
         """As `View`."""
-        self._live.update(Group(table(rows), Text("\n".join(self._events))))
+        self._rows = rows
+        self._update()
+
+    def _update(self) -> None:
+        events = Text("\n".join(self._events))
+        self._live.update(Group(table(self._rows), events) if self._rows else events)
 
     def close(self) -> None:
         """As `View`: the table stays, the last events under it."""

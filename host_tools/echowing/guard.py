@@ -35,6 +35,8 @@ CHANNELS = 18  # of RC_CHANNELS
 # A hovering copter's estimate wanders by a decimetre a second; below this it stands.
 STILL_MPS = 0.3
 STILL_FOR_S = 1.0
+# Positions are asked for at 10 Hz; an older speed says nothing of a stop.
+FRESH_S = 0.5
 # From 2 m/s a copter stands within 3 s; one that still moves then is told of.
 REMIND_S = 3.0
 # Two missed reports of a second each, and the mode is no longer known.
@@ -288,7 +290,9 @@ class Guard:
         watch = self._watches[system_id]
         if watch.told_at_s is None:
             watch.told_at_s = now_s
-        if follower.ground_speed_mps > STILL_MPS:
+        if now_s - follower.position_at_s > FRESH_S:
+            watch.still_since_s = None
+        elif follower.ground_speed_mps > STILL_MPS:
             self._remind(system_id, watch, follower.ground_speed_mps, now_s)
         elif watch.still_since_s is None:
             watch.still_since_s = now_s

@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.follow import DETECTION_LIMIT_M, FollowerState, FollowSession
 from echowing.geo import distance_m, ned_between
-from echowing.guard import is_flying, mode_name
+from echowing.guard import UNHEARD_S, is_flying, mode_name
 from echowing.guidance import is_stale
 
 # The applet's and the co-processor's named floats (lua/echowing.md, firmware's DeviceState).
@@ -201,9 +201,9 @@ def left_as(session: FollowSession, follower: FollowerState, now_s: float) -> tu
         return f"left to its pilot ({mode}{height})", True
     if not follower.flown:
         return f"was not moved ({mode}{height})", True
+    silent_s = now_s - follower.position_at_s
+    if silent_s > UNHEARD_S:
+        return f"NOT KNOWN TO STAND, not heard for {silent_s:.0f} s: take over", False
     if session.guard is not None and session.guard.stands(follower.plan.system_id):
         return f"stopped and stands, {mode}{height}, {speed}", True
-    silent_s = now_s - follower.position_at_s
-    if not session.sends_to(follower, now_s):
-        return f"NOT KNOWN TO STAND, not heard for {silent_s:.0f} s: take over", False
     return f"NOT KNOWN TO STAND, {mode}{height}, {speed}: take over", False

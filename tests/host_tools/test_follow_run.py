@@ -1,0 +1,190 @@
+import io
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from rich.console import Console
+
+from echowing.errors import EchowingError
+from echowing.follow import FollowerPlan, FollowSession
+from echowing.follow_log import FollowLog
+from echowing.follow_run import LISTEN_S, VehicleFinder, parse_seat
+from echowing.follow_view import PLAIN_PERIOD_S, JsonView, LiveView, PlainView
+from echowing.guidance import GuidanceSettings, Slot
+from echowing.panel import LINK_WINDOW_S, SONAR_FRESH_S, Panel, Row
+
+LEADER, FOLLOWER = 1, 2
+
+
+def received(system_id: int, message: Any, component: int = 1, sequence: int = 0) -> Any:
+    sender = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=component)
+    sender.seq = sequence
+    return mavlink.MAVLink(None).decode(bytearray(message.pack(sender)))
+
+
+def beat(system_id: int, *, component: int = 1, autopilot: int = 3) -> Any:
+    message = mavlink.MAVLink_heartbeat_message(2, autopilot, 0x81, 4, 4, 3)
+    return received(system_id, message, component)
+
+
+# ---- who is where -----------------------------------------------------------------------------
+
+
+def test_the_only_vehicle_on_a_link_takes_its_seat() -> None:
+    seats = [parse_seat("leader", "udpin:1"), parse_seat("follower", "udpin:2")]
+    finder = VehicleFinder(seats)
+    assert finder.waiting() == "waiting for leader on udpin:1, follower on udpin:2"
+    finder.heard("udpin:1", beat(11), 0.0)
+    finder.heard("udpin:2", beat(12), 0.5)
+    finder.heard("udpin:2", beat(245, component=190, autopilot=8), 0.5)  # a ground station
+    finder.decide(LISTEN_S - 0.1)
+    assert not finder.complete  # another may be there
+    finder.decide(LISTEN_S + 0.5)
+    assert [seat.system_id for seat in seats] == [11, 12]
+
+
+def test_several_vehicles_on_a_link_have_to_be_told_apart() -> None:
+    seats = [parse_seat("leader", "udpin:1")]
+    finder = VehicleFinder(seats)
+    finder.heard("udpin:1", beat(11), 0.0)
+    finder.heard("udpin:1", beat(7), 1.0)
+    with pytest.raises(EchowingError, match=r"systems 7, 11 are heard there.*udpin:1@7"):
+        finder.decide(LISTEN_S)
+
+
+def test_a_vehicle_with_an_id_leaves_the_other_on_the_link() -> None:
+    seats = [parse_seat("leader", "udpin:1@11"), parse_seat("follower", "udpin:1")]
+    finder = VehicleFinder(seats)
+    for system_id in (11, 12):
+        finder.heard("udpin:1", beat(system_id), 0.0)
+    finder.decide(LISTEN_S)
+    assert seats[1].system_id == 12
+
+
+def test_two_vehicles_with_one_id_are_refused() -> None:
+    seats = [parse_seat("leader", "udpin:1"), parse_seat("follower", "udpin:2")]
+    finder = VehicleFinder(seats)
+    finder.heard("udpin:1", beat(1), 0.0)
+    finder.heard("udpin:2", beat(1), 0.0)
+    with pytest.raises(EchowingError, match="follower on udpin:2 is system 1, as is the leader"):
+        finder.decide(LISTEN_S)
+
+
+# ---- what is shown ----------------------------------------------------------------------------
+
+
+def session() -> FollowSession:
+    return FollowSession(LEADER, [FollowerPlan(FOLLOWER, Slot(3.0))], GuidanceSettings())
+
+
+def sonar(range_cm: int) -> Any:
+    message = mavlink.MAVLink_distance_sensor_message(0, 20, 765, range_cm, 1, 0, 0, 0)
+    return received(FOLLOWER, message, component=191)
+
+
+def test_a_sonar_reading_is_shown_while_fresh_and_nothing_is_not_a_range() -> None:
+    panel, follow = Panel([LEADER, FOLLOWER]), session()
+    panel.receive(sonar(312), 1.0)
+    assert panel.rows(follow, 1.0)[0].sonar_m == pytest.approx(3.12)
+    assert panel.rows(follow, 1.1 + SONAR_FRESH_S)[0].sonar_m is None
+    panel.receive(sonar(766), 2.0)
+    assert panel.rows(follow, 2.0)[0].sonar_m is None
+
+
+def test_the_link_is_the_share_of_frames_that_came() -> None:
+    panel = Panel([FOLLOWER])
+    for step in range(51):
+        if step % 5:  # every fifth is lost
+            message = mavlink.MAVLink_heartbeat_message(2, 3, 0x81, 5, 4, 3)
+            now_s = step * LINK_WINDOW_S / 45
+            panel.receive(received(FOLLOWER, message, sequence=(250 + step) % 256), now_s)
+    (row,) = panel.rows(session(), LINK_WINDOW_S)
+    assert row.link_percent == pytest.approx(80.0, abs=2.0)
+    assert row.mode == "LOITER"
+
+
+def test_warnings_of_the_vehicles_are_passed_on_and_chatter_is_not() -> None:
+    panel = Panel([FOLLOWER])
+    for severity, text in ((4, b"too close"), (6, b"tracking")):
+        message = mavlink.MAVLink_statustext_message(severity, text)
+        panel.receive(received(FOLLOWER, message), 0.0)
+    assert panel.texts == [(FOLLOWER, "too close")]
+
+
+def row(**changes: Any) -> Row:
+    known: dict[str, Any] = {
+        **{"time_s": 1.0, "system_id": 2, "state": "following", "mode": "GUIDED"},
+        **{"separation_m": 3.214, "error_m": 0.214, "slot_error_m": 0.3, "sonar_m": 3.05},
+        **{"gimbal": "tracking", "leader_age_s": 0.24, "age_s": 0.06, "command_mps": 1.9},
+        **{"speed_mps": 2.0, "leader_speed_mps": 2.0, "altitude_m": 10.0, "link_percent": 97.0},
+        **{"north_offset_m": 0.1, "east_offset_m": -0.1},
+    }
+    return Row(**{**known, **changes})
+
+
+def test_the_live_view_shows_a_row_a_vehicle_and_the_last_events() -> None:
+    output = io.StringIO()
+    view = LiveView(Console(file=output, force_terminal=True, width=200))
+    view.rows(1.0, [row(), row(system_id=3, sonar_m=None)])
+    view.event(1.0, "follower 3: left Guided for LOITER, hands off")
+    view.close()
+    shown = output.getvalue()
+    for text in ("3.21 m", "+0.21 m", "3.05 m", "1.9 m/s", "97 %", "left Guided for LOITER"):
+        assert text in shown
+
+
+def test_plain_lines_come_now_and_then_and_events_at_once(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    view = PlainView()
+    for tenth in range(round(2 * PLAIN_PERIOD_S * 10)):
+        view.rows(tenth / 10, [row(link_percent=None)])
+    view.event(10.0, "stands")
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 3
+    assert "separation 3.21 m (+0.21 m)" in lines[0]
+    assert "link -" in lines[0]
+    assert lines[2].endswith("stands")
+
+
+def test_json_lines_are_objects(capsys: pytest.CaptureFixture[str]) -> None:
+    view = JsonView()
+    view.event(0.5, "in Guided")
+    view.rows(1.0, [row(separation_m=math.pi)])
+    event, shown = map(json.loads, capsys.readouterr().out.splitlines())
+    assert event == {"time_s": 0.5, "event": "in Guided"}
+    assert shown["separation_m"] == 3.142
+
+
+# ---- what is written --------------------------------------------------------------------------
+
+
+def test_logs_are_on_the_disk_after_every_row(tmp_path: Path) -> None:
+    said: list[str] = []
+    log = FollowLog(tmp_path / "new" / "folder", 1_767_225_600.0, said.append)
+    log.frame(1_767_225_601.5, b"\xfdframe")
+    log.rows(1_767_225_601.6, [row()])
+
+    folder = tmp_path / "new" / "folder"
+    stamped = (folder / "follow-20260101-000000.tlog").read_bytes()
+    assert stamped == (1_767_225_601_500_000).to_bytes(8, "big") + b"\xfdframe"
+    header, line = (folder / "follow-20260101-000000.csv").read_text().splitlines()
+    assert dict(zip(header.split(","), line.split(","), strict=True))["separation_m"] == "3.214"
+    log.close()
+    assert said == []
+
+
+def test_a_log_that_cannot_be_written_is_said_once(tmp_path: Path) -> None:
+    blocked = tmp_path / "file"
+    blocked.write_text("no folder")
+    said: list[str] = []
+    log = FollowLog(blocked, 0.0, said.append)
+    for _ in range(3):
+        log.frame(1.0, b"x")
+        log.rows(1.0, [row()])
+    log.close()
+    assert len(said) == 1
+    assert "cannot be written" in said[0]

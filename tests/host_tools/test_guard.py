@@ -1,0 +1,413 @@
+from dataclasses import dataclass, field
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from echowing.errors import EchowingError
+from echowing.follow import FollowerPlan, FollowSession
+from echowing.geo import GlobalPosition, displace, ned_between
+from echowing.guard import (
+    RATE_WINDOW_S,
+    REFUSED_FOR_S,
+    REMEMBERED_S,
+    REMIND_S,
+    STILL_FOR_S,
+    UNHEARD_S,
+    WATCHDOG,
+    WATCHDOG_ASKS,
+    Limits,
+    RateWatch,
+    StopSwitch,
+    parse_stop_switch,
+)
+from echowing.guidance import GuidanceSettings, Slot
+from echowing.panel import left_as, state_of
+
+LEADER, FOLLOWER, SECOND = 1, 2, 3
+HERE = GlobalPosition(39.34, -86.03, 260.0)
+LOITER = mavlink.COPTER_MODE_LOITER
+GUIDED = mavlink.COPTER_MODE_GUIDED
+POINT = "SET_POSITION_TARGET_GLOBAL_INT"
+TICK_S = 0.125
+
+
+def received(system_id: int, message: Any) -> Any:
+    """The message as packed by the vehicle and parsed by us."""
+    sender = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=1)
+    return mavlink.MAVLink(None).decode(bytearray(message.pack(sender)))
+
+
+def heartbeat(mode: int = GUIDED, *, flying: bool = True) -> Any:
+    flags = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_SAFETY_ARMED
+    state = mavlink.MAV_STATE_ACTIVE if flying else mavlink.MAV_STATE_STANDBY
+    return mavlink.MAVLink_heartbeat_message(2, 3, flags, mode, state, 3)
+
+
+def rc_channels(channel: int, pulse_us: int) -> Any:
+    pulses = [1500] * 18
+    pulses[channel - 1] = pulse_us
+    return mavlink.MAVLink_rc_channels_message(0, 18, *pulses, 255)
+
+
+@dataclass
+class Field:
+    """Vehicles in a field: who is where, and a session told so at every tick."""
+
+    limits: Limits
+    engaged: bool = True
+    followers: tuple[int, ...] = (FOLLOWER,)
+    north_m: dict[int, float] = field(default_factory=lambda: {LEADER: 0.0, FOLLOWER: -4.0})
+    speed_mps: dict[int, float] = field(default_factory=dict)
+    height_m: float = 10.0
+    silent: set[int] = field(default_factory=set)
+    now_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        plans = [FollowerPlan(i, Slot(3.0 * (i - 1)), 10.0) for i in self.followers]
+        self.session = FollowSession(
+            LEADER,
+            plans,
+            GuidanceSettings(learn_offset=False),
+            limits=self.limits,
+            engaged=self.engaged,
+        )
+        for system_id in (LEADER, *self.followers):
+            self.tell(system_id, heartbeat())
+
+    def tell(self, system_id: int, message: Any) -> None:
+        self.session.receive(received(system_id, message), self.now_s)
+
+    def fly(self, seconds: float) -> list[Any]:
+        """Let time pass; returns all that was sent."""
+        sent: list[Any] = []
+        for _ in range(round(seconds / TICK_S)):
+            self.now_s += TICK_S
+            for system_id in {LEADER, *self.followers} - self.silent:
+                self.tell(system_id, self.position(system_id))
+            sent += [message for _, message in self.session.tick(self.now_s)]
+        return sent
+
+    def points(self, seconds: float = TICK_S) -> list[Any]:
+        return [message for message in self.fly(seconds) if message.get_type() == POINT]
+
+    def position(self, system_id: int) -> Any:
+        at = displace(HERE, (self.north_m[system_id], 0.0, 0.0))
+        return mavlink.MAVLink_global_position_int_message(
+            round(self.now_s * 1e3),
+            round(at.lat_deg * 1e7),
+            round(at.lon_deg * 1e7),
+            round(at.alt_m * 1e3),
+            round(self.height_m * 1e3),
+            round(self.speed_mps.get(system_id, 0.0) * 100),
+            0,
+            0,
+            0,
+        )
+
+    def events(self) -> list[str]:
+        return [text for _, text in self.session.events]
+
+    @property
+    def state(self) -> str:
+        return state_of(self.session, self.session.followers[FOLLOWER], self.now_s)
+
+
+def north_of(point: Any) -> float:
+    at = GlobalPosition(point.lat_int / 1e7, point.lon_int / 1e7, HERE.alt_m)
+    return ned_between(HERE, at)[0]
+
+
+def read_back(point: Any, shift_m: float = 0.0) -> Any:
+    at = displace(
+        GlobalPosition(point.lat_int / 1e7, point.lon_int / 1e7, 0.0), (shift_m, 0.0, 0.0)
+    )
+    return mavlink.MAVLink_position_target_global_int_message(
+        0, 0, 0xFDF8, round(at.lat_deg * 1e7), round(at.lon_deg * 1e7), *(0.0,) * 9
+    )
+
+
+def test_points_flow_while_nothing_is_wrong() -> None:
+    there = Field(Limits(max_distance_m=20.0, min_separation_m=1.5))
+    assert north_of(there.points()[0]) == pytest.approx(-3.0, abs=0.02)
+    assert there.state == "following"
+
+
+def test_only_watching_sends_nothing_that_moves_a_vehicle() -> None:
+    there = Field(Limits(switch=StopSwitch(5, 1200, "LAND")), engaged=False)
+    there.tell(FOLLOWER, rc_channels(5, 1900))
+    kinds = {message.get_type() for message in there.fly(10.0)}
+    assert POINT not in kinds
+    commands = {m.command for m in there.fly(10.0) if m.get_type() == "COMMAND_LONG"}
+    assert commands == {mavlink.MAV_CMD_SET_MESSAGE_INTERVAL}
+
+
+def test_beyond_the_greatest_distance_it_holds_until_well_inside() -> None:
+    there = Field(Limits(max_distance_m=20.0))
+    there.fly(1.0)
+    there.north_m[FOLLOWER] = -21.0
+    assert north_of(there.points()[0]) == pytest.approx(-21.0, abs=0.02)
+    assert "follower 2: leader is beyond 20 m, holding" in there.events()
+
+    there.north_m[FOLLOWER] = -19.0  # inside, but not by a tenth
+    assert north_of(there.points()[-1]) == pytest.approx(-21.0, abs=0.02)
+    there.north_m[FOLLOWER] = -17.0
+    assert north_of(there.points()[-1]) == pytest.approx(-3.0, abs=0.02)
+    assert there.events()[-1] == "follower 2: clear again, following"
+
+
+def test_too_near_to_the_leader_it_holds_at_its_altitude() -> None:
+    there = Field(Limits(min_separation_m=1.5), height_m=7.0)
+    there.fly(1.0)
+    there.north_m[FOLLOWER] = -1.2
+    (held,) = there.points()
+    assert north_of(held) == pytest.approx(-1.2, abs=0.02)
+    # It was on its way up to 10 m: a stop is no reason to climb on.
+    assert held.alt == pytest.approx(7.0)
+    there.north_m[FOLLOWER] = -1.8  # clear by less than half a metre
+    assert north_of(there.points()[-1]) == pytest.approx(-1.2, abs=0.02)
+    there.north_m[FOLLOWER] = -2.1
+    assert north_of(there.points()[-1]) == pytest.approx(-3.0, abs=0.02)
+
+
+def test_two_followers_too_near_to_each_other_both_hold() -> None:
+    there = Field(
+        Limits(min_separation_m=1.5),
+        followers=(FOLLOWER, SECOND),
+        north_m={LEADER: 0.0, FOLLOWER: -4.0, SECOND: -5.0},
+    )
+    there.fly(1.0)
+    told = [text for text in there.events() if "nearer" in text]
+    assert told == [
+        "follower 2: nearer to follower 3 than 1.5 m, holding",
+        "follower 3: nearer to follower 2 than 1.5 m, holding",
+    ]
+
+
+def test_a_leader_that_has_landed_stops_it_unless_it_may() -> None:
+    there = Field(Limits())
+    there.fly(1.0)
+    there.tell(LEADER, heartbeat(flying=False))
+    there.fly(TICK_S)
+    assert there.state == "holding: leader is not known to fly"
+
+    carried = Field(Limits(leader_flies=False))
+    carried.tell(LEADER, heartbeat(flying=False))
+    carried.fly(1.0)
+    assert carried.state == "following"
+
+
+def test_a_follower_on_the_ground_is_left_alone() -> None:
+    there = Field(Limits())
+    there.tell(FOLLOWER, heartbeat(flying=False))
+    assert there.points(1.0) == []
+
+
+def test_a_stop_is_verified_by_ground_speed_and_told_of_until_it_holds() -> None:
+    there = Field(Limits())
+    there.fly(1.0)
+    there.speed_mps[FOLLOWER] = 1.5
+    there.silent = {LEADER}
+    there.fly(1.25 + REMIND_S)
+    assert "follower 2: still moves at 1.5 m/s, stopped again" in there.events()
+    assert "follower 2: stands" not in there.events()
+
+    there.speed_mps[FOLLOWER] = 0.1
+    there.fly(STILL_FOR_S + 2 * TICK_S)
+    assert there.events()[-1] == "follower 2: stands"
+    assert len(there.points(1.0)) == 8  # and the stop is repeated all the time
+
+
+def test_a_refused_point_stops_it_until_the_pilot_has_taken_over() -> None:
+    there = Field(Limits())
+    there.fly(1.0)
+    while "its points are refused, holding" not in there.events()[-1] and there.now_s < 10.0:
+        (sent,) = there.points()
+        there.tell(FOLLOWER, read_back(sent, shift_m=2.0))
+    assert there.now_s == pytest.approx(1.0 + REFUSED_FOR_S, abs=3 * TICK_S)
+    assert there.state == "holding: its points are refused"
+
+    there.fly(REMEMBERED_S)
+    assert there.state == "holding: its points are refused"
+    there.tell(FOLLOWER, heartbeat(LOITER))
+    there.tell(FOLLOWER, heartbeat(GUIDED))
+    there.fly(1.0)
+    assert there.state == "following"
+
+
+@pytest.mark.parametrize(("shift_m", "applet_state"), [(0.3, 2), (5.0, 6)])
+def test_targets_near_enough_or_the_applets_own_are_no_refusal(
+    shift_m: float, applet_state: int
+) -> None:
+    there = Field(Limits())
+    state = mavlink.MAVLink_named_value_float_message(0, b"ECHO_STATE", applet_state)
+    there.tell(FOLLOWER, state)
+    for _ in range(round(2 * REFUSED_FOR_S / TICK_S)):
+        (sent,) = there.points()
+        there.tell(FOLLOWER, read_back(sent, shift_m))
+    assert there.state == "following"
+
+
+def test_an_unheard_follower_is_sent_nothing() -> None:
+    there = Field(Limits())
+    there.fly(1.0)
+    there.silent = {FOLLOWER}
+    there.fly(UNHEARD_S + TICK_S)
+    assert there.points(1.0) == []
+    assert there.events()[-1] == "follower 2: not heard for 2 s, no points sent"
+    there.silent = set()
+    assert len(there.points(1.0)) == 8
+
+
+def test_the_stop_switch_stops_and_hands_back() -> None:
+    there = Field(Limits(switch=StopSwitch(5, 1200)))
+    there.fly(1.0)
+    there.tell(FOLLOWER, rc_channels(5, 1800))
+    (held,) = there.points()
+    assert north_of(held) == pytest.approx(-4.0, abs=0.02)
+    there.fly(STILL_FOR_S + 2 * TICK_S)
+    assert there.events()[-2:] == [
+        "follower 2: stands",
+        "follower 2: hands off, by the stop switch",
+    ]
+    assert there.points(1.0) == []
+
+    there.tell(FOLLOWER, rc_channels(5, 1000))
+    assert there.points(1.0) == []  # only the pilot's Guided gives it back
+    there.tell(FOLLOWER, heartbeat(LOITER))
+    there.tell(FOLLOWER, heartbeat(GUIDED))
+    assert len(there.points(1.0)) == 8
+
+
+def test_the_stop_switch_may_change_the_mode() -> None:
+    there = Field(Limits(switch=StopSwitch(5, 1200, "BRAKE")))
+    there.fly(1.0)
+    there.tell(FOLLOWER, rc_channels(5, 1800))
+
+    changes = [m for m in there.fly(1.0) if getattr(m, "command", 0) == mavlink.MAV_CMD_DO_SET_MODE]
+
+    assert {change.param2 for change in changes} == {mavlink.COPTER_MODE_BRAKE}
+    there.tell(FOLLOWER, heartbeat(mavlink.COPTER_MODE_BRAKE))
+    after = there.fly(2.0)
+    assert not any(getattr(m, "command", 0) == mavlink.MAV_CMD_DO_SET_MODE for m in after)
+
+
+def test_the_leaders_switch_stops_all_and_a_dead_receiver_nobody() -> None:
+    there = Field(Limits(switch=StopSwitch(5, 1200)))
+    there.fly(1.0)
+    there.tell(FOLLOWER, rc_channels(5, 0))
+    there.fly(1.0)
+    assert there.state == "following"
+    there.tell(LEADER, rc_channels(5, 1800))
+    there.fly(TICK_S)
+    assert there.state == "holding: stop switch"
+
+
+def test_a_jumping_leader_is_told_of_once_and_stops_it() -> None:
+    there = Field(Limits())
+    there.fly(2.0)
+    there.north_m[LEADER] = 30.0
+    there.fly(0.5)
+    assert [text for text in there.events() if "jumps" in text] == [
+        "leader jumps: not believed until its reports agree again"
+    ]
+
+
+def test_a_leader_that_restarts_on_the_ground_stops_what_was_flown() -> None:
+    there = Field(Limits(), now_s=20.0)
+    there.fly(1.0)
+    there.now_s = 0.5  # its clock begins anew, as its reports show
+    there.tell(LEADER, heartbeat(flying=False))
+    there.tell(LEADER, there.position(LEADER))
+    there.now_s = 21.0
+    there.silent = {LEADER}
+    assert north_of(there.points()[0]) == pytest.approx(-4.0, abs=0.02)
+    assert there.state.startswith("holding")
+
+
+def test_leaving_guided_forgets_where_it_was_held() -> None:
+    there = Field(Limits(max_distance_m=20.0), north_m={LEADER: 0.0, FOLLOWER: -30.0})
+    there.fly(1.0)
+    there.tell(FOLLOWER, heartbeat(LOITER))
+    there.fly(TICK_S)
+    there.north_m[FOLLOWER] = -40.0  # flown there by hand
+    there.fly(1.0)
+    there.tell(FOLLOWER, heartbeat(GUIDED))
+    assert north_of(there.points()[0]) == pytest.approx(-40.0, abs=0.02)
+
+
+def test_a_missing_watchdog_is_said_and_one_that_answers_is_not() -> None:
+    there = Field(Limits())
+    asked = [m for m in there.fly(20.0) if m.get_type() == "PARAM_REQUEST_READ"]
+    assert len(asked) == WATCHDOG_ASKS
+    assert sum("no stream watchdog" in text for text in there.events()) == 1
+
+    answers = Field(Limits())
+    value = mavlink.MAVLink_param_value_message(WATCHDOG.encode(), 1.0, 9, 1, 0)
+    answers.fly(1.0)
+    answers.tell(FOLLOWER, value)
+    answers.fly(20.0)
+    assert not any("watchdog" in text for text in answers.events())
+
+
+def test_the_end_stops_only_what_was_moved() -> None:
+    there = Field(
+        Limits(),
+        followers=(FOLLOWER, SECOND),
+        north_m={LEADER: 0.0, FOLLOWER: -4.0, SECOND: -8.0},
+    )
+    there.tell(SECOND, heartbeat(LOITER))
+    there.fly(1.0)
+    there.session.stop("the tool ends")
+    there.tell(SECOND, heartbeat(GUIDED))
+    sent = there.points(STILL_FOR_S + 3 * TICK_S)
+    assert {message.target_system for message in sent} == {FOLLOWER}
+    assert there.session.stopped(there.now_s)
+    first, second = (
+        left_as(there.session, follower, there.now_s)
+        for follower in there.session.followers.values()
+    )
+    assert first == ("stopped and stands, GUIDED, 10.0 m up, 0.0 m/s", True)
+    assert second == ("was not moved (GUIDED, 10.0 m up)", True)
+
+
+@pytest.mark.parametrize("silent", [False, True])
+def test_a_follower_that_does_not_stand_at_the_end_is_called_out(silent: bool) -> None:
+    there = Field(Limits())
+    there.fly(1.0)
+    there.speed_mps[FOLLOWER] = 2.0
+    there.silent = {FOLLOWER} if silent else set()
+    there.session.stop("the tool ends")
+    there.fly(5.0)
+    text, well = left_as(there.session, there.session.followers[FOLLOWER], there.now_s)
+    assert not well
+    assert text.startswith("NOT KNOWN TO STAND")
+    assert "take over" in text
+
+
+def test_rates_that_are_too_low_are_said_once_and_so_is_their_recovery() -> None:
+    said: list[str] = []
+    rates = RateWatch(
+        [(1, mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, 4.0)], lambda t, s: said.append(s)
+    )
+    for window, rate_hz in enumerate([4, 1, 1, 4]):
+        rates.check(window * RATE_WINDOW_S)
+        for _ in range(round(rate_hz * RATE_WINDOW_S)):
+            rates.received(1, mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT)
+    rates.check(4 * RATE_WINDOW_S)
+    assert said == [
+        "system 1: GLOBAL_POSITION_INT comes at 1.0 Hz, 4 Hz asked for: "
+        "check the radio and the stream rates",
+        "system 1: GLOBAL_POSITION_INT comes at 4.0 Hz, 4 Hz asked for: well again",
+    ]
+
+
+def test_stop_switches_are_read() -> None:
+    assert parse_stop_switch("5:1200") == StopSwitch(5, 1200, None)
+    assert parse_stop_switch("7:1700:rtl") == StopSwitch(7, 1700, "RTL")
+
+
+@pytest.mark.parametrize("text", ["", "5", "0:1200", "5:12", "5:1200:STABILIZE", "5:1200:DRIFT"])
+def test_other_stop_switches_are_refused(text: str) -> None:
+    with pytest.raises(EchowingError, match="stop switch"):
+        parse_stop_switch(text)

@@ -1,0 +1,241 @@
+import os
+import pty
+import random
+import socket
+import time
+import tty
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from echowing.errors import EchowingError
+from echowing.links import DEFAULT_BAUD, MOST_PEERS, RETRY_S, Address, Link, parse_address, wait
+
+DEADLINE_S = 10.0
+
+
+def frame(system_id: int = 1, mode: int = 4) -> bytes:
+    sender = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=1)
+    return bytes(mavlink.MAVLink_heartbeat_message(2, 3, 0, mode, 4, 3).pack(sender))
+
+
+def until(done: Callable[[], Any]) -> Any:
+    """Poll until something true comes, with a generous deadline."""
+    until_s = time.monotonic() + DEADLINE_S
+    while time.monotonic() < until_s:
+        result = done()
+        if result:
+            return result
+        time.sleep(0.005)
+    pytest.fail("it never came")
+
+
+def received(link: Link) -> list[Any]:
+    """The messages that come next, whatever their number."""
+    return list(until(lambda: link.receive(time.monotonic())))
+
+
+def opened(text: str) -> Link:
+    link = Link(parse_address(text))
+    link.open()
+    return link
+
+
+def free_port(kind: socket.SocketKind) -> int:
+    with socket.socket(socket.AF_INET, kind) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@pytest.fixture
+def sender() -> Iterator[socket.socket]:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as vehicle:
+        vehicle.bind(("127.0.0.1", 0))
+        vehicle.settimeout(DEADLINE_S)
+        yield vehicle
+
+
+@pytest.mark.parametrize(
+    ("text", "address"),
+    [
+        ("udpin:14550", ("udpin", "127.0.0.1", 14550)),
+        ("udp:14550", ("udpin", "127.0.0.1", 14550)),
+        ("udpin:0.0.0.0:14550", ("udpin", "0.0.0.0", 14550)),
+        ("udpout:10.0.0.7:14550", ("udpout", "10.0.0.7", 14550)),
+        ("tcp:localhost:5760", ("tcp", "localhost", 5760)),
+        ("tcpin:5760", ("tcpin", "127.0.0.1", 5760)),
+    ],
+)
+def test_connection_strings_listen_on_loopback_unless_told(
+    text: str, address: tuple[str, str, int]
+) -> None:
+    assert parse_address(text) == Address(text, *address)
+
+
+def test_serial_devices_have_a_baud_rate() -> None:
+    assert parse_address("/dev/ttyUSB0").baud == DEFAULT_BAUD
+    assert parse_address("/dev/ttyUSB0", 115_200).baud == 115_200
+    assert parse_address("/dev/ttyUSB0,921600", 115_200).baud == 921_600
+    assert parse_address("COM5").host == "COM5"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("udpin:", "the port is a number"),
+        ("udpin:70000", "the port is a number"),
+        ("udpout:14550", "which host"),
+        ("bluetooth:7", "no such kind"),
+        ("/dev/ttyUSB0,fast", "baud rate"),
+    ],
+)
+def test_other_connection_strings_are_refused(text: str, said: str) -> None:
+    with pytest.raises(EchowingError, match=said):
+        parse_address(text)
+
+
+def test_datagrams_are_heard_and_answered(sender: socket.socket) -> None:
+    port = free_port(socket.SOCK_DGRAM)
+    link = opened(f"udpin:{port}")
+    sender.sendto(frame(system_id=7), ("127.0.0.1", port))
+    (message,) = received(link)
+    assert message.get_srcSystem() == 7
+    assert link.news == [f"link udpin:{port}: MAVLink heard"]
+
+    link.send(frame(system_id=245), 0.0)
+    assert sender.recv(100) == frame(system_id=245)
+    link.close()
+
+
+def test_half_a_frame_does_not_swallow_the_next_datagram(sender: socket.socket) -> None:
+    port = free_port(socket.SOCK_DGRAM)
+    link = opened(f"udpin:{port}")
+    # It promises 255 bytes: without care the next dozen heartbeats would be taken for them.
+    sender.sendto(b"\xfd\xff\x00\x00", ("127.0.0.1", port))
+    sender.sendto(frame(system_id=9), ("127.0.0.1", port))
+    (message,) = received(link)
+    assert message.get_srcSystem() == 9
+    link.close()
+
+
+def test_noise_yields_no_message_and_no_answer(sender: socket.socket) -> None:
+    port = free_port(socket.SOCK_DGRAM)
+    link = opened(f"udpin:{port}")
+    chance = random.Random(3)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+        stranger.bind(("127.0.0.1", 0))
+        stranger.setblocking(False)
+        for length in range(200):
+            stranger.sendto(chance.randbytes(length), ("127.0.0.1", port))
+            assert link.receive(0.0) == []
+        sender.sendto(frame(), ("127.0.0.1", port))
+        received(link)
+        link.send(frame(), 0.0)
+        assert sender.recv(100) == frame()
+        with pytest.raises(BlockingIOError):
+            stranger.recv(100)
+    link.close()
+
+
+def test_only_so_many_senders_are_answered(sender: socket.socket) -> None:
+    port = free_port(socket.SOCK_DGRAM)
+    link = opened(f"udpin:{port}")
+    sender.sendto(frame(), ("127.0.0.1", port))
+    received(link)
+    for _ in range(MOST_PEERS):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+            other.sendto(frame(), ("127.0.0.1", port))
+            received(link)
+    link.send(frame(), 0.0)  # the first is forgotten, and the vanished ones are no error
+    sender.setblocking(False)
+    with pytest.raises(BlockingIOError):
+        sender.recv(100)
+    link.close()
+
+
+def test_udpout_speaks_first_and_hears_the_answer(sender: socket.socket) -> None:
+    link = opened(f"udpout:127.0.0.1:{sender.getsockname()[1]}")
+    link.send(frame(245), 0.0)
+    data, back = sender.recvfrom(100)
+    assert data == frame(245)
+    sender.sendto(frame(3), back)
+    (message,) = received(link)
+    assert message.get_srcSystem() == 3
+    link.close()
+
+
+def test_tcp_waits_for_a_listener_and_comes_back_to_the_next() -> None:
+    port = free_port(socket.SOCK_STREAM)
+    link = opened(f"tcp:127.0.0.1:{port}")
+    now_s = 0.0
+    until(lambda: not link.receive(now_s) and link.news)
+    assert link.news == [f"link tcp:127.0.0.1:{port}: nobody listens there; trying again every 1 s"]
+    link.news.clear()
+    for _ in range(2):
+        now_s += RETRY_S
+        with socket.create_server(("127.0.0.1", port)) as listener:
+            link.receive(now_s)
+            vehicle, _ = listener.accept()
+            vehicle.sendall(frame(4)[:5])
+            vehicle.sendall(frame(4)[5:])
+            (message,) = until(lambda: link.receive(now_s))  # noqa: B023 (called at once)
+            assert message.get_srcSystem() == 4
+            link.send(frame(245), now_s)
+            assert vehicle.recv(100) == frame(245)
+            vehicle.close()
+        until(lambda: not link.receive(now_s) and not link.connected)  # noqa: B023 (called at once)
+    told = f"link tcp:127.0.0.1:{port}: "
+    assert (
+        link.news
+        == [
+            *(f"{told}MAVLink heard", f"{told}closed by the other end; trying again every 1 s"),
+        ]
+        * 2
+    )
+    link.close()
+
+
+def test_tcpin_takes_one_connection_after_the_other() -> None:
+    port = free_port(socket.SOCK_STREAM)
+    link = opened(f"tcpin:{port}")
+    for system_id in (5, 6):
+        with socket.create_connection(("127.0.0.1", port)) as vehicle:
+            vehicle.settimeout(DEADLINE_S)
+            vehicle.sendall(frame(system_id))
+            (message,) = received(link)
+            assert message.get_srcSystem() == system_id
+            link.send(frame(245), 0.0)
+            assert vehicle.recv(100) == frame(245)
+    link.close()
+
+
+def test_a_serial_device_is_a_link() -> None:
+    master, slave = pty.openpty()
+    tty.setraw(slave)
+    link = opened(os.ttyname(slave))
+    os.write(master, b"boot: noise" + frame(8))
+    (message,) = received(link)
+    assert message.get_srcSystem() == 8
+    link.send(frame(245), 0.0)
+    assert os.read(master, 100) == frame(245)
+    link.close()
+    os.close(master)
+    os.close(slave)
+
+
+def test_a_missing_device_and_a_taken_port_say_so(sender: socket.socket) -> None:
+    with pytest.raises(EchowingError, match="no such device; is it plugged in"):
+        opened("/dev/echowing-is-not-there")
+    with pytest.raises(EchowingError, match="the port is taken"):
+        opened(f"udpin:{sender.getsockname()[1]}")
+
+
+def test_waiting_ends_when_something_comes(sender: socket.socket) -> None:
+    port = free_port(socket.SOCK_DGRAM)
+    links = [opened(f"udpin:{port}"), Link(parse_address("tcp:127.0.0.1:1"))]
+    sender.sendto(frame(), ("127.0.0.1", port))
+    wait(links, DEADLINE_S)
+    assert len(links[0].receive(0.0)) == 1
+    links[0].close()
