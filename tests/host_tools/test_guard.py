@@ -135,9 +135,9 @@ def test_points_flow_while_nothing_is_wrong() -> None:
 
 def test_only_watching_sends_nothing_that_moves_a_vehicle() -> None:
     there = Field(Limits(switch=StopSwitch(5, 1200, "LAND")), engaged=False)
-    there.tell(FOLLOWER, rc_channels(5, 1900))
     kinds = {message.get_type() for message in there.fly(10.0)}
-    assert POINT not in kinds
+    assert kinds == {"HEARTBEAT", "TIMESYNC", "COMMAND_LONG"}
+    there.tell(FOLLOWER, rc_channels(5, 1900))
     commands = {m.command for m in there.fly(10.0) if m.get_type() == "COMMAND_LONG"}
     assert commands == {mavlink.MAV_CMD_SET_MESSAGE_INTERVAL}
 
@@ -218,6 +218,15 @@ def test_a_stop_is_verified_by_ground_speed_and_told_of_until_it_holds() -> None
     assert len(there.points(1.0)) == 8  # and the stop is repeated all the time
 
 
+def test_silence_is_not_taken_for_standing() -> None:
+    there = Field(Limits())
+    there.fly(1.0)
+    there.silent = {FOLLOWER}  # its last report was that it hovered
+    there.session.stop("the tool ends")
+    there.fly(UNHEARD_S - TICK_S)
+    assert not any("stands" in text for text in there.events())
+
+
 def test_a_refused_point_stops_it_until_the_pilot_has_taken_over() -> None:
     there = Field(Limits())
     there.fly(1.0)
@@ -295,9 +304,10 @@ def test_the_stop_switch_may_change_the_mode() -> None:
 def test_the_leaders_switch_stops_all_and_a_dead_receiver_nobody() -> None:
     there = Field(Limits(switch=StopSwitch(5, 1200)))
     there.fly(1.0)
-    there.tell(FOLLOWER, rc_channels(5, 0))
-    there.fly(1.0)
-    assert there.state == "following"
+    for nothing_us in (0, 65_535):
+        there.tell(FOLLOWER, rc_channels(5, nothing_us))
+        there.fly(1.0)
+        assert there.state == "following"
     there.tell(LEADER, rc_channels(5, 1800))
     there.fly(TICK_S)
     assert there.state == "holding: stop switch"
