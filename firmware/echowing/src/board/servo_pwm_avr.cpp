@@ -13,6 +13,10 @@ static_assert(kPins.pan == 11 && kPins.tilt == 12, "Timer1 of the ATmega2560 dri
 constexpr uint16_t kTicksPerUs = F_CPU / 8 / 1000000;
 constexpr uint16_t kFrameTicks = 20000 * kTicksPerUs;
 
+// The pulses that the core gives, 0.8 to 2.2 ms, end between these.
+constexpr uint16_t kFirstEnd = 700 * kTicksPerUs;
+constexpr uint16_t kLastEnd = 2300 * kTicksPerUs;
+
 // The pin is high from the start of the frame up to and including tick OCR1x.
 constexpr uint16_t compare(uint16_t pulse_us) { return pulse_us * kTicksPerUs - 1; }
 
@@ -33,8 +37,11 @@ void ServoPwm::begin(Aim aim) {
   TCCR1B = _BV(WGM13) | _BV(WGM12) | _BV(CS11);
 }
 
-// The compare registers are double-buffered: a change waits for the next frame.
+// Not while pulses end, so that both servos change in the same frame and no pulse misses its end:
+// the chip double-buffers each compare register, an emulator may not. The next turn will do.
 void ServoPwm::write(Aim aim) {
+  const uint16_t ticks = TCNT1;
+  if (ticks >= kFirstEnd && ticks < kLastEnd) return;
   if (aim.pan_us != written_.pan_us) OCR1A = compare(aim.pan_us);
   if (aim.tilt_us != written_.tilt_us) OCR1B = compare(aim.tilt_us);
   written_ = aim;
