@@ -14,6 +14,7 @@ from echowing.errors import EchowingError
 VERBS = {
     "sim": "fly a simulated formation",
     "demo": "fly every scenario and write the report",
+    "leader": "publish a real leader's telemetry to a follow on another computer",
     "follow": "guide real followers behind a real leader",
     "analyze": "measure a flown formation from its logs",
     "calibrate": "replay recorded flights through the copter model",

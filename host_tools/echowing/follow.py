@@ -507,7 +507,7 @@ class FollowSession:
 
     def _rate_requests(self) -> list[tuple[int, Any]]:
         return [
-            (system_id, _message_interval(system_id, message_id, round(1e6 / rate_hz)))
+            (system_id, message_interval(system_id, message_id, round(1e6 / rate_hz)))
             for system_id, message_id, rate_hz in self._wanted()
         ]
 
@@ -563,7 +563,8 @@ def tool_heartbeat() -> Any:
     )
 
 
-def _message_interval(system_id: int, message_id: int, period_us: int) -> Any:
+def message_interval(system_id: int, message_id: int, period_us: int) -> Any:
+    """Ask a vehicle to send a message at an interval."""
     return mavlink.MAVLink_command_long_message(
         system_id,
         mavlink.MAV_COMP_ID_AUTOPILOT1,

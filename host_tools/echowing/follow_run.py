@@ -1,59 +1,33 @@
 """The follow tool at work: links, clock and logs around the pure follow session."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.errors import EchowingError
 from echowing.follow import (
-    HEARTBEAT_PERIOD_S,
-    TOOL_COMPONENT_ID,
-    TOOL_SYSTEM_ID,
     FollowerPlan,
     FollowSession,
-    tool_heartbeat,
 )
 from echowing.follow_log import FollowLog
 from echowing.follow_view import View
 from echowing.guard import Limits
 from echowing.guidance import GuidanceSettings, Slot
-from echowing.links import DEFAULT_BAUD, Address, Link, parse_address, wait
+from echowing.links import Link, wait
 from echowing.panel import Panel, left_as
+from echowing.seats import OpenLink, Seat, find_vehicles, known_id
 from echowing.stopping import StopRequest
 
 ROWS_PERIOD_S = 0.1
-# Heartbeats come once a second: after this long everybody on a link has been heard.
-LISTEN_S = 1.5
-WAITING_PERIOD_S = 5.0
 # A copter at 5 m/s stands within 5 s; the stop has to be seen for a second, over a slow link.
 STOPPING_S = 10.0
 # This far behind, the points that were missed are not sent late.
 HOPELESS_S = 0.5
 # What another component of a vehicle, the co-processor, may say; all else is its autopilot's.
 _COMPONENTS_SAY = {"DISTANCE_SENSOR", "NAMED_VALUE_FLOAT"}
-
-
-@dataclass(slots=True)
-class Seat:
-    """A vehicle's place in the session: where it is heard, and its system id once known."""
-
-    role: str
-    address: Address
-    system_id: int | None = None
-
-
-def parse_seat(role: str, text: str, baud: int = DEFAULT_BAUD) -> Seat:
-    """`CONNECTION` or `CONNECTION@SYSTEM`. Raises EchowingError."""
-    where, at, system = text.rpartition("@")
-    if not at:
-        return Seat(role, parse_address(text, baud))
-    if not system.isdecimal() or not 1 <= int(system) <= 255:
-        raise EchowingError(f"{role} {text!r}: after @ comes a system id from 1 to 255")
-    return Seat(role, parse_address(where, baud), int(system))
 
 
 @dataclass(slots=True)
@@ -92,10 +66,10 @@ class FollowTool:
         self._clock = clock
         self._start_s = clock()
         self._start_unix_s = unix_clock()
-        self._links: dict[str, _OpenLink] = {}
+        self._links: dict[str, OpenLink] = {}
         for seat in options.seats:
             text = seat.address.text
-            self._links.setdefault(text, _OpenLink(Link(seat.address)))
+            self._links.setdefault(text, OpenLink(Link(seat.address)))
         self._log: FollowLog | None = None
         self._next_tick_s = self._next_rows_s = 0.0
         self._events_told = 0
@@ -107,7 +81,9 @@ class FollowTool:
                 link.link.open()
             if self._options.log is not None:
                 self._log = FollowLog(self._options.log, self._start_unix_s, self._say)
-            if not self._find_vehicles():
+            if not find_vehicles(
+                self._options.seats, self._links, self._now_s, self._over, self._say
+            ):
                 self._say("ended before all vehicles were heard; nothing was moved")
                 return 0
             self._make_session()
@@ -124,44 +100,22 @@ class FollowTool:
 
     # ---- before ---------------------------------------------------------------------------------
 
-    def _find_vehicles(self) -> bool:
-        """Wait until every seat has its system id; False: the end was asked for."""
-        finder = VehicleFinder(self._options.seats)
-        beat_s = told_s = 0.0
-        while not finder.complete:
-            if self._over():
-                return False
-            now_s = self._now_s()
-            if now_s >= beat_s:
-                beat_s = now_s + HEARTBEAT_PERIOD_S
-                for link in self._links.values():
-                    link.send(tool_heartbeat(), now_s)
-            if now_s >= told_s:
-                told_s = now_s + WAITING_PERIOD_S
-                self._say(finder.waiting())
-            wait([one.link for one in self._links.values()], ROWS_PERIOD_S)
-            for link in self._links.values():
-                for message in self._received(link, self._now_s()):
-                    finder.heard(link.link.name, message, self._now_s())
-            finder.decide(self._now_s())
-        return True
-
     def _make_session(self) -> None:
         options = self._options
         leader, *followers = options.seats
         plans = [
-            FollowerPlan(_known(seat), slot, options.altitude_m)
+            FollowerPlan(known_id(seat), slot, options.altitude_m)
             for seat, slot in zip(followers, options.slots, strict=True)
         ]
         self._session = FollowSession(
-            _known(leader),
+            known_id(leader),
             plans,
             options.settings,
             limits=options.limits,
             engaged=options.engage,
         )
-        self._panel = Panel([_known(seat) for seat in options.seats])
-        self._ways = {_known(seat): self._links[seat.address.text] for seat in options.seats}
+        self._panel = Panel([known_id(seat) for seat in options.seats])
+        self._ways = {known_id(seat): self._links[seat.address.text] for seat in options.seats}
         listed = ", ".join(f"{seat.role} is system {seat.system_id}" for seat in options.seats)
         self._say(listed)
         if not options.engage:
@@ -181,7 +135,7 @@ class FollowTool:
     def _turn(self) -> None:
         """Take what has come; send and show when it is time; wait for what comes next."""
         for link in self._links.values():
-            for message in self._received(link, self._now_s()):
+            for message in link.receive(self._now_s(), self._say):
                 self._take(link, message, self._now_s())
         now_s = self._now_s()
         if now_s >= self._next_tick_s:
@@ -195,14 +149,7 @@ class FollowTool:
         due_s = min(self._next_tick_s, self._next_rows_s)
         wait([link.link for link in self._links.values()], due_s - self._now_s())
 
-    def _received(self, link: "_OpenLink", now_s: float) -> list[Any]:
-        messages = link.link.receive(now_s)
-        for news in link.link.news:
-            self._say(news)
-        link.link.news.clear()
-        return messages
-
-    def _take(self, link: "_OpenLink", message: Any, now_s: float) -> None:
+    def _take(self, link: OpenLink, message: Any, now_s: float) -> None:
         """Hand on what a vehicle of ours has said on its own link."""
         if self._ways.get(message.get_srcSystem()) is not link:
             return
@@ -262,97 +209,3 @@ class FollowTool:
         for link in self._links.values():
             link.link.close()
         self._view.close()
-
-
-class _OpenLink:
-    """A link and who we are on it: each link has sequence numbers of its own."""
-
-    def __init__(self, link: Link) -> None:
-        self.link = link
-        self._packer = mavlink.MAVLink(
-            None, srcSystem=TOOL_SYSTEM_ID, srcComponent=TOOL_COMPONENT_ID
-        )
-
-    def send(self, message: Any, now_s: float) -> bytes:
-        """Pack and send a message; returns the frame."""
-        frame = bytes(message.pack(self._packer))
-        self._packer.seq = (self._packer.seq + 1) % 256
-        self.link.send(frame, now_s)
-        return frame
-
-
-class VehicleFinder:
-    """Finds out which vehicle is heard where, from autopilots' heartbeats. Pure.
-
-    A seat without a system id takes the only vehicle on its link; several there are refused.
-    """
-
-    def __init__(self, seats: Sequence[Seat]) -> None:
-        self._seats = seats
-        self._heard: dict[str, dict[int, float]] = {}
-        self._check_asked()
-
-    @property
-    def complete(self) -> bool:
-        """Whether every seat has its system id."""
-        return not self._open_seats()
-
-    def waiting(self) -> str:
-        """Who is still missing."""
-        missing = [f"{seat.role} on {seat.address.text}" for seat in self._open_seats()]
-        return "waiting for " + ", ".join(missing)
-
-    def heard(self, link: str, message: Any, now_s: float) -> None:
-        """Take any message of a link."""
-        if message.get_type() != "HEARTBEAT":
-            return
-        vehicle = message.autopilot != mavlink.MAV_AUTOPILOT_INVALID
-        if vehicle and message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1:
-            self._heard.setdefault(link, {}).setdefault(message.get_srcSystem(), now_s)
-
-    def decide(self, now_s: float) -> None:
-        """Fill seats from what was heard long enough. Raises EchowingError where it is unclear."""
-        for seat in self._open_seats():
-            vehicles = self._heard.get(seat.address.text, {})
-            if vehicles and now_s - min(vehicles.values()) >= LISTEN_S:
-                seat.system_id = self._only(seat, list(vehicles))
-
-    def _only(self, seat: Seat, vehicles: Sequence[int]) -> int:
-        taken = {other.system_id: other for other in self._seats if other.system_id is not None}
-        free = [system_id for system_id in vehicles if system_id not in taken]
-        where = seat.address.text
-        if not free:
-            other = taken[vehicles[0]]
-            raise EchowingError(
-                f"{seat.role} on {where} is system {vehicles[0]}, as is the {other.role} on "
-                f"{other.address.text}; give each vehicle a MAV_SYSID (SYSID_THISMAV) of its own"
-            )
-        if len(free) > 1:
-            listed = ", ".join(str(system_id) for system_id in sorted(free))
-            raise EchowingError(
-                f"{where}: systems {listed} are heard there; say which is the {seat.role}: "
-                f"{where}@{min(free)}"
-            )
-        return free[0]
-
-    def _open_seats(self) -> list[Seat]:
-        return [seat for seat in self._seats if seat.system_id is None]
-
-    def _check_asked(self) -> None:
-        """Refuse an id given twice, and several vehicles without ids on one link."""
-        asked = [seat.system_id for seat in self._seats if seat.system_id is not None]
-        doubles = {system_id for system_id in asked if asked.count(system_id) > 1}
-        if doubles:
-            raise EchowingError(f"system {min(doubles)} is given twice; each vehicle has its own")
-        unnamed = [seat.address.text for seat in self._open_seats()]
-        for text in unnamed:
-            if unnamed.count(text) > 1:
-                raise EchowingError(
-                    f"{text} is given for several vehicles: say which is which, as {text}@1"
-                )
-
-
-def _known(seat: Seat) -> int:
-    if seat.system_id is None:
-        raise ValueError(f"{seat.role} has not been found")
-    return seat.system_id

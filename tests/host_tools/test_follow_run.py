@@ -11,10 +11,10 @@ from rich.console import Console
 from echowing.errors import EchowingError
 from echowing.follow import FollowerPlan, FollowSession
 from echowing.follow_log import FollowLog
-from echowing.follow_run import LISTEN_S, VehicleFinder, parse_seat
 from echowing.follow_view import PLAIN_PERIOD_S, JsonView, LiveView, PlainView
 from echowing.guidance import GuidanceSettings, Slot
 from echowing.panel import LINK_WINDOW_S, SONAR_FRESH_S, Panel, Row
+from echowing.seats import LISTEN_S, VehicleFinder, parse_seat
 
 LEADER, FOLLOWER = 1, 2
 

@@ -359,6 +359,52 @@ def test_a_full_disk_is_said_and_flying_goes_on(world: World, tmp_path: Path) ->
     tool.kill()
 
 
+def test_in_two_halves_the_leader_is_published_and_cannot_be_moved(world: World) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    publisher = Process(
+        *("leader", "--vehicle", world.link(LEADER), "--publish", f"udp:127.0.0.1:{port}")
+    )
+    publisher.wait_for(lambda line: "published to" in line)
+    tool = Process(
+        *("follow", "--leader-from", f"udp:127.0.0.1:{port}", "--follower", world.link(FOLLOWER)),
+        *("--engage", "--json"),
+    )
+    # The age is measured through both halves: under half a second on one machine.
+    tool.row(lambda row: in_slot(row) and row["leader_age_s"] < 0.5)
+    tool.kill()
+
+    kinds = _answers_to_a_stranger(port)
+    assert "TIMESYNC" in kinds  # what was asked came through, so a command would have
+    assert mavlink.COPTER_MODE_LAND not in kinds
+    assert publisher.end(signal.SIGINT) == 0
+    assert publisher.lines[-1].endswith("ended")
+
+
+def _answers_to_a_stranger(port: int) -> list[Any]:
+    """Tell the publisher to land the leader; kinds of messages, and modes, until it answers."""
+    stranger = mavlink.MAVLink(None, srcSystem=GROUND_STATION_ID, srcComponent=190)
+    land = mavlink.MAVLink_command_long_message(
+        LEADER, 1, mavlink.MAV_CMD_DO_SET_MODE, 0, 1, mavlink.COPTER_MODE_LAND, *(0.0,) * 5
+    )
+    ask = mavlink.MAVLink_timesync_message(0, 4711)
+    heard: list[Any] = []
+    answered_at: int | None = None
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as follow:
+        follow.bind(("127.0.0.1", port))
+        follow.settimeout(DEADLINE_S)
+        _, publisher = follow.recvfrom(1000)
+        for message in (land, ask):
+            follow.sendto(bytes(message.pack(stranger)), publisher)
+        while answered_at is None or "HEARTBEAT" not in heard[answered_at:]:
+            message = mavlink.MAVLink(None).decode(bytearray(follow.recv(1000)))
+            heard += [message.get_type(), _mode_of(message)]
+            if message.get_type() == "TIMESYNC" and message.ts1 == 4711:
+                answered_at = len(heard)
+    return heard
+
+
 def test_garbage_and_strangers_on_the_leaders_link_do_no_harm(world: World) -> None:
     bridge = DatagramBridge(world.port)
     tool = world.follow(leader=f"udpin:{bridge.tool_port}@1")
@@ -472,6 +518,21 @@ def test_a_formation_file_of_another_size_is_refused(
     formation.write_text("[[slots]]\nradius_m = 3.0\n[[slots]]\nradius_m = 6.0\n", encoding="utf-8")
     assert main([*ENDS, "--formation", str(formation)]) == 2
     assert "2 slots for 1 followers" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--publish", "tcp:127.0.0.1:5760"], "write udp:HOST:PORT"),
+        (["--publish", "udp:5760"], "which host"),
+        (["--publish", "udp:127.0.0.1:5760", "--rate", "0"], "give 1 to 20"),
+    ],
+)
+def test_a_leader_that_cannot_be_published_is_refused(
+    options: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["leader", "--vehicle", "udpin:14550", *options]) == 2
+    assert said in capsys.readouterr().err
 
 
 def test_a_taken_port_is_said(capsys: pytest.CaptureFixture[str]) -> None:

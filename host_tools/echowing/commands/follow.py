@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 from echowing.errors import EchowingError
 
 if TYPE_CHECKING:
-    from echowing.follow_run import FollowOptions, Seat
+    from echowing.follow_run import FollowOptions
     from echowing.guidance import Slot
+    from echowing.seats import Seat
 
 EXAMPLES = """\
 examples:
@@ -39,7 +40,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "CONN: udpin:[HOST:]PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:[HOST:]PORT or a serial "
         "device; CONN@ID where several vehicles share a link",
     )
-    links.add_argument("--leader", required=True, metavar="CONN")
+    leader = links.add_mutually_exclusive_group(required=True)
+    leader.add_argument("--leader", metavar="CONN")
+    leader.add_argument(
+        "--leader-from",
+        dest="leader",
+        metavar="udp:[HOST:]PORT",
+        help="the leader as published by `echowing leader` on another computer; HOST: the address "
+        "to listen on, 0.0.0.0 for all",
+    )
     links.add_argument("--follower", action="append", required=True, metavar="CONN")
     links.add_argument("--baud", type=int, default=DEFAULT_BAUD, help="of serial devices")
     place = parser.add_argument_group("formation")
@@ -102,9 +111,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _options(args: argparse.Namespace) -> "FollowOptions":
-    from echowing.follow_run import FollowOptions, VehicleFinder  # noqa: PLC0415
+    from echowing.follow_run import FollowOptions  # noqa: PLC0415
     from echowing.guard import Limits, parse_stop_switch  # noqa: PLC0415
     from echowing.guidance import GuidanceSettings  # noqa: PLC0415
+    from echowing.seats import VehicleFinder  # noqa: PLC0415
 
     _check_numbers(args)
     switch = None if args.stop_switch is None else parse_stop_switch(args.stop_switch)
@@ -145,7 +155,7 @@ def _check_numbers(args: argparse.Namespace) -> None:
 
 
 def _seats(args: argparse.Namespace) -> "list[Seat]":
-    from echowing.follow_run import parse_seat  # noqa: PLC0415
+    from echowing.seats import parse_seat  # noqa: PLC0415
 
     leader = parse_seat("leader", args.leader, args.baud)
     return [leader, *(parse_seat("follower", text, args.baud) for text in args.follower)]

@@ -1,0 +1,51 @@
+"""`echowing leader`: publish a leader's telemetry to a `follow` on another computer."""
+
+import argparse
+
+from echowing.errors import EchowingError
+
+EXAMPLES = """\
+examples:
+  echowing leader --vehicle /dev/ttyUSB0 --publish udp:192.168.1.20:14600
+      and on 192.168.1.20:
+  echowing follow --leader-from udp:0.0.0.0:14600 --follower /dev/ttyUSB0 --engage
+Only questions for the leader's clock come back this way: nothing can move the leader.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The verb's options."""
+    from echowing.links import DEFAULT_BAUD  # noqa: PLC0415 (imported when the verb is used)
+
+    parser.epilog = EXAMPLES
+    parser.add_argument(
+        "--vehicle",
+        required=True,
+        metavar="CONN",
+        help="udpin:[HOST:]PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:[HOST:]PORT or a serial "
+        "device; CONN@ID where several vehicles share the link",
+    )
+    parser.add_argument("--publish", required=True, metavar="udp:HOST:PORT")
+    parser.add_argument("--baud", type=int, default=DEFAULT_BAUD, help="of a serial device")
+    parser.add_argument(
+        "--rate", type=float, default=4.0, metavar="HZ", help="of positions, up to 20 (4)"
+    )
+    parser.add_argument("--duration", type=float, metavar="S", help="end after this long")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Publish until told to end."""
+    from echowing.leader_run import LeaderTool  # noqa: PLC0415
+    from echowing.links import parse_address  # noqa: PLC0415
+    from echowing.seats import parse_seat  # noqa: PLC0415
+    from echowing.stopping import stop_on_signals  # noqa: PLC0415
+
+    if not 1.0 <= args.rate <= 20.0:
+        raise EchowingError(f"--rate {args.rate:g}: give 1 to 20")
+    kind, _, where = args.publish.partition(":")
+    if kind != "udp":
+        raise EchowingError(f"--publish {args.publish!r}: write udp:HOST:PORT")
+    seat = parse_seat("leader", args.vehicle, args.baud)
+    with stop_on_signals() as stop:
+        tool = LeaderTool(seat, parse_address(f"udpout:{where}"), args.rate, stop)
+        return tool.run(args.duration)

@@ -1,0 +1,118 @@
+"""The leader's half of following: its telemetry passed on as it is, MAVLink in datagrams."""
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from echowing.follow import (
+    HEARTBEAT_PERIOD_S,
+    RATE_REQUEST_PERIOD_S,
+    message_interval,
+    tool_heartbeat,
+)
+from echowing.guard import SWITCH_HZ, UNHEARD_S, RateWatch
+from echowing.links import Address, Link, wait
+from echowing.seats import POLL_S, OpenLink, Seat, find_vehicles, known_id
+from echowing.stopping import StopRequest
+
+
+class LeaderTool:
+    """Publishes one vehicle. Back to it go only questions for its clock."""
+
+    def __init__(
+        self,
+        seat: Seat,
+        publish: Address,
+        rate_hz: float,
+        stop: StopRequest,
+        *,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._seat = seat
+        self._vehicle = OpenLink(Link(seat.address))
+        self._follow = OpenLink(Link(publish))
+        self._wanted_hz = {
+            mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: rate_hz,
+            mavlink.MAVLINK_MSG_ID_RC_CHANNELS: SWITCH_HZ,
+        }
+        self._stop = stop
+        self._clock = clock
+        self._start_s = clock()
+        self._heard_s = self._beat_s = self._rates_s = 0.0
+        self._silent = False
+
+    def run(self, duration_s: float | None) -> int:
+        """Until the end is asked for; returns the exit code."""
+
+        def over() -> bool:
+            return self._stop() or (duration_s is not None and self._now_s() >= duration_s)
+
+        links = {self._seat.address.text: self._vehicle}
+        try:
+            for link in (self._vehicle, self._follow):
+                link.link.open()
+            if find_vehicles([self._seat], links, self._now_s, over, self._say):
+                self._begin()
+                while not over():
+                    self._turn()
+            self._say("ended")
+            return 0
+        finally:
+            self._vehicle.link.close()
+            self._follow.link.close()
+
+    def _now_s(self) -> float:
+        return self._clock() - self._start_s
+
+    def _say(self, text: str) -> None:
+        self._say_at(self._now_s(), text)
+
+    @staticmethod
+    def _say_at(time_s: float, text: str) -> None:
+        print(f"{time_s:7.1f} s  {text}", flush=True)
+
+    def _begin(self) -> None:
+        self._system_id = known_id(self._seat)
+        self._heard_s = self._now_s()
+        wanted = [(self._system_id, kind, hz) for kind, hz in self._wanted_hz.items()]
+        self._rates = RateWatch(wanted, self._say_at)
+        self._say(f"leader is system {self._system_id}, published to {self._follow.link.name}")
+
+    def _turn(self) -> None:
+        """Pass on what has come, both ways; keep the vehicle sending."""
+        now_s = self._now_s()
+        for message in self._vehicle.receive(now_s, self._say):
+            self._pass_on(message, now_s)
+        for message in self._follow.receive(now_s, self._say):
+            if message.get_type() == "TIMESYNC" and message.tc1 == 0:
+                self._vehicle.link.send(bytes(message.get_msgbuf()), now_s)
+        self._watch(now_s)
+        self._ask(now_s)
+        wait([self._vehicle.link, self._follow.link], POLL_S)
+
+    def _pass_on(self, message: Any, now_s: float) -> None:
+        source = message.get_srcSystem(), message.get_srcComponent()
+        if source != (self._system_id, mavlink.MAV_COMP_ID_AUTOPILOT1):
+            return
+        self._heard_s = now_s
+        self._rates.received(self._system_id, message.get_msgId())
+        self._follow.link.send(bytes(message.get_msgbuf()), now_s)
+
+    def _watch(self, now_s: float) -> None:
+        self._rates.check(now_s)
+        silent = now_s - self._heard_s > UNHEARD_S
+        if silent is not self._silent:
+            self._silent = silent
+            self._say("the leader is silent; followers stop" if silent else "the leader is back")
+
+    def _ask(self, now_s: float) -> None:
+        if now_s - self._beat_s >= HEARTBEAT_PERIOD_S:
+            self._beat_s = now_s
+            self._vehicle.send(tool_heartbeat(), now_s)
+        if self._rates_s == 0.0 or now_s - self._rates_s >= RATE_REQUEST_PERIOD_S:
+            self._rates_s = now_s
+            for kind, rate_hz in self._wanted_hz.items():
+                period_us = round(1e6 / rate_hz)
+                self._vehicle.send(message_interval(self._system_id, kind, period_us), now_s)
