@@ -106,11 +106,13 @@ class Limits:
     """When to stop.
 
     max_distance_m: from follower to leader; min_separation_m: between any two vehicles, heights
-    included; leader_flies: the leader has to be armed and in the air.
+    included; home_difference_m: between the altitudes of the leader's home and the follower's,
+    from which each counts its own; leader_flies: the leader has to be armed and in the air.
     """
 
     max_distance_m: float | None = None
     min_separation_m: float | None = None
+    home_difference_m: float | None = None
     leader_flies: bool = True
     switch: StopSwitch | None = None
 
@@ -146,6 +148,7 @@ class Guard:
         self._watches = {system_id: _Watch() for system_id in follower_ids}
         self._say = say
         self._leader_flies: bool | None = None
+        self._homes_m: dict[int, float] = {}
         self._leader_switched = False
 
     # ---- what comes in --------------------------------------------------------------------------
@@ -154,6 +157,8 @@ class Guard:
         """Take a message of the leader or of a follower."""
         if kind == "RC_CHANNELS" and self.limits.switch is not None:
             self._switch(system_id, self.limits.switch, message)
+        elif kind == "GLOBAL_POSITION_INT":
+            self._homes_m[system_id] = (message.alt - message.relative_alt) / 1e3
         elif system_id == self._leader_id:
             self._leader_message(kind, message)
         elif kind == "POSITION_TARGET_GLOBAL_INT":
@@ -229,7 +234,22 @@ class Guard:
             return "leader is not known to fly"
         if follower.position is None:
             return None
-        return self._too_far(follower, leader) or self._too_near(follower, leader, followers, now_s)
+        datum = self._other_datum(follower.plan.system_id)
+        return (
+            datum
+            or self._too_far(follower, leader)
+            or self._too_near(follower, leader, followers, now_s)
+        )
+
+    def _other_datum(self, system_id: int) -> str | None:
+        """A home so much higher or lower that one altitude means two heights."""
+        most_m = self.limits.home_difference_m
+        homes = self._homes_m.get(system_id), self._homes_m.get(self._leader_id)
+        if most_m is None or homes[0] is None or homes[1] is None:
+            return None
+        if abs(homes[0] - homes[1]) <= most_m:
+            return None
+        return f"its home is {homes[0] - homes[1]:+.1f} m from the leader's"
 
     def _too_far(self, follower: "FollowerState", leader: GlobalPosition) -> str | None:
         most_m = self.limits.max_distance_m

@@ -19,6 +19,10 @@ SONAR_FRESH_S = 0.5  # ArduPilot's own limit for a MAVLink rangefinder
 NAMED_FRESH_S = 2.0
 FORWARD = mavlink.MAV_SENSOR_ROTATION_NONE
 LINK_WINDOW_S = 5.0
+# Another vehicle, the ground or another sonar is in the beam where the sonar is off what the
+# receivers make of it by more than a beam's width and a GPS can explain, for so long.
+MISMATCH_M = 2.0
+MISMATCH_S = 2.0
 MOST_LOST = 50  # in a row; more is a restart or another sender, not a gap
 
 
@@ -90,6 +94,8 @@ class _Readings:
     sonar_m: float | None = None
     sonar_at_s: float = -math.inf
     named: dict[str, tuple[float, float]] = field(default_factory=dict)
+    odd_since_s: float | None = None
+    odd_told: bool = False
 
     def newest(self, name: str, now_s: float) -> float | None:
         at_s, value = self.named.get(name, (-math.inf, math.nan))
@@ -137,6 +143,8 @@ class Panel:
         separation_m = _separation_m(session, follower, now_s)
         gimbal = readings.newest(GIMBAL_STATE, now_s)
         fresh = now_s - readings.sonar_at_s < SONAR_FRESH_S
+        sonar_m = readings.sonar_m if fresh else None
+        self._compare(follower.plan.system_id, sonar_m, separation_m, now_s)
         return Row(
             time_s=now_s,
             system_id=follower.plan.system_id,
@@ -145,7 +153,7 @@ class Panel:
             separation_m=separation_m,
             error_m=None if separation_m is None else separation_m - follower.plan.slot.radius_m,
             slot_error_m=_slot_error_m(follower),
-            sonar_m=readings.sonar_m if fresh else None,
+            sonar_m=sonar_m,
             gimbal=None if gimbal is None else GIMBAL.get(round(gimbal)),
             leader_age_s=None if fix is None else max(0.0, now_s - fix.time_s),
             age_s=_finite(now_s - follower.position_at_s),
@@ -157,6 +165,28 @@ class Panel:
             north_offset_m=follower.offset.north_m,
             east_offset_m=follower.offset.east_m,
         )
+
+    def _compare(
+        self, system_id: int, sonar_m: float | None, separation_m: float | None, now_s: float
+    ) -> None:
+        """Tell of a sonar that hears something else than the leader, once each time."""
+        readings = self._readings[system_id]
+        agrees = sonar_m is None or separation_m is None
+        if sonar_m is not None and separation_m is not None:
+            agrees = abs(sonar_m - separation_m) < MISMATCH_M
+        if agrees:
+            readings.odd_since_s, readings.odd_told = None, False
+        elif readings.odd_since_s is None:
+            readings.odd_since_s = now_s
+        elif now_s - readings.odd_since_s >= MISMATCH_S and not readings.odd_told:
+            readings.odd_told = True
+            self.texts.append(
+                (
+                    system_id,
+                    f"the sonar hears something at {sonar_m:.1f} m, the leader should be "
+                    f"{separation_m:.1f} m away",
+                )
+            )
 
 
 def state_of(session: FollowSession, follower: FollowerState, now_s: float) -> str:

@@ -94,6 +94,22 @@ def test_a_sonar_reading_is_shown_while_fresh_and_nothing_is_not_a_range() -> No
     assert panel.rows(follow, 2.0)[0].sonar_m is None
 
 
+def test_a_sonar_that_hears_something_else_is_told_of_once() -> None:
+    panel, follow = Panel([LEADER, FOLLOWER]), session()
+    for tenth in range(100):
+        now_s = tenth / 10
+        for system_id, north_e7 in ((LEADER, 0), (FOLLOWER, -400)):  # 4.4 m apart
+            here = mavlink.MAVLink_global_position_int_message(
+                round(now_s * 1e3) + 1, 393400000 + north_e7, -860300000, 260_000, 10_000, *(0,) * 4
+            )
+            follow.receive(received(system_id, here), now_s)
+        panel.receive(sonar(120 if tenth < 80 else 400), now_s)
+        panel.rows(follow, now_s)
+    assert panel.texts == [
+        (FOLLOWER, "the sonar hears something at 1.2 m, the leader should be 4.4 m away")
+    ]
+
+
 def test_the_link_is_the_share_of_frames_that_came() -> None:
     panel = Panel([FOLLOWER])
     for step in range(51):

@@ -60,6 +60,7 @@ class Field:
     north_m: dict[int, float] = field(default_factory=lambda: {LEADER: 0.0, FOLLOWER: -4.0})
     speed_mps: dict[int, float] = field(default_factory=dict)
     height_m: float = 10.0
+    home_m: dict[int, float] = field(default_factory=dict)
     silent: set[int] = field(default_factory=set)
     now_s: float = 0.0
 
@@ -97,7 +98,7 @@ class Field:
             round(self.now_s * 1e3),
             round(at.lat_deg * 1e7),
             round(at.lon_deg * 1e7),
-            round(at.alt_m * 1e3),
+            round((self.home_m.get(system_id, 250.0) + self.height_m) * 1e3),
             round(self.height_m * 1e3),
             round(self.speed_mps.get(system_id, 0.0) * 100),
             0,
@@ -182,6 +183,15 @@ def test_two_followers_too_near_to_each_other_both_hold() -> None:
         "follower 2: nearer to follower 3 than 1.5 m, holding",
         "follower 3: nearer to follower 2 than 1.5 m, holding",
     ]
+
+
+def test_another_altitude_datum_stops_it() -> None:
+    there = Field(Limits(home_difference_m=5.0), home_m={FOLLOWER: 254.0})
+    there.fly(1.0)
+    assert there.state == "following"
+    there.home_m[FOLLOWER] = 242.5
+    there.fly(TICK_S)
+    assert there.state == "holding: its home is -7.5 m from the leader's"
 
 
 def test_a_leader_that_has_landed_stops_it_unless_it_may() -> None:

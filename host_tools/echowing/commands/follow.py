@@ -93,6 +93,14 @@ def _add_safety(safety: "argparse._ArgumentGroup") -> None:
         help="stop where two vehicles are nearer by their receivers (1.5)",
     )
     safety.add_argument(
+        "--home-difference",
+        type=float,
+        default=5.0,
+        metavar="M",
+        help="stop where leader's and follower's homes differ more in altitude (5): the same "
+        "altitude would be two heights",
+    )
+    safety.add_argument(
         "--carried-leader",
         action="store_true",
         help="the leader need not fly: it is carried on foot, or stands on the ground",
@@ -129,6 +137,7 @@ def _options(args: argparse.Namespace) -> "FollowOptions":
         limits=Limits(
             max_distance_m=args.max_distance,
             min_separation_m=args.min_separation,
+            home_difference_m=args.home_difference,
             leader_flies=not args.carried_leader,
             switch=switch,
         ),
@@ -146,6 +155,7 @@ def _check_numbers(args: argparse.Namespace) -> None:
         "--altitude": (args.altitude, 1.0, 500.0),
         "--max-distance": (args.max_distance, 5.0, 10_000.0),
         "--min-separation": (args.min_separation, 0.5, 1_000.0),
+        "--home-difference": (args.home_difference, 0.0, 1_000.0),
         "--baud": (args.baud, 1_200, 4_000_000),
         "--duration": (0.0 if args.duration is None else args.duration, 0.0, math.inf),
     }
