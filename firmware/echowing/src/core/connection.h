@@ -40,8 +40,8 @@ class Connection {
   // Queues one of the other messages; true if there was one to send and the wire was free for it.
   bool send_other(Microseconds now, const Parameters& parameters, const Telemetry& telemetry,
                   const char* git_hash);
-  // Hands what is queued to the port, as far as it takes it.
-  void flush() { link_.flush(port_); }
+  // Hands what is queued to the port, as far as it takes it; true if it took anything.
+  bool flush() { return link_.flush(port_); }
 
   void notify(Notice notice) { notices_.add(notice); }
   void acknowledge(Identity identity, const mavlink_message_t& asked, uint16_t command,

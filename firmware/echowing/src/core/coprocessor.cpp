@@ -70,8 +70,7 @@ void Coprocessor::step(Microseconds now) {
   const bool told = tell_reading(now, telemetry);
   const bool handled = !told && !new_reading_ && listen(now);
   if (!told && !new_reading_ && !handled && !renew_pointing()) tell_other(now, telemetry);
-  autopilot_connection_.flush();
-  usb_connection_.flush();
+  if (!autopilot_connection_.flush()) usb_connection_.flush();
   keep(now);
 }
 

@@ -37,7 +37,7 @@ void Link::push(uint8_t byte) {
   ++queued_;
 }
 
-void Link::flush(SerialPort& port) {
+bool Link::flush(SerialPort& port) {
   uint8_t left = kBytesOutPerTurn;
   while (queued_ > 0 && left > 0) {
     const uint16_t to_end = kQueueSize - first_;
@@ -47,8 +47,9 @@ void Link::flush(SerialPort& port) {
     first_ = (first_ + taken) % kQueueSize;
     queued_ -= taken;
     left = static_cast<uint8_t>(left - taken);
-    if (taken < offered) return;
+    if (taken < offered) break;
   }
+  return left < kBytesOutPerTurn;
 }
 
 }  // namespace echowing

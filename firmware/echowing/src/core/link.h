@@ -36,8 +36,8 @@ class Link {
                       reinterpret_cast<const uint8_t*>(&payload), Format::kLength);
   }
 
-  // Hands queued bytes to the port, as far as it takes them. Once a turn.
-  void flush(SerialPort& port);
+  // Hands queued bytes to the port, as far as it takes them; true if it took any. Once a turn.
+  bool flush(SerialPort& port);
   bool idle() const { return queued_ == 0; }
 
  private:
