@@ -78,7 +78,7 @@ def test_wild_readings_are_left_out() -> None:
     offset = RelativeOffset()
     listen(offset, (0.0, 0.0), NORTH, 0.0, 12)
 
-    taken = offset.heard(20.0, 0.3, NORTH, (3.0, 0.0))
+    taken = offset.heard(6.5, 0.3, NORTH, (3.0, 0.0))
 
     assert not taken
     assert offset.north_m == pytest.approx(0.0, abs=0.05)
