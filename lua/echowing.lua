@@ -30,6 +30,9 @@ local SPEED_FLOOR_MPS = 0.2 -- below, the autopilot saves its own floor over the
 local SPIKE_M = 0.8 -- a single reading this far from the prediction waits for a second one like it
 local TRUST_READINGS = 3 -- so many readings in agreement are a target
 local TRACK_GAP_MS = 700 -- after a gap this long the tracker starts again
+local ANSWER_S = 0.1 -- so long a lean takes to follow its command
+local JERK_MPS3 = 5.0 -- PSC_JERK_NE (PSC_JERK_XY) as it comes
+local ACCEL_MS = 100 -- smooths the estimator's change of speed
 local BLIND_MS = 2500 -- a target lost while too close is still there for so long: no speed without sonar yet
 local CLEAR_M = 0.3 -- too close ends this far beyond where it began
 local CLOSING_MPS = 0.15 -- slower is noise of the tracker (1 cm steps at 10 Hz)
@@ -403,7 +406,7 @@ end
 -- State. Times are in ms; nil is "never".
 local S = {
     in_control = false, state = OFF, announced = OFF, speed_mps = 0.0, law_mps = 0.0, out_mps = 0.0,
-    announced_ms = {}, changes = {}, conflict = false, own_mps = 0.0,
+    announced_ms = {}, changes = {}, conflict = false, own_mps = 0.0, own_at_ms = -REPAIR_MS, accel_mps2 = 0.0,
     streaming = 0,
 }
 
@@ -492,6 +495,18 @@ local function forward_speed()
     return is_number(forward_mps) and forward_mps or 0.0
 end
 
+-- Own speed and how it is changing: smoothed, and no more than the vehicle can.
+local function note_own_speed(own_mps, t_ms)
+    local dt_ms = t_ms - S.own_at_ms
+    if dt_ms > IDLE_MS then
+        S.accel_mps2 = 0.0 -- too long ago to compare with
+    elseif dt_ms > 0 then
+        local change_mps2 = clamp((own_mps - S.own_mps) * 1000.0 / dt_ms, -C.DECEL, C.DECEL)
+        S.accel_mps2 = S.accel_mps2 + (change_mps2 - S.accel_mps2) * dt_ms / (dt_ms + ACCEL_MS)
+    end
+    S.own_mps, S.own_at_ms = own_mps, t_ms
+end
+
 -- MAVLink ------------------------------------------------------------------------------------------------------------
 
 mavlink:init(10, 2)
@@ -572,10 +587,18 @@ local function continuous_speed(range_m, rate_mps, leader_mps)
     return clamp(leader_mps + C.GAIN_P * (range_m - C.DIST) + C.GAIN_D * rate_mps, C.SPD_MIN, C.SPD_MAX)
 end
 
--- Distance still closed at this rate before the vehicle stops.
+-- Distance still closed at this rate before the vehicle stops. An acceleration that is under way goes on until the answer
+-- begins, and then dies away at the autopilot's jerk: the closing speed rises by a * ANSWER_S + a^2 / (2 JERK) until then.
 local function closing_distance(closing_mps)
-    local v = math.max(0.0, closing_mps)
-    return v * C.DELAY + v * v / (2.0 * C.DECEL)
+    local a = math.max(0.0, S.accel_mps2)
+    local peak_mps = math.max(0.0, closing_mps + a * ANSWER_S + 0.5 * a * a / JERK_MPS3)
+    return peak_mps * C.DELAY + peak_mps * peak_mps / (2.0 * C.DECEL)
+end
+
+-- The closing speed from which the vehicle still stops at the close distance: the inverse of the above without acceleration.
+local function stoppable_speed(range_m)
+    local lag_mps = C.DECEL * C.DELAY
+    return math.sqrt(lag_mps * lag_mps + 2.0 * C.DECEL * math.max(0.0, range_m - C.CLOSE)) - lag_mps
 end
 
 -- Control ------------------------------------------------------------------------------------------------------------
@@ -797,6 +820,12 @@ local function too_close(near_m, closing_mps, t_ms)
     return C.SPD_MIN
 end
 
+-- Law 1 adds step to step for as long as the leader is far: not beyond the speed from which the vehicle still stops, and
+-- the wish is not kept for later. Law 2 never wishes for so much, and law 0 is the thesis's.
+local function allow_no_more(speed_mps)
+    S.law_mps, S.speed_mps = math.min(S.law_mps, speed_mps), math.min(S.speed_mps, speed_mps)
+end
+
 -- Too close wins over everything before it. Returns the speed to set.
 local function guard(range_m, status, t_ms)
     local trusted = track_trusted(t_ms)
@@ -810,6 +839,9 @@ local function guard(range_m, status, t_ms)
     if C.LAW >= 1 and leads_clear(t_ms) then return C.SPD_MAX end
     local near_m = nearest(range_m, t_ms)
     if near_m and is_too_close(near_m, closing_mps, 0.0) then return C.SPD_MIN end -- readings not yet trusted slow, no more
+    if tracked_m and C.LAW == 1 then
+        allow_no_more(math.max(C.SPD_MIN, track.leader_mps + stoppable_speed(tracked_m)))
+    end
     return S.speed_mps
 end
 
@@ -908,7 +940,7 @@ end
 local function update()
     local t_ms = now_ms()
     read_some_parameters()
-    S.own_mps = forward_speed()
+    note_own_speed(forward_speed(), t_ms)
     track_carry(S.own_mps, t_ms)
     take_messages(t_ms)
     local reason = reason_not_to_act()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -117,12 +118,15 @@ class Rig:
         ahead_m: float,
         velocity_mps: float | None = None,
         *,
+        aside_m: float = 0.0,
         system: int = 1,
     ) -> None:
-        """A guided point so far north of the vehicle, with or without a velocity."""
+        """A guided point so far north and east of the vehicle, with or without a velocity."""
         lat = round(HERE[0] * 1e7 + ahead_m / METRES_PER_E7)
+        metres_per_e7 = METRES_PER_E7 * math.cos(math.radians(HERE[0]))
+        lng = round(HERE[1] * 1e7 + aside_m / metres_per_e7)
         mask = POSITION_ONLY if velocity_mps is None else POSITION_VELOCITY
-        fields = (lat, round(HERE[1] * 1e7), 10.0, velocity_mps or 0.0, *(0.0,) * 7)
+        fields = (lat, lng, 10.0, velocity_mps or 0.0, *(0.0,) * 7)
         payload = struct.pack("<Iii9fHBBB", self.vehicle.t_ms, *fields, mask, system, 1, 6)
         self.vehicle.inbox.append((mavlink_frame(86, payload, GROUND_TOOL), 0))
 

@@ -82,6 +82,7 @@ def test_band_edges_of_the_law_in_32_bit_floats(
 
 def one_step(r: Rig, range_m: float) -> float:
     """Change of the limit after one period of the law at a range."""
+    r.vehicle.velocity = (2.5, 0.0, 0.0)  # as fast as the leader: nothing closes
     r.range(3.0).run(1.0)
     before = r.speed_mps
     r.range(range_m).run(0.55)
