@@ -5,7 +5,7 @@
 BIN := .venv/bin
 export PATH := $(CURDIR)/$(BIN):$(PATH)
 
-.PHONY: help demo test test-long bench lint format setup setup-test core clean
+.PHONY: help demo test bench fuzz lint format setup setup-test core clean
 
 help: ## list the targets
 	@grep -hE '^[a-z0-9-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z0-9-]+):.*## /\1\t/' | expand -t 16
@@ -16,11 +16,11 @@ demo: setup core emulated ## fly the scenarios, print the table, write out/demo/
 test: setup-test core emulated lint ## every check and every test
 	$(BIN)/pytest -n 2 --dist loadfile
 
-test-long: setup-test core emulated ## the tests that take longer than CI allows
-	$(BIN)/pytest -m long
-
 bench: setup-test core emulated ## speeds and sizes, as a table
 	@$(BIN)/echowing bench
+
+fuzz: setup-test ## fuzz the firmware's byte entry and its memory: SECONDS=600
+	$(BIN)/python tests/firmware/fuzz/run.py $(or $(SECONDS),600)
 
 lint: setup-test ## formatters and linters, nothing is changed
 	$(BIN)/ruff format --check .

@@ -16,7 +16,7 @@ run_packages=(
 )
 test_packages=(
   avrdude                 # flashing, tested against a fake programmer
-  clang                   # sanitizers and fuzzing of the core
+  clang libclang-rt-dev   # sanitizers and fuzzing of the core
   doctest-dev             # unit tests of the core
   gcc-arm-none-eabi libnewlib-arm-none-eabi libstdc++-arm-none-eabi-newlib qemu-system-arm
   graphviz openscad xvfb xauth fonts-liberation  # wiring pictures and the gimbal mount

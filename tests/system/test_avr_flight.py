@@ -1,0 +1,42 @@
+"""Whole flights on the board's own binary, emulated, beside the same core built for this machine."""
+
+import statistics
+from functools import cache
+
+import pytest
+
+from echowing.sim.scenario import load_scenario
+from echowing.sim.summary import FlownScenario, fly
+
+SEEDS = (1, 2, 3)
+
+
+@cache
+def flown(firmware: str, seed: int) -> FlownScenario:
+    return fly(load_scenario("echowing", ["duration_s=150"]), seed, firmware=firmware)
+
+
+def mean_error_m(firmware: str) -> float:
+    return statistics.mean(flown(firmware, seed).metrics[0].mean_abs_error_m for seed in SEEDS)
+
+
+def test_the_binary_and_the_native_core_fly_alike() -> None:
+    """Pings fall at other milliseconds, so single flights part ways; on average they agree."""
+    assert mean_error_m("avr") == pytest.approx(mean_error_m("native"), rel=0.05)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_binary_keeps_its_distance(seed: int) -> None:
+    one = flown("avr", seed)
+
+    assert one.closest_m > 1.0
+    assert one.metrics[0].seen_share > 0.6
+
+
+def test_a_flight_of_the_binary_is_deterministic() -> None:
+    first, second = (
+        fly(load_scenario("echowing", ["duration_s=30"]), 1, firmware="avr").summaries[0]
+        for _ in range(2)
+    )
+
+    assert {**first, "wall_s": 0} == {**second, "wall_s": 0}
