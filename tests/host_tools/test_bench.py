@@ -1,0 +1,116 @@
+"""The table of the laws: what is counted, what is pooled, and which law is the best of the safe."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from echowing.cli import main
+from echowing.sim.law_table import (
+    HOSTILE,
+    PATHS,
+    LawFlight,
+    best_law,
+    fly_law,
+    rows,
+    speed_changes_per_min,
+)
+from echowing.sim.scenario import LAWS
+
+
+def changes(*speeds_mps: float, duration_s: float = 60.0) -> float:
+    time_s = np.linspace(0.0, duration_s, len(speeds_mps))
+    return speed_changes_per_min(time_s, np.array(speeds_mps))
+
+
+def test_speed_changes_of_half_a_metre_a_second_are_counted() -> None:
+    assert changes(2.0, 2.5, 2.5, 3.5, 3.0) == 3.0
+    assert changes(2.0, 2.5, duration_s=30.0) == 2.0
+
+
+def test_a_slow_drift_counts_once_it_has_gone_half_a_metre_a_second() -> None:
+    assert changes(*np.linspace(2.0, 3.1, 50)) == 2.0
+    assert changes(*[2.0, 2.3] * 20) == 0.0
+
+
+def test_unset_speeds_count_for_nothing() -> None:
+    assert changes(math.nan, 2.0, math.nan, 2.1) == 0.0
+    assert changes(math.nan, math.nan) == 0.0
+
+
+def flight(law: str, path: str = "rectangle", **figures: float) -> LawFlight:
+    usual = {"mean_error_m": 0.5, "rmsd_m": 0.6, "least_m": 2.0, "attacked_m": math.inf}
+    return LawFlight(
+        law=law, path=path, changes_per_min=10.0, dead_locked=False, **{**usual, **figures}
+    )
+
+
+def everywhere(law: str, **figures: float) -> list[LawFlight]:
+    return [flight(law, path, **figures) for path in (*PATHS, HOSTILE)]
+
+
+def test_best_law_has_the_lowest_rmsd_of_those_safe_in_every_run() -> None:
+    flights = [
+        *everywhere("thesis", rmsd_m=0.9),
+        *everywhere("bands", rmsd_m=0.4),
+        *everywhere("continuous", rmsd_m=0.5),
+    ]
+    assert best_law(list(rows(flights))) == "bands"
+    one_near_miss = flight("bands", least_m=0.99, rmsd_m=0.4)
+    assert best_law(list(rows([*flights, one_near_miss]))) == "continuous"
+    attacked = flight("continuous", HOSTILE, attacked_m=0.49)
+    assert best_law(list(rows([*flights, one_near_miss, attacked]))) == "thesis"
+    unsafe = flight("thesis", HOSTILE, least_m=0.3)
+    assert best_law(list(rows([*flights, one_near_miss, attacked, unsafe]))) is None
+
+
+def test_rows_pool_means_and_the_least_of_any_flight() -> None:
+    flights = [one for law in LAWS for one in everywhere(law)]
+    flights.append(flight("bands", rmsd_m=1.0, least_m=1.2))
+    (row,) = (r for r in rows(flights) if (r.law, r.path) == ("bands", "rectangle"))
+    assert row.flights == 2
+    assert row.rmsd_m == pytest.approx(0.8)
+    assert row.least_m == 1.2
+    (pooled,) = (r for r in rows(flights) if (r.law, r.path) == ("bands", "all"))
+    assert pooled.flights == 4  # hostile has errors of its own, not the formation's
+
+
+def test_a_hostile_flight_is_judged_apart_while_its_leader_attacks() -> None:
+    flown = fly_law("continuous", HOSTILE, 1)
+    assert flown.law == "continuous"
+    assert flown.safe
+    assert math.isfinite(flown.attacked_m)
+    assert flown.least_m != flown.attacked_m
+
+
+def test_a_formation_flight_has_no_attack() -> None:
+    flown = fly_law("bands", "stop-and-go", 1)
+    assert (flown.law, flown.path) == ("bands", "stop-and-go")
+    assert flown.attacked_m == math.inf
+    assert 0.0 < flown.mean_error_m <= flown.rmsd_m
+
+
+def test_seeds_must_be_one_or_more(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "--only", "laws", "--seeds", "0"]) == 2
+    assert "--seeds 0: give 1 or more" in capsys.readouterr().err
+
+
+def test_laws_as_json(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    flights = [one for law in LAWS for one in everywhere(law)]
+    monkeypatch.setattr("echowing.sim.law_table.fly_laws", lambda *_: list(rows(flights)))
+    assert main(["bench", "--only", "laws", "--json"]) == 0
+    figures = {one["what"]: one["value"] for one in json.loads(capsys.readouterr().out)}
+    assert figures["continuous, rectangle: RMSD"] == 0.6
+    assert figures["thesis, all: minimum separation"] == 2.0
+
+
+def test_laws_as_a_table(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flights = [one for law in LAWS for one in everywhere(law)]
+    monkeypatch.setattr("echowing.sim.law_table.fly_laws", lambda *_: list(rows(flights)))
+    assert main(["bench", "--only", "laws"]) == 0
+    printed = capsys.readouterr().out
+    assert "stop-and-go" in printed
+    assert "Lowest RMSD of the safe ones: thesis" in printed
