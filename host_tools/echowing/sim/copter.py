@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from math import atan2, cos, exp, inf, pi, sin, sqrt, tan
 
+from echowing.sim.estimate import EstimatedPosition
 from echowing.sim.shaping import (
     clamp,
     inverse_sqrt_controller,
@@ -69,7 +70,7 @@ def wrap_pi(angle_rad: float) -> float:
     return (angle_rad + pi) % (2.0 * pi) - pi
 
 
-class Copter:
+class Copter(EstimatedPosition):
     """Motion of one ArduCopter: position controller, input shaping, attitude lag.
 
     True state: `north_m east_m down_m vn_mps ve_mps vd_mps` (local NED), `roll_rad pitch_rad
@@ -107,7 +108,6 @@ class Copter:
         "_lean_rate_n",
         "_lift_d",
         "_mode",
-        "_offset",
         "_pos_d",
         "_pos_e",
         "_pos_n",
@@ -165,7 +165,7 @@ class Copter:
         self.default_speed_mps = 10.0  # WP_SPD
         self.target_ned_m: Ned | None = None
         self.navigator: WaypointNavigator | None = None
-        self._offset: Ned = (0.0, 0.0, 0.0)
+        super().__init__()
         # a vehicle that is already moving leans against its drag
         drag = self._drag(self.vn_mps, self.ve_mps)
         self._lean_n = self._wanted_n = self._control_n = drag * self.vn_mps
@@ -176,27 +176,6 @@ class Copter:
         self._yaw_shaped_rate = 0.0
         self._dt = 0.0
         self._enter(self._shape_hold)
-
-    # ---- estimate
-
-    def set_estimate_offset(self, offset_ned_m: Ned) -> None:
-        """Let the estimated position be the true one plus this (m, NED): GPS drift."""
-        self._offset = offset_ned_m
-
-    @property
-    def est_north_m(self) -> float:
-        """Estimated north, metres."""
-        return self.north_m + self._offset[0]
-
-    @property
-    def est_east_m(self) -> float:
-        """Estimated east, metres."""
-        return self.east_m + self._offset[1]
-
-    @property
-    def est_down_m(self) -> float:
-        """Estimated down, metres."""
-        return self.down_m + self._offset[2]
 
     # ---- commands
 

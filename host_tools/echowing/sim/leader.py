@@ -8,6 +8,7 @@ from pathlib import Path
 
 from echowing.errors import EchowingError
 from echowing.geo import GlobalPosition, Ned, ned_between
+from echowing.sim.estimate import EstimatedPosition
 from echowing.sim.scenario import LeaderSection
 
 # Points on a circle, so near that the corners between them vanish in the corner cutting.
@@ -52,7 +53,7 @@ _LAPS = {
 }
 
 
-class TrackedBody:
+class TrackedBody(EstimatedPosition):
     """A body moved along a track, with the attributes of a `Copter`: walked, or replayed.
 
     The first and last rows hold before and after the track.
@@ -62,31 +63,12 @@ class TrackedBody:
         self._rows = list(rows)
         self._times_s = [row[0] for row in rows]
         self._t_s = self._times_s[0]
-        self._offset: Ned = (0.0, 0.0, 0.0)
+        super().__init__()
         self.roll_rad = self.pitch_rad = 0.0
         self.rollspeed_rps = self.pitchspeed_rps = self.yawspeed_rps = 0.0
         self.target_ned_m: Ned | None = None
         self.landed = False
         self._place()
-
-    def set_estimate_offset(self, offset_ned_m: Ned) -> None:
-        """GPS drift: estimated minus true position."""
-        self._offset = offset_ned_m
-
-    @property
-    def est_north_m(self) -> float:
-        """Estimated position."""
-        return self.north_m + self._offset[0]
-
-    @property
-    def est_east_m(self) -> float:
-        """Estimated position."""
-        return self.east_m + self._offset[1]
-
-    @property
-    def est_down_m(self) -> float:
-        """Estimated position."""
-        return self.down_m + self._offset[2]
 
     def step(self, dt_s: float) -> None:
         """Move `dt_s` along the track."""
