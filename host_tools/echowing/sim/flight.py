@@ -14,6 +14,7 @@ from typing import Any
 
 from echowing.analysis.flight import Flight
 from echowing.follow import FollowerPlan, FollowSession
+from echowing.formation import turning_together
 from echowing.geo import GlobalPosition, Ned, displace, ned_between
 from echowing.guidance import MOVING_MPS, slot_offset_m
 from echowing.sim.autopilot import ORIGIN, Autopilot
@@ -172,7 +173,7 @@ class FormationFlight(FormationWorld):
         session = FollowSession(
             LEADER_ID,
             plans,
-            scenario.guidance.settings(),
+            turning_together(scenario.slots(), scenario.guidance.settings()),
             leader_rate_hz=scenario.guidance.telemetry_hz,
         )
         links = {LEADER_ID: self._hangar.telemetry(self.leader, "leader", scenario.radio.leader)}
