@@ -16,6 +16,7 @@ VERBS = {
     "demo": "fly every scenario and write the report",
     "leader": "publish a real leader's telemetry to a follow on another computer",
     "follow": "guide real followers behind a real leader",
+    "relay": "keep a vehicle midway to a remote one",
     "analyze": "measure a flown formation from its logs",
     "calibrate": "replay recorded flights through the copter model",
     "bench": "print speeds and sizes",

@@ -12,7 +12,7 @@ Guided, and on old or jumping leader data it stops the follower where it is. In 
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Protocol
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -194,6 +194,19 @@ class FollowerPlan:
     altitude_m: float = 10.0
 
 
+class Guide(Protocol):
+    """Where a follower is to be: a `SlotGuide`, or anything that answers like one."""
+
+    def update(
+        self,
+        fix: LeaderFix,
+        now_s: float,
+        follower: GlobalPosition | None = None,
+        least_radius_m: float = 0.0,
+    ) -> GuidedPoint:
+        """The guided point at `now_s` from the newest report of the leader."""
+
+
 @dataclass(slots=True)
 class FollowerState:
     """What is known and wanted of one follower.
@@ -203,7 +216,7 @@ class FollowerState:
     """
 
     plan: FollowerPlan
-    guide: SlotGuide
+    guide: Guide
     clock: VehicleClock = field(default_factory=VehicleClock)
     offset: RelativeOffset = field(default_factory=RelativeOffset)
     reading: tuple[float, float] = (-math.inf, math.nan)

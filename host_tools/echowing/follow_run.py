@@ -11,6 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from echowing.follow import (
     FollowerPlan,
     FollowSession,
+    Guide,
 )
 from echowing.follow_log import FollowLog
 from echowing.follow_view import View
@@ -32,7 +33,10 @@ _COMPONENTS_SAY = {"DISTANCE_SENSOR", "NAMED_VALUE_FLOAT"}
 
 @dataclass(slots=True)
 class FollowOptions:
-    """What the operator has asked for; the first seat is the leader's."""
+    """What the operator has asked for; the first seat is the leader's.
+
+    make_guide: what leads a follower, where it is not its slot.
+    """
 
     seats: list[Seat]
     slots: list[Slot]
@@ -43,6 +47,7 @@ class FollowOptions:
     engage: bool = False
     duration_s: float | None = None
     log: Path | None = None
+    make_guide: Callable[[], Guide] | None = None
 
 
 class FollowTool:
@@ -114,6 +119,9 @@ class FollowTool:
             limits=options.limits,
             engaged=options.engage,
         )
+        if options.make_guide is not None:
+            for follower in self._session.followers.values():
+                follower.guide = options.make_guide()
         self._panel = Panel([known_id(seat) for seat in options.seats])
         self._ways = {known_id(seat): self._links[seat.address.text] for seat in options.seats}
         listed = ", ".join(f"{seat.role} is system {seat.system_id}" for seat in options.seats)

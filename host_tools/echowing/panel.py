@@ -31,8 +31,8 @@ class Row:
     """One follower at one moment; None: not known. Times in seconds.
 
     separation_m, error_m: from the leader by their receivers, heights included, and less the
-    wanted radius; slot_error_m: horizontally from the slot; leader_age_s: of the leader's report
-    in use; age_s: of the follower's; command_mps: the applet's speed limit.
+    wanted radius, where there is one; slot_error_m: horizontally from the slot; leader_age_s:
+    of the leader's report in use; age_s: of the follower's; command_mps: the applet's limit.
     """
 
     time_s: float
@@ -141,6 +141,7 @@ class Panel:
         readings = self._readings[follower.plan.system_id]
         fix = session.leader.fix
         separation_m = _separation_m(session, follower, now_s)
+        radius_m = follower.plan.slot.radius_m
         gimbal = readings.newest(GIMBAL_STATE, now_s)
         fresh = now_s - readings.sonar_at_s < SONAR_FRESH_S
         sonar_m = readings.sonar_m if fresh else None
@@ -151,7 +152,7 @@ class Panel:
             state=state_of(session, follower, now_s),
             mode=readings.mode,
             separation_m=separation_m,
-            error_m=None if separation_m is None else separation_m - follower.plan.slot.radius_m,
+            error_m=None if separation_m is None or radius_m == 0.0 else separation_m - radius_m,
             slot_error_m=_slot_error_m(follower),
             sonar_m=sonar_m,
             gimbal=None if gimbal is None else GIMBAL.get(round(gimbal)),

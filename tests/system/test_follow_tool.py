@@ -22,7 +22,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.analysis.vehicle_log import read_vehicles
 from echowing.cli import main
+from echowing.geo import displace
 from echowing.links import Link, parse_address
+from echowing.sim.autopilot import ORIGIN
 
 DEADLINE_S = 25.0
 LEADER, FOLLOWER, SECOND = 1, 2, 3
@@ -308,6 +310,18 @@ def test_an_engagement_the_pilot_and_the_end(world: World, tmp_path: Path) -> No
     assert rows[-1]["state"].startswith("holding: the tool ends")
     seconds = float(rows[-1]["time_s"]) - float(rows[0]["time_s"])
     assert len(rows) > 5.0 * seconds
+
+
+def test_a_relay_flies_midway_to_the_remote_vehicle(world: World) -> None:
+    # 16 m south of where the leader started, so the middle is more than 8 m behind it.
+    ground = displace(ORIGIN, (-16.0, 0.0, 0.0))
+    ends = ("--remote", world.link(LEADER), "--vehicle", world.link(FOLLOWER))
+    tool = Process(
+        *("relay", *ends, "--ground", f"{ground.lat_deg:.7f},{ground.lon_deg:.7f}"),
+        *("--altitude", "10", "--min-separation", "1.5", "--engage", "--json"),
+    )
+    tool.row(lambda row: is_followed(row) and row["slot_error_m"] < 1.0 and row["separation_m"] > 7)
+    tool.kill()
 
 
 def test_a_lost_leader_stops_the_follower_until_it_is_heard_again(world: World) -> None:

@@ -1,0 +1,102 @@
+"""`echowing relay`: keep a vehicle midway between the ground station and a remote vehicle."""
+
+import argparse
+from pathlib import Path
+
+from echowing.errors import EchowingError
+
+EXAMPLES = """\
+examples:
+  echowing relay --remote udpin:14550 --vehicle udpin:14560 --ground 39.3400,-86.0300 --altitude 40
+      only watches; add --engage, and points go to the relay while it flies in Guided
+In what is printed the remote vehicle is the leader and the relay its follower. The relay's pilot
+takes over by any change of mode.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The verb's options."""
+    from echowing.links import DEFAULT_BAUD  # noqa: PLC0415 (imported when the verb is used)
+
+    parser.epilog = EXAMPLES
+    parser.add_argument("--remote", required=True, metavar="CONN", help="the remote vehicle")
+    parser.add_argument(
+        "--vehicle",
+        required=True,
+        metavar="CONN",
+        help="the relay; CONN as for `echowing follow`, CONN@ID on a shared link",
+    )
+    parser.add_argument("--ground", required=True, metavar="LAT,LON", help="the ground station")
+    parser.add_argument(
+        "--altitude", type=float, default=30.0, metavar="M", help="above the relay's home (30)"
+    )
+    parser.add_argument("--baud", type=int, default=DEFAULT_BAUD, help="of serial devices")
+    parser.add_argument("--rate", type=float, default=4.0, metavar="HZ", help="of points (4)")
+    parser.add_argument("--engage", action="store_true", help="send points; without, only watch")
+    parser.add_argument("--stop-switch", metavar="CH:PWM[:MODE]", help="as for `echowing follow`")
+    parser.add_argument(
+        "--max-distance",
+        type=float,
+        default=5_000.0,
+        metavar="M",
+        help="stop where the remote vehicle is further from the relay (5000)",
+    )
+    parser.add_argument(
+        "--min-separation",
+        type=float,
+        default=10.0,
+        metavar="M",
+        help="stop where the two are nearer by their receivers (10)",
+    )
+    parser.add_argument("--log", type=Path, metavar="DIR", help="write a .tlog and a CSV here")
+    parser.add_argument("--duration", type=float, metavar="S", help="end after this long")
+    parser.add_argument("--json", action="store_true", help="print JSON, an object a line")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Relay until told to end."""
+    from echowing.follow_run import FollowOptions, FollowTool  # noqa: PLC0415
+    from echowing.follow_view import open_view  # noqa: PLC0415
+    from echowing.guard import Limits, parse_stop_switch  # noqa: PLC0415
+    from echowing.guidance import Slot  # noqa: PLC0415
+    from echowing.relay import RELAY_SETTINGS, RelayGuide, parse_ground  # noqa: PLC0415
+    from echowing.seats import parse_seat  # noqa: PLC0415
+    from echowing.stopping import stop_on_signals  # noqa: PLC0415
+
+    _check_numbers(args)
+    ground = parse_ground(args.ground)
+    options = FollowOptions(
+        seats=[
+            parse_seat("remote", args.remote, args.baud),
+            parse_seat("relay", args.vehicle, args.baud),
+        ],
+        slots=[Slot(0.0)],
+        settings=RELAY_SETTINGS,
+        altitude_m=args.altitude,
+        rate_hz=args.rate,
+        limits=Limits(
+            max_distance_m=args.max_distance,
+            min_separation_m=args.min_separation,
+            leader_flies=False,
+            switch=None if args.stop_switch is None else parse_stop_switch(args.stop_switch),
+        ),
+        engage=args.engage,
+        duration_s=args.duration,
+        log=args.log,
+        make_guide=lambda: RelayGuide(ground),
+    )
+    with stop_on_signals() as stop:
+        return FollowTool(options, open_view(as_json=args.json), stop).run()
+
+
+def _check_numbers(args: argparse.Namespace) -> None:
+    spans = {
+        "--altitude": (args.altitude, 1.0, 500.0),
+        # Slower than the applet's stream watchdog allows, the relay would stop between points.
+        "--rate": (args.rate, 2.0, 20.0),
+        "--max-distance": (args.max_distance, 5.0, 50_000.0),
+        "--min-separation": (args.min_separation, 1.0, 1_000.0),
+    }
+    for option, (value, least, most) in spans.items():
+        if not least <= value <= most:
+            raise EchowingError(f"{option} {value:g}: give {least:g} to {most:g}")
