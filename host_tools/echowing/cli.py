@@ -19,6 +19,7 @@ VERBS = {
     "relay": "keep a vehicle midway to a remote one",
     "analyze": "measure a flown formation from its logs",
     "calibrate": "replay recorded flights through the copter model",
+    "setup": "put the applet on a vehicle's SD card",
     "bench": "print speeds and sizes",
     "emulator": "run the co-processor's binary on this machine",
 }
