@@ -127,6 +127,8 @@ class LeaderTrack:
         self._newest_boot_s = -math.inf
         self._candidate: LeaderFix | None = None
         self._agreeing = 0
+        self.jumps = 0
+        """How often the leader has turned up somewhere else and been believed there."""
 
     def receive(self, message: Any, now_s: float) -> None:
         """Take a GLOBAL_POSITION_INT; late doubles and reordered ones are dropped."""
@@ -172,7 +174,10 @@ class LeaderTrack:
         agrees = self._candidate is not None and not _jumps(self._candidate, fix)
         self._agreeing = self._agreeing + 1 if agrees else 0
         self._candidate = fix
-        return self._agreeing >= AGREEING_REPORTS
+        if self._agreeing < AGREEING_REPORTS:
+            return False
+        self.jumps += 1
+        return True
 
 
 def _jumps(before: LeaderFix, after: LeaderFix) -> bool:
@@ -472,9 +477,16 @@ class FollowSession:
         north_m, east_m, _ = ned_between(follower.position, predicted(fix, age_s).position)
         return north_m, east_m
 
+    def _forget_offsets(self) -> None:
+        """A leader believed in a new place: what was learnt of its receiver is void."""
+        for follower in self.followers.values():
+            follower.offset = RelativeOffset()
+
     def _leader_position(self, message: Any, now_s: float) -> None:
-        rejected = self.leader.rejected
+        rejected, jumps = self.leader.rejected, self.leader.jumps
         self.leader.receive(message, now_s)
+        if self.leader.jumps > jumps:
+            self._forget_offsets()
         jumped = self.leader.rejected > rejected
         if self.guard is not None and jumped and not self._leader_jumps:
             self._say(now_s, "leader jumps: not believed until its reports agree again")

@@ -349,3 +349,16 @@ def test_the_leaders_acceleration_is_taken_from_two_reports_and_limited() -> Non
 
     follow.receive(from_vehicle(LEADER, position(1.5, HERE, (-2.0, 0.0))), 1.5)
     assert follow.leader.fix.acceleration_ned_mps2[0] == pytest.approx(-3.0)
+
+
+def test_a_leader_believed_in_a_new_place_is_given_the_wide_berth_again() -> None:
+    follow = listening_session(2.8)
+    assert follow.followers[FOLLOWER].offset.north_m != 0.0
+    away = displace(HERE, (15.0, 0.0, 0.0))
+
+    for number in range(AGREEING_REPORTS + 2):
+        t_s = 30.0 + number * 0.25
+        follow.receive(from_vehicle(LEADER, position(t_s, away)), t_s)
+
+    assert follow.leader.jumps == 1
+    assert follow.followers[FOLLOWER].offset.north_m == 0.0
