@@ -15,6 +15,7 @@ from echowing.follow import (
 )
 from echowing.follow_log import FollowLog
 from echowing.follow_view import View
+from echowing.formation import turning_together
 from echowing.guard import Limits
 from echowing.guidance import GuidanceSettings, Slot
 from echowing.links import Link, wait
@@ -115,7 +116,7 @@ class FollowTool:
         self._session = FollowSession(
             known_id(leader),
             plans,
-            options.settings,
+            turning_together(options.slots, options.settings),
             limits=options.limits,
             engaged=options.engage,
         )
