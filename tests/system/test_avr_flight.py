@@ -1,4 +1,4 @@
-"""Whole flights on the board's own binary, emulated, beside the same core built for this machine."""
+"""Whole flights on the board's own binary, emulated, beside the same core built for the host."""
 
 import statistics
 from functools import cache
