@@ -72,10 +72,10 @@ void FakeMemory::write(uint8_t slot, uint16_t offset, uint8_t value) {
   slots[slot][offset] = value;
 }
 
-Rig::Rig(Microseconds start, FakeMemory stored)
+Rig::Rig(Microseconds start, FakeMemory stored, uint32_t uptime_ms)
     : memory(stored),
       now(start),
-      core({serial[0], serial[1], sonar, servos, memory, board}, 1, start) {
+      core({serial[0], serial[1], sonar, servos, memory, board}, 1, start, uptime_ms) {
   sonar.now = start;
 }
 

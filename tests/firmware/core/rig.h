@@ -119,7 +119,7 @@ struct Ack {
 
 class Rig {
  public:
-  explicit Rig(Microseconds start = 0, FakeMemory stored = FakeMemory());
+  explicit Rig(Microseconds start = 0, FakeMemory stored = FakeMemory(), uint32_t uptime_ms = 0);
 
   void run(Microseconds span, Microseconds turn = 1000);
   // True if `happened` became true within `limit`; stops there.

@@ -268,3 +268,18 @@ TEST_CASE("time goes on through the wrap of the microseconds, unnoticed") {
   }
   CHECK(rig.texts().size() == 1);  // started
 }
+
+TEST_CASE("the 49.7th day passes unnoticed: reports, states and tracking go on through it") {
+  Rig rig(0, rig::FakeMemory(), 0xffffffffu - 3000u);
+  rig.run(ms(6000));
+  const auto ranges = rig.ranges();
+  CHECK(ranges.size() >= 115);
+  CHECK(ranges.front().report.time_boot_ms > 0xfffff000u);
+  CHECK(ranges.back().report.time_boot_ms < 3000);
+  for (size_t i = 1; i < ranges.size(); ++i) {
+    const uint32_t gap = ranges[i].report.time_boot_ms - ranges[i - 1].report.time_boot_ms;
+    CHECK(gap <= 52);
+    CHECK(ranges[i].report.current_distance == 300);
+  }
+  CHECK(rig.texts().size() == 1);  // started
+}

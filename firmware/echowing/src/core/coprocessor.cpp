@@ -36,10 +36,10 @@ int32_t whole_number(float value) {
 
 }  // namespace
 
-Coprocessor::Coprocessor(const Ports& ports, uint32_t seed, Microseconds now)
+Coprocessor::Coprocessor(const Ports& ports, uint32_t seed, Microseconds now, uint32_t uptime_ms)
     : ports_(ports),
       loaded_(store_.load(ports_.memory, parameters_)),
-      uptime_(now),
+      uptime_(now, uptime_ms),
       sonar_(parameters_, seed, now),
       tracker_(parameters_, now),
       autopilot_connection_(ports.autopilot),

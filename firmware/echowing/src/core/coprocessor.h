@@ -38,7 +38,7 @@ struct Ports {
 class Coprocessor {
  public:
   // `seed` varies the ping's jitter from device to device. Loads the stored parameters.
-  Coprocessor(const Ports& ports, uint32_t seed, Microseconds now);
+  Coprocessor(const Ports& ports, uint32_t seed, Microseconds now, uint32_t uptime_ms = 0);
 
   // One loop turn. Turns may be any time apart; the finer, the less delay.
   void step(Microseconds now);

@@ -39,7 +39,7 @@ class Timeout {
 // Milliseconds since start, wrapping at 49.7 days as MAVLink's time_boot_ms does.
 class Uptime {
  public:
-  explicit Uptime(Microseconds start) : last_(start) {}
+  explicit Uptime(Microseconds start, uint32_t ms = 0) : last_(start), ms_(ms) {}
   void advance(Microseconds now) {
     rest_us_ += now - last_;
     last_ = now;
@@ -51,7 +51,7 @@ class Uptime {
  private:
   Microseconds last_;
   uint32_t rest_us_ = 0;
-  uint32_t ms_ = 0;
+  uint32_t ms_;
 };
 
 }  // namespace echowing
