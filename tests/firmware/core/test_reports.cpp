@@ -283,3 +283,12 @@ TEST_CASE("the 49.7th day passes unnoticed: reports, states and tracking go on t
   }
   CHECK(rig.texts().size() == 1);  // started
 }
+
+TEST_CASE("an autopilot port that always has bytes to send does not starve USB") {
+  Rig rig;
+  rig.command(511, MAVLINK_MSG_ID_NAMED_VALUE_FLOAT, 1);  // as often as it can
+  rig.forget();
+  rig.run(ms(5000), 2000);  // the longest turns that are allowed
+  CHECK(rig.heartbeats(1).size() >= 4);
+  CHECK(rig.ranges().size() >= 95);
+}

@@ -15,8 +15,8 @@ namespace {
 using namespace echowing;
 using rig::Rig;
 
-// Longer than any real turn, and five times as many inputs a second.
-constexpr Microseconds kLongTurn = 5000;
+// The longest that a turn may take; shorter ones make fewer inputs a second.
+constexpr Microseconds kLongTurn = 2000;
 
 struct Kind {
   uint8_t id;
