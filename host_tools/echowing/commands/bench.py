@@ -70,7 +70,8 @@ def _print(figures: list[Figure]) -> None:
 
     table = Table("measured", "value", "unit", "goal")
     for figure in figures:
-        table.add_row(figure.what, f"{figure.value:.3g}", figure.unit, figure.goal)
+        value = f"{figure.value:,.0f}" if figure.value >= 100 else f"{figure.value:.3g}"
+        table.add_row(figure.what, value, figure.unit, figure.goal)
     Console().print(table)
 
 
