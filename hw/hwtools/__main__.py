@@ -4,6 +4,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+from echowing.errors import EchowingError
 from hwtools import made
 from hwtools.facts import HardwareError
 
@@ -13,7 +14,7 @@ def main() -> int:
     try:
         with tempfile.TemporaryDirectory() as folder:
             made.make_everything(Path(folder), lambda name: print(f"hw/{name}"))
-    except HardwareError as error:
+    except (HardwareError, EchowingError) as error:
         print(f"make hw: {error}", file=sys.stderr)
         return 2
     return 0

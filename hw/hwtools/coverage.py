@@ -1,6 +1,5 @@
 """What the figure-8 search covers: thesis Figure 17, computed."""
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import matplotlib as mpl
@@ -9,61 +8,18 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from echowing.sim import sonar
-from hwtools.facts import Aim, beam_half_angle_deg, read, scan_aims
+from echowing import search
+from echowing.analysis.thesis import TABLE_5, THESIS_GAIN_PERCENT
+from echowing.search import Aim, covered
+from hwtools.facts import beam_half_angle_deg, read, scan_aims
 
-THESIS_GAIN_PERCENT = 43.0  # 3.4.2, "increased by 43 %"; how it was computed is not told
-GRID_STEP_DEG = 0.1  # an area error under 0.1 % for a 20 degree beam
 CURVE_STEP_DEG = 0.25  # good enough for a line
-
-# Thesis Table 5: how far a sonar sees an X8 as it comes and with 50 square inches of foil, metres.
-# The MB1202's are the simulator's; the MB1020 is the sonar the thesis rejected.
-RANGES_M = {
-    "MB1020": (1.6, 2.1),
-    "MB1202": (sonar.STOCK_X8_RANGE_M, sonar.FOIL_X8_RANGE_M),
-}
-
-
-@dataclass(frozen=True, slots=True)
-class Coverage:
-    """Solid angles of one beam and of the whole search, steradians."""
-
-    one_sr: float
-    all_sr: float
-
-    @property
-    def gain_percent(self) -> float:
-        """What the search adds to a beam that stands still."""
-        return 100.0 * (self.all_sr / self.one_sr - 1.0)
-
-
-def covered(aims: list[Aim], half_angle_deg: float, step_deg: float = GRID_STEP_DEG) -> Coverage:
-    """Return what cones about `aims` cover together, on the sphere about the sonar.
-
-    Args:
-        aims: directions of the search.
-        half_angle_deg: of the beam, taken as a cone.
-        step_deg: of the grid that is counted.
-
-    """
-    reach = half_angle_deg + max(max(abs(aim.right_deg), abs(aim.up_deg)) for aim in aims) + 1.0
-    line = np.radians(np.arange(-reach, reach + step_deg / 2, step_deg))
-    right, up = np.meshgrid(line, line)
-    looks = np.stack(_direction(right, up), axis=-1)
-    cell_sr = np.radians(step_deg) ** 2 * np.cos(up)
-
-    def within(group: list[Aim]) -> float:
-        axes = [_direction(np.radians(aim.right_deg), np.radians(aim.up_deg)) for aim in group]
-        nearest = np.max(looks @ np.array(axes).T, axis=-1)
-        return float(cell_sr[nearest >= np.cos(np.radians(half_angle_deg))].sum())
-
-    return Coverage(within([Aim(0.0, 0.0)]), within(aims))
 
 
 def inputs_text() -> str:
     """Return what the plot is drawn from: the numbers and this file."""
-    numbers = (scan_aims(), beam_half_angle_deg(), RANGES_M)
-    return repr(numbers) + read(Path(__file__))
+    numbers = (scan_aims(), beam_half_angle_deg(), TABLE_5)
+    return repr(numbers) + read(Path(search.__file__)) + read(Path(__file__))
 
 
 def draw(path: Path) -> None:
@@ -123,14 +79,15 @@ def _draw_widths(axes: Axes) -> None:
 
 
 def _draw_leader(axes: Axes) -> None:
-    places = np.arange(len(RANGES_M))
-    stock, foil = zip(*RANGES_M.values(), strict=True)
+    places = np.arange(len(TABLE_5))
+    stock = [seen.stock_m for seen in TABLE_5.values()]
+    foil = [seen.foil_m for seen in TABLE_5.values()]
     for shift, ranges, label, color in (
         (-0.2, stock, "X8 as it comes", "#9aa5b1"),
         (0.2, foil, "with 50 sq in of foil", "#4a7fb5"),
     ):
         axes.bar_label(axes.bar(places + shift, ranges, 0.38, label=label, color=color), fmt="%.1f")
-    axes.set_xticks(places, list(RANGES_M))
+    axes.set_xticks(places, list(TABLE_5))
     axes.set(ylabel="seen up to, metres", ylim=(0, 6), title="Leader made reflective (Table 5)")
     axes.legend(loc="upper left", fontsize=9)
 
@@ -151,7 +108,3 @@ def _label_offset(aim: Aim) -> tuple[int, int]:
     if aim.right_deg == 0.0:
         return (-8, -14)
     return (7, 4) if aim.right_deg > 0.0 else (-26, 4)
-
-
-def _direction(right: np.ndarray, up: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    return np.cos(up) * np.cos(right), np.cos(up) * np.sin(right), np.sin(up)

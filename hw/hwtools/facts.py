@@ -2,10 +2,11 @@
 
 import re
 import tomllib
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from echowing import search
+from echowing.search import Aim
 from echowing.sim import sonar
 
 HW = Path(__file__).resolve().parents[1]
@@ -18,14 +19,6 @@ FIRMWARE = ROOT / "firmware" / "echowing" / "src"
 
 class HardwareError(Exception):
     """A source in `hw/` (or one it reads) is not as expected: what, where, what to do."""
-
-
-@dataclass(frozen=True, slots=True)
-class Aim:
-    """Where the gimbal looks: degrees right and up of straight ahead."""
-
-    right_deg: float
-    up_deg: float
 
 
 def load(path: Path) -> dict[str, Any]:
@@ -71,31 +64,12 @@ def firmware_pins() -> dict[str, dict[str, str]]:
     return {board: dict(zip(names, _words(pins), strict=True)) for board, pins in rows}
 
 
-def scan_pulses_us() -> list[tuple[float, float]]:
-    """Return the search's points in order, (pan, tilt) pulses, from the firmware's scan table."""
-    source = read(FIRMWARE / "core" / "scan.cpp")
-    normal = _parameter_defaults()
-    role = {
-        alias: normal[parameter]
-        for alias, parameter in re.findall(r"Parameter (k\w+) = Parameter::(k\w+);", source)
-    }
-    table = re.search(r"kCells\[.*?=\s*\{(.*?)\};", source, re.DOTALL)
-    cells = re.findall(r"\{(k\w+),\s*(k\w+)\}", table.group(1)) if table else []
-    if not cells:
-        raise HardwareError(f"{FIRMWARE / 'core' / 'scan.cpp'}: no table kCells of scan points")
-    return [(role[pan], role[tilt]) for pan, tilt in cells]
-
-
 def scan_aims() -> list[Aim]:
     """Return the search's points as directions; pulses grow to the right and upwards."""
-    normal = _parameter_defaults()
-    return [
-        Aim(
-            (pan_us - normal["kPanMiddle"]) / sonar.SERVO_US_PER_DEG,
-            (tilt_us - normal["kTiltMiddle"]) / sonar.SERVO_US_PER_DEG,
-        )
-        for pan_us, tilt_us in scan_pulses_us()
-    ]
+    normal = search.parameter_defaults()
+    centre_us = (normal["PAN_MIDDLE"], normal["TILT_MIDDLE"])
+    scales = (sonar.SERVO_US_PER_DEG, sonar.SERVO_US_PER_DEG)
+    return search.aims(search.scan_pulses_us(), centre_us, scales)
 
 
 def beam_half_angle_deg() -> float:
@@ -106,12 +80,6 @@ def beam_half_angle_deg() -> float:
 def lever_arm_mm() -> float:
     """Return how far the sonar's face is ahead of the aircraft's centre, from the simulator."""
     return sonar.LEVER_ARM_M * 1000.0
-
-
-def _parameter_defaults() -> dict[str, float]:
-    table = read(FIRMWARE / "core" / "parameter_table.h")
-    rows = re.findall(r'^ECHOWING_PARAMETER\((k\w+), "[^"]*", ([-\d.]+)', table, re.MULTILINE)
-    return {identifier: float(value) for identifier, value in rows}
 
 
 def _words(listed: str) -> list[str]:

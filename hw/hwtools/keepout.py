@@ -14,8 +14,9 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from echowing.search import Aim
 from hwtools import mount
-from hwtools.facts import Aim, beam_half_angle_deg, scan_aims
+from hwtools.facts import beam_half_angle_deg, scan_aims
 
 Points = NDArray[np.float64]  # (n, 3), mount frame, millimetres: x forward, y left, z up
 

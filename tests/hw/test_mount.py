@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 import trimesh
 
+from echowing.search import Aim
 from hwtools import keepout, mount
-from hwtools.facts import Aim, beam_half_angle_deg
+from hwtools.facts import beam_half_angle_deg
 
 PARAMETERS = mount.parameters()
 BED_MM = 180.0  # the smallest printers in common use

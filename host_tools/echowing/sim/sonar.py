@@ -9,6 +9,7 @@ import random
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
+from echowing.analysis.thesis import TABLE_5
 from echowing.geo import Ned
 
 # The beam of an MB1202 for a copter-sized target; the thesis gives none. Twenty degrees is what
@@ -22,8 +23,8 @@ SERVO_SLEW_DPS = 500.0
 PAN_CENTRE_US = 1380.0
 TILT_CENTRE_US = 1400.0
 
-STOCK_X8_RANGE_M = 3.2
-FOIL_X8_RANGE_M = 4.6
+STOCK_X8_RANGE_M = TABLE_5["MB1202"].stock_m
+FOIL_X8_RANGE_M = TABLE_5["MB1202"].foil_m
 SHORTEST_M = 0.20
 LONGEST_M = 7.65
 SPEED_OF_SOUND_MPS = 343.0
