@@ -21,6 +21,7 @@ from echowing.guidance import GuidanceSettings, Slot
 from echowing.links import Link, wait
 from echowing.panel import Panel, left_as
 from echowing.seats import OpenLink, Seat, find_vehicles, known_id
+from echowing.signing import LinkSigning
 from echowing.stopping import StopRequest
 
 ROWS_PERIOD_S = 0.1
@@ -48,6 +49,7 @@ class FollowOptions:
     engage: bool = False
     duration_s: float | None = None
     log: Path | None = None
+    signing_key: bytes | None = None
     make_guide: Callable[[], Guide] | None = None
 
 
@@ -74,8 +76,8 @@ class FollowTool:
         self._start_unix_s = unix_clock()
         self._links: dict[str, OpenLink] = {}
         for seat in options.seats:
-            text = seat.address.text
-            self._links.setdefault(text, OpenLink(Link(seat.address)))
+            if seat.address.text not in self._links:
+                self._links[seat.address.text] = self._link_of(seat)
         self._log: FollowLog | None = None
         self._next_tick_s = self._next_rows_s = 0.0
         self._events_told = 0
@@ -97,6 +99,11 @@ class FollowTool:
             return self._end()
         finally:
             self._close()
+
+    def _link_of(self, seat: Seat) -> OpenLink:
+        key = self._options.signing_key
+        signing = None if key is None else LinkSigning(key, 1 + len(self._links))
+        return OpenLink(Link(seat.address, signing))
 
     def _now_s(self) -> float:
         return self._clock() - self._start_s

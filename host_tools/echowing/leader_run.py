@@ -15,11 +15,18 @@ from echowing.follow import (
 from echowing.guard import SWITCH_HZ, UNHEARD_S, RateWatch
 from echowing.links import Address, Link, wait
 from echowing.seats import POLL_S, OpenLink, Seat, find_vehicles, known_id
+from echowing.signing import LinkSigning
 from echowing.stopping import StopRequest
+
+# Not those of a `follow` that asks through us: two senders on one link id refuse each other.
+VEHICLE_LINK_ID, PUBLISHED_LINK_ID = 101, 102
 
 
 class LeaderTool:
-    """Publishes one vehicle. Back to it go only questions for its clock."""
+    """Publishes one vehicle. Back to it go only questions for its clock.
+
+    Frames are passed on as they are, with the signature of who has sent them.
+    """
 
     def __init__(
         self,
@@ -28,11 +35,12 @@ class LeaderTool:
         rate_hz: float,
         stop: StopRequest,
         *,
+        signing_key: bytes | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._seat = seat
-        self._vehicle = OpenLink(Link(seat.address))
-        self._follow = OpenLink(Link(publish))
+        self._vehicle = _open_link(seat.address, signing_key, VEHICLE_LINK_ID)
+        self._follow = _open_link(publish, signing_key, PUBLISHED_LINK_ID)
         self._wanted_hz = {
             mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: rate_hz,
             mavlink.MAVLINK_MSG_ID_RC_CHANNELS: SWITCH_HZ,
@@ -116,3 +124,7 @@ class LeaderTool:
             for kind, rate_hz in self._wanted_hz.items():
                 period_us = round(1e6 / rate_hz)
                 self._vehicle.send(message_interval(self._system_id, kind, period_us), now_s)
+
+
+def _open_link(address: Address, key: bytes | None, link_id: int) -> OpenLink:
+    return OpenLink(Link(address, None if key is None else LinkSigning(key, link_id)))

@@ -12,9 +12,8 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from pymavlink.dialects.v20 import ardupilotmega as mavlink
-
 from echowing.errors import EchowingError
+from echowing.signing import LinkSigning, Parser, is_refused
 
 LOOPBACK = "127.0.0.1"
 DEFAULT_BAUD = 57_600  # of telemetry radios and of ArduPilot's SERIAL1
@@ -23,6 +22,8 @@ RETRY_S = 1.0
 CHUNK_BYTES = 65_535
 # More senders than this at one listening port are not vehicles.
 MOST_PEERS = 8
+# A link that refuses so many frames in a row has another key, or none: worth a word.
+REFUSED_FRAMES = 20
 
 _STILL_CONNECTING = {errno.EINPROGRESS, errno.EALREADY, errno.EWOULDBLOCK}
 _FORMS = "udpin:[HOST:]PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:[HOST:]PORT or a serial device"
@@ -314,17 +315,20 @@ _OPENERS: dict[str, Callable[[Address], Transport]] = {
 class Link:
     """One link: connects, connects again when lost, and turns bytes into MAVLink messages.
 
-    `news` is what the operator should hear of it; the owner empties it.
+    `news` is what the operator should hear of it; the owner empties it. With `signing` it believes
+    only what is signed.
     """
 
-    def __init__(self, address: Address) -> None:
+    def __init__(self, address: Address, signing: LinkSigning | None = None) -> None:
         self.address = address
+        self.signing = signing
         self.news: list[str] = []
         self.connected = False
         self._transport: Transport | None = None
-        self._parser = _parser()
+        self._parser = Parser(signing)
         self._try_at_s = 0.0
         self._complaint = ""
+        self._refused = 0
 
     @property
     def name(self) -> str:
@@ -384,7 +388,7 @@ class Link:
             self._transport = _OPENERS[self.address.kind](self.address)
         except (OSError, OverflowError, ValueError) as error:
             self._complain(error)
-        self._parser = _parser()
+        self._parser = Parser(self.signing)
         return self._transport is not None
 
     def _heard(self) -> None:
@@ -407,19 +411,28 @@ class Link:
 
     def _parse(self, data: bytes) -> list[Any]:
         """Whole, known, undamaged messages out of what has come."""
-        found = [m for m in self._parser.parse_buffer(data) or () if m.get_msgId() >= 0]
+        if self.signing is not None:
+            self.signing.keep_time()
+        parsed = self._parser.parse_buffer(data) or ()
+        found = [message for message in parsed if message.get_msgId() >= 0]
+        refused = sum(map(is_refused, parsed))
         transport = self._transport
         if transport is not None and transport.datagrams and self._parser.buf_len() > 0:
-            self._parser = _parser()  # half a frame is garbage here, not a beginning
-        if found and isinstance(transport, UdpListener):
+            self._parser = Parser(self.signing)  # half a frame is garbage here, not a beginning
+        if (found or refused) and isinstance(transport, UdpListener):
+            # Also where it is not believed: a vehicle learns the time from our signature.
             transport.understood()
+        self._count_refused(refused, heard=bool(found))
         return found
 
-
-def _parser() -> Any:
-    parser = mavlink.MAVLink(None)
-    parser.robust_parsing = True
-    return parser
+    def _count_refused(self, refused: int, *, heard: bool) -> None:
+        """Tell once, until it is heard again, that what comes is not believed."""
+        before, self._refused = self._refused, 0 if heard else self._refused + refused
+        if before < REFUSED_FRAMES <= self._refused:
+            self.news.append(
+                f"link {self.name}: what comes is not signed with the key of --signing-key-file, "
+                "and refused"
+            )
 
 
 def _reason(error: Exception) -> str:

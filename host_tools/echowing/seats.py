@@ -45,6 +45,8 @@ class OpenLink:
         self._packer = mavlink.MAVLink(
             None, srcSystem=TOOL_SYSTEM_ID, srcComponent=TOOL_COMPONENT_ID
         )
+        if link.signing is not None:
+            link.signing.apply(self._packer)
 
     def receive(self, now_s: float, say: Say) -> list[Any]:
         """The messages that have come; what the link has to tell is said."""
@@ -56,6 +58,8 @@ class OpenLink:
 
     def send(self, message: Any, now_s: float) -> bytes:
         """Pack and send a message; returns the frame."""
+        if self.link.signing is not None:
+            self.link.signing.keep_time()
         frame = bytes(message.pack(self._packer))
         self._packer.seq = (self._packer.seq + 1) % 256
         self.link.send(frame, now_s)

@@ -11,7 +11,17 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.errors import EchowingError
-from echowing.links import DEFAULT_BAUD, MOST_PEERS, RETRY_S, Address, Link, parse_address, wait
+from echowing.links import (
+    DEFAULT_BAUD,
+    MOST_PEERS,
+    REFUSED_FRAMES,
+    RETRY_S,
+    Address,
+    Link,
+    parse_address,
+    wait,
+)
+from echowing.signing import LinkSigning
 
 DEADLINE_S = 10.0
 
@@ -239,3 +249,48 @@ def test_waiting_ends_when_something_comes(sender: socket.socket) -> None:
     wait(links, DEADLINE_S)
     assert len(links[0].receive(0.0)) == 1
     links[0].close()
+
+
+# ---- signing ----------------------------------------------------------------------------------
+
+KEY, OTHER_KEY = bytes(range(32)), bytes(32)
+
+
+def signed_frame(key: bytes, unix_s: float) -> bytes:
+    sender = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+    signing = LinkSigning(key, 0, lambda: unix_s)
+    signing.apply(sender)
+    signing.keep_time()
+    return bytes(mavlink.MAVLink_heartbeat_message(2, 3, 0, 4, 4, 3).pack(sender))
+
+
+def test_a_link_with_a_key_believes_only_what_is_signed_and_says_so_once(
+    sender: socket.socket,
+) -> None:
+    port = free_port(socket.SOCK_DGRAM)
+    link = Link(parse_address(f"udpin:{port}"), LinkSigning(KEY, 1))
+    link.open()
+    for _ in range(3 * REFUSED_FRAMES):
+        sender.sendto(frame(), ("127.0.0.1", port))
+    until(lambda: link.receive(time.monotonic()) or link.news)
+    assert link.receive(time.monotonic()) == []
+    assert [text for text in link.news if "not signed with the key" in text] == link.news
+    assert len(link.news) == 1
+    sender.sendto(signed_frame(KEY, time.time()), ("127.0.0.1", port))
+    assert received(link)[0].get_signed()
+    link.close()
+
+
+def test_a_vehicle_with_an_old_clock_is_answered_so_that_it_learns_the_time(
+    sender: socket.socket,
+) -> None:
+    port = free_port(socket.SOCK_DGRAM)
+    link = Link(parse_address(f"udpin:{port}"), LinkSigning(KEY, 1))
+    link.open()
+    day_old = signed_frame(KEY, time.time() - 86_400)
+    sender.sendto(day_old, ("127.0.0.1", port))
+    wait([link], DEADLINE_S)
+    assert link.receive(time.monotonic()) == []  # it might be a recording
+    link.send(b"hello", time.monotonic())
+    assert sender.recv(100) == b"hello"
+    link.close()

@@ -221,9 +221,9 @@ class Bridge:
 class World:
     """The served vehicles, their ports and pilots."""
 
-    def __init__(self) -> None:
+    def __init__(self, *more: str) -> None:
         self.port = _free_ports()
-        self.process = Process("sim", *WORLD, "--serve", str(self.port))
+        self.process = Process("sim", *WORLD, "--serve", str(self.port), *more)
         self.process.wait_for(lambda line: f"system {SECOND}" in line)
         self.pilot = Pilot(self.port + 10, FOLLOWER)
 
@@ -485,6 +485,23 @@ class DatagramBridge:
         self._thread.join(DEADLINE_S)
         self._vehicle.close()
         self._tool.close()
+
+
+def test_signed_links_carry_points_and_refuse_another_key(tmp_path: Path) -> None:
+    key, other = tmp_path / "key", tmp_path / "other"
+    for path, phrase in ((key, "a phrase of the field"), (other, "another phrase")):
+        path.write_text(phrase, encoding="utf-8")
+        path.chmod(0o600)
+    world = World("--signing-key-file", str(key))
+    stranger = world.follow("--signing-key-file", str(other))
+    stranger.event("not signed with the key")
+    stranger.kill()
+    tool = world.follow("--signing-key-file", str(key))
+    tool.row(in_slot)
+    assert tool.end() == 0
+    assert "stopped and stands, GUIDED" in tool.lines[-1]
+    world.pilot.close()
+    assert world.process.end() == 0
 
 
 def test_without_engage_it_only_watches(world: World) -> None:

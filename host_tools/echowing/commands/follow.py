@@ -69,6 +69,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     place.add_argument("--rate", type=float, default=8.0, metavar="HZ", help="of points, up to 20")
     _add_safety(parser.add_argument_group("safety"))
+    links.add_argument(
+        "--signing-key-file",
+        type=Path,
+        metavar="FILE",
+        help="sign what is sent and refuse what is not signed (MAVLink 2); FILE holds 32 bytes, 64 "
+        "hexadecimal digits or a pass phrase",
+    )
     parser.add_argument("--log", type=Path, metavar="DIR", help="write a .tlog and a CSV here")
     parser.add_argument("--duration", type=float, metavar="S", help="end after this long")
     parser.add_argument("--json", action="store_true", help="print JSON, an object a line")
@@ -123,6 +130,7 @@ def _options(args: argparse.Namespace) -> "FollowOptions":
     from echowing.guard import Limits, parse_stop_switch  # noqa: PLC0415
     from echowing.guidance import GuidanceSettings  # noqa: PLC0415
     from echowing.seats import VehicleFinder  # noqa: PLC0415
+    from echowing.signing import read_key  # noqa: PLC0415
 
     _check_numbers(args)
     switch = None if args.stop_switch is None else parse_stop_switch(args.stop_switch)
@@ -144,6 +152,7 @@ def _options(args: argparse.Namespace) -> "FollowOptions":
         engage=args.engage,
         duration_s=args.duration,
         log=args.log,
+        signing_key=read_key(args.signing_key_file),
     )
 
 

@@ -1,6 +1,7 @@
 """`echowing leader`: publish a leader's telemetry to a `follow` on another computer."""
 
 import argparse
+from pathlib import Path
 
 from echowing.errors import EchowingError
 
@@ -30,6 +31,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--rate", type=float, default=4.0, metavar="HZ", help="of positions, up to 20 (4)"
     )
+    parser.add_argument(
+        "--signing-key-file", type=Path, metavar="FILE", help="as for `echowing follow`"
+    )
     parser.add_argument("--duration", type=float, metavar="S", help="end after this long")
 
 
@@ -38,6 +42,7 @@ def run(args: argparse.Namespace) -> int:
     from echowing.leader_run import LeaderTool  # noqa: PLC0415
     from echowing.links import parse_address  # noqa: PLC0415
     from echowing.seats import parse_seat  # noqa: PLC0415
+    from echowing.signing import read_key  # noqa: PLC0415
     from echowing.stopping import stop_on_signals  # noqa: PLC0415
 
     if not 1.0 <= args.rate <= 20.0:
@@ -46,6 +51,7 @@ def run(args: argparse.Namespace) -> int:
     if kind != "udp":
         raise EchowingError(f"--publish {args.publish!r}: write udp:HOST:PORT")
     seat = parse_seat("leader", args.vehicle, args.baud)
+    key = read_key(args.signing_key_file)
     with stop_on_signals() as stop:
-        tool = LeaderTool(seat, parse_address(f"udpout:{where}"), args.rate, stop)
+        tool = LeaderTool(seat, parse_address(f"udpout:{where}"), args.rate, stop, signing_key=key)
         return tool.run(args.duration)

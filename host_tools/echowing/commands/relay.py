@@ -48,6 +48,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="M",
         help="stop where the two are nearer by their receivers (10)",
     )
+    parser.add_argument(
+        "--signing-key-file", type=Path, metavar="FILE", help="as for `echowing follow`"
+    )
     parser.add_argument("--log", type=Path, metavar="DIR", help="write a .tlog and a CSV here")
     parser.add_argument("--duration", type=float, metavar="S", help="end after this long")
     parser.add_argument("--json", action="store_true", help="print JSON, an object a line")
@@ -61,6 +64,7 @@ def run(args: argparse.Namespace) -> int:
     from echowing.guidance import Slot  # noqa: PLC0415
     from echowing.relay import RELAY_SETTINGS, RelayGuide, parse_ground  # noqa: PLC0415
     from echowing.seats import parse_seat  # noqa: PLC0415
+    from echowing.signing import read_key  # noqa: PLC0415
     from echowing.stopping import stop_on_signals  # noqa: PLC0415
 
     _check_numbers(args)
@@ -83,6 +87,7 @@ def run(args: argparse.Namespace) -> int:
         engage=args.engage,
         duration_s=args.duration,
         log=args.log,
+        signing_key=read_key(args.signing_key_file),
         make_guide=lambda: RelayGuide(ground),
     )
     with stop_on_signals() as stop:

@@ -57,6 +57,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="fly in real time and let other tools connect: leader on tcp PORT, "
         "followers on PORT+10, PORT+20 …; guidance is then theirs",
     )
+    parser.add_argument(
+        "--signing-key-file",
+        type=Path,
+        metavar="FILE",
+        help="with --serve: sign the telemetry, and hear only what is signed",
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object a flight")
 
 
@@ -66,9 +72,11 @@ def run(args: argparse.Namespace) -> int:
         return _list(as_json=args.json)
     scenario = _scenario(args)
     if args.serve is not None:
+        from echowing.signing import read_key  # noqa: PLC0415
         from echowing.sim.serve_flight import serve  # noqa: PLC0415
 
-        return serve(scenario, _seeds(args.seed)[0], args.serve)
+        key = read_key(args.signing_key_file)
+        return serve(scenario, _seeds(args.seed)[0], args.serve, key)
     flown = list(_fly_all(scenario, _seeds(args.seed), args))
     if not args.json:
         _print_table(flown)

@@ -8,17 +8,14 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.signing import NEEDS_NO_SIGNATURE, SIGNING_EPOCH_UNIX_S, SIGNING_TICKS_PER_S
+
 _NOT_FORWARDED = {
     mavlink.MAVLINK_MSG_ID_RADIO,
     mavlink.MAVLINK_MSG_ID_RADIO_STATUS,
     mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE,
 }
 _BROADCAST = 0
-# Signing times are counted in 10 us from here: 2015-01-01 (MAVLink signing specification).
-SIGNING_EPOCH_UNIX_S = 1_420_070_400
-SIGNING_TICKS_PER_S = 100_000
-# Messages accepted without a signature on a signed link (AP's accept_unsigned_callback).
-_NEEDS_NO_SIGNATURE = {mavlink.MAVLINK_MSG_ID_RADIO, mavlink.MAVLINK_MSG_ID_RADIO_STATUS}
 
 
 class SerialLink:
@@ -50,7 +47,7 @@ class SerialLink:
         signing.link_id = self.number
         signing.timestamp = round((unix_s - SIGNING_EPOCH_UNIX_S) * SIGNING_TICKS_PER_S)
         signing.allow_unsigned_callback = lambda mav, message_id: (
-            accept_unsigned or message_id in _NEEDS_NO_SIGNATURE
+            accept_unsigned or message_id in NEEDS_NO_SIGNATURE
         )
 
     def feed(self, data: bytes) -> None:

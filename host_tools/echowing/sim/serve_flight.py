@@ -35,11 +35,12 @@ class SilencedLeader:
         return b"" if self._pilot.silent and link == TELEMETRY else data
 
 
-def serve(scenario: Scenario, seed: int, port: int) -> int:
+def serve(scenario: Scenario, seed: int, port: int, signing_key: bytes | None = None) -> int:
     """Fly `scenario` in real time until Ctrl-C or SIGTERM; returns the exit code.
 
     The leader's telemetry is on TCP `port` of this machine, each follower's 10 further on, and a
-    second link of each vehicle, for the pilot's own ground station, 2 above its first.
+    second link of each vehicle, for the pilot's own ground station, 2 above its first. With a key
+    the telemetry is signed; the second link stays unsigned, as a vehicle's USB does.
     Raises EchowingError for a port that cannot be had.
     """
     if scenario.kind != "formation":
@@ -48,6 +49,9 @@ def serve(scenario: Scenario, seed: int, port: int) -> int:
     world = FormationWorld(scenario, Hangar(scenario, seed))
     with closing(Server(lambda t_s: world.step())) as server, stop_on_signals() as stop:
         _connect(server, world, port)
+        if signing_key is not None:
+            for vehicle in (world.leader, *world.followers):
+                vehicle.autopilot.sign_link(TELEMETRY, signing_key)
         server.run(stop)
     print("stopped", flush=True)
     return 0
