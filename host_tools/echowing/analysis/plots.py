@@ -46,7 +46,7 @@ def matching_times(flight: Flight) -> Figure:
     at = matching_indices(flight)
     leader, follower = flight.leader_ned_m[at], flight.follower_ned_m[at]
     separation_m, middle = flight.separation_m[at], (leader + follower) / 2.0
-    seconds = _plain(flight.time_s[at], 1)
+    seconds = plain(flight.time_s[at], 1)
     return _map(
         f"Positions every {MATCHING_PERIOD_S:g} s, distance in metres between them",
         [
@@ -58,8 +58,8 @@ def matching_times(flight: Flight) -> Figure:
                 "mode": "text",
                 "showlegend": False,
                 "hoverinfo": "skip",
-                "x": _plain(middle[:, 1]),
-                "y": _plain(middle[:, 0]),
+                "x": plain(middle[:, 1]),
+                "y": plain(middle[:, 0]),
                 "text": [f"  {metres:.1f}" for metres in separation_m],
                 "textposition": _beside(leader - follower),
                 "textfont": {"size": 11},
@@ -100,7 +100,7 @@ def sonar(flight: Flight) -> Figure:
     figure = _over_time("Raw sonar", "m", data)
     far_m = float(np.nanmax(flight.separation_m, initial=NOTHING_SEEN_M))
     figure["layout"]["yaxis"]["range"] = [0.0, min(far_m, 12.0) + 0.5]
-    return _with_level(figure, flight.wanted_separation_m, "wanted", GOOD_COLOUR)
+    return with_level(figure, flight.wanted_separation_m, "wanted", GOOD_COLOUR)
 
 
 def speeds(flight: Flight) -> Figure:
@@ -130,7 +130,7 @@ def separation_error(flights: Sequence[Flight], labels: Sequence[str], title: st
         error_m = flight.separation_m - flight.wanted_separation_m
         data.append(_line(label, time_s, error_m, colour))
         data.append(_mean_line(time_s, error_m, colour))
-    return _with_level(_over_time(title, "m", data), 0.0, "", QUIET_COLOUR)
+    return with_level(_over_time(title, "m", data), 0.0, "", QUIET_COLOUR)
 
 
 def gimbal(flight: Flight) -> Figure:
@@ -168,8 +168,8 @@ def _line(name: str, time_s: Floats, values: Floats, colour: str, places: int = 
         "type": "scatter",
         "mode": "lines",
         "name": name,
-        "x": _plain(time_s[at], 1),
-        "y": _plain(values[at], places),
+        "x": plain(time_s[at], 1),
+        "y": plain(values[at], places),
         "line": {"color": colour, "width": 1.6},
     }
 
@@ -189,9 +189,9 @@ def _track(name: str, ned_m: Floats, time_s: Floats, colour: str) -> Figure:
         "type": "scatter",
         "mode": "lines",
         "name": name,
-        "x": _plain(ned_m[at, 1]),
-        "y": _plain(ned_m[at, 0]),
-        "customdata": _plain(time_s[at], 1),
+        "x": plain(ned_m[at, 1]),
+        "y": plain(ned_m[at, 0]),
+        "customdata": plain(time_s[at], 1),
         "hovertemplate": "%{customdata} s: east %{x} m, north %{y} m",
         "line": {"color": colour, "width": 1.8},
     }
@@ -219,8 +219,8 @@ def _points(name: str, ned_m: Floats, seconds: list[float | None], colour: str) 
         "type": "scatter",
         "mode": "markers",
         "name": name,
-        "x": _plain(ned_m[:, 1]),
-        "y": _plain(ned_m[:, 0]),
+        "x": plain(ned_m[:, 1]),
+        "y": plain(ned_m[:, 0]),
         "customdata": seconds,
         "hovertemplate": "%{customdata} s: east %{x} m, north %{y} m",
         "marker": {"color": colour, "size": 8},
@@ -237,14 +237,14 @@ def _joined(a_ned_m: Floats, b_ned_m: Floats) -> Figure:
         "mode": "lines",
         "showlegend": False,
         "hoverinfo": "skip",
-        "x": _plain(east),
-        "y": _plain(north),
+        "x": plain(east),
+        "y": plain(north),
         "line": {"color": QUIET_COLOUR, "width": 1},
     }
 
 
 def _map(title: str, data: list[Figure]) -> Figure:
-    figure = _figure(title, "east, m", "north, m", data)
+    figure = chart(title, "east, m", "north, m", data)
     figure["layout"]["yaxis"].update(scaleanchor="x", scaleratio=1)
     figure["layout"]["legend"]["y"] = -0.16
     figure["layout"]["height"] = 520
@@ -252,12 +252,13 @@ def _map(title: str, data: list[Figure]) -> Figure:
 
 
 def _over_time(title: str, unit: str, data: list[Figure]) -> Figure:
-    figure = _figure(title, "time, s", unit, data)
+    figure = chart(title, "time, s", unit, data)
     figure["layout"].update(hovermode="x unified", height=370)
     return figure
 
 
-def _figure(title: str, x_title: str, y_title: str, data: list[Figure]) -> Figure:
+def chart(title: str, x_title: str, y_title: str, data: list[Figure]) -> Figure:
+    """A figure of these traces in the house's look; axes named with their units."""
     axis = {"gridcolor": "#e6e9ef", "zeroline": False, "linecolor": "#c5ccd8", "ticks": "outside"}
     return {
         "data": data,
@@ -275,7 +276,7 @@ def _figure(title: str, x_title: str, y_title: str, data: list[Figure]) -> Figur
     }
 
 
-def _with_level(figure: Figure, level: float, label: str, colour: str) -> Figure:
+def with_level(figure: Figure, level: float, label: str, colour: str) -> Figure:
     """A thin horizontal line across the plot."""
     line = {"color": colour, "width": 1, "dash": "dot"}
     shape = {"type": "line", "xref": "paper", "x0": 0, "x1": 1, "y0": level, "y1": level}
@@ -290,7 +291,7 @@ def _with_level(figure: Figure, level: float, label: str, colour: str) -> Figure
     return figure
 
 
-def _plain(values: Floats, places: int = 2) -> list[float | None]:
+def plain(values: Floats, places: int = 2) -> list[float | None]:
     """Rounded plain numbers; None (JSON null, a gap) for what is not known."""
     rounded = np.round(np.asarray(values, dtype=float), places).tolist()
     return [value if math.isfinite(value) else None for value in rounded]

@@ -1,7 +1,6 @@
 """The report: one HTML file with everything in it, readable without a network."""
 
 import html
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,63 +9,14 @@ import numpy as np
 from echowing.analysis import plots
 from echowing.analysis.flight import Flight
 from echowing.analysis.metrics import metrics
-from echowing.analysis.tables import Grid, Result, Row, footnotes, grids
+from echowing.analysis.page import box, page, table, write_page
+from echowing.analysis.tables import Result, footnotes, grids
 from echowing.errors import EchowingError
 
 BASELINE = "gray"  # what the thesis compares its own flight with (Fig. 42)
 # Leaders of one mission are this near each other at the same time, drift and all.
 SAME_WAY_M = 5.0
 MOST_COMPARISONS = 4
-
-_STYLE = """
-:root { color-scheme: light; --ink: #253046; --quiet: #667085; --rule: #e0e4eb; --accent: #1f6feb; }
-* { box-sizing: border-box; }
-body { margin: 0; font: 15px/1.55 system-ui, sans-serif; color: var(--ink); background: #f4f6f9; }
-main { max-width: 1360px; margin: 0 auto; padding: 24px 20px 64px; }
-header h1 { margin: 0 0 4px; font-size: 28px; letter-spacing: -0.01em; }
-h2 { margin: 40px 0 4px; font-size: 20px; scroll-margin-top: 12px; }
-p, li { max-width: 110ch; }
-.facts, .notes { color: var(--quiet); margin: 0 0 12px; }
-.notes { font-size: 13px; padding-left: 18px; }
-.warning { color: #9a3412; }
-nav ol { columns: 3 260px; margin: 8px 0 0; padding-left: 22px; }
-nav a { color: var(--accent); text-decoration: none; }
-nav a:hover { text-decoration: underline; }
-.card { background: #fff; border: 1px solid var(--rule); border-radius: 10px; padding: 16px 18px;
-  margin-top: 16px; overflow-x: auto; }
-.plots { display: grid; gap: 16px;
-  grid-template-columns: repeat(auto-fit, minmax(min(540px, 100%), 1fr)); }
-.plot { background: #fff; border: 1px solid var(--rule); border-radius: 10px; overflow: hidden;
-  min-height: 372px; min-width: 0; }
-.plot.map { min-height: 522px; }
-table { border-collapse: collapse; font-size: 14px; font-variant-numeric: tabular-nums; }
-caption { text-align: left; font-weight: 600; padding-bottom: 6px; }
-th, td { text-align: right; padding: 4px 12px; white-space: nowrap; }
-th { color: var(--quiet); font-weight: 600; border-bottom: 1px solid var(--rule); }
-th:first-child, td:first-child { text-align: left; padding-left: 0; }
-tr.printed td { color: var(--quiet); font-style: italic; border-bottom: 1px solid var(--rule); }
-tr.printed td:first-child { padding-left: 20px; }
-table + table { margin-top: 22px; }
-"""
-
-# Figures are drawn when they come near the screen: a report of many flights opens at once.
-_SCRIPT = """
-const options = {responsive: true, displaylogo: false,
-  modeBarButtonsToRemove: ['lasso2d', 'select2d', 'autoScale2d']};
-const draw = box => {
-  const figure = FIGURES[box.dataset.figure];
-  Plotly.newPlot(box, figure.data, figure.layout, options);
-};
-const boxes = document.querySelectorAll('.plot');
-const watcher = new IntersectionObserver(entries => {
-  for (const entry of entries) if (entry.isIntersecting) {
-    watcher.unobserve(entry.target);
-    draw(entry.target);
-  }
-}, {rootMargin: '800px'});
-boxes.forEach(box => watcher.observe(box));
-addEventListener('beforeprint', () => boxes.forEach(box => { if (!box.data) draw(box); }));
-"""
 
 
 def write_report(
@@ -97,7 +47,7 @@ def write_report(
         comparisons,
         *sections,
     ]
-    _write(path, _page(title, "\n".join(body), figures))
+    write_page(path, page(title, "\n".join(body), figures), "report")
 
 
 def flight_label(flight: Flight) -> str:
@@ -121,7 +71,7 @@ def _flight_section(number: int, flight: Flight, figures: dict[str, plots.Figure
     }
     drawn = {name: figure for name, figure in drawn.items() if _holds_data(figure)}
     figures.update({f"{number}-{name}": figure for name, figure in drawn.items()})
-    boxes = "".join(_box(f"{number}-{name}", name in ("tracks", "matching")) for name in drawn)
+    boxes = "".join(box(f"{number}-{name}", name in ("tracks", "matching")) for name in drawn)
     warnings = "".join(f"<li>{html.escape(text)}</li>" for text in flight.warnings)
     return (
         f'<section><h2 id="flight-{number}">{html.escape(flight_label(flight))}</h2>'
@@ -164,7 +114,7 @@ def _comparison_section(flights: Sequence[Flight], figures: dict[str, plots.Figu
         figures[f"compare-{number}"] = plots.separation_error(
             pair, labels, f"Separation error: {base.name} and {other.name}"
         )
-        boxes.append(_box(f"compare-{number}"))
+        boxes.append(box(f"compare-{number}"))
     return (
         '<section><h2 id="compared">Separation error compared</h2>'
         f'<div class="plots">{"".join(boxes)}</div></section>'
@@ -189,40 +139,4 @@ def _contents(flights: Sequence[Flight], compared: bool) -> str:
 
 def _tables(results: Sequence[Result]) -> str:
     notes = "".join(f"<li>{html.escape(note)}</li>" for note in footnotes(results))
-    return "".join(map(_table, grids(results))) + f'<ul class="notes">{notes}</ul>'
-
-
-def _table(grid: Grid) -> str:
-    head = "".join(f"<th>{html.escape(text)}</th>" for text in grid.head)
-    rows = "".join(map(_table_row, grid.rows))
-    caption = html.escape(grid.title)
-    return f"<table><caption>{caption}</caption><tr>{head}</tr>{rows}</table>"
-
-
-def _table_row(row: Row) -> str:
-    cells = "".join(f"<td>{html.escape(cell.strip())}</td>" for cell in row.cells)
-    return f'<tr class="printed">{cells}</tr>' if row.printed else f"<tr>{cells}</tr>"
-
-
-def _box(name: str, is_map: bool = False) -> str:
-    return f'<div class="plot{" map" if is_map else ""}" data-figure="{name}"></div>'
-
-
-def _page(title: str, body: str, figures: dict[str, plots.Figure]) -> str:
-    from plotly.offline import get_plotlyjs  # noqa: PLC0415 (large; only for reports)
-
-    data = json.dumps(figures, separators=(",", ":"), allow_nan=False).replace("</", "<\\/")
-    return (
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{html.escape(title)}</title><style>{_STYLE}</style>"
-        f"<script>{get_plotlyjs()}</script></head>\n<body><main>\n{body}\n</main>\n"
-        f"<script>const FIGURES = {data};\n{_SCRIPT}</script></body></html>\n"
-    )
-
-
-def _write(path: Path, text: str) -> None:
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise EchowingError(f"report {path}: cannot be written: {error.strerror}") from error
+    return "".join(map(table, grids(results))) + f'<ul class="notes">{notes}</ul>'

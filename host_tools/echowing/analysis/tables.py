@@ -13,6 +13,7 @@ from echowing.analysis.thesis import BESIDE, FOOTNOTES, TABLE_11, ErrorFigures, 
 
 if TYPE_CHECKING:
     from rich.console import Group
+    from rich.table import Table
 
 NOTHING = "-"
 
@@ -79,33 +80,38 @@ def footnotes(results: Sequence[Result]) -> list[str]:
 
 def terminal_table(results: Sequence[Result]) -> "Group":
     """The tables and footnotes for rich's Console.print; at home in 100 columns."""
-    from rich import box  # noqa: PLC0415 (imported when a table is wanted)
-    from rich.console import Group  # noqa: PLC0415
+    from rich.console import Group  # noqa: PLC0415 (imported when a table is wanted)
     from rich.padding import Padding  # noqa: PLC0415
+    from rich.text import Text  # noqa: PLC0415
+
+    notes = "\n".join(footnotes(results))
+    parts = map(terminal_grid, grids(results))
+    return Group(*parts, Padding(Text(notes, style="dim"), (0, 1)))
+
+
+def terminal_grid(grid: Grid) -> "Table":
+    """One table for rich."""
+    from rich import box  # noqa: PLC0415
     from rich.table import Table  # noqa: PLC0415
     from rich.text import Text  # noqa: PLC0415
 
-    parts: list[Table | Padding] = []
-    for grid in grids(results):
-        table = Table(
-            title=grid.title,
-            title_justify="left",
-            box=box.SIMPLE_HEAD,
-            collapse_padding=True,
-            pad_edge=False,
+    table = Table(
+        title=grid.title,
+        title_justify="left",
+        box=box.SIMPLE_HEAD,
+        collapse_padding=True,
+        pad_edge=False,
+    )
+    for number, heading in enumerate(grid.head):
+        table.add_column(
+            heading,
+            justify="right" if number else "left",
+            no_wrap=bool(number),
+            overflow="fold",
         )
-        for number, heading in enumerate(grid.head):
-            table.add_column(
-                heading,
-                justify="right" if number else "left",
-                no_wrap=bool(number),
-                overflow="fold",
-            )
-        for row in grid.rows:
-            table.add_row(*map(Text, row.cells), style="dim" if row.printed else "")
-        parts.append(table)
-    notes = "\n".join(footnotes(results))
-    return Group(*parts, Padding(Text(notes, style="dim"), (0, 1)))
+    for row in grid.rows:
+        table.add_row(*map(Text, row.cells), style="dim" if row.printed else "")
+    return table
 
 
 def markdown_tables(results: Sequence[Result]) -> str:
