@@ -30,6 +30,7 @@ from echowing.guidance import (
     sweep_rad,
 )
 from echowing.offset import RelativeOffset
+from echowing.take_off import Lift, TakeOff, TakeOffs
 
 # Not 255: a helper that beats as the pilot's ground station would mask its fail-safe.
 TOOL_SYSTEM_ID = 245
@@ -198,6 +199,11 @@ class FollowerPlan:
     slot: Slot
     altitude_m: float = 10.0
 
+    @property
+    def wanted_m(self) -> float:
+        """Its altitude above its home, the slot's step included."""
+        return self.altitude_m + self.slot.altitude_step_m
+
 
 class Guide(Protocol):
     """Where a follower is to be: a `SlotGuide`, or anything that answers like one."""
@@ -217,7 +223,8 @@ class FollowerState:
     """What is known and wanted of one follower.
 
     held_at, held_altitude_m, hold_reason: where, how high above its home and why it was stopped;
-    flown: a point has gone to it since it was put in Guided.
+    in_guided: flies in Guided; flown: it was put in the air, or a point has gone to it, by us since
+    it was put in Guided.
     """
 
     plan: FollowerPlan
@@ -230,8 +237,11 @@ class FollowerState:
     position_at_s: float = -math.inf
     altitude_m: float | None = None
     ground_speed_mps: float = 0.0
+    climb_mps: float = 0.0
     heading_rad: float = 0.0
     mode: int | None = None
+    armed: bool = False
+    flying: bool = False
     in_guided: bool = False
     flown: bool = False
     held_at: GlobalPosition | None = None
@@ -239,13 +249,19 @@ class FollowerState:
     hold_reason: str | None = None
     guided: GuidedPoint | None = None
 
+    @property
+    def guided_mode(self) -> bool:
+        """Whether it is in Guided, in the air or not."""
+        return self.mode == GUIDED_MODE
+
 
 class FollowSession:
     """One leader, any number of followers.
 
     `tick` is called at the rate of the guided points (thesis Table 4: 8 Hz) and returns the
     messages to send, each with the system id of the vehicle it is for. With `limits` a guard
-    watches (see `guard`); while not `engaged`, nothing is sent that moves a vehicle.
+    watches (see `guard`); while not `engaged`, no point is sent but to stop what has taken off by
+    `take_off`.
     """
 
     def __init__(
@@ -257,6 +273,7 @@ class FollowSession:
         leader_rate_hz: float = 4.0,
         limits: Limits | None = None,
         engaged: bool = True,
+        take_off: TakeOff | None = None,
     ) -> None:
         self.leader_id = leader_id
         self.settings = settings
@@ -267,6 +284,7 @@ class FollowSession:
         self.events: list[tuple[float, str]] = []
         self.engaged = engaged
         self.guard = None if limits is None else self._make_guard(limits)
+        self.take_offs = None if take_off is None else TakeOffs(take_off, self.followers, self._say)
         self._stopping: str | None = None
         self._leader_rate_hz = leader_rate_hz
         self._rates = None if limits is None else RateWatch(self._wanted(), self._say)
@@ -292,12 +310,14 @@ class FollowSession:
     def tick(self, now_s: float) -> list[tuple[int, Any]]:
         """The messages to send now: guided points, time synchronisation, heartbeat, rates."""
         messages = self._housekeeping(now_s)
+        if self.take_offs is not None:
+            messages.extend(self._lift(self.take_offs, now_s))
         for system_id, follower in self.followers.items():
             point = self._point_for(follower, now_s)
             if point is not None and self.sends_to(follower, now_s):
                 messages.append((system_id, self._target(follower, point, now_s)))
                 self._sent(follower, point, now_s)
-        if self.guard is not None and self.engaged:
+        if self.guard is not None and (self.engaged or self.take_offs is not None):
             messages.extend(self.guard.messages(self.followers, now_s))
         return messages
 
@@ -318,11 +338,45 @@ class FollowSession:
 
     def sends_to(self, follower: FollowerState, now_s: float) -> bool:
         """Whether points go to this follower now."""
-        if not self.engaged or not follower.in_guided:
+        stopped_rising = self.lift_of(follower) is Lift.STOPPED and follower.guided_mode
+        ours = follower.in_guided or (stopped_rising and follower.armed)
+        if not ours or not self._may_lead(follower):
             return False
         if self._stopping is not None and not follower.flown:
             return False
         return self.guard is None or self.guard.lets(follower, now_s)
+
+    def _may_lead(self, follower: FollowerState) -> bool:
+        """Whether points may go to one that flies in Guided: none while it takes off."""
+        lift = self.lift_of(follower)
+        if lift in (Lift.CLIMBING, Lift.STOPPED):
+            return lift is Lift.STOPPED
+        return self.engaged or (follower.flown and self._stopping is not None)
+
+    def lift_of(self, follower: FollowerState) -> Lift | None:
+        """How far its take-off is; None: no take-off was asked for."""
+        if self.take_offs is None:
+            return None
+        return self.take_offs.lift(follower.plan.system_id)
+
+    def _lift(self, take_offs: TakeOffs, now_s: float) -> list[tuple[int, Any]]:
+        if self._stopping is not None:
+            take_offs.stop(self._stopping, now_s)
+
+        def objection(follower: FollowerState) -> str | None:
+            if self.guard is None:
+                return None
+            if self.guard.switched(follower.plan.system_id):
+                return "stop switch"
+            fix = self.leader.fix
+            leader = None if fix is None else self.leader_for(follower, fix, now_s)
+            return self.guard.too_near(follower, leader, self.followers, now_s)
+
+        messages = take_offs.messages(self.followers, objection, now_s)
+        for follower in self.followers.values():
+            # A point at its own place ends a take-off that is under way, on the ground too.
+            follower.flown = follower.flown or self.lift_of(follower) is Lift.STOPPED
+        return messages
 
     def _sent(self, follower: FollowerState, point: GlobalPosition, now_s: float) -> None:
         follower.flown = True
@@ -334,19 +388,27 @@ class FollowSession:
 
     def _point_for(self, follower: FollowerState, now_s: float) -> GlobalPosition | None:
         fix = self.leader.fix
-        if fix is None:
-            return None
         reason = self._reason_to_stop(follower, fix, now_s)
         if reason is not None:
             return self._hold(follower, reason, now_s)
+        if fix is None:
+            return None
         if follower.held_at is not None:
             self._let_go(follower, now_s)
         follower.guided = self._guide(follower, fix, now_s)
         return follower.guided.point
 
-    def _reason_to_stop(self, follower: FollowerState, fix: LeaderFix, now_s: float) -> str | None:
+    def _reason_to_stop(
+        self, follower: FollowerState, fix: LeaderFix | None, now_s: float
+    ) -> str | None:
         if self._stopping is not None:
             return self._stopping
+        if self.take_offs is not None:
+            stopped = self.take_offs.reason_to_hold(follower.plan.system_id)
+            if stopped is not None:
+                return stopped
+        if fix is None:
+            return None
         if is_stale(now_s - fix.time_s, self.settings):
             return STALE
         if self.guard is None:
@@ -374,7 +436,7 @@ class FollowSession:
 
     def _moves(self, follower: FollowerState) -> bool:
         """Whether it is ours to move, so that a stop is worth a word."""
-        return self.guard is None or (self.engaged and follower.in_guided)
+        return self.guard is None or (follower.in_guided and (self.engaged or follower.flown))
 
     def _guide(self, follower: FollowerState, fix: LeaderFix, now_s: float) -> GuidedPoint:
         if not self.settings.learn_offset:
@@ -402,13 +464,18 @@ class FollowSession:
         return replace(guided, yaw_rad=wrap_angle_rad(guided.yaw_rad + off_rad))
 
     def _target(self, follower: FollowerState, point: GlobalPosition, now_s: float) -> Any:
-        plan = follower.plan
         facing = follower.guided is not None and follower.held_at is None
         yaw_rad = follower.guided.yaw_rad if facing and follower.guided else None
         altitude_m = follower.held_altitude_m
         if altitude_m is None:
-            altitude_m = plan.altitude_m + plan.slot.altitude_step_m
-        return position_target(plan.system_id, point, altitude_m, yaw_rad, now_s)
+            altitude_m = self._wanted_m(follower)
+        return position_target(follower.plan.system_id, point, altitude_m, yaw_rad, now_s)
+
+    def _wanted_m(self, follower: FollowerState) -> float:
+        """Above its own home: the same height as the leader's altitude above the leader's."""
+        plan = follower.plan
+        shift_m = 0.0 if self.guard is None else self.guard.altitude_shift_m(plan.system_id)
+        return plan.wanted_m + shift_m
 
     def _line_rad(self, follower: FollowerState, now_s: float) -> float:
         """Bearing from the follower to the leader by their own receivers."""
@@ -419,11 +486,18 @@ class FollowSession:
         """Stop where it is: a target at its own position, kept until there is no reason left."""
         if follower.held_at is None and follower.position is not None:
             follower.held_at = follower.position
-            follower.held_altitude_m = _altitude_to_keep(follower)
+            follower.held_altitude_m = self._altitude_to_keep(follower)
             if self._moves(follower):
                 self._say(now_s, f"follower {follower.plan.system_id}: {reason}, holding")
         follower.hold_reason = reason
         return follower.held_at
+
+    def _altitude_to_keep(self, follower: FollowerState) -> float:
+        """Above its home: the wanted altitude where it is about there, else its own."""
+        wanted_m = self._wanted_m(follower)
+        if follower.altitude_m is None or abs(follower.altitude_m - wanted_m) <= SAME_ALTITUDE_M:
+            return wanted_m
+        return follower.altitude_m
 
     def _say(self, now_s: float, text: str) -> None:
         self.events.append((now_s, text))
@@ -449,11 +523,14 @@ class FollowSession:
             follower.position_at_s = now_s
             follower.altitude_m = message.relative_alt / 1e3
             follower.ground_speed_mps = math.hypot(message.vx, message.vy) / 100.0
+            follower.climb_mps = -message.vz / 100.0
             follower.heading_rad = math.radians(message.hdg / 100.0)
         elif kind == "NAMED_VALUE_FLOAT" and message.name == SONAR_READING:
             self._sonar(follower, message.value, now_s)
         elif kind == "HEARTBEAT" and message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1:
             self._mode(follower, message, now_s)
+        elif kind == "COMMAND_ACK" and self.take_offs is not None:
+            self.take_offs.acknowledged(follower, message, now_s)
 
     def _sonar(self, follower: FollowerState, range_m: float, now_s: float) -> None:
         """Learn the receivers' disagreement from a reading that may be of the leader."""
@@ -494,12 +571,17 @@ class FollowSession:
 
     def _mode(self, follower: FollowerState, heartbeat: Any, now_s: float) -> None:
         follower.mode = heartbeat.custom_mode
-        in_guided = is_flying(heartbeat) and follower.mode == GUIDED_MODE
+        follower.armed = bool(heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+        follower.flying = is_flying(heartbeat)
+        if self.take_offs is not None and not (follower.armed and follower.guided_mode):
+            self.take_offs.taken_over(follower.plan.system_id)
+        in_guided = follower.flying and follower.guided_mode
         if in_guided is follower.in_guided:
             return
         follower.in_guided = in_guided
         # Whatever was held against it, and wherever it was held, was in another flight.
-        follower.flown = False
+        climbs = self.lift_of(follower) in (Lift.CLIMBING, Lift.STOPPED)
+        follower.flown = in_guided and climbs
         self._release(follower)
         if not in_guided:
             left = f"left Guided for {mode_name(heartbeat.custom_mode)}"
@@ -508,7 +590,7 @@ class FollowSession:
             self._say(now_s, f"follower {follower.plan.system_id}: {left}, hands off")
         elif self.guard is not None:
             self.guard.entered_guided(follower.plan.system_id)
-            deed = "following" if self.engaged else "only watched"
+            deed = "taking off" if climbs else "following" if self.engaged else "only watched"
             self._say(now_s, f"follower {follower.plan.system_id}: in Guided, {deed}")
 
     def _housekeeping(self, now_s: float) -> list[tuple[int, Any]]:
@@ -533,8 +615,14 @@ class FollowSession:
     def _rate_requests(self) -> list[tuple[int, Any]]:
         return [
             (system_id, message_interval(system_id, message_id, round(1e6 / rate_hz)))
-            for system_id, message_id, rate_hz in self._wanted()
+            for system_id, message_id, rate_hz in (*self._wanted(), *self._wanted_at_times())
         ]
+
+    def _wanted_at_times(self) -> list[tuple[int, int, float]]:
+        """As `_wanted`, but nobody is told where it does not come: it does not always."""
+        if self.guard is None:
+            return []
+        return self.guard.read_back_requests()
 
     def _wanted(self) -> list[tuple[int, int, float]]:
         """What each vehicle is to send: system id, message id, rate in Hz."""
@@ -544,14 +632,6 @@ class FollowSession:
             *((system_id, position, FOLLOWER_POSITION_HZ) for system_id in self.followers),
             *(self.guard.requests() if self.guard is not None else ()),
         ]
-
-
-def _altitude_to_keep(follower: FollowerState) -> float:
-    """Above its home: the wanted altitude where it is about there, else its own."""
-    wanted_m = follower.plan.altitude_m + follower.plan.slot.altitude_step_m
-    if follower.altitude_m is None or abs(follower.altitude_m - wanted_m) <= SAME_ALTITUDE_M:
-        return wanted_m
-    return follower.altitude_m
 
 
 def position_target(

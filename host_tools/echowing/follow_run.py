@@ -23,6 +23,7 @@ from echowing.panel import Panel, left_as
 from echowing.seats import OpenLink, Seat, find_vehicles, known_id
 from echowing.signing import LinkSigning
 from echowing.stopping import StopRequest
+from echowing.take_off import TakeOff
 
 ROWS_PERIOD_S = 0.1
 # A copter at 5 m/s stands within 5 s; the stop has to be seen for a second, over a slow link.
@@ -47,6 +48,8 @@ class FollowOptions:
     rate_hz: float = 8.0
     limits: Limits = field(default_factory=Limits)
     engage: bool = False
+    take_off: TakeOff | None = None
+    leader_rate_hz: float = 4.0
     duration_s: float | None = None
     log: Path | None = None
     signing_key: bytes | None = None
@@ -124,8 +127,10 @@ class FollowTool:
             known_id(leader),
             plans,
             turning_together(options.slots, options.settings),
+            leader_rate_hz=options.leader_rate_hz,
             limits=options.limits,
             engaged=options.engage,
+            take_off=options.take_off,
         )
         if options.make_guide is not None:
             for follower in self._session.followers.values():
@@ -135,7 +140,8 @@ class FollowTool:
         listed = ", ".join(f"{seat.role} is system {seat.system_id}" for seat in options.seats)
         self._say(listed)
         if not options.engage:
-            self._say("only watching; give --engage to send points")
+            only = "only watching" if options.take_off is None else "taking off, then only watching"
+            self._say(f"{only}; give --engage to send points")
 
     # ---- in flight ------------------------------------------------------------------------------
 

@@ -44,6 +44,10 @@ UNHEARD_S = 2.0
 # A stop ends only when things are this much better than what caused it.
 CLEAR_M = 0.5
 CLEAR_SHARE = 0.9
+# A correction of the altitude is told when it begins and when it has changed by more than this.
+DATUM_TOLD_M = 0.3
+# However much lower the leader's home lies, a follower is led no lower above its own.
+LOWEST_M = 2.0
 
 # Read back: positions travel as 1e-7 degrees (1 cm), so this far from everything sent is refused.
 REFUSED_M = 0.5
@@ -107,12 +111,15 @@ class Limits:
 
     max_distance_m: from follower to leader; min_separation_m: between any two vehicles, heights
     included; home_difference_m: between the altitudes of the leader's home and the follower's,
-    from which each counts its own; leader_flies: the leader has to be armed and in the air.
+    from which each counts its own, up to this it is corrected; level_homes: both homes are known
+    to be level, so that what they differ by is the receivers' error, and is not corrected;
+    leader_flies: the leader has to be armed and in the air.
     """
 
     max_distance_m: float | None = None
     min_separation_m: float | None = None
     home_difference_m: float | None = None
+    level_homes: bool = False
     leader_flies: bool = True
     switch: StopSwitch | None = None
 
@@ -131,6 +138,9 @@ class _Watch:
     unheard: bool = False
     still_since_s: float | None = None
     told_at_s: float | None = None
+    led_since_s: float | None = None
+    read_back: bool = False
+    unread_told: bool = False
     verified: bool = False
     watchdog_s: float | None = None
     watchdog_asks: int = 0
@@ -149,6 +159,7 @@ class Guard:
         self._say = say
         self._leader_flies: bool | None = None
         self._homes_m: dict[int, float] = {}
+        self._shifts_told_m: dict[int, float] = {}
         self._leader_switched = False
 
     # ---- what comes in --------------------------------------------------------------------------
@@ -186,6 +197,7 @@ class Guard:
     def _read_back(self, system_id: int, message: Any, now_s: float) -> None:
         """Note a target that is none of those sent lately, unless the applet set it."""
         watch = self._watches[system_id]
+        watch.read_back = True
         while watch.sent and now_s - watch.sent[0][0] > REMEMBERED_S:
             watch.sent.popleft()
         target = GlobalPosition(message.lat_int / 1e7, message.lon_int / 1e7, 0.0)
@@ -234,22 +246,48 @@ class Guard:
             return "leader is not known to fly"
         if follower.position is None:
             return None
-        datum = self._other_datum(follower.plan.system_id)
         return (
-            datum
+            self._other_datum(follower, now_s)
             or self._too_far(follower, leader)
-            or self._too_near(follower, leader, followers, now_s)
+            or self.too_near(follower, leader, followers, now_s)
         )
 
-    def _other_datum(self, system_id: int) -> str | None:
-        """A home so much higher or lower that one altitude means two heights."""
-        most_m = self.limits.home_difference_m
+    def altitude_shift_m(self, system_id: int) -> float:
+        """How much lower than the leader's home a follower's own is: added to its altitude."""
         homes = self._homes_m.get(system_id), self._homes_m.get(self._leader_id)
-        if most_m is None or homes[0] is None or homes[1] is None:
+        limits = self.limits
+        if limits.home_difference_m is None or limits.level_homes or None in homes:
+            return 0.0
+        return self._homes_m[self._leader_id] - self._homes_m[system_id]
+
+    def _other_datum(self, follower: "FollowerState", now_s: float) -> str | None:
+        """A home so much higher or lower that the altitude cannot be corrected."""
+        system_id = follower.plan.system_id
+        most_m = self.limits.home_difference_m
+        if most_m is None:
             return None
-        if abs(homes[0] - homes[1]) <= most_m:
-            return None
-        return f"its home is {homes[0] - homes[1]:+.1f} m from the leader's"
+        if system_id not in self._homes_m or self._leader_id not in self._homes_m:
+            return "homes are not known"
+        higher_m = self._homes_m[system_id] - self._homes_m[self._leader_id]
+        if abs(higher_m) > most_m:
+            return f"its home is {higher_m:+.1f} m from the leader's"
+        asked_m = follower.plan.wanted_m
+        wanted_m = asked_m + self.altitude_shift_m(system_id)
+        if wanted_m < min(LOWEST_M, asked_m):
+            return f"the leader's altitude is only {wanted_m:.1f} m above its own home"
+        self._tell_shift(system_id, wanted_m, now_s)
+        return None
+
+    def _tell_shift(self, system_id: int, wanted_m: float, now_s: float) -> None:
+        shift_m = self.altitude_shift_m(system_id)
+        if abs(shift_m - self._shifts_told_m.get(system_id, 0.0)) <= DATUM_TOLD_M:
+            return
+        self._shifts_told_m[system_id] = shift_m
+        self._say(
+            now_s,
+            f"follower {system_id}: its home is {-shift_m:+.1f} m from the leader's by their "
+            f"receivers, so it flies {wanted_m:.1f} m above its own",
+        )
 
     def _too_far(self, follower: "FollowerState", leader: GlobalPosition) -> str | None:
         most_m = self.limits.max_distance_m
@@ -260,19 +298,20 @@ class Guard:
         apart_m = distance_m(follower.position, leader)
         return f"leader is beyond {most_m:.0f} m" if apart_m > most_m else None
 
-    def _too_near(
+    def too_near(
         self,
         follower: "FollowerState",
-        leader: GlobalPosition,
+        leader: GlobalPosition | None,
         followers: Mapping[int, "FollowerState"],
         now_s: float,
     ) -> str | None:
+        """Which other vehicle is nearer than it may be, in words; None: nobody is."""
         least_m = self.limits.min_separation_m
         if least_m is None or follower.position is None:
             return None
         if follower.hold_reason is not None:
             least_m += CLEAR_M
-        places = {"the leader": leader}
+        places = {} if leader is None else {"the leader": leader}
         for system_id, other in followers.items():
             fresh = now_s - other.position_at_s < UNHEARD_S
             if other is not follower and other.position is not None and fresh:
@@ -296,7 +335,18 @@ class Guard:
 
     def sent(self, system_id: int, point: GlobalPosition, now_s: float) -> None:
         """A point has gone to a follower."""
-        self._watches[system_id].sent.append((now_s, point))
+        watch = self._watches[system_id]
+        watch.sent.append((now_s, point))
+        if watch.led_since_s is None:
+            watch.led_since_s = now_s
+        if watch.read_back or watch.unread_told or now_s - watch.led_since_s < RATE_WINDOW_S:
+            return
+        watch.unread_told = True
+        self._say(
+            now_s,
+            f"follower {system_id}: its target is not read back (no POSITION_TARGET_GLOBAL_INT): "
+            "a point that a fence refuses would go unnoticed",
+        )
 
     def moving(self, system_id: int) -> None:
         """A follower is flown again: its next stop has to be verified anew."""
@@ -312,8 +362,8 @@ class Guard:
             watch.told_at_s = now_s
         if now_s - follower.position_at_s > FRESH_S:
             watch.still_since_s = None
-        elif follower.ground_speed_mps > STILL_MPS:
-            self._remind(system_id, watch, follower.ground_speed_mps, now_s)
+        elif (speed_mps := math.hypot(follower.ground_speed_mps, follower.climb_mps)) > STILL_MPS:
+            self._remind(system_id, watch, speed_mps, now_s)
         elif watch.still_since_s is None:
             watch.still_since_s = now_s
         elif now_s - watch.still_since_s >= STILL_FOR_S and not watch.verified:
@@ -334,6 +384,10 @@ class Guard:
 
     def _switched(self, watch: _Watch) -> bool:
         return watch.switched or self._leader_switched
+
+    def switched(self, system_id: int) -> bool:
+        """Whether the pilot's stop switch, or the leader's, is on."""
+        return self._switched(self._watches[system_id])
 
     def stands(self, system_id: int) -> bool:
         """Whether this follower's stop has been verified."""
@@ -383,14 +437,15 @@ class Guard:
 
     def requests(self) -> list[tuple[int, int, float]]:
         """Messages wanted beside the positions: system id, message id, rate in Hz."""
-        wanted = [
-            (system_id, mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT, READ_BACK_HZ)
-            for system_id in self._watches
-        ]
-        if self.limits.switch is not None:
-            for system_id in (self._leader_id, *self._watches):
-                wanted.append((system_id, mavlink.MAVLINK_MSG_ID_RC_CHANNELS, SWITCH_HZ))
-        return wanted
+        if self.limits.switch is None:
+            return []
+        switches = mavlink.MAVLINK_MSG_ID_RC_CHANNELS
+        return [(system_id, switches, SWITCH_HZ) for system_id in (self._leader_id, *self._watches)]
+
+    def read_back_requests(self) -> list[tuple[int, int, float]]:
+        """The same of what comes only while a vehicle has a target: not to be missed before."""
+        target = mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT
+        return [(system_id, target, READ_BACK_HZ) for system_id in self._watches]
 
 
 class RateWatch:

@@ -11,7 +11,13 @@ from echowing.follow import DETECTION_LIMIT_M, FollowerState, FollowSession
 from echowing.geo import distance_m, ned_between
 from echowing.guard import UNHEARD_S, is_flying, mode_name
 from echowing.guidance import is_stale
+from echowing.take_off import Lift
 
+LIFT_STATES: dict[Lift | None, str] = {
+    Lift.WAITING: "waiting to take off",
+    Lift.WARNED: "about to take off",
+    Lift.CLIMBING: "taking off",
+}
 # The applet's and the co-processor's named floats (lua/echowing.md, firmware's DeviceState).
 SPEED_LIMIT, GIMBAL_STATE = "ECHO_SPD", "SNR_STATE"
 GIMBAL = {0: "starting", 1: "searching", 2: "tracking", 3: "sonar fault"}
@@ -192,7 +198,10 @@ class Panel:
 
 def state_of(session: FollowSession, follower: FollowerState, now_s: float) -> str:
     """What is being done with a follower, in a few words."""
-    if not session.engaged:
+    lift = session.lift_of(follower)
+    if lift in LIFT_STATES:
+        return LIFT_STATES[lift]
+    if not session.engaged and follower.held_at is None:
         return "only watched"
     if not follower.in_guided:
         return "hands off"

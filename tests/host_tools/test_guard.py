@@ -60,6 +60,7 @@ class Field:
     north_m: dict[int, float] = field(default_factory=lambda: {LEADER: 0.0, FOLLOWER: -4.0})
     speed_mps: dict[int, float] = field(default_factory=dict)
     height_m: float = 10.0
+    climb_mps: float = 0.0
     home_m: dict[int, float] = field(default_factory=dict)
     silent: set[int] = field(default_factory=set)
     now_s: float = 0.0
@@ -102,7 +103,7 @@ class Field:
             round(self.height_m * 1e3),
             round(self.speed_mps.get(system_id, 0.0) * 100),
             0,
-            0,
+            round(-self.climb_mps * 100),
             0,
         )
 
@@ -185,13 +186,50 @@ def test_two_followers_too_near_to_each_other_both_hold() -> None:
     ]
 
 
-def test_another_altitude_datum_stops_it() -> None:
+def test_another_altitude_datum_is_corrected_and_said_once() -> None:
     there = Field(Limits(home_difference_m=5.0), home_m={FOLLOWER: 254.0})
+    (point,) = there.points()
+    # 10 m above the leader's home at 250 m is 6 m above its own at 254 m.
+    assert point.alt == pytest.approx(6.0)
+    there.fly(5.0)
+    assert [text for text in there.events() if "home" in text] == [
+        "follower 2: its home is +4.0 m from the leader's by their receivers, "
+        "so it flies 6.0 m above its own"
+    ]
+    there.home_m[FOLLOWER] = 249.0  # set anew
+    assert there.points()[0].alt == pytest.approx(11.0)
+    assert "so it flies 11.0 m above its own" in there.events()[-1]
+
+
+def test_a_stop_keeps_the_corrected_altitude() -> None:
+    there = Field(Limits(home_difference_m=5.0), home_m={FOLLOWER: 254.0}, height_m=6.4)
+    there.fly(1.0)
+    there.silent = {LEADER}
+    there.fly(2.0)
+    assert there.points()[0].alt == pytest.approx(6.0)
+
+
+def test_level_homes_are_not_corrected() -> None:
+    limits = Limits(home_difference_m=5.0, level_homes=True)
+    there = Field(limits, home_m={FOLLOWER: 254.0})
+    assert there.points()[0].alt == pytest.approx(10.0)
+    assert not any("home" in text for text in there.events())
+
+
+@pytest.mark.parametrize("level", [False, True])
+def test_homes_too_far_apart_stop_it(level: bool) -> None:
+    there = Field(Limits(home_difference_m=5.0, level_homes=level))
     there.fly(1.0)
     assert there.state == "following"
     there.home_m[FOLLOWER] = 242.5
     there.fly(TICK_S)
     assert there.state == "holding: its home is -7.5 m from the leader's"
+
+
+def test_a_correction_never_leads_it_to_the_ground() -> None:
+    there = Field(Limits(home_difference_m=20.0), home_m={FOLLOWER: 258.5})
+    there.fly(TICK_S)
+    assert there.state == "holding: the leader's altitude is only 1.5 m above its own home"
 
 
 def test_a_leader_that_has_landed_stops_it_unless_it_may() -> None:
@@ -226,6 +264,28 @@ def test_a_stop_is_verified_by_ground_speed_and_told_of_until_it_holds() -> None
     there.fly(STILL_FOR_S + 2 * TICK_S)
     assert there.events()[-1] == "follower 2: stands"
     assert len(there.points(1.0)) == 8  # and the stop is repeated all the time
+
+
+def test_one_that_still_climbs_does_not_stand() -> None:
+    there = Field(Limits())
+    there.fly(1.0)
+    there.climb_mps = 1.0
+    there.silent = {LEADER}
+    there.fly(5.0)
+    assert "follower 2: stands" not in there.events()
+    assert "follower 2: still moves at 1.0 m/s, stopped again" in there.events()
+
+
+def test_a_target_that_is_not_read_back_is_said_once() -> None:
+    there = Field(Limits())
+    there.fly(3 * RATE_WINDOW_S)
+    assert sum("its target is not read back" in text for text in there.events()) == 1
+
+    answers = Field(Limits())
+    (sent,) = answers.points()
+    answers.tell(FOLLOWER, read_back(sent))
+    answers.fly(2 * RATE_WINDOW_S)
+    assert not any("not read back" in text for text in answers.events())
 
 
 def test_silence_is_not_taken_for_standing() -> None:

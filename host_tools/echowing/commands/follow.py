@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from echowing.follow_run import FollowOptions
     from echowing.guidance import Slot
     from echowing.seats import Seat
+    from echowing.take_off import TakeOff
 
 EXAMPLES = """\
 examples:
@@ -26,6 +27,8 @@ examples:
           [[slots]]
           radius_m = 4.0
           angle_deg = -40.0
+  echowing follow --leader udpin:14550 --follower udpin:14560 --take-off 10 --engage
+      takes off first: each pilot arms his vehicle in Guided, on the ground; the tool never arms
 The pilot takes over by any change of mode; points go on when he puts the vehicle in Guided again.
 """
 
@@ -68,6 +71,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="how far points run ahead; a copter trails them by about 1.4 s",
     )
     place.add_argument("--rate", type=float, default=8.0, metavar="HZ", help="of points, up to 20")
+    links.add_argument(
+        "--leader-rate",
+        type=float,
+        default=4.0,
+        metavar="HZ",
+        help="of the leader's positions, up to 20 (4): what its radio can carry",
+    )
     _add_safety(parser.add_argument_group("safety"))
     links.add_argument(
         "--signing-key-file",
@@ -83,6 +93,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _add_safety(safety: "argparse._ArgumentGroup") -> None:
     safety.add_argument("--engage", action="store_true", help="send points; without, only watch")
+    safety.add_argument(
+        "--take-off",
+        type=float,
+        metavar="M",
+        help="before that, let the followers take off to this altitude, one after the other: only "
+        "those that their pilots have armed in Guided on the ground; 3 s after it was announced",
+    )
+    safety.add_argument(
+        "--next-at",
+        type=float,
+        metavar="M",
+        help="with --take-off: so high each has to be before the next follows (80%% of --take-off)",
+    )
     safety.add_argument(
         "--stop-switch",
         metavar="CH:PWM[:MODE]",
@@ -104,8 +127,13 @@ def _add_safety(safety: "argparse._ArgumentGroup") -> None:
         type=float,
         default=5.0,
         metavar="M",
-        help="stop where leader's and follower's homes differ more in altitude (5): the same "
-        "altitude would be two heights",
+        help="stop where leader's and follower's homes differ more in altitude (5); up to this "
+        "the follower's altitude is corrected by the difference",
+    )
+    safety.add_argument(
+        "--level-homes",
+        action="store_true",
+        help="the homes are level: what they differ by is the receivers' error, correct nothing",
     )
     safety.add_argument(
         "--carried-leader",
@@ -146,14 +174,34 @@ def _options(args: argparse.Namespace) -> "FollowOptions":
             max_distance_m=args.max_distance,
             min_separation_m=args.min_separation,
             home_difference_m=args.home_difference,
+            level_homes=args.level_homes,
             leader_flies=not args.carried_leader,
             switch=switch,
         ),
         engage=args.engage,
+        take_off=_take_off(args),
+        leader_rate_hz=args.leader_rate,
         duration_s=args.duration,
         log=args.log,
         signing_key=read_key(args.signing_key_file),
     )
+
+
+def _take_off(args: argparse.Namespace) -> "TakeOff | None":
+    from echowing.take_off import ARRIVED_M, NEXT_SHARE, TakeOff  # noqa: PLC0415
+
+    altitude_m, next_at_m = args.take_off, args.next_at
+    if altitude_m is None:
+        if next_at_m is not None:
+            raise EchowingError("--next-at says when the next takes off: it needs --take-off")
+        return None
+    if not 2.0 <= altitude_m <= 100.0:
+        raise EchowingError(f"--take-off {altitude_m:g}: give 2 to 100")
+    if next_at_m is None:
+        next_at_m = NEXT_SHARE * altitude_m
+    if not 1.0 <= next_at_m <= altitude_m - ARRIVED_M:
+        raise EchowingError(f"--next-at {next_at_m:g}: give 1 to {altitude_m - ARRIVED_M:g}")
+    return TakeOff(altitude_m, next_at_m)
 
 
 def _check_numbers(args: argparse.Namespace) -> None:
@@ -161,6 +209,7 @@ def _check_numbers(args: argparse.Namespace) -> None:
     spans = {
         "--lead-time": (args.lead_time, 0.0, 5.0),
         "--rate": (args.rate, 1.0, 20.0),
+        "--leader-rate": (args.leader_rate, 1.0, 20.0),
         "--altitude": (args.altitude, 1.0, 500.0),
         "--max-distance": (args.max_distance, 5.0, 10_000.0),
         "--min-separation": (args.min_separation, 0.5, 1_000.0),
