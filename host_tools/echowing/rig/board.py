@@ -1,0 +1,453 @@
+"""The co-processor at the other end of a connection, as the bench speaks to it."""
+
+import struct
+import time
+from collections import deque
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from echowing.errors import EchowingError
+from echowing.rig.messages import TELLING_PARAMETER, Frames, Roster, Source, is_telling, source_of
+from echowing.rig.ports import USB_BAUD, Wire, find_port, open_wire
+from echowing.rig.state import BoardState
+
+Clock = Callable[[], float]
+
+# A ground tool's id that is no ground station's, so that no fail-safe is masked by it.
+RIG_SYSTEM_ID = 245
+RIG_COMPONENT_ID = mavlink.MAV_COMP_ID_MISSIONPLANNER
+
+# Opening the port resets a mega; its bootloader waits a second or two before it starts the sketch.
+OPEN_TIMEOUT_S = 8.0
+# At a wrong baud rate bytes come at once, and never a frame; a heartbeat comes every second.
+NO_FRAME_S = 4.0
+ASK_PERIOD_S = 1.0
+ANSWER_TIMEOUT_S = 1.0
+TRIES = 3
+# Parameters are listed as the wire is free between ranges: some 50 a second at 115200 baud.
+LIST_QUIET_S = 0.5
+# What the board writes into its memory it writes 2 s after the last change (firmware/README.md);
+# a word of it that comes much sooner is about an earlier change.
+STORE_DELAY_S = 2.0
+STORED_TEXT = "Echowing: parameters stored"
+# The range of `set servo` (firmware/README.md, `kShortestPulse_us` in the core).
+LEAST_PULSE_US, MOST_PULSE_US = 800, 2200
+
+COMMAND_SCAN = mavlink.MAV_CMD_USER_1
+COMMAND_SONAR_ADDRESS = mavlink.MAV_CMD_USER_2
+COMMAND_SELF_TEST = mavlink.MAV_CMD_USER_3
+_PAN_SERVO, _TILT_SERVO = 1, 2
+
+_INBOX_KEPT = 20_000  # messages nobody has polled; some minutes' worth
+
+
+class ScanMode(IntEnum):
+    """What `scan` tells the board; the numbers are the firmware's."""
+
+    AUTO = 0  # as in flight: by what the autopilot does
+    SCAN = 1
+    CENTRE = 2  # stop, straight ahead
+
+
+class CommandError(EchowingError):
+    """The board has refused a command, or has not answered it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Version:
+    """What AUTOPILOT_VERSION tells."""
+
+    firmware: str  # "0.1.0"
+    git_hash: str  # its first 8 characters
+
+
+class Board:
+    """The co-processor at the other end of a connection, as the bench speaks to it.
+
+    Every call that waits keeps `state` up to date meanwhile, and what comes is kept for `poll`.
+    All of them raise PortLostError when the cable is pulled.
+    """
+
+    def __init__(
+        self, wire: Wire, source: Source, *, name: str = "", clock: Clock = time.monotonic
+    ) -> None:
+        self.system_id, self.component_id = source
+        self.name = name
+        self.state = BoardState()
+        self.frames = Frames()
+        # Set to be handed the bytes as they come, with their time, before they are understood.
+        self.tap: Callable[[float, bytes], None] | None = None
+        self._wire = wire
+        self._clock = clock
+        self._mav = mavlink.MAVLink(None, srcSystem=RIG_SYSTEM_ID, srcComponent=RIG_COMPONENT_ID)
+        self._inbox: deque[Any] = deque(maxlen=_INBOX_KEPT)
+        self._changed_at_s: float | None = None
+
+    @property
+    def texts(self) -> list[tuple[float, int, str]]:
+        """STATUSTEXTs of the board: time_s, severity, text."""
+        return list(self.state.texts)
+
+    def now_s(self) -> float:
+        """The clock that the messages' `_timestamp` is of."""
+        return self._clock()
+
+    def poll(self, timeout_s: float) -> list[Any]:
+        """Wait at most `timeout_s` for something to come; returns every message since the last.
+
+        In order, of the board and of everybody else on the wire; `_timestamp` is when it came.
+        """
+        self._pump(0.0 if self._inbox else timeout_s)
+        messages = list(self._inbox)
+        self._inbox.clear()
+        return messages
+
+    def send(self, message: Any) -> None:
+        """Send a MAVLink message."""
+        self._wire.write(message.pack(self._mav))
+        self._mav.seq = (self._mav.seq + 1) % 256
+
+    def command(self, command: int, *params: float, timeout_s: float = ANSWER_TIMEOUT_S) -> None:
+        """Give a command (COMMAND_LONG) and wait for its acknowledgement.
+
+        Sent again after `timeout_s` without one, TRIES times. Raises CommandError when the board
+        refuses it, with the reason, or does not answer.
+        """
+        values = [*params, *[0.0] * (7 - len(params))]
+
+        def ask(attempt: int) -> None:
+            self.send(self._command(command, attempt, values))
+
+        def is_answer(message: Any) -> bool:
+            return (
+                message.get_type() == "COMMAND_ACK"
+                and message.command == command
+                and self.is_from_board(message)
+            )
+
+        answer = self._ask(ask, is_answer, timeout_s)
+        if answer is None:
+            raise CommandError(f"{self._label()} has not answered command {command}; is it busy?")
+        if answer.result != mavlink.MAV_RESULT_ACCEPTED:
+            raise CommandError(f"{self._label()} {_refusal(command, answer.result)}")
+
+    def _command(self, command: int, attempt: int, values: Iterable[float]) -> Any:
+        return mavlink.MAVLink_command_long_message(
+            self.system_id, self.component_id, command, attempt, *values
+        )
+
+    def version(self) -> Version:
+        """Which firmware it runs."""
+
+        def ask(attempt: int) -> None:
+            wanted = [float(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION), *[0.0] * 6]
+            self.send(self._command(mavlink.MAV_CMD_REQUEST_MESSAGE, attempt, wanted))
+
+        def is_answer(message: Any) -> bool:
+            return message.get_type() == "AUTOPILOT_VERSION" and self.is_from_board(message)
+
+        answer = self._ask(ask, is_answer, ANSWER_TIMEOUT_S)
+        if answer is None:
+            raise CommandError(f"{self._label()} has not told its version")
+        number = answer.flight_sw_version
+        git = bytes(answer.flight_custom_version).rstrip(b"\0").decode("ascii", "replace")
+        return Version(f"{number >> 24}.{number >> 16 & 255}.{number >> 8 & 255}", git)
+
+    def parameters(self) -> dict[str, float]:
+        """The whole list, in the board's order; what went missing is asked for again."""
+        heard: dict[int, Any] = {}
+        count = None
+        self._request_list()
+        for _ in range(4 * TRIES):
+            count = self._collect(heard, count)
+            if count is not None and len(heard) >= count:
+                return {str(heard[i].param_id): float(heard[i].param_value) for i in range(count)}
+            self._request_missing(heard, count)
+        missing = "any" if count is None else f"{count - len(heard)} of {count}"
+        raise EchowingError(f"{self._label()} has not told {missing} of its parameters; try again")
+
+    def _request_list(self) -> None:
+        self.send(mavlink.MAVLink_param_request_list_message(self.system_id, self.component_id))
+
+    def _request_missing(self, heard: dict[int, Any], count: int | None) -> None:
+        if count is None:
+            return self._request_list()
+        for index in sorted(set(range(count)) - set(heard)):
+            self.send(self._parameter_request("", index))
+        return None
+
+    def _parameter_request(self, name: str, index: int = -1) -> Any:
+        return mavlink.MAVLink_param_request_read_message(
+            self.system_id, self.component_id, name.encode(), index
+        )
+
+    def _collect(self, heard: dict[int, Any], count: int | None) -> int | None:
+        """Take parameters until no more come; returns how many the board has."""
+        quiet_at_s = self._clock() + LIST_QUIET_S
+        while self._clock() < quiet_at_s and (count is None or len(heard) < count):
+            for message in self._pump(quiet_at_s - self._clock()):
+                if message.get_type() != "PARAM_VALUE" or not self.is_from_board(message):
+                    continue
+                quiet_at_s = self._clock() + LIST_QUIET_S
+                count = int(message.param_count)
+                if message.param_index < count:
+                    heard[message.param_index] = message
+        return count
+
+    def parameter(self, name: str) -> float:
+        """One parameter; EchowingError where the board has none of that name."""
+        answer = self._ask(
+            lambda attempt: self.send(self._parameter_request(name)),
+            lambda message: self._is_parameter(message, name),
+            ANSWER_TIMEOUT_S / 2,
+        )
+        if answer is None:
+            raise self._no_such_parameter(name)
+        return float(answer.param_value)
+
+    def set_parameter(self, name: str, value: float) -> float:
+        """Set one; returns the value in force. Stored later: see `wait_stored`.
+
+        Raises EchowingError when the board has no such parameter or refuses the value.
+        """
+        before = self.state.parameters.get(name)
+        if before is None:
+            before = self.parameter(name)
+        message = mavlink.MAVLink_param_set_message(
+            self.system_id,
+            self.component_id,
+            name.encode(),
+            value,
+            mavlink.MAV_PARAM_TYPE_REAL32,
+        )
+        answer = self._ask(
+            lambda attempt: self.send(message),
+            lambda heard: self._is_parameter(heard, name),
+            ANSWER_TIMEOUT_S,
+        )
+        if answer is None:
+            raise CommandError(f"{self._label()} has not answered to {name} = {value:g}")
+        in_force = float(answer.param_value)
+        if in_force != as_float32(value):
+            raise EchowingError(
+                f"{name} = {value:g} is refused, it stays {in_force:g}{_allowed(name)}"
+            )
+        self._adopt(answer)
+        if in_force != before:
+            self._changed_at_s = self._clock()
+        return in_force
+
+    def _is_parameter(self, message: Any, name: str) -> bool:
+        if message.get_type() != "PARAM_VALUE" or message.param_id != name:
+            return False
+        # With a new id the answer already comes under it.
+        new_id = {"SYS_ID": message.get_srcSystem(), "COMP_ID": message.get_srcComponent()}
+        return self.is_from_board(message) or message.param_value == new_id.get(name)
+
+    def _no_such_parameter(self, name: str) -> EchowingError:
+        names = list(self.state.parameters)
+        if len(names) < 2:
+            names = list(self.parameters())
+        if name in names:
+            return CommandError(f"{self._label()} has not told its parameter {name}; try again")
+        return EchowingError(
+            f"{self._label()} has no parameter {name!r}; it has {', '.join(names)}"
+        )
+
+    def wait_stored(self, timeout_s: float = 5.0) -> bool:
+        """Wait until what was set is in the board's memory; False: it is not, yet.
+
+        An armed autopilot beside it holds the storing back until it is disarmed.
+        """
+        deadline_s = self._clock() + timeout_s
+        while not self._is_stored():
+            if self._clock() >= deadline_s:
+                return False
+            self._pump(deadline_s - self._clock())
+        self._changed_at_s = None
+        return True
+
+    def _is_stored(self) -> bool:
+        if self._changed_at_s is None:
+            return True
+        earliest_s = self._changed_at_s + 0.75 * STORE_DELAY_S
+        return any(text == STORED_TEXT and at_s >= earliest_s for at_s, _, text in self.state.texts)
+
+    def aim(self, pan_us: float, tilt_us: float) -> None:
+        """Point the gimbal and hold it there; pulses in us. EchowingError when out of range."""
+        for what, pulse_us in (("pan", pan_us), ("tilt", tilt_us)):
+            if not LEAST_PULSE_US <= pulse_us <= MOST_PULSE_US:
+                raise EchowingError(
+                    f"{what} pulse {pulse_us:g} us: servos take {LEAST_PULSE_US} to {MOST_PULSE_US}"
+                )
+        self.command(mavlink.MAV_CMD_DO_SET_SERVO, _PAN_SERVO, pan_us)
+        self.command(mavlink.MAV_CMD_DO_SET_SERVO, _TILT_SERVO, tilt_us)
+
+    def scan(self, mode: ScanMode) -> None:
+        """Make it scan, stand straight ahead, or decide for itself."""
+        self.command(COMMAND_SCAN, float(mode))
+
+    def close(self) -> None:
+        """Let go of the port."""
+        self._wire.close()
+
+    def is_from_board(self, message: Any) -> bool:
+        """Whether the board has sent it, and nobody else on the wire."""
+        return source_of(message) == (self.system_id, self.component_id)
+
+    def take(self, data: bytes) -> list[Any]:
+        """Bytes have come: understand them. Only for who reads the wire in our place."""
+        now_s = self._clock()
+        messages = self.frames.parse(data, now_s)
+        for message in messages:
+            self._follow_identity(message)
+            if self.is_from_board(message):
+                self.state.update(message, now_s)
+        self.state.tick(now_s)
+        self._inbox.extend(messages)
+        return messages
+
+    def _pump(self, timeout_s: float) -> list[Any]:
+        data = self._wire.read(max(0.0, timeout_s))
+        if data and self.tap is not None:
+            self.tap(self._clock(), data)
+        messages = self.take(data)
+        if messages:
+            self._wire.understood()
+        return messages
+
+    def _ask(
+        self, ask: Callable[[int], None], is_answer: Callable[[Any], bool], timeout_s: float
+    ) -> Any:
+        """Ask until it is answered, TRIES times; None: it was not."""
+        for attempt in range(TRIES):
+            ask(attempt)
+            deadline_s = self._clock() + timeout_s
+            while self._clock() < deadline_s:
+                for message in self._pump(deadline_s - self._clock()):
+                    if is_answer(message):
+                        return message
+        return None
+
+    def _follow_identity(self, message: Any) -> None:
+        """The board takes the autopilot's system id when it hears it: go along."""
+        if self.is_from_board(message) or not is_telling(message):
+            return
+        silent_s = self.state.silent_s
+        if silent_s is None or silent_s > ASK_PERIOD_S:
+            self._adopt(message)
+
+    def _adopt(self, message: Any) -> None:
+        self.system_id, self.component_id = source_of(message)
+
+    def _label(self) -> str:
+        return f"the board on {self.name}" if self.name else "the board"
+
+
+def open_board(port: str | None, baud: int = USB_BAUD, clock: Clock = time.monotonic) -> Board:
+    """Find the board (with no `port`), open its port and wait until it is heard.
+
+    Raises EchowingError that says what is wrong: no such port, busy, forbidden, silent, at another
+    baud rate, another device.
+    """
+    name = find_port() if port is None else port
+    wire = open_wire(name, baud)
+    try:
+        return _await_board(wire, name, baud, clock)
+    except BaseException:
+        wire.close()
+        raise
+
+
+def _await_board(wire: Wire, name: str, baud: int, clock: Clock) -> Board:
+    board = Board(wire, (0, 0), name=name, clock=clock)
+    roster = Roster()
+    start_s = ask_at_s = clock()
+    deadline_s = start_s + OPEN_TIMEOUT_S
+    first_byte_s: float | None = None
+    while (now_s := clock()) < deadline_s:
+        board.poll(0.0)  # nobody has asked for these
+        data = wire.read(min(0.1, deadline_s - now_s))
+        messages = board.take(data)
+        if messages:
+            wire.understood()
+        roster.note(messages)
+        if found := roster.boards():
+            board.system_id, board.component_id = found[0]
+            return board
+        if data and first_byte_s is None:
+            first_byte_s = now_s
+        if first_byte_s is not None and not board.frames.counts.frames:
+            deadline_s = min(deadline_s, first_byte_s + NO_FRAME_S)
+        if now_s >= ask_at_s:
+            ask_at_s = now_s + ASK_PERIOD_S
+            _ask_what_they_are(board, roster)
+    raise EchowingError(f"{name}: {_why_no_board(board, roster, clock() - start_s, baud)}")
+
+
+def _ask_what_they_are(board: Board, roster: Roster) -> None:
+    for system, component in roster.candidates():
+        board.send(
+            mavlink.MAVLink_param_request_read_message(
+                system, component, TELLING_PARAMETER.encode(), -1
+            )
+        )
+
+
+def _why_no_board(board: Board, roster: Roster, waited_s: float, baud: int) -> str:
+    counts = board.frames.counts
+    if counts.bytes == 0:
+        return (
+            f"nothing has come in {waited_s:.0f} s. Is it the co-processor's port, and is the "
+            "board flashed (`make flash`)? Its LED blinks when the firmware runs"
+        )
+    if counts.frames == 0:
+        return (
+            f"{counts.bytes} bytes have come in {waited_s:.0f} s, and no MAVLink in them: the "
+            f"baud rate may be wrong ({baud}; the board's USB port has {USB_BAUD}: --baud "
+            f"{USB_BAUD}), or another program runs on the board"
+        )
+    others = roster.others() or ["MAVLink without a heartbeat"]
+    return (
+        f"this is not the co-processor: heard {', '.join(others)}. Choose the co-processor's own "
+        "port with --port; behind an autopilot it is heard once it is wired and has power"
+    )
+
+
+def as_float32(value: float) -> float:
+    """The value as MAVLink carries it."""
+    return float(struct.unpack("<f", struct.pack("<f", value))[0])
+
+
+def _allowed(name: str) -> str:
+    """What the firmware takes for a parameter, where its table is at hand."""
+    from echowing.sim.coprocessor import parameter_table  # noqa: PLC0415 (needs the built core)
+
+    try:
+        row = next((row for row in parameter_table() if row.name == name), None)
+    except EchowingError:
+        return ""
+    if row is None:
+        return ""
+    whole = "whole numbers from " if row.whole else ""
+    return f"; it takes {whole}{row.least:g} to {row.most:g} {row.unit}".rstrip()
+
+
+def _refusal(command: int, result: int) -> str:
+    match result:
+        case mavlink.MAV_RESULT_TEMPORARILY_REJECTED:
+            return (
+                f"refuses command {command} now: the autopilot beside it is armed, or a self test "
+                "runs"
+            )
+        case mavlink.MAV_RESULT_DENIED:
+            return f"refuses command {command}: a value is out of its range"
+        case mavlink.MAV_RESULT_UNSUPPORTED:
+            return f"does not know command {command}: is its firmware older than this tool?"
+        case _:
+            name = mavlink.enums["MAV_RESULT"].get(result)
+            return f"refuses command {command}: {name.name if name else result}"

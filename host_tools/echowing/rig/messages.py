@@ -1,0 +1,158 @@
+"""MAVLink out of the board's bytes, with the books kept: what came whole, damaged, or not at all.
+
+`links.Link` drops damaged frames without a word; on the bench their number is a measurement.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from echowing.signing import Parser
+
+# Sender of a message: system id and component id.
+Source = tuple[int, int]
+
+# Names of values and a parameter that only the co-processor's firmware has.
+VALUE_PREFIX = "SNR_"
+TELLING_PARAMETER = "SONAR_PERIOD"
+
+_AUTOPILOTS = {
+    mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: "ArduPilot",
+    mavlink.MAV_AUTOPILOT_PX4: "PX4",
+    mavlink.MAV_AUTOPILOT_GENERIC: "a generic autopilot",
+}
+
+
+@dataclass(slots=True)
+class Counts:
+    """What has come over the wire so far."""
+
+    bytes: int = 0
+    frames: int = 0  # whole and undamaged
+    damaged: int = 0  # frames that did not stand their checksum
+    garbage_bytes: int = 0  # bytes between frames
+    lost: int = 0  # by the gaps in the sequence numbers
+
+
+class Frames:
+    """Bytes in, messages out."""
+
+    def __init__(self) -> None:
+        self.counts = Counts()
+        self._parser = Parser()
+        self._sequences: dict[Source, int] = {}
+
+    def parse(self, data: bytes, now_s: float) -> list[Any]:
+        """Whole, known messages in the order they came; each gets `_timestamp` = now_s."""
+        self.counts.bytes += len(data)
+        parsed = self._parser.parse_buffer(data) or ()
+        messages = [message for message in parsed if not self._is_bad(message)]
+        for message in messages:
+            message._timestamp = now_s
+            self._count(message)
+        return [message for message in messages if message.get_msgId() >= 0]
+
+    def _is_bad(self, message: Any) -> bool:
+        if message.get_type() != "BAD_DATA":
+            return False
+        if len(message.data) > 0 and message.reason != "Bad prefix":
+            self.counts.damaged += 1
+        else:
+            self.counts.garbage_bytes += len(message.data)
+        return True
+
+    def _count(self, message: Any) -> None:
+        if message.get_msgId() < 0:  # unknown to us: nobody has checked it
+            return
+        self.counts.frames += 1
+        source, sequence = source_of(message), message.get_seq()
+        if source in self._sequences:
+            self.counts.lost += (sequence - self._sequences[source] - 1) % 256
+        self._sequences[source] = sequence
+
+
+@dataclass(slots=True)
+class _Seen:
+    heartbeat: Any = None
+    telling: bool = False
+
+
+@dataclass(slots=True)
+class Roster:
+    """Who is heard, and which of them is an Echowing co-processor."""
+
+    _seen: dict[Source, _Seen] = field(default_factory=dict)
+
+    def note(self, messages: Iterable[Any]) -> None:
+        """Messages have come."""
+        for message in messages:
+            seen = self._seen.setdefault(source_of(message), _Seen())
+            if message.get_type() == "HEARTBEAT":
+                seen.heartbeat = message
+            seen.telling = seen.telling or is_telling(message)
+
+    def boards(self) -> list[Source]:
+        """The co-processors, in the order they were heard."""
+        return [
+            source
+            for source, seen in self._seen.items()
+            if seen.telling and _is_device(seen.heartbeat)
+        ]
+
+    def candidates(self) -> list[Source]:
+        """Devices of which it is not known yet what they are."""
+        return [
+            source
+            for source, seen in self._seen.items()
+            if not seen.telling and _is_device(seen.heartbeat)
+        ]
+
+    def others(self) -> list[str]:
+        """What else beats on the wire, in words."""
+        return [
+            describe(source, seen.heartbeat)
+            for source, seen in self._seen.items()
+            if seen.heartbeat is not None and source not in self.boards()
+        ]
+
+
+def source_of(message: Any) -> Source:
+    """Who sent it."""
+    return message.get_srcSystem(), message.get_srcComponent()
+
+
+def is_telling(message: Any) -> bool:
+    """Whether only the co-processor's firmware sends such a message."""
+    kind = message.get_type()
+    if kind == "NAMED_VALUE_FLOAT":
+        return str(message.name).startswith(VALUE_PREFIX)
+    return bool(kind == "PARAM_VALUE" and message.param_id == TELLING_PARAMETER)
+
+
+def _is_device(heartbeat: Any) -> bool:
+    """Whether it beats as the firmware does; the applet on an autopilot sends like names."""
+    return (
+        heartbeat is not None
+        and heartbeat.type == mavlink.MAV_TYPE_ONBOARD_CONTROLLER
+        and heartbeat.autopilot == mavlink.MAV_AUTOPILOT_INVALID
+    )
+
+
+def describe(source: Source, heartbeat: Any) -> str:
+    """A sender in words, by its heartbeat."""
+    system, component = source
+    kind = _enum_name("MAV_TYPE", heartbeat.type)
+    if heartbeat.autopilot == mavlink.MAV_AUTOPILOT_INVALID:
+        return f"a {kind} (system {system}, component {component})"
+    autopilot = _AUTOPILOTS.get(heartbeat.autopilot) or _enum_name(
+        "MAV_AUTOPILOT", heartbeat.autopilot
+    )
+    return f"an autopilot ({autopilot}, {kind}, system {system}, component {component})"
+
+
+def _enum_name(enum: str, value: int) -> str:
+    entry = mavlink.enums[enum].get(value)
+    name = entry.name.removeprefix(f"{enum}_") if entry else f"{enum} {value}"
+    return str(name.lower().replace("_", " "))
