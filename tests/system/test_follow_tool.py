@@ -1,21 +1,13 @@
-"""`echowing follow` against `echowing sim --serve`: real processes over loopback, in real time.
-
-Nothing here waits a fixed time for something to have happened: every wait is for a condition,
-with a deadline that a loaded machine can keep.
-"""
+"""`echowing follow` against `echowing sim --serve`: real processes over loopback, in real time."""
 
 import csv
 import json
 import random
 import signal
 import socket
-import subprocess
-import sys
 import threading
-import time
-from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -23,254 +15,38 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from echowing.analysis.vehicle_log import read_vehicles
 from echowing.cli import main
 from echowing.geo import displace
-from echowing.links import Link, parse_address
 from echowing.sim.autopilot import ORIGIN
 
-DEADLINE_S = 25.0
-LEADER, FOLLOWER, SECOND = 1, 2, 3
-PILOT_PORT = 2  # above a vehicle's telemetry port
-GROUND_STATION_ID = 255
-
-# A slow leader, so that a follower finds its slot within seconds.
-WORLD = [
-    *("echowing", "--set", "leader.speed_mps=0.5", "--set", "gps.sigma_m=0.2"),
-    *("--set", "formation.slots=[{radius_m=3.0},{radius_m=6.0, angle_deg=40.0}]"),
-]
-
-
-class Process:
-    """A verb in a process of its own; its output is read as it comes."""
-
-    def __init__(self, *arguments: str, under: Sequence[str] = ()) -> None:
-        self._process = subprocess.Popen(
-            [*under, sys.executable, "-m", "echowing", *arguments],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-        )
-        self.lines: list[str] = []
-        self._news = threading.Condition()
-        self._reader = threading.Thread(target=self._read, daemon=True)
-        self._reader.start()
-
-    def _read(self) -> None:
-        assert self._process.stdout is not None
-        for line in self._process.stdout:
-            with self._news:
-                self.lines.append(line.rstrip())
-                self._news.notify_all()
-        with self._news:
-            self._news.notify_all()
-
-    def wait_for(self, told: Callable[[str], bool], since: int = 0) -> int:
-        """The number of the first line from `since` on for which `told` is true."""
-        until_s = time.monotonic() + DEADLINE_S
-        with self._news:
-            while True:
-                for number, line in enumerate(self.lines[since:], since):
-                    if told(line):
-                        return number
-                left_s = until_s - time.monotonic()
-                if left_s <= 0.0 or not self._reader.is_alive():
-                    pytest.fail("never told; it said:\n" + "\n".join(self.lines[-40:]))
-                self._news.wait(min(left_s, 0.5))
-
-    def event(self, text: str, since: int = 0) -> int:
-        """Wait for an event with `text` in it."""
-        return self.wait_for(lambda line: text in json.loads(line).get("event", ""), since)
-
-    def row(self, fits: Callable[[dict[str, Any]], bool], since: int = 0) -> int:
-        """Wait for a follower's row that fits."""
-
-        def told(line: str) -> bool:
-            record = json.loads(line)
-            return "state" in record and fits(record)
-
-        return self.wait_for(told, since)
-
-    def end(self, number: int = signal.SIGTERM) -> int:
-        """Send a signal; returns the exit code."""
-        self._process.send_signal(number)
-        code = self._process.wait(DEADLINE_S)
-        self._reader.join(DEADLINE_S)
-        return code
-
-    def exit_code(self) -> int:
-        """Wait for it to end by itself."""
-        code = self._process.wait(DEADLINE_S)
-        self._reader.join(DEADLINE_S)
-        return code
-
-    def kill(self) -> None:
-        """As by kill -9."""
-        self._process.kill()
-        self._process.wait(DEADLINE_S)
-
-
-# No file of such a process grows beyond 6 blocks (6 KB): as on a disk that fills up.
-FULL_DISK = ("sh", "-c", 'ulimit -f 6; exec "$@"', "sh")
-
-
-class Pilot:
-    """A vehicle's pilot at his own ground station."""
-
-    def __init__(self, port: int, system_id: int) -> None:
-        self._system_id = system_id
-        self._link = Link(parse_address(f"tcp:127.0.0.1:{port + PILOT_PORT}"))
-        self._mav = mavlink.MAVLink(None, srcSystem=GROUND_STATION_ID, srcComponent=190)
-
-    def set_mode(self, mode: int) -> None:
-        """Change the mode and see that it has changed."""
-        command = mavlink.MAV_CMD_DO_SET_MODE
-        change = mavlink.MAVLink_command_long_message(
-            self._system_id, 1, command, 0, 1, mode, *(0.0,) * 5
-        )
-        self.until(lambda m: _mode_of(m) == mode, change)
-
-    def set_parameter(self, name: str, value: float) -> None:
-        """Set a parameter and see it confirmed."""
-        kind = mavlink.MAV_PARAM_TYPE_REAL32
-        change = mavlink.MAVLink_param_set_message(self._system_id, 1, name.encode(), value, kind)
-        self.until(lambda m: m.get_type() == "PARAM_VALUE" and m.param_id == name, change)
-
-    def until_still(self) -> None:
-        """Wait until the vehicle moves less than 0.3 m/s over the ground."""
-        position = mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
-        ask = mavlink.MAVLink_command_long_message(
-            self._system_id, 1, mavlink.MAV_CMD_REQUEST_MESSAGE, 0, position, *(0.0,) * 6
-        )
-        self.until(lambda m: _speed_mps(m) < 0.3, ask)
-
-    def until(self, fits: Callable[[Any], bool], asking: Any) -> Any:
-        """Ask again and again until a message fits."""
-        until_s, ask_s = time.monotonic() + DEADLINE_S, 0.0
-        while time.monotonic() < until_s:
-            now_s = time.monotonic()
-            if now_s >= ask_s:
-                ask_s = now_s + 0.3
-                self._link.send(bytes(asking.pack(self._mav)), now_s)
-            for message in self._link.receive(now_s):
-                if message.get_srcSystem() == self._system_id and fits(message):
-                    return message
-            time.sleep(0.02)
-        pytest.fail(f"system {self._system_id} never said so")
-
-    def close(self) -> None:
-        """Hang up."""
-        self._link.close()
-
-
-def _mode_of(message: Any) -> int | None:
-    autopilot = message.get_srcComponent() == 1
-    return message.custom_mode if message.get_type() == "HEARTBEAT" and autopilot else None
-
-
-def _speed_mps(message: Any) -> float:
-    if message.get_type() != "GLOBAL_POSITION_INT":
-        return float("inf")
-    return float((message.vx**2 + message.vy**2) ** 0.5 / 100.0)
-
-
-class Bridge:
-    """A vehicle's TCP endpoint on another port, which the test may cut."""
-
-    def __init__(self, port: int) -> None:
-        self._port = port
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self._listener.settimeout(0.1)
-        self.port = int(self._listener.getsockname()[1])
-        self.cut = threading.Event()
-        self._done = threading.Event()
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        self._thread.start()
-
-    def _run(self) -> None:
-        while not self._done.is_set():
-            try:
-                tool, _ = self._listener.accept()
-            except TimeoutError:
-                continue
-            if not self.cut.is_set():
-                with tool, socket.create_connection(("127.0.0.1", self._port)) as vehicle:
-                    self._carry(tool, vehicle)
-            tool.close()
-
-    def _carry(self, tool: socket.socket, vehicle: socket.socket) -> None:
-        ways = ((tool, vehicle), (vehicle, tool))
-        for one, _ in ways:
-            one.settimeout(0.02)
-        while not self.cut.is_set() and not self._done.is_set():
-            for source, sink in ways:
-                try:
-                    data = source.recv(4096)
-                except TimeoutError:
-                    continue
-                except OSError:
-                    return
-                if not data:
-                    return
-                sink.sendall(data)
-
-    def close(self) -> None:
-        """Take it away."""
-        self._done.set()
-        self._thread.join(DEADLINE_S)
-        self._listener.close()
-
-
-class World:
-    """The served vehicles, their ports and pilots."""
-
-    def __init__(self, *more: str) -> None:
-        self.port = _free_ports()
-        self.process = Process("sim", *WORLD, "--serve", str(self.port), *more)
-        self.process.wait_for(lambda line: f"system {SECOND}" in line)
-        self.pilot = Pilot(self.port + 10, FOLLOWER)
-
-    def link(self, system_id: int) -> str:
-        """The connection string of a vehicle, with its id so that nobody has to look for it."""
-        return f"tcp:127.0.0.1:{self.port + 10 * (system_id - 1)}@{system_id}"
-
-    def follow(self, *more: str, leader: str | None = None, under: Sequence[str] = ()) -> Process:
-        """The tool, engaged, with the first follower."""
-        ends = ("--leader", leader or self.link(LEADER), "--follower", self.link(FOLLOWER))
-        return Process("follow", *ends, "--engage", "--json", *more, under=under)
-
-
-def _free_ports() -> int:
-    """A port with free ones where the vehicles' will be."""
-    for _ in range(100):
-        port = random.randrange(20_000, 60_000)
-        try:
-            for shift in (0, 2, 10, 12, 20, 22):
-                socket.create_server(("127.0.0.1", port + shift)).close()
-        except OSError:
-            continue
-        return port
-    pytest.fail("no free ports")
-
-
-@pytest.fixture(scope="module")
-def served() -> Iterator[World]:
-    world = World()
-    yield world
-    world.pilot.close()
-    assert world.process.end() == 0
-    assert world.process.lines[-1] == "stopped"
-
-
-@pytest.fixture
-def world(served: World) -> World:
-    served.pilot.set_mode(mavlink.COPTER_MODE_GUIDED)
-    return served
-
-
-def is_followed(row: dict[str, Any]) -> bool:
-    return bool(row["state"] == "following")
-
-
-def in_slot(row: dict[str, Any]) -> bool:
-    return row["state"] == "following" and row["error_m"] is not None and abs(row["error_m"]) < 1.0
+if TYPE_CHECKING:
+    from tests.system.field import (
+        DEADLINE_S,
+        FOLLOWER,
+        FULL_DISK,
+        GROUND_STATION_ID,
+        LEADER,
+        SECOND,
+        Bridge,
+        Process,
+        World,
+        in_slot,
+        is_followed,
+        mode_of,
+    )
+else:
+    from field import (
+        DEADLINE_S,
+        FOLLOWER,
+        FULL_DISK,
+        GROUND_STATION_ID,
+        LEADER,
+        SECOND,
+        Bridge,
+        Process,
+        World,
+        in_slot,
+        is_followed,
+        mode_of,
+    )
 
 
 def test_two_followers_fly_a_formation_file(world: World, tmp_path: Path) -> None:
@@ -413,7 +189,7 @@ def _answers_to_a_stranger(port: int) -> list[Any]:
             follow.sendto(bytes(message.pack(stranger)), publisher)
         while answered_at is None or "HEARTBEAT" not in heard[answered_at:]:
             message = mavlink.MAVLink(None).decode(bytearray(follow.recv(1000)))
-            heard += [message.get_type(), _mode_of(message)]
+            heard += [message.get_type(), mode_of(message)]
             if message.get_type() == "TIMESYNC" and message.ts1 == 4711:
                 answered_at = len(heard)
     return heard

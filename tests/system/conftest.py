@@ -1,0 +1,31 @@
+"""Lets the tests in this folder share the field, and its vehicles."""
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+if TYPE_CHECKING:
+    from tests.system.field import World
+else:
+    from field import World
+
+
+@pytest.fixture(scope="module")
+def served() -> Iterator[World]:
+    world = World()
+    yield world
+    world.pilot.close()
+    assert world.process.end() == 0
+    assert world.process.lines[-1] == "stopped"
+
+
+@pytest.fixture
+def world(served: World) -> World:
+    served.pilot.set_mode(mavlink.COPTER_MODE_GUIDED)
+    return served
