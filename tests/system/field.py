@@ -4,15 +4,17 @@ Nothing here waits a fixed time for something to have happened: every wait is fo
 with a deadline that a loaded machine can keep.
 """
 
+import heapq
 import json
 import random
+import select
 import signal
 import socket
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import pytest
@@ -221,13 +223,24 @@ class World:
         self.process.wait_for(lambda line: f"system {SECOND}" in line)
         self.pilot = Pilot(self.port + 10, FOLLOWER)
 
+    def port_of(self, system_id: int) -> int:
+        """The TCP port of a vehicle's telemetry."""
+        return self.port + 10 * (system_id - 1)
+
     def link(self, system_id: int) -> str:
         """The connection string of a vehicle, with its id so that nobody has to look for it."""
-        return f"tcp:127.0.0.1:{self.port + 10 * (system_id - 1)}@{system_id}"
+        return f"tcp:127.0.0.1:{self.port_of(system_id)}@{system_id}"
 
-    def follow(self, *more: str, leader: str | None = None, under: Sequence[str] = ()) -> Process:
+    def follow(
+        self,
+        *more: str,
+        leader: str | None = None,
+        follower: str | None = None,
+        under: Sequence[str] = (),
+    ) -> Process:
         """The tool, engaged, with the first follower."""
-        ends = ("--leader", leader or self.link(LEADER), "--follower", self.link(FOLLOWER))
+        leader, follower = leader or self.link(LEADER), follower or self.link(FOLLOWER)
+        ends = ("--leader", leader, "--follower", follower)
         return Process("follow", *ends, "--engage", "--json", *more, under=under)
 
 
@@ -250,3 +263,93 @@ def is_followed(row: dict[str, Any]) -> bool:
 
 def in_slot(row: dict[str, Any]) -> bool:
     return row["state"] == "following" and row["error_m"] is not None and abs(row["error_m"]) < 1.0
+
+
+Spoil = Callable[[Any], Iterable[tuple[float, bytes]]]
+"""What becomes of a message on its way to the tool: each datagram, and how many seconds later."""
+
+
+def unspoilt(message: Any) -> Iterable[tuple[float, bytes]]:
+    """It arrives as it was sent, at once."""
+    return [(0.0, bytes(message.get_msgbuf()))]
+
+
+def changed(message: Any, **fields: float) -> bytes:
+    """A vehicle's message with other values in it, whole and undamaged."""
+    for name, value in fields.items():
+        setattr(message, name, value)
+    sender = mavlink.MAVLink(None, message.get_srcSystem(), message.get_srcComponent())
+    sender.seq = message.get_seq()
+    return bytes(message.pack(sender))
+
+
+class Air:
+    """Served vehicles on one UDP port of the tool, through an air that the test may spoil.
+
+    `tool` is the tool's connection string; `heard` the messages that it has sent; while `cut` is
+    set nothing passes either way.
+    """
+
+    def __init__(self, ports: Sequence[int], spoil: Spoil = unspoilt) -> None:
+        self._spoil = spoil
+        self._vehicles = [socket.create_connection(("127.0.0.1", port)) for port in ports]
+        self._parsers = {vehicle: _parser() for vehicle in self._vehicles}
+        self._tool = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            probe.bind(("127.0.0.1", 0))
+            self._to = probe.getsockname()
+        self.tool = f"udpin:{self._to[1]}"
+        self.heard: list[Any] = []
+        self.cut = threading.Event()
+        self._ears = _parser()
+        self._late: list[tuple[float, int, bytes]] = []
+        self._count = 0
+        self._done = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        while not self._done.is_set():
+            for source in select.select([*self._vehicles, self._tool], [], [], 0.01)[0]:
+                if source is self._tool:
+                    self._up()
+                else:
+                    self._down(source)
+            self._deliver()
+
+    def _down(self, vehicle: socket.socket) -> None:
+        for message in self._parsers[vehicle].parse_buffer(vehicle.recv(65_535)) or ():
+            if message.get_msgId() < 0 or self.cut.is_set():
+                continue
+            for delay_s, datagram in self._spoil(message):
+                self._count += 1
+                due_s = time.monotonic() + delay_s
+                heapq.heappush(self._late, (due_s, self._count, datagram))
+
+    def _deliver(self) -> None:
+        while self._late and self._late[0][0] <= time.monotonic():
+            self._tool.sendto(heapq.heappop(self._late)[2], self._to)
+
+    def _up(self) -> None:
+        try:
+            data = self._tool.recv(65_535)
+        except ConnectionRefusedError:  # the tool is not there yet, or no more
+            return
+        if self.cut.is_set():
+            return
+        self.heard += self._ears.parse_buffer(data) or ()
+        for vehicle in self._vehicles:
+            vehicle.sendall(data)
+
+    def close(self) -> None:
+        """Hang up."""
+        self._done.set()
+        self._thread.join(DEADLINE_S)
+        for end in (*self._vehicles, self._tool):
+            end.close()
+
+
+def _parser() -> Any:
+    parser = mavlink.MAVLink(None)
+    parser.robust_parsing = True
+    return parser
