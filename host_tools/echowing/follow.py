@@ -38,6 +38,8 @@ TOOL_COMPONENT_ID = mavlink.MAV_COMP_ID_MISSIONPLANNER
 GUIDED_MODE = 4
 STALE = "leader is stale"
 
+# A vehicle's clock this far behind its newest report has begun anew: no radio holds one so long.
+REBOOT_MS = 10_000
 # A leader's report further than this from where the last one leads is a jump, not a movement:
 # twice what a hard reversal at 2 m/s can do between two reports.
 JUMP_M = 4.0
@@ -125,7 +127,7 @@ class LeaderTrack:
         self.clock = VehicleClock()
         self.fix: LeaderFix | None = None
         self.rejected = 0
-        self._newest_boot_s = -math.inf
+        self._newest_boot_ms = -1
         self._candidate: LeaderFix | None = None
         self._agreeing = 0
         self.jumps = 0
@@ -133,12 +135,13 @@ class LeaderTrack:
 
     def receive(self, message: Any, now_s: float) -> None:
         """Take a GLOBAL_POSITION_INT; late doubles and reordered ones are dropped."""
-        boot_s = message.time_boot_ms / 1000.0
-        if self._newest_boot_s - boot_s > 10.0:
-            self._reboot()
-        if boot_s <= self._newest_boot_s:
+        boot_ms = message.time_boot_ms
+        if is_late(boot_ms, self._newest_boot_ms):
             return
-        self._newest_boot_s = boot_s
+        if boot_ms < self._newest_boot_ms:
+            self._reboot()
+        self._newest_boot_ms = boot_ms
+        boot_s = boot_ms / 1000.0
         velocity = (message.vx / 100.0, message.vy / 100.0, message.vz / 100.0)
         time_s = self.clock.to_ours(boot_s, now_s)
         fix = LeaderFix(
@@ -164,7 +167,6 @@ class LeaderTrack:
 
     def _reboot(self) -> None:
         self.clock.restarted()
-        self._newest_boot_s = -math.inf
         self.fix = None
 
     def _believable(self, fix: LeaderFix) -> bool:
@@ -179,6 +181,11 @@ class LeaderTrack:
             return False
         self.jumps += 1
         return True
+
+
+def is_late(boot_ms: int, newest_boot_ms: int) -> bool:
+    """Whether a report is a double of the newest, or older: on its way too long, not a reboot."""
+    return 0 <= newest_boot_ms - boot_ms <= REBOOT_MS
 
 
 def _jumps(before: LeaderFix, after: LeaderFix) -> bool:
@@ -234,6 +241,7 @@ class FollowerState:
     reading: tuple[float, float] = (-math.inf, math.nan)
     """When the newest sonar reading came, and its range in metres."""
     position: GlobalPosition | None = None
+    newest_boot_ms: int = -1
     position_at_s: float = -math.inf
     altitude_m: float | None = None
     ground_speed_mps: float = 0.0
@@ -517,6 +525,9 @@ class FollowSession:
         self, follower: FollowerState, kind: str, message: Any, now_s: float
     ) -> None:
         if kind == "GLOBAL_POSITION_INT":
+            if is_late(message.time_boot_ms, follower.newest_boot_ms):
+                return
+            follower.newest_boot_ms = message.time_boot_ms
             follower.position = GlobalPosition(
                 message.lat / 1e7, message.lon / 1e7, message.alt / 1e3
             )
