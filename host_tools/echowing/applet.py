@@ -2,10 +2,13 @@
 
 import os
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 
 from echowing.errors import EchowingError
+from echowing.ftp_format import ardupilot_crc32
 from echowing.paths import lua_folder
+from echowing.setup.ftp import FtpClient, FtpRefusedError, Progress
 
 APPLET = "echowing.lua"
 # Where ArduPilot looks for scripts on its card (AP_Scripting, SCRIPTING_DIRECTORY).
@@ -36,6 +39,95 @@ def install_on_card(mount: Path) -> Path:
             f"{target}: cannot be written: {error.strerror}; is the card full or write-protected?"
         ) from error
     return target
+
+
+def install_over_link(
+    card: FtpClient,
+    progress: Callable[[str], Progress],
+    scripts: str = f"{FIRMWARE_FOLDER}/{SCRIPTS_FOLDER}",
+) -> bool:
+    """Put the applet into the folder `scripts` of an autopilot's card, over MAVLink.
+
+    Written beside the one that is there, checked by checksum and read back, then put in its place:
+    whatever goes wrong, the card holds the old applet or the new one whole, or (where power fails
+    between two renames, as FAT has no renaming onto a file) none. `progress` makes a progress bar
+    out of a title. False: the same applet was there already. Raises EchowingError.
+    """
+    wanted = applet_path().read_bytes()
+    target = f"{scripts}/{APPLET}"
+    card.reset()
+    _find_scripts(card, scripts)
+    arriving, leaving = f"{target}.new", f"{target}.old"
+    if _is_whole(card, target, wanted):
+        card.remove(arriving)
+        card.remove(leaving)
+        return False
+    try:
+        card.upload(arriving, wanted, progress("writing"))
+        _verify_on_card(card, arriving, wanted, progress("reading back"))
+    except FtpRefusedError:
+        card.reset()
+        card.remove(arriving)
+        raise
+    card.remove(leaving)
+    _replace(card, arriving, target, leaving)
+    card.remove(leaving)
+    return True
+
+
+def _find_scripts(card: FtpClient, scripts: str) -> None:
+    """See that there is a card, and make the folder on it."""
+    parent = scripts.rpartition("/")[0]
+    if parent:
+        try:
+            card.entries(parent)
+        except FtpRefusedError as refusal:
+            if not refusal.not_there:
+                raise
+            raise EchowingError(
+                f"no folder {parent} on the vehicle: no SD card in it, or the autopilot has not "
+                "been started with it yet"
+            ) from refusal
+    card.make_folder(scripts)
+
+
+def _is_whole(card: FtpClient, path: str, wanted: bytes) -> bool:
+    try:
+        return card.checksum(path) == ardupilot_crc32(wanted)
+    except FtpRefusedError as refusal:
+        if refusal.not_there:
+            return False
+        raise
+
+
+def _verify_on_card(card: FtpClient, path: str, wanted: bytes, progress: Progress) -> None:
+    """Compare what the autopilot reads of it, and what we do; remove it where it differs."""
+    found = card.checksum(path)
+    whole = found in (None, ardupilot_crc32(wanted))
+    if whole and card.download(path, progress) == wanted:
+        return
+    card.remove(path)
+    raise EchowingError(
+        f"{path}: the card gives back something else than was written; the older applet is still "
+        "in place. Is the card full? Else try another one"
+    )
+
+
+def _replace(card: FtpClient, arriving: str, target: str, leaving: str) -> None:
+    """Swap; on failure the older one is put back."""
+    try:
+        card.rename(target, leaving)
+        had_one = True
+    except FtpRefusedError as refusal:
+        if not refusal.not_there:
+            raise
+        had_one = False
+    try:
+        card.rename(arriving, target)
+    except FtpRefusedError:
+        if had_one:
+            card.rename(leaving, target)
+        raise
 
 
 def checksum(content: bytes) -> int:

@@ -18,6 +18,7 @@ examples:
   echowing sim echowing --seed 3 --out out/mine
   echowing sim gray --seed 1-10 --json
   echowing sim my-flight.toml --law continuous --set gps.sigma_m=1.2
+  echowing sim --serve 5760 --parked --card out/cards    vehicles to try `echowing setup` on
 """
 
 
@@ -63,6 +64,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="with --serve: sign the telemetry, and hear only what is signed",
     )
+    parser.add_argument(
+        "--parked",
+        action="store_true",
+        help="with --serve: vehicles on the ground, disarmed, nothing set up on them",
+    )
+    parser.add_argument(
+        "--card",
+        type=Path,
+        metavar="DIR",
+        help="with --serve: the followers' SD cards, in folders of DIR named by system id; the "
+        "applet found there is the one that runs",
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object a flight")
 
 
@@ -76,7 +89,10 @@ def run(args: argparse.Namespace) -> int:
         from echowing.sim.serve_flight import serve  # noqa: PLC0415
 
         key = read_key(args.signing_key_file)
-        return serve(scenario, _seeds(args.seed)[0], args.serve, key)
+        seed = _seeds(args.seed)[0]
+        return serve(scenario, seed, args.serve, key, parked=args.parked, cards=args.card)
+    if args.parked or args.card is not None:
+        raise EchowingError("--parked and --card go with --serve PORT")
     flown = list(_fly_all(scenario, _seeds(args.seed), args))
     if not args.json:
         _print_table(flown)

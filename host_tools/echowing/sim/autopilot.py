@@ -16,6 +16,7 @@ from echowing.geo import Ned
 from echowing.sim.commands import ACCEPTED, FAILED, Commands, command_of
 from echowing.sim.dataflash import DataflashLog
 from echowing.sim.flightlog import FlightLog
+from echowing.sim.ftp import FtpServer
 from echowing.sim.guided import Body, SubMode
 from echowing.sim.links import Router, SerialLink
 from echowing.sim.luahost import AltitudeFrame, LuaHost, Position
@@ -33,6 +34,11 @@ __all__ = ["ORIGIN", "Autopilot"]
 USB, TELEMETRY, COPROCESSOR = "usb", "telemetry", "coprocessor"
 _PORT_NUMBERS = {USB: 0, TELEMETRY: 1, COPROCESSOR: 2}
 _FIRST_OTHER_PORT = 3
+
+# Where scripts are on the card (AP_Scripting, SCRIPTING_DIRECTORY); the one that is simulated.
+_SCRIPT_ON_CARD = Path("APM", "scripts", "echowing.lua")
+_SCRIPTS_DISABLED = 2  # SCR_DIR_DISABLE: the card's scripts are not loaded
+_FTP_DISABLED = 8  # BRD_OPTIONS: no file transfer, to save memory
 
 # A port gives about 30 % of its 57600 baud to a parameter list: one 37-byte value every 20 ms.
 PARAMETER_PERIOD_S = 0.02
@@ -112,6 +118,7 @@ class Autopilot:
         self.dataflash: DataflashLog | None = None
         self.script: LuaHost | None = None
         self._script_path: Path | None = None
+        self._files = FtpServer(None)
         self._ports: dict[str, _Port] = {}
         self._boot_s = 0.0
         self._unix_s = float(START_UNIX_S)
@@ -144,7 +151,13 @@ class Autopilot:
             self.copter, self.parameters, self.places, self.modes, self.rangefinder, self.rc_us
         )
         self._targets = TargetReader(self.copter, self.places, self.modes.guided)
-        self._commands = Commands(self.modes, self.parameters, self.places, self._want_reboot)
+        self._commands = Commands(
+            self.modes,
+            self.parameters,
+            self.places,
+            reboot=self._want_reboot,
+            restart_scripting=self._restart_scripting,
+        )
         self._mission = Mission(self.modes, self.places)
         self._handlers = dict.fromkeys(_MISSION_MESSAGES, self._mission_message) | {
             mavlink.MAVLINK_MSG_ID_HEARTBEAT: self._heartbeat,
@@ -159,6 +172,7 @@ class Autopilot:
             mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_READ: self._param_request_read,
             mavlink.MAVLINK_MSG_ID_PARAM_SET: self._param_set,
             mavlink.MAVLINK_MSG_ID_REQUEST_DATA_STREAM: self._request_data_stream,
+            mavlink.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL: self._file_transfer,
         }
 
     # ---- set-up ---------------------------------------------------------------------------------
@@ -218,6 +232,31 @@ class Autopilot:
     def load_script(self, path: Path) -> None:
         """Put a script on the SD card and start it, unless SCR_ENABLE is 0."""
         self._script_path = path
+        self._start_script(path)
+
+    def insert_card(self, card: Path, capacity_bytes: int | None = None) -> None:
+        """Use a folder as SD card: files over MAVLink go there, and its Echowing applet runs.
+
+        Other scripts on it are not started. `capacity_bytes`: see `FtpServer`.
+        """
+        self._files = FtpServer(card, capacity_bytes)
+        self._restart_scripting()
+
+    def _restart_scripting(self) -> None:
+        """Forget the script that runs, and start what is on the card now."""
+        self.script = None
+        self._inbox.clear()
+        self.arming.forget_scripts()
+        card = self._files.card
+        if card is None:
+            if self._script_path is not None:
+                self._start_script(self._script_path)
+            return
+        disabled = int(self.parameters.value("SCR_DIR_DISABLE")) & _SCRIPTS_DISABLED
+        if (card / _SCRIPT_ON_CARD).is_file() and not disabled:
+            self._start_script(card / _SCRIPT_ON_CARD)
+
+    def _start_script(self, path: Path) -> None:
         if self.parameters.value("SCR_ENABLE") == 0.0:
             return
         self.script = LuaHost(
@@ -245,9 +284,7 @@ class Autopilot:
             port.schedule = Schedule()
             port.rates_hz.clear()
             self.plan_streams(port)
-        self.script = None
-        if self._script_path is not None:
-            self.load_script(self._script_path)
+        self._restart_scripting()
         if self.dataflash is not None:
             self._begin_log()
 
@@ -333,6 +370,15 @@ class Autopilot:
             self._targets.read_global(message)
         else:
             self._targets.read_local(message)
+
+    def _file_transfer(self, port: _Port, message: Any) -> None:
+        if int(self.parameters.value("BRD_OPTIONS")) & _FTP_DISABLED:
+            self.send_text(mavlink.MAV_SEVERITY_INFO, "FTP disabled")
+            return
+        system, component = message.get_srcSystem(), message.get_srcComponent()
+        sender = (port.link.name, system, component)
+        for payload in self._files.answer(sender, bytes(message.payload), self._t_s):
+            port.send(mavlink.MAVLink_file_transfer_protocol_message(0, system, component, payload))
 
     def _mission_message(self, port: _Port, message: Any) -> None:
         self._mission.receive(message, port.send)

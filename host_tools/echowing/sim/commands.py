@@ -69,7 +69,7 @@ def _e7(degrees: float) -> int:
 class Commands:
     """Carries out commands; `run` returns a MAV_RESULT.
 
-    `reboot` restarts the autopilot.
+    `reboot` restarts the autopilot, `restart_scripting` its scripts.
     """
 
     def __init__(
@@ -77,12 +77,15 @@ class Commands:
         modes: FlightModes,
         parameters: Parameters,
         places: Places,
+        *,
         reboot: Callable[[], None],
+        restart_scripting: Callable[[], None],
     ) -> None:
         self._modes = modes
         self._parameters = parameters
         self._places = places
         self._reboot = reboot
+        self._restart_scripting = restart_scripting
         self._table: dict[int, Callable[[Command, Port], int]] = {
             mavlink.MAV_CMD_COMPONENT_ARM_DISARM: self._arm,
             mavlink.MAV_CMD_NAV_TAKEOFF: self._take_off,
@@ -102,6 +105,7 @@ class Commands:
             mavlink.MAV_CMD_REQUEST_MESSAGE: self._request_message,
             mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: self._capabilities,
             mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: self._restart,
+            mavlink.MAV_CMD_SCRIPTING: self._scripting,
         }
 
     def run(self, command: Command, port: Port) -> int:
@@ -191,4 +195,11 @@ class Commands:
         if command.p1 != _REBOOT_AUTOPILOT or self._modes.armed:
             return int(FAILED)
         self._reboot()
+        return int(ACCEPTED)
+
+    def _scripting(self, command: Command, port: Port) -> int:
+        """Of AP_Scripting's commands only the one that loads the card's scripts again."""
+        if command.p1 != mavlink.SCRIPTING_CMD_STOP_AND_RESTART:
+            return int(DENIED)
+        self._restart_scripting()
         return int(ACCEPTED)

@@ -66,6 +66,10 @@ class Arming:
         if 0 <= auth_id < len(self._answers):
             self._answers[auth_id] = reason[:AUX_AUTH_TEXT_CHARACTERS]
 
+    def forget_scripts(self) -> None:
+        """Scripting starts again (AP_Arming, reset_all_aux_auths): no authorisation is reserved."""
+        self._answers.clear()
+
     def objection(self) -> str | None:
         """The first reason not to arm; None: there is none."""
         if self._checks(_CHECK_RANGEFINDER) and self._rangefinder.status == NO_DATA:

@@ -1,11 +1,13 @@
 """A scenario's world in real time for other tools: vehicles in the air, nobody on the ground."""
 
 from contextlib import closing
+from pathlib import Path
 
 from echowing.errors import EchowingError
 from echowing.sim.flight import FormationWorld
 from echowing.sim.ground import TELEMETRY
 from echowing.sim.hangar import Hangar
+from echowing.sim.parked import ParkedHangar, ParkedWorld, insert_cards
 from echowing.sim.scenario import Scenario
 from echowing.sim.serve import Endpoint, Server
 from echowing.sim.vehicles import LeaderPilot, SimVehicle
@@ -35,18 +37,31 @@ class SilencedLeader:
         return b"" if self._pilot.silent and link == TELEMETRY else data
 
 
-def serve(scenario: Scenario, seed: int, port: int, signing_key: bytes | None = None) -> int:
+def serve(
+    scenario: Scenario,
+    seed: int,
+    port: int,
+    signing_key: bytes | None = None,
+    *,
+    parked: bool = False,
+    cards: Path | None = None,
+) -> int:
     """Fly `scenario` in real time until Ctrl-C or SIGTERM; returns the exit code.
+
+    With `parked` its vehicles stand on the ground instead, as they come from the factory. `cards`
+    is a folder for the SD cards of the followers, each in a folder named by its system id.
 
     The leader's telemetry is on TCP `port` of this machine, each follower's 10 further on, and a
     second link of each vehicle, for the pilot's own ground station, 2 above its first. With a key
     the telemetry is signed; the second link stays unsigned, as a vehicle's USB does.
-    Raises EchowingError for a port that cannot be had.
+    Raises EchowingError for a port or a folder that cannot be had.
     """
     if scenario.kind != "formation":
         raise EchowingError(f"--serve: scenario {scenario.name} has no leader and followers")
     _check_ports(port, 1 + len(scenario.slots()))
-    world = FormationWorld(scenario, Hangar(scenario, seed))
+    world = _world(scenario, seed, parked=parked)
+    if cards is not None:
+        insert_cards(world.followers, cards)
     with closing(Server(lambda t_s: world.step())) as server, stop_on_signals() as stop:
         _connect(server, world, port)
         if signing_key is not None:
@@ -55,6 +70,12 @@ def serve(scenario: Scenario, seed: int, port: int, signing_key: bytes | None = 
         server.run(stop)
     print("stopped", flush=True)
     return 0
+
+
+def _world(scenario: Scenario, seed: int, *, parked: bool) -> FormationWorld:
+    if parked:
+        return ParkedWorld(scenario, ParkedHangar(scenario, seed))
+    return FormationWorld(scenario, Hangar(scenario, seed))
 
 
 def _check_ports(port: int, vehicles: int) -> None:

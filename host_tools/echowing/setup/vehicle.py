@@ -1,0 +1,313 @@
+"""One vehicle at the other end of a link, for tools that ask it something and wait for the answer.
+
+The clock is an argument; nothing here waits on anything but the link. A vehicle that falls silent
+ends the work with an error that says so.
+"""
+
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from echowing.errors import EchowingError
+from echowing.follow import HEARTBEAT_PERIOD_S, TOOL_COMPONENT_ID, TOOL_SYSTEM_ID, tool_heartbeat
+from echowing.links import DEFAULT_BAUD, Link, wait
+from echowing.seats import OpenLink, Say, find_vehicles, known_id, parse_seat
+from echowing.signing import LinkSigning, read_key
+
+AUTOPILOT = mavlink.MAV_COMP_ID_AUTOPILOT1
+FIND_TIMEOUT_S = 15.0
+# Heartbeats come once a second; five in a row missing is no radio's bad luck.
+SILENCE_S = 6.0
+POLL_S = 0.05
+
+# ArduPilot keeps so many parameter requests waiting (GCS_Param.cpp, param_requests 20).
+ASKED_AT_ONCE = 10
+CHUNK_S = 0.25
+# A value that a slow radio still has on its way comes within this.
+ROUND_S = 1.2
+ROUNDS = 4
+
+SET_TRIES, COMMAND_TRIES = 4, 4
+ANSWER_S = 1.0
+
+Name = str | tuple[str, ...]
+"""A parameter, or its names in the different generations: the first that exists is it."""
+
+
+@dataclass(slots=True)
+class Heard:
+    """Messages of the vehicle and of what is wired to it, with our time of their arrival."""
+
+    time_s: float
+    message: Any = field(repr=False)
+
+
+class Vehicle:
+    """A vehicle found on a link; `poll` keeps the link alive."""
+
+    def __init__(
+        self,
+        link: OpenLink,
+        system_id: int,
+        *,
+        clock: Callable[[], float] = time.monotonic,
+        say: Say = print,
+    ) -> None:
+        self.system_id = system_id
+        self.base_mode: int | None = None
+        self.texts: list[str] = []
+        self._link = link
+        self._clock = clock
+        self._say = say
+        self._beat_s = -math.inf
+        self._heard_s = clock()
+
+    @property
+    def name(self) -> str:
+        """For messages to the operator."""
+        return f"vehicle {self.system_id} on {self._link.link.name}"
+
+    @property
+    def armed(self) -> bool:
+        """Motors armed, by the newest heartbeat; True before the first, to be safe."""
+        if self.base_mode is None:
+            return True
+        return bool(self.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+
+    def now_s(self) -> float:
+        """The time on our clock."""
+        return self._clock()
+
+    def send(self, message: Any) -> None:
+        """Send a message to the vehicle."""
+        self._link.send(message, self._clock())
+
+    def poll(self, timeout_s: float = POLL_S) -> list[Heard]:
+        """What has come from the vehicle's system; waits at most `timeout_s` for something.
+
+        Raises EchowingError once its autopilot has been silent for `SILENCE_S`.
+        """
+        if self._clock() - self._beat_s >= HEARTBEAT_PERIOD_S:
+            self._beat_s = self._clock()
+            self.send(tool_heartbeat())
+        wait([self._link.link], timeout_s)
+        now_s = self._clock()
+        heard = [
+            Heard(now_s, message)
+            for message in self._link.receive(now_s, self._say)
+            if message.get_srcSystem() == self.system_id
+        ]
+        for one in heard:
+            self._notice(one)
+        if now_s - self._heard_s > SILENCE_S:
+            raise EchowingError(
+                f"{self.name} is silent: nothing heard of its autopilot for {SILENCE_S:g} s; "
+                "look at the link, then try again"
+            )
+        return heard
+
+    def _notice(self, heard: Heard) -> None:
+        message = heard.message
+        if message.get_srcComponent() != AUTOPILOT:
+            return
+        self._heard_s = heard.time_s
+        if message.get_type() == "HEARTBEAT":
+            self.base_mode = message.base_mode
+        elif message.get_type() == "STATUSTEXT":
+            self.texts.append(str(message.text))
+
+    def until(self, fits: Callable[[Any], bool], timeout_s: float) -> Any | None:
+        """The first message that fits, None if none comes in time."""
+        until_s = self._clock() + timeout_s
+        while (left_s := until_s - self._clock()) > 0.0:
+            for heard in self.poll(min(POLL_S, left_s)):
+                if fits(heard.message):
+                    return heard.message
+        return None
+
+    def until_state_known(self) -> None:
+        """Wait for a heartbeat of the autopilot, so that `armed` is the truth."""
+        while self.base_mode is None:
+            self.poll()
+
+    def refuse_armed(self, what: str) -> None:
+        """Raise EchowingError if the motors are armed, or may be."""
+        self.until_state_known()
+        if self.armed:
+            raise EchowingError(
+                f"{self.name} is armed: {what} only on the ground, disarmed; nothing was changed"
+            )
+
+    # ---- parameters -----------------------------------------------------------------------------
+
+    def read(self, names: Sequence[Name], component: int = AUTOPILOT) -> dict[str, float]:
+        """Values of parameters; one that the vehicle does not have is not in it.
+
+        Asked by name, as a whole list takes half a minute over a radio; a name unanswered after
+        some rounds is one that does not exist.
+        """
+        found: dict[str, float] = {}
+        absent: set[str] = set()
+        for _ in range(ROUNDS):
+            missing = _unanswered(names, found, absent)
+            if not missing:
+                break
+            for start in range(0, len(missing), ASKED_AT_ONCE):
+                for name in missing[start : start + ASKED_AT_ONCE]:
+                    self._ask(name, component)
+                self._collect(names, found, absent, component, CHUNK_S)
+            self._collect(names, found, absent, component, ROUND_S)
+        return found
+
+    def _ask(self, name: str, component: int) -> None:
+        self.send(
+            mavlink.MAVLink_param_request_read_message(self.system_id, component, name.encode(), -1)
+        )
+
+    def _collect(
+        self,
+        names: Sequence[Name],
+        found: dict[str, float],
+        absent: set[str],
+        component: int,
+        timeout_s: float,
+    ) -> None:
+        until_s = self._clock() + timeout_s
+        while self._clock() < until_s and _unanswered(names, found, absent):
+            for heard in self.poll():
+                message = heard.message
+                if message.get_srcComponent() != component:
+                    continue
+                if message.get_type() == "PARAM_VALUE":
+                    found[message.param_id] = float(message.param_value)
+                elif message.get_type() == "PARAM_ERROR":
+                    absent.add(message.param_id)
+
+    def write(self, name: str, value: float) -> float:
+        """Set a parameter and read it back; returns what it is now.
+
+        Raises EchowingError where it does not answer.
+        """
+        change = mavlink.MAVLink_param_set_message(
+            self.system_id, AUTOPILOT, name.encode(), value, mavlink.MAV_PARAM_TYPE_REAL32
+        )
+        for _ in range(SET_TRIES):
+            self.send(change)
+            answer = self.until(lambda m: _is_value(m, name), ANSWER_S)
+            if answer is not None:
+                return self._read_back(name)
+        raise EchowingError(f"{self.name} does not confirm {name}; is there such a parameter?")
+
+    def _read_back(self, name: str) -> float:
+        """What it is now, asked anew: the confirmation may be of what was asked for."""
+        values = self.read([name])
+        if name not in values:
+            raise EchowingError(f"{self.name} does not tell {name} any more")
+        return values[name]
+
+    # ---- commands -------------------------------------------------------------------------------
+
+    def command(self, number: int, *params: float) -> int | None:
+        """Send a COMMAND_LONG; returns the MAV_RESULT, None where no answer comes."""
+        filled = [*params, *(0.0,) * (7 - len(params))]
+        return self._commanded(
+            number,
+            mavlink.MAVLink_command_long_message(self.system_id, AUTOPILOT, number, 0, *filled),
+        )
+
+    def command_int(self, number: int, *params: float) -> int | None:
+        """The same as COMMAND_INT, which some commands need."""
+        filled = [*params, *(0.0,) * (4 - len(params))]
+        frame = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT
+        return self._commanded(
+            number,
+            mavlink.MAVLink_command_int_message(
+                self.system_id, AUTOPILOT, frame, number, 0, 0, *filled, 0, 0, 0.0
+            ),
+        )
+
+    def _commanded(self, number: int, message: Any) -> int | None:
+        for _ in range(COMMAND_TRIES):
+            self.send(message)
+            answer = self.until(lambda m: _is_answer(m, number), ANSWER_S)
+            if answer is not None:
+                return int(answer.result)
+        return None
+
+    # ---- files ----------------------------------------------------------------------------------
+
+    def send_file_request(self, payload: bytes) -> None:
+        """Send a FILE_TRANSFER_PROTOCOL payload."""
+        self.send(
+            mavlink.MAVLink_file_transfer_protocol_message(0, self.system_id, AUTOPILOT, payload)
+        )
+
+    def file_answers(self, timeout_s: float) -> list[bytes]:
+        """Payloads that have come for us; waits at most `timeout_s` for the first."""
+        return [
+            bytes(heard.message.payload)
+            for heard in self.poll(timeout_s)
+            if heard.message.get_type() == "FILE_TRANSFER_PROTOCOL"
+            and heard.message.target_system == TOOL_SYSTEM_ID
+            and heard.message.target_component == TOOL_COMPONENT_ID
+        ]
+
+
+def _unanswered(names: Sequence[Name], found: dict[str, float], absent: set[str]) -> list[str]:
+    """What still has to be asked: every name of those parameters of which none has come."""
+    missing: list[str] = []
+    for name in names:
+        alternatives = (name,) if isinstance(name, str) else name
+        if not any(one in found for one in alternatives):
+            missing += [one for one in alternatives if one not in absent]
+    return missing
+
+
+def _is_value(message: Any, name: str) -> bool:
+    from_autopilot = message.get_srcComponent() == AUTOPILOT
+    return bool(from_autopilot and message.get_type() == "PARAM_VALUE" and message.param_id == name)
+
+
+def _is_answer(message: Any, number: int) -> bool:
+    from_autopilot = message.get_srcComponent() == AUTOPILOT
+    return bool(
+        from_autopilot and message.get_type() == "COMMAND_ACK" and message.command == number
+    )
+
+
+@contextmanager
+def open_vehicle(
+    where: str,
+    *,
+    baud: int = DEFAULT_BAUD,
+    signing_key_file: Path | None = None,
+    say: Say = print,
+    clock: Callable[[], float] = time.monotonic,
+) -> Iterator[Vehicle]:
+    """The vehicle at `CONNECTION` or `CONNECTION@SYSTEM`, found and waiting.
+
+    Raises EchowingError where nobody is heard, or several are and none is named.
+    """
+    seat = parse_seat("vehicle", where, baud)
+    key = read_key(signing_key_file)
+    link = OpenLink(Link(seat.address, None if key is None else LinkSigning(key, 1)))
+    link.link.open()
+    try:
+        until_s = clock() + FIND_TIMEOUT_S
+        links = {seat.address.text: link}
+        if not find_vehicles([seat], links, clock, lambda: clock() > until_s, say):
+            raise EchowingError(
+                f"{seat.address.text}: no autopilot heard for {FIND_TIMEOUT_S:g} s; is it powered, "
+                "is the connection string right, is another tool on the port?"
+            )
+        vehicle = Vehicle(link, known_id(seat), clock=clock, say=say)
+        vehicle.until_state_known()
+        yield vehicle
+    finally:
+        link.link.close()
