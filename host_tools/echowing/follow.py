@@ -16,6 +16,16 @@ from typing import Any, Protocol
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.feed_forward import (
+    DETECTION_LIMIT_M,
+    SLACK_M,
+    Keeper,
+    backed_off,
+    moving_slot,
+    no_further,
+    retreat_m,
+    sonar_range_m,
+)
 from echowing.geo import GlobalPosition, Ned, displace, ned_between, wrap_angle_rad
 from echowing.guard import Guard, Limits, RateWatch, is_flying, mode_name
 from echowing.guidance import (
@@ -50,10 +60,11 @@ LONGEST_GAP_S = 0.6
 # A new place is believed once this many reports in a row agree on it (2 s at 4 Hz).
 AGREEING_REPORTS = 8
 
-# The co-processor's newest single reading (firmware/README.md), and from where it is no target
-# (thesis 3.3.3: an X8 gives a consistent return out to 4.5 m).
+# The co-processor's newest single reading (firmware/README.md). Where it has not come for so long
+# (a signed link refuses it, as no autopilot signs it), DISTANCE_SENSOR stands in.
 SONAR_READING = "SNR_RAW"
-DETECTION_LIMIT_M = 4.5
+RAW_FRESH_S = 1.0
+FORWARD = mavlink.MAV_SENSOR_ROTATION_NONE
 
 # Propellers make single wild readings: one counts when the one before it was like it.
 CONFIRM_S, CONFIRM_M = 0.3, 0.5
@@ -61,20 +72,34 @@ CONFIRM_S, CONFIRM_M = 0.3, 0.5
 # A stop keeps the wanted altitude where it is this near (barometers wander), else its own.
 SAME_ALTITUDE_M = 1.0
 FOLLOWER_POSITION_HZ = 10.0
+DISTANCE_HZ, REPELLING_HZ = 5.0, 10.0
+# How long a point takes there and back while no TIMESYNC answer has said.
+USUAL_ROUND_TRIP_S = 0.5
+# The same remark is not made again sooner, however often it comes and goes.
+REMARK_GAP_S = 10.0
 
 TIMESYNC_PERIOD_S = 1.0
 HEARTBEAT_PERIOD_S = 1.0
 RATE_REQUEST_PERIOD_S = 5.0
 
-_POSITION_ONLY = (
-    mavlink.POSITION_TARGET_TYPEMASK_VX_IGNORE
-    | mavlink.POSITION_TARGET_TYPEMASK_VY_IGNORE
-    | mavlink.POSITION_TARGET_TYPEMASK_VZ_IGNORE
-    | mavlink.POSITION_TARGET_TYPEMASK_AX_IGNORE
+_POSITION_VELOCITY = (
+    mavlink.POSITION_TARGET_TYPEMASK_AX_IGNORE
     | mavlink.POSITION_TARGET_TYPEMASK_AY_IGNORE
     | mavlink.POSITION_TARGET_TYPEMASK_AZ_IGNORE
     | mavlink.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE
 )
+_POSITION_ONLY = (
+    _POSITION_VELOCITY
+    | mavlink.POSITION_TARGET_TYPEMASK_VX_IGNORE
+    | mavlink.POSITION_TARGET_TYPEMASK_VY_IGNORE
+    | mavlink.POSITION_TARGET_TYPEMASK_VZ_IGNORE
+)
+POSITION_ONLY, BACKING_OFF = "position only", "backing off"
+_REMARKS = {
+    None: "the sonar hears the leader, points carry its velocity",
+    POSITION_ONLY: "the sonar does not hear the leader, position only",
+    BACKING_OFF: "too close by its sonar, backing off",
+}
 
 
 class VehicleClock:
@@ -93,6 +118,11 @@ class VehicleClock:
     def known(self) -> bool:
         """Whether a TIMESYNC answer has come."""
         return self._boot_at_s is not None
+
+    @property
+    def round_trip_s(self) -> float:
+        """To the vehicle and back."""
+        return USUAL_ROUND_TRIP_S if self._boot_at_s is None else self._best_round_trip_s
 
     def due(self, now_s: float) -> bool:
         """Whether to ask again; asking is noted."""
@@ -231,7 +261,8 @@ class FollowerState:
 
     held_at, held_altitude_m, hold_reason: where, how high above its home and why it was stopped;
     in_guided: flies in Guided; flown: it was put in the air, or a point has gone to it, by us since
-    it was put in Guided.
+    it was put in Guided. With feed-forward, feed_mps: the velocity to go with the point (north,
+    east), None: none; remark: what is done other than that.
     """
 
     plan: FollowerPlan
@@ -240,10 +271,16 @@ class FollowerState:
     offset: RelativeOffset = field(default_factory=RelativeOffset)
     reading: tuple[float, float] = (-math.inf, math.nan)
     """When the newest sonar reading came, and its range in metres."""
+    raw_at_s: float = -math.inf
+    keeper: Keeper = field(default_factory=Keeper)
+    feed_mps: Horizontal | None = None
+    remark: str | None = POSITION_ONLY
+    remarked_at_s: dict[str | None, float] = field(default_factory=dict)
     position: GlobalPosition | None = None
     newest_boot_ms: int = -1
     position_at_s: float = -math.inf
     altitude_m: float | None = None
+    velocity_mps: Horizontal = (0.0, 0.0)
     ground_speed_mps: float = 0.0
     climb_mps: float = 0.0
     heading_rad: float = 0.0
@@ -396,6 +433,7 @@ class FollowSession:
 
     def _point_for(self, follower: FollowerState, now_s: float) -> GlobalPosition | None:
         fix = self.leader.fix
+        follower.feed_mps = None
         reason = self._reason_to_stop(follower, fix, now_s)
         if reason is not None:
             return self._hold(follower, reason, now_s)
@@ -404,7 +442,47 @@ class FollowSession:
         if follower.held_at is not None:
             self._let_go(follower, now_s)
         follower.guided = self._guide(follower, fix, now_s)
-        return follower.guided.point
+        if not self.settings.feed_forward:
+            return follower.guided.point
+        return self._fed(follower, follower.guided, now_s)
+
+    def _fed(
+        self, follower: FollowerState, guided: GuidedPoint, now_s: float
+    ) -> GlobalPosition | None:
+        """The point with feed-forward: the moving slot, or the position alone, or backwards."""
+        here, heading_rad = follower.position, follower.heading_rad
+        keeper, way_s = follower.keeper, follower.clock.round_trip_s
+        leader_mps = _along(guided.velocity_mps, heading_rad)
+        closing_mps = _along(follower.velocity_mps, heading_rad) - leader_mps
+        wanted_m = follower.plan.slot.radius_m - self.settings.sonar_inset_m
+        if keeper.judge(now_s, closing_mps, way_s) and here is not None:
+            self._remark(follower, BACKING_OFF, now_s)
+            back_m = retreat_m(wanted_m, keeper.range_m(now_s, closing_mps), -leader_mps)
+            return self._free_place(follower, backed_off(here, heading_rad, back_m))
+        if here is None or not keeper.sees(now_s):
+            self._remark(follower, POSITION_ONLY, now_s)
+            return guided.point
+        self._remark(follower, None, now_s)
+        point, follower.feed_mps = moving_slot(guided, self.settings, way_s / 2.0)
+        # Everything as it will be when the point arrives.
+        moved = (*(speed_mps * way_s for speed_mps in follower.velocity_mps), 0.0)
+        most_m = keeper.range_m(now_s + way_s, closing_mps) - wanted_m + SLACK_M
+        return no_further(point, displace(here, moved), heading_rad, most_m)
+
+    def _free_place(self, follower: FollowerState, place: GlobalPosition) -> GlobalPosition | None:
+        """A place to back off to; where it is, if another vehicle is there."""
+        if self.guard is None or self.guard.is_free(place, follower, self.followers):
+            return place
+        return follower.position
+
+    def _remark(self, follower: FollowerState, remark: str | None, now_s: float) -> None:
+        """Note, and tell, what has become of the feed-forward."""
+        if remark == follower.remark:
+            return
+        follower.remark = remark
+        if now_s - follower.remarked_at_s.get(remark, -math.inf) >= REMARK_GAP_S:
+            follower.remarked_at_s[remark] = now_s
+            self._say(now_s, f"follower {follower.plan.system_id}: {_REMARKS[remark]}")
 
     def _reason_to_stop(
         self, follower: FollowerState, fix: LeaderFix | None, now_s: float
@@ -477,7 +555,8 @@ class FollowSession:
         altitude_m = follower.held_altitude_m
         if altitude_m is None:
             altitude_m = self._wanted_m(follower)
-        return position_target(follower.plan.system_id, point, altitude_m, yaw_rad, now_s)
+        system_id = follower.plan.system_id
+        return position_target(system_id, point, altitude_m, yaw_rad, now_s, follower.feed_mps)
 
     def _wanted_m(self, follower: FollowerState) -> float:
         """Above its own home: the same height as the leader's altitude above the leader's."""
@@ -533,15 +612,24 @@ class FollowSession:
             )
             follower.position_at_s = now_s
             follower.altitude_m = message.relative_alt / 1e3
+            follower.velocity_mps = message.vx / 100.0, message.vy / 100.0
             follower.ground_speed_mps = math.hypot(message.vx, message.vy) / 100.0
             follower.climb_mps = -message.vz / 100.0
             follower.heading_rad = math.radians(message.hdg / 100.0)
         elif kind == "NAMED_VALUE_FLOAT" and message.name == SONAR_READING:
+            follower.raw_at_s = now_s
             self._sonar(follower, message.value, now_s)
+        elif kind == "DISTANCE_SENSOR" and message.orientation == FORWARD:
+            self._distance(follower, sonar_range_m(message), now_s)
         elif kind == "HEARTBEAT" and message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1:
             self._mode(follower, message, now_s)
         elif kind == "COMMAND_ACK" and self.take_offs is not None:
             self.take_offs.acknowledged(follower, message, now_s)
+
+    def _distance(self, follower: FollowerState, range_m: float | None, now_s: float) -> None:
+        follower.keeper.heard(now_s, range_m)
+        if range_m is not None and now_s - follower.raw_at_s > RAW_FRESH_S:
+            self._sonar(follower, range_m, now_s)
 
     def _sonar(self, follower: FollowerState, range_m: float, now_s: float) -> None:
         """Learn the receivers' disagreement from a reading that may be of the leader."""
@@ -633,23 +721,38 @@ class FollowSession:
         """As `_wanted`, but nobody is told where it does not come: it does not always."""
         if self.guard is None:
             return []
-        return self.guard.read_back_requests()
+        wanted = self.guard.read_back_requests(feed_forward=self.settings.feed_forward)
+        if self.settings.learn_offset and not self.settings.feed_forward:
+            distance = mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR
+            wanted += [(system_id, distance, DISTANCE_HZ) for system_id in self.followers]
+        return wanted
 
     def _wanted(self) -> list[tuple[int, int, float]]:
         """What each vehicle is to send: system id, message id, rate in Hz."""
         position = mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
+        distance = mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR
+        repelled = self.followers if self.settings.feed_forward else ()
         return [
             (self.leader_id, position, self._leader_rate_hz),
             *((system_id, position, FOLLOWER_POSITION_HZ) for system_id in self.followers),
+            *((system_id, distance, REPELLING_HZ) for system_id in repelled),
             *(self.guard.requests() if self.guard is not None else ()),
         ]
 
 
 def position_target(
-    system_id: int, point: GlobalPosition, altitude_m: float, yaw_rad: float | None, now_s: float
+    system_id: int,
+    point: GlobalPosition,
+    altitude_m: float,
+    yaw_rad: float | None,
+    now_s: float,
+    velocity_mps: Horizontal | None = None,
 ) -> Any:
-    """SET_POSITION_TARGET_GLOBAL_INT, position only; `altitude_m` above the vehicle's home."""
-    mask = _POSITION_ONLY
+    """SET_POSITION_TARGET_GLOBAL_INT; `altitude_m` above the vehicle's home.
+
+    velocity_mps: (north, east); None: the position only.
+    """
+    mask = _POSITION_ONLY if velocity_mps is None else _POSITION_VELOCITY
     if yaw_rad is None:
         mask |= mavlink.POSITION_TARGET_TYPEMASK_YAW_IGNORE
     return mavlink.MAVLink_set_position_target_global_int_message(
@@ -661,10 +764,16 @@ def position_target(
         round(point.lat_deg * 1e7),
         round(point.lon_deg * 1e7),
         altitude_m,
-        *(0.0,) * 6,
+        *(velocity_mps or (0.0, 0.0)),
+        *(0.0,) * 4,
         yaw_rad or 0.0,
         0.0,
     )
+
+
+def _along(velocity_mps: Horizontal, bearing_rad: float) -> float:
+    """The part of a velocity along a bearing."""
+    return velocity_mps[0] * math.cos(bearing_rad) + velocity_mps[1] * math.sin(bearing_rad)
 
 
 def tool_heartbeat() -> Any:

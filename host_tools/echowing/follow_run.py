@@ -20,7 +20,7 @@ from echowing.guard import Limits
 from echowing.guidance import GuidanceSettings, Slot
 from echowing.links import Link, wait
 from echowing.panel import Panel, left_as
-from echowing.seats import OpenLink, Seat, find_vehicles, known_id
+from echowing.seats import OpenLink, Seat, find_sonars, find_vehicles, known_id
 from echowing.signing import LinkSigning
 from echowing.stopping import StopRequest
 from echowing.take_off import TakeOff
@@ -87,15 +87,19 @@ class FollowTool:
 
     def run(self) -> int:
         """Until the end is asked for; 0: every follower that was moved is known to stand."""
+        options = self._options
         try:
             for link in self._links.values():
                 link.link.open()
-            if self._options.log is not None:
-                self._log = FollowLog(self._options.log, self._start_unix_s, self._say)
-            if not find_vehicles(
-                self._options.seats, self._links, self._now_s, self._over, self._say
-            ):
+            if options.log is not None:
+                self._log = FollowLog(options.log, self._start_unix_s, self._say)
+            if not find_vehicles(options.seats, self._links, self._now_s, self._over, self._say):
                 self._say("ended before all vehicles were heard; nothing was moved")
+                return 0
+            if options.settings.feed_forward and not find_sonars(
+                options.seats[1:], self._links, self._now_s, self._over, self._say
+            ):
+                self._say("ended before all sonars were heard; nothing was moved")
                 return 0
             self._make_session()
             self._fly()

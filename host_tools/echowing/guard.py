@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.errors import EchowingError
-from echowing.geo import GlobalPosition, distance_m, ned_between
+from echowing.geo import GlobalPosition, displace, distance_m, ned_between
 
 if TYPE_CHECKING:
     from echowing.follow import FollowerState
@@ -52,6 +52,10 @@ LOWEST_M = 2.0
 # Read back: positions travel as 1e-7 degrees (1 cm), so this far from everything sent is refused.
 REFUSED_M = 0.5
 REFUSED_FOR_S = 2.0
+# A target without a position, by its type mask; reports so near in time are of one place (at
+# 5 m/s 0.1 m apart).
+NO_POSITION = 0x7
+SAME_MOMENT_MS = 20
 REMEMBERED_S = 1.5  # longer than any link takes there and back
 # The applet's own targets (lua/echowing.md): too close, stream lost, backing off.
 APPLET_STATE = "ECHO_STATE"
@@ -139,6 +143,8 @@ class _Watch:
     still_since_s: float | None = None
     told_at_s: float | None = None
     led_since_s: float | None = None
+    place: Any = None
+    origin: GlobalPosition | None = None
     read_back: bool = False
     unread_told: bool = False
     verified: bool = False
@@ -170,10 +176,17 @@ class Guard:
             self._switch(system_id, self.limits.switch, message)
         elif kind == "GLOBAL_POSITION_INT":
             self._homes_m[system_id] = (message.alt - message.relative_alt) / 1e3
+            if system_id != self._leader_id:
+                self._watches[system_id].place = message
         elif system_id == self._leader_id:
             self._leader_message(kind, message)
         elif kind == "POSITION_TARGET_GLOBAL_INT":
-            self._read_back(system_id, message, now_s)
+            target = GlobalPosition(message.lat_int / 1e7, message.lon_int / 1e7, 0.0)
+            self._read_back(system_id, target, now_s)
+        elif kind == "LOCAL_POSITION_NED":
+            self._find_origin(self._watches[system_id], message)
+        elif kind == "POSITION_TARGET_LOCAL_NED":
+            self._read_back_local(system_id, message, now_s)
         elif kind == "NAMED_VALUE_FLOAT" and message.name == APPLET_STATE:
             self._watches[system_id].applet_state = round(message.value)
         elif kind == "PARAM_VALUE" and message.param_id == WATCHDOG:
@@ -194,13 +207,27 @@ class Guard:
         else:
             self._watches[system_id].switched = on
 
-    def _read_back(self, system_id: int, message: Any, now_s: float) -> None:
+    @staticmethod
+    def _find_origin(watch: _Watch, local: Any) -> None:
+        """Where a vehicle's local coordinates begin, from two reports of the same moment."""
+        place = watch.place
+        if place is None or abs(local.time_boot_ms - place.time_boot_ms) > SAME_MOMENT_MS:
+            return
+        here = GlobalPosition(place.lat / 1e7, place.lon / 1e7, 0.0)
+        watch.origin = displace(here, (-local.x, -local.y, 0.0))
+
+    def _read_back_local(self, system_id: int, message: Any, now_s: float) -> None:
+        origin = self._watches[system_id].origin
+        if origin is not None and not message.type_mask & NO_POSITION:
+            target = displace(origin, (message.x, message.y, 0.0))._replace(alt_m=0.0)
+            self._read_back(system_id, target, now_s)
+
+    def _read_back(self, system_id: int, target: GlobalPosition, now_s: float) -> None:
         """Note a target that is none of those sent lately, unless the applet set it."""
         watch = self._watches[system_id]
         watch.read_back = True
         while watch.sent and now_s - watch.sent[0][0] > REMEMBERED_S:
             watch.sent.popleft()
-        target = GlobalPosition(message.lat_int / 1e7, message.lon_int / 1e7, 0.0)
         if (
             not watch.sent
             or watch.applet_state in APPLET_FLIES
@@ -320,6 +347,19 @@ class Guard:
             if distance_m(follower.position, place) < least_m:
                 return f"nearer to {name} than {least_m:g} m"
         return None
+
+    def is_free(
+        self,
+        place: GlobalPosition,
+        follower: "FollowerState",
+        followers: Mapping[int, "FollowerState"],
+    ) -> bool:
+        """Whether no other follower is where this one would back off to."""
+        least_m = self.limits.min_separation_m or 0.0
+        return all(
+            other is follower or other.position is None or _apart_m(place, other.position) > least_m
+            for other in followers.values()
+        )
 
     def lets(self, follower: "FollowerState", now_s: float) -> bool:
         """Whether points may go to this follower at all: it is heard, and not handed back."""
@@ -442,10 +482,16 @@ class Guard:
         switches = mavlink.MAVLINK_MSG_ID_RC_CHANNELS
         return [(system_id, switches, SWITCH_HZ) for system_id in (self._leader_id, *self._watches)]
 
-    def read_back_requests(self) -> list[tuple[int, int, float]]:
-        """The same of what comes only while a vehicle has a target: not to be missed before."""
-        target = mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT
-        return [(system_id, target, READ_BACK_HZ) for system_id in self._watches]
+    def read_back_requests(self, *, feed_forward: bool) -> list[tuple[int, int, float]]:
+        """The same of what comes only while a vehicle has a target: not to be missed before.
+
+        A target with a velocity ArduPilot reports in local coordinates only.
+        """
+        kinds = [mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT]
+        if feed_forward:
+            kinds.append(mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED)
+            kinds.append(mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED)
+        return [(system_id, kind, READ_BACK_HZ) for system_id in self._watches for kind in kinds]
 
 
 class RateWatch:

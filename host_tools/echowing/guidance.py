@@ -79,6 +79,7 @@ class GuidanceSettings:
         even then `clearance_m` is left.
     sonar_inset_m: how much less than the separation the sonar reads: its face is ahead of the
         follower's centre, the leader's reflecting legs are around its own. Measure yours.
+    feed_forward: points carry the leader's velocity, and no lead (see `feed_forward`).
     fresh_age_s, stale_age_s: the lead shrinks to nothing between these ages of the report;
         beyond the second the follower is stopped.
     """
@@ -92,6 +93,7 @@ class GuidanceSettings:
     learn_offset: bool = True
     standoff_sigmas: float = 2.5
     sonar_inset_m: float = 0.2
+    feed_forward: bool = False
     fresh_age_s: float | None = 0.5
     stale_age_s: float | None = 1.0
 
@@ -112,7 +114,8 @@ class GuidedPoint:
     """What one follower is told: a point, and the bearing to look at (None: autopilot's choice).
 
     `slot` is the same without the lead; `leader` is where the leader is believed to be now.
-    Altitudes are on the leader's datum and carry the slot's altitude step.
+    Altitudes are on the leader's datum and carry the slot's altitude step. velocity_mps: the
+    leader's, (north, east); course_rad: the formation's.
     """
 
     point: GlobalPosition
@@ -120,6 +123,8 @@ class GuidedPoint:
     leader: GlobalPosition
     yaw_rad: float | None
     age_s: float
+    velocity_mps: Horizontal = (0.0, 0.0)
+    course_rad: float = 0.0
 
 
 class Course:
@@ -223,6 +228,8 @@ class SlotGuide:
             leader=now.position,
             yaw_rad=bearing_rad(follower or slot, now.position) if settings.face_leader else None,
             age_s=age_s,
+            velocity_mps=now.velocity_ned_mps[:2],
+            course_rad=course_rad,
         )
 
     def _slot(self, least_radius_m: float) -> Slot:

@@ -7,7 +7,8 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.follow import DETECTION_LIMIT_M, FollowerState, FollowSession
+from echowing.feed_forward import sonar_range_m
+from echowing.follow import FORWARD, FollowerState, FollowSession
 from echowing.geo import distance_m, ned_between
 from echowing.guard import UNHEARD_S, is_flying, mode_name
 from echowing.guidance import is_stale
@@ -23,7 +24,6 @@ SPEED_LIMIT, GIMBAL_STATE = "ECHO_SPD", "SNR_STATE"
 GIMBAL = {0: "starting", 1: "searching", 2: "tracking", 3: "sonar fault"}
 SONAR_FRESH_S = 0.5  # ArduPilot's own limit for a MAVLink rangefinder
 NAMED_FRESH_S = 2.0
-FORWARD = mavlink.MAV_SENSOR_ROTATION_NONE
 LINK_WINDOW_S = 5.0
 # Another vehicle, the ground or another sonar is in the beam where the sonar is off what the
 # receivers make of it by more than a beam's width and a GPS can explain, for so long.
@@ -125,9 +125,7 @@ class Panel:
             readings.quality.count(message.get_seq(), now_s)
             self._autopilot_says(readings, kind, message)
         if kind == "DISTANCE_SENSOR" and message.orientation == FORWARD:
-            range_m = message.current_distance / 100.0
-            nothing = range_m >= min(DETECTION_LIMIT_M, message.max_distance / 100.0)
-            readings.sonar_m = None if nothing else range_m
+            readings.sonar_m = sonar_range_m(message)
             readings.sonar_at_s = now_s
         elif kind == "NAMED_VALUE_FLOAT":
             readings.named[message.name] = (now_s, message.value)
@@ -207,9 +205,17 @@ def state_of(session: FollowSession, follower: FollowerState, now_s: float) -> s
         return "hands off"
     if not session.sends_to(follower, now_s):
         return "no points sent"
+    return _led_state(session, follower)
+
+
+def _led_state(session: FollowSession, follower: FollowerState) -> str:
+    """The same of one to which points go."""
     if follower.held_at is not None:
         return f"holding: {follower.hold_reason}"
-    return "following" if follower.flown else "waiting for the leader"
+    if not follower.flown:
+        return "waiting for the leader"
+    remark = follower.remark if session.settings.feed_forward else None
+    return "following" if remark is None else f"following: {remark}"
 
 
 def _separation_m(session: FollowSession, follower: FollowerState, now_s: float) -> float | None:

@@ -78,6 +78,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="HZ",
         help="of the leader's positions, up to 20 (4): what its radio can carry",
     )
+    place.add_argument(
+        "--feed-forward",
+        action="store_true",
+        help="points carry the leader's velocity while the follower's sonar hears it: closer, but "
+        "the speed limit holds the follower back no more, so that this tool keeps its distance, by "
+        "DISTANCE_SENSOR; refused where none comes",
+    )
     _add_safety(parser.add_argument_group("safety"))
     links.add_argument(
         "--signing-key-file",
@@ -167,7 +174,7 @@ def _options(args: argparse.Namespace) -> "FollowOptions":
     return FollowOptions(
         seats=seats,
         slots=_slots(args),
-        settings=GuidanceSettings(lead_time_s=args.lead_time),
+        settings=GuidanceSettings(lead_time_s=args.lead_time, feed_forward=args.feed_forward),
         altitude_m=args.altitude,
         rate_hz=args.rate,
         limits=Limits(

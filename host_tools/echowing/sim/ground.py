@@ -106,6 +106,9 @@ class GroundStation:
         self._period_s = 1.0 / rate_hz
         self._due_s = 0.0
         self._fault = fault
+        self._heard = set(_HEARD)
+        if session.settings.feed_forward:
+            self._heard.add(mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR)
         self._mav = mavlink.MAVLink(None, srcSystem=TOOL_SYSTEM_ID, srcComponent=TOOL_COMPONENT_ID)
         self._mav.robust_parsing = True
 
@@ -114,7 +117,7 @@ class GroundStation:
         for link in self.links.values():
             link.deliver(t_s)
             for frame in link.collect(t_s):
-                if message_id(frame) in _HEARD:
+                if message_id(frame) in self._heard:
                     self.session.receive(self._mav.decode(bytearray(frame)), t_s)
         if t_s >= self._due_s - 1e-9:
             self._due_s += self._period_s

@@ -108,6 +108,7 @@ class GuidanceSection(_Section):
     learn_offset: bool = True
     standoff_sigmas: NotNegative = 2.5
     sonar_inset_m: NotNegative = 0.2
+    feed_forward: bool = False
     fresh_age_s: Positive | None = 0.5
     stale_age_s: Positive | None = 1.0
     gray: bool = False  # guided points as the thesis made them: none of the protections
@@ -126,6 +127,7 @@ class GuidanceSection(_Section):
             learn_offset=self.learn_offset,
             standoff_sigmas=self.standoff_sigmas,
             sonar_inset_m=self.sonar_inset_m,
+            feed_forward=self.feed_forward,
             fresh_age_s=self.fresh_age_s,
             stale_age_s=self.stale_age_s,
         )
