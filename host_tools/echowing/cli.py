@@ -20,6 +20,7 @@ VERBS = {
     "analyze": "measure a flown formation from its logs",
     "calibrate": "replay recorded flights through the copter model",
     "setup": "put the applet on a vehicle's SD card",
+    "rig": "the bench: watch, set up and test the co-processor over USB",
     "bench": "print speeds and sizes",
     "emulator": "run the co-processor's binary on this machine",
 }

@@ -1,19 +1,19 @@
 """The co-processor at the other end of a connection, as the bench speaks to it."""
 
+import math
 import struct
 import time
 from collections import deque
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any
+from typing import Any, Self
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.errors import EchowingError
 from echowing.rig.messages import TELLING_PARAMETER, Frames, Roster, Source, is_telling, source_of
 from echowing.rig.ports import USB_BAUD, Wire, find_port, open_wire
-from echowing.rig.state import BoardState
+from echowing.rig.state import BoardState, Version
 
 Clock = Callable[[], float]
 
@@ -55,14 +55,6 @@ class ScanMode(IntEnum):
 
 class CommandError(EchowingError):
     """The board has refused a command, or has not answered it."""
-
-
-@dataclass(frozen=True, slots=True)
-class Version:
-    """What AUTOPILOT_VERSION tells."""
-
-    firmware: str  # "0.1.0"
-    git_hash: str  # its first 8 characters
 
 
 class Board:
@@ -143,25 +135,24 @@ class Board:
     def version(self) -> Version:
         """Which firmware it runs."""
 
-        def ask(attempt: int) -> None:
-            wanted = [float(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION), *[0.0] * 6]
-            self.send(self._command(mavlink.MAV_CMD_REQUEST_MESSAGE, attempt, wanted))
-
         def is_answer(message: Any) -> bool:
             return message.get_type() == "AUTOPILOT_VERSION" and self.is_from_board(message)
 
-        answer = self._ask(ask, is_answer, ANSWER_TIMEOUT_S)
+        answer = self._ask(lambda attempt: self.ask_version(), is_answer, ANSWER_TIMEOUT_S)
         if answer is None:
             raise CommandError(f"{self._label()} has not told its version")
-        number = answer.flight_sw_version
-        git = bytes(answer.flight_custom_version).rstrip(b"\0").decode("ascii", "replace")
-        return Version(f"{number >> 24}.{number >> 16 & 255}.{number >> 8 & 255}", git)
+        return Version.of(answer)
+
+    def ask_version(self) -> None:
+        """Ask for the version, and do not wait: `state.version` fills when it comes."""
+        wanted = [float(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION), *[0.0] * 6]
+        self.send(self._command(mavlink.MAV_CMD_REQUEST_MESSAGE, 0, wanted))
 
     def parameters(self) -> dict[str, float]:
         """The whole list, in the board's order; what went missing is asked for again."""
         heard: dict[int, Any] = {}
         count = None
-        self._request_list()
+        self.ask_parameters()
         for _ in range(4 * TRIES):
             count = self._collect(heard, count)
             if count is not None and len(heard) >= count:
@@ -170,12 +161,13 @@ class Board:
         missing = "any" if count is None else f"{count - len(heard)} of {count}"
         raise EchowingError(f"{self._label()} has not told {missing} of its parameters; try again")
 
-    def _request_list(self) -> None:
+    def ask_parameters(self) -> None:
+        """Ask for the whole list, and do not wait: `state.parameters` fills as it comes."""
         self.send(mavlink.MAVLink_param_request_list_message(self.system_id, self.component_id))
 
     def _request_missing(self, heard: dict[int, Any], count: int | None) -> None:
         if count is None:
-            return self._request_list()
+            return self.ask_parameters()
         for index in sorted(set(range(count)) - set(heard)):
             self.send(self._parameter_request("", index))
         return None
@@ -221,7 +213,7 @@ class Board:
             self.system_id,
             self.component_id,
             name.encode(),
-            value,
+            as_float32(value),
             mavlink.MAV_PARAM_TYPE_REAL32,
         )
         answer = self._ask(
@@ -295,6 +287,12 @@ class Board:
         """Let go of the port."""
         self._wire.close()
 
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
     def is_from_board(self, message: Any) -> bool:
         """Whether the board has sent it, and nobody else on the wire."""
         return source_of(message) == (self.system_id, self.component_id)
@@ -310,6 +308,12 @@ class Board:
         self.state.tick(now_s)
         self._inbox.extend(messages)
         return messages
+
+    def recognise(self, source: Source, heard: Iterable[Any]) -> None:
+        """The board is this sender, and has said this before it was known."""
+        self.system_id, self.component_id = source
+        for message in filter(self.is_from_board, heard):
+            self.state.update(message, message._timestamp)
 
     def _pump(self, timeout_s: float) -> list[Any]:
         data = self._wire.read(max(0.0, timeout_s))
@@ -338,7 +342,7 @@ class Board:
         if self.is_from_board(message) or not is_telling(message):
             return
         silent_s = self.state.silent_s
-        if silent_s is None or silent_s > ASK_PERIOD_S:
+        if silent_s is not None and silent_s > ASK_PERIOD_S:
             self._adopt(message)
 
     def _adopt(self, message: Any) -> None:
@@ -357,17 +361,19 @@ def open_board(port: str | None, baud: int = USB_BAUD, clock: Clock = time.monot
     name = find_port() if port is None else port
     wire = open_wire(name, baud)
     try:
-        return _await_board(wire, name, baud, clock)
+        return await_board(wire, name, baud, clock)
     except BaseException:
         wire.close()
         raise
 
 
-def _await_board(wire: Wire, name: str, baud: int, clock: Clock) -> Board:
+def await_board(wire: Wire, name: str, baud: int, clock: Clock) -> Board:
+    """Wait until a board is heard on an open wire. Raises EchowingError: none is."""
     board = Board(wire, (0, 0), name=name, clock=clock)
     roster = Roster()
     start_s = ask_at_s = clock()
     deadline_s = start_s + OPEN_TIMEOUT_S
+    heard: list[Any] = []
     first_byte_s: float | None = None
     while (now_s := clock()) < deadline_s:
         board.poll(0.0)  # nobody has asked for these
@@ -375,9 +381,10 @@ def _await_board(wire: Wire, name: str, baud: int, clock: Clock) -> Board:
         messages = board.take(data)
         if messages:
             wire.understood()
+        heard += messages
         roster.note(messages)
         if found := roster.boards():
-            board.system_id, board.component_id = found[0]
+            board.recognise(found[0], heard)
             return board
         if data and first_byte_s is None:
             first_byte_s = now_s
@@ -419,8 +426,11 @@ def _why_no_board(board: Board, roster: Roster, waited_s: float, baud: int) -> s
 
 
 def as_float32(value: float) -> float:
-    """The value as MAVLink carries it."""
-    return float(struct.unpack("<f", struct.pack("<f", value))[0])
+    """The value as MAVLink carries it; infinite where it is too large for that."""
+    try:
+        return float(struct.unpack("<f", struct.pack("<f", value))[0])
+    except OverflowError:
+        return math.copysign(math.inf, value)
 
 
 def _allowed(name: str) -> str:

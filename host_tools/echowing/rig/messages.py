@@ -31,8 +31,8 @@ class Counts:
 
     bytes: int = 0
     frames: int = 0  # whole and undamaged
-    damaged: int = 0  # frames that did not stand their checksum
-    garbage_bytes: int = 0  # bytes between frames
+    damaged: int = 0  # frames that failed their checksum, after the first good one
+    garbage_bytes: int = 0  # bytes between frames, after the first
     lost: int = 0  # by the gaps in the sequence numbers
 
 
@@ -48,29 +48,30 @@ class Frames:
         """Whole, known messages in the order they came; each gets `_timestamp` = now_s."""
         self.counts.bytes += len(data)
         parsed = self._parser.parse_buffer(data) or ()
-        messages = [message for message in parsed if not self._is_bad(message)]
-        for message in messages:
-            message._timestamp = now_s
-            self._count(message)
-        return [message for message in messages if message.get_msgId() >= 0]
+        return [message for message in parsed if self._is_good(message, now_s)]
 
-    def _is_bad(self, message: Any) -> bool:
-        if message.get_type() != "BAD_DATA":
+    def _is_good(self, message: Any, now_s: float) -> bool:
+        """Count it; whether it is a message that stood its checksum."""
+        message._timestamp = now_s
+        if message.get_type() == "BAD_DATA":
+            self._count_bad(message)
             return False
-        if len(message.data) > 0 and message.reason != "Bad prefix":
-            self.counts.damaged += 1
-        else:
-            self.counts.garbage_bytes += len(message.data)
-        return True
-
-    def _count(self, message: Any) -> None:
-        if message.get_msgId() < 0:  # unknown to us: nobody has checked it
-            return
+        if message.get_msgId() < 0:  # unknown to us, so that nobody has checked it
+            return False
         self.counts.frames += 1
         source, sequence = source_of(message), message.get_seq()
         if source in self._sequences:
             self.counts.lost += (sequence - self._sequences[source] - 1) % 256
         self._sequences[source] = sequence
+        return True
+
+    def _count_bad(self, message: Any) -> None:
+        if self.counts.frames == 0:  # we came in the middle of a frame, or there are none
+            return
+        if message.reason == "Bad prefix":
+            self.counts.garbage_bytes += len(message.data)
+        else:
+            self.counts.damaged += 1
 
 
 @dataclass(slots=True)

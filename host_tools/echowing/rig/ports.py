@@ -179,13 +179,27 @@ class SocketWire:
         self._transport.close()
 
 
-_BUSY = (
-    "the port is busy: another program has it open (a ground station, a serial monitor, another "
-    "`echowing rig`); close that first"
-)
-_FORBIDDEN = (
-    "not allowed to open it: on Linux add yourself to the group that owns it "
-    "(`sudo usermod -a -G dialout $USER`), log out and in again"
+# Error numbers, a word of pyserial's where it gives no number (on Windows access is denied to a
+# port that is open elsewhere), and what to say.
+_REASONS: tuple[tuple[set[int], str, str], ...] = (
+    (
+        {errno.EAGAIN, errno.EBUSY},
+        "PermissionError",
+        "the port is busy: another program has it open (a ground station, a serial monitor, "
+        "another `echowing rig`); close that first",
+    ),
+    (
+        {errno.EACCES, errno.EPERM},
+        "Permission denied",
+        "not allowed to open it: on Linux add yourself to the group that owns it "
+        "(`sudo usermod -a -G dialout $USER`), log out and in again",
+    ),
+    (
+        {errno.ENOENT, errno.ENODEV, errno.ENXIO},
+        "FileNotFoundError",
+        "no such device; {there_are}",
+    ),
+    ({errno.ENOTTY, errno.EISDIR}, "configure port", "is not a serial port; {there_are}"),
 )
 
 
@@ -193,15 +207,9 @@ def _why_not_opened(error: Exception, address: Address) -> str:
     if address.kind != "serial":
         return _why_hung_up(error)
     number, words = getattr(error, "errno", None), str(error)
-    # On Windows pyserial gives no number; there access is denied to a port that is open elsewhere.
-    if number in (errno.EAGAIN, errno.EBUSY) or "PermissionError" in words:
-        return _BUSY
-    if number in (errno.EACCES, errno.EPERM):
-        return _FORBIDDEN
-    if number in (errno.ENOENT, errno.ENODEV, errno.ENXIO) or "FileNotFoundError" in words:
-        return f"no such device; {_there_are()}"
-    if number in (errno.ENOTTY, errno.EISDIR) or "configure port" in words:
-        return f"is not a serial port; {_there_are()}"
+    for numbers, word, reason in _REASONS:
+        if number in numbers or word in words:
+            return reason.format(there_are=_there_are())
     if isinstance(error, ValueError | OverflowError):
         return f"the port does not do {address.baud} baud; the board's USB port has {USB_BAUD}"
     return getattr(error, "strerror", None) or words

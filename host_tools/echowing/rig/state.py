@@ -19,6 +19,21 @@ NOTHING_HEARD_M = 7.65
 _TEXTS_KEPT = 10_000  # a week of soaking tells far less
 
 
+@dataclass(frozen=True, slots=True)
+class Version:
+    """What AUTOPILOT_VERSION tells."""
+
+    firmware: str  # "0.1.0"
+    git_hash: str  # its first 8 characters
+
+    @classmethod
+    def of(cls, message: Any) -> "Version":
+        """Out of an AUTOPILOT_VERSION."""
+        number = message.flight_sw_version
+        git = bytes(message.flight_custom_version).rstrip(b"\0").decode("ascii", "replace")
+        return cls(f"{number >> 24}.{number >> 16 & 255}.{number >> 8 & 255}", git)
+
+
 @dataclass(slots=True)
 class BoardState:
     """The newest that is known; None: not told yet, or nothing there."""
@@ -36,6 +51,7 @@ class BoardState:
     report_at_s: float | None = None
     heard_at_s: float | None = None
     restarts: int = 0
+    version: Version | None = None
     parameters: dict[str, float] = field(default_factory=dict)
     counts: Counter[str] = field(default_factory=Counter)  # messages by name
     errors: int = 0  # STATUSTEXTs of a warning or worse
@@ -59,7 +75,8 @@ class BoardState:
     def rate_hz(self, name: str) -> float:
         """How often a message (or a named value) comes."""
         arrivals = self._arrivals.get(name, deque())
-        window_s = min(RATE_WINDOW_S, self.now_s - (self._since_s or self.now_s))
+        since_s = self.now_s if self._since_s is None else self._since_s
+        window_s = min(RATE_WINDOW_S, self.now_s - since_s)
         return len(arrivals) / window_s if window_s > 0.0 else 0.0
 
     def tick(self, now_s: float) -> None:
@@ -91,6 +108,8 @@ class BoardState:
                 self._on_value(name, message)
             case "PARAM_VALUE":
                 self.parameters[str(message.param_id)] = float(message.param_value)
+            case "AUTOPILOT_VERSION":
+                self.version = Version.of(message)
             case "STATUSTEXT":
                 self.texts.append((now_s, int(message.severity), str(message.text)))
                 self.errors += message.severity <= mavlink.MAV_SEVERITY_WARNING

@@ -1,0 +1,36 @@
+"""The options that `echowing rig` and all its verbs have: given before the verb, or after."""
+
+import argparse
+import json
+from typing import Any
+
+from echowing.rig.ports import USB_BAUD
+
+
+def add_common_options(parser: argparse.ArgumentParser) -> None:
+    """`--port`, `--baud`, `--json`; not given, they leave what was given elsewhere."""
+    parser.add_argument(
+        "--port",
+        metavar="CONN",
+        default=argparse.SUPPRESS,
+        help="where the board is: a serial device, tcp:HOST:PORT, tcpin:[HOST:]PORT, "
+        "udpin:[HOST:]PORT or udpout:HOST:PORT (default: the only serial port on USB)",
+    )
+    parser.add_argument(
+        "--baud",
+        type=int,
+        metavar="N",
+        default=argparse.SUPPRESS,
+        help=f"of a serial device ({USB_BAUD})",
+    )
+    parser.add_argument(
+        "--json",
+        action="store_true",
+        default=argparse.SUPPRESS,
+        help="for scripts: JSON on standard output",
+    )
+
+
+def print_json(value: Any) -> None:
+    """One object, on one line, at once."""
+    print(json.dumps(value), flush=True)

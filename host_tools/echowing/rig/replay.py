@@ -1,0 +1,41 @@
+"""`echowing rig replay`: show a recording as it was."""
+
+import argparse
+import time
+from pathlib import Path
+
+from echowing.rig.board import await_board
+from echowing.rig.ports import USB_BAUD
+from echowing.rig.recording import RecordingEnd, ReplayWire, read_recording
+from echowing.rig.view import open_view
+from echowing.rig.watch import watch
+from echowing.stopping import stop_on_signals
+
+EXAMPLES = """\
+examples:
+  echowing rig replay bench.ewr
+      as long as it lasted
+  echowing rig replay bench.ewr --fast --json | jq -c '[.time_s, .raw_m]'
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The verb's options."""
+    parser.epilog = EXAMPLES
+    parser.add_argument("file", type=Path, metavar="FILE", help="of `echowing rig record`")
+    parser.add_argument("--fast", action="store_true", help="do not wait: as fast as it goes")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Show it to its end."""
+    recording = read_recording(args.file)
+    wire = ReplayWire(recording, str(args.file), None if args.fast else time.sleep)
+    baud = int(recording.about.get("baud", USB_BAUD))
+    board = await_board(wire, str(args.file), baud, wire.now_s)
+    with stop_on_signals() as stop:
+        try:
+            watch(board, open_view(as_json=args.json), stop)
+        except RecordingEnd as end:
+            if not args.json:
+                print(end)
+    return 0
