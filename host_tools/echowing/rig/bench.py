@@ -1,0 +1,210 @@
+"""The bench on which a procedure runs: the board, the operator, the clock; and how it is run."""
+
+import contextlib
+import queue
+import signal
+import sys
+import threading
+import time
+from argparse import ArgumentParser, Namespace
+from collections.abc import Callable, Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Protocol, TextIO
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from echowing.errors import EchowingError
+from echowing.rig.board import Board, ScanMode, open_board
+from echowing.rig.result import EXIT_CODES, Result, write_result
+
+EXIT_INTERRUPTED = 130
+# How often a wait looks at its end: quick for a person, slow for a processor.
+POLL_S = 0.05
+
+
+class Procedure(Protocol):
+    """A guided test: measures step by step, and can say at any time what it has found so far."""
+
+    def run(self, bench: "Bench") -> None:
+        """Measure; EchowingError or KeyboardInterrupt break it off."""
+
+    def result(self) -> Result:
+        """What has been measured until now, judged."""
+
+
+class Operator:
+    """Whoever moves the target. Answers are lines of `answers`; `yes`: nobody is asked."""
+
+    def __init__(self, console: Console, answers: TextIO, *, yes: bool = False) -> None:
+        self.console = console
+        self._yes = yes
+        self._answers = answers
+        self._lines: queue.Queue[str] = queue.Queue()
+        self._reader: threading.Thread | None = None
+
+    def tell(self, text: str) -> None:
+        """A line for the operator."""
+        self.console.print(text, highlight=False)
+
+    def ask(self, text: str, meanwhile: Callable[[], str]) -> None:
+        """Tell what to do and wait for Enter; `meanwhile` keeps the board going and tells of it."""
+        if self._yes:
+            self.tell(text)
+            return
+        self.tell(f"{text} Then press Enter.")
+        self._listen()
+        with self._status() as show:
+            while self._lines.empty():
+                show(meanwhile())
+        if not self._lines.get():
+            raise EchowingError("nobody answers: the input has ended; --yes asks nothing")
+
+    @contextlib.contextmanager
+    def progress(self, text: str, duration_s: float) -> Iterator[Callable[[float, str], None]]:
+        """A bar that is told the seconds done and a word on how it stands."""
+        if not self.console.is_terminal:
+            self.tell(f"{text}, {duration_s:g} s")
+            yield lambda done_s, words: None
+            return
+        columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+        with Progress(*columns, console=self.console, transient=True) as bar:
+            task = bar.add_task(text, total=duration_s)
+            yield lambda done_s, words: bar.update(
+                task, completed=done_s, description=f"{text}  {words}"
+            )
+
+    @contextlib.contextmanager
+    def _status(self) -> Iterator[Callable[[str], None]]:
+        if not self.console.is_terminal:
+            yield lambda text: None
+            return
+        with self.console.status("") as status:
+            yield status.update
+
+    def _listen(self) -> None:
+        """Lines are read aside: a terminal that waits must not keep the board waiting."""
+        if self._reader is None:
+            self._reader = threading.Thread(target=self._read, daemon=True)
+            self._reader.start()
+
+    def _read(self) -> None:
+        for line in self._answers:
+            self._lines.put(line)
+        self._lines.put("")  # the end; answered lines have at least their line feed
+
+
+def ignore(message: Any) -> None:
+    """Hear nothing."""
+
+
+class Bench:
+    """What a procedure works with. clock: seconds, the same as the board's arrival times."""
+
+    def __init__(
+        self,
+        board: Board,
+        operator: Operator,
+        clock: Callable[[], float] = time.monotonic,
+        pause: Callable[[float], None] = time.sleep,
+    ) -> None:
+        self.board = board
+        self.operator = operator
+        self.clock = clock
+        self.pause = pause
+
+    def ask(self, text: str, hear: Callable[[Any], None] = ignore) -> None:
+        """Have the operator do something; what the board says meanwhile goes to `hear`."""
+
+        def meanwhile() -> str:
+            for message in self.heard(POLL_S):
+                hear(message)
+            return standing(self.board)
+
+        self.operator.ask(text, meanwhile)
+        for message in self.heard(0.0):
+            hear(message)
+
+    def listen(self, text: str, duration_s: float) -> Iterator[Any]:
+        """The board's messages as they come, for so long."""
+        start_s = self.clock()
+        with self.operator.progress(text, duration_s) as show:
+            while (done_s := self.clock() - start_s) < duration_s:
+                show(done_s, standing(self.board))
+                yield from self.heard(POLL_S)
+
+    def heard(self, timeout_s: float) -> list[Any]:
+        """The board's own messages; others share some ports."""
+        board = self.board
+        return [message for message in board.poll(timeout_s) if board.is_from_board(message)]
+
+    def centre(self) -> None:
+        """The gimbal straight ahead and still."""
+        self.board.scan(ScanMode.CENTRE)
+
+    def search(self) -> None:
+        """The gimbal searches, and holds still on what it hears."""
+        self.board.scan(ScanMode.SCAN)
+
+    def leave(self) -> None:
+        """The gimbal centred, and scanning left to the board itself."""
+        self.board.scan(ScanMode.CENTRE)
+        self.board.scan(ScanMode.AUTO)
+
+
+def standing(board: Board) -> str:
+    """How the board stands, in a few words."""
+    state = board.state
+    raw = "nothing heard" if state.raw_m is None else f"{state.raw_m:.2f} m"
+    return f"{raw}, {state.state}"
+
+
+def add_bench_arguments(parser: ArgumentParser) -> None:
+    """Options that every procedure has."""
+    parser.add_argument(
+        "--out", type=Path, default=Path("out/rig"), metavar="DIR", help="results (out/rig)"
+    )
+    parser.add_argument("--yes", action="store_true", help="ask nothing: all is in place")
+
+
+def perform(procedure: Procedure, args: Namespace) -> int:
+    """Run a procedure on the board; the result is written however it ends. Returns exit code."""
+    console = Console(stderr=args.json, soft_wrap=True)
+    # Whoever stops it shall find the result and the gimbal as after Ctrl-C.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    board = open_board(args.port, args.baud)
+    bench = Bench(board, Operator(console, sys.stdin, yes=args.yes))
+    try:
+        result, code = run_to_result(procedure, bench)
+    finally:
+        bench.board.close()  # another one than before where it was unplugged
+    document, shown = write_result(result, args.out)
+    result.show(console)
+    console.print(f"{document}, {shown}", style="dim", highlight=False)
+    if args.json:
+        Console().print_json(data=result.document())
+    return code
+
+
+def run_to_result(procedure: Procedure, bench: Bench) -> tuple[Result, int]:
+    """Run it; returns what was found, broken off or not, and the exit code. Leaves the board."""
+    started = datetime.now(UTC).isoformat(timespec="seconds")
+    why, code = None, None
+    try:
+        procedure.run(bench)
+    except KeyboardInterrupt:
+        why, code = "interrupted", EXIT_INTERRUPTED
+    except EchowingError as error:
+        why = str(error)
+    with contextlib.suppress(EchowingError, KeyboardInterrupt):  # gone, or flying: not ours to turn
+        bench.leave()
+    result = procedure.result()
+    result.incomplete = why
+    result.facts = {
+        "started": started,
+        "board": bench.board.name,
+        "system": str(bench.board.system_id),
+        "component": str(bench.board.component_id),
+    }
+    return result, EXIT_CODES[result.verdict] if code is None else code
