@@ -79,6 +79,8 @@ USUAL_ROUND_TRIP_S = 0.5
 REMARK_GAP_S = 10.0
 
 TIMESYNC_PERIOD_S = 1.0
+# Crystals of 50 ppm drift 30 ms apart in this time: an older answer is forgotten.
+CLOCKS_AGREE_S = 600.0
 HEARTBEAT_PERIOD_S = 1.0
 RATE_REQUEST_PERIOD_S = 5.0
 
@@ -111,6 +113,7 @@ class VehicleClock:
 
     def __init__(self) -> None:
         self._best_round_trip_s = math.inf
+        self._best_at_s = -math.inf
         self._boot_at_s: float | None = None
         self._asked_at_s = -math.inf
 
@@ -134,8 +137,11 @@ class VehicleClock:
     def answered(self, asked_s: float, vehicle_boot_s: float, now_s: float) -> None:
         """Take one TIMESYNC answer: when it was asked, and the vehicle's clock in it."""
         round_trip_s = now_s - asked_s
+        if now_s - self._best_at_s > CLOCKS_AGREE_S:
+            self._best_round_trip_s = math.inf
         if not 0.0 <= round_trip_s <= self._best_round_trip_s:
             return
+        self._best_at_s = now_s
         self._best_round_trip_s = round_trip_s
         self._boot_at_s = now_s - round_trip_s / 2.0 - vehicle_boot_s
 

@@ -22,8 +22,9 @@ RETRY_S = 1.0
 CHUNK_BYTES = 65_535
 # More senders than this at one listening port are not vehicles.
 MOST_PEERS = 8
-# A link that refuses so many frames in a row has another key, or none: worth a word.
-REFUSED_FRAMES = 20
+# A vehicle learns the time from our signatures within a second or two; one whose frames are
+# refused for longer has another key, or none.
+REFUSED_S = 3.0
 
 _STILL_CONNECTING = {errno.EINPROGRESS, errno.EALREADY, errno.EWOULDBLOCK}
 _FORMS = "udpin:[HOST:]PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:[HOST:]PORT or a serial device"
@@ -328,7 +329,8 @@ class Link:
         self._parser = Parser(signing)
         self._try_at_s = 0.0
         self._complaint = ""
-        self._refused = 0
+        self._refused_since_s: float | None = None
+        self._refusal_told = False
 
     @property
     def name(self) -> str:
@@ -358,7 +360,7 @@ class Link:
         messages: list[Any] = []
         try:
             while self._transport is not None and (data := self._transport.read()):
-                messages += self._parse(data)
+                messages += self._parse(data, now_s)
         except OSError as error:
             self._lost(error, now_s)
         if messages and not self.connected:
@@ -409,26 +411,31 @@ class Link:
             self._complaint = reason
             self.news.append(f"link {self.name}: {reason}; trying again every {RETRY_S:g} s")
 
-    def _parse(self, data: bytes) -> list[Any]:
+    def _parse(self, data: bytes, now_s: float) -> list[Any]:
         """Whole, known, undamaged messages out of what has come."""
         if self.signing is not None:
             self.signing.keep_time()
         parsed = self._parser.parse_buffer(data) or ()
         found = [message for message in parsed if message.get_msgId() >= 0]
-        refused = sum(map(is_refused, parsed))
+        refused = any(map(is_refused, parsed))
         transport = self._transport
         if transport is not None and transport.datagrams and self._parser.buf_len() > 0:
             self._parser = Parser(self.signing)  # half a frame is garbage here, not a beginning
         if (found or refused) and isinstance(transport, UdpListener):
             # Also where it is not believed: a vehicle learns the time from our signature.
             transport.understood()
-        self._count_refused(refused, heard=bool(found))
+        if found:
+            self._refused_since_s, self._refusal_told = None, False
+        elif refused:
+            self._refuse(now_s)
         return found
 
-    def _count_refused(self, refused: int, *, heard: bool) -> None:
+    def _refuse(self, now_s: float) -> None:
         """Tell once, until it is heard again, that what comes is not believed."""
-        before, self._refused = self._refused, 0 if heard else self._refused + refused
-        if before < REFUSED_FRAMES <= self._refused:
+        if self._refused_since_s is None:
+            self._refused_since_s = now_s
+        if now_s - self._refused_since_s >= REFUSED_S and not self._refusal_told:
+            self._refusal_told = True
             self.news.append(
                 f"link {self.name}: what comes is not signed with the key of --signing-key-file, "
                 "and refused"

@@ -7,6 +7,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.follow import (
     AGREEING_REPORTS,
+    CLOCKS_AGREE_S,
     TOOL_SYSTEM_ID,
     FollowerPlan,
     FollowSession,
@@ -214,6 +215,17 @@ def test_the_quickest_answer_counts() -> None:
     clock.answered(asked_s=11.0, vehicle_boot_s=1.9, now_s=12.0)
 
     assert clock.to_ours(1.0, 99.0) == pytest.approx(11.0)
+
+
+def test_an_answer_too_old_for_clocks_that_drift_is_forgotten() -> None:
+    clock = VehicleClock()
+    clock.answered(asked_s=10.0, vehicle_boot_s=0.1, now_s=10.2)
+    # Its crystal is slow: after so long it is 0.1 s behind, and the link has become worse.
+    late_s = 10.2 + CLOCKS_AGREE_S
+    clock.answered(asked_s=late_s - 0.6, vehicle_boot_s=late_s - 0.6 - 10.1, now_s=late_s - 0.1)
+    assert clock.to_ours(1.0, 99.0) == pytest.approx(11.0)
+    clock.answered(asked_s=late_s + 0.5, vehicle_boot_s=late_s + 0.75 - 10.1, now_s=late_s + 1.0)
+    assert clock.to_ours(1.0, 99.0) == pytest.approx(11.1)
 
 
 def test_the_leaders_age_is_measured_through_timesync() -> None:

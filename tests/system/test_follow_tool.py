@@ -117,14 +117,16 @@ def test_a_lost_leader_stops_the_follower_until_it_is_heard_again(world: World) 
     bridge.close()
 
 
+HEARTBEAT = mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
+
+
 def test_a_killed_tool_leaves_the_follower_to_the_applets_watchdog(world: World) -> None:
     tool = world.follow()
     tool.row(is_followed)
 
     tool.kill()
 
-    ping = mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
-    world.pilot.until(lambda m: "stream lost, holding" in getattr(m, "text", ""), ping)
+    world.pilot.until(lambda m: "stream lost, holding" in getattr(m, "text", ""), HEARTBEAT)
     world.pilot.until_still()
 
 
@@ -263,6 +265,11 @@ class DatagramBridge:
         self._tool.close()
 
 
+def close(world: World) -> None:
+    world.pilot.close()
+    assert world.process.end() == 0
+
+
 def test_signed_links_carry_points_and_refuse_another_key(tmp_path: Path) -> None:
     key, other = tmp_path / "key", tmp_path / "other"
     for path, phrase in ((key, "a phrase of the field"), (other, "another phrase")):
@@ -276,8 +283,51 @@ def test_signed_links_carry_points_and_refuse_another_key(tmp_path: Path) -> Non
     tool.row(in_slot)
     assert tool.end() == 0
     assert "stopped and stands, GUIDED" in tool.lines[-1]
-    world.pilot.close()
-    assert world.process.end() == 0
+    close(world)
+
+
+def test_points_carry_a_velocity_where_a_sonar_is_heard(world: World) -> None:
+    tool = world.follow("--feed-forward")
+    fed = tool.event("points carry its velocity")
+    tool.row(in_slot, fed)
+    assert tool.end() == 0
+    assert "stopped and stands, GUIDED" in tool.lines[-1]
+
+
+def test_without_a_sonar_no_velocity_is_sent(world: World) -> None:
+    # The leader has no sonar: here it is the follower's turn.
+    ends = ("--leader", world.link(SECOND), "--follower", world.link(LEADER))
+    tool = Process("follow", *ends, "--feed-forward", "--engage", "--json")
+    assert tool.exit_code() == 2
+    assert "no forward DISTANCE_SENSOR of follower 1" in tool.lines[-1]
+    assert not any("in Guided" in line for line in tool.lines)
+
+
+def is_disarmed(message: Any) -> bool:
+    armed = mavlink.MAV_MODE_FLAG_SAFETY_ARMED
+    return mode_of(message) is not None and not message.base_mode & armed
+
+
+# Arms whatever the checks say.
+ARM = mavlink.MAVLink_command_long_message(
+    FOLLOWER, 1, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0, 1, 21196, *(0.0,) * 5
+)
+
+
+def test_a_landed_follower_takes_off_once_its_pilot_has_armed_it() -> None:
+    world = World("--set", "leader.altitude_m=4")  # landing from higher takes long
+    pilot = world.pilot
+    pilot.set_mode(mavlink.COPTER_MODE_LAND)
+    pilot.until(is_disarmed, HEARTBEAT)
+    tool = world.follow("--take-off", "2.5", "--altitude", "4")
+    tool.event("waits to take off, until its pilot puts it in Guided")
+    pilot.set_mode(mavlink.COPTER_MODE_GUIDED)
+    tool.event("waits to take off, until its pilot arms it")
+    pilot.until(lambda m: mode_of(m) is not None and not is_disarmed(m), ARM)
+    up = tool.event("has taken off")
+    tool.row(lambda row: is_followed(row) and row["altitude_m"] > 3.5, up)
+    assert tool.end() == 0
+    close(world)
 
 
 def test_without_engage_it_only_watches(world: World) -> None:
@@ -300,6 +350,11 @@ ENDS = ["follow", "--leader", "udpin:14550", "--follower", "udpin:14560"]
         (["--stop-switch", "5:90"], "801 to 2199"),
         (["--stop-switch", "5:1200:ACRO"], "one of LOITER, BRAKE, LAND, RTL"),
         (["--rate", "50"], "--rate 50: give 1 to 20"),
+        (["--leader-rate", "0"], "--leader-rate 0: give 1 to 20"),
+        (["--take-off", "1"], "--take-off 1: give 2 to 100"),
+        (["--take-off", "10", "--next-at", "11"], "--next-at 11: give 1 to 9.5"),
+        (["--next-at", "5"], "needs --take-off"),
+        (["--signing-key-file", "/nowhere"], "No such file"),
         (["--radius", "0.5"], "smallest is 1 m"),
         (["--angle", "120"], "ahead of the leader"),
         (["--radius", "1.2"], "inside --min-separation"),
