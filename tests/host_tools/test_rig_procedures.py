@@ -24,7 +24,7 @@ from echowing.rig.messages import Frames
 from echowing.rig.ports import PortLostError
 from echowing.rig.range_test import Point, RangeTest, distances, effective_range_m
 from echowing.rig.readings import percentile, spread
-from echowing.rig.response_matrix import OUT_OF_RANGE, holds
+from echowing.rig.response_matrix import OUT_OF_RANGE, GimbalWatch, Hold, holds
 from echowing.rig.result import Check, Result, write_result
 from echowing.rig.scan_test import ScanTest, Visits, by_point
 from echowing.rig.soak import Soak, SoakTest
@@ -534,6 +534,21 @@ def test_holds_lie_in_their_bands_and_away_from_the_guard() -> None:
         assert band.name == name
         assert distance_m > 1.5  # ECHO_CLOSE
     assert {name for name, _ in holds(THESIS)} == {*(b.name for b in TABLE_6), OUT_OF_RANGE}
+
+
+def test_a_search_is_no_move_while_tracking() -> None:
+    # The board tells changed pulses first, the state after them.
+    watch = GimbalWatch()
+    watch.hear(value("SNR_PAN", 1380.0))
+    watch.hear(value("SNR_STATE", 2.0))
+    watch.hold = hold = Hold("monitor")
+    watch.hear(value("SNR_PAN", 1400.0))
+    watch.hear(value("SNR_STATE", 1.0))
+    assert (hold.gimbal_moves, hold.moves_while_tracking) == (1, 0)
+    watch.hear(value("SNR_STATE", 2.0))
+    watch.hear(value("SNR_PAN", 1380.0))
+    watch.hear(value("SNR_STATE", 2.0))
+    assert (hold.gimbal_moves, hold.moves_while_tracking) == (2, 1)
 
 
 LAW_0 = {"ECHO_LAW": 0.0, "ECHO_DIST": 3.0, "ECHO_BAND_IN": 0.05, "ECHO_BAND_OUT": 0.25} | {

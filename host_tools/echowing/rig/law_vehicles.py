@@ -86,9 +86,10 @@ class BuiltInVehicle:
         self._autopilot = Autopilot(self._copter, system_id=system_id, parameters=parameters)
         self._autopilot.add_link("board")
         self._autopilot.load_script(lua_folder() / "echowing.lua")
-        self._law = self.law()
         self._start_s: float | None = None
         self._steps = 0
+        self._step()  # the applet begins, and with it its parameters
+        self._law = self.law()
 
     def law(self) -> Law:
         """As `LawVehicle`."""
@@ -105,18 +106,21 @@ class BuiltInVehicle:
     def advance(self, now_s: float) -> list[Sample]:
         """As `LawVehicle`."""
         if self._start_s is None:
-            self._start_s = now_s
+            self._start_s = now_s - self._steps * self.STEP_S
         samples = []
         while (self._steps + 1) * self.STEP_S <= now_s - self._start_s:
-            self._steps += 1
-            self._copter.step(self.STEP_S)
-            self._autopilot.step(self._steps * self.STEP_S)
-            self._autopilot.transmit("board")
+            self._step()
             samples.append(self._sample(self._start_s + self._steps * self.STEP_S))
+        return samples
+
+    def _step(self) -> None:
+        self._steps += 1
+        self._copter.step(self.STEP_S)
+        self._autopilot.step(self._steps * self.STEP_S)
+        self._autopilot.transmit("board")
         script = self._autopilot.script
         if script is None or script.error:
             raise EchowingError(f"the applet has stopped: {script.error if script else 'not run'}")
-        return samples
 
     def _sample(self, t_s: float) -> Sample:
         from echowing.sim.rangefinder import GOOD, OUT_OF_RANGE_LOW  # noqa: PLC0415

@@ -9,7 +9,7 @@ from typing import Any
 from echowing.rig.state import NOTHING_HEARD_M, STATE_NAMES
 
 # Values of SNR_STATE.
-SEARCHING, TRACKING, FAULT = map(STATE_NAMES.index, ("searching", "tracking", "sonar fault"))
+TRACKING, FAULT = map(STATE_NAMES.index, ("tracking", "sonar fault"))
 
 
 def named_value(message: Any) -> tuple[str, float] | None:

@@ -2,7 +2,7 @@
 
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from echowing.analysis import plots
@@ -12,7 +12,7 @@ from echowing.errors import EchowingError
 from echowing.rig.bench import Bench, add_bench_arguments, perform
 from echowing.rig.law_steps import BandRecord, Law, Sample, StepJudge
 from echowing.rig.law_vehicles import AutopilotVehicle, BuiltInVehicle, LawVehicle
-from echowing.rig.readings import SEARCHING, TRACKING, average_m, named_value
+from echowing.rig.readings import TRACKING, average_m, named_value
 from echowing.rig.result import Check, Result
 
 EXAMPLES = """\
@@ -35,12 +35,41 @@ OUT_OF_RANGE = "out of range"
 
 @dataclass
 class Hold:
-    """The target held in one band: how often the gimbal moved there while it tracked, or at all."""
+    """The target held in one band: how often the gimbal moved there, and while it tracked."""
 
     band: str
     gimbal_moves: int = 0
     moves_while_tracking: int = 0
-    searched: bool = False
+
+
+@dataclass
+class GimbalWatch:
+    """Counts the gimbal's moves into the hold that is under way, if one is."""
+
+    hold: Hold | None = None
+    _pulses: dict[str, float] = field(default_factory=dict)
+    _state: float | None = None
+    _undecided: int = 0
+
+    def hear(self, message: Any) -> None:
+        """Take any message of the board's."""
+        name, value = named_value(message) or ("", 0.0)
+        if name == "SNR_STATE":
+            self._hear_state(value)
+        if name not in ("SNR_PAN", "SNR_TILT"):
+            return
+        moved = self._pulses.get(name, value) != value
+        self._pulses[name] = value
+        if self.hold is None or not moved:
+            return
+        self.hold.gimbal_moves += 1
+        # A search tells its pulses before its state: the next word of the state decides.
+        self._undecided += self._state == TRACKING
+
+    def _hear_state(self, value: float) -> None:
+        if self.hold is not None and value == TRACKING:
+            self.hold.moves_while_tracking += self._undecided
+        self._state, self._undecided = value, 0
 
 
 def holds(law: Law) -> list[tuple[str, float | None]]:
@@ -72,8 +101,7 @@ class ResponseMatrix:
         self._vehicle: LawVehicle | None = None
         self._name = ""
         self._bench: Bench | None = None
-        self._pulses: dict[str, float] = {}
-        self._state: float | None = None
+        self._gimbal = GimbalWatch()
         self._average_m: float | None = None
         self.judge: StepJudge | None = None
         self.holds: list[Hold] = []
@@ -105,9 +133,10 @@ class ResponseMatrix:
             self._await_control(bench, vehicle)
         hold = Hold(band)
         self.holds.append(hold)
+        self._gimbal.hold = hold
         for message in bench.listen(f"holding, {band}", self._hold_s):
-            self._note_gimbal(hold, message)
             self._hear(message)
+        self._gimbal.hold = None
 
     def _await_control(self, bench: Bench, vehicle: LawVehicle) -> None:
         """A real autopilot is armed by hand."""
@@ -127,6 +156,7 @@ class ResponseMatrix:
 
     def _hear(self, message: Any) -> None:
         """A message of the board's: on to the vehicle, and see what that did."""
+        self._gimbal.hear(message)
         if message.get_type() == "DISTANCE_SENSOR":
             self._average_m = average_m(message)
         vehicle, judge, bench = self._vehicle, self.judge, self._bench
@@ -143,20 +173,6 @@ class ResponseMatrix:
         if sample.range_m is not None and sample.range_m >= law.detect_m:
             return Sample(sample.t_s, None, sample.speed_mps, sample.guarded)
         return sample
-
-    def _note_gimbal(self, hold: Hold, message: Any) -> None:
-        named = named_value(message)
-        if named is None:
-            return
-        name, value = named
-        if name == "SNR_STATE":
-            self._state = value
-            hold.searched = hold.searched or value == SEARCHING
-        if name in ("SNR_PAN", "SNR_TILT"):
-            moved = name in self._pulses and self._pulses[name] != value
-            self._pulses[name] = value
-            hold.gimbal_moves += moved
-            hold.moves_while_tracking += moved and self._state == TRACKING
 
     def result(self) -> Result:
         """As `Procedure`."""
@@ -176,7 +192,8 @@ class ResponseMatrix:
             "steps": [vars(step) for step in judge.steps],
             "holds": [vars(hold) for hold in self.holds],
         }
-        result.grids = [_matrix(judge), _steps_grid(judge), _figure_28()]
+        result.grids = [_matrix(judge)]
+        result.page_grids = [_steps_grid(judge), _figure_28()]
         result.figures = {"speed": _speed_figure(judge.samples), "range": _range_figure(judge)}
         result.notes = [
             f"Law 0 of the applet, run by {self._name} on the board's own DISTANCE_SENSOR. Every "
@@ -256,7 +273,7 @@ def _asked(record: BandRecord, period_s: float) -> str:
 
 
 def _matrix(judge: StepJudge) -> Grid:
-    head = ("band", "from, m", "to, m", "step, m/s", "right", "wrong", "longest without a step, s")
+    head = ("band", "from, m", "to, m", "step, m/s", "right", "wrong", "longest still, s")
     rows = []
     for record, printed in zip(judge.records.values(), TABLE_6, strict=True):
         band = record.band
@@ -264,7 +281,7 @@ def _matrix(judge: StepJudge) -> Grid:
         edges = (f"{band.from_m:g}", f"{band.to_m:g}", f"{band.step_mps:+g}")
         rows.append(Row((band.name, *edges, *counts)))
         theirs = (f"{printed.from_m:g}", f"{printed.to_m:g}", f"{printed.step_mps:+g}")
-        rows.append(Row(("  thesis, Table 6", *theirs, "", "", ""), printed=True))
+        rows.append(Row(("  Table 6", *theirs, "", "", ""), printed=True))
     return Grid("Response matrix", head, tuple(rows))
 
 

@@ -42,8 +42,8 @@ class Result:
     """A finished bench test, or one that was broken off.
 
     procedure: its verb. measured: what goes into the JSON document as it is. grids, figures (a
-    caption and a plotly figure) and notes: what the page shows; terminal_grids: what the terminal
-    shows where the page has a figure. incomplete: why it was broken off.
+    caption and a plotly figure) and notes: what is shown; page_grids: too long for the terminal;
+    terminal_grids: where the page has a figure. incomplete: why it was broken off.
     """
 
     procedure: str
@@ -51,6 +51,7 @@ class Result:
     checks: Sequence[Check] = ()
     measured: Mapping[str, Any] = field(default_factory=dict)
     grids: Sequence[Grid] = ()
+    page_grids: Sequence[Grid] = ()
     terminal_grids: Sequence[Grid] = ()
     figures: Mapping[str, Figure] = field(default_factory=dict)
     notes: Sequence[str] = ()
@@ -88,7 +89,7 @@ class Result:
             f"<header><h1>{html.escape(self.title)}</h1>",
             f'<p class="facts">{html.escape(facts)}</p>{_badge(self.verdict)}{why}</header>',
             f'<h2>Checks</h2><div class="card">{_checks_table(self.checks)}</div>',
-            *(f'<div class="card">{table(grid)}</div>' for grid in self.grids),
+            *(f'<div class="card">{table(grid)}</div>' for grid in (*self.grids, *self.page_grids)),
             f'<div class="plots" style="margin-top: 16px">{boxes}</div>' if boxes else "",
             "".join(f"<p>{html.escape(note)}</p>" for note in self.notes),
         ]

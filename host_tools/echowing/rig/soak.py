@@ -366,8 +366,7 @@ def _row_dict(row: Minute) -> dict[str, Any]:
 
 def _totals(total: Tally) -> Grid:
     rows = tuple(
-        Row((name.replace("_", " "), f"{value:g}" if value < 1e6 else f"{value:.0f}"))
-        for name, value in vars(total).items()
+        Row((name.replace("_", " "), f"{value:.0f}")) for name, value in vars(total).items()
     )
     return Grid("Counted", ("what", "how many"), rows)
 
