@@ -26,6 +26,7 @@ def served() -> Iterator[World]:
 
 
 @pytest.fixture
-def world(served: World) -> World:
+def world(served: World) -> Iterator[World]:
     served.pilot.set_mode(mavlink.COPTER_MODE_GUIDED)
-    return served
+    yield served
+    served.end_tools()

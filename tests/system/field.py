@@ -84,9 +84,13 @@ class Process:
 
         return self.wait_for(told, since)
 
+    def send_signal(self, number: int) -> None:
+        """Send a signal."""
+        self._process.send_signal(number)
+
     def end(self, number: int = signal.SIGTERM) -> int:
         """Send a signal; returns the exit code."""
-        self._process.send_signal(number)
+        self.send_signal(number)
         code = self._process.wait(DEADLINE_S)
         self._reader.join(DEADLINE_S)
         return code
@@ -222,6 +226,13 @@ class World:
         self.process = Process("sim", *WORLD, "--serve", str(self.port), *more)
         self.process.wait_for(lambda line: f"system {SECOND}" in line)
         self.pilot = Pilot(self.port + 10, FOLLOWER)
+        self._tools: list[Process] = []
+
+    def end_tools(self) -> None:
+        """None that a failed test has left behind may fly on in the next."""
+        for tool in self._tools:
+            tool.kill()
+        self._tools.clear()
 
     def port_of(self, system_id: int) -> int:
         """The TCP port of a vehicle's telemetry."""
@@ -241,7 +252,9 @@ class World:
         """The tool, engaged, with the first follower."""
         leader, follower = leader or self.link(LEADER), follower or self.link(FOLLOWER)
         ends = ("--leader", leader, "--follower", follower)
-        return Process("follow", *ends, "--engage", "--json", *more, under=under)
+        tool = Process("follow", *ends, "--engage", "--json", *more, under=under)
+        self._tools.append(tool)
+        return tool
 
 
 def free_ports() -> int:
