@@ -13,7 +13,7 @@ SEEDS = (1, 2, 3)
 
 @cache
 def flown(firmware: str, seed: int) -> FlownScenario:
-    return fly(load_scenario("echowing", ["duration_s=150"]), seed, firmware=firmware)
+    return fly(load_scenario("echowing"), seed, firmware=firmware)
 
 
 def mean_error_m(firmware: str) -> float:
