@@ -3,10 +3,11 @@
 import json
 import sys
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Protocol
 
-from rich.console import Console, Group
+from rich.box import SIMPLE_HEAD
+from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.table import Table
 from rich.text import Text
@@ -103,37 +104,64 @@ class LiveView:
         self._update()
 
     def _update(self) -> None:
-        events = Text("\n".join(self._events))
-        self._live.update(Group(table(self._rows), events) if self._rows else events)
+        self._live.update(scene(self._rows, self._events))
 
     def close(self) -> None:
         """As `View`: the table stays, the last events under it."""
         self._live.stop()
 
 
+def scene(rows: Sequence[Row], events: Iterable[str]) -> RenderableType:
+    """The whole view: the table, once there is one, and events."""
+    text = Text("\n".join(events))
+    return Group(table(rows), text) if rows else text
+
+
 def table(rows: Sequence[Row]) -> Table:
-    """The rows as a table."""
+    """The rows as a table; over it how fresh the leader is, which they share."""
+    leader = rows[0]
     shown = Table(
-        *("follower", "state", "mode", "separation", "error", "sonar", "gimbal"),
-        *("leader's age", "age", "limit", "speed", "height", "link"),
+        title=f"leader: {_shown(leader.leader_speed_mps, 'm/s', '.1f')}, "
+        f"heard {_shown(leader.leader_age_s, 's')} ago",
+        title_justify="left",
+        title_style="bold",
+        box=SIMPLE_HEAD,
+        pad_edge=False,
     )
+    for head in ("", "state", "mode"):
+        shown.add_column(head)
+    for head in ("separation\nm", "error\nm", "sonar\nm"):
+        shown.add_column(head, justify="right")
+    shown.add_column("gimbal")
+    for head in ("heard\ns ago", "speed\nm/s", "limit\nm/s", "height\nm", "link\n%"):
+        shown.add_column(head, justify="right")
     for row in rows:
         shown.add_row(
             str(row.system_id),
-            row.state,
+            Text(row.state, style=_style(row.state)),
             row.mode,
-            _shown(row.separation_m, "m"),
-            _shown(row.error_m, "m", "+.2f"),
-            _shown(row.sonar_m, "m"),
+            _number(row.separation_m),
+            _number(row.error_m, "+.2f"),
+            _number(row.sonar_m),
             row.gimbal or "-",
-            _shown(row.leader_age_s, "s"),
-            _shown(row.age_s, "s"),
-            _shown(row.command_mps, "m/s", ".1f"),
-            _shown(row.speed_mps, "m/s", ".1f"),
-            _shown(row.altitude_m, "m", ".1f"),
-            _shown(row.link_percent, "%", ".0f"),
+            _number(row.age_s),
+            _number(row.speed_mps, ".1f"),
+            _number(row.command_mps, ".1f"),
+            _number(row.altitude_m, ".1f"),
+            _number(row.link_percent, ".0f"),
         )
     return shown
+
+
+def _style(state: str) -> str:
+    """Green where all is well, yellow where it is stopped or on its way, red where nothing is."""
+    if state == "following":
+        return "green"
+    return "red" if state == "no points sent" else "yellow"
+
+
+def _number(value: float | None, form: str = ".2f") -> str:
+    return "-" if value is None else f"{value:{form}}"
 
 
 def plain_row(row: Row) -> str:

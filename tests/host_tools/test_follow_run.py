@@ -3,6 +3,7 @@ import json
 import math
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -11,10 +12,12 @@ from rich.console import Console
 from echowing.errors import EchowingError
 from echowing.follow import FollowerPlan, FollowSession
 from echowing.follow_log import FollowLog
+from echowing.follow_picture import SETTLED_S, Photographer, drawn
 from echowing.follow_view import PLAIN_PERIOD_S, JsonView, LiveView, PlainView
 from echowing.guidance import GuidanceSettings, Slot
 from echowing.panel import LINK_WINDOW_S, SONAR_FRESH_S, Panel, Row
 from echowing.seats import LISTEN_S, VehicleFinder, parse_seat
+from echowing.stopping import StopRequest
 
 LEADER, FOLLOWER = 1, 2
 
@@ -148,8 +151,32 @@ def test_the_live_view_shows_a_row_a_vehicle_and_the_last_events() -> None:
     view.event(1.0, "follower 3: left Guided for LOITER, hands off")
     view.close()
     shown = output.getvalue()
-    for text in ("3.21 m", "+0.21 m", "3.05 m", "1.9 m/s", "97 %", "left Guided for LOITER"):
+    for text in ("3.21", "+0.21", "3.05", "1.9", "97", "left Guided for LOITER"):
         assert text in shown
+    assert "leader: 2.0 m/s, heard 0.24 s ago" in shown
+
+
+def test_the_picture_of_the_view_asks_nobody_for_fonts_and_knows_no_paths() -> None:
+    svg = drawn([row(), row(system_id=3)], ["    1.0 s  follower 2: in Guided, following"])
+    assert ElementTree.fromstring(svg).tag.endswith("svg")
+    assert "in&#160;Guided" in svg
+    assert "+0.21" in svg
+    assert "font-face" not in svg
+    assert "url(http" not in svg
+    assert str(Path.cwd()) not in svg
+
+
+def test_the_picture_is_taken_once_all_have_been_in_place_for_a_while() -> None:
+    stop = StopRequest()
+    photographer = Photographer(stop)
+    there, away = row(error_m=0.2), row(error_m=2.0)
+    photographer.event(0.5, "in Guided")
+    for second in range(60):
+        photographer.rows(float(second), [there, away if second < 20 else there])
+        assert stop() is (second >= 20 + SETTLED_S)
+    photographer.event(70.0, "the tool ends")
+    assert photographer.taken == [there, there]
+    assert photographer.events == ["    0.5 s  in Guided"]
 
 
 def test_plain_lines_come_now_and_then_and_events_at_once(

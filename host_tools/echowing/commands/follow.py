@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 from echowing.errors import EchowingError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from echowing.follow_run import FollowOptions
     from echowing.guidance import Slot
     from echowing.seats import Seat
@@ -158,6 +160,13 @@ def run(args: argparse.Namespace) -> int:
     options = _options(args)
     with stop_on_signals() as stop:
         return FollowTool(options, open_view(as_json=args.json), stop).run()
+
+
+def options_of(arguments: "Sequence[str]") -> "FollowOptions":
+    """What a command line asks for, without the verb."""
+    parser = argparse.ArgumentParser()
+    add_arguments(parser)
+    return _options(parser.parse_args(arguments))
 
 
 def _options(args: argparse.Namespace) -> "FollowOptions":
