@@ -146,7 +146,8 @@ def describe(source: Source, heartbeat: Any) -> str:
     system, component = source
     kind = _enum_name("MAV_TYPE", heartbeat.type)
     if heartbeat.autopilot == mavlink.MAV_AUTOPILOT_INVALID:
-        return f"a {kind} (system {system}, component {component})"
+        article = "an" if kind[0] in "aeiou" else "a"
+        return f"{article} {kind} (system {system}, component {component})"
     autopilot = _AUTOPILOTS.get(heartbeat.autopilot) or _enum_name(
         "MAV_AUTOPILOT", heartbeat.autopilot
     )

@@ -90,8 +90,8 @@ def read_recording(path: Path) -> Recording:
     if not header.startswith(MAGIC) or not newline:
         raise EchowingError(f"{path}: is no recording of `echowing rig record`")
     try:
-        about = json.loads(header.removeprefix(MAGIC))
-    except ValueError as error:
+        about = dict(json.loads(header.removeprefix(MAGIC)).items())
+    except (ValueError, AttributeError) as error:
         raise EchowingError(f"{path}: the recording's first line is damaged") from error
     return Recording(about, tuple(_chunks(content[len(header) + 1 :], path)))
 
