@@ -152,9 +152,7 @@ def test_a_full_disk_is_said_and_flying_goes_on(world: World, tmp_path: Path) ->
 
 
 def test_in_two_halves_the_leader_is_published_and_cannot_be_moved(world: World) -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = _free_udp_port()
     publisher = Process(
         *("leader", "--vehicle", world.link(LEADER), "--publish", f"udp:127.0.0.1:{port}")
     )
@@ -172,6 +170,12 @@ def test_in_two_halves_the_leader_is_published_and_cannot_be_moved(world: World)
     assert mavlink.COPTER_MODE_LAND not in kinds
     assert publisher.end(signal.SIGINT) == 0
     assert publisher.lines[-1].endswith("ended")
+
+
+def _free_udp_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
 
 
 def _answers_to_a_stranger(port: int) -> list[Any]:
@@ -279,10 +283,20 @@ def test_signed_links_carry_points_and_refuse_another_key(tmp_path: Path) -> Non
     stranger = world.follow("--signing-key-file", str(other))
     stranger.event("not signed with the key")
     stranger.kill()
-    tool = world.follow("--signing-key-file", str(key))
-    tool.row(in_slot)
+    port = _free_udp_port()
+    publisher = Process(
+        *("leader", "--vehicle", world.link(LEADER), "--publish", f"udp:127.0.0.1:{port}"),
+        *("--signing-key-file", str(key)),
+    )
+    publisher.wait_for(lambda line: "published to" in line)
+    tool = Process(
+        *("follow", "--leader-from", f"udp:127.0.0.1:{port}", "--follower", world.link(FOLLOWER)),
+        *("--signing-key-file", str(key), "--engage", "--json"),
+    )
+    tool.row(lambda row: in_slot(row) and row["leader_age_s"] < 0.5)
     assert tool.end() == 0
     assert "stopped and stands, GUIDED" in tool.lines[-1]
+    assert publisher.end() == 0
     close(world)
 
 
