@@ -1,8 +1,10 @@
 """The applet's way onto an autopilot's SD card."""
 
 import os
+import re
 import zlib
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 from echowing.errors import EchowingError
@@ -13,11 +15,44 @@ from echowing.setup.ftp import FtpClient, FtpRefusedError, Progress
 APPLET = "echowing.lua"
 # Where ArduPilot looks for scripts on its card (AP_Scripting, SCRIPTING_DIRECTORY).
 FIRMWARE_FOLDER, SCRIPTS_FOLDER = "APM", "scripts"
+CARD_SCRIPTS = f"{FIRMWARE_FOLDER}/{SCRIPTS_FOLDER}"
+CARD_APPLET = f"{CARD_SCRIPTS}/{APPLET}"
+PARAMETER_PREFIX = "ECHO_"
+# How the applet writes a constant, and a row of its table: name, default, lowest, highest.
+_CONSTANT = re.compile(r"^local (\w+) = ([\d.]+)", re.MULTILINE)
+_PARAMETER_ROW = re.compile(r"^    \{ '(\w+)', ([\w.]+), ([\w.]+), ([\w.]+) \},$", re.MULTILINE)
 
 
 def applet_path() -> Path:
     """The applet of this checkout."""
     return lua_folder() / APPLET
+
+
+@dataclass(frozen=True, slots=True)
+class AppletParameter:
+    """One of the applet's parameters, as its table has it."""
+
+    name: str
+    default: float
+    low: float
+    high: float
+
+
+def applet_parameters() -> list[AppletParameter]:
+    """The applet's parameters, read out of its own table: that is where they are written down."""
+    text = applet_path().read_text(encoding="utf-8")
+    constants = {name: float(value) for name, value in _CONSTANT.findall(text)}
+
+    def number(word: str) -> float:
+        return constants[word] if word in constants else float(word)
+
+    rows = [
+        AppletParameter(f"{PARAMETER_PREFIX}{name}", *map(number, numbers))
+        for name, *numbers in _PARAMETER_ROW.findall(text)
+    ]
+    if not rows:
+        raise EchowingError(f"{applet_path()}: no table of parameters in it")
+    return rows
 
 
 def install_on_card(mount: Path) -> Path:
@@ -44,7 +79,7 @@ def install_on_card(mount: Path) -> Path:
 def install_over_link(
     card: FtpClient,
     progress: Callable[[str], Progress],
-    scripts: str = f"{FIRMWARE_FOLDER}/{SCRIPTS_FOLDER}",
+    scripts: str = CARD_SCRIPTS,
 ) -> bool:
     """Put the applet into the folder `scripts` of an autopilot's card, over MAVLink.
 

@@ -86,11 +86,12 @@ class FtpClient:
     """Asks for one thing after the other; a transfer keeps a few blocks on the way.
 
     `session` is a number from 1 to 255 of our own: 0, which leaves the choice to the autopilot,
-    makes newer ones open a session for every request.
+    makes newer ones open a session for every request. `give_up_s`: of silence, ends the work.
     """
 
-    def __init__(self, wire: Wire, session: int = 0xEC) -> None:
+    def __init__(self, wire: Wire, session: int = 0xEC, give_up_s: float = GIVE_UP_S) -> None:
         self._wire = wire
+        self._give_up_s = give_up_s
         self._session = session
         self._sequence = 0
 
@@ -198,7 +199,7 @@ class FtpClient:
 
     def _answer_to(self, packet: Packet, what: str) -> Packet:
         """The same request, with the same number, until its answer comes."""
-        give_up_s = self._wire.now_s() + GIVE_UP_S
+        give_up_s = self._wire.now_s() + self._give_up_s
         retry_s = RETRY_S
         while self._wire.now_s() < give_up_s:
             self._wire.send_file_request(packet.packed())
@@ -210,8 +211,8 @@ class FtpClient:
                         self._session = answer.session or self._session
                         return answer
         raise NoAnswerError(
-            f"{what}: no answer to file requests for {GIVE_UP_S:g} s; this autopilot has no MAVFTP "
-            "(BRD_OPTIONS bit 3 switches it off), or the link does not carry MAVLink 2"
+            f"{what}: no answer to file requests for {self._give_up_s:g} s; this autopilot has no "
+            "MAVFTP (BRD_OPTIONS bit 3 switches it off), or the link does not carry MAVLink 2"
         )
 
     def _answers(self, timeout_s: float) -> list[Packet]:
@@ -260,7 +261,7 @@ class FtpClient:
                     break
                 self._check(path, answer)
                 take(offset, answer.data, blocks.finish(offset))
-            if self._wire.now_s() - heard_s > GIVE_UP_S:
+            if self._wire.now_s() - heard_s > self._give_up_s:
                 raise NoAnswerError(f"{path}: the autopilot stopped answering in the middle")
 
 

@@ -29,8 +29,8 @@ POLL_S = 0.05
 # ArduPilot keeps so many parameter requests waiting (GCS_Param.cpp, param_requests 20).
 ASKED_AT_ONCE = 10
 CHUNK_S = 0.25
-# A value that a slow radio still has on its way comes within this.
-ROUND_S = 1.2
+# After a round, what a slow radio still has on its way is waited for.
+SHORTEST_ROUND_S, LONGEST_ROUND_S = 0.3, 2.0
 ROUNDS = 4
 
 SET_TRIES, COMMAND_TRIES = 4, 4
@@ -61,6 +61,7 @@ class Vehicle:
     ) -> None:
         self.system_id = system_id
         self.base_mode: int | None = None
+        self.mode: int | None = None
         self.texts: list[str] = []
         self._link = link
         self._clock = clock
@@ -118,7 +119,7 @@ class Vehicle:
             return
         self._heard_s = heard.time_s
         if message.get_type() == "HEARTBEAT":
-            self.base_mode = message.base_mode
+            self.base_mode, self.mode = message.base_mode, message.custom_mode
         elif message.get_type() == "STATUSTEXT":
             self.texts.append(str(message.text))
 
@@ -141,7 +142,7 @@ class Vehicle:
         self.until_state_known()
         if self.armed:
             raise EchowingError(
-                f"{self.name} is armed: {what} only on the ground, disarmed; nothing was changed"
+                f"{self.name} is armed: {what} only while it is disarmed, on the ground"
             )
 
     # ---- parameters -----------------------------------------------------------------------------
@@ -152,42 +153,29 @@ class Vehicle:
         Asked by name, as a whole list takes half a minute over a radio; a name unanswered after
         some rounds is one that does not exist.
         """
-        found: dict[str, float] = {}
-        absent: set[str] = set()
+        answers = _Answers(names, component)
         for _ in range(ROUNDS):
-            missing = _unanswered(names, found, absent)
-            if not missing:
-                break
+            missing = answers.missing()
             for start in range(0, len(missing), ASKED_AT_ONCE):
-                for name in missing[start : start + ASKED_AT_ONCE]:
+                chunk = missing[start : start + ASKED_AT_ONCE]
+                for name in chunk:
                     self._ask(name, component)
-                self._collect(names, found, absent, component, CHUNK_S)
-            self._collect(names, found, absent, component, ROUND_S)
-        return found
+                    answers.asked_s[name] = self._clock()
+                self._collect(answers, chunk, CHUNK_S)
+            self._collect(answers, missing, answers.patience_s)
+        return answers.found
 
     def _ask(self, name: str, component: int) -> None:
         self.send(
             mavlink.MAVLink_param_request_read_message(self.system_id, component, name.encode(), -1)
         )
 
-    def _collect(
-        self,
-        names: Sequence[Name],
-        found: dict[str, float],
-        absent: set[str],
-        component: int,
-        timeout_s: float,
-    ) -> None:
+    def _collect(self, answers: "_Answers", wanted: Sequence[str], timeout_s: float) -> None:
+        """Take answers until there is none to wait for among `wanted`, or for so long."""
         until_s = self._clock() + timeout_s
-        while self._clock() < until_s and _unanswered(names, found, absent):
+        while self._clock() < until_s and not set(wanted).isdisjoint(answers.missing()):
             for heard in self.poll():
-                message = heard.message
-                if message.get_srcComponent() != component:
-                    continue
-                if message.get_type() == "PARAM_VALUE":
-                    found[message.param_id] = float(message.param_value)
-                elif message.get_type() == "PARAM_ERROR":
-                    absent.add(message.param_id)
+                answers.take(heard)
 
     def write(self, name: str, value: float) -> float:
         """Set a parameter and read it back; returns what it is now.
@@ -259,14 +247,46 @@ class Vehicle:
         ]
 
 
-def _unanswered(names: Sequence[Name], found: dict[str, float], absent: set[str]) -> list[str]:
-    """What still has to be asked: every name of those parameters of which none has come."""
-    missing: list[str] = []
-    for name in names:
-        alternatives = (name,) if isinstance(name, str) else name
-        if not any(one in found for one in alternatives):
-            missing += [one for one in alternatives if one not in absent]
-    return missing
+class _Answers:
+    """Parameters asked for by name, and what has been answered."""
+
+    def __init__(self, names: Sequence[Name], component: int) -> None:
+        self.found: dict[str, float] = {}
+        self.asked_s: dict[str, float] = {}
+        self._names = [(name,) if isinstance(name, str) else name for name in names]
+        self._component = component
+        self._absent: set[str] = set()
+        self._slowest_s: float | None = None
+
+    def missing(self) -> list[str]:
+        """What still has to be asked: every name of those parameters of which none has come."""
+        return [
+            name
+            for alternatives in self._names
+            if not any(one in self.found for one in alternatives)
+            for name in alternatives
+            if name not in self._absent
+        ]
+
+    def take(self, heard: Heard) -> None:
+        """Any message; a newer autopilot says it where a parameter does not exist."""
+        message = heard.message
+        if message.get_srcComponent() != self._component:
+            return
+        if message.get_type() == "PARAM_ERROR":
+            self._absent.add(message.param_id)
+        elif message.get_type() == "PARAM_VALUE" and message.param_id in self.asked_s:
+            name = message.param_id
+            self.found[name] = float(message.param_value)
+            took_s = heard.time_s - self.asked_s[name]
+            self._slowest_s = max(took_s, self._slowest_s or 0.0)
+
+    @property
+    def patience_s(self) -> float:
+        """How long to wait for those still missing: by how long the others took."""
+        if self._slowest_s is None:
+            return LONGEST_ROUND_S
+        return min(max(3.0 * self._slowest_s, SHORTEST_ROUND_S), LONGEST_ROUND_S)
 
 
 def _is_value(message: Any, name: str) -> bool:

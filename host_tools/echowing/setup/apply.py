@@ -1,0 +1,136 @@
+"""Writes what `check` finds wrong, after the old values are safe in a file; and puts them back.
+
+Fail-safes and fence are never written: they are the pilot's net, and what is right for them
+depends on the field and on how he flies. `check` says what it thinks of them.
+"""
+
+import json
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from echowing.errors import EchowingError
+from echowing.setup.readout import Readout
+from echowing.setup.settings import same, settings_for
+
+FORMAT = "echowing parameters 1"
+SUFFIX = ".params.json"
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """One parameter to write. restart: it counts from the autopilot's next start on."""
+
+    name: str
+    old: float
+    new: float
+    why: str = ""
+    restart: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Saved:
+    """Old values of a vehicle, as they stand in a file."""
+
+    system_id: int
+    parameters: Mapping[str, float]
+
+
+@dataclass(slots=True)
+class Outcome:
+    """What became of the writing: names that did not take their value, with what they are now."""
+
+    written: list[str] = field(default_factory=list)
+    refused: dict[str, float] = field(default_factory=dict)
+
+
+Write = Callable[[str, float], float]
+"""Writes a parameter and returns what it is then; EchowingError where nobody answers."""
+
+
+def changes_for(readout: Readout) -> list[Change]:
+    """What has to be written: settings that are there and do not fit, but not what is spared."""
+    return [
+        Change(one.name, value, one.mended(value), one.why, one.restart)
+        for one in settings_for(readout)
+        if (value := readout.parameters.get(one.name)) is not None
+        and not one.fits(value)
+        and not one.spared(value)
+    ]
+
+
+def default_file(system_id: int, now: datetime) -> Path:
+    """Where old values are kept unless the operator says otherwise."""
+    return Path(f"echowing-{system_id}-{now:%Y%m%d-%H%M%S}{SUFFIX}")
+
+
+def save(path: Path, system_id: int, changes: Iterable[Change], now: datetime) -> None:
+    """Put the old values into a new file: there and whole when this returns.
+
+    Raises EchowingError for a file that is there already, or cannot be written.
+    """
+    content = {
+        "format": FORMAT,
+        "system_id": system_id,
+        "saved": now.isoformat(timespec="seconds"),
+        "parameters": {change.name: change.old for change in changes},
+    }
+    if path.exists():
+        raise EchowingError(f"{path}: is there already, and holds older values; name another file")
+    arriving = path.with_name(path.name + ".part")
+    try:
+        with arriving.open("w", encoding="utf-8") as file:
+            json.dump(content, file, indent=2)
+            file.write("\n")
+            file.flush()
+            os.fsync(file.fileno())
+        arriving.replace(path)
+    except OSError as error:
+        raise EchowingError(
+            f"{path}: the old values cannot be kept there: {error.strerror}; nothing was changed"
+        ) from error
+
+
+def load(path: Path) -> Saved:
+    """Old values out of a file. Raises EchowingError that says what is wrong with it."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise EchowingError(f"{path}: {error.strerror}") from error
+    except ValueError as error:
+        raise EchowingError(f"{path}: not a file of saved parameters: {error}") from error
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        raise EchowingError(f"{path}: not a file of `echowing setup apply` ({FORMAT!r})")
+    parameters: Any = content.get("parameters")
+    system_id = content.get("system_id")
+    if not isinstance(system_id, int) or not _are_values(parameters):
+        raise EchowingError(f"{path}: has no system id, or a parameter that is no number")
+    return Saved(system_id, {name: float(value) for name, value in parameters.items()})
+
+
+def _are_values(parameters: Any) -> bool:
+    return isinstance(parameters, dict) and all(
+        isinstance(value, (int, float)) and not isinstance(value, bool)
+        for value in parameters.values()
+    )
+
+
+def write_all(
+    values: Sequence[tuple[str, float]], write: Write, progress: Callable[[str], None]
+) -> Outcome:
+    """Write values one after the other, each read back. `progress` is told each name before.
+
+    Raises EchowingError where the vehicle is lost; those written until then stay written.
+    """
+    outcome = Outcome()
+    for name, value in values:
+        progress(name)
+        now = write(name, value)
+        if same(now, value):
+            outcome.written.append(name)
+        else:
+            outcome.refused[name] = now
+    return outcome

@@ -1,0 +1,411 @@
+"""Is this vehicle ready for Echowing? A table of small pure judgements over one read-out.
+
+Each looks at one thing and says whether it is fine, wrong, the pilot's to decide, or cannot be
+told; and where it is wrong, why, and what mends it. The values expected stand in `settings`.
+"""
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from enum import Enum
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from echowing.applet import PARAMETER_PREFIX
+from echowing.follow import TOOL_SYSTEM_ID
+from echowing.setup.readout import Readout
+from echowing.setup.settings import (
+    BAUD_115200,
+    FORWARD,
+    MAVLINK2,
+    PROXIMITY_SENSORS,
+    Setting,
+    settings_for,
+)
+
+# AP_RangeFinder_MAVLink.cpp: older data is dropped.
+RANGEFINDER_TIMEOUT_S = 0.5
+SLOWEST_REPORT_HZ = 5.0  # firmware/README.md, REPORT_RATE's least
+SERIAL_PORTS = range(1, 10)
+MAVLINK_PROTOCOLS = (1.0, MAVLINK2)
+# A speed parameter under this is a return home at walking pace: has something been left behind?
+SLOW_MPS = 1.0
+LIMITS_DIFFER_M = 0.1
+
+APPLY = "echowing setup apply"
+
+
+class Verdict(Enum):
+    """What came of a check."""
+
+    FINE = "fine"
+    WRONG = "wrong"
+    YOURS = "yours"
+    UNKNOWN = "unknown"
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing looked at. mend: what to type or to do; empty where nothing is to be done."""
+
+    about: str
+    verdict: Verdict
+    found: str
+    why: str = ""
+    mend: str = ""
+
+
+Check = Callable[[Readout], Iterable[Finding]]
+
+
+def examine(readout: Readout) -> list[Finding]:
+    """Everything there is to say, in the order of the table."""
+    return [finding for check in CHECKS for finding in check(readout)]
+
+
+def exit_code(findings: Iterable[Finding]) -> int:
+    """0: nothing wrong; 1: something is wrong; 2: something could not be told."""
+    verdicts = {finding.verdict for finding in findings}
+    if Verdict.WRONG in verdicts:
+        return 1
+    return 2 if Verdict.UNKNOWN in verdicts else 0
+
+
+def judge(setting: Setting, readout: Readout) -> Finding | None:
+    """One setting against the read-out; None: nothing to say of it."""
+    value = readout.parameters.get(setting.name)
+    if value is None and setting.optional:
+        return None
+    if value is None:
+        return Finding(setting.name, Verdict.UNKNOWN, "not told", setting.why, _hidden(setting))
+    if setting.fits(value):
+        return Finding(setting.name, Verdict.FINE, f"{value:g}", setting.why)
+    if setting.spared(value):
+        return Finding(
+            setting.name,
+            Verdict.WRONG,
+            f"{value:g}: another sensor is set up there",
+            setting.why,
+            "use the next one: echowing setup … --rangefinder 2",
+        )
+    mend = f"param set {setting.name} {setting.mended(value):g}; or {APPLY}"
+    if setting.restart:
+        mend += "; then restart the autopilot"
+    return Finding(setting.name, Verdict.WRONG, f"{value:g}", setting.why, mend)
+
+
+def _hidden(setting: Setting) -> str:
+    if setting.name.startswith("RNGFND"):
+        return "shown once the sensor's TYPE is set and the autopilot restarted"
+    if setting.name.startswith("SCR_"):
+        return "shown once SCR_ENABLE is 1 and the autopilot restarted; some small boards have none"
+    return "is this ArduCopter 4.5 or later, and is there such a port?"
+
+
+def _settings(readout: Readout) -> Iterator[Finding]:
+    for setting in settings_for(readout):
+        finding = judge(setting, readout)
+        if finding is not None:
+            yield finding
+
+
+# ---- the co-processor and its range ------------------------------------------------------------
+
+
+def _coprocessor(readout: Readout) -> Iterator[Finding]:
+    if readout.coprocessor is None:
+        yield Finding(
+            "co-processor",
+            Verdict.WRONG,
+            "not heard",
+            "no heartbeat of an onboard controller comes through the autopilot",
+            _how_to_be_heard(readout),
+        )
+    elif readout.coprocessor_status == mavlink.MAV_STATE_CRITICAL:
+        yield Finding(
+            "co-processor",
+            Verdict.WRONG,
+            f"component {readout.coprocessor} reports a fault",
+            "its sonar does not answer",
+            "look at the sonar's supply, SDA, SCL and SONAR_ADDR (firmware/README.md, step 2)",
+        )
+    else:
+        yield Finding("co-processor", Verdict.FINE, f"component {readout.coprocessor} heard")
+
+
+def _how_to_be_heard(readout: Readout) -> str:
+    if readout.serial_port is not None:
+        return (
+            f"set SERIAL{readout.serial_port} as said here, restart, and look at the wires: TX to "
+            "RX both ways, and power"
+        )
+    ports = ", ".join(f"SERIAL{number}" for number in _ports_at_115200(readout)) or "none"
+    return (
+        f"say where it is wired, as --serial 2 (MAVLink at 115200 baud is now on: {ports}); then "
+        f"{APPLY} --serial 2, restart, and look at the wires"
+    )
+
+
+def _ports_at_115200(readout: Readout) -> list[int]:
+    return [
+        number
+        for number in SERIAL_PORTS
+        if readout.parameters.get(f"SERIAL{number}_PROTOCOL") in MAVLINK_PROTOCOLS
+        and readout.parameters.get(f"SERIAL{number}_BAUD") in BAUD_115200
+    ]
+
+
+def _reports(readout: Readout) -> Iterator[Finding]:
+    about, reports = "DISTANCE_SENSOR", readout.reports
+    if readout.coprocessor is None:
+        return
+    if reports is None:
+        yield Finding(
+            about,
+            Verdict.WRONG,
+            "none heard",
+            "the co-processor is there but tells no range",
+            "look at its LED and its texts: the sonar may not answer (firmware/README.md)",
+        )
+        return
+    found = f"{reports.rate_hz:.1f} a second, longest gap {reports.longest_gap_s:.2f} s"
+    steady = reports.longest_gap_s < RANGEFINDER_TIMEOUT_S
+    if reports.orientation != FORWARD:
+        yield Finding(
+            about,
+            Verdict.WRONG,
+            f"orientation {reports.orientation}",
+            "the autopilot ignores a range of another orientation than RNGFND's",
+            "is another device's range heard here?",
+        )
+    elif steady and reports.rate_hz >= SLOWEST_REPORT_HZ:
+        yield Finding(about, Verdict.FINE, found)
+    else:
+        yield Finding(
+            about,
+            Verdict.WRONG,
+            found,
+            f"the autopilot drops a range older than {RANGEFINDER_TIMEOUT_S:g} s; over a slow "
+            "radio it may be this link that loses them",
+            "check again over USB; then REPORT_RATE and the wire",
+        )
+
+
+def _taken(readout: Readout) -> Iterator[Finding]:
+    """Whether the autopilot uses the range: the question behind all of it."""
+    about = "range in the autopilot"
+    if readout.reports is None or readout.takes_range is None:
+        return
+    if readout.takes_range:
+        yield Finding(about, Verdict.FINE, "it tells the forward range itself")
+    else:
+        yield Finding(
+            about,
+            Verdict.WRONG,
+            "not there",
+            "the co-processor's range arrives but the autopilot does not use it",
+            f"set RNGFND{readout.rangefinder}_* as said here, and restart the autopilot",
+        )
+
+
+def _tracking_range(readout: Readout) -> Iterator[Finding]:
+    track_cm = readout.coprocessor_parameters.get("TRACK_RANGE")
+    detect_m = readout.parameters.get("ECHO_DETECT")
+    if track_cm is None or detect_m is None:
+        return
+    found = f"{track_cm:g} cm, ECHO_DETECT {detect_m:g} m"
+    if abs(track_cm / 100.0 - detect_m) <= LIMITS_DIFFER_M:
+        yield Finding("TRACK_RANGE", Verdict.FINE, found)
+        return
+    yield Finding(
+        "TRACK_RANGE",
+        Verdict.YOURS,
+        found,
+        "what the gimbal takes for the leader and what the applet does should be the same",
+        f"param set ECHO_DETECT {track_cm / 100.0:g}, or TRACK_RANGE of component "
+        f"{readout.coprocessor}",
+    )
+
+
+# ---- the applet and the speed ------------------------------------------------------------------
+
+
+def _applet(readout: Readout) -> Iterator[Finding]:
+    enabled = readout.parameters.get("ECHO_ENABLE")
+    switched = readout.parameters.get("ECHO_SWITCH", 0.0) > 0.0
+    if enabled is None:
+        yield Finding(
+            "applet",
+            Verdict.WRONG,
+            "no ECHO_ parameters",
+            "it is not on the card, or scripting is off",
+            "echowing setup lua --connect …, or SCR_ENABLE 1 and a restart",
+        )
+    elif readout.applet_heard:
+        yield Finding("applet", Verdict.FINE, "in control")
+    elif readout.in_guided and enabled and not switched:
+        yield Finding(
+            "applet",
+            Verdict.WRONG,
+            "silent in Guided",
+            "its parameters are there, but it sends no ECHO_STATE: it has stopped",
+            "land; look for its last message, then restart the autopilot",
+        )
+    else:
+        yield Finding("applet", Verdict.FINE, "loaded; it speaks only when in control, in Guided")
+
+
+def _applet_file(readout: Readout) -> Iterator[Finding]:
+    if readout.applet_is_ours is None:
+        return
+    if readout.applet_is_ours:
+        yield Finding("applet on the card", Verdict.FINE, "the one of this checkout")
+    else:
+        yield Finding(
+            "applet on the card",
+            Verdict.WRONG,
+            "another version than this checkout's",
+            "tools and applet belong together",
+            "echowing setup lua --connect …",
+        )
+
+
+def _speed(readout: Readout) -> Iterator[Finding]:
+    speed = readout.first("WP_SPD", "WPNAV_SPEED")
+    if speed is None:
+        yield Finding(
+            "speed parameter",
+            Verdict.UNKNOWN,
+            "neither WP_SPD nor WPNAV_SPEED",
+            "the applet sets one of them",
+            "is this ArduCopter 4.5 or later?",
+        )
+        return
+    name, value = speed
+    mirror = readout.parameters.get("ECHO_MIRROR", 0.0)
+    speed_mps = value if name == "WP_SPD" else value / 100.0
+    if mirror > 0.0 and not readout.armed:
+        yield Finding(
+            name,
+            Verdict.WRONG,
+            f"{value:g}, yours was {mirror:g} (ECHO_MIRROR)",
+            "the applet died in control and has not put your speed back",
+            "restart the autopilot or its scripts: the applet then does",
+        )
+    elif mirror == 0.0 and speed_mps < SLOW_MPS:
+        yield Finding(
+            name,
+            Verdict.YOURS,
+            f"{value:g}",
+            "every mission flies this slowly; has a limit of the applet's been left behind?",
+            f"param set {name} {10.0 if name == 'WP_SPD' else 1000.0:g} is ArduCopter's own",
+        )
+    else:
+        yield Finding(name, Verdict.FINE, f"{value:g}")
+
+
+# ---- what the pilot decides --------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class _Choice:
+    """A parameter that is only reported: never written by `apply`, as it is the pilot's net."""
+
+    names: tuple[str, ...]
+    doubtful: Callable[[float], bool]
+    why: str
+    mend: str
+
+
+_CHOICES = (
+    _Choice(
+        ("FS_GCS_ENABLE",),
+        lambda v: v == 0.0,
+        "nothing on board notices a dead ground station",
+        "param set FS_GCS_ENABLE 1 (return home), or as you fly",
+    ),
+    _Choice(
+        ("MAV_GCS_SYSID", "SYSID_MYGCS"),
+        lambda v: v == TOOL_SYSTEM_ID,
+        "echowing itself beats under this id, and would hide that your ground station is dead",
+        "set it to your ground station's id, 255 as a rule",
+    ),
+    _Choice(
+        ("FS_THR_ENABLE",),
+        lambda v: v == 0.0,
+        "nothing happens when the transmitter is lost",
+        "param set FS_THR_ENABLE 1 (return home), or as you fly",
+    ),
+    _Choice(
+        ("FS_OPTIONS",),
+        lambda v: bool(int(v) & 4),
+        "in Guided the loss of the transmitter is passed over (bit 2)",
+        "clear bit 2",
+    ),
+    _Choice(
+        ("BATT_FS_LOW_ACT",),
+        lambda v: v == 0.0,
+        "nothing happens when the battery is low",
+        "param set BATT_FS_LOW_ACT 2 (return home) or 1 (land)",
+    ),
+    _Choice(
+        ("FENCE_ENABLE",),
+        lambda v: v == 0.0,
+        "no fence ends a flight away; it keeps vehicles in, not apart",
+        "param set FENCE_ENABLE 1 after setting its radius and altitude",
+    ),
+    _Choice(
+        ("ECHO_STREAM_T",),
+        lambda v: v == 0.0,
+        "the applet's watchdog is off: a dead ground tool leaves the vehicle flying to its last "
+        "point",
+        "param set ECHO_STREAM_T 1",
+    ),
+    _Choice(
+        ("ECHO_ARM_CHK",),
+        lambda v: v == 0.0,
+        "it arms without a forward rangefinder",
+        "param set ECHO_ARM_CHK 1",
+    ),
+)
+
+
+def _choices(readout: Readout) -> Iterator[Finding]:
+    for choice in _CHOICES:
+        named = readout.first(*choice.names)
+        if named is None:
+            continue
+        name, value = named
+        if choice.doubtful(value):
+            yield Finding(name, Verdict.YOURS, f"{value:g}", choice.why, choice.mend)
+        elif not name.startswith(PARAMETER_PREFIX):  # those are judged as settings too
+            yield Finding(name, Verdict.FINE, f"{value:g}")
+
+
+def _avoidance(readout: Readout) -> Iterator[Finding]:
+    """A proximity sensor of another kind sees the leader too."""
+    sensors = [f"PRX{n}_TYPE" for n in PROXIMITY_SENSORS]
+    present = [name for name in sensors if readout.parameters.get(name, 0.0) > 0.0]
+    avoids = int(readout.parameters.get("AVOID_ENABLE", 0.0)) & 2
+    plans = readout.parameters.get("OA_TYPE", 0.0) > 0.0
+    if present and (avoids or plans):
+        yield Finding(
+            "AVOID_ENABLE" if avoids else "OA_TYPE",
+            Verdict.YOURS,
+            f"avoidance by {present[0]}",
+            "it keeps away from what it sees, and it sees the leader",
+            "param set AVOID_ENABLE 1 (fence only) and OA_TYPE 0 for formation flight",
+        )
+
+
+CHECKS: tuple[Check, ...] = (
+    _coprocessor,
+    _reports,
+    _taken,
+    _applet,
+    _applet_file,
+    _speed,
+    _tracking_range,
+    _settings,
+    _avoidance,
+    _choices,
+)

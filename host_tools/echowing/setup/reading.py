@@ -1,0 +1,204 @@
+"""Makes a read-out of a vehicle: asks for its parameters, and listens to what comes from it."""
+
+from collections.abc import Callable, Container, Iterable, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from echowing.applet import CARD_APPLET, applet_parameters, applet_path
+from echowing.follow import GUIDED_MODE
+from echowing.ftp_format import ardupilot_crc32
+from echowing.setup.checks import SERIAL_PORTS
+from echowing.setup.ftp import FtpClient, FtpRefusedError, NoAnswerError
+from echowing.setup.readout import Readout, Reports
+from echowing.setup.settings import PROXIMITY_SENSORS
+from echowing.setup.vehicle import AUTOPILOT, POLL_S, Heard, Name, Vehicle
+
+LISTEN_S = 3.0  # three heartbeats, 60 ranges, six of the applet's named floats
+FILE_TIMEOUT_S = 4.0  # an autopilot without MAVFTP says nothing at all
+# Ids from here on are proximity sectors (GCS_Common.cpp, PROXIMITY_SENSOR_ID_START).
+PROXIMITY_IDS_FROM = 10
+COPROCESSOR = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER  # 191, COMP_ID as it comes
+APPLET_STATE = "ECHO_STATE"
+_FORWARD = mavlink.MAV_SENSOR_ROTATION_NONE
+
+_NAMES: tuple[Name, ...] = (
+    ("WP_SPD", "WPNAV_SPEED"),
+    ("RTL_SPEED_MS", "RTL_SPEED"),
+    ("MAV_GCS_SYSID", "SYSID_MYGCS"),
+    "SCR_ENABLE",
+    "SCR_DIR_DISABLE",
+    "SCR_HEAP_SIZE",
+    "SCR_VM_I_COUNT",
+    "GUID_OPTIONS",
+    "GUID_TIMEOUT",
+    "FS_GCS_ENABLE",
+    "FS_THR_ENABLE",
+    "FS_OPTIONS",
+    "BATT_FS_LOW_ACT",
+    "FENCE_ENABLE",
+    "AVOID_ENABLE",
+    "OA_TYPE",
+    "ECHO_ENABLE",
+)
+
+
+def names_to_read(serial_port: int | None, rangefinder: int) -> list[Name]:
+    """Parameters of the autopilot that a read-out needs, in every generation's names."""
+    sensor = f"RNGFND{rangefinder}"
+    names: list[Name] = [
+        *_NAMES,
+        *(f"{sensor}_{one}" for one in ("TYPE", "ORIENT", "ADDR")),
+        (f"{sensor}_MIN", f"{sensor}_MIN_CM"),
+        (f"{sensor}_MAX", f"{sensor}_MAX_CM"),
+        *(f"PRX{number}_TYPE" for number in PROXIMITY_SENSORS),
+    ]
+    ports: Iterable[int] = SERIAL_PORTS if serial_port is None else (serial_port,)
+    parts = ("PROTOCOL", "BAUD") if serial_port is None else ("PROTOCOL", "BAUD", "OPTIONS")
+    return [*names, *(f"SERIAL{port}_{part}" for port in ports for part in parts)]
+
+
+def read_parameters(
+    vehicle: Vehicle, serial_port: int | None = None, rangefinder: int = 1
+) -> dict[str, float]:
+    """The autopilot's parameters that matter, the applet's among them."""
+    found = vehicle.read(names_to_read(serial_port, rangefinder))
+    if "ECHO_ENABLE" in found:
+        found |= vehicle.read([row.name for row in applet_parameters()])
+    return found
+
+
+def read_out(
+    vehicle: Vehicle,
+    serial_port: int | None = None,
+    rangefinder: int = 1,
+    listen_s: float = LISTEN_S,
+) -> Readout:
+    """Everything the checks need. Raises EchowingError where the vehicle is lost meanwhile."""
+    start_s = vehicle.now_s()
+    heard = _listen(vehicle, listen_s)
+    readout = of_messages(heard, start_s, vehicle.now_s())
+    if readout.coprocessor is not None:
+        told = vehicle.read(["TRACK_RANGE"], readout.coprocessor)
+        readout = replace(readout, coprocessor_parameters=told)
+    return replace(
+        readout,
+        parameters=read_parameters(vehicle, serial_port, rangefinder),
+        serial_port=serial_port,
+        rangefinder=rangefinder,
+        armed=vehicle.armed,
+        in_guided=vehicle.armed and vehicle.mode == GUIDED_MODE,
+        applet_is_ours=None if vehicle.armed else _is_ours(vehicle),
+        version=_version(vehicle),
+        takes_range=None if readout.reports is None else _takes_range(vehicle),
+    )
+
+
+def _listen(vehicle: Vehicle, listen_s: float) -> list[Heard]:
+    heard: list[Heard] = []
+    until_s = vehicle.now_s() + listen_s
+    while (left_s := until_s - vehicle.now_s()) > 0.0:
+        heard += vehicle.poll(min(POLL_S, left_s))
+    return heard
+
+
+def of_messages(heard: Sequence[Heard], start_s: float, end_s: float) -> Readout:
+    """What can be told from what came by itself between two times."""
+    controllers = {
+        one.message.get_srcComponent(): one.message.system_status
+        for one in heard
+        if _is_controller(one.message)
+    }
+    reporting = [one for one in heard if _is_report(one.message)]
+    component = _coprocessor(controllers, {one.message.get_srcComponent() for one in reporting})
+    return Readout(
+        {},
+        coprocessor=component,
+        coprocessor_status=controllers.get(component) if component is not None else None,
+        reports=_reports(reporting, start_s, end_s),
+        applet_heard=any(_is_applet(one.message) for one in heard),
+    )
+
+
+def _coprocessor(controllers: Container[int], reporting: Iterable[int]) -> int | None:
+    """Which onboard controller is ours: the one that tells a range, else the usual id."""
+    candidates = [*reporting, COPROCESSOR]
+    return next((one for one in candidates if one in controllers), None)
+
+
+def _is_applet(message: Any) -> bool:
+    if message.get_type() != "NAMED_VALUE_FLOAT" or message.get_srcComponent() != AUTOPILOT:
+        return False
+    return bool(message.name == APPLET_STATE)
+
+
+def _is_controller(message: Any) -> bool:
+    """A heartbeat of the co-processor, whichever component id it has been given."""
+    if message.get_type() != "HEARTBEAT" or message.get_srcComponent() == AUTOPILOT:
+        return False
+    kind = mavlink.MAV_TYPE_ONBOARD_CONTROLLER
+    return bool(message.type == kind and message.autopilot == mavlink.MAV_AUTOPILOT_INVALID)
+
+
+def _is_report(message: Any) -> bool:
+    return bool(message.get_type() == "DISTANCE_SENSOR" and message.get_srcComponent() != AUTOPILOT)
+
+
+def _reports(heard: Sequence[Heard], start_s: float, end_s: float) -> Reports | None:
+    if not heard:
+        return None
+    times = [start_s, *(one.time_s for one in heard), end_s]
+    longest_s = max(after - before for before, after in pairwise(times))
+    newest = heard[-1].message
+    return Reports(len(heard), end_s - start_s, longest_s, newest.orientation, newest.id)
+
+
+def _is_ours(vehicle: Vehicle) -> bool | None:
+    """Compare the applet on the card with ours by its checksum."""
+    card = FtpClient(vehicle, give_up_s=FILE_TIMEOUT_S)
+    try:
+        found = card.checksum(CARD_APPLET)
+    except (FtpRefusedError, NoAnswerError):
+        return None
+    return None if found is None else found == ardupilot_crc32(applet_path().read_bytes())
+
+
+def _version(vehicle: Vehicle) -> tuple[int, int] | None:
+    wanted = mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION
+    message = _requested(vehicle, wanted, lambda m: True)
+    if message is None:
+        return None
+    return message.flight_sw_version >> 24 & 0xFF, message.flight_sw_version >> 16 & 0xFF
+
+
+def _takes_range(vehicle: Vehicle) -> bool:
+    """Whether the autopilot tells a forward range of its own: only then has it one."""
+    wanted = mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR
+    return _requested(vehicle, wanted, _is_forward_rangefinder) is not None
+
+
+def _is_forward_rangefinder(message: Any) -> bool:
+    return bool(message.orientation == _FORWARD and message.id < PROXIMITY_IDS_FROM)
+
+
+def _requested(vehicle: Vehicle, message_id: int, fits: Callable[[Any], bool]) -> Any | None:
+    """A message of the autopilot, asked for a few times; None where it does not come."""
+    ask = mavlink.MAVLink_command_long_message(
+        vehicle.system_id,
+        AUTOPILOT,
+        mavlink.MAV_CMD_REQUEST_MESSAGE,
+        0,
+        message_id,
+        *(0.0,) * 6,
+    )
+    for _ in range(3):
+        vehicle.send(ask)
+        found = vehicle.until(
+            lambda m: m.get_msgId() == message_id and m.get_srcComponent() == AUTOPILOT and fits(m),
+            1.0,
+        )
+        if found is not None:
+            return found
+    return None

@@ -1,0 +1,209 @@
+"""The autopilot's parameters that Echowing needs, what each has to be, and why: one table.
+
+`check` judges by it and `apply` writes by it. Fail-safes and fence are not in it, they are the
+pilot's (see `checks`).
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+from echowing.applet import applet_parameters
+from echowing.setup.readout import Readout
+
+# ---- what is expected, and where that stands ---------------------------------------------------
+
+MAVLINK2 = 2.0  # SERIALn_PROTOCOL
+# firmware/echowing/src/board/arduino_board.cpp, kBaud; ArduPilot takes 115 and 115200 for it.
+BAUD_115200 = (115.0, 115_200.0)
+NOT_FORWARDED = (
+    1024  # SERIALn_OPTIONS bit 10: MAVLink is not passed on between this port and others
+)
+RANGEFINDER_NONE, RANGEFINDER_MAVLINK = 0.0, 10.0  # RNGFNDn_TYPE
+FORWARD = 0.0  # RNGFNDn_ORIENT
+# The MaxSonar's span (its data sheet): below 0.2 m it reads 0.2, beyond 7.65 m nothing.
+RANGE_MIN_M, RANGE_MAX_M = 0.2, 7.65
+# PRXn_TYPE: one that takes DISTANCE_SENSOR for itself, and one that takes the rangefinders for
+# obstacles, the leader among them.
+PROXIMITY_MAVLINK, PROXIMITY_RANGEFINDER = 2.0, 4.0
+PROXIMITY_SENSORS = range(1, 6)
+SCRIPTS_NOT_LOADED = 2  # SCR_DIR_DISABLE bit 1: not from the card
+# lua/echowing.md, Figures: 69 KiB on a 64-bit computer, half as much again for other scripts.
+HEAP_LEAST_BYTES, HEAP_BYTES = 102_400.0, 204_800.0
+INSTRUCTIONS = 10_000.0  # SCR_VM_I_COUNT's default; an update takes a tenth of it
+RTL_SPEED_MPS = 5.0  # WP_SPD's half: what the applet's doc suggests
+GUIDED_BY_WAYPOINTS = 64  # GUID_OPTIONS bit 6
+GUIDED_TIMEOUT_S, LONGEST_GUIDED_TIMEOUT_S = 3.0, 5.0  # GUID_TIMEOUT: its default, its range's end
+TOLERANCE = 1e-4  # of what a 32-bit float makes of a decimal number
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """A parameter that has to be so.
+
+    fits: whether a value will do; mended: what to write instead of one that will not. optional:
+    a vehicle without this parameter lacks nothing. restart: it counts from the next start on.
+    spared: a value that is never overwritten, as something else of the pilot's hangs on it.
+    """
+
+    name: str
+    fits: Callable[[float], bool]
+    mended: Callable[[float], float]
+    why: str
+    optional: bool = False
+    restart: bool = False
+    spared: Callable[[float], bool] = lambda value: False
+
+
+def same(value: float, wanted: float) -> bool:
+    """Whether two parameter values are the same for a 32-bit float."""
+    return abs(value - wanted) <= TOLERANCE * max(1.0, abs(wanted))
+
+
+def settings_for(readout: Readout) -> list[Setting]:
+    """The settings of this vehicle: in its generation's names and units, for its wiring."""
+    settings = [*_scripting(), *_guided(), *_proximity(), *_rangefinder(readout), *_applet(readout)]
+    if readout.serial_port is not None:
+        settings = [*_serial(readout.serial_port), *settings]
+    return settings
+
+
+def _exactly(name: str, wanted: float, why: str, *, restart: bool = False) -> Setting:
+    return Setting(name, lambda v: same(v, wanted), lambda v: wanted, why, restart=restart)
+
+
+def _bit_off(name: str, bit: int, why: str, *, restart: bool = False) -> Setting:
+    return Setting(
+        name,
+        lambda v: not int(v) & bit,
+        lambda v: float(int(v) & ~bit),
+        why,
+        optional=True,
+        restart=restart,
+    )
+
+
+def _serial(port: int) -> Iterator[Setting]:
+    name = f"SERIAL{port}"
+    yield _exactly(f"{name}_PROTOCOL", MAVLINK2, "the co-processor speaks MAVLink 2", restart=True)
+    yield Setting(
+        f"{name}_BAUD",
+        lambda v: v in BAUD_115200,
+        lambda v: BAUD_115200[0],
+        "the co-processor speaks at 115200 baud",
+        restart=True,
+    )
+    yield _bit_off(
+        f"{name}_OPTIONS",
+        NOT_FORWARDED,
+        "the co-processor's messages have to be passed on to the ground",
+        restart=True,
+    )
+
+
+def _rangefinder(readout: Readout) -> Iterator[Setting]:
+    name = f"RNGFND{readout.rangefinder}"
+    yield Setting(
+        f"{name}_TYPE",
+        lambda v: v == RANGEFINDER_MAVLINK,
+        lambda v: RANGEFINDER_MAVLINK,
+        "the range comes by MAVLink (10)",
+        restart=True,
+        spared=lambda v: v not in (RANGEFINDER_NONE, RANGEFINDER_MAVLINK),
+    )
+    yield Setting(
+        f"{name}_ORIENT",
+        lambda v: v == FORWARD,
+        lambda v: FORWARD,
+        "the co-processor looks forward (0); a range of another orientation is ignored",
+    )
+    yield from _span(f"{name}_MIN", RANGE_MIN_M, readout, "the sonar's nearest range")
+    yield from _span(
+        f"{name}_MAX", RANGE_MAX_M, readout, "the sonar's farthest range; what lies beyond is none"
+    )
+    known = None if readout.reports is None else readout.reports.sensor_id
+    yield Setting(
+        f"{name}_ADDR",
+        lambda v: v in (0.0, known),
+        lambda v: 0.0,
+        "another value filters the range away, silently, from 4.8 on",
+        optional=True,
+    )
+
+
+def _span(name: str, wanted_m: float, readout: Readout, why: str) -> Iterator[Setting]:
+    """Up to 4.6 in centimetres under another name."""
+    if f"{name}_CM" in readout:
+        yield _exactly(f"{name}_CM", wanted_m * 100.0, why)
+    else:
+        yield _exactly(name, wanted_m, why)
+
+
+def _proximity() -> Iterator[Setting]:
+    for number in PROXIMITY_SENSORS:
+        yield Setting(
+            f"PRX{number}_TYPE",
+            lambda v: v not in (PROXIMITY_MAVLINK, PROXIMITY_RANGEFINDER),
+            lambda v: 0.0,
+            "this proximity sensor takes the forward range for itself, and the leader for an "
+            "obstacle to keep away from",
+            optional=True,
+            restart=True,
+        )
+
+
+def _scripting() -> Iterator[Setting]:
+    yield _exactly("SCR_ENABLE", 1.0, "the applet is a script", restart=True)
+    yield _bit_off(
+        "SCR_DIR_DISABLE", SCRIPTS_NOT_LOADED, "scripts on the card are not loaded", restart=True
+    )
+    yield Setting(
+        "SCR_HEAP_SIZE",
+        lambda v: v >= HEAP_LEAST_BYTES,
+        lambda v: HEAP_BYTES,
+        f"the applet needs up to {HEAP_LEAST_BYTES / 1024:.0f} KiB",
+        restart=True,
+    )
+    yield Setting(
+        "SCR_VM_I_COUNT",
+        lambda v: v >= INSTRUCTIONS,
+        lambda v: INSTRUCTIONS,
+        "with fewer instructions the applet may be ended in the middle of an update",
+    )
+
+
+def _guided() -> Iterator[Setting]:
+    yield _bit_off(
+        "GUID_OPTIONS",
+        GUIDED_BY_WAYPOINTS,
+        "waypoint navigation for guided points (bit 6) does not follow the applet's limit",
+    )
+    yield Setting(
+        "GUID_TIMEOUT",
+        lambda v: 0.0 < v <= LONGEST_GUIDED_TIMEOUT_S,
+        lambda v: GUIDED_TIMEOUT_S,
+        "a vehicle whose velocity commands end has to stop soon",
+        optional=True,
+    )
+    for name, units_per_mps in (("RTL_SPEED", 100.0), ("RTL_SPEED_MS", 1.0)):
+        yield Setting(
+            name,
+            lambda v: v > 0.0,
+            lambda v, units=units_per_mps: RTL_SPEED_MPS * units,  # type: ignore[misc]
+            "with 0 a return home flies at the speed parameter, which the applet lowers",
+            optional=True,
+        )
+
+
+def _applet(readout: Readout) -> Iterator[Setting]:
+    if "ECHO_ENABLE" not in readout:
+        return
+    yield _exactly("ECHO_ENABLE", 1.0, "the applet does nothing while it is 0")
+    for row in applet_parameters():
+        if row.name in ("ECHO_ENABLE", "ECHO_MIRROR"):
+            continue
+        yield Setting(
+            row.name,
+            lambda v, low=row.low, high=row.high: low - TOLERANCE <= v <= high + TOLERANCE,  # type: ignore[misc]
+            lambda v, default=row.default: default,  # type: ignore[misc]
+            f"the applet takes {row.low:g} to {row.high:g} only",
+        )
