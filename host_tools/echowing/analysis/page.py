@@ -31,7 +31,9 @@ nav a:hover { text-decoration: underline; }
   min-height: 372px; min-width: 0; }
 .plot.map { min-height: 522px; }
 table { border-collapse: collapse; font-size: 14px; font-variant-numeric: tabular-nums; }
-caption { text-align: left; font-weight: 600; padding-bottom: 6px; }
+caption { text-align: left; font-weight: 600; padding-bottom: 6px; white-space: nowrap; }
+.cards { display: flex; flex-wrap: wrap; gap: 16px; align-items: flex-start; margin-top: 16px; }
+.cards .card { margin-top: 0; max-width: 100%; }
 th, td { text-align: right; padding: 4px 12px; white-space: nowrap; }
 th { color: var(--quiet); font-weight: 600; border-bottom: 1px solid var(--rule); }
 th:first-child, td:first-child { text-align: left; padding-left: 0; }

@@ -291,6 +291,19 @@ def with_level(figure: Figure, level: float, label: str, colour: str) -> Figure:
     return figure
 
 
+def with_upright(figure: Figure, at: float, label: str, colour: str) -> Figure:
+    """A thin upright line across the plot, its label beside it."""
+    layout = figure["layout"]
+    line = {"type": "line", "yref": "paper", "x0": at, "x1": at, "y0": 0, "y1": 1}
+    line["line"] = {"color": colour, "width": 1.2, "dash": "dash"}
+    text = {"text": label, "x": at, "yref": "paper", "y": 0.03, "textangle": -90}
+    text |= {"xanchor": "right", "yanchor": "bottom", "showarrow": False}
+    text["font"] = {"size": 11, "color": colour}
+    layout["shapes"] = [*layout.get("shapes", []), line]
+    layout["annotations"] = [*layout.get("annotations", []), text]
+    return figure
+
+
 def plain(values: Floats, places: int = 2) -> list[float | None]:
     """Rounded plain numbers; None (JSON null, a gap) for what is not known."""
     rounded = np.round(np.asarray(values, dtype=float), places).tolist()

@@ -176,7 +176,10 @@ def perform(procedure: Procedure, args: Namespace) -> int:
     board = open_board(args.port, args.baud)
     bench = Bench(board, Operator(console, sys.stdin, yes=args.yes))
     try:
+        version = board.version()
+        firmware = f"{version.firmware} {version.git_hash}"
         result, code = run_to_result(procedure, bench)
+        result.facts = {**result.facts, "firmware": firmware}
     finally:
         bench.board.close()  # another one than before where it was unplugged
     document, shown = write_result(result, args.out)

@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from echowing.analysis import plots
 from echowing.analysis.tables import Grid, Row
 from echowing.rig.bench import Bench, add_bench_arguments, perform
-from echowing.rig.readings import named_value, percentile
+from echowing.rig.readings import average_m, named_value, percentile
 from echowing.rig.result import Check, Result
 
 EXAMPLES = """\
@@ -44,20 +44,28 @@ class Clocks:
 
     The firmware answers no TIMESYNC. Its NAMED_VALUE_FLOATs carry the time of their sending: of the
     one that came soonest after its stamp, all that is left is its own time on the wire. Times in
-    ms; wire_ms: what such a message takes on the serial line.
+    ms; wire_ms: what such a message takes on the serial line. Reports count while there is a
+    range: a sonar that hears nothing takes longer than a report's period, and a reading may wait.
     """
 
     wire_ms: float
     _sent: list[tuple[float, float]] = field(default_factory=list)
     _reports: list[tuple[float, float]] = field(default_factory=list)
+    _reading_ms: int | None = None
 
     def hear(self, message: Any) -> None:
         """Take any message of the board's."""
         arrival_ms = message._timestamp * 1000.0
         if named_value(message) is not None:
             self._sent.append((arrival_ms, message.time_boot_ms + HALF_STAMP_MS))
-        elif message.get_type() == "DISTANCE_SENSOR":
-            self._reports.append((arrival_ms, message.time_boot_ms + HALF_STAMP_MS))
+        elif message.get_type() == "DISTANCE_SENSOR" and average_m(message) is not None:
+            self._hear_report(arrival_ms, int(message.time_boot_ms))
+
+    def _hear_report(self, arrival_ms: float, reading_ms: int) -> None:
+        """The first report of a reading counts: between readings it is told again."""
+        if reading_ms != self._reading_ms:
+            self._reports.append((arrival_ms, reading_ms + HALF_STAMP_MS))
+        self._reading_ms = reading_ms
 
     @property
     def offset_ms(self) -> float | None:
@@ -87,9 +95,8 @@ class LatencyTest:
 
     def run(self, bench: Bench) -> None:
         """As `Procedure`."""
-        bench.operator.tell(
-            "Leave the board alone. Any target will do; without one it searches, and reports too."
-        )
+        bench.ask("Put a target one to four metres in front of it, and leave it alone.")
+        bench.centre()
         with bench.operator.progress("asking", self._commands) as show:
             for number in range(self._commands):
                 show(number, "")
@@ -166,7 +173,7 @@ class LatencyTest:
         """Nearly all of them within the board's limit and the host's share."""
         limit_ms = board_ms + self._host_ms
         most_ms = percentile(values_ms, SHARE)
-        found = f"{SHARE:.0%} within {most_ms:.1f} ms" if values_ms else "none came"
+        found = f"{SHARE:.0%} within {most_ms:.1f} ms" if values_ms else "none came of a target"
         asked = (
             f"under {limit_ms:g} ms: {board_ms:g} ms at the board's pins, "
             f"{self._host_ms:g} ms for the USB serial chip and this computer"
@@ -225,27 +232,13 @@ def histogram_figure(title: str, values: Sequence[float], limit_ms: float) -> pl
         "type": "histogram",
         "name": "",
         "x": [round(value, 2) for value in values],
-        "y": [],
         "nbinsx": 60,
         "marker": {"color": plots.FOLLOWER_COLOUR},
     }
     figure = plots.chart(title, "ms", "how many", [trace])
     figure["layout"]["xaxis"]["range"] = [0, 1.15 * max([limit_ms, *values])]
-    figure["layout"]["shapes"] = [
-        {
-            "type": "line",
-            "yref": "paper",
-            **{"x0": limit_ms, "x1": limit_ms, "y0": 0, "y1": 1},
-            "line": {"color": plots.GOOD_COLOUR, "width": 1.5, "dash": "dash"},
-            "label": {
-                "text": f"limit {limit_ms:g} ms",
-                "textposition": "end",
-                "textangle": -90,
-                "font": {"size": 11, "color": plots.GOOD_COLOUR},
-            },
-        }
-    ]
-    return figure
+    label = f"limit {limit_ms:g} ms"
+    return plots.with_upright(figure, limit_ms, label, plots.GOOD_COLOUR)
 
 
 def add_arguments(parser: ArgumentParser) -> None:

@@ -73,6 +73,7 @@ class BuiltInVehicle:
 
     name = "the built-in Lua host"
     STEP_S = 0.02  # as the simulator flies it: the applet runs every 50 ms
+    BEGIN_S = 0.4  # the applet is in control by then, and does not yet miss its sonar
 
     def __init__(self, system_id: int) -> None:
         from echowing.sim.autopilot import Autopilot  # noqa: PLC0415 (large)
@@ -88,7 +89,8 @@ class BuiltInVehicle:
         self._autopilot.load_script(lua_folder() / "echowing.lua")
         self._start_s: float | None = None
         self._steps = 0
-        self._step()  # the applet begins, and with it its parameters
+        while self._steps * self.STEP_S < self.BEGIN_S:
+            self._step()
         self._law = self.law()
 
     def law(self) -> Law:

@@ -312,8 +312,20 @@ def _figure_28() -> Grid:
 
 
 def _speed_figure(samples: Sequence[Sample]) -> plots.Figure:
-    kept = _changes([(s.t_s, s.speed_mps) for s in samples])
-    return _over_time("Speed commanded", "m/s", "speed", kept, plots.LEADER_COLOUR)
+    kept = _changes([(s.t_s, None if s.guarded else s.speed_mps) for s in samples])
+    figure = _over_time("Speed commanded", "m/s", "law", kept, plots.LEADER_COLOUR)
+    guarded = [s for s in samples if s.guarded]
+    if guarded:
+        trace = {
+            "type": "scatter",
+            "mode": "markers",
+            "name": "too-close guard",
+            "x": [round(s.t_s - samples[0].t_s, 2) for s in guarded],
+            "y": [s.speed_mps for s in guarded],
+            "marker": {"size": 4, "color": plots.QUIET_COLOUR},
+        }
+        figure["data"].append(trace)
+    return figure
 
 
 def _range_figure(judge: StepJudge) -> plots.Figure:

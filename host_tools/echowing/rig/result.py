@@ -84,13 +84,16 @@ class Result:
         """The page."""
         facts = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in self.facts.items())
         why = f'<p class="warning">{html.escape(self.incomplete)}</p>' if self.incomplete else ""
-        boxes = "".join(box(name) for name in self.figures)
+        boxes = "".join(box(name, _is_map(figure)) for name, figure in self.figures.items())
+        cards = "".join(
+            f'<div class="card">{table(grid)}</div>' for grid in (*self.grids, *self.page_grids)
+        )
         body = [
             f"<header><h1>{html.escape(self.title)}</h1>",
             f'<p class="facts">{html.escape(facts)}</p>{_badge(self.verdict)}{why}</header>',
             f'<h2>Checks</h2><div class="card">{_checks_table(self.checks)}</div>',
-            *(f'<div class="card">{table(grid)}</div>' for grid in (*self.grids, *self.page_grids)),
             f'<div class="plots" style="margin-top: 16px">{boxes}</div>' if boxes else "",
+            f'<div class="cards">{cards}</div>',
             "".join(f"<p>{html.escape(note)}</p>" for note in self.notes),
         ]
         return page(self.title, "\n".join(body), self.figures)
@@ -136,6 +139,11 @@ def _checks_table(checks: Sequence[Check]) -> str:
     )
     head = "".join(f'<th class="words">{text}</th>' for text in ("what", "found", "asked for"))
     return f"<table><tr><th></th>{head}</tr>{rows}</table>"
+
+
+def _is_map(figure: Figure) -> bool:
+    """Whether both axes have one scale: such a figure is taller."""
+    return "scaleanchor" in figure["layout"]["yaxis"]
 
 
 def _badge(verdict: str) -> str:

@@ -271,7 +271,10 @@ def coverage_figure(looked: Sequence[Aim], half_deg: float, gain_percent: float)
         "y": [aim.up_deg for aim in looked],
         "marker": {"symbol": "star", "size": 9, "color": "#253046"},
     }
-    title = f"Search, half-angle {half_deg:g}°: +{gain_percent:.0f} % (thesis: +43 %)"
+    title = (
+        f"Search, half-angle {half_deg:g}°: +{gain_percent:.0f} % "
+        f"(thesis: +{THESIS_GAIN_PERCENT:.0f} %)"
+    )
     figure = plots.chart(title, "right, degrees", "up, degrees", [stars])
     edges = [_circle(aim, half_deg, line="#c7741a", width=3) for aim in looked]
     insides = [_circle(aim, half_deg, fill="#fbd08a") for aim in looked]
@@ -281,6 +284,8 @@ def coverage_figure(looked: Sequence[Aim], half_deg: float, gain_percent: float)
     reach = half_deg + 16.0
     figure["layout"]["xaxis"]["range"] = figure["layout"]["yaxis"]["range"] = [-reach, reach]
     figure["layout"]["yaxis"].update(scaleanchor="x", scaleratio=1)
+    figure["layout"]["xaxis"]["constrain"] = "domain"
+    figure["layout"]["height"] = 520
     return figure
 
 
@@ -337,7 +342,11 @@ def _gain_figure(looked: Sequence[Aim], half_deg: float) -> plots.Figure:
         "xref": "paper",
         **{"x0": 0, "x1": 1, "y0": THESIS_GAIN_PERCENT, "y1": THESIS_GAIN_PERCENT},
         "line": {"color": plots.QUIET_COLOUR, "width": 1, "dash": "dash"},
-        "label": {"text": "thesis 43 %", "textposition": "end", "font": {"size": 11}},
+        "label": {
+            "text": f"thesis {THESIS_GAIN_PERCENT:.0f} %",
+            "textposition": "end",
+            "font": {"size": 11},
+        },
     }
     figure["layout"]["shapes"] = [thesis]
     figure["layout"]["yaxis"]["rangemode"] = "tozero"
