@@ -221,6 +221,16 @@ class TestRecording:
         assert board.state.parameters["TRACK_RANGE"] == 450.0
         assert board.state.version is not None
 
+    def test_a_recording_too_short_for_a_heartbeat(
+        self, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        path = tmp_path / "bench.ewr"
+        recorder = Recorder(path, {})
+        recorder.add(0.5, b"range")
+        recorder.close()
+        assert main(["rig", "replay", str(path), "--fast"]) == 2
+        assert "ends after 0.5 s, before a co-processor was heard" in capsys.readouterr().err
+
     def test_at_real_time_it_waits(self, tmp_path: Path) -> None:
         path = tmp_path / "bench.ewr"
         self.recorded(path)

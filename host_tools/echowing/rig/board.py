@@ -23,8 +23,8 @@ RIG_COMPONENT_ID = mavlink.MAV_COMP_ID_MISSIONPLANNER
 
 # Opening the port resets a mega; its bootloader waits a second or two before it starts the sketch.
 OPEN_TIMEOUT_S = 8.0
-# At a wrong baud rate bytes come at once, and never a frame; a heartbeat comes every second.
-NO_FRAME_S = 4.0
+# Once somebody talks there is no start to wait for: the board would beat every second.
+TALKING_S = 4.0
 ASK_PERIOD_S = 1.0
 ANSWER_TIMEOUT_S = 1.0
 TRIES = 3
@@ -297,8 +297,8 @@ class Board:
         """Whether the board has sent it, and nobody else on the wire."""
         return source_of(message) == (self.system_id, self.component_id)
 
-    def take(self, data: bytes) -> list[Any]:
-        """Bytes have come: understand them. Only for who reads the wire in our place."""
+    def _take(self, data: bytes) -> list[Any]:
+        """Bytes have come: understand them."""
         now_s = self._clock()
         messages = self.frames.parse(data, now_s)
         for message in messages:
@@ -319,7 +319,7 @@ class Board:
         data = self._wire.read(max(0.0, timeout_s))
         if data and self.tap is not None:
             self.tap(self._clock(), data)
-        messages = self.take(data)
+        messages = self._take(data)
         if messages:
             self._wire.understood()
         return messages
@@ -374,22 +374,16 @@ def await_board(wire: Wire, name: str, baud: int, clock: Clock) -> Board:
     start_s = ask_at_s = clock()
     deadline_s = start_s + OPEN_TIMEOUT_S
     heard: list[Any] = []
-    first_byte_s: float | None = None
+    talking = False
     while (now_s := clock()) < deadline_s:
-        board.poll(0.0)  # nobody has asked for these
-        data = wire.read(min(0.1, deadline_s - now_s))
-        messages = board.take(data)
-        if messages:
-            wire.understood()
+        messages = board.poll(min(0.1, deadline_s - now_s))
         heard += messages
         roster.note(messages)
         if found := roster.boards():
             board.recognise(found[0], heard)
             return board
-        if data and first_byte_s is None:
-            first_byte_s = now_s
-        if first_byte_s is not None and not board.frames.counts.frames:
-            deadline_s = min(deadline_s, first_byte_s + NO_FRAME_S)
+        if board.frames.counts.bytes and not talking:
+            talking, deadline_s = True, min(deadline_s, now_s + TALKING_S)
         if now_s >= ask_at_s:
             ask_at_s = now_s + ASK_PERIOD_S
             _ask_what_they_are(board, roster)

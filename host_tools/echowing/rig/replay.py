@@ -4,7 +4,8 @@ import argparse
 import time
 from pathlib import Path
 
-from echowing.rig.board import await_board
+from echowing.errors import EchowingError
+from echowing.rig.board import Board, await_board
 from echowing.rig.ports import USB_BAUD
 from echowing.rig.recording import RecordingEnd, ReplayWire, read_recording
 from echowing.rig.view import open_view
@@ -31,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
     recording = read_recording(args.file)
     wire = ReplayWire(recording, str(args.file), None if args.fast else time.sleep)
     baud = int(recording.about.get("baud", USB_BAUD))
-    board = await_board(wire, str(args.file), baud, wire.now_s)
+    board = _await_board(wire, args.file, baud)
     with stop_on_signals() as stop:
         try:
             watch(board, open_view(as_json=args.json), stop)
@@ -39,3 +40,12 @@ def run(args: argparse.Namespace) -> int:
             if not args.json:
                 print(end)
     return 0
+
+
+def _await_board(wire: ReplayWire, path: Path, baud: int) -> Board:
+    try:
+        return await_board(wire, str(path), baud, wire.now_s)
+    except RecordingEnd as end:
+        raise EchowingError(
+            f"{end}, before a co-processor was heard in it (it beats once a second)"
+        ) from end
