@@ -17,6 +17,7 @@ from echowing.feed_forward import (
     Keeper,
     backed_off,
     closing_distance_m,
+    moving_slot,
     no_further,
     retreat_m,
     sonar_range_m,
@@ -24,7 +25,7 @@ from echowing.feed_forward import (
 from echowing.follow import RAW_FRESH_S, USUAL_ROUND_TRIP_S, FollowerPlan, FollowSession
 from echowing.geo import GlobalPosition, displace, ned_between
 from echowing.guard import REFUSED_FOR_S, Limits
-from echowing.guidance import GuidanceSettings, Slot
+from echowing.guidance import GuidanceSettings, GuidedPoint, Slot
 from echowing.panel import state_of
 from echowing.paths import lua_folder
 from echowing.sim.flight import FormationFlight
@@ -115,6 +116,31 @@ def test_a_point_too_far_ahead_is_moved_straight_back_and_others_are_left() -> N
         (1.2, 1.0), abs=0.01
     )
     assert no_further(ahead, HERE, 0.0, 3.5) == ahead
+
+
+@pytest.mark.parametrize(
+    ("offset_m", "expected_m"),
+    [
+        ((-3.0, 0.0), (-2.0, 0.0)),  # 2 m/s over half a second
+        ((-1.5, 0.0), (-1.0, 0.0)),  # never nearer than 1 m
+        ((0.0, 3.0), (0.0, 3.0)),  # nor ahead
+    ],
+)
+def test_a_moving_slot_stays_behind_the_leader_and_clear_of_it(
+    offset_m: tuple[float, float], expected_m: tuple[float, float]
+) -> None:
+    slot = displace(HERE, (*offset_m, 0.0))
+    guided = GuidedPoint(slot, slot, HERE, 0.0, 0.0, velocity_mps=(2.0, 0.0), course_rad=0.0)
+    point, velocity_mps = moving_slot(guided, GuidanceSettings(), 0.5)
+    assert ned_between(HERE, point)[:2] == pytest.approx(expected_m, abs=0.01)
+    assert velocity_mps == (2.0, 0.0)
+
+
+def test_the_velocity_fades_as_the_leaders_report_grows_old() -> None:
+    for age_s, share in ((0.5, 1.0), (0.75, 0.5), (1.0, 0.0)):
+        guided = GuidedPoint(HERE, HERE, HERE, 0.0, age_s, velocity_mps=(2.0, -1.0))
+        _, velocity_mps = moving_slot(guided, GuidanceSettings(), 0.0)
+        assert velocity_mps == pytest.approx((2.0 * share, -1.0 * share))
 
 
 def distance_sensor(range_m: float, orientation: int = 0) -> Any:
@@ -306,7 +332,8 @@ def test_a_range_teaches_the_offset_only_where_single_readings_do_not_come() -> 
             if raw:
                 quiet = mavlink.MAVLink_named_value_float_message(0, b"SNR_RAW", 7.66)
                 there.tell(FOLLOWER, quiet)
-            there.tell(FOLLOWER, distance_sensor(1.8))
+            for _ in range(2):  # the autopilot's, and the co-processor's own that it forwards
+                there.tell(FOLLOWER, distance_sensor(1.8))
             session.tick(there.now_s)
         taught.append(session.followers[FOLLOWER].offset.north_m)
     assert RAW_FRESH_S > 0.1

@@ -227,6 +227,20 @@ def test_the_end_stops_the_climb_and_says_how_it_was_left() -> None:
     assert field.height_m(SECOND) == 0.0
 
 
+def test_the_end_after_take_offs_sees_that_all_stand() -> None:
+    field = Field()
+    field.arm(FIRST, SECOND)
+    field.until("follower 3: has taken off")
+    field.session.stop("the tool ends")
+    field.until("follower 2: stands")
+    field.until("follower 3: stands")
+    assert field.session.stopped(field.t_s)
+    for follower in field.session.followers.values():
+        text, well = left_as(field.session, follower, field.t_s)
+        assert well
+        assert text.startswith("stopped and stands, GUIDED")
+
+
 def test_the_end_on_the_ground_keeps_what_was_told_to_take_off_there() -> None:
     field = Field()
     field.arm(FIRST)
