@@ -17,6 +17,8 @@ from echowing.setup.settings import (
     BAUD_115200,
     FORWARD,
     MAVLINK2,
+    PROXIMITY_MAVLINK,
+    PROXIMITY_RANGEFINDER,
     PROXIMITY_SENSORS,
     Setting,
     settings_for,
@@ -382,9 +384,10 @@ def _choices(readout: Readout) -> Iterator[Finding]:
 
 
 def _avoidance(readout: Readout) -> Iterator[Finding]:
-    """A proximity sensor of another kind sees the leader too."""
+    """A proximity sensor of its own sees the leader too; those of our range are wrong anyway."""
     sensors = [f"PRX{n}_TYPE" for n in PROXIMITY_SENSORS]
-    present = [name for name in sensors if readout.parameters.get(name, 0.0) > 0.0]
+    harmless = (0.0, PROXIMITY_MAVLINK, PROXIMITY_RANGEFINDER)
+    present = [name for name in sensors if readout.parameters.get(name, 0.0) not in harmless]
     avoids = int(readout.parameters.get("AVOID_ENABLE", 0.0)) & 2
     plans = readout.parameters.get("OA_TYPE", 0.0) > 0.0
     if present and (avoids or plans):

@@ -1,0 +1,400 @@
+"""`echowing setup`: the judgements, each alone; writing and putting back; files of old values."""
+
+import json
+from collections.abc import Mapping
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from echowing.applet import applet_parameters
+from echowing.cli import main
+from echowing.errors import EchowingError
+from echowing.setup.apply import (
+    Change,
+    Saved,
+    changes_for,
+    default_file,
+    load,
+    save,
+    write_all,
+)
+from echowing.setup.checks import Finding, Verdict, examine, exit_code
+from echowing.setup.readout import Readout, Reports
+from echowing.setup.view import as_json, as_lines, differences
+from echowing.sim.parameters import Generation, Parameters
+
+NOW = datetime(2026, 11, 21, 9, 30)
+STEADY = Reports(count=60, heard_for_s=3.0, longest_gap_s=0.06, orientation=0, sensor_id=0)
+# What a pilot may have set, besides what Echowing needs.
+PILOTS = {"FS_GCS_ENABLE": 1.0, "BATT_FS_LOW_ACT": 2.0, "FENCE_ENABLE": 1.0}
+METRIC = {
+    "SERIAL2_BAUD": 115.0,
+    "RNGFND1_TYPE": 10.0,
+    "RNGFND1_ORIENT": 0.0,
+    "RNGFND1_MAX": 7.65,
+}
+CENTIMETRES = {
+    "SERIAL2_BAUD": 115.0,
+    "RNGFND1_TYPE": 10.0,
+    "RNGFND1_ORIENT": 0.0,
+    "RNGFND1_MAX_CM": 765.0,
+    "RTL_SPEED": 500.0,
+}
+NEEDED = {
+    Generation.V4_5: CENTIMETRES,
+    Generation.V4_6: CENTIMETRES,
+    Generation.V4_7: {**METRIC, "RTL_SPEED": 500.0},
+    Generation.V4_8: {**METRIC, "RTL_SPEED_MS": 5.0},
+}
+
+
+def factory(generation: Generation = Generation.V4_8) -> dict[str, float]:
+    return {name: value for name, value, _ in Parameters(generation, {})}
+
+
+def ready(generation: Generation = Generation.V4_8, **changes: Any) -> Readout:
+    """A vehicle with nothing wrong, but for the changes of its parameters or of the read-out."""
+    applet = {row.name: row.default for row in applet_parameters()} | {"ECHO_ENABLE": 1.0}
+    parameters = {**factory(generation), **NEEDED[generation], **applet, **PILOTS}
+    rest: dict[str, Any] = {
+        "serial_port": 2,
+        "coprocessor": 191,
+        "coprocessor_status": 4,
+        "coprocessor_parameters": {"TRACK_RANGE": 450.0},
+        "reports": STEADY,
+        "takes_range": True,
+        "applet_is_ours": True,
+    }
+    for key, value in changes.items():
+        if key[0].isupper():
+            parameters[key] = value
+        else:
+            rest[key] = value
+    known = {name: value for name, value in parameters.items() if value is not None}
+    return Readout(known, **rest)
+
+
+def odd_ones(readout: Readout) -> dict[str, Finding]:
+    return {one.about: one for one in examine(readout) if one.verdict is not Verdict.FINE}
+
+
+# ---- judgements -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("generation", list(Generation))
+def test_a_ready_vehicle_has_nothing_wrong_in_any_generation(generation: Generation) -> None:
+    assert odd_ones(ready(generation)) == {}
+    assert exit_code(examine(ready(generation))) == 0
+
+
+@pytest.mark.parametrize("generation", list(Generation))
+def test_the_factory_needs_just_what_the_docs_say(generation: Generation) -> None:
+    readout = Readout(factory(generation), serial_port=2)
+    assert {one.name: one.new for one in changes_for(readout)} == NEEDED[generation]
+
+
+WRONG = [
+    # what is changed, where it shows, what mends it
+    ({"SERIAL2_PROTOCOL": 1.0}, "SERIAL2_PROTOCOL", "param set SERIAL2_PROTOCOL 2"),
+    ({"SERIAL2_PROTOCOL": -1.0}, "SERIAL2_PROTOCOL", "restart"),
+    ({"SERIAL2_BAUD": 57.0}, "SERIAL2_BAUD", "param set SERIAL2_BAUD 115"),
+    ({"SERIAL2_OPTIONS": 1025.0}, "SERIAL2_OPTIONS", "param set SERIAL2_OPTIONS 1;"),
+    ({"RNGFND1_TYPE": 0.0}, "RNGFND1_TYPE", "param set RNGFND1_TYPE 10"),
+    ({"RNGFND1_TYPE": 8.0}, "RNGFND1_TYPE", "--rangefinder 2"),
+    ({"RNGFND1_ORIENT": 25.0}, "RNGFND1_ORIENT", "param set RNGFND1_ORIENT 0"),
+    ({"RNGFND1_MIN": 0.5}, "RNGFND1_MIN", "param set RNGFND1_MIN 0.2"),
+    ({"RNGFND1_MAX": 7.0}, "RNGFND1_MAX", "param set RNGFND1_MAX 7.65"),
+    ({"RNGFND1_ADDR": 3.0}, "RNGFND1_ADDR", "param set RNGFND1_ADDR 0"),
+    ({"PRX1_TYPE": 2.0}, "PRX1_TYPE", "param set PRX1_TYPE 0"),
+    ({"PRX3_TYPE": 4.0}, "PRX3_TYPE", "param set PRX3_TYPE 0"),
+    ({"SCR_ENABLE": 0.0}, "SCR_ENABLE", "param set SCR_ENABLE 1"),
+    ({"SCR_DIR_DISABLE": 2.0}, "SCR_DIR_DISABLE", "param set SCR_DIR_DISABLE 0"),
+    ({"SCR_HEAP_SIZE": 44_032.0}, "SCR_HEAP_SIZE", "204800"),  # an F4 board's default
+    ({"SCR_VM_I_COUNT": 1_000.0}, "SCR_VM_I_COUNT", "10000"),
+    ({"GUID_OPTIONS": 65.0}, "GUID_OPTIONS", "param set GUID_OPTIONS 1;"),
+    ({"GUID_TIMEOUT": 60.0}, "GUID_TIMEOUT", "param set GUID_TIMEOUT 3"),
+    ({"RTL_SPEED_MS": 0.0}, "RTL_SPEED_MS", "param set RTL_SPEED_MS 5"),
+    ({"ECHO_ENABLE": 0.0}, "ECHO_ENABLE", "param set ECHO_ENABLE 1"),
+    ({"ECHO_DIST": 0.5}, "ECHO_DIST", "param set ECHO_DIST 3"),
+    ({"ECHO_SPD_MIN": 0.1}, "ECHO_SPD_MIN", "param set ECHO_SPD_MIN 0.2"),
+    ({"ECHO_ENABLE": None}, "applet", "echowing setup lua"),
+    ({"applet_is_ours": False}, "applet on the card", "echowing setup lua"),
+    ({"ECHO_MIRROR": 10.0, "WP_SPD": 0.2}, "WP_SPD", "restart the autopilot or its scripts"),
+    ({"coprocessor": None, "reports": None}, "co-processor", "look at the wires"),
+    ({"coprocessor_status": 5}, "co-processor", "SONAR_ADDR"),
+    ({"reports": None}, "DISTANCE_SENSOR", "LED"),
+    ({"reports": Reports(6, 3.0, 0.3, 0, 0)}, "DISTANCE_SENSOR", "REPORT_RATE"),
+    ({"reports": Reports(50, 3.0, 0.6, 0, 0)}, "DISTANCE_SENSOR", "REPORT_RATE"),
+    ({"reports": Reports(60, 3.0, 0.06, 25, 0)}, "DISTANCE_SENSOR", "another device"),
+    ({"takes_range": False}, "range in the autopilot", "RNGFND1_"),
+]
+
+
+@pytest.mark.parametrize(("changes", "about", "mend"), WRONG)
+def test_one_thing_wrong_is_one_line_that_mends_it(
+    changes: dict[str, Any], about: str, mend: str
+) -> None:
+    odd = odd_ones(ready(**changes))
+    assert list(odd) == [about]
+    assert odd[about].verdict is Verdict.WRONG
+    assert mend in odd[about].mend
+    assert odd[about].why
+    assert exit_code(examine(ready(**changes))) == 1
+
+
+YOURS = [
+    ({"FS_GCS_ENABLE": 0.0}, "FS_GCS_ENABLE"),
+    ({"MAV_GCS_SYSID": 245.0}, "MAV_GCS_SYSID"),
+    ({"FS_THR_ENABLE": 0.0}, "FS_THR_ENABLE"),
+    ({"FS_OPTIONS": 20.0}, "FS_OPTIONS"),
+    ({"BATT_FS_LOW_ACT": 0.0}, "BATT_FS_LOW_ACT"),
+    ({"FENCE_ENABLE": 0.0}, "FENCE_ENABLE"),
+    ({"PRX1_TYPE": 5.0}, "AVOID_ENABLE"),
+    ({"PRX1_TYPE": 5.0, "AVOID_ENABLE": 1.0, "OA_TYPE": 1.0}, "OA_TYPE"),
+    ({"ECHO_STREAM_T": 0.0}, "ECHO_STREAM_T"),
+    ({"ECHO_ARM_CHK": 0.0}, "ECHO_ARM_CHK"),
+    ({"WP_SPD": 0.5}, "WP_SPD"),
+    ({"ECHO_DETECT": 4.0}, "TRACK_RANGE"),
+]
+
+
+@pytest.mark.parametrize(("changes", "about"), YOURS)
+def test_the_pilots_own_is_reported_and_never_written(changes: dict[str, Any], about: str) -> None:
+    readout = ready(**changes)
+    odd = odd_ones(readout)
+    assert list(odd) == [about]
+    assert odd[about].verdict is Verdict.YOURS
+    assert exit_code(examine(readout)) == 0
+    assert changes_for(readout) == []
+    assert any("stays, it is yours" in line for line in differences(readout, []))
+
+
+def test_what_does_well_enough_is_let_be() -> None:
+    fine = ready(
+        SERIAL2_BAUD=115_200.0,
+        RNGFND1_ADDR=9.0,
+        reports=Reports(60, 3.0, 0.06, 0, 9),
+        PRX1_TYPE=5.0,  # a lidar of its own, with avoidance off
+        AVOID_ENABLE=1.0,
+        SCR_HEAP_SIZE=307_200.0,
+        GUID_OPTIONS=9.0,
+        RTL_SPEED_MS=3.0,
+    )
+    assert odd_ones(fine) == {}
+    assert changes_for(fine) == []
+
+
+def test_the_applet_in_control_keeps_the_pilots_speed_in_its_mirror() -> None:
+    flying = ready(WP_SPD=1.2, ECHO_MIRROR=10.0, armed=True, in_guided=True, applet_heard=True)
+    assert odd_ones(flying) == {}
+    dead = ready(armed=True, in_guided=True)
+    assert odd_ones(dead)["applet"].found == "silent in Guided"
+    switched_off = ready(armed=True, in_guided=True, ECHO_SWITCH=300.0)
+    assert odd_ones(switched_off) == {}
+
+
+def test_what_cannot_be_told_is_neither_fine_nor_wrong() -> None:
+    readout = ready(SCR_HEAP_SIZE=None)
+    assert odd_ones(readout)["SCR_HEAP_SIZE"].verdict is Verdict.UNKNOWN
+    assert exit_code(examine(readout)) == 2
+    no_copter = ready(WP_SPD=None)
+    assert "neither WP_SPD nor WPNAV_SPEED" in odd_ones(no_copter)["speed parameter"].found
+    both = ready(SCR_HEAP_SIZE=None, RTL_SPEED_MS=0.0)
+    assert exit_code(examine(both)) == 1
+
+
+def test_without_a_port_named_the_ports_are_left_alone_and_listed() -> None:
+    readout = ready(serial_port=None, SERIAL2_BAUD=57.0, SERIAL4_PROTOCOL=2.0, SERIAL4_BAUD=115.0)
+    assert odd_ones(readout) == {}
+    unheard = ready(
+        serial_port=None, coprocessor=None, reports=None, SERIAL4_PROTOCOL=2.0, SERIAL4_BAUD=115.0
+    )
+    # SERIAL0 is USB; 2 and 4 are MAVLink at 115200 baud.
+    assert "is now on: SERIAL2, SERIAL4" in odd_ones(unheard)["co-processor"].mend
+
+
+def test_a_second_rangefinder_may_be_ours() -> None:
+    second: dict[str, Any] = {
+        "RNGFND2_TYPE": 10.0,
+        "RNGFND2_ORIENT": 0.0,
+        "RNGFND2_MIN": 0.2,
+        "RNGFND2_MAX": 7.65,
+    }
+    assert odd_ones(ready(rangefinder=2, RNGFND1_TYPE=8.0, **second)) == {}
+    readout = ready(rangefinder=2, RNGFND1_TYPE=8.0, **{**second, "RNGFND2_TYPE": 0.0})
+    assert [one.name for one in changes_for(readout)] == ["RNGFND2_TYPE"]
+
+
+def test_a_sensor_of_the_pilots_is_never_overwritten() -> None:
+    readout = ready(RNGFND1_TYPE=8.0)
+    assert changes_for(readout) == []
+    told = "\n".join(differences(readout, []))
+    assert "another sensor is set up there, left alone" in told
+
+
+def test_the_applets_ranges_are_read_out_of_the_applet() -> None:
+    rows = {row.name: row for row in applet_parameters()}
+    assert len(rows) == 27  # lua/echowing.md, Parameters
+    assert (rows["ECHO_DIST"].default, rows["ECHO_DIST"].low, rows["ECHO_DIST"].high) == (3, 1.5, 6)
+    assert rows["ECHO_SPD_MIN"].low == 0.2  # there it is a named constant
+
+
+# ---- what is printed --------------------------------------------------------------------------
+
+
+def test_lines_say_why_and_what_to_type_and_fold_what_is_dull() -> None:
+    readout = ready(RTL_SPEED_MS=0.0, version=(4, 8))
+    lines = list(as_lines(2, readout, examine(readout)))
+    assert lines[0] == "vehicle 2, ArduCopter 4.8, disarmed"
+    at = next(i for i, line in enumerate(lines) if line.startswith("WRONG"))
+    assert lines[at].split() == ["WRONG", "RTL_SPEED_MS", "0"]
+    assert "flies at the speed parameter" in lines[at + 1]
+    assert "param set RTL_SPEED_MS 5" in lines[at + 2]
+    assert not any("ECHO_TAU" in line for line in lines)
+    assert any("26 parameters within their ranges" in line for line in lines)
+    assert lines[-1].startswith("1 wrong, ")
+
+
+def test_json_holds_every_finding() -> None:
+    readout = ready(RTL_SPEED_MS=0.0)
+    told = json.loads(json.dumps(as_json(2, readout, examine(readout))))
+    assert (told["system_id"], told["result"], told["version"]) == (2, "wrong", None)
+    verdicts = {one["about"]: one["verdict"] for one in told["findings"]}
+    assert verdicts["RTL_SPEED_MS"] == "wrong"
+    assert verdicts["ECHO_TAU"] == "fine"
+
+
+# ---- writing, and the file of old values ------------------------------------------------------
+
+
+class Store:
+    """Parameters that take what they are given, a rounded or a refused value if told so."""
+
+    def __init__(self, values: Mapping[str, float], dies_after: int = 99) -> None:
+        self.values = dict(values)
+        self.stubborn: set[str] = set()
+        self._left = dies_after
+
+    def write(self, name: str, value: float) -> float:
+        if self._left == 0:
+            raise EchowingError("vehicle 2 is silent")
+        self._left -= 1
+        if name not in self.stubborn:
+            self.values[name] = value
+        return self.values[name]
+
+
+CHANGES = [Change("A", 1.0, 2.0), Change("B", 0.1, 0.2), Change("C", 5.0, 6.0)]
+
+
+def silent(name: str) -> None:
+    assert name
+
+
+def test_the_file_is_whole_before_the_first_write(tmp_path: Path) -> None:
+    path = tmp_path / "old.json"
+    save(path, 2, CHANGES, NOW)
+    assert load(path) == Saved(2, {"A": 1.0, "B": 0.1, "C": 5.0})
+    assert [one.name for one in tmp_path.iterdir()] == ["old.json"]
+
+
+@pytest.mark.parametrize("dies_after", [0, 1, 2])
+def test_cut_in_the_middle_everything_can_be_put_back(tmp_path: Path, dies_after: int) -> None:
+    before = {change.name: change.old for change in CHANGES}
+    store = Store(before, dies_after)
+    path = tmp_path / "old.json"
+    save(path, 2, CHANGES, NOW)
+    with pytest.raises(EchowingError, match="silent"):
+        write_all([(c.name, c.new) for c in CHANGES], store.write, silent)
+    assert sum(store.values[c.name] != c.old for c in CHANGES) == dies_after
+    back = Store(store.values)
+    assert not write_all(list(load(path).parameters.items()), back.write, silent).refused
+    assert back.values == before
+
+
+def test_a_value_that_is_not_taken_is_told() -> None:
+    store = Store({"A": 1.0, "B": 0.1, "C": 5.0})
+    store.stubborn = {"B"}
+    outcome = write_all([(c.name, c.new) for c in CHANGES], store.write, silent)
+    assert outcome.written == ["A", "C"]
+    assert outcome.refused == {"B": 0.1}
+
+
+def test_an_older_file_is_never_overwritten(tmp_path: Path) -> None:
+    path = tmp_path / "old.json"
+    save(path, 2, CHANGES, NOW)
+    with pytest.raises(EchowingError, match="is there already, and holds older values"):
+        save(path, 2, CHANGES[:1], NOW)
+    assert len(load(path).parameters) == 3
+    with pytest.raises(EchowingError, match="nothing was changed"):
+        save(tmp_path / "missing" / "old.json", 2, CHANGES, NOW)
+
+
+def test_the_files_name_says_whose_and_when() -> None:
+    assert default_file(7, NOW) == Path("echowing-7-20261121-093000.params.json")
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        ("no json", "not a file of saved parameters"),
+        ("[1]", "not a file of `echowing setup apply`"),
+        ('{"format": "other"}', "not a file of `echowing setup apply`"),
+        ('{"format": "echowing parameters 1", "system_id": 2}', "a parameter that is no number"),
+        (
+            '{"format": "echowing parameters 1", "system_id": 2, "parameters": {"A": "x"}}',
+            "a parameter that is no number",
+        ),
+    ],
+)
+def test_a_file_that_is_none_is_refused(tmp_path: Path, content: str, reason: str) -> None:
+    path = tmp_path / "file"
+    path.write_text(content)
+    with pytest.raises(EchowingError, match=reason):
+        load(path)
+
+
+# ---- the command line, where no vehicle is needed ---------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (["check", "--vehicle", "tcp:nowhere"], "the port is a number"),
+        (["check", "--vehicle", "udpin:14550@300"], "after @ comes a system id"),
+        (["restore", "missing.json", "--vehicle", "tcp:127.0.0.1:1"], "No such file"),
+        (["lua", "--mount", "missing"], "no such folder"),
+        (["lua", "--connect", "nonsense"], "no such kind"),
+    ],
+)
+def test_bad_input_is_one_clear_line(
+    arguments: list[str], reason: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["setup", *arguments]) == 2
+    told = capsys.readouterr().err
+    assert reason in told
+    assert "Traceback" not in told
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["check"],
+        ["check", "--vehicle", "tcp:127.0.0.1:1", "--serial", "12"],
+        ["lua"],
+        ["lua", "--mount", ".", "--connect", "tcp:127.0.0.1:1"],
+    ],
+)
+def test_missing_and_contradicting_options_are_refused(arguments: list[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["setup", *arguments])
+    assert ended.value.code == 2
+
+
+@pytest.mark.parametrize("part", ["check", "apply", "restore", "lua"])
+def test_every_help_has_an_example(part: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["setup", part, "--help"])
+    assert f"  echowing setup {part} " in capsys.readouterr().out

@@ -1,0 +1,302 @@
+"""`echowing setup` against a simulated vehicle in this process: a parked follower, as from the
+factory, at the other end of a link that may lose messages. Time is simulated.
+"""
+
+import random
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from echowing.applet import applet_parameters, applet_path, install_over_link
+from echowing.errors import EchowingError
+from echowing.follow import TOOL_COMPONENT_ID, TOOL_SYSTEM_ID
+from echowing.seats import Say
+from echowing.setup import vehicle as vehicle_module
+from echowing.setup.apply import changes_for, write_all
+from echowing.setup.checks import Verdict, examine, exit_code
+from echowing.setup.ftp import FtpClient
+from echowing.setup.reading import names_to_read, of_messages, read_out, read_parameters
+from echowing.setup.vehicle import AUTOPILOT, SILENCE_S, Heard, Vehicle
+from echowing.sim.ground import TELEMETRY
+from echowing.sim.parameters import Generation
+from echowing.sim.parked import ParkedHangar, ParkedWorld, insert_cards
+from echowing.sim.scenario import load_scenario
+
+FOLLOWER = 2
+
+MakeDesk = Callable[..., "Desk"]
+
+
+class Desk:
+    """A parked world, its first follower, and the link to it, in simulated time."""
+
+    def __init__(self, generation: Generation, card: Path, parameters: str = "{}") -> None:
+        changes = [
+            f'follower.generation="{generation.value}"',
+            f"follower.parameters={parameters}",
+        ]
+        scenario = load_scenario("echowing", changes)
+        self.world = ParkedWorld(scenario, ParkedHangar(scenario, seed=1))
+        insert_cards(self.world.followers, card)
+        self.card = card / str(FOLLOWER)
+        self.autopilot = self.world.followers[0].autopilot
+        self.autopilot.add_link(TELEMETRY)
+        self.link = SimpleNamespace(name="the desk")
+        self.lose: Callable[[], bool] = lambda: False
+        self.dead = False
+        self.t_s = 0.0
+        self._coming: list[Any] = []
+        self._ours = mavlink.MAVLink(None, srcSystem=TOOL_SYSTEM_ID, srcComponent=TOOL_COMPONENT_ID)
+        self._theirs = mavlink.MAVLink(None)
+        self.vehicle = Vehicle(self, FOLLOWER, clock=lambda: self.t_s, say=print)  # type: ignore[arg-type]
+
+    def send(self, message: Any, now_s: float) -> bytes:
+        frame = bytes(message.pack(self._ours))
+        self._ours.seq = (self._ours.seq + 1) % 256
+        if not self.dead and not self.lose():
+            self.autopilot.receive(TELEMETRY, frame)
+        return frame
+
+    def receive(self, now_s: float, say: Say) -> list[Any]:
+        coming, self._coming = self._coming, []
+        return coming
+
+    def wait(self, links: list[Any], timeout_s: float) -> None:
+        """Let the world go on until something has come, or for so long."""
+        until_s = self.t_s + timeout_s
+        while not self._coming and self.t_s < until_s:
+            self.world.step()
+            self.t_s = self.world.t_s
+            messages = self._theirs.parse_buffer(self.autopilot.transmit(TELEMETRY)) or []
+            self._coming = [one for one in messages if not self.dead and not self.lose()]
+
+    def restart(self) -> None:
+        """By command, and on to the first heartbeats."""
+        reboot = mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN
+        assert self.vehicle.command(reboot, 1) == mavlink.MAV_RESULT_ACCEPTED
+        until_s = self.t_s + 2.0
+        while self.t_s < until_s:
+            self.vehicle.poll()
+
+
+@pytest.fixture
+def make_desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> MakeDesk:
+    def make(generation: Generation = Generation.V4_8, parameters: str = "{}") -> Desk:
+        desk = Desk(generation, tmp_path / "cards", parameters)
+        monkeypatch.setattr(vehicle_module, "wait", desk.wait)
+        desk.vehicle.until_state_known()
+        return desk
+
+    return make
+
+
+def no_bar(title: str) -> Callable[[int, int], None]:
+    return lambda done, total: None
+
+
+def wrong(desk: Desk) -> list[str]:
+    findings = examine(read_out(desk.vehicle, serial_port=2))
+    return [one.about for one in findings if one.verdict is Verdict.WRONG]
+
+
+NEW_VEHICLE = {
+    "co-processor",
+    "applet",
+    "SERIAL2_BAUD",
+    "RNGFND1_TYPE",
+    "RNGFND1_ORIENT",
+}
+OLD_NAMES = NEW_VEHICLE | {"RNGFND1_MAX_CM", "RTL_SPEED"}
+EXPECTED = {
+    Generation.V4_5: OLD_NAMES,
+    Generation.V4_6: OLD_NAMES,
+    Generation.V4_7: NEW_VEHICLE | {"RNGFND1_MAX", "RTL_SPEED"},
+    Generation.V4_8: NEW_VEHICLE | {"RNGFND1_MAX", "RTL_SPEED_MS"},
+}
+
+
+@pytest.mark.parametrize("generation", list(Generation))
+def test_a_vehicle_from_the_factory_is_made_ready(
+    make_desk: MakeDesk, generation: Generation
+) -> None:
+    desk = make_desk(generation)
+    assert set(wrong(desk)) == EXPECTED[generation]
+
+    assert install_over_link(FtpClient(desk.vehicle), no_bar)
+    restart_scripts = mavlink.MAV_CMD_SCRIPTING, mavlink.SCRIPTING_CMD_STOP_AND_RESTART
+    assert desk.vehicle.command_int(*restart_scripts) == mavlink.MAV_RESULT_ACCEPTED
+
+    readout = read_out(desk.vehicle, serial_port=2)
+    before = dict(desk.autopilot.parameters.saved)
+    changes = changes_for(readout)
+    outcome = write_all([(c.name, c.new) for c in changes], desk.vehicle.write, print)
+    assert not outcome.refused
+    assert set(desk.autopilot.parameters.saved) - set(before) == {c.name for c in changes}
+    # The serial port takes its settings at the next start.
+    assert "co-processor" in wrong(desk)
+
+    desk.restart()
+    ready = read_out(desk.vehicle, serial_port=2)
+    assert wrong(desk) == []
+    assert exit_code(examine(ready)) == 0
+    assert ready.version == tuple(int(number) for number in generation.value.split("."))
+    assert ready.applet_is_ours is True
+    assert ready.takes_range is True
+    assert ready.reports is not None
+    assert ready.reports.rate_hz == pytest.approx(20.0, abs=1.0)  # REPORT_RATE
+    assert ready.coprocessor_parameters == {"TRACK_RANGE": 450.0}
+
+
+def test_the_applets_own_table_is_what_the_vehicle_tells(make_desk: MakeDesk) -> None:
+    desk = make_desk()
+    install_over_link(FtpClient(desk.vehicle), no_bar)
+    desk.restart()
+    told = desk.vehicle.read([row.name for row in applet_parameters()])
+    assert told == pytest.approx({row.name: row.default for row in applet_parameters()}, rel=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_parameters_are_read_whole_over_a_link_that_loses_a_fifth(
+    make_desk: MakeDesk, seed: int
+) -> None:
+    desk = make_desk()
+    whole = read_parameters(desk.vehicle, 2)
+    chance = random.Random(seed)
+    desk.lose = lambda: chance.random() < 0.2
+    assert read_parameters(desk.vehicle, 2) == whole
+
+
+def test_a_parameter_that_does_not_exist_is_not_told_and_the_rest_is(
+    make_desk: MakeDesk,
+) -> None:
+    desk = make_desk()
+    began_s = desk.t_s
+    told = desk.vehicle.read(["NO_SUCH_ONE", "SCR_ENABLE", ("WPNAV_SPEED", "WP_SPD")])
+    assert told == {"SCR_ENABLE": 1.0, "WP_SPD": 10.0}
+    assert desk.t_s - began_s < 5.0
+    with pytest.raises(EchowingError, match="does not confirm NO_SUCH_ONE"):
+        desk.vehicle.write("NO_SUCH_ONE", 1.0)
+
+
+def test_a_vehicle_lost_in_the_middle_ends_the_check(make_desk: MakeDesk) -> None:
+    desk = make_desk()
+    until_s = desk.t_s + 1.0
+
+    def cut() -> bool:
+        desk.dead = desk.dead or desk.t_s > until_s
+        return False
+
+    desk.lose = cut
+    with pytest.raises(EchowingError, match="vehicle 2 on the desk is silent"):
+        read_out(desk.vehicle, serial_port=2)
+    assert desk.t_s < until_s + SILENCE_S + 2.0
+
+
+def test_an_armed_vehicle_is_refused_and_left_as_it_is(make_desk: MakeDesk) -> None:
+    desk = make_desk()
+    saved = dict(desk.autopilot.parameters.saved)
+    assert desk.autopilot.modes.arm(force=True)
+    assert desk.vehicle.until(lambda m: m.get_type() == "HEARTBEAT" and m.base_mode & 128, 3.0)
+    with pytest.raises(EchowingError, match="is armed: parameters are written only while"):
+        desk.vehicle.refuse_armed("parameters are written")
+    assert desk.autopilot.parameters.saved == saved
+
+
+def test_values_are_what_they_were_after_all_is_put_back(make_desk: MakeDesk) -> None:
+    desk = make_desk(Generation.V4_6)
+    before = read_parameters(desk.vehicle, 2)
+    readout = read_out(desk.vehicle, serial_port=2)
+    changes = changes_for(readout)
+    write_all([(c.name, c.new) for c in changes], desk.vehicle.write, print)
+    assert read_parameters(desk.vehicle, 2) != before
+    write_all([(c.name, c.old) for c in changes], desk.vehicle.write, print)
+    assert read_parameters(desk.vehicle, 2) == before
+
+
+def test_another_applet_on_the_card_is_told_apart(make_desk: MakeDesk) -> None:
+    desk = make_desk()
+    scripts = desk.card / "APM" / "scripts"
+    scripts.mkdir()
+    (scripts / "echowing.lua").write_bytes(applet_path().read_bytes() + b"-- mine\n")
+    desk.restart()
+    assert "applet on the card" in wrong(desk)
+
+
+def test_an_autopilot_without_mavftp_is_checked_all_the_same(
+    make_desk: MakeDesk,
+) -> None:
+    desk = make_desk(parameters="{BRD_OPTIONS=8}")
+    readout = read_out(desk.vehicle, serial_port=2)
+    assert readout.applet_is_ours is None
+    with pytest.raises(EchowingError, match="has no MAVFTP"):
+        install_over_link(FtpClient(desk.vehicle), no_bar)
+
+
+def test_scripts_run_only_as_the_card_and_the_parameters_have_it(
+    make_desk: MakeDesk,
+) -> None:
+    desk = make_desk(parameters="{SCR_DIR_DISABLE=2}")
+    install_over_link(FtpClient(desk.vehicle), no_bar)
+    desk.restart()
+    assert desk.vehicle.read(["ECHO_ENABLE"]) == {}
+    desk.vehicle.write("SCR_DIR_DISABLE", 0.0)
+    desk.restart()
+    assert desk.vehicle.read(["ECHO_ENABLE"]) == {"ECHO_ENABLE": 0.0}
+
+
+def test_both_names_of_a_parameter_are_asked_for() -> None:
+    names = names_to_read(None, 1)
+    assert ("RNGFND1_MIN", "RNGFND1_MIN_CM") in names
+    assert ("WP_SPD", "WPNAV_SPEED") in names
+    assert "SERIAL9_BAUD" in names
+    assert "RNGFND3_TYPE" in names_to_read(2, 3)
+
+
+# ---- who is who among what is heard -----------------------------------------------------------
+
+
+def heard(message: Any, component: int, time_s: float = 0.0) -> Heard:
+    sender = mavlink.MAVLink(None, srcSystem=FOLLOWER, srcComponent=component)
+    parsed = mavlink.MAVLink(None).parse_buffer(message.pack(sender))
+    assert parsed is not None
+    return Heard(time_s, parsed[0])
+
+
+def controller(component: int, status: int = 4) -> Heard:
+    beat = mavlink.MAVLink_heartbeat_message(18, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, status, 3)
+    return heard(beat, component)
+
+
+def report(component: int, time_s: float, orientation: int = 0) -> Heard:
+    message = mavlink.MAVLink_distance_sensor_message(0, 20, 765, 300, 1, 5, orientation, 255)
+    return heard(message, component, time_s)
+
+
+def test_the_controller_that_tells_a_range_is_the_co_processor() -> None:
+    companion, ours = controller(191), controller(192, status=5)
+    readout = of_messages([companion, ours, report(192, 1.0)], 0.0, 3.0)
+    assert (readout.coprocessor, readout.coprocessor_status) == (192, 5)
+    assert readout.reports is not None
+    assert readout.reports.sensor_id == 5
+    alone = of_messages([companion], 0.0, 3.0)
+    assert (alone.coprocessor, alone.reports) == (191, None)
+    other = of_messages([controller(100)], 0.0, 3.0)
+    assert other.coprocessor is None
+
+
+def test_the_autopilots_own_range_is_not_the_co_processors() -> None:
+    assert of_messages([report(AUTOPILOT, 1.0)], 0.0, 3.0).reports is None
+
+
+def test_silence_at_either_end_is_a_gap_too() -> None:
+    late = of_messages([report(191, 2.0 + i / 20) for i in range(20)], 0.0, 3.0).reports
+    early = of_messages([report(191, i / 20) for i in range(20)], 0.0, 3.0).reports
+    assert late is not None
+    assert early is not None
+    assert late.longest_gap_s == pytest.approx(2.0)
+    assert early.longest_gap_s == pytest.approx(3.0 - 19 / 20)
+    assert late.rate_hz == pytest.approx(20 / 3.0)
