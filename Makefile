@@ -5,7 +5,7 @@
 BIN := .venv/bin
 export PATH := $(CURDIR)/$(BIN):$(PATH)
 
-.PHONY: help demo test bench fuzz lint format setup setup-test core clean
+.PHONY: help demo test bench monitor fuzz lint format setup setup-test core clean
 
 help: ## list the targets
 	@grep -hE '^[a-z0-9-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z0-9-]+):.*## /\1\t/' | expand -t 16
@@ -18,6 +18,9 @@ test: setup-test core emulated lint ## every check and every test
 
 bench: setup-test core emulated ## speeds and sizes, as a table
 	@$(BIN)/echowing bench
+
+monitor: setup ## watch the co-processor live: PORT=/dev/ttyACM0
+	@$(BIN)/echowing rig $(if $(PORT),--port $(PORT)) watch
 
 fuzz: setup-test ## fuzz the firmware's byte entry and its memory: SECONDS=600
 	$(BIN)/python tests/firmware/fuzz/run.py $(or $(SECONDS),600)

@@ -1,9 +1,12 @@
 """The live view: the figure 8, the picture, plain lines and JSON lines."""
 
+import io
 import json
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from rich.console import Console
 from rich.text import Text
 
@@ -14,9 +17,17 @@ from echowing.rig.view import JsonView, LiveView, PlainView, bar, picture, snaps
 from echowing.rig.watch import watch
 
 if TYPE_CHECKING:
-    from tests.host_tools.rig_desk import CoreWire, ScriptedWire, Speaker, report, text, value
+    from tests.host_tools.rig_desk import (
+        CoreWire,
+        ScriptedWire,
+        Speaker,
+        device_heartbeat,
+        report,
+        text,
+        value,
+    )
 else:
-    from rig_desk import CoreWire, ScriptedWire, Speaker, report, text, value
+    from rig_desk import CoreWire, ScriptedWire, Speaker, device_heartbeat, report, text, value
 
 
 class TestFigure:
@@ -42,8 +53,8 @@ class TestFigure:
         assert rows[0].split() == ["4", "3", "2"]
 
     def test_the_present_point_is_lit(self) -> None:
-        assert lit(draw({}, 1380, 1400)) == ["6·12"]
-        assert lit(draw({}, 1330, 1500)) == ["2"]
+        assert lit(draw({}, 1380, 1400)) == ["[6·12]"]
+        assert lit(draw({}, 1330, 1500)) == ["[2]"]
         assert lit(draw({})) == []
 
     def test_between_the_points_it_is_a_plus(self) -> None:
@@ -94,7 +105,7 @@ class TestBar:
 
 
 def shown(board: Board, *texts: Text) -> str:
-    console = Console(width=100, record=True, file=open("/dev/null", "w"))  # noqa: PTH123, SIM115
+    console = Console(width=100, record=True, file=io.StringIO())
     console.print(picture(board, 12.0, list(texts)))
     return console.export_text()
 
@@ -215,3 +226,32 @@ class TestWatch:
 
     def test_snapshot_before_anything_is_known(self) -> None:
         assert snapshot(scripted())["points"] is None
+
+
+def test_the_users_page_shows_the_picture_as_it_is() -> None:
+    board = a_while_of(report(298), value("SNR_RAW", 3.01))
+    told = [Text("    4.2 s  Echowing: parameters stored")]
+    page = (Path(__file__).parents[2] / "host_tools" / "RIG.md").read_text(encoding="utf-8")
+    assert shown(board, *told) in page, shown(board, *told)
+
+
+def a_while_of(*messages: Any) -> Board:
+    """A tracking board that has said these twenty times a second for twelve seconds."""
+    speaker = Speaker()
+    pulses = value("SNR_PAN", 1330.0), value("SNR_TILT", 1500.0), value("SNR_STATE", 2.0)
+    script = [(0.0, speaker.say(version(), text("Echowing: started"), *pulses))]
+    for tick in range(240):
+        beat = [device_heartbeat()] if tick % 20 == 0 else []
+        script.append((tick * 0.05, speaker.say(*beat, *messages)))
+    wire = ScriptedWire(*script)
+    board = Board(wire, (1, 191), name="/dev/ttyACM0", clock=wire.clock)
+    while wire.t_s < 11.95:
+        board.poll(0.05)
+    return board
+
+
+def version() -> Any:
+    blank = bytes(8)
+    return mavlink.MAVLink_autopilot_version_message(
+        0, 0x000100FF, 0, 0, 0, b"1e8003ee", blank, blank, 0, 0, 0
+    )

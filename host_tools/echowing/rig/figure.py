@@ -36,9 +36,10 @@ def points_at(parameters: Mapping[str, float], pan_us: float, tilt_us: float) ->
 def draw(
     parameters: Mapping[str, float], pan_us: float | None = None, tilt_us: float | None = None
 ) -> Text:
-    """The search as seen from behind the gimbal: each point by its numbers, the present one lit.
+    """The search as seen from behind the gimbal: each point by its numbers.
 
-    Between the points the gimbal is a plus, at the edge where it looks beyond the search.
+    The present one is lit, and in brackets. Between the points the gimbal is a plus, at the edge
+    where it looks beyond the search.
     """
     values = completed(parameters)
     pulses = scan_pulses_us(values)
@@ -50,7 +51,7 @@ def draw(
         here = points_at(values, pan_us, tilt_us)
         aim = _aims(values, [(pan_us, tilt_us)])[0]
         if here:
-            grid.put("·".join(map(str, here)), aim, _HERE)
+            grid.put(f"[{'·'.join(map(str, here))}]", aim, _HERE)
         else:
             grid.put("+", aim, _ELSEWHERE)
     return grid.text()
