@@ -267,7 +267,8 @@ class FollowerState:
 
     held_at, held_altitude_m, hold_reason: where, how high above its home and why it was stopped;
     in_guided: flies in Guided; flown: it was put in the air, or a point has gone to it, by us since
-    it was put in Guided. With feed-forward, feed_mps: the velocity to go with the point (north,
+    it was put in Guided; position_at_s: when it was there, as far as TIMESYNC tells, else when the
+    report came. With feed-forward, feed_mps: the velocity to go with the point (north,
     east), None: none; remark: what is done other than that.
     """
 
@@ -471,9 +472,10 @@ class FollowSession:
         self._remark(follower, None, now_s)
         point, follower.feed_mps = moving_slot(guided, self.settings, way_s / 2.0)
         # Everything as it will be when the point arrives.
-        moved = (*(speed_mps * way_s for speed_mps in follower.velocity_mps), 0.0)
+        north_mps, east_mps = follower.velocity_mps
+        arrived = displace(here, (north_mps * way_s, east_mps * way_s, 0.0))
         most_m = keeper.range_m(now_s + way_s, closing_mps) - wanted_m + SLACK_M
-        return no_further(point, displace(here, moved), heading_rad, most_m)
+        return no_further(point, arrived, heading_rad, most_m)
 
     def _free_place(self, follower: FollowerState, place: GlobalPosition) -> GlobalPosition | None:
         """A place to back off to; where it is, if another vehicle is there."""
@@ -612,11 +614,13 @@ class FollowSession:
         if kind == "GLOBAL_POSITION_INT":
             if is_late(message.time_boot_ms, follower.newest_boot_ms):
                 return
+            if message.time_boot_ms < follower.newest_boot_ms:
+                follower.clock.restarted()
             follower.newest_boot_ms = message.time_boot_ms
             follower.position = GlobalPosition(
                 message.lat / 1e7, message.lon / 1e7, message.alt / 1e3
             )
-            follower.position_at_s = now_s
+            follower.position_at_s = follower.clock.to_ours(message.time_boot_ms / 1e3, now_s)
             follower.altitude_m = message.relative_alt / 1e3
             follower.velocity_mps = message.vx / 100.0, message.vy / 100.0
             follower.ground_speed_mps = math.hypot(message.vx, message.vy) / 100.0
@@ -629,7 +633,12 @@ class FollowSession:
             self._distance(follower, sonar_range_m(message), now_s)
         elif kind == "HEARTBEAT" and message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1:
             self._mode(follower, message, now_s)
-        elif kind == "COMMAND_ACK" and self.take_offs is not None:
+        elif kind == "COMMAND_ACK":
+            self._acknowledged(follower, message, now_s)
+
+    def _acknowledged(self, follower: FollowerState, message: Any, now_s: float) -> None:
+        ours = message.target_system in (0, TOOL_SYSTEM_ID)
+        if self.take_offs is not None and ours:
             self.take_offs.acknowledged(follower, message, now_s)
 
     def _distance(self, follower: FollowerState, range_m: float | None, now_s: float) -> None:

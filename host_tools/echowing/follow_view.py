@@ -133,7 +133,7 @@ def table(rows: Sequence[Row]) -> Table:
     for head in ("separation\nm", "error\nm", "sonar\nm"):
         shown.add_column(head, justify="right")
     shown.add_column("gimbal")
-    for head in ("heard\ns ago", "speed\nm/s", "limit\nm/s", "height\nm", "link\n%"):
+    for head in ("age\ns", "speed\nm/s", "limit\nm/s", "height\nm", "link\n%"):
         shown.add_column(head, justify="right")
     for row in rows:
         shown.add_row(

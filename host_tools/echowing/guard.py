@@ -35,11 +35,13 @@ CHANNELS = 18  # of RC_CHANNELS
 # A hovering copter's estimate wanders by a decimetre a second; below this it stands.
 STILL_MPS = 0.3
 STILL_FOR_S = 1.0
-# Positions are asked for at 10 Hz; an older speed says nothing of a stop.
-FRESH_S = 0.5
+# Positions are asked for at 10 Hz and slow radios take half a second; an older speed says nothing
+# of a stop.
+FRESH_S = 1.0
 # From 2 m/s a copter stands within 3 s; one that still moves then is told of.
 REMIND_S = 3.0
-# Two missed reports of a second each, and the mode is no longer known.
+# Two missed heartbeats of a second each, and the mode is no longer known; a radio that holds
+# reports back for so long is as good as silent.
 UNHEARD_S = 2.0
 # A stop ends only when things are this much better than what caused it.
 CLEAR_M = 0.5

@@ -38,7 +38,8 @@ class Row:
 
     separation_m, error_m: from the leader by their receivers, heights included, and less the
     wanted radius, where there is one; slot_error_m: horizontally from the slot; leader_age_s:
-    of the leader's report in use; age_s: of the follower's; command_mps: the applet's limit.
+    of the leader's report in use; age_s: of the follower's, both by their time stamps;
+    command_mps: the applet's limit.
     """
 
     time_s: float

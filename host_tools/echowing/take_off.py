@@ -27,8 +27,8 @@ LEAVES_GROUND_S = 10.0
 # Within this of the wanted altitude the climb is over (barometers wander).
 ARRIVED_M = 0.5
 RISEN_M = 0.5
-# Positions are asked for at 10 Hz; without them for so long nobody sees what climbs.
-STALE_S = 1.0
+# Positions are asked for at 10 Hz; where none is younger than this nobody sees what climbs.
+STALE_S = 1.5
 NEXT_SHARE = 0.8  # of the altitude, for `next_at_m`, where nothing else is asked for
 
 

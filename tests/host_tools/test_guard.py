@@ -61,6 +61,7 @@ class Field:
     speed_mps: dict[int, float] = field(default_factory=dict)
     height_m: float = 10.0
     climb_mps: float = 0.0
+    late_s: float = 0.0
     home_m: dict[int, float] = field(default_factory=dict)
     silent: set[int] = field(default_factory=set)
     now_s: float = 0.0
@@ -95,8 +96,9 @@ class Field:
 
     def position(self, system_id: int) -> Any:
         at = displace(HERE, (self.north_m[system_id], 0.0, 0.0))
+        late_s = self.late_s if system_id == FOLLOWER else 0.0
         return mavlink.MAVLink_global_position_int_message(
-            round(self.now_s * 1e3),
+            round((self.now_s - late_s) * 1e3),
             round(at.lat_deg * 1e7),
             round(at.lon_deg * 1e7),
             round((self.home_m.get(system_id, 250.0) + self.height_m) * 1e3),
@@ -336,6 +338,32 @@ def test_an_unheard_follower_is_sent_nothing() -> None:
     assert there.events()[-1] == "follower 2: not heard for 2 s, no points sent"
     there.silent = set()
     assert len(there.points(1.0)) == 8
+
+
+def test_a_radio_that_holds_reports_back_is_as_good_as_silent() -> None:
+    there = Field(Limits(), now_s=20.0)
+    there.fly(1.0)
+    # Its clock is ours, as a quick answer shows; from now on what comes is 3 s old.
+    there.tell(FOLLOWER, mavlink.MAVLink_timesync_message(round(21e9), round(21e9)))
+    there.fly(1.0)
+    assert there.state == "following"
+    there.late_s = 3.0
+    there.fly(3.5)
+    assert there.state == "no points sent"
+    assert there.events()[-1] == "follower 2: not heard for 2 s, no points sent"
+    there.late_s = 0.0
+    there.fly(1.0)
+    assert there.state == "following"
+
+
+def test_a_follower_that_reboots_is_taken_on_its_new_clock() -> None:
+    there = Field(Limits(), now_s=20.0)
+    there.fly(1.0)
+    there.tell(FOLLOWER, mavlink.MAVLink_timesync_message(round(21e9), round(21e9)))
+    there.fly(1.0)
+    there.late_s = 20.0  # its time stamps begin anew
+    there.fly(1.0)
+    assert there.state == "following"
 
 
 def test_the_stop_switch_stops_and_hands_back() -> None:

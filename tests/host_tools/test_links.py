@@ -279,6 +279,7 @@ def test_a_link_with_a_key_believes_only_what_is_signed_and_says_so_once(
             (told,) = link.news
             assert "not signed with the key" in told
             link.news.clear()
+    assert link.news == []
     sender.sendto(signed_frame(KEY, time.time()), ("127.0.0.1", port))
     assert received(link)[0].get_signed()
     link.close()
