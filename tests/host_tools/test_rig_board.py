@@ -152,6 +152,20 @@ class TestParameters:
         assert board.wait_stored()
         assert wire.t_s == before_s
 
+    def test_a_change_while_an_earlier_one_is_stored_waits_for_its_own(
+        self, wire: CoreWire
+    ) -> None:
+        board = wire.open()
+        board.set_parameter("TRACK_RANGE", 400)
+        writing_s = wire.t_s + 2.02  # bytes are burnt from 2.0 s on
+        while wire.t_s < writing_s:
+            board.poll(writing_s - wire.t_s)
+        assert "Echowing: parameters stored" not in [text for _, _, text in board.texts]
+        board.set_parameter("MISS_LIMIT", 3)
+        set_at_s = wire.t_s
+        assert board.wait_stored()
+        assert wire.t_s - set_at_s >= 1.9
+
     def test_armed_it_is_not_stored_until_disarmed(self, wire: CoreWire) -> None:
         wire.armed = True
         board = wire.open()

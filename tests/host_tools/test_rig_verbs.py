@@ -6,11 +6,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from rich.console import Console
 
 from echowing.cli import main
 from echowing.errors import EchowingError
-from echowing.rig import BOARD_VERBS, params, self_test
+from echowing.rig import BOARD_VERBS, aim, params, self_test
 from echowing.rig.board import Board, await_board
 from echowing.rig.parameter_file import read_parameters, write_parameters
 from echowing.rig.record import record
@@ -20,9 +21,9 @@ from echowing.rig.view import JsonView
 from echowing.rig.watch import watch
 
 if TYPE_CHECKING:
-    from tests.host_tools.rig_desk import CoreWire
+    from tests.host_tools.rig_desk import CoreWire, Speaker
 else:
-    from rig_desk import CoreWire
+    from rig_desk import CoreWire, Speaker
 
 
 @pytest.fixture
@@ -107,6 +108,29 @@ class TestLoad:
         with pytest.raises(EchowingError, match="others are set, but SCAN_DWELL = 20 is refused"):
             params.load(wire.open(), wanted, "f")
         assert wire.core.parameter("TRACK_RANGE") == 400.0
+
+
+class TestAim:
+    def test_is_believed_when_the_board_tells_it(self, wire: CoreWire) -> None:
+        board = wire.open()
+        board.aim(1500, 1300)
+        aim.await_aim(board, 1500, 1300)
+        assert (board.state.pan_us, board.state.tilt_us) == (1500.0, 1300.0)
+
+    def test_a_gimbal_that_somebody_else_moves(self, wire: CoreWire) -> None:
+        board = wire.open()
+        board.aim(1500, 1300)
+        wire.write(Speaker(245, 190).say(set_servo(1, 1600)))
+        while board.state.pan_us != 1600.0:
+            board.poll(0.1)
+        with pytest.raises(EchowingError, match=r"points to 1600\.0, 1300\.0 us instead"):
+            aim.await_aim(board, 1500, 1300)
+
+
+def set_servo(servo: int, pulse_us: float) -> Any:
+    return mavlink.MAVLink_command_long_message(
+        1, 191, mavlink.MAV_CMD_DO_SET_SERVO, 0, servo, pulse_us, 0, 0, 0, 0, 0
+    )
 
 
 class TestSelfTest:

@@ -28,7 +28,7 @@ def run(args: argparse.Namespace) -> int:
     """Aim, and see that the board says so."""
     with open_board(args.port, args.baud) as board:
         board.aim(args.pan_us, args.tilt_us)
-        _await(board, args.pan_us, args.tilt_us)
+        await_aim(board, args.pan_us, args.tilt_us)
     if args.json:
         print_json({"pan_us": args.pan_us, "tilt_us": args.tilt_us})
     else:
@@ -39,8 +39,8 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _await(board: Board, pan_us: float, tilt_us: float) -> None:
-    """Wait until the board tells that it points there."""
+def await_aim(board: Board, pan_us: float, tilt_us: float) -> None:
+    """Wait until the board tells that it points there. Raises CommandError when it does not."""
     deadline_s = board.now_s() + TOLD_TIMEOUT_S
     while (board.state.pan_us, board.state.tilt_us) != (pan_us, tilt_us):
         if board.now_s() > deadline_s:
