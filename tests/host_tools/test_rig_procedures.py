@@ -357,7 +357,7 @@ def test_a_point_that_heard_something_has_no_dwell() -> None:
 
 def test_a_gimbal_that_stands_still_fails() -> None:
     result = done(scan_test(), FakeBoard(searching([(1380.0, 1400.0)])))
-    assert check(result, "search").found == "the gimbal did not move"
+    assert "did not move" in check(result, "search").found
 
 
 def test_visits_may_begin_anywhere_in_the_round() -> None:

@@ -35,6 +35,9 @@ class LawVehicle(Protocol):
     def in_control(self) -> bool:
         """Whether the applet sets the speed now."""
 
+    def idle(self) -> None:
+        """Nothing is measured yet: forget what it says."""
+
     def hear(self, message: Any) -> None:
         """A message of the board's, as it came."""
 
@@ -100,6 +103,9 @@ class BuiltInVehicle:
     def in_control(self) -> bool:
         """As `LawVehicle`: it begins armed."""
         return True
+
+    def idle(self) -> None:
+        """As `LawVehicle`: its time stands still."""
 
     def hear(self, message: Any) -> None:
         """As `LawVehicle`."""
@@ -200,6 +206,10 @@ class AutopilotVehicle:
     def in_control(self) -> bool:
         """As `LawVehicle`."""
         return bool(self._values.get("ECHO_STATE"))
+
+    def idle(self) -> None:
+        """As `LawVehicle`."""
+        self.advance(self._clock())
 
     def hear(self, message: Any) -> None:
         """As `LawVehicle`: it has its own wire to the board."""

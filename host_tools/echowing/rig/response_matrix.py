@@ -99,6 +99,7 @@ class ResponseMatrix:
         self._hold_s = hold_s
         self._hand_armed = hand_armed
         self._vehicle: LawVehicle | None = None
+        self._running = False
         self._name = ""
         self._bench: Bench | None = None
         self._gimbal = GimbalWatch()
@@ -110,7 +111,7 @@ class ResponseMatrix:
     def run(self, bench: Bench) -> None:
         """As `Procedure`."""
         self._bench = bench
-        vehicle = self._make_vehicle(bench)
+        vehicle = self._vehicle = self._make_vehicle(bench)
         try:
             self._name = vehicle.name
             law = vehicle.law()
@@ -120,7 +121,6 @@ class ResponseMatrix:
             for band, distance_m in holds(law):
                 self._hold(bench, vehicle, band, distance_m)
         finally:
-            self._vehicle = None
             vehicle.close()
 
     def _hold(self, bench: Bench, vehicle: LawVehicle, band: str, distance_m: float | None) -> None:
@@ -128,8 +128,8 @@ class ResponseMatrix:
         if distance_m is not None:
             where = f"{band}: hold the target at {distance_m:.2f} m."
         bench.ask(where, self._hear)
-        if self._vehicle is None:
-            self._vehicle = vehicle
+        if not self._running:
+            self._running = True
             self._await_control(bench, vehicle)
         hold = Hold(band)
         self.holds.append(hold)
@@ -161,6 +161,9 @@ class ResponseMatrix:
             self._average_m = average_m(message)
         vehicle, judge, bench = self._vehicle, self.judge, self._bench
         if vehicle is None or judge is None or bench is None:
+            return
+        if not self._running:
+            vehicle.idle()
             return
         for sample in vehicle.advance(bench.clock()):
             judge.hear(self._in_range(judge.law, sample))

@@ -27,6 +27,7 @@ LATEST_MS = 100.0
 # turn later. Over rounds that averages out, to this.
 STAMP_MS = 70.0
 MEAN_STAMP_MS = 5.0
+LONGEST_STAND = 6  # dwells; then something is heard that it stays with
 CURVE_STEP_DEG = 0.5  # good enough for a line
 HALF_ANGLES_DEG = tuple(range(10, 46, 5))
 
@@ -135,10 +136,14 @@ class ScanTest:
         self.visits.visits.clear()
         bench.search()
         wanted = 12 * self._rounds + 1
-        most_s = 2.0 * wanted * parameters["SCAN_DWELL"] / 1000.0
-        for message in bench.listen(f"searching, {self._rounds} rounds", most_s):
+        dwell_s = parameters["SCAN_DWELL"] / 1000.0
+        begun_s = bench.clock()
+        # A disturbed point takes longer.
+        for message in bench.listen(f"searching, {self._rounds} rounds", 1.25 * wanted * dwell_s):
             self.visits.hear(message)
-            if len(self.visits.visits) > wanted:
+            visits = len(self.visits.visits)
+            stands = not visits and bench.clock() - begun_s > LONGEST_STAND * dwell_s
+            if stands or visits > wanted:
                 break
 
     @property
@@ -207,7 +212,8 @@ class ScanTest:
 
 
 def _no_search() -> Check:
-    return Check("search", "the gimbal did not move", "twelve points in turn", passed=False)
+    found = "the gimbal did not move: is something within TRACK_RANGE?"
+    return Check("search", found, "twelve points in turn", passed=False)
 
 
 def _points_check(points: Sequence[Seen]) -> Check:

@@ -1,0 +1,348 @@
+"""The bench's procedures as they are run: their own process, the board's binary on a pty.
+
+The operator is played here: each prompt says where the target has to be; it is put there, and
+answered. Deadlines are generous, nothing waits a fixed time.
+"""
+
+import contextlib
+import csv
+import json
+import re
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import common as mavlink
+
+from echowing.paths import lua_folder
+from echowing.rig.board import Board, open_board
+from echowing.sim.autopilot import Autopilot
+from echowing.sim.copter import Copter
+from echowing.sim.serve import Server
+
+PATIENCE_S = 90.0
+# The sonar's face is 0.1 m ahead of the follower's centre, the leader's legs 0.1 m nearer than its
+# own: told at 3.2 m, it is heard at 3.0 m (sim/sonar.py).
+NEARER_M = 0.2
+AWAY_M = 50.0
+# A busy machine holds bytes back far longer than a USB chip does.
+SLOW_HOST = ("--host-ms", "500")
+
+
+def start(*arguments: str | Path) -> "subprocess.Popen[str]":
+    return subprocess.Popen(
+        [sys.executable, "-m", "echowing", *map(str, arguments)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        bufsize=1,
+    )
+
+
+class Emulator:
+    """The board's binary, its USB port on a terminal, its target where it is put."""
+
+    def __init__(self, *options: str) -> None:
+        self.process = start("emulator", "--usb", "pty", *options)
+        self.link = self._told(r"autopilot port: (?:tcp )?(\S+)")
+        self.port = self._told(r"USB port: (/dev/\S+)")
+        udp = self._told(r"udp 127\.0\.0\.1:(\d+)") if "--target" in options else None
+        self._target = int(udp) if udp else None
+        threading.Thread(target=self._drain, daemon=True).start()
+
+    def _told(self, pattern: str) -> str:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            if found := re.search(pattern, line):
+                return found[1]
+        raise AssertionError(f"the emulator never said {pattern!r}")
+
+    def _drain(self) -> None:
+        assert self.process.stdout is not None
+        for _ in self.process.stdout:
+            pass
+
+    def put_target(self, distance_m: float) -> None:
+        """In front of the sonar, so far from its face."""
+        assert self._target is not None
+        place = {"forward_m": distance_m + NEARER_M, "right_m": 0.0, "down_m": 0.0}
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            sender.sendto(json.dumps(place).encode(), ("127.0.0.1", self._target))
+
+    def stop(self) -> None:
+        self.process.kill()
+        self.process.wait(timeout=PATIENCE_S)
+
+
+class Rig:
+    """A procedure that has ended: what it said, its exit code, its result."""
+
+    def __init__(self, code: int, said: str, out: Path, verb: str) -> None:
+        assert "Traceback" not in said
+        self.code, self.said = code, said
+        self.result: dict[str, Any] = json.loads((out / f"{verb}.json").read_text())
+        page = (out / f"{verb}.html").read_text()
+        assert self.result["verdict"] in page
+
+    def check(self, what: str) -> str:
+        found = next(check for check in self.result["checks"] if check["what"] == what)
+        return str(found["verdict"])
+
+
+def rig(
+    out: Path,
+    port: str,
+    verb: str,
+    *options: str,
+    place: Callable[[float], None] | None = None,
+    watch: Callable[[str, "subprocess.Popen[str]"], None] = lambda line, process: None,
+) -> Rig:
+    """Run a procedure; `place` puts the target where each prompt wants it. Without: --yes."""
+    answers = () if place else ("--yes",)
+    process = start("rig", "--port", port, verb, "--out", out, *options, *answers)
+    assert process.stdin is not None
+    assert process.stdout is not None
+    said = []
+    for line in process.stdout:
+        said.append(line)
+        watch(line, process)
+        if place and "press Enter" in line:
+            wanted = re.search(r"at (\d+\.\d+) m", line)
+            place(float(wanted[1]) if wanted else AWAY_M)
+            process.stdin.write("\n")
+    return Rig(process.wait(timeout=PATIENCE_S), "".join(said), out, verb)
+
+
+@pytest.fixture(scope="module")
+def movable() -> Iterator[Emulator]:
+    """A board whose target is moved."""
+    emulator = Emulator("--target", "udp:0")
+    yield emulator
+    emulator.stop()
+
+
+@pytest.fixture(scope="module")
+def fixed() -> Iterator[Emulator]:
+    """A board that always hears something at 3 m."""
+    emulator = Emulator("--range-cm", "300")
+    yield emulator
+    emulator.stop()
+
+
+@contextlib.contextmanager
+def listening(emulator: Emulator) -> Iterator[Board]:
+    board = open_board(emulator.port, 115_200)
+    yield board
+    board.close()
+
+
+# ---- range test ---------------------------------------------------------------------------------
+
+
+def test_range_test_finds_where_the_target_is_lost(movable: Emulator, tmp_path: Path) -> None:
+    options = ("--distances", "1,3.3,5.5", "--seconds", "1.5")
+    done = rig(tmp_path, movable.port, "range-test", *options, place=movable.put_target)
+    assert (done.code, done.result["verdict"]) == (0, "PASS")
+    # The foil of Table 5 is heard to 4.6 m: at 3.3 m surely, at 5.5 m never.
+    assert done.result["measured"]["maximum_effective_range_m"] == 3.3
+    near, _, far = done.result["measured"]["points"]
+    assert near["mean_m"] == pytest.approx(1.0, abs=0.02)  # noise of 1 cm, whole centimetres down
+    assert far["detection_rate"] < 0.1  # one in a hundred is wild
+    assert "range-test: PASS" in done.said
+
+
+def test_range_test_fails_with_the_target_elsewhere(fixed: Emulator, tmp_path: Path) -> None:
+    options = ("--distances", "2", "--need", "2", "--seconds", "1")
+    done = rig(tmp_path, fixed.port, "range-test", *options)
+    assert (done.code, done.result["verdict"]) == (1, "FAIL")
+    assert done.result["measured"]["points"][0]["elsewhere_rate"] == 1.0
+
+
+def test_interrupted_range_test_keeps_its_points_and_frees_the_gimbal(
+    movable: Emulator, tmp_path: Path
+) -> None:
+    def stop_at_the_second(line: str, process: "subprocess.Popen[str]") -> None:
+        if "measuring at 2.00" in line:
+            process.send_signal(signal.SIGINT)
+
+    done = rig(
+        tmp_path,
+        movable.port,
+        "range-test",
+        *("--distances", "1,2,3", "--seconds", "1"),
+        place=movable.put_target,
+        watch=stop_at_the_second,
+    )
+    assert (done.code, done.result["verdict"]) == (130, "INCOMPLETE")
+    assert done.result["incomplete"] == "interrupted"
+    first = done.result["measured"]["points"][0]
+    assert (first["distance_m"], first["detection_rate"]) == (1.0, pytest.approx(1.0, abs=0.1))
+    movable.put_target(AWAY_M)
+    with listening(movable) as board:  # no autopilot beside it: left to itself it searches
+        pulses = {
+            message.value
+            for _ in range(400)
+            for message in board.poll(0.01)
+            if message.get_type() == "NAMED_VALUE_FLOAT" and message.name == "SNR_TILT"
+        }
+    assert len(pulses) > 1
+
+
+# ---- scan test ----------------------------------------------------------------------------------
+
+
+def test_scan_test_sees_the_twelve_points(movable: Emulator, tmp_path: Path) -> None:
+    done = rig(tmp_path, movable.port, "scan-test", "--rounds", "1", place=movable.put_target)
+    assert done.result["verdict"] == "PASS", done.said
+    assert done.result["measured"]["coverage_gain_percent"] == pytest.approx(95.0, abs=1.0)
+
+
+def test_scan_test_fails_with_something_in_the_beam(fixed: Emulator, tmp_path: Path) -> None:
+    done = rig(tmp_path, fixed.port, "scan-test", "--rounds", "1")
+    assert (done.code, done.check("search")) == (1, "FAIL")
+
+
+# ---- latency test -------------------------------------------------------------------------------
+
+
+def test_latency_test_measures_both_ways(fixed: Emulator, tmp_path: Path) -> None:
+    options = ("--commands", "20", "--seconds", "2", *SLOW_HOST)
+    done = rig(tmp_path, fixed.port, "latency-test", *options)
+    assert done.result["verdict"] == "PASS", done.said
+    assert len(done.result["measured"]["ack_ms"]) == 20
+    # 41 bytes of the report take 3.6 ms at 115200 baud, and the sonar is read before: never less.
+    assert min(done.result["measured"]["report_ms"]) > 3.0
+
+
+def test_latency_test_fails_without_a_target(movable: Emulator, tmp_path: Path) -> None:
+    movable.put_target(AWAY_M)
+    options = ("--commands", "5", "--seconds", "1", *SLOW_HOST)
+    done = rig(tmp_path, movable.port, "latency-test", *options)
+    assert (done.code, done.check("reading to report")) == (1, "FAIL")
+
+
+# ---- response matrix ----------------------------------------------------------------------------
+
+
+def test_response_matrix_with_the_built_in_applet(movable: Emulator, tmp_path: Path) -> None:
+    done = rig(
+        tmp_path,
+        movable.port,
+        *("response-matrix", "--hold", "2.2"),
+        place=movable.put_target,
+    )
+    assert done.result["verdict"] == "PASS", done.said
+    bands = done.result["measured"]["bands"]
+    # From 2.5 m/s to 4.5 m/s are two big steps; one more would reach the limit of 5 m/s.
+    assert bands["attract, big step"]["right_steps"] == 2
+    assert all(step["right"] for step in done.result["measured"]["steps"])
+
+
+def test_response_matrix_fails_with_a_target_that_stays(fixed: Emulator, tmp_path: Path) -> None:
+    done = rig(tmp_path, fixed.port, "response-matrix", "--hold", "0.5")
+    assert (done.code, done.result["verdict"]) == (1, "FAIL")
+    assert done.check("monitor") == "PASS"  # it stood there for 3 s: long enough
+    assert done.check("attract, big step") == "FAIL"
+    assert done.check("gimbal out of range") == "FAIL"
+
+
+class ServedVehicle:
+    """A simulated autopilot with the applet, in real time: the board on one port, us on another."""
+
+    def __init__(self, board_port: str) -> None:
+        copter = Copter((0.0, 0.0, -10.0), 0.0, flying=True)
+        parameters = {"RNGFND1_TYPE": 10.0, "RNGFND1_ORIENT": 0.0, "SCR_ENABLE": 1.0}
+        parameters |= {"ECHO_ENABLE": 1.0, "ECHO_LAW": 0.0}
+        autopilot = Autopilot(copter, system_id=7, parameters=parameters)
+        for name in ("board", "telemetry"):
+            autopilot.add_link(name)
+        autopilot.load_script(lua_folder() / "echowing.lua")
+
+        def step(t_s: float) -> None:
+            copter.step(0.02)
+            autopilot.step(t_s)
+
+        self._server = Server(step)
+        self._server.connect(autopilot, "board", f"tcp:{board_port}")
+        wire = self._server.connect(autopilot, "telemetry", "tcpin:0")
+        found = re.search(r"127\.0\.0\.1:\d+", wire.describe())
+        assert found is not None
+        self.where = f"tcp:{found[0]}"
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._server.run, args=(self._stop.is_set,))
+        self._thread.start()
+
+    def stop(self) -> None:
+        self._stop.set()
+        self._thread.join(timeout=PATIENCE_S)
+        self._server.close()
+
+
+def test_response_matrix_with_an_autopilot(tmp_path: Path) -> None:
+    emulator = Emulator("--link", "tcpin:0", "--target", "udp:0")
+    vehicle = ServedVehicle(emulator.link)
+    done = rig(
+        tmp_path,
+        emulator.port,
+        *("response-matrix", "--hold", "2.5", "--autopilot", vehicle.where),
+        place=emulator.put_target,
+    )
+    vehicle.stop()
+    emulator.stop()
+    assert done.result["verdict"] == "PASS", done.said
+    assert done.result["system"] == "7"  # the board has taken the autopilot's
+
+
+# ---- soak ---------------------------------------------------------------------------------------
+
+
+def test_soak_counts_and_passes(fixed: Emulator, tmp_path: Path) -> None:
+    options = ("--duration", "2", "--row", "0.5", "--still")
+    done = rig(tmp_path, fixed.port, "soak", *options)
+    assert done.result["verdict"] == "PASS", done.said
+    rows = list(csv.DictReader((tmp_path / "soak.csv").open()))
+    assert [float(row["end_s"]) for row in rows] == [0.5, 1.0, 1.5, 2.0]
+    assert float(rows[0]["range_m"]) == 3.0
+
+
+def test_soak_counts_a_reboot_and_fails(tmp_path: Path) -> None:
+    emulator = Emulator("--range-cm", "300", "--link", "tcpin:0")
+    options = ("--duration", "3", "--row", "1")
+
+    def reboot(line: str, process: "subprocess.Popen[str]") -> None:
+        if "soaking" in line:
+            other = open_board(f"tcp:{emulator.link}", 115_200)
+            other.command(mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1.0)
+            other.close()
+
+    done = rig(tmp_path, emulator.port, "soak", *options, watch=reboot)
+    emulator.stop()
+    assert (done.code, done.check("reboots")) == (1, "FAIL")
+    assert done.result["measured"]["reboots"] == 1
+
+
+def test_soak_survives_the_cable_being_pulled(tmp_path: Path) -> None:
+    plug = tmp_path / "ttyBOARD"
+    emulators = [Emulator("--range-cm", "300")]
+    plug.symlink_to(emulators[0].port)
+
+    def pull(line: str, process: "subprocess.Popen[str]") -> None:
+        if "soaking" in line:
+            emulators[0].stop()
+        if "waiting for it to come back" in line:
+            emulators.append(Emulator("--range-cm", "300"))
+            plug.unlink()
+            plug.symlink_to(emulators[1].port)
+
+    done = rig(tmp_path, str(plug), "soak", "--duration", "8", "--row", "2", watch=pull)
+    emulators[1].stop()
+    assert done.result["measured"]["unplugged"] == 1
+    assert done.result["measured"]["reboots"] == 0
+    assert done.result["verdict"] == "PASS", done.said
