@@ -10,6 +10,7 @@ import pytest
 
 from echowing.applet import applet_parameters
 from echowing.cli import main
+from echowing.commands import setup
 from echowing.errors import EchowingError
 from echowing.setup.apply import (
     Change,
@@ -320,6 +321,31 @@ def test_a_value_that_is_not_taken_is_told() -> None:
     outcome = write_all([(c.name, c.new) for c in CHANGES], store.write, silent)
     assert outcome.written == ["A", "C"]
     assert outcome.refused == {"B": 0.1}
+
+
+class Standing:
+    """A vehicle that is disarmed, and whose second write is interrupted by Ctrl-C."""
+
+    def __init__(self) -> None:
+        self.written: list[str] = []
+
+    def refuse_armed(self, what: str) -> None:
+        assert what == "parameters are written"
+
+    def write(self, name: str, value: float) -> float:
+        if self.written:
+            raise KeyboardInterrupt
+        self.written.append(name)
+        return value
+
+
+def test_interrupted_it_says_how_to_go_back(capsys: pytest.CaptureFixture[str]) -> None:
+    vehicle: Any = Standing()
+    values = [(change.name, change.new) for change in CHANGES]
+    assert setup._write(vehicle, values, "back: echowing setup restore F --vehicle V") is None
+    assert vehicle.written == ["A"]
+    told = capsys.readouterr().err
+    assert "only some values are written; back: echowing setup restore F" in told
 
 
 def test_an_older_file_is_never_overwritten(tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from echowing.setup.settings import PROXIMITY_SENSORS
 from echowing.setup.vehicle import AUTOPILOT, POLL_S, Heard, Name, Vehicle
 
 LISTEN_S = 3.0  # three heartbeats, 60 ranges, six of the applet's named floats
+SETTLE_S = 0.5  # until our first heartbeat has opened the way for what others send
 FILE_TIMEOUT_S = 4.0  # an autopilot without MAVFTP says nothing at all
 # Ids from here on are proximity sectors (GCS_Common.cpp, PROXIMITY_SENSOR_ID_START).
 PROXIMITY_IDS_FROM = 10
@@ -77,6 +78,7 @@ def read_out(
     listen_s: float = LISTEN_S,
 ) -> Readout:
     """Everything the checks need. Raises EchowingError where the vehicle is lost meanwhile."""
+    _listen(vehicle, SETTLE_S)
     start_s = vehicle.now_s()
     heard = _listen(vehicle, listen_s)
     readout = of_messages(heard, start_s, vehicle.now_s())

@@ -136,10 +136,12 @@ class Vehicle:
         """Wait for a heartbeat of the autopilot, so that `armed` is the truth."""
         while self.base_mode is None:
             self.poll()
+        # What was sent while the link came up is lost; nobody's messages are passed on to a link
+        # where nobody has been heard.
+        self._beat_s = -math.inf
 
     def refuse_armed(self, what: str) -> None:
         """Raise EchowingError if the motors are armed, or may be."""
-        self.until_state_known()
         if self.armed:
             raise EchowingError(
                 f"{self.name} is armed: {what} only while it is disarmed, on the ground"
