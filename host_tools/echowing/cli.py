@@ -19,7 +19,7 @@ VERBS = {
     "relay": "keep a vehicle midway to a remote one",
     "analyze": "measure a flown formation from its logs",
     "calibrate": "replay recorded flights through the copter model",
-    "setup": "put the applet on a vehicle's SD card",
+    "setup": "make a vehicle ready: the applet, its parameters, a check before flight",
     "rig": "the bench: watch, set up and test the co-processor over USB",
     "bench": "print speeds and sizes",
     "emulator": "run the co-processor's binary on this machine",
