@@ -151,6 +151,15 @@ def test_a_vehicle_from_the_factory_is_made_ready(
     assert ready.coprocessor_parameters == {"TRACK_RANGE": 450.0}
 
 
+def test_the_only_port_that_can_be_is_found(make_desk: MakeDesk) -> None:
+    desk = make_desk(parameters="{SERIAL2_BAUD=115}")
+    assert read_out(desk.vehicle).serial_port == 2
+    desk.vehicle.write("SERIAL4_PROTOCOL", 2.0)
+    desk.vehicle.write("SERIAL4_BAUD", 115.0)
+    assert read_out(desk.vehicle).serial_port is None  # it may be either
+    assert read_out(desk.vehicle, serial_port=4).serial_port == 4
+
+
 def test_the_applets_own_table_is_what_the_vehicle_tells(make_desk: MakeDesk) -> None:
     desk = make_desk()
     install_over_link(FtpClient(desk.vehicle), no_bar)

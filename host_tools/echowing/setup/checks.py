@@ -4,7 +4,7 @@ Each looks at one thing and says whether it is fine, wrong, the pilot's to decid
 told; and where it is wrong, why, and what mends it. The values expected stand in `settings`.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import Enum
 
@@ -131,7 +131,9 @@ def _coprocessor(readout: Readout) -> Iterator[Finding]:
             "look at the sonar's supply, SDA, SCL and SONAR_ADDR (firmware/README.md, step 2)",
         )
     else:
-        yield Finding("co-processor", Verdict.FINE, f"component {readout.coprocessor} heard")
+        where = "" if readout.serial_port is None else f" on SERIAL{readout.serial_port}"
+        found = f"component {readout.coprocessor} heard{where}"
+        yield Finding("co-processor", Verdict.FINE, found)
 
 
 def _how_to_be_heard(readout: Readout) -> str:
@@ -140,19 +142,20 @@ def _how_to_be_heard(readout: Readout) -> str:
             f"set SERIAL{readout.serial_port} as said here, restart, and look at the wires: TX to "
             "RX both ways, and power"
         )
-    ports = ", ".join(f"SERIAL{number}" for number in _ports_at_115200(readout)) or "none"
+    ports = ", ".join(f"SERIAL{number}" for number in ports_at_115200(readout.parameters)) or "none"
     return (
         f"say where it is wired, as --serial 2 (MAVLink at 115200 baud is now on: {ports}); then "
         f"{APPLY} --serial 2, restart, and look at the wires"
     )
 
 
-def _ports_at_115200(readout: Readout) -> list[int]:
+def ports_at_115200(parameters: Mapping[str, float]) -> list[int]:
+    """The serial ports on which a co-processor can be heard as they are set."""
     return [
         number
         for number in SERIAL_PORTS
-        if readout.parameters.get(f"SERIAL{number}_PROTOCOL") in MAVLINK_PROTOCOLS
-        and readout.parameters.get(f"SERIAL{number}_BAUD") in BAUD_115200
+        if parameters.get(f"SERIAL{number}_PROTOCOL") in MAVLINK_PROTOCOLS
+        and parameters.get(f"SERIAL{number}_BAUD") in BAUD_115200
     ]
 
 

@@ -1,6 +1,6 @@
 """Makes a read-out of a vehicle: asks for its parameters, and listens to what comes from it."""
 
-from collections.abc import Callable, Container, Iterable, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any
@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from echowing.applet import CARD_APPLET, applet_parameters, applet_path
 from echowing.follow import GUIDED_MODE
 from echowing.ftp_format import ardupilot_crc32
-from echowing.setup.checks import SERIAL_PORTS
+from echowing.setup.checks import SERIAL_PORTS, ports_at_115200
 from echowing.setup.ftp import FtpClient, FtpRefusedError, NoAnswerError
 from echowing.setup.readout import Readout, Reports
 from echowing.setup.settings import PROXIMITY_SENSORS
@@ -57,8 +57,7 @@ def names_to_read(serial_port: int | None, rangefinder: int) -> list[Name]:
         *(f"PRX{number}_TYPE" for number in PROXIMITY_SENSORS),
     ]
     ports: Iterable[int] = SERIAL_PORTS if serial_port is None else (serial_port,)
-    parts = ("PROTOCOL", "BAUD") if serial_port is None else ("PROTOCOL", "BAUD", "OPTIONS")
-    return [*names, *(f"SERIAL{port}_{part}" for port in ports for part in parts)]
+    return [*names, *(f"SERIAL{port}_{part}" for port in ports for part in ("PROTOCOL", "BAUD"))]
 
 
 def read_parameters(
@@ -66,6 +65,8 @@ def read_parameters(
 ) -> dict[str, float]:
     """The autopilot's parameters that matter, the applet's among them."""
     found = vehicle.read(names_to_read(serial_port, rangefinder))
+    if serial_port is not None:
+        found |= vehicle.read([f"SERIAL{serial_port}_OPTIONS"])
     if "ECHO_ENABLE" in found:
         found |= vehicle.read([row.name for row in applet_parameters()])
     return found
@@ -82,12 +83,15 @@ def read_out(
     start_s = vehicle.now_s()
     heard = _listen(vehicle, listen_s)
     readout = of_messages(heard, start_s, vehicle.now_s())
+    parameters = read_parameters(vehicle, serial_port, rangefinder)
     if readout.coprocessor is not None:
         told = vehicle.read(["TRACK_RANGE"], readout.coprocessor)
         readout = replace(readout, coprocessor_parameters=told)
+    if serial_port is None and readout.coprocessor is not None:
+        serial_port = only_port(parameters)
     return replace(
         readout,
-        parameters=read_parameters(vehicle, serial_port, rangefinder),
+        parameters=parameters,
         serial_port=serial_port,
         rangefinder=rangefinder,
         armed=vehicle.armed,
@@ -96,6 +100,12 @@ def read_out(
         version=_version(vehicle),
         takes_range=None if readout.reports is None else _takes_range(vehicle),
     )
+
+
+def only_port(parameters: Mapping[str, float]) -> int | None:
+    """The port on which a co-processor that is heard has to be: the only one that can be."""
+    ports = ports_at_115200(parameters)
+    return ports[0] if len(ports) == 1 else None
 
 
 def _listen(vehicle: Vehicle, listen_s: float) -> list[Heard]:
