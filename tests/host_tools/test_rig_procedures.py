@@ -468,6 +468,10 @@ def test_bands_begin_at_their_lower_edge(range_m: float, step_mps: float) -> Non
     assert band.step_mps == step_mps
 
 
+def test_nothing_is_in_range_from_the_detection_limit_on() -> None:
+    assert THESIS.band_at(4.5) is None  # Appendix A searches there, and wins over Table 6
+
+
 def test_figure_28_is_as_the_law_says() -> None:
     # The thesis's own screen: every step right, but the one fed by hand beyond the detection limit.
     samples = [Sample(0.05 * i, range_m, mps) for i, (range_m, mps) in enumerate(FIGURE_28)]
@@ -507,6 +511,14 @@ def test_each_band_answers(band: Any) -> None:
 def test_a_wrong_answer_to_a_far_leader_fails(step_mps: float) -> None:
     judge = judged(THESIS, flown(THESIS, 3.8, 2.5, step_mps, 4.0))
     assert not judge.records["attract, big step"].answers(THESIS.period_s, judge.sampled_s)
+
+
+def test_a_speed_that_stops_answering_fails() -> None:
+    samples = [Sample(0.02 * i, 3.8, 2.5 if i < 20 else 3.5) for i in range(100)]
+    judge = judged(THESIS, samples)  # one right step; 4.5 m/s would have been the next
+    record = judge.records["attract, big step"]
+    assert (record.right, record.wrong) == (1, 0)
+    assert not record.answers(THESIS.period_s, judge.sampled_s)
 
 
 def test_a_speed_that_moves_in_the_monitor_band_fails() -> None:
@@ -730,6 +742,13 @@ def test_a_board_that_never_comes_back_leaves_the_test_incomplete(tmp_path: Path
     result, code = run_to_result(soak_test(tmp_path, reopen=reopen), bench_of(board))
     assert (result.verdict, code) == ("INCOMPLETE", 2)
     assert "did not come back" in str(result.incomplete)
+
+
+def test_a_gap_over_the_wrap_is_a_gap() -> None:
+    soak = Soak(start_s=0.0)
+    for t_ms in (2**32 - 500, 2**32 - 450, 2**32 + 100):  # 550 ms without a reading
+        soak.hear(report(300, t_ms))
+    assert soak.total.gaps == 1
 
 
 def test_rows_end_also_in_silence() -> None:
