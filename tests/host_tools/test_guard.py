@@ -5,7 +5,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.errors import EchowingError
-from echowing.follow import FollowerPlan, FollowSession
+from echowing.follow import FollowerPlan, FollowerState, FollowSession
 from echowing.geo import GlobalPosition, displace, ned_between
 from echowing.guard import (
     RATE_WINDOW_S,
@@ -16,12 +16,13 @@ from echowing.guard import (
     UNHEARD_S,
     WATCHDOG,
     WATCHDOG_ASKS,
+    Guard,
     Limits,
     RateWatch,
     StopSwitch,
     parse_stop_switch,
 )
-from echowing.guidance import GuidanceSettings, Slot
+from echowing.guidance import GuidanceSettings, Slot, SlotGuide
 from echowing.panel import left_as, state_of
 
 LEADER, FOLLOWER, SECOND = 1, 2, 3
@@ -226,6 +227,16 @@ def test_homes_too_far_apart_stop_it(level: bool) -> None:
     there.home_m[FOLLOWER] = 242.5
     there.fly(TICK_S)
     assert there.state == "holding: its home is -7.5 m from the leader's"
+
+
+def test_homes_that_are_not_known_stop_it() -> None:
+    limits = Limits(home_difference_m=5.0, leader_flies=False)
+    guard = Guard(limits, LEADER, [FOLLOWER], lambda now_s, text: None)
+    slot = Slot(3.0)
+    follower = FollowerState(FollowerPlan(FOLLOWER, slot), SlotGuide(slot, GuidanceSettings()))
+    follower.position = displace(HERE, (-3.0, 0.0, 0.0))
+    followers = {FOLLOWER: follower}
+    assert guard.reason_to_stop(follower, HERE, followers, 0.0) == "homes are not known"
 
 
 def test_a_correction_never_leads_it_to_the_ground() -> None:

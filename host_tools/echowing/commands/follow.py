@@ -31,6 +31,8 @@ examples:
           angle_deg = -40.0
   echowing follow --leader udpin:14550 --follower udpin:14560 --take-off 10 --engage
       takes off first: each pilot arms his vehicle in Guided, on the ground; the tool never arms
+  echowing follow --leader udpin:14550 --follower udpin:14560 --feed-forward \\
+      --signing-key-file field.key --engage
 The pilot takes over by any change of mode; points go on when he puts the vehicle in Guided again.
 """
 
@@ -63,7 +65,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     place.add_argument("--formation", type=Path, metavar="FILE", help="a slot a follower, TOML")
     place.add_argument(
-        "--altitude", type=float, default=10.0, metavar="M", help="above each follower's home"
+        "--altitude",
+        type=float,
+        default=10.0,
+        metavar="M",
+        help="above the leader's home; followers' own homes are allowed for (see --level-homes)",
     )
     place.add_argument(
         "--lead-time",
@@ -93,7 +99,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         metavar="FILE",
         help="sign what is sent and refuse what is not signed (MAVLink 2); FILE holds 32 bytes, 64 "
-        "hexadecimal digits or a pass phrase",
+        "hexadecimal digits or a pass phrase. What a co-processor says itself nobody signs: ranges "
+        "come by the autopilot's DISTANCE_SENSOR then, and the gimbal's state does not",
     )
     parser.add_argument("--log", type=Path, metavar="DIR", help="write a .tlog and a CSV here")
     parser.add_argument("--duration", type=float, metavar="S", help="end after this long")
