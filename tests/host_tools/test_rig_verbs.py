@@ -253,7 +253,22 @@ class TestRecording:
         recorder.add(0.5, b"range")
         recorder.close()
         assert main(["rig", "replay", str(path), "--fast"]) == 2
-        assert "ends after 0.5 s, before a co-processor was heard" in capsys.readouterr().err
+        assert "no MAVLink in them" in (told := capsys.readouterr().err)
+        assert "the recording lasts only 0.5 s" in told
+
+    def test_a_board_that_is_heard_late_in_it(
+        self, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        early, late = tmp_path / "early.ewr", tmp_path / "late.ewr"
+        self.recorded(early)
+        recorder = Recorder(late, {})
+        recorder.add(9.0, b"\x00\x80")
+        for chunk in read_recording(early).chunks:
+            recorder.add(15.0 + chunk.time_s, chunk.data)
+        recorder.close()
+        assert main(["rig", "replay", str(late), "--fast", "--json"]) == 0
+        last = json.loads(capsys.readouterr().out.splitlines()[-1])
+        assert last["state"] == "tracking"
 
     def test_at_real_time_it_waits(self, tmp_path: Path) -> None:
         path = tmp_path / "bench.ewr"

@@ -168,7 +168,7 @@ class TestPicture:
             text("Echowing: sonar does not answer", severity=2),
             value("SNR_PAN", 1380.0, boot_ms=100),
         )
-        assert "1 restarts, 1 warnings" in shown(board)
+        assert "restarts 1, warnings 1" in shown(board)
 
     def test_live_on_a_terminal(self) -> None:
         console = Console(force_terminal=True, width=100, record=True)

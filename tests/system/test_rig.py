@@ -118,8 +118,10 @@ class TestOnTheBoard:
             env={**os.environ, "TERM": "xterm-256color", "COLUMNS": "100", "LINES": "40"},
         )
         os.close(slave)
-        seen = read_until(master, " tracking ", "3.21 m", "point")
-        process.send_signal(signal.SIGINT)
+        try:
+            seen = read_until(master, " tracking ", "3.21 m", "point")
+        finally:
+            process.send_signal(signal.SIGINT)
         read_to_end(master)
         assert process.wait(timeout=PATIENCE_S) == 0
         assert f"Echowing on {board.port}" in seen

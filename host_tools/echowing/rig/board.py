@@ -367,45 +367,76 @@ def open_board(port: str | None, baud: int = USB_BAUD, clock: Clock = time.monot
         raise
 
 
-def await_board(wire: Wire, name: str, baud: int, clock: Clock) -> Board:
-    """Wait until a board is heard on an open wire. Raises EchowingError: none is."""
+def await_board(
+    wire: Wire,
+    name: str,
+    baud: int,
+    clock: Clock,
+    timeout_s: float = OPEN_TIMEOUT_S,
+    talking_s: float = TALKING_S,
+) -> Board:
+    """Wait until a board is heard on an open wire. Raises EchowingError: none is.
+
+    timeout_s: for the first byte; talking_s: after it, for the board.
+    """
     board = Board(wire, (0, 0), name=name, clock=clock)
-    roster = Roster()
-    start_s = ask_at_s = clock()
-    deadline_s = start_s + OPEN_TIMEOUT_S
+    questions = _Questions(board)
+    start_s = clock()
+    deadline_s = start_s + timeout_s
     heard: list[Any] = []
     talking = False
     while (now_s := clock()) < deadline_s:
         messages = board.poll(min(0.1, deadline_s - now_s))
         heard += messages
-        roster.note(messages)
-        if found := roster.boards():
+        questions.roster.note(messages)
+        if found := questions.roster.boards():
             board.recognise(found[0], heard)
             return board
         if board.frames.counts.bytes and not talking:
-            talking, deadline_s = True, min(deadline_s, now_s + TALKING_S)
-        if now_s >= ask_at_s:
-            ask_at_s = now_s + ASK_PERIOD_S
-            _ask_what_they_are(board, roster)
-    raise EchowingError(f"{name}: {_why_no_board(board, roster, clock() - start_s, baud)}")
+            talking, deadline_s = True, min(deadline_s, now_s + talking_s)
+        questions.ask(now_s)
+    reason = _why_no_board(board, questions.roster, clock() - start_s, baud)
+    raise EchowingError(f"{name}: {reason}")
 
 
-def _ask_what_they_are(board: Board, roster: Roster) -> None:
-    for system, component in roster.candidates():
-        board.send(
-            mavlink.MAVLink_param_request_read_message(
-                system, component, TELLING_PARAMETER.encode(), -1
-            )
-        )
+class _Questions:
+    """Asks who could be a board whether he is one: each at once, and again every second."""
+
+    def __init__(self, board: Board) -> None:
+        self.roster = Roster()
+        self._board = board
+        self._ask_at_s: dict[Source, float] = {}
+
+    def ask(self, now_s: float) -> None:
+        for source in self.roster.candidates():
+            if self._is_due(source, now_s):
+                name = TELLING_PARAMETER.encode()
+                self._board.send(mavlink.MAVLink_param_request_read_message(*source, name, -1))
+        for source in self.roster.unbeaten():
+            if self._is_due(source, now_s):
+                heartbeat = [float(mavlink.MAVLINK_MSG_ID_HEARTBEAT), *[0.0] * 6]
+                command = mavlink.MAV_CMD_REQUEST_MESSAGE
+                self._board.send(
+                    mavlink.MAVLink_command_long_message(*source, command, 0, *heartbeat)
+                )
+
+    def _is_due(self, source: Source, now_s: float) -> bool:
+        due = now_s >= self._ask_at_s.get(source, now_s)
+        if due:
+            self._ask_at_s[source] = now_s + ASK_PERIOD_S
+        return due
 
 
 def _why_no_board(board: Board, roster: Roster, waited_s: float, baud: int) -> str:
     counts = board.frames.counts
     if counts.bytes == 0:
-        return (
-            f"nothing has come in {waited_s:.0f} s. Is it the co-processor's port, and is the "
-            "board flashed (`make flash`)? Its LED blinks when the firmware runs"
+        cure = (
+            "Is it the co-processor's port, and is the board flashed (`make flash`)? Its LED "
+            "blinks when the firmware runs"
         )
+        if ":" in board.name:  # a socket
+            cure = "Does the other end send there, and has the board power?"
+        return f"nothing has come in {waited_s:.0f} s. {cure}"
     if counts.frames == 0:
         return (
             f"{counts.bytes} bytes have come in {waited_s:.0f} s, and no MAVLink in them: the "

@@ -110,6 +110,12 @@ class Roster:
             if not seen.telling and _is_device(seen.heartbeat)
         ]
 
+    def unbeaten(self) -> list[Source]:
+        """Who sends as a co-processor does, and has not beaten yet."""
+        return [
+            source for source, seen in self._seen.items() if seen.telling and not seen.heartbeat
+        ]
+
     def others(self) -> list[str]:
         """What else beats on the wire, in words."""
         return [

@@ -20,6 +20,10 @@ examples:
 """
 
 
+# Too short to be sure of a heartbeat, which comes every second.
+SHORT_S = 2.0
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The verb's options."""
     parser.epilog = EXAMPLES
@@ -32,7 +36,7 @@ def run(args: argparse.Namespace) -> int:
     recording = read_recording(args.file)
     wire = ReplayWire(recording, str(args.file), None if args.fast else time.sleep)
     baud = int(recording.about.get("baud", USB_BAUD))
-    board = _await_board(wire, args.file, baud)
+    board = _await_board(wire, args.file, baud, recording.duration_s)
     with stop_on_signals() as stop:
         try:
             watch(board, open_view(as_json=args.json), stop)
@@ -42,10 +46,11 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _await_board(wire: ReplayWire, path: Path, baud: int) -> Board:
+def _await_board(wire: ReplayWire, path: Path, baud: int, duration_s: float) -> Board:
+    """The board in the recording, however late it was heard."""
     try:
-        return await_board(wire, str(path), baud, wire.now_s)
-    except RecordingEnd as end:
-        raise EchowingError(
-            f"{end}, before a co-processor was heard in it (it beats once a second)"
-        ) from end
+        return await_board(wire, str(path), baud, wire.now_s, duration_s, duration_s)
+    except EchowingError as error:
+        if duration_s > SHORT_S:
+            raise
+        raise EchowingError(f"{error}; the recording lasts only {duration_s:.1f} s") from error

@@ -68,7 +68,7 @@ _PARTS = (
         "USB port ",
         "good",
         "no loop plug",
-        "it speaks with this computer, which is test enough",
+        "a board that answers over USB needs no plug there",
     ),
 )
 _SERVOS = (

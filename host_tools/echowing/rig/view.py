@@ -261,7 +261,7 @@ def _books(board: Board) -> Table:
     rows.add_row("rates", rates)
     rows.add_row("wire", _wire(board))
     if state.restarts or state.errors:
-        rows.add_row("board", Text(f"{state.restarts} restarts, {state.errors} warnings", "yellow"))
+        rows.add_row("board", Text(f"restarts {state.restarts}, warnings {state.errors}", "yellow"))
     return rows
 
 
