@@ -1,6 +1,7 @@
 """`echowing setup`: the judgements, each alone; writing and putting back; files of old values."""
 
 import json
+import re
 from collections.abc import Mapping
 from datetime import datetime
 from pathlib import Path
@@ -12,6 +13,7 @@ from echowing.applet import applet_parameters
 from echowing.cli import main
 from echowing.commands import setup
 from echowing.errors import EchowingError
+from echowing.paths import repository_root
 from echowing.setup.apply import (
     Change,
     Saved,
@@ -23,6 +25,7 @@ from echowing.setup.apply import (
 )
 from echowing.setup.checks import Finding, Verdict, examine, exit_code
 from echowing.setup.readout import Readout, Reports
+from echowing.setup.settings import settings_for
 from echowing.setup.view import as_json, as_lines, differences
 from echowing.sim.parameters import Generation, Parameters
 
@@ -200,6 +203,9 @@ def test_what_cannot_be_told_is_neither_fine_nor_wrong() -> None:
     readout = ready(SCR_HEAP_SIZE=None)
     assert odd_ones(readout)["SCR_HEAP_SIZE"].verdict is Verdict.UNKNOWN
     assert exit_code(examine(readout)) == 2
+    assert "SCR_ENABLE is 1" in odd_ones(readout)["SCR_HEAP_SIZE"].mend
+    hidden = odd_ones(ready(RNGFND1_ORIENT=None))["RNGFND1_ORIENT"]
+    assert "shown once the rangefinder's TYPE is set" in hidden.mend
     no_copter = ready(WP_SPD=None)
     assert "neither WP_SPD nor WPNAV_SPEED" in odd_ones(no_copter)["speed parameter"].found
     both = ready(SCR_HEAP_SIZE=None, RTL_SPEED_MS=0.0)
@@ -240,6 +246,17 @@ def test_the_applets_ranges_are_read_out_of_the_applet() -> None:
     assert len(rows) == 27  # lua/echowing.md, Parameters
     assert (rows["ECHO_DIST"].default, rows["ECHO_DIST"].low, rows["ECHO_DIST"].high) == (3, 1.5, 6)
     assert rows["ECHO_SPD_MIN"].low == 0.2  # there it is a named constant
+
+
+@pytest.mark.parametrize("page", ["lua/echowing.md", "firmware/README.md"])
+def test_the_pages_for_people_say_the_same(page: str) -> None:
+    text = (repository_root() / page).read_text(encoding="utf-8")
+    rows = dict(re.findall(r"^\| `(\w+)` \| ([\d.]+) \|", text, re.MULTILINE))
+    fits = {one.name: one.fits for one in settings_for(ready())}
+    compared = [name for name in fits if name in rows and not name.startswith("ECHO_")]
+    assert {"SERIAL2_BAUD", "SERIAL2_PROTOCOL", "RNGFND1_TYPE"} <= set(compared)
+    for name in compared:
+        assert fits[name](float(rows[name])), name
 
 
 # ---- what is printed --------------------------------------------------------------------------

@@ -205,6 +205,13 @@ def test_a_vehicle_lost_in_the_middle_ends_the_check(make_desk: MakeDesk) -> Non
     assert desk.t_s < until_s + SILENCE_S + 2.0
 
 
+def test_a_link_that_goes_one_way_only_is_told(make_desk: MakeDesk) -> None:
+    desk = make_desk()
+    desk.autopilot.receive = lambda link, data: None  # type: ignore[method-assign]
+    with pytest.raises(EchowingError, match="is heard but answers nothing"):
+        read_out(desk.vehicle)
+
+
 def test_an_armed_vehicle_is_refused_and_left_as_it_is(make_desk: MakeDesk) -> None:
     desk = make_desk()
     saved = dict(desk.autopilot.parameters.saved)

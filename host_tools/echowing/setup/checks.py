@@ -96,11 +96,15 @@ def judge(setting: Setting, readout: Readout) -> Finding | None:
 
 
 def _hidden(setting: Setting) -> str:
-    if setting.name.startswith("RNGFND"):
-        return "shown once the sensor's TYPE is set and the autopilot restarted"
+    if setting.name.startswith("SERIAL"):
+        return "has this autopilot such a port?"
+    if setting.name == "SCR_ENABLE":
+        return "this firmware has no scripting: small boards need a custom build"
     if setting.name.startswith("SCR_"):
-        return "shown once SCR_ENABLE is 1 and the autopilot restarted; some small boards have none"
-    return "is this ArduCopter 4.5 or later, and is there such a port?"
+        return "shown once SCR_ENABLE is 1 and the autopilot restarted"
+    if setting.name.endswith("_TYPE"):
+        return "is this ArduCopter 4.5 or later?"
+    return "shown once the rangefinder's TYPE is set and the autopilot restarted"
 
 
 def _settings(readout: Readout) -> Iterator[Finding]:

@@ -8,6 +8,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.applet import CARD_APPLET, applet_parameters, applet_path
+from echowing.errors import EchowingError
 from echowing.follow import GUIDED_MODE
 from echowing.ftp_format import ardupilot_crc32
 from echowing.setup.checks import SERIAL_PORTS, ports_at_115200
@@ -63,8 +64,16 @@ def names_to_read(serial_port: int | None, rangefinder: int) -> list[Name]:
 def read_parameters(
     vehicle: Vehicle, serial_port: int | None = None, rangefinder: int = 1
 ) -> dict[str, float]:
-    """The autopilot's parameters that matter, the applet's among them."""
+    """The autopilot's parameters that matter, the applet's among them.
+
+    Raises EchowingError where it tells none at all.
+    """
     found = vehicle.read(names_to_read(serial_port, rangefinder))
+    if not found:
+        raise EchowingError(
+            f"{vehicle.name} is heard but answers nothing: does the link go both ways, and is it "
+            "signed (--signing-key-file)?"
+        )
     if serial_port is not None:
         found |= vehicle.read([f"SERIAL{serial_port}_OPTIONS"])
     if "ECHO_ENABLE" in found:
