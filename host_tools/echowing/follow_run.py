@@ -18,7 +18,7 @@ from echowing.follow_view import View
 from echowing.formation import turning_together
 from echowing.guard import Limits
 from echowing.guidance import GuidanceSettings, Slot
-from echowing.links import Link, wait
+from echowing.links import Address, Link, wait
 from echowing.panel import Panel, left_as
 from echowing.seats import OpenLink, Seat, find_sonars, find_vehicles, known_id
 from echowing.signing import LinkSigning
@@ -56,10 +56,14 @@ class FollowOptions:
     make_guide: Callable[[], Guide] | None = None
 
 
+def _is_no_point(addressed: tuple[int, Any]) -> bool:
+    return bool(addressed[1].get_msgId() != mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT)
+
+
 class FollowTool:
     """Finds the vehicles, flies the followers, and leaves them standing.
 
-    `clock` is monotonic seconds and `unix_clock` UTC.
+    `clock` is monotonic seconds and `unix_clock` UTC; `make_link` opens what points go through.
     """
 
     def __init__(
@@ -70,11 +74,13 @@ class FollowTool:
         *,
         clock: Callable[[], float] = time.monotonic,
         unix_clock: Callable[[], float] = time.time,
+        make_link: Callable[[Address, LinkSigning | None], Link] = Link,
     ) -> None:
         self._options = options
         self._view = view
         self._stop = stop
         self._clock = clock
+        self._make_link = make_link
         self._start_s = clock()
         self._start_unix_s = unix_clock()
         self._links: dict[str, OpenLink] = {}
@@ -110,7 +116,7 @@ class FollowTool:
     def _link_of(self, seat: Seat) -> OpenLink:
         key = self._options.signing_key
         signing = None if key is None else LinkSigning(key, 1 + len(self._links))
-        return OpenLink(Link(seat.address, signing))
+        return OpenLink(self._make_link(seat.address, signing))
 
     def _now_s(self) -> float:
         return self._clock() - self._start_s
@@ -167,7 +173,8 @@ class FollowTool:
         if now_s >= self._next_tick_s:
             late = now_s - self._next_tick_s > HOPELESS_S
             self._next_tick_s = (now_s if late else self._next_tick_s) + 1.0 / self._options.rate_hz
-            for system_id, message in self._session.tick(now_s):
+            # Points first: what else is to be asked or told can wait for them.
+            for system_id, message in sorted(self._session.tick(now_s), key=_is_no_point):
                 self._write(now_s, self._ways[system_id].send(message, now_s))
         if now_s >= self._next_rows_s:
             self._next_rows_s = now_s + ROWS_PERIOD_S

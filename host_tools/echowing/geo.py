@@ -12,6 +12,10 @@ Ned = tuple[float, float, float]
 # place a point to better than 1 cm; beyond it the exact conversion is used (40 times slower).
 LOCAL_RADIUS_M = 200.0
 POLAR_LATITUDE_DEG = 80.0
+# A degree of latitude is 110 574 m at the equator (WGS-84) and more elsewhere; one of longitude
+# there 111 320 m, times the cosine of the latitude. Beyond the second margin no rounding counts.
+LEAST_M_PER_DEGREE = 110_000.0
+SURE_M = 1.0
 
 
 class GlobalPosition(NamedTuple):
@@ -50,6 +54,18 @@ def displace(origin: GlobalPosition, ned_m: Ned) -> GlobalPosition:
 def distance_m(a: GlobalPosition, b: GlobalPosition) -> float:
     """Straight-line distance in metres between two nearby positions, altitude included."""
     return math.hypot(*ned_between(a, b))
+
+
+def nearer_than(a: GlobalPosition, b: GlobalPosition, least_m: float) -> bool:
+    """Whether two positions are nearer than `least_m`; quick where they clearly are not."""
+    if abs(a.lat_deg - b.lat_deg) * LEAST_M_PER_DEGREE > least_m:
+        return False
+    if abs(a.alt_m - b.alt_m) > least_m + SURE_M:
+        return False
+    east_deg = abs(wrap_longitude_deg(a.lon_deg - b.lon_deg))
+    if east_deg * LEAST_M_PER_DEGREE * math.cos(math.radians(a.lat_deg)) > least_m + SURE_M:
+        return False
+    return distance_m(a, b) < least_m
 
 
 def relay_pos(ground: GlobalPosition, remote: GlobalPosition) -> GlobalPosition:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.errors import EchowingError
-from echowing.geo import GlobalPosition, displace, distance_m, ned_between
+from echowing.geo import GlobalPosition, displace, distance_m, nearer_than, ned_between
 
 if TYPE_CHECKING:
     from echowing.follow import FollowerState
@@ -340,14 +340,14 @@ class Guard:
             return None
         if follower.hold_reason is not None:
             least_m += CLEAR_M
-        places = {} if leader is None else {"the leader": leader}
+        if leader is not None and nearer_than(follower.position, leader, least_m):
+            return f"nearer to the leader than {least_m:g} m"
         for system_id, other in followers.items():
+            if other is follower or other.position is None:
+                continue
             fresh = now_s - other.position_at_s < UNHEARD_S
-            if other is not follower and other.position is not None and fresh:
-                places[f"follower {system_id}"] = other.position
-        for name, place in places.items():
-            if distance_m(follower.position, place) < least_m:
-                return f"nearer to {name} than {least_m:g} m"
+            if fresh and nearer_than(follower.position, other.position, least_m):
+                return f"nearer to follower {system_id} than {least_m:g} m"
         return None
 
     def is_free(

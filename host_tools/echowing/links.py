@@ -20,6 +20,9 @@ DEFAULT_BAUD = 57_600  # of telemetry radios and of ArduPilot's SERIAL1
 RETRY_S = 1.0
 # One datagram, or what a serial port can hold back.
 CHUNK_BYTES = 65_535
+# Of one link before the others and the points have their turn, however fast it floods in: what
+# fifty vehicles say in a third of a second.
+MOST_READS = 500
 # More senders than this at one listening port are not vehicles.
 MOST_PEERS = 8
 # A vehicle learns the time from our signatures within a second or two; one whose frames are
@@ -359,7 +362,9 @@ class Link:
             return []
         messages: list[Any] = []
         try:
-            while self._transport is not None and (data := self._transport.read()):
+            for _ in range(MOST_READS):
+                if self._transport is None or not (data := self._transport.read()):
+                    break
                 messages += self._parse(data, now_s)
         except OSError as error:
             self._lost(error, now_s)

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -63,9 +63,9 @@ class Row:
 
     def as_dict(self) -> dict[str, Any]:
         """Its fields by name, numbers to the millimetre."""
+        values = ((column.name, getattr(self, column.name)) for column in fields(self))
         return {
-            key: round(value, 3) if isinstance(value, float) else value
-            for key, value in asdict(self).items()
+            name: round(value, 3) if isinstance(value, float) else value for name, value in values
         }
 
 

@@ -156,6 +156,23 @@ def test_the_live_view_shows_a_row_a_vehicle_and_the_last_events() -> None:
     assert "leader: 2.0 m/s, heard 0.24 s ago" in shown
 
 
+def test_many_rows_and_events_are_drawn_seldom_and_the_last_of_them_at_the_end() -> None:
+    """Drawing holds up the points: fifty rows are drawn every 1.25 s, events along with them."""
+    drawings: list[str] = []
+    console = Console(file=io.StringIO(), force_terminal=True, width=200, height=80)
+    view = LiveView(console)
+    many = [row(system_id=number) for number in range(2, 52)]
+    for tenth in range(26):
+        console.file = io.StringIO()
+        view.rows(tenth / 10, many)
+        view.event(tenth / 10, f"event {tenth}")
+        drawings += [console.file.getvalue()] if console.file.getvalue() else []
+    assert len(drawings) == 2
+    console.file = io.StringIO()
+    view.close()
+    assert "event 25" in console.file.getvalue()
+
+
 def test_the_picture_of_the_view_asks_nobody_for_fonts_and_knows_no_paths() -> None:
     svg = drawn([row(), row(system_id=3)], ["    1.0 s  follower 2: in Guided, following"])
     assert ElementTree.fromstring(svg).tag.endswith("svg")

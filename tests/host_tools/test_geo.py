@@ -7,6 +7,7 @@ from echowing.geo import (
     Ned,
     displace,
     distance_m,
+    nearer_than,
     ned_between,
     relay_pos,
     wrap_angle_rad,
@@ -89,3 +90,17 @@ def test_longitudes_wrap(raw: float, wrapped: float) -> None:
 @pytest.mark.parametrize("turns", [-2, -1, 0, 1, 2])
 def test_angles_wrap_by_whole_turns(turns: int) -> None:
     assert wrap_angle_rad(0.3 + turns * 2.0 * math.pi) == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize("origin", EVERYWHERE)
+@pytest.mark.parametrize(
+    "ned_m",
+    [
+        *((2.9, 0.0, 0.0), (3.1, 0.0, 0.0), (0.0, 2.9, 0.0), (0.0, -3.1, 0.0), (0.0, 0.0, -2.9)),
+        *((0.0, 0.0, 3.1), (1.7, -1.7, 1.7), (1.8, 1.8, -1.8), (900.0, -1200.0, 5.0)),
+    ],
+)
+def test_nearer_than_is_what_the_distance_says(origin: GlobalPosition, ned_m: Ned) -> None:
+    there = displace(origin, ned_m)
+    assert nearer_than(origin, there, 3.0) is (distance_m(origin, there) < 3.0)
+    assert nearer_than(there, origin, 3.0) is (distance_m(origin, there) < 3.0)

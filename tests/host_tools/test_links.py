@@ -14,10 +14,12 @@ from echowing.errors import EchowingError
 from echowing.links import (
     DEFAULT_BAUD,
     MOST_PEERS,
+    MOST_READS,
     REFUSED_S,
     RETRY_S,
     Address,
     Link,
+    UdpListener,
     parse_address,
     wait,
 )
@@ -146,6 +148,14 @@ def test_noise_yields_no_message_and_no_answer(sender: socket.socket) -> None:
         assert sender.recv(100) == frame()
         with pytest.raises(BlockingIOError):
             stranger.recv(100)
+    link.close()
+
+
+def test_a_flood_leaves_the_caller_its_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Datagrams that come faster than they can be read: there is always one more."""
+    link = opened(f"udpin:{free_port(socket.SOCK_DGRAM)}")
+    monkeypatch.setattr(UdpListener, "read", lambda self: frame())
+    assert len(link.receive(0.0)) == MOST_READS
     link.close()
 
 

@@ -20,11 +20,12 @@ EXAMPLES = """\
 examples:
   echowing bench
   echowing bench --only speed --json
+  echowing bench --only field         the follow tool: latency, and 50 followers on one core
   echowing bench --only laws          the speed laws, 20 seeds, about 5 minutes on two cores
   echowing bench --only laws --seeds 3
 """
 
-SECTIONS = ("speed", "firmware", "laws")
+SECTIONS = ("speed", "field", "firmware", "laws")
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,11 @@ def run(args: argparse.Namespace) -> int:
     """Measure and print."""
     if args.seeds < 1:
         raise EchowingError(f"--seeds {args.seeds}: give 1 or more")
-    sections: dict[str, Callable[[], Iterator[Figure]]] = {"speed": _speed, "firmware": _firmware}
+    sections: dict[str, Callable[[], Iterator[Figure]]] = {
+        "speed": _speed,
+        "field": _field,
+        "firmware": _firmware,
+    }
     chosen = [args.only] if args.only else list(SECTIONS)
     figures = [figure for name in chosen if name in sections for figure in sections[name]()]
     if figures and not args.json:
@@ -121,6 +126,12 @@ def _law_figures(table: "list[LawRow]") -> Iterator[Figure]:
         if math.isfinite(row.attacked_m):
             yield Figure(f"{name}: the same, attacked", row.attacked_m, "m", "over 0.5")
         yield Figure(f"{name}: speed changes", row.changes_per_min, "1/min")
+
+
+def _field() -> Iterator[Figure]:
+    from echowing.sim.field_figures import field_figures  # noqa: PLC0415
+
+    return (Figure(*figure) for figure in field_figures())
 
 
 def _firmware() -> Iterator[Figure]:
