@@ -123,6 +123,7 @@ WRONG = [
     ({"ECHO_ENABLE": 0.0}, "ECHO_ENABLE", "param set ECHO_ENABLE 1"),
     ({"ECHO_DIST": 0.5}, "ECHO_DIST", "param set ECHO_DIST 3"),
     ({"ECHO_SPD_MIN": 0.1}, "ECHO_SPD_MIN", "param set ECHO_SPD_MIN 0.2"),
+    ({"ECHO_SWITCH": 301.0}, "switch", "param set RC7_OPTION 301"),
     ({"ECHO_ENABLE": None}, "applet", "echowing setup lua"),
     ({"applet_is_ours": False}, "applet on the card", "echowing setup lua"),
     ({"ECHO_MIRROR": 10.0, "WP_SPD": 0.2}, "WP_SPD", "restart the autopilot or its scripts"),
@@ -195,7 +196,7 @@ def test_the_applet_in_control_keeps_the_pilots_speed_in_its_mirror() -> None:
     assert odd_ones(flying) == {}
     dead = ready(armed=True, in_guided=True)
     assert odd_ones(dead)["applet"].found == "silent in Guided"
-    switched_off = ready(armed=True, in_guided=True, ECHO_SWITCH=300.0)
+    switched_off = ready(armed=True, in_guided=True, ECHO_SWITCH=300.0, RC7_OPTION=300.0)
     assert odd_ones(switched_off) == {}
 
 

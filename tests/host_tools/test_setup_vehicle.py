@@ -205,6 +205,31 @@ def test_a_vehicle_lost_in_the_middle_ends_the_check(make_desk: MakeDesk) -> Non
     assert desk.t_s < until_s + SILENCE_S + 2.0
 
 
+def test_arming_while_nobody_listened_is_seen(make_desk: MakeDesk) -> None:
+    desk = make_desk()
+    assert desk.autopilot.modes.arm(force=True)
+    desk.vehicle.look_again()
+    with pytest.raises(EchowingError, match="is armed"):
+        desk.vehicle.refuse_armed("parameters are written")
+
+
+def test_the_switchs_channel_is_looked_for_where_there_is_a_switch(make_desk: MakeDesk) -> None:
+    desk = make_desk(parameters="{ECHO_SWITCH=300}")
+    install_over_link(FtpClient(desk.vehicle), no_bar)
+    desk.restart()
+    assert "switch" in wrong(desk)
+    desk.vehicle.write("RC9_OPTION", 300.0)
+    assert "switch" not in wrong(desk)
+
+
+def test_a_value_that_the_vehicle_will_not_have_is_told(make_desk: MakeDesk) -> None:
+    desk = make_desk()
+    assert desk.vehicle.write("RNGFND1_ORIENT", 0.4) == 0.0  # a whole number there
+    desk.autopilot.parameters.save = lambda name, value: False  # type: ignore[method-assign]
+    outcome = write_all([("RTL_SPEED_MS", 5.0)], desk.vehicle.write, print)
+    assert outcome.refused == {"RTL_SPEED_MS": 0.0}
+
+
 def test_a_link_that_goes_one_way_only_is_told(make_desk: MakeDesk) -> None:
     desk = make_desk()
     desk.autopilot.receive = lambda link, data: None  # type: ignore[method-assign]

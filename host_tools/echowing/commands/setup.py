@@ -219,6 +219,8 @@ def _apply(args: argparse.Namespace) -> int:
         if not args.yes and not _agreed():
             print("nothing was changed")
             return 1
+        vehicle.look_again()  # the operator may have thought about it for a while
+        vehicle.refuse_armed("parameters are written")
         now = datetime.now()
         file = args.save or default_file(vehicle.system_id, now)
         save(file, vehicle.system_id, changes, now)

@@ -28,6 +28,7 @@ from echowing.setup.settings import (
 RANGEFINDER_TIMEOUT_S = 0.5
 SLOWEST_REPORT_HZ = 5.0  # firmware/README.md, REPORT_RATE's least
 SERIAL_PORTS = range(1, 10)
+RC_CHANNELS = range(1, 17)
 MAVLINK_PROTOCOLS = (1.0, MAVLINK2)
 # A speed parameter under this is a return home at walking pace: has something been left behind?
 SLOW_MPS = 1.0
@@ -278,6 +279,24 @@ def _applet_file(readout: Readout) -> Iterator[Finding]:
         )
 
 
+def _switch(readout: Readout) -> Iterator[Finding]:
+    """Without a channel for its switch the applet never acts, and says nothing."""
+    option = readout.parameters.get("ECHO_SWITCH", 0.0)
+    if option == 0.0:
+        return
+    channels = [n for n in RC_CHANNELS if readout.parameters.get(f"RC{n}_OPTION") == option]
+    if channels:
+        yield Finding("switch", Verdict.FINE, f"channel {channels[0]}, option {option:g}")
+        return
+    yield Finding(
+        "switch",
+        Verdict.WRONG,
+        f"ECHO_SWITCH {option:g}, and no channel has this option",
+        "the applet waits for a switch that is not there",
+        f"param set RC7_OPTION {option:g}, or the channel of your switch; or ECHO_SWITCH 0",
+    )
+
+
 def _speed(readout: Readout) -> Iterator[Finding]:
     speed = readout.first("WP_SPD", "WPNAV_SPEED")
     if speed is None:
@@ -413,6 +432,7 @@ CHECKS: tuple[Check, ...] = (
     _taken,
     _applet,
     _applet_file,
+    _switch,
     _speed,
     _tracking_range,
     _settings,

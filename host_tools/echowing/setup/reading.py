@@ -11,7 +11,7 @@ from echowing.applet import CARD_APPLET, applet_parameters, applet_path
 from echowing.errors import EchowingError
 from echowing.follow import GUIDED_MODE
 from echowing.ftp_format import ardupilot_crc32
-from echowing.setup.checks import SERIAL_PORTS, ports_at_115200
+from echowing.setup.checks import RC_CHANNELS, SERIAL_PORTS, ports_at_115200
 from echowing.setup.ftp import FtpClient, FtpRefusedError, NoAnswerError
 from echowing.setup.readout import Readout, Reports
 from echowing.setup.settings import PROXIMITY_SENSORS
@@ -78,6 +78,8 @@ def read_parameters(
         found |= vehicle.read([f"SERIAL{serial_port}_OPTIONS"])
     if "ECHO_ENABLE" in found:
         found |= vehicle.read([row.name for row in applet_parameters()])
+    if found.get("ECHO_SWITCH", 0.0) > 0.0:
+        found |= vehicle.read([f"RC{channel}_OPTION" for channel in RC_CHANNELS])
     return found
 
 

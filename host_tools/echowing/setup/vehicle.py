@@ -140,6 +140,12 @@ class Vehicle:
         # where nobody has been heard.
         self._beat_s = -math.inf
 
+    def look_again(self) -> None:
+        """Wait for a new heartbeat, after a time in which nobody has listened."""
+        self.poll(0.0)
+        self.base_mode = None
+        self.until_state_known()
+
     def refuse_armed(self, what: str) -> None:
         """Raise EchowingError if the motors are armed, or may be."""
         if self.armed:
@@ -180,25 +186,21 @@ class Vehicle:
                 answers.take(heard)
 
     def write(self, name: str, value: float) -> float:
-        """Set a parameter and read it back; returns what it is now.
+        """Set a parameter; returns what it is then, asked anew.
 
-        Raises EchowingError where it does not answer.
+        The confirmation alone may be of what was asked for. Raises EchowingError where the vehicle
+        does not tell the parameter at all.
         """
         change = mavlink.MAVLink_param_set_message(
             self.system_id, AUTOPILOT, name.encode(), value, mavlink.MAV_PARAM_TYPE_REAL32
         )
         for _ in range(SET_TRIES):
             self.send(change)
-            answer = self.until(lambda m: _is_value(m, name), ANSWER_S)
-            if answer is not None:
-                return self._read_back(name)
-        raise EchowingError(f"{self.name} does not confirm {name}; is there such a parameter?")
-
-    def _read_back(self, name: str) -> float:
-        """What it is now, asked anew: the confirmation may be of what was asked for."""
+            if self.until(lambda m: _is_value(m, name), ANSWER_S) is not None:
+                break
         values = self.read([name])
         if name not in values:
-            raise EchowingError(f"{self.name} does not tell {name} any more")
+            raise EchowingError(f"{self.name} does not confirm {name}; is there such a parameter?")
         return values[name]
 
     # ---- commands -------------------------------------------------------------------------------
