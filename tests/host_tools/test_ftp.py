@@ -3,6 +3,7 @@
 import errno
 import random
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -249,6 +250,38 @@ def test_a_wire_cut_in_the_middle_ends_it(card: Path) -> None:
     wire.lose = lambda: len(wire.requests) > 6
     with pytest.raises(NoAnswerError, match="stopped answering in the middle"):
         FtpClient(wire).upload("APM/a", bytes(5_000), quiet)
+
+
+class ShortServer(FtpServer):
+    """Gives 48 bytes at most, as ArduPilot on an RP2350."""
+
+    def _read(self, session, request):  # type: ignore[no-untyped-def]
+        return super()._read(session, replace(request, size=min(request.size, 48)))
+
+
+def test_a_board_that_gives_less_than_it_is_asked_for_is_read_whole(card: Path) -> None:
+    content = random.Random(3).randbytes(2_345)
+    (card / "APM" / "a").write_bytes(content)
+    assert FtpClient(Wire(ShortServer(card))).download("APM/a", quiet) == content
+
+
+class EmptyServer(FtpServer):
+    """Acknowledges a read and gives nothing."""
+
+    def _read(self, session, request):  # type: ignore[no-untyped-def]
+        return replace(super()._read(session, request), data=b"", size=0)
+
+
+def test_a_board_that_gives_nothing_is_told(card: Path) -> None:
+    (card / "APM" / "a").write_bytes(b"content")
+    with pytest.raises(EchowingError, match="empty pieces"):
+        FtpClient(Wire(EmptyServer(card))).download("APM/a", quiet)
+
+
+def test_an_empty_file_comes_and_goes(card: Path) -> None:
+    client = FtpClient(Wire(FtpServer(card)))
+    client.upload("APM/a", b"", quiet)
+    assert client.download("APM/a", quiet) == b""
 
 
 def test_waits_for_a_session_that_others_hold(card: Path) -> None:

@@ -157,20 +157,23 @@ class FtpClient:
         self._request(path, Op.TERMINATE_SESSION)
 
     def download(self, path: str, progress: Progress) -> bytes:
-        """Read a file."""
-        size = self._open_to_read(path)
-        pieces: dict[int, bytes] = {}
+        """Read a file; some boards give less at a time than they are asked for."""
+        content = _Patchwork(self._open_to_read(path))
 
         def request(offset: int) -> Packet:
-            return self._packet(Op.READ_FILE, b"", offset, min(BLOCK_BYTES, size - offset))
+            return self._packet(Op.READ_FILE, b"", offset, wanted[offset])
 
         def take(offset: int, data: bytes, done: int) -> None:
-            pieces[offset] = data
-            progress(min(done * BLOCK_BYTES, size), size)
+            content.pieces[offset] = data
+            progress(content.known_bytes, content.size)
 
-        self._transfer(path, range(0, size, BLOCK_BYTES), Op.OPEN_FILE_RO, request, take)
+        while wanted := content.holes():
+            before = content.known_bytes
+            self._transfer(path, wanted, Op.OPEN_FILE_RO, request, take)
+            if content.known_bytes == before:
+                raise EchowingError(f"{path}: the autopilot gives back empty pieces of it")
         self._request(path, Op.TERMINATE_SESSION)
-        return b"".join(pieces[offset] for offset in sorted(pieces))
+        return content.joined()
 
     def _open_to_read(self, path: str) -> int:
         return int.from_bytes(
@@ -263,6 +266,33 @@ class FtpClient:
                 take(offset, answer.data, blocks.finish(offset))
             if self._wire.now_s() - heard_s > self._give_up_s:
                 raise NoAnswerError(f"{path}: the autopilot stopped answering in the middle")
+
+
+class _Patchwork:
+    """A file of known size, put together from pieces by their offsets."""
+
+    def __init__(self, size: int) -> None:
+        self.size = size
+        self.pieces: dict[int, bytes] = {}
+
+    @property
+    def known_bytes(self) -> int:
+        """How much of it there is."""
+        return sum(map(len, self.pieces.values()))
+
+    def holes(self) -> dict[int, int]:
+        """What is missing: offsets, and how many bytes to ask for there."""
+        found: dict[int, int] = {}
+        end = 0
+        for offset in [*sorted(self.pieces), self.size]:
+            for start in range(end, offset, BLOCK_BYTES):
+                found[start] = min(BLOCK_BYTES, offset - start)
+            end = offset + len(self.pieces.get(offset, b""))
+        return found
+
+    def joined(self) -> bytes:
+        """All of it, once there are no holes."""
+        return b"".join(self.pieces[offset] for offset in sorted(self.pieces))
 
 
 class _Blocks:
