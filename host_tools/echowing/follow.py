@@ -292,6 +292,7 @@ class FollowerState:
     climb_mps: float = 0.0
     heading_rad: float = 0.0
     mode: int | None = None
+    mode_at_s: float = -math.inf
     armed: bool = False
     flying: bool = False
     in_guided: bool = False
@@ -684,7 +685,7 @@ class FollowSession:
         self._leader_jumps = jumped
 
     def _mode(self, follower: FollowerState, heartbeat: Any, now_s: float) -> None:
-        follower.mode = heartbeat.custom_mode
+        follower.mode, follower.mode_at_s = heartbeat.custom_mode, now_s
         follower.armed = bool(heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
         follower.flying = is_flying(heartbeat)
         if self.take_offs is not None and not (follower.armed and follower.guided_mode):

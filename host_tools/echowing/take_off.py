@@ -29,6 +29,9 @@ ARRIVED_M = 0.5
 RISEN_M = 0.5
 # Positions are asked for at 10 Hz; where none is younger than this nobody sees what climbs.
 STALE_S = 1.5
+# A vehicle in Loiter takes off when told to as well: its mode has to be known, and heartbeats come
+# once a second.
+MODE_KNOWN_S = 2.5
 NEXT_SHARE = 0.8  # of the altitude, for `next_at_m`, where nothing else is asked for
 
 
@@ -72,7 +75,6 @@ class TakeOffs:
         self.plan = plan
         self._climbers = {system_id: _Climber() for system_id in follower_ids}
         self._say = say
-        self._ended = False
 
     def lift(self, system_id: int) -> Lift:
         """How far a follower's take-off is."""
@@ -85,7 +87,7 @@ class TakeOffs:
 
     def stop(self, reason: str, now_s: float) -> None:
         """Nobody else takes off, and who climbs stops where it is."""
-        self._ended = True
+        self._end()
         for system_id, climber in self._climbers.items():
             if climber.lift is Lift.CLIMBING:
                 self._stop(system_id, climber, reason, now_s)
@@ -123,7 +125,7 @@ class TakeOffs:
             if self.lift(system_id) is Lift.CLIMBING:
                 self._watch(follower, objection(follower), now_s)
         turn = self._whose_turn(followers)
-        if turn is not None and not self._ended:
+        if turn is not None:
             self._prepare(followers[turn], objection(followers[turn]), now_s)
         return [
             (system_id, _take_off(system_id, self.plan.altitude_m))
@@ -203,25 +205,32 @@ class TakeOffs:
     def _stop(self, system_id: int, climber: _Climber, reason: str, now_s: float) -> None:
         climber.lift, climber.reason = Lift.STOPPED, f"take-off stopped, {reason}"
         self._say(now_s, f"follower {system_id}: {climber.reason}; nobody else takes off")
-        self._ended = True
+        self._end()
 
     def _leave(self, system_id: int, climber: _Climber, what: str, now_s: float) -> None:
         climber.lift = Lift.LEFT
         self._say(now_s, f"follower {system_id}: {what}; nobody else takes off")
-        self._ended = True
+        self._end()
+
+    def _end(self) -> None:
+        """Who still is on the ground stays there."""
+        for climber in self._climbers.values():
+            if climber.lift in (Lift.WAITING, Lift.WARNED):
+                climber.lift = Lift.LEFT
 
 
 def _not_ready(follower: "FollowerState", now_s: float) -> str | None:
     """What its pilot has to do first, and what the tool has to hear."""
     if _is_stale(follower, now_s):
-        return "its position is not heard"
+        return "its position and mode are not heard"
     if not follower.guided_mode:
         return "until its pilot puts it in Guided"
     return None if follower.armed else "until its pilot arms it"
 
 
 def _is_stale(follower: "FollowerState", now_s: float) -> bool:
-    return now_s - follower.position_at_s > STALE_S
+    mode_unknown = now_s - follower.mode_at_s > MODE_KNOWN_S
+    return mode_unknown or now_s - follower.position_at_s > STALE_S
 
 
 def _take_off(system_id: int, altitude_m: float) -> Any:

@@ -40,6 +40,7 @@ class Field:
         )
         self.t_s = 0.0
         self.deaf: set[int] = set()
+        self.lost: set[str] = set()
         self.sent: list[tuple[int, Any]] = []
         for autopilot in self.autopilots.values():
             autopilot.add_link(TELEMETRY)
@@ -58,7 +59,7 @@ class Field:
 
     def hear(self, system_id: int, data: bytes) -> None:
         for message in self.parsers[system_id].parse_buffer(data) or ():
-            if system_id not in self.deaf:
+            if system_id not in self.deaf and message.get_type() not in self.lost:
                 self.session.receive(message, self.t_s)
 
     def send(self, messages: list[tuple[int, Any]]) -> None:
@@ -177,7 +178,7 @@ def test_a_pilot_who_takes_over_on_the_way_up_is_left_alone_and_so_is_everybody(
     assert "follower 2: has left Guided, take-off given up; nobody else takes off" in field.events()
     assert field.height_m(SECOND) == 0.0
     assert field.points() == []
-    assert field.state(FIRST) == "only watched"
+    assert field.state(FIRST) == field.state(SECOND) == "only watched"
 
 
 def test_a_disarmed_vehicle_ends_it() -> None:
@@ -266,6 +267,18 @@ def test_stale_telemetry_stops_the_climb_and_nobody_else_goes() -> None:
     field.deaf = set()
     field.run(10.0)
     assert field.height_m(SECOND) == 0.0
+
+
+def test_nobody_takes_off_whose_mode_is_no_longer_heard() -> None:
+    field = Field()
+    field.arm(FIRST)
+    field.until("takes off in 3 s")
+    field.lost = {"HEARTBEAT"}
+    field.autopilots[FIRST].set_mode("LOITER")
+    field.run(8.0)
+    told = "follower 2: take-off called off, its position and mode are not heard"
+    assert told in field.events()
+    assert mavlink.MAV_CMD_NAV_TAKEOFF not in field.commands()
 
 
 def test_a_refusal_is_said_and_ends_it() -> None:
