@@ -11,6 +11,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import BinaryIO, TextIO
 
+from echowing.follow_track import Track
 from echowing.panel import Row
 
 Say = Callable[[str], None]
@@ -28,7 +29,7 @@ class FollowLog:
             folder.mkdir(parents=True, exist_ok=True)
             self._tlog = (folder / f"follow-{stamp}.tlog").open("wb")
             self._table = (folder / f"follow-{stamp}.csv").open("w", newline="", encoding="utf-8")
-            names = [column.name for column in fields(Row)]
+            names = [column.name for kind in (Row, Track) for column in fields(kind)]
             self._writer = csv.DictWriter(self._table, ["unix_time_s", *names])
             self._writer.writeheader()
         except OSError as error:
@@ -43,13 +44,15 @@ class FollowLog:
         except OSError as error:
             self._give_up(error)
 
-    def rows(self, unix_s: float, rows: Sequence[Row]) -> None:
+    def rows(self, unix_s: float, rows: Sequence[Row], tracks: Sequence[Track]) -> None:
         """The rows of one moment; all that was written until now is on the disk after this."""
         if self._tlog is None or self._table is None:
             return
         try:
-            for row in rows:
-                self._writer.writerow({"unix_time_s": f"{unix_s:.3f}", **row.as_dict()})
+            for row, track in zip(rows, tracks, strict=True):
+                self._writer.writerow(
+                    {"unix_time_s": f"{unix_s:.3f}", **row.as_dict(), **track.as_dict()}
+                )
             self._table.flush()
             self._tlog.flush()
         except OSError as error:

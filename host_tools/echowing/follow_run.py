@@ -14,6 +14,7 @@ from echowing.follow import (
     Guide,
 )
 from echowing.follow_log import FollowLog
+from echowing.follow_track import Track, track
 from echowing.follow_view import View
 from echowing.formation import turning_together
 from echowing.guard import Limits
@@ -202,7 +203,11 @@ class FollowTool:
         rows = self._panel.rows(self._session, now_s)
         self._view.rows(now_s, rows)
         if self._log is not None:
-            self._log.rows(self._start_unix_s + now_s, rows)
+            self._log.rows(self._start_unix_s + now_s, rows, self._tracks(now_s))
+
+    def _tracks(self, now_s: float) -> list[Track]:
+        followers = self._session.followers.values()
+        return [track(self._session, follower, self._panel, now_s) for follower in followers]
 
     def _tell(self) -> None:
         events = self._session.events

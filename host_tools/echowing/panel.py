@@ -138,6 +138,10 @@ class Panel:
         elif kind == "STATUSTEXT" and message.severity <= mavlink.MAV_SEVERITY_WARNING:
             self.texts.append((message.get_srcSystem(), message.text))
 
+    def newest(self, system_id: int, name: str, now_s: float) -> float | None:
+        """A vehicle's newest named float, None when there is none of late."""
+        return self._readings[system_id].newest(name, now_s)
+
     def rows(self, session: FollowSession, now_s: float) -> list[Row]:
         """A row a follower."""
         return [self._row(session, follower, now_s) for follower in session.followers.values()]

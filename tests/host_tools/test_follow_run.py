@@ -1,6 +1,7 @@
 import io
 import json
 import math
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -13,6 +14,7 @@ from echowing.errors import EchowingError
 from echowing.follow import FollowerPlan, FollowSession
 from echowing.follow_log import FollowLog
 from echowing.follow_picture import SETTLED_S, Photographer, drawn
+from echowing.follow_track import Track
 from echowing.follow_view import PLAIN_PERIOD_S, JsonView, LiveView, PlainView
 from echowing.guidance import GuidanceSettings, Slot
 from echowing.panel import LINK_WINDOW_S, SONAR_FRESH_S, Panel, Row
@@ -222,17 +224,27 @@ def test_json_lines_are_objects(capsys: pytest.CaptureFixture[str]) -> None:
 # ---- what is written --------------------------------------------------------------------------
 
 
+def placed(lat_deg: float = 39.1234567) -> Track:
+    unknown: dict[str, Any] = {column.name: None for column in fields(Track)}
+    speeds = {"north_mps": 1.2344, "east_mps": 0.0, "heading_deg": 12.0}
+    wanted = {"wanted_radius_m": 3.0, "wanted_angle_deg": 0.0, "wanted_step_m": 0.0}
+    return Track(**{**unknown, **speeds, **wanted, "lat_deg": lat_deg})
+
+
 def test_logs_are_on_the_disk_after_every_row(tmp_path: Path) -> None:
     said: list[str] = []
     log = FollowLog(tmp_path / "new" / "folder", 1_767_225_600.0, said.append)
     log.frame(1_767_225_601.5, b"\xfdframe")
-    log.rows(1_767_225_601.6, [row()])
+    log.rows(1_767_225_601.6, [row()], [placed()])
 
     folder = tmp_path / "new" / "folder"
     stamped = (folder / "follow-20260101-000000.tlog").read_bytes()
     assert stamped == (1_767_225_601_500_000).to_bytes(8, "big") + b"\xfdframe"
     header, line = (folder / "follow-20260101-000000.csv").read_text().splitlines()
-    assert dict(zip(header.split(","), line.split(","), strict=True))["separation_m"] == "3.214"
+    written = dict(zip(header.split(","), line.split(","), strict=True))
+    assert written["separation_m"] == "3.214"
+    assert (written["lat_deg"], written["north_mps"]) == ("39.1234567", "1.234")
+    assert written["leader_lat_deg"] == ""
     log.close()
     assert said == []
 
@@ -244,7 +256,7 @@ def test_a_log_that_cannot_be_written_is_said_once(tmp_path: Path) -> None:
     log = FollowLog(blocked, 0.0, said.append)
     for _ in range(3):
         log.frame(1.0, b"x")
-        log.rows(1.0, [row()])
+        log.rows(1.0, [row()], [placed()])
     log.close()
     assert len(said) == 1
     assert "cannot be written" in said[0]

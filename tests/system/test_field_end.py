@@ -1,6 +1,7 @@
 """How `echowing follow` ends: by the pilot's switch, by signals at any moment, by a full disk."""
 
 import csv
+import json
 import random
 import signal
 import time
@@ -11,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from echowing.cli import main
 
 if TYPE_CHECKING:
     from tests.system.field import (
@@ -202,3 +205,25 @@ def test_what_fits_on_a_full_disk_can_be_read_and_the_end_is_clean(
     (path,) = tmp_path.glob("*.tlog")
     log = mavutil.mavlogfile(str(path))
     assert any(message.get_type() == "HEARTBEAT" for message in iter(log.recv_msg, None))
+
+
+def test_the_log_of_a_killed_tool_is_analysed_from_its_folder(
+    world: World, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tool = world.follow("--log", str(tmp_path))
+    there = tool.row(is_followed)
+    tool.row(lambda row: is_followed(row) and row["time_s"] > 6.0, there)
+    tool.kill()
+
+    assert main(["analyze", str(tmp_path), "--json"]) == 0
+    by_table = json.loads(capsys.readouterr().out)
+    assert by_table["samples"] > 20
+    # The vehicles' own messages, on their own clocks, tell the same but for a decimetre: at
+    # 0.5 m/s some tenths of a second of link are in the one and not in the other.
+    (tlog,) = tmp_path.glob("*.tlog")
+    assert main(["analyze", str(tlog), "--leader", str(LEADER), "--json"]) == 0
+    by_messages = json.loads(capsys.readouterr().out)
+    assert by_table["mean_separation_m"] == pytest.approx(by_messages["mean_separation_m"], abs=0.2)
+
+    assert main(["analyze", str(tmp_path), "--out", str(tmp_path)]) == 0
+    assert (tmp_path / "report.html").exists()

@@ -15,11 +15,13 @@ from pathlib import Path
 import numpy as np
 
 from echowing.analysis.flight import Flight, Floats
+from echowing.analysis.follow_table import read_table
+from echowing.analysis.slots import slot_offsets
 from echowing.analysis.vehicle_log import Series, VehicleLog, read_vehicles
 from echowing.errors import EchowingError
-from echowing.geo import GlobalPosition
-from echowing.guidance import Course, LeaderFix, Slot, slot_offset_m
+from echowing.guidance import Slot
 
+TABLE, LOGS = ".csv", (".tlog", ".bin")
 CLOCK_HZ = 10.0
 SHORTEST_S = 1.0  # less in common is no flight
 LONGEST_GAP_S = 1.0  # positions further apart in time are not joined by a line
@@ -33,15 +35,38 @@ def read_flights(
     paths: Sequence[Path],
     *,
     leader: Path | int | None = None,
-    slot: Slot = DEFAULT_SLOT,
+    slot: Slot | None = None,
 ) -> list[Flight]:
     """One flight a follower, from the logs of a leader and its followers.
 
-    paths: .tlog and .BIN in any mix, one a vehicle (a .tlog may hold several). leader: its file or
-    its system id; without, it is the one that has no forward rangefinder, or is not in Guided.
-    slot: where the followers should have been. Raises EchowingError when no pair can be made;
-    what could only be guessed is in `Flight.warnings`.
+    paths: .tlog and .BIN in any mix, one a vehicle (a .tlog may hold several); tables of `echowing
+    follow --log`, which hold all of a flight; folders of either. leader: its file or its system
+    id; without, it is the one that has no forward rangefinder, or is not in Guided. slot: where the
+    followers should have been; without, as the table says, or the thesis's. Raises EchowingError
+    when no pair can be made; what could only be guessed is in `Flight.warnings`.
     """
+    files = [file for path in paths for file in _files(path)]
+    tables = [file for file in files if file.suffix.lower() == TABLE]
+    logs = [file for file in files if file not in tables]
+    flights = [flight for table in tables for flight in read_table(table, slot)]
+    if logs or not tables:
+        flights += _paired(logs, leader, slot or DEFAULT_SLOT)
+    return flights
+
+
+def _files(path: Path) -> list[Path]:
+    """The logs meant by a path: of a folder its tables, or all logs where it has none."""
+    if not path.is_dir():
+        return [path]
+    inside = sorted(path.iterdir())
+    tables = [file for file in inside if file.name.startswith("follow-") and file.suffix == TABLE]
+    logs = tables or [file for file in inside if file.suffix.lower() in LOGS]
+    if not logs:
+        raise EchowingError(f"log {path}: a folder without follow-*.csv, .tlog or .BIN files")
+    return logs
+
+
+def _paired(paths: Sequence[Path], leader: Path | int | None, slot: Slot) -> list[Flight]:
     vehicles = [vehicle for path in paths for vehicle in read_vehicles(path)]
     if len(vehicles) < 2:
         raise EchowingError(
@@ -213,7 +238,7 @@ def _flight(leader: VehicleLog, follower: VehicleLog, slot: Slot, warnings: list
         follower_ned_m=follower_m,
         follower_velocity_mps=_joined(follower.velocity, time_s, 3),
         follower_yaw_rad=_yaw(follower, time_s),
-        slot_ned_m=leader_m + _slot_offsets(slot, velocity, _yaw(leader, time_s)),
+        slot_ned_m=leader_m + slot_offsets(slot, velocity, _yaw(leader, time_s)),
         sonar_m=_held(follower.sonar, time_s, SONAR_FRESH_S),
         speed_command_mps=_held(follower.speed_command, time_s, math.inf),
         pan_us=_held(follower.pan, time_s, GIMBAL_FRESH_S),
@@ -305,14 +330,3 @@ def _held(series: Series, time_s: Floats, fresh_s: float) -> Floats:
     values = rows[np.maximum(newest, 0), 1]
     stale = (newest < 0) | (time_s - rows[np.maximum(newest, 0), 0] > fresh_s)
     return np.where(stale, math.nan, values)
-
-
-def _slot_offsets(slot: Slot, velocity: Floats, yaw: Floats) -> Floats:
-    """Leader to slot in NED at each moment, on the course that guidance would have used."""
-    course = Course()
-    nowhere = GlobalPosition(0.0, 0.0, 0.0)
-    offsets = np.full((len(velocity), 3), math.nan)
-    for row, (ned_mps, heading_rad) in enumerate(zip(velocity.tolist(), yaw.tolist(), strict=True)):
-        bearing_rad = course.update(LeaderFix(0.0, nowhere, tuple(ned_mps), heading_rad))
-        offsets[row] = (*slot_offset_m(slot, bearing_rad), -slot.altitude_step_m)
-    return offsets

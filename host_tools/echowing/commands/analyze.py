@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from echowing.analysis.flight import Flight
+    from echowing.guidance import Slot
 
 EXAMPLES = """\
 examples:
   echowing analyze leader.BIN follower.BIN
+  echowing analyze out/flight-7 --out out/flight-7      what `echowing follow --log` has written
   echowing analyze leader.tlog follower.tlog --radius 4 --out out/flight-7
   echowing analyze out/mine/leader.tlog out/mine/follower-2.tlog --truth out/mine/truth.csv --json
 """
@@ -20,12 +22,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The verb's options."""
     parser.epilog = EXAMPLES
     parser.add_argument(
-        "logs", nargs="+", type=Path, metavar="LOG", help=".tlog or .BIN, one a vehicle or more"
+        "logs",
+        nargs="+",
+        type=Path,
+        metavar="LOG",
+        help=".tlog or .BIN, one a vehicle or more; the CSV of `echowing follow --log`, or its DIR",
     )
     parser.add_argument("--leader", metavar="LOG|ID", help="the leader's log or system id")
-    parser.add_argument("--radius", type=float, default=3.0, metavar="M", help="wanted separation")
     parser.add_argument(
-        "--angle", type=float, default=0.0, metavar="DEG", help="off the tail, counter-clockwise"
+        "--radius",
+        type=float,
+        metavar="M",
+        help="wanted separation; without, as follow's CSV says, else 3",
+    )
+    parser.add_argument(
+        "--angle", type=float, metavar="DEG", help="off the tail, counter-clockwise"
     )
     parser.add_argument("--settle", type=float, default=0.0, metavar="S", help="seconds left out")
     parser.add_argument("--truth", type=Path, metavar="CSV", help="compare with a truth.csv")
@@ -35,13 +46,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Read, measure, print."""
-    import math  # noqa: PLC0415 (imported when the verb is used)
+    from echowing.analysis.logs import read_flights  # noqa: PLC0415 (imported when it is used)
 
-    from echowing.analysis.logs import read_flights  # noqa: PLC0415
-    from echowing.guidance import Slot  # noqa: PLC0415
-
-    slot = Slot(args.radius, math.radians(args.angle))
-    flights = read_flights(args.logs, leader=_leader(args.leader), slot=slot)
+    flights = read_flights(args.logs, leader=_leader(args.leader), slot=_slot(args))
     if args.json:
         for flight in flights:
             print(json.dumps(_summary(flight, args)))
@@ -50,6 +57,19 @@ def run(args: argparse.Namespace) -> int:
     if args.out is not None:
         _write(args.out, flights)
     return 0
+
+
+def _slot(args: argparse.Namespace) -> "Slot | None":
+    """What was said of the slot; None: nothing."""
+    import math  # noqa: PLC0415 (imported when it is used)
+
+    from echowing.analysis.logs import DEFAULT_SLOT  # noqa: PLC0415
+    from echowing.guidance import Slot  # noqa: PLC0415
+
+    if args.radius is None and args.angle is None:
+        return None
+    radius_m = DEFAULT_SLOT.radius_m if args.radius is None else args.radius
+    return Slot(radius_m, math.radians(args.angle or 0.0))
 
 
 def _leader(text: str | None) -> Path | int | None:

@@ -1,0 +1,154 @@
+"""Flights from the CSV that `echowing follow --log` writes: all on the ground computer's clock."""
+
+import csv
+import math
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import pymap3d
+
+from echowing.analysis.flight import Flight, Floats
+from echowing.analysis.slots import slot_offsets
+from echowing.errors import EchowingError
+from echowing.guidance import Slot
+
+SHORTEST_ROWS = 10  # a second at 10 Hz; less is no flight
+FOLLOWING = "following"
+NUMBERS = (
+    *("unix_time_s", "age_s", "sonar_m", "command_mps", "wanted_radius_m", "wanted_angle_deg"),
+    *("wanted_step_m", "leader_lat_deg", "leader_lon_deg", "leader_alt_m", "leader_north_mps"),
+    *("leader_east_mps", "leader_heading_deg", "lat_deg", "lon_deg", "alt_m", "north_mps"),
+    *("east_mps", "heading_deg", "pan_us", "tilt_us"),
+)
+WORDS = ("system_id", "state", "gimbal")
+
+Row = Mapping[str, str | None]
+
+
+def read_table(path: Path, slot: Slot | None = None) -> list[Flight]:
+    """One flight a follower in the table. slot: where it should have been, else as it was told.
+
+    Positions are by the vehicles' receivers, as in their own logs: the leader's carried on over the
+    age of its report, the follower's over its own. Raises EchowingError for a file that cannot be
+    read, or is no such table.
+    """
+    rows, warnings = _rows(path)
+    by_system: dict[str, list[Row]] = defaultdict(list)
+    for row in rows:
+        by_system[str(row["system_id"])].append(row)
+    return [
+        _flight(path, _label(path, system, len(by_system)), own, slot, warnings)
+        for system, own in by_system.items()
+    ]
+
+
+def _label(path: Path, system: str, systems: int) -> str:
+    return path.name if systems == 1 else f"{path.name}, system {system}"
+
+
+def _rows(path: Path) -> tuple[list[Row], list[str]]:
+    """The whole rows of the table; a last one that was cut off is left out."""
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            reader = csv.DictReader(file)
+            rows: list[Row] = list(reader)
+            missing = [name for name in (*NUMBERS, *WORDS) if name not in (reader.fieldnames or ())]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise EchowingError(f"log {path}: cannot be read: {error}") from error
+    if missing:
+        raise EchowingError(
+            f"log {path}: not a table of echowing follow --log: no column {missing[0]}"
+        )
+    whole = [row for row in rows if None not in row and None not in row.values()]
+    if not whole:
+        raise EchowingError(f"log {path}: holds no rows; was the vehicle ever heard?")
+    cut = len(rows) - len(whole)
+    return whole, [f"{path}: damaged or cut off; what could be read is used"] if cut else []
+
+
+def _flight(
+    path: Path, label: str, rows: Sequence[Row], slot: Slot | None, notes: list[str]
+) -> Flight:
+    flown, warnings = _flown(label, rows)
+    number = {name: _numbers(path, flown, name) for name in NUMBERS}
+    time_s, age_s = number["unix_time_s"], number["age_s"]
+    origin = _origin(label, number)
+    wanted = slot or Slot(
+        float(number["wanted_radius_m"][0]),
+        math.radians(number["wanted_angle_deg"][0]),
+        float(number["wanted_step_m"][0]),
+    )
+    if wanted.radius_m <= 0.0:
+        raise EchowingError(f"log {label}: of a relay, which has no place behind a leader")
+    velocity = _columns(number, "north_mps", "east_mps")
+    leader_velocity = _columns(number, "leader_north_mps", "leader_east_mps")
+    leader_m = _ned(number, "leader_", origin)
+    follower_m = _ned(number, "", origin) + velocity * age_s[:, np.newaxis]
+    heading = np.radians(number["leader_heading_deg"])
+    return Flight(
+        name=label,
+        wanted_separation_m=math.hypot(wanted.radius_m, wanted.altitude_step_m),
+        wanted_angle_rad=wanted.angle_rad,
+        time_s=time_s - time_s[0],
+        leader_ned_m=leader_m,
+        leader_velocity_mps=leader_velocity,
+        follower_ned_m=follower_m,
+        follower_velocity_mps=velocity,
+        follower_yaw_rad=_wrapped(np.radians(number["heading_deg"])),
+        slot_ned_m=leader_m + slot_offsets(wanted, leader_velocity, heading),
+        sonar_m=number["sonar_m"],
+        speed_command_mps=number["command_mps"],
+        pan_us=number["pan_us"],
+        tilt_us=number["tilt_us"],
+        source="logs",
+        sonar_known=any(row["sonar_m"] or row["gimbal"] for row in rows),
+        start_unix_s=float(time_s[0]),
+        warnings=(*notes, *warnings),
+    )
+
+
+def _flown(label: str, rows: Sequence[Row]) -> tuple[Sequence[Row], list[str]]:
+    """From the first to the last moment at which it was led; what to know of them."""
+    led = [index for index, row in enumerate(rows) if str(row["state"]).startswith(FOLLOWING)]
+    if not led:
+        return rows, [f"{label}: never followed; all of the log is used"]
+    flown = rows[led[0] : led[-1] + 1]
+    other = len(flown) - len(led)
+    if len(flown) < SHORTEST_ROWS:
+        raise EchowingError(f"log {label}: followed for less than a second")
+    if not other:
+        return flown, []
+    return flown, [f"{label}: held or in its pilot's hands for {other / 10:.0f} s of the flight"]
+
+
+def _numbers(path: Path, rows: Sequence[Row], name: str) -> Floats:
+    try:
+        return np.array([float(row[name] or math.nan) for row in rows])
+    except ValueError as error:
+        raise EchowingError(f"log {path}: column {name}: {error}") from error
+
+
+def _columns(number: Mapping[str, Floats], north: str, east: str) -> Floats:
+    """(n, 3); no vertical speed is logged."""
+    return np.column_stack([number[north], number[east], np.zeros(len(number[north]))])
+
+
+def _origin(label: str, number: Mapping[str, Floats]) -> tuple[float, float, float]:
+    """The leader's first known place."""
+    known = np.flatnonzero(np.isfinite(number["leader_lat_deg"]))
+    if len(known) == 0:
+        raise EchowingError(f"log {label}: the leader was never heard; nothing to measure")
+    names = ("leader_lat_deg", "leader_lon_deg", "leader_alt_m")
+    lat, lon, alt = (float(number[name][known[0]]) for name in names)
+    return lat, lon, alt
+
+
+def _ned(number: Mapping[str, Floats], who: str, origin: tuple[float, float, float]) -> Floats:
+    names = (f"{who}lat_deg", f"{who}lon_deg", f"{who}alt_m")
+    return np.column_stack(pymap3d.geodetic2ned(*(number[name] for name in names), *origin))
+
+
+def _wrapped(angle_rad: Floats) -> Floats:
+    return np.asarray(np.mod(angle_rad + math.pi, 2.0 * math.pi) - math.pi)

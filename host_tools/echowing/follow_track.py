@@ -1,0 +1,113 @@
+"""Where everybody was and was to be, for the follow tool's CSV and its analysis. Pure."""
+
+import math
+from dataclasses import dataclass, fields
+from typing import Any
+
+from echowing.follow import FollowerState, FollowSession
+from echowing.geo import GlobalPosition
+from echowing.guidance import LeaderFix, is_stale, predicted
+from echowing.panel import Panel
+
+PAN, TILT = "SNR_PAN", "SNR_TILT"
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """One follower's place in the formation at one moment; None: not known.
+
+    Degrees are WGS-84, `alt_m` above sea level, speeds over ground, headings clockwise from north.
+    wanted_*: its slot. leader_*: carried on over the age of its report, by its own receiver.
+    lat_deg to heading_deg: the follower's newest report. slot_*, point_*: what the guidance made
+    of them, the learnt offset and the lead included; yaw_deg: where it was to look. pan_us,
+    tilt_us: the gimbal's pulses.
+    """
+
+    wanted_radius_m: float
+    wanted_angle_deg: float
+    wanted_step_m: float
+    leader_lat_deg: float | None
+    leader_lon_deg: float | None
+    leader_alt_m: float | None
+    leader_north_mps: float | None
+    leader_east_mps: float | None
+    leader_heading_deg: float | None
+    lat_deg: float | None
+    lon_deg: float | None
+    alt_m: float | None
+    north_mps: float
+    east_mps: float
+    heading_deg: float
+    slot_lat_deg: float | None
+    slot_lon_deg: float | None
+    point_lat_deg: float | None
+    point_lon_deg: float | None
+    yaw_deg: float | None
+    pan_us: float | None
+    tilt_us: float | None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Its fields by name: degrees of position as MAVLink carries them, else thousandths."""
+        return {column.name: _rounded(column.name, getattr(self, column.name)) for column in _ALL}
+
+
+def _rounded(name: str, value: float | None) -> float | None:
+    if value is None:
+        return None
+    return round(value, 7 if name.endswith(("lat_deg", "lon_deg")) else 3)
+
+
+_ALL = fields(Track)
+
+
+def track(session: FollowSession, follower: FollowerState, panel: Panel, now_s: float) -> Track:
+    """Where leader and follower are at `now_s`, and where the follower is to be."""
+    slot, system_id = follower.plan.slot, follower.plan.system_id
+    leader = _leader(session, now_s)
+    leader_lat_deg, leader_lon_deg, leader_alt_m = _place(
+        None if leader is None else leader.position
+    )
+    lat_deg, lon_deg, alt_m = _place(follower.position)
+    guided = follower.guided if follower.held_at is None else None
+    slot_lat_deg, slot_lon_deg, _ = _place(None if guided is None else guided.slot)
+    point_lat_deg, point_lon_deg, _ = _place(None if guided is None else guided.point)
+    return Track(
+        wanted_radius_m=slot.radius_m,
+        wanted_angle_deg=math.degrees(slot.angle_rad),
+        wanted_step_m=slot.altitude_step_m,
+        leader_lat_deg=leader_lat_deg,
+        leader_lon_deg=leader_lon_deg,
+        leader_alt_m=leader_alt_m,
+        leader_north_mps=None if leader is None else leader.velocity_ned_mps[0],
+        leader_east_mps=None if leader is None else leader.velocity_ned_mps[1],
+        leader_heading_deg=_degrees(None if leader is None else leader.heading_rad),
+        lat_deg=lat_deg,
+        lon_deg=lon_deg,
+        alt_m=alt_m,
+        north_mps=follower.velocity_mps[0],
+        east_mps=follower.velocity_mps[1],
+        heading_deg=math.degrees(follower.heading_rad),
+        slot_lat_deg=slot_lat_deg,
+        slot_lon_deg=slot_lon_deg,
+        point_lat_deg=point_lat_deg,
+        point_lon_deg=point_lon_deg,
+        yaw_deg=_degrees(None if guided is None else guided.yaw_rad),
+        pan_us=panel.newest(system_id, PAN, now_s),
+        tilt_us=panel.newest(system_id, TILT, now_s),
+    )
+
+
+def _leader(session: FollowSession, now_s: float) -> LeaderFix | None:
+    """Where it is now; nothing while it is stale."""
+    fix = session.leader.fix
+    if fix is None or is_stale(now_s - fix.time_s, session.settings):
+        return None
+    return predicted(fix, max(0.0, now_s - fix.time_s))
+
+
+def _place(place: GlobalPosition | None) -> tuple[float | None, float | None, float | None]:
+    return (None, None, None) if place is None else place
+
+
+def _degrees(angle_rad: float | None) -> float | None:
+    return None if angle_rad is None else math.degrees(angle_rad) % 360.0
