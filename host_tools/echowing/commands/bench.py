@@ -59,6 +59,8 @@ def run(args: argparse.Namespace) -> int:
     figures = [figure for name in chosen if name in sections for figure in sections[name]()]
     if figures and not args.json:
         _print(figures)
+        if "field" in chosen:
+            _print_definition()
     if "laws" in chosen:
         table = _fly_laws(args.seeds, quiet=args.json)
         figures += _law_figures(table)
@@ -78,6 +80,14 @@ def _print(figures: list[Figure]) -> None:
         value = f"{figure.value:,.0f}" if figure.value >= 100 else f"{figure.value:.3g}"
         table.add_row(figure.what, value, figure.unit, figure.goal)
     Console().print(table)
+
+
+def _print_definition() -> None:
+    from rich.console import Console  # noqa: PLC0415 (imported when it is used)
+
+    from echowing.sim.field_figures import DEFINITION  # noqa: PLC0415
+
+    Console().print(DEFINITION, highlight=False)
 
 
 def _fly_laws(seeds: int, *, quiet: bool) -> "list[LawRow]":

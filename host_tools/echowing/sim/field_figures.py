@@ -39,6 +39,12 @@ from echowing.stopping import StopRequest
 MANY = 50
 SETTLE_S = 3.0
 GIVE_UP_S = 30.0
+DEFINITION = (
+    "Telemetry to wire: from the tool's turn to its links, with points due, until the datagram is "
+    "the kernel's. What has come is read and taken in, points are worked out, packed and sent; the "
+    "wait for a point to be due is not in it. A point: the turn's time over its points. The tool "
+    "with its live table and logs; the fleet, all on one link, is a process of its own."
+)
 POINT_ID = mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT
 
 
