@@ -4,7 +4,7 @@ import csv
 import io
 import json
 import math
-from argparse import ArgumentTypeError
+from argparse import ArgumentTypeError, Namespace
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,17 @@ from rich.console import Console
 from echowing import search
 from echowing.analysis.thesis import FIGURE_28, TABLE_6
 from echowing.errors import EchowingError
-from echowing.rig.bench import EXIT_INTERRUPTED, Bench, Operator, Procedure, run_to_result
+from echowing.rig.bench import (
+    EXIT_INTERRUPTED,
+    SETTLE_S,
+    Bench,
+    Operator,
+    Procedure,
+    perform,
+    positive,
+    run_to_result,
+    whole,
+)
 from echowing.rig.latency_test import Clocks, LatencyTest, bins
 from echowing.rig.law_steps import Law, Sample, judged
 from echowing.rig.law_vehicles import law_of
@@ -28,7 +38,7 @@ from echowing.rig.response_matrix import OUT_OF_RANGE, GimbalWatch, Hold, holds
 from echowing.rig.result import Check, Result, write_result
 from echowing.rig.scan_test import ScanTest, Visits, by_point
 from echowing.rig.soak import Soak, SoakTest
-from echowing.rig.state import BoardState
+from echowing.rig.state import BoardState, Version
 
 BOARD = (1, 191)
 TICK_S = 0.05  # a reading and a report each
@@ -76,10 +86,10 @@ class FakeBoard:
         self._told_s = 0.0
 
     def clock(self) -> float:
-        return self.t_s
+        return round(self.t_s, 4)  # steps of 0.05 add up to whole seconds
 
     def poll(self, timeout_s: float) -> list[Any]:
-        self.t_s += timeout_s
+        self.t_s += max(timeout_s, 1e-4)  # no wait is without end
         messages: list[Any] = []
         while self._told_s + TICK_S <= self.t_s + 1e-9:
             self._told_s += TICK_S
@@ -97,6 +107,9 @@ class FakeBoard:
 
     def send(self, message: Any) -> None:
         self.sent.append(message)
+
+    def version(self) -> Version:
+        return Version("0.1.0", "1e8003ee")
 
     def close(self) -> None:
         pass
@@ -161,7 +174,7 @@ def test_the_document_is_json_and_the_page_needs_no_network(tmp_path: Path) -> N
 
 def test_a_folder_that_cannot_be_made_is_told(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(EchowingError, match=r"file/range-test\.json: cannot be written"):
+    with pytest.raises(EchowingError, match=r"--out .*/file: cannot be written"):
         write_result(Result("range-test", "Range"), tmp_path / "file")
 
 
@@ -184,6 +197,54 @@ def test_messages_of_others_are_not_measured() -> None:
     assert [m.value for m in heard] == [2.0] * 20  # 20 readings a second, none of the autopilot's
 
 
+class Counting:
+    """A procedure that takes no time, and passes or not."""
+
+    def __init__(self, passes: bool) -> None:
+        self._passes = passes
+
+    def run(self, bench: Bench) -> None:
+        bench.operator.tell("counting [to one]")
+
+    def result(self) -> Result:
+        return Result("counting", "Counting", [Check("one", "1", "1", self._passes)])
+
+
+@pytest.mark.parametrize(("passes", "code"), [(True, 0), (False, 1)])
+def test_json_is_alone_on_standard_output(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    passes: bool,
+    code: int,
+) -> None:
+    monkeypatch.setattr("echowing.rig.bench.open_board", lambda *_: FakeBoard(lambda t_s: []))
+    args = Namespace(json=True, port=None, baud=115_200, yes=True, out=tmp_path)
+    assert perform(Counting(passes), args) == code
+    said = capsys.readouterr()
+    document = json.loads(said.out)
+    assert document == json.loads((tmp_path / "counting.json").read_text())
+    assert document["firmware"] == "0.1.0 1e8003ee"
+    assert "counting [to one]" in said.err
+
+
+def test_a_folder_that_takes_no_files_is_told_before_the_board_is_opened(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    args = Namespace(json=False, port="/dev/none", baud=115_200, yes=True, out=tmp_path / "file")
+    with pytest.raises(EchowingError, match="--out"):
+        perform(Counting(True), args)
+
+
+def test_numbers_of_options_have_to_make_sense() -> None:
+    assert (positive("0.5"), whole("3")) == (0.5, 3)
+    for wrong in ("0", "-1", "nan", "inf", "some"):
+        with pytest.raises(ArgumentTypeError):
+            positive(wrong)
+    for wrong in ("0", "-1", "1.5", "some"):
+        with pytest.raises(ArgumentTypeError):
+            whole(wrong)
+
+
 # ---- range test ---------------------------------------------------------------------------------
 
 
@@ -201,7 +262,11 @@ def test_a_target_heard_at_every_distance_passes() -> None:
     # 2 s at each of 1, 2 and 4 m; readings 1 cm long, alternating by a centimetre either way.
     stops = (1.0, 2.0, 4.0)
     board = FakeBoard(
-        place(lambda t_s, n: stops[min(2, int((t_s - 1e-6) / 2.0))] + 0.01 + 0.01 * (-1) ** n)
+        place(
+            lambda t_s, n: (
+                stops[min(2, int((t_s - SETTLE_S - 1e-6) / 2.0))] + 0.01 + 0.01 * (-1) ** n
+            )
+        )
     )
     result = done(range_test(*stops), board)
     assert result.verdict == "PASS"
@@ -228,7 +293,7 @@ def test_a_wall_behind_is_no_detection() -> None:
     assert result.document()["measured"]["points"][0]["mean_m"] is None
 
 
-@pytest.mark.parametrize(("every", "passes"), [(10, True), (9, False)])
+@pytest.mark.parametrize(("every", "passes"), [(10, True), (8, False)])
 def test_nine_readings_in_ten_are_a_detection(every: int, passes: bool) -> None:
     world = place(lambda t_s, n: 7.66 if n % every == 0 else 4.0)
     result = done(range_test(4.0), FakeBoard(world))
@@ -265,9 +330,9 @@ def test_distances_have_to_be_distances() -> None:
 
 def test_interrupted_keeps_what_was_measured_and_leaves_the_board_as_it_was() -> None:
     def world(t_s: float) -> Iterator[Any]:
-        if t_s > 3.0:
+        if t_s > SETTLE_S + 3.0:
             raise KeyboardInterrupt
-        yield value("SNR_RAW", 1.0 if t_s < 2.01 else 2.0)
+        yield value("SNR_RAW", 1.0 if t_s < SETTLE_S + 2.01 else 2.0)
 
     board = FakeBoard(world)
     result, code = run_to_result(range_test(1.0, 2.0, 3.0), bench_of(board))
@@ -279,7 +344,7 @@ def test_interrupted_keeps_what_was_measured_and_leaves_the_board_as_it_was() ->
 
 def test_a_pulled_cable_keeps_what_was_measured() -> None:
     def world(t_s: float) -> Iterator[Any]:
-        if t_s > 2.5:
+        if t_s > SETTLE_S + 2.5:
             raise PortLostError("/dev/fake: the connection was lost")
         yield value("SNR_RAW", 1.0)
 

@@ -1,12 +1,14 @@
 """The bench on which a procedure runs: the board, the operator, the clock; and how it is run."""
 
 import contextlib
+import json
+import math
 import queue
 import signal
 import sys
 import threading
 import time
-from argparse import ArgumentParser, Namespace
+from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from pathlib import Path
@@ -17,11 +19,14 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from echowing.errors import EchowingError
 from echowing.rig.board import Board, ScanMode, open_board
-from echowing.rig.result import EXIT_CODES, Result, write_result
+from echowing.rig.result import EXIT_CODES, Result, prepare_folder, write_result
 
 EXIT_INTERRUPTED = 130
 # How often a wait looks at its end: quick for a person, slow for a processor.
 POLL_S = 0.05
+# From the farthest point of the search: 100 us at the board's SERVO_RATE of 2500 us/s, and the
+# readings that were begun meanwhile (100 ms to full range).
+SETTLE_S = 0.25
 
 
 class Procedure(Protocol):
@@ -46,7 +51,7 @@ class Operator:
 
     def tell(self, text: str) -> None:
         """A line for the operator."""
-        self.console.print(text, highlight=False)
+        self.console.print(text, highlight=False, markup=False)
 
     def ask(self, text: str, meanwhile: Callable[[], str]) -> None:
         """Tell what to do and wait for Enter; `meanwhile` keeps the board going and tells of it."""
@@ -113,6 +118,7 @@ class Bench:
         self.operator = operator
         self.clock = clock
         self.pause = pause
+        self.connected = True
 
     def ask(self, text: str, hear: Callable[[Any], None] = ignore) -> None:
         """Have the operator do something; what the board says meanwhile goes to `hear`."""
@@ -140,15 +146,20 @@ class Bench:
         return [message for message in board.poll(timeout_s) if board.is_from_board(message)]
 
     def centre(self) -> None:
-        """The gimbal straight ahead and still."""
+        """The gimbal straight ahead and still; what was heard on the way is forgotten."""
         self.board.scan(ScanMode.CENTRE)
+        end_s = self.clock() + SETTLE_S
+        while self.clock() < end_s:
+            self.board.poll(POLL_S)
 
     def search(self) -> None:
         """The gimbal searches, and holds still on what it hears."""
         self.board.scan(ScanMode.SCAN)
 
     def leave(self) -> None:
-        """The gimbal centred, and scanning left to the board itself."""
+        """The gimbal centred, and scanning left to the board itself, if it is there."""
+        if not self.connected:
+            return
         self.board.scan(ScanMode.CENTRE)
         self.board.scan(ScanMode.AUTO)
 
@@ -168,11 +179,30 @@ def add_bench_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--yes", action="store_true", help="ask nothing: all is in place")
 
 
+def positive(text: str) -> float:
+    """A number over 0, for argparse."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0.0 < value < math.inf:
+        raise ArgumentTypeError(f"{text!r}: a number over 0")
+    return value
+
+
+def whole(text: str) -> int:
+    """A whole number from 1 on, for argparse."""
+    if not text.isdecimal() or int(text) < 1:
+        raise ArgumentTypeError(f"{text!r}: a whole number from 1 on")
+    return int(text)
+
+
 def perform(procedure: Procedure, args: Namespace) -> int:
     """Run a procedure on the board; the result is written however it ends. Returns exit code."""
     console = Console(stderr=args.json, soft_wrap=True)
     # Whoever stops it shall find the result and the gimbal as after Ctrl-C.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
+    prepare_folder(args.out)
     board = open_board(args.port, args.baud)
     bench = Bench(board, Operator(console, sys.stdin, yes=args.yes))
     try:
@@ -184,9 +214,9 @@ def perform(procedure: Procedure, args: Namespace) -> int:
         bench.board.close()  # another one than before where it was unplugged
     document, shown = write_result(result, args.out)
     result.show(console)
-    console.print(f"{document}, {shown}", style="dim", highlight=False)
+    console.print(f"{document}, {shown}", style="dim", highlight=False, markup=False)
     if args.json:
-        Console().print_json(data=result.document())
+        print(json.dumps(result.document(), allow_nan=False))
     return code
 
 

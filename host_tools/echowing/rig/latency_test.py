@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from echowing.analysis import plots
 from echowing.analysis.tables import Grid, Row
-from echowing.rig.bench import Bench, add_bench_arguments, perform
+from echowing.rig.bench import Bench, add_bench_arguments, perform, positive, whole
 from echowing.rig.readings import average_m, named_value, percentile
 from echowing.rig.result import Check, Result
 
@@ -245,13 +245,13 @@ def add_arguments(parser: ArgumentParser) -> None:
     """The verb's options."""
     parser.epilog = EXAMPLES
     add_bench_arguments(parser)
-    parser.add_argument("--commands", type=int, default=COMMANDS, metavar="N", help="asked (100)")
+    parser.add_argument("--commands", type=whole, default=COMMANDS, metavar="N", help="asked (100)")
     parser.add_argument(
-        "--seconds", type=float, default=SECONDS, metavar="S", help="listened for (20)"
+        "--seconds", type=positive, default=SECONDS, metavar="S", help="listened for (20)"
     )
     parser.add_argument(
         "--host-ms",
-        type=float,
+        type=positive,
         default=HOST_MS,
         metavar="MS",
         help=f"what USB and this computer may add to the board's own limits ({HOST_MS:g})",
@@ -260,4 +260,4 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def run(args: Namespace) -> int:
     """Measure, judge, write the result."""
-    return perform(LatencyTest(max(1, args.commands), args.seconds, args.host_ms, args.baud), args)
+    return perform(LatencyTest(args.commands, args.seconds, args.host_ms, args.baud), args)

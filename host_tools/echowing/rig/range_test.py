@@ -9,7 +9,7 @@ from typing import Any
 from echowing.analysis import plots
 from echowing.analysis.tables import Grid, Row
 from echowing.analysis.thesis import TABLE_5, TABLE_6
-from echowing.rig.bench import Bench, add_bench_arguments, perform
+from echowing.rig.bench import Bench, add_bench_arguments, perform, positive
 from echowing.rig.readings import heard_m, spread, value_of
 from echowing.rig.result import Check, Result
 from echowing.rig.state import NOTHING_HEARD_M
@@ -269,6 +269,14 @@ def _truth_trace(points: Sequence[Point]) -> plots.Figure:
     return {"type": "scatter", "mode": "lines", "name": "exact", "x": ends, "y": ends, "line": line}
 
 
+def share(text: str) -> float:
+    """A share over 0 and up to 1; ArgumentTypeError for what is none."""
+    value = positive(text)
+    if value > 1.0:
+        raise ArgumentTypeError(f"{text!r}: a share, up to 1")
+    return value
+
+
 def distances(text: str) -> list[float]:
     """Metres, separated by commas; ArgumentTypeError for what is none."""
     try:
@@ -284,18 +292,26 @@ def add_arguments(parser: ArgumentParser) -> None:
     """The verb's options."""
     parser.epilog = EXAMPLES
     add_bench_arguments(parser)
-    parser.add_argument("--distances", type=distances, default=list(DISTANCES_M), metavar="M,M,…")
-    parser.add_argument("--seconds", type=float, default=SECONDS, metavar="S", help="at each (5)")
+    parser.add_argument(
+        "--distances",
+        type=distances,
+        default=list(DISTANCES_M),
+        metavar="M,M,…",
+        help=f"metres ({','.join(f'{distance_m:g}' for distance_m in DISTANCES_M)})",
+    )
+    parser.add_argument(
+        "--seconds", type=positive, default=SECONDS, metavar="S", help="at each (5)"
+    )
     parser.add_argument(
         "--need",
-        type=float,
+        type=positive,
         default=NEEDED_M,
         metavar="M",
         help=f"pass from this maximum effective range on ({NEEDED_M:g}: Table 6's outer edge)",
     )
     parser.add_argument(
         "--rate",
-        type=float,
+        type=share,
         default=LEAST_RATE,
         metavar="SHARE",
         help=f"detected means heard this often ({LEAST_RATE:g})",

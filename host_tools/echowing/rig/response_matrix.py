@@ -9,7 +9,7 @@ from echowing.analysis import plots
 from echowing.analysis.tables import Grid, Row
 from echowing.analysis.thesis import FIGURE_28, TABLE_6
 from echowing.errors import EchowingError
-from echowing.rig.bench import Bench, add_bench_arguments, perform
+from echowing.rig.bench import Bench, add_bench_arguments, perform, positive
 from echowing.rig.law_steps import BandRecord, Law, Sample, StepJudge
 from echowing.rig.law_vehicles import AutopilotVehicle, BuiltInVehicle, LawVehicle
 from echowing.rig.readings import TRACKING, average_m, named_value
@@ -378,7 +378,7 @@ def add_arguments(parser: ArgumentParser) -> None:
         metavar="CONN",
         help="the applet runs on this autopilot (or SITL), with the board on one of its ports",
     )
-    parser.add_argument("--hold", type=float, default=HOLD_S, metavar="S", help="each band (5)")
+    parser.add_argument("--hold", type=positive, default=HOLD_S, metavar="S", help="each band (5)")
 
 
 def run(args: Namespace) -> int:

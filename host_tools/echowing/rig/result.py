@@ -3,6 +3,7 @@
 import html
 import json
 import math
+import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -103,7 +104,7 @@ class Result:
         for grid in (*self.grids, *self.terminal_grids):
             console.print(terminal_grid(grid))
         for note in self.notes:
-            console.print(note, style="dim", highlight=False)
+            console.print(note, style="dim", highlight=False, markup=False)
         for check in self.checks:
             style = _STYLES[check.verdict]
             console.print(f"[{style}]{check.verdict}[/]  ", end="")
@@ -120,14 +121,24 @@ def write_result(result: Result, folder: Path) -> tuple[Path, Path]:
     Raises EchowingError when that cannot be done.
     """
     document, shown = (folder / f"{result.procedure}.{kind}" for kind in ("json", "html"))
+    prepare_folder(folder)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
         text = json.dumps(result.document(), indent=1, allow_nan=False)
         document.write_text(text + "\n", encoding="utf-8")
     except OSError as error:
         raise EchowingError(f"result {document}: cannot be written: {error.strerror}") from error
     write_page(shown, result.html(), "result")
     return document, shown
+
+
+def prepare_folder(folder: Path) -> None:
+    """Make the folder of results, and see that it takes files: before hours of measuring."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise EchowingError(f"--out {folder}: cannot be written: {error.strerror}") from error
 
 
 def _checks_table(checks: Sequence[Check]) -> str:

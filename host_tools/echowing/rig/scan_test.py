@@ -9,7 +9,7 @@ from echowing.analysis import plots
 from echowing.analysis.tables import Grid, Row
 from echowing.analysis.thesis import THESIS_GAIN_PERCENT
 from echowing.errors import EchowingError
-from echowing.rig.bench import Bench, add_bench_arguments, perform
+from echowing.rig.bench import Bench, add_bench_arguments, perform, positive, whole
 from echowing.rig.readings import TRACKING, named_value, spread
 from echowing.rig.result import Check, Result
 from echowing.search import Aim, aims, covered, scan_pulses_us
@@ -363,16 +363,22 @@ def add_arguments(parser: ArgumentParser) -> None:
     """The verb's options."""
     parser.epilog = EXAMPLES
     add_bench_arguments(parser)
-    parser.add_argument("--rounds", type=int, default=ROUNDS, metavar="N", help="of twelve (2)")
+    parser.add_argument(
+        "--rounds",
+        type=whole,
+        default=ROUNDS,
+        metavar="N",
+        help="of twelve (2)",
+    )
     parser.add_argument(
         "--half-angle",
-        type=float,
+        type=positive,
         metavar="DEG",
         help="of the sonar's beam (the board's BEAM_WIDTH halved)",
     )
     parser.add_argument(
         "--us-per-deg",
-        type=float,
+        type=positive,
         metavar="US",
         help="of the servos (the board's PAN_US_DEG and TILT_US_DEG)",
     )
@@ -380,4 +386,4 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def run(args: Namespace) -> int:
     """Measure, judge, write the result."""
-    return perform(ScanTest(max(1, args.rounds), args.half_angle, args.us_per_deg), args)
+    return perform(ScanTest(args.rounds, args.half_angle, args.us_per_deg), args)

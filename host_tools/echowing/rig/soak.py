@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from echowing.analysis import plots
 from echowing.analysis.tables import Grid, Row
 from echowing.errors import EchowingError
-from echowing.rig.bench import POLL_S, Bench, add_bench_arguments, perform
+from echowing.rig.bench import POLL_S, Bench, add_bench_arguments, perform, positive
 from echowing.rig.board import Board, open_board
 from echowing.rig.ports import PortLostError
 from echowing.rig.readings import FAULT, average_m, heard_m, named_value, spread
@@ -241,6 +241,7 @@ class SoakTest:
         """Open it again as soon as it can be; until the time is over."""
         damaged, lost = self._counted(bench.board)
         self._counted_before = (damaged, lost)
+        bench.connected = False
         bench.board.close()
         end_s = soak.start_s + self._duration_s
         while bench.clock() < end_s:
@@ -249,6 +250,7 @@ class SoakTest:
             except EchowingError:
                 bench.pause(REOPEN_S)
                 continue
+            bench.connected = True
             counts = bench.board.frames.counts
             self._counted_before = (damaged - counts.damaged, lost - counts.lost)
             soak.replugged()
@@ -270,7 +272,6 @@ class SoakTest:
         """Takes rows into soak.csv, each flushed as it comes."""
         path = self._out / "soak.csv"
         try:
-            self._out.mkdir(parents=True, exist_ok=True)
             with path.open("w", newline="", encoding="utf-8") as file:
                 table = csv.writer(file)
                 table.writerow(COLUMNS)
@@ -410,9 +411,9 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.epilog = EXAMPLES
     add_bench_arguments(parser)
     length = parser.add_mutually_exclusive_group()
-    length.add_argument("--hours", type=float, metavar="H", help=f"how long ({HOURS:g})")
-    length.add_argument("--duration", type=float, metavar="S", help="how long, in seconds")
-    parser.add_argument("--row", type=float, default=ROW_S, metavar="S", help="a row each (60)")
+    length.add_argument("--hours", type=positive, metavar="H", help=f"how long ({HOURS:g})")
+    length.add_argument("--duration", type=positive, metavar="S", help="how long, in seconds")
+    parser.add_argument("--row", type=positive, default=ROW_S, metavar="S", help="a row each (60)")
     parser.add_argument(
         "--still", action="store_true", help="the target stands still: a drift of the range fails"
     )
