@@ -212,8 +212,14 @@ def test_the_log_of_a_killed_tool_is_analysed_from_its_folder(
 ) -> None:
     tool = world.follow("--log", str(tmp_path))
     there = tool.row(is_followed)
-    tool.row(lambda row: is_followed(row) and row["time_s"] > 6.0, there)
+    shown = tool.row(lambda row: is_followed(row) and row["time_s"] > 6.0, there)
     tool.kill()
+
+    # What was shown is on the disk: rows are written at 10 Hz and not kept back.
+    (table,) = tmp_path.glob("*.csv")
+    with table.open(newline="", encoding="utf-8") as file:
+        last_s = [float(row["time_s"]) for row in csv.DictReader(file)][-1]
+    assert last_s > json.loads(tool.lines[shown])["time_s"] - 0.3
 
     assert main(["analyze", str(tmp_path), "--json"]) == 0
     by_table = json.loads(capsys.readouterr().out)
