@@ -168,7 +168,8 @@ def standing(board: Board) -> str:
     """How the board stands, in a few words."""
     state = board.state
     raw = "nothing heard" if state.raw_m is None else f"{state.raw_m:.2f} m"
-    return f"{raw}, {state.state}"
+    average = "" if state.range_m is None else f", average {state.range_m:.2f} m"
+    return f"{raw}{average}, {state.state}"
 
 
 def add_bench_arguments(parser: ArgumentParser) -> None:
