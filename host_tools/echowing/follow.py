@@ -344,6 +344,7 @@ class FollowSession:
         self._leader_jumps = False
         self._beat_at_s = -math.inf
         self._rates_at_s = -math.inf
+        self._heard: set[int] = set()
 
     def receive(self, message: Any, now_s: float) -> None:
         """Take any MAVLink message from any link; what is not needed is ignored."""
@@ -351,6 +352,10 @@ class FollowSession:
         kind = message.get_type()
         if self.guard is not None and (system_id == self.leader_id or system_id in self.followers):
             self.guard.receive(system_id, kind, message, now_s)
+        if system_id not in self._heard and self._clock(system_id) is not None:
+            # What was asked before may have had no way to it: a listening port knows none.
+            self._heard.add(system_id)
+            self._rates_at_s = -math.inf
         if self._rates is not None:
             self._rates.received(system_id, message.get_msgId())
         if kind == "TIMESYNC":

@@ -42,3 +42,19 @@ def test_a_followers_newer_report_and_that_after_a_reboot_count(boot_ms: int) ->
     report(session, MINUTE_MS, 100, 1.0)
     report(session, boot_ms, 300, 1.5)
     assert session.followers[FOLLOWER].ground_speed_mps == 3.0
+
+
+def rates_asked(session: FollowSession, now_s: float) -> bool:
+    sent = [message for _, message in session.tick(now_s) if message.get_type() == "COMMAND_LONG"]
+    return any(one.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL for one in sent)
+
+
+def test_rates_are_asked_for_again_as_soon_as_a_vehicle_is_heard() -> None:
+    session = flown()
+    assert rates_asked(session, 0.0)
+    assert not rates_asked(session, 1.0)
+    report(session, 1_000, 0, 1.0)
+    assert rates_asked(session, 1.1)
+    report(session, 1_100, 0, 1.2)
+    assert not rates_asked(session, 1.3)
+    assert rates_asked(session, 6.2)

@@ -55,7 +55,8 @@ def air_of(world: World) -> Iterator[Fly]:
 def test_a_follower_out_of_radio_range_is_left_to_its_applet(world: World, air_of: Fly) -> None:
     air = air_of(FOLLOWER)
     tool = world.follow(follower=f"{air.tool}@{FOLLOWER}")
-    there = tool.row(is_followed)
+    # Rows come once a second: a second of points is a stream to the applet, one point is none.
+    there = tool.row(is_followed, tool.row(is_followed) + 1)
 
     air.cut.set()
     lost = tool.event("follower 2: not heard for 2 s, no points sent", there)

@@ -122,7 +122,8 @@ HEARTBEAT = mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
 
 def test_a_killed_tool_leaves_the_follower_to_the_applets_watchdog(world: World) -> None:
     tool = world.follow()
-    tool.row(is_followed)
+    # Rows come once a second: a second of points is a stream to the applet, one point is none.
+    tool.row(is_followed, tool.row(is_followed) + 1)
 
     tool.kill()
 
