@@ -267,9 +267,9 @@ class FollowerState:
 
     held_at, held_altitude_m, hold_reason: where, how high above its home and why it was stopped;
     in_guided: flies in Guided; flown: it was put in the air, or a point has gone to it, by us since
-    it was put in Guided; position_at_s: when it was there, as far as TIMESYNC tells, else when the
-    report came. With feed-forward, feed_mps: the velocity to go with the point (north,
-    east), None: none; remark: what is done other than that.
+    it was put in Guided; lift: how far its take-off was at the last tick; position_at_s: when it
+    was there, as far as TIMESYNC tells, else when the report came. With feed-forward, feed_mps: the
+    velocity to go with the point (north, east), None: none; remark: what is done other than that.
     """
 
     plan: FollowerPlan
@@ -297,6 +297,7 @@ class FollowerState:
     flying: bool = False
     in_guided: bool = False
     flown: bool = False
+    lift: Lift | None = None
     held_at: GlobalPosition | None = None
     held_altitude_m: float | None = None
     hold_reason: str | None = None
@@ -432,8 +433,13 @@ class FollowSession:
 
         messages = take_offs.messages(self.followers, objection, now_s)
         for follower in self.followers.values():
+            lift = self.lift_of(follower)
+            if lift is not follower.lift:
+                # It has climbed since it was held, if it was: a hold begins where it is now.
+                self._release(follower)
+                follower.lift = lift
             # A point at its own place ends a take-off that is under way, on the ground too.
-            follower.flown = follower.flown or self.lift_of(follower) is Lift.STOPPED
+            follower.flown = follower.flown or lift is Lift.STOPPED
         return messages
 
     def _sent(self, follower: FollowerState, point: GlobalPosition, now_s: float) -> None:

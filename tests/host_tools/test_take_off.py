@@ -338,3 +338,34 @@ def test_the_field_is_where_the_test_thinks() -> None:
     position = field.session.followers[SECOND].position
     assert position is not None
     assert ned_between(ORIGIN, position)[0] == pytest.approx(-12.0, abs=0.05)
+
+
+@pytest.mark.parametrize("engaged", [True, False])
+def test_a_leader_that_is_lost_during_the_climb_brings_nobody_down_again(engaged: bool) -> None:
+    """A hold begins where the follower is when points go to it, not where it once left the ground.
+
+    Engaged, it is told to hold once it is up; else at the end, when the tool stops what it moved.
+    """
+    field = Field(engaged=engaged)
+    field.arm(FIRST)
+    field.run(2.0)  # the leader is heard, and then no more
+    field.deaf.add(LEADER)
+    field.until("follower 2: has taken off")
+    field.run(5.0)
+    assert field.height_m(FIRST) == pytest.approx(5.0, abs=0.5)
+    field.session.stop("the tool ends")
+    field.run(8.0)
+    assert FIRST in field.points()
+    assert field.height_m(FIRST) == pytest.approx(5.0, abs=0.5)
+
+
+def test_a_climb_stopped_while_the_leader_is_lost_stops_where_it_is() -> None:
+    field = Field(engaged=True)
+    field.arm(FIRST)
+    field.run(2.0)
+    field.deaf.add(LEADER)
+    while field.height_m(FIRST) < 3.0:
+        field.run(TICK_S)
+    field.session.stop("the tool ends")
+    field.run(8.0)
+    assert 3.0 < field.height_m(FIRST) < 4.5
