@@ -351,6 +351,8 @@ class FollowSession:
         """Take any MAVLink message from any link; what is not needed is ignored."""
         system_id = message.get_srcSystem()
         kind = message.get_type()
+        if is_no_number(kind, message):
+            return
         if self.guard is not None and (system_id == self.leader_id or system_id in self.followers):
             self.guard.receive(system_id, kind, message, now_s)
         if system_id not in self._heard and self._clock(system_id) is not None:
@@ -652,6 +654,8 @@ class FollowSession:
         ours = message.target_system in (0, TOOL_SYSTEM_ID)
         if self.take_offs is not None and ours:
             self.take_offs.acknowledged(follower, message, now_s)
+        if self.guard is not None and ours:
+            self.guard.mode_answered(follower.plan.system_id, message, now_s)
 
     def _distance(self, follower: FollowerState, range_m: float | None, now_s: float) -> None:
         follower.keeper.heard(now_s, range_m)
@@ -796,6 +800,11 @@ def position_target(
         yaw_rad or 0.0,
         0.0,
     )
+
+
+def is_no_number(kind: str, message: Any) -> bool:
+    """Whether a named float is NaN or infinite: scripts and filters make such when they fail."""
+    return kind == "NAMED_VALUE_FLOAT" and not math.isfinite(message.value)
 
 
 def _along(velocity_mps: Horizontal, bearing_rad: float) -> float:

@@ -63,6 +63,7 @@ REMEMBERED_S = 1.5  # longer than any link takes there and back
 APPLET_STATE = "ECHO_STATE"
 APPLET_FLIES = (3, 5, 6)
 WATCHDOG = "ECHO_STREAM_T"
+_FLIES_ON = "should this tool or the radio die, it flies on to its last point"
 WATCHDOG_ASKS = 3
 WATCHDOG_PERIOD_S = 2.0
 
@@ -141,6 +142,7 @@ class _Watch:
     switched: bool = False
     released: bool = False
     mode_at_s: float = -math.inf
+    mode_taken_at_s: float = -math.inf
     unheard: bool = False
     still_since_s: float | None = None
     told_at_s: float | None = None
@@ -192,7 +194,25 @@ class Guard:
         elif kind == "NAMED_VALUE_FLOAT" and message.name == APPLET_STATE:
             self._watches[system_id].applet_state = round(message.value)
         elif kind == "PARAM_VALUE" and message.param_id == WATCHDOG:
-            self._watches[system_id].watchdog_s = message.param_value
+            self._find_watchdog(system_id, message.param_value, now_s)
+
+    def _find_watchdog(self, system_id: int, silence_s: float, now_s: float) -> None:
+        watch = self._watches[system_id]
+        if not silence_s > 0.0 and watch.watchdog_s != silence_s:
+            self._say(
+                now_s,
+                f"follower {system_id}: its stream watchdog is off ({WATCHDOG} 0): {_FLIES_ON}",
+            )
+        watch.watchdog_s = silence_s
+
+    def mode_answered(self, system_id: int, message: Any, now_s: float) -> None:
+        """Take a COMMAND_ACK for us: a mode that was taken is not asked for twice.
+
+        The pilot may have chosen another since, which shows with the next heartbeat.
+        """
+        taken = message.result == mavlink.MAV_RESULT_ACCEPTED
+        if taken and message.command == mavlink.MAV_CMD_DO_SET_MODE:
+            self._watches[system_id].mode_taken_at_s = now_s
 
     def _leader_message(self, kind: str, message: Any) -> None:
         autopilot = message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1
@@ -340,15 +360,27 @@ class Guard:
             return None
         if follower.hold_reason is not None:
             least_m += CLEAR_M
-        if leader is not None and nearer_than(follower.position, leader, least_m):
+        here = self._in_height(follower.plan.system_id, follower.position)
+        if leader is not None and nearer_than(
+            here, self._in_height(self._leader_id, leader), least_m
+        ):
             return f"nearer to the leader than {least_m:g} m"
         for system_id, other in followers.items():
             if other is follower or other.position is None:
                 continue
             fresh = now_s - other.position_at_s < UNHEARD_S
-            if fresh and nearer_than(follower.position, other.position, least_m):
+            if fresh and nearer_than(here, self._in_height(system_id, other.position), least_m):
                 return f"nearer to follower {system_id} than {least_m:g} m"
         return None
+
+    def _in_height(self, system_id: int, place: GlobalPosition) -> GlobalPosition:
+        """A place to compare with others': its altitude above its home where homes are level.
+
+        What the receivers make of such homes is their error, and would hide who is beside whom.
+        """
+        if not self.limits.level_homes:
+            return place
+        return place._replace(alt_m=place.alt_m - self._homes_m.get(system_id, 0.0))
 
     def is_free(
         self,
@@ -456,7 +488,7 @@ class Guard:
         wanted = switch is not None and switch.mode is not None and self._switched(watch)
         if not wanted or not follower.in_guided or not follower.flown:
             return None
-        if now_s - watch.mode_at_s < MODE_PERIOD_S:
+        if now_s - watch.mode_at_s < MODE_PERIOD_S or follower.mode_at_s <= watch.mode_taken_at_s:
             return None
         watch.mode_at_s = now_s
         return SWITCH_MODES[switch.mode] if switch and switch.mode else None
@@ -472,8 +504,7 @@ class Guard:
             return True
         self._say(
             now_s,
-            f"follower {system_id}: no stream watchdog ({WATCHDOG} does not answer): should this "
-            "tool or the radio die, it flies on to its last point",
+            f"follower {system_id}: no stream watchdog ({WATCHDOG} does not answer): {_FLIES_ON}",
         )
         return False
 

@@ -1,3 +1,4 @@
+import math
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -467,6 +468,56 @@ def test_a_missing_watchdog_is_said_and_one_that_answers_is_not() -> None:
     answers.tell(FOLLOWER, value)
     answers.fly(20.0)
     assert not any("watchdog" in text for text in answers.events())
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_a_named_float_that_is_no_number_changes_nothing(value: float) -> None:
+    there = Field(Limits())
+    there.fly(1.0)
+    for name in (b"ECHO_STATE", b"SNR_RAW"):
+        there.tell(FOLLOWER, mavlink.MAVLink_named_value_float_message(1, name, value))
+        assert len(there.points(1.0)) == 8
+    assert there.state == "following"
+
+
+def test_a_watchdog_that_is_switched_off_is_said_once() -> None:
+    there = Field(Limits())
+    for _ in range(2):
+        there.tell(FOLLOWER, mavlink.MAVLink_param_value_message(WATCHDOG.encode(), 0.0, 9, 1, 0))
+        there.fly(1.0)
+    told = [text for text in there.events() if "watchdog" in text]
+    assert len(told) == 1
+    assert "follower 2: its stream watchdog is off (ECHO_STREAM_T 0)" in told[0]
+
+
+def test_a_mode_that_was_taken_is_not_asked_for_again_over_the_pilots_next() -> None:
+    """Heartbeats come once a second: until the next nobody knows what the pilot has chosen."""
+    there = Field(Limits(switch=StopSwitch(5, 1200, "LAND")))
+    there.fly(1.0)
+    there.tell(FOLLOWER, rc_channels(5, 1800))
+    there.fly(TICK_S)
+    command, accepted = mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_RESULT_ACCEPTED
+    there.tell(FOLLOWER, mavlink.MAVLink_command_ack_message(command, accepted, 0, 0, 245, 190))
+
+    def asked(seconds: float) -> int:
+        return sum(getattr(m, "command", 0) == command for m in there.fly(seconds))
+
+    assert asked(1.5) == 0
+    there.tell(FOLLOWER, heartbeat(GUIDED))  # it is in Guided all the same
+    assert asked(1.0) > 0
+
+
+@pytest.mark.parametrize("level", [False, True])
+def test_homes_that_are_told_apart_hide_nobody_who_is_too_near(level: bool) -> None:
+    """What the receivers say of the homes is no height between vehicles on level ground."""
+    limits = Limits(home_difference_m=5.0, level_homes=level, min_separation_m=1.5)
+    there = Field(limits, home_m={FOLLOWER: 254.0})
+    there.fly(1.0)
+    there.north_m[FOLLOWER] = -1.0
+    there.fly(TICK_S)
+    held = "holding: nearer to the leader than 1.5 m"
+    # Where the homes are not level these two are really 4 m above each other.
+    assert there.state == (held if level else "following")
 
 
 def test_the_end_stops_only_what_was_moved() -> None:
