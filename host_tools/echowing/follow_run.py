@@ -15,7 +15,7 @@ from echowing.follow import (
 )
 from echowing.follow_log import FollowLog
 from echowing.follow_track import Track, track
-from echowing.follow_view import View
+from echowing.follow_view import LastingView, View
 from echowing.formation import turning_together
 from echowing.guard import Limits
 from echowing.guidance import GuidanceSettings, Slot
@@ -78,7 +78,7 @@ class FollowTool:
         make_link: Callable[[Address, LinkSigning | None], Link] = Link,
     ) -> None:
         self._options = options
-        self._view = view
+        self._view = LastingView(view)
         self._stop = stop
         self._clock = clock
         self._make_link = make_link
@@ -109,7 +109,13 @@ class FollowTool:
                 self._say("ended before all sonars were heard; nothing was moved")
                 return 0
             self._make_session()
-            self._fly()
+            try:
+                self._fly()
+            except Exception as error:
+                # A fault of ours is no reason to leave them flying.
+                self._say(f"fault of this tool, stopping: {error!r}")
+                self._end()
+                raise
             return self._end()
         finally:
             self._close()
@@ -158,7 +164,9 @@ class FollowTool:
 
     def _over(self) -> bool:
         duration_s = self._options.duration_s
-        return self._stop() or (duration_s is not None and self._now_s() >= duration_s)
+        # Where nobody sees what is done nothing is done.
+        ended = self._stop() or self._view.lost is not None
+        return ended or (duration_s is not None and self._now_s() >= duration_s)
 
     def _fly(self) -> None:
         self._next_tick_s = self._next_rows_s = self._now_s()
@@ -239,7 +247,7 @@ class FollowTool:
             text, well = left_as(session, follower, now_s)
             safe = safe and well
             self._say(f"follower {follower.plan.system_id}: {text}")
-        return 0 if safe else 1
+        return 0 if safe and self._view.lost is None else 1
 
     def _close(self) -> None:
         if self._log is not None:

@@ -3,7 +3,8 @@
 import json
 import sys
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from io import TextIOWrapper
 from typing import Protocol
 
 from rich.box import SIMPLE_HEAD
@@ -35,8 +36,42 @@ class View(Protocol):
         """The end."""
 
 
+class LastingView:
+    """A view whose end is no end of the flight: what cannot be shown any more is left out.
+
+    lost: why nothing is shown, where the terminal or the reader of a pipe has gone.
+    """
+
+    def __init__(self, view: View) -> None:
+        self._view = view
+        self.lost: OSError | None = None
+
+    def event(self, time_s: float, text: str) -> None:
+        """As `View`."""
+        self._try(lambda: self._view.event(time_s, text))
+
+    def rows(self, time_s: float, rows: Sequence[Row]) -> None:
+        """As `View`."""
+        self._try(lambda: self._view.rows(time_s, rows))
+
+    def close(self) -> None:
+        """As `View`."""
+        self._try(self._view.close)
+
+    def _try(self, show: Callable[[], None]) -> None:
+        if self.lost is not None:
+            return
+        try:
+            show()
+        except OSError as error:
+            self.lost = error
+
+
 def open_view(*, as_json: bool) -> View:
     """JSON lines when asked for, a live table on a terminal, plain lines elsewhere."""
+    if isinstance(sys.stdout, TextIOWrapper):
+        # What a vehicle says may hold letters that the terminal has not.
+        sys.stdout.reconfigure(errors="backslashreplace")
     if as_json:
         return JsonView()
     return LiveView() if sys.stdout.isatty() else PlainView()

@@ -1,11 +1,17 @@
-"""Ending a long-running verb: Ctrl-C and SIGTERM ask, and the verb finishes what it has to."""
+"""Ending a long-running verb: Ctrl-C, SIGTERM and a closed terminal ask.
+
+The verb finishes what it has to.
+"""
 
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+# Windows knows no hang-up.
+_SIGNALS = tuple(
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
+)
 
 
 class StopRequest:
@@ -25,9 +31,13 @@ class StopRequest:
 
 @contextmanager
 def stop_on_signals() -> Iterator[StopRequest]:
-    """SIGINT and SIGTERM count into the request instead of ending the process."""
+    """Signals to end count into the request instead of ending the process.
+
+    One that is to be ignored stays so: `nohup` keeps a verb going without its terminal.
+    """
     request = StopRequest()
-    before = {number: signal.signal(number, request.ask) for number in _SIGNALS}
+    heeded = [number for number in _SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
+    before = {number: signal.signal(number, request.ask) for number in heeded}
     try:
         yield request
     finally:

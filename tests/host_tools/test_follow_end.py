@@ -1,0 +1,172 @@
+"""What becomes of the followers when the tool itself fails in flight: its screen, or its code."""
+
+import math
+import os
+import signal
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from echowing.follow_run import FollowOptions, FollowTool
+from echowing.guidance import GuidanceSettings, Slot
+from echowing.links import Address, Link
+from echowing.seats import parse_seat
+from echowing.signing import LinkSigning
+from echowing.sim.autopilot import Autopilot
+from echowing.sim.copter import Copter
+from echowing.stopping import StopRequest, stop_on_signals
+
+LEADER, FOLLOWER = 1, 2
+STEP_S, GLANCE_S = 0.02, 0.005
+NEVER_S = 1e9
+TELEMETRY = "telemetry"
+
+
+class Clock:
+    """Time goes on by being looked at, so that nobody waits."""
+
+    def __init__(self) -> None:
+        self.now_s = 0.0
+
+    def __call__(self) -> float:
+        self.now_s += GLANCE_S
+        return self.now_s
+
+
+class VehicleLink(Link):
+    """A link at whose other end an autopilot flies, in the tool's time."""
+
+    def __init__(self, address: Address, autopilot: Autopilot, copter: Copter) -> None:
+        super().__init__(address)
+        self._autopilot, self._copter = autopilot, copter
+        self._stepped_s = 0.0
+        self._ear = mavlink.MAVLink(None)
+        self._always, self._other = os.pipe()
+        os.write(self._other, b".")  # there is always something to read
+
+    def open(self) -> None:
+        self._autopilot.add_link(TELEMETRY)
+
+    def fileno(self) -> int:
+        return self._always
+
+    def receive(self, now_s: float) -> list[Any]:
+        while self._stepped_s + STEP_S <= now_s:
+            self._stepped_s += STEP_S
+            self._copter.step(STEP_S)
+            self._autopilot.step(self._stepped_s)
+        return self._ear.parse_buffer(self._autopilot.transmit(TELEMETRY)) or []
+
+    def send(self, frame: bytes, now_s: float) -> None:
+        self._autopilot.receive(TELEMETRY, frame)
+
+    def close(self) -> None:
+        os.close(self._always)
+        os.close(self._other)
+
+
+class Screen:
+    """Shows nothing, and fails from a moment on."""
+
+    def __init__(self, fails_at_s: float, error: Exception) -> None:
+        self.fails_at_s, self.error = fails_at_s, error
+        self.texts: list[str] = []
+
+    def event(self, time_s: float, text: str) -> None:
+        self.rows(time_s, [])
+        self.texts.append(text)
+
+    def rows(self, time_s: float, rows: Any) -> None:
+        if time_s >= self.fails_at_s:
+            raise self.error
+
+    def close(self) -> None:
+        if self.fails_at_s < NEVER_S:
+            raise self.error
+
+
+class Flight:
+    """A leader that flies away at 2 m/s and a follower that is led after it by a `FollowTool`."""
+
+    def __init__(self, screen: Screen) -> None:
+        starts = {LEADER: (0.0, 0.0, -10.0), FOLLOWER: (-5.0, 0.0, -10.0)}
+        self.copters = {i: Copter(start, flying=True) for i, start in starts.items()}
+        self.autopilots = {i: Autopilot(c, system_id=i) for i, c in self.copters.items()}
+        for autopilot in self.autopilots.values():
+            assert autopilot.set_mode("GUIDED")
+        self.copters[LEADER].set_speed_limit(2.0)
+        self.copters[LEADER].guided_position((200.0, 0.0, -10.0))
+        seats = [parse_seat("leader", "udpin:1@1"), parse_seat("follower", "udpin:2@2")]
+        settings = GuidanceSettings(learn_offset=False)
+        options = FollowOptions(seats, [Slot(3.0)], settings, engage=True, duration_s=20.0)
+        self.tool = FollowTool(
+            options, screen, StopRequest(), clock=Clock(), make_link=self._make_link
+        )
+
+    def _make_link(self, address: Address, signing: LinkSigning | None) -> Link:
+        return VehicleLink(address, self.autopilots[address.port], self.copters[address.port])
+
+    def speed_mps(self) -> float:
+        return abs(self.copters[FOLLOWER].vn_mps)
+
+
+def test_where_all_is_well_it_is_led_and_left_standing() -> None:
+    screen = Screen(NEVER_S, OSError())
+    flight = Flight(screen)
+    assert flight.tool.run() == 0
+    assert flight.copters[FOLLOWER].north_m > 15.0
+    assert flight.speed_mps() < 0.3
+    assert "stopped and stands" in screen.texts[-1]
+
+
+@pytest.mark.parametrize("error", [BrokenPipeError(32, "Broken pipe"), OSError(5, "I/O error")])
+def test_a_screen_that_is_gone_ends_it_with_the_follower_standing(error: OSError) -> None:
+    """`follow | head`, or a terminal that was closed: nobody watches any more."""
+    flight = Flight(Screen(8.0, error))
+    assert flight.tool.run() == 1
+    assert 1.0 < flight.copters[FOLLOWER].north_m < 20.0
+    assert flight.speed_mps() < 0.3
+
+
+def test_a_fault_of_ours_stops_the_follower_before_it_is_shown(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    screen = Screen(NEVER_S, OSError())
+    flight = Flight(screen)
+    monkeypatch.setattr(flight.tool, "_tell", Once(flight, at_north_m=3.0))
+    with pytest.raises(ZeroDivisionError):
+        flight.tool.run()
+    assert flight.speed_mps() < 0.3
+    assert "stopped and stands" in screen.texts[-1]
+
+
+class Once:
+    """Fails once, when the follower has come so far."""
+
+    def __init__(self, flight: Flight, at_north_m: float) -> None:
+        self.flight, self.at_north_m = flight, at_north_m
+
+    def __call__(self) -> None:
+        if self.flight.copters[FOLLOWER].north_m > self.at_north_m:
+            self.at_north_m = math.inf
+            raise ZeroDivisionError
+
+
+@pytest.fixture
+def _hang_up_handler() -> Iterator[None]:
+    before = signal.getsignal(signal.SIGHUP)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.usefixtures("_hang_up_handler")
+def test_a_closed_terminal_is_a_request_to_end_unless_it_was_to_be_ignored() -> None:
+    with stop_on_signals() as stop:
+        signal.raise_signal(signal.SIGHUP)
+        assert stop.count == 1
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as nohup does
+    with stop_on_signals() as stop:
+        signal.raise_signal(signal.SIGHUP)
+        assert stop.count == 0
