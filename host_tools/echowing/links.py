@@ -4,6 +4,7 @@ The transports are our own: pymavlink's block while they reconnect and print as 
 tool that flies several vehicles may not wait for one. Nothing here blocks.
 """
 
+import contextlib
 import errno
 import os
 import select
@@ -275,7 +276,8 @@ class SerialPort:
     def __init__(self, address: Address) -> None:
         import serial  # noqa: PLC0415 (slow import, not needed for sockets)
 
-        self._port = serial.Serial(address.host, address.baud, timeout=0, write_timeout=0)
+        # For us alone: two tools on one device would each get half of what comes.
+        self._port = serial.Serial(address.host, address.baud, timeout=0, exclusive=True)
 
     def fileno(self) -> int:
         """As `Transport`."""
@@ -287,7 +289,9 @@ class SerialPort:
 
     def write(self, data: bytes) -> None:
         """As `Transport`."""
-        self._port.write(data)
+        # Not pyserial's write, which waits, however long, where a radio has stopped us.
+        with contextlib.suppress(BlockingIOError):
+            os.write(self._port.fileno(), data)
 
     def close(self) -> None:
         """As `Transport`."""
@@ -456,7 +460,7 @@ def _reason(error: Exception) -> str:
         return "not allowed; on Linux your user has to be in the group dialout"
     if number == errno.ENOENT:
         return "no such device; is it plugged in?"
-    if number == errno.EBUSY:
+    if number in (errno.EBUSY, errno.EAGAIN):
         return "the device is busy; another tool has it open"
     if number == errno.ECONNREFUSED:
         return "nobody listens there"

@@ -1,3 +1,4 @@
+import contextlib
 import os
 import pty
 import random
@@ -240,6 +241,36 @@ def test_a_serial_device_is_a_link() -> None:
     assert message.get_srcSystem() == 8
     link.send(frame(245), 0.0)
     assert os.read(master, 100) == frame(245)
+    link.close()
+    os.close(master)
+    os.close(slave)
+
+
+def test_a_serial_device_that_takes_no_more_bytes_holds_nobody_up() -> None:
+    """A radio that has stopped us by its flow control: the other vehicles still want points."""
+    master, slave = pty.openpty()
+    tty.setraw(master)
+    tty.setraw(slave)
+    link = opened(os.ttyname(slave))
+    for _ in range(5_000):  # far more than a terminal keeps for a reader that does not read
+        link.send(frame(245), 0.0)
+    assert link.news == []
+    os.set_blocking(master, False)
+    with contextlib.suppress(BlockingIOError):
+        while os.read(master, 65_536):
+            pass
+    link.send(frame(245), 0.0)
+    assert os.read(master, 100).endswith(frame(245))  # after the end of one cut short, perhaps
+    link.close()
+    os.close(master)
+    os.close(slave)
+
+
+def test_a_serial_device_belongs_to_one_tool() -> None:
+    master, slave = pty.openpty()
+    link = opened(os.ttyname(slave))
+    with pytest.raises(EchowingError, match="the device is busy; another tool has it open"):
+        opened(os.ttyname(slave))
     link.close()
     os.close(master)
     os.close(slave)
