@@ -193,7 +193,8 @@ class TakeOffs:
             what = "has left Guided" if follower.armed else "is disarmed"
             self._leave(system_id, climber, f"{what}, take-off given up", now_s)
         elif not follower.flying and now_s - climber.since_s > LEAVES_GROUND_S:
-            self._leave(system_id, climber, "does not leave the ground", now_s)
+            # Not just left alone: it may have accepted, and lift off when nobody expects it.
+            self._stop(system_id, climber, "it does not leave the ground", now_s)
         elif _is_stale(follower, now_s):
             self._stop(system_id, climber, "its telemetry is stale", now_s)
         elif objection is not None:

@@ -16,6 +16,7 @@ from echowing.take_off import STALE_S, WARNING_S, Lift, TakeOff
 
 LEADER, FIRST, SECOND = 1, 2, 3
 TELEMETRY = "telemetry"
+POINT = "SET_POSITION_TARGET_GLOBAL_INT"
 STEP_S, TICK_S = 0.02, 0.1
 SWITCH = StopSwitch(7, 1700)
 
@@ -88,8 +89,7 @@ class Field:
         return [m.command for _, m in self.sent if m.get_type() == "COMMAND_LONG"]
 
     def points(self) -> list[int]:
-        kind = "SET_POSITION_TARGET_GLOBAL_INT"
-        return [system_id for system_id, m in self.sent if m.get_type() == kind]
+        return [system_id for system_id, m in self.sent if m.get_type() == POINT]
 
     def lift(self, system_id: int) -> Lift | None:
         return self.session.lift_of(self.session.followers[system_id])
@@ -296,7 +296,13 @@ def test_one_that_stays_on_the_ground_is_told_of() -> None:
     field.arm(FIRST, SECOND)
     field.autopilots[FIRST].parameters.set("DISARM_DELAY", 0.0)
     keep_on_the_ground(field.autopilots[FIRST])
-    field.until("follower 2: does not leave the ground; nobody else takes off")
+    field.until("follower 2: take-off stopped, it does not leave the ground; nobody else takes off")
+    assert field.lift(SECOND) is Lift.LEFT
+    # Motors that reach their speed at last (TKOFF_RPM_MIN) would lift it when nobody expects it.
+    field.run(1.0)
+    held = [m for system_id, m in field.sent if system_id == FIRST and m.get_type() == POINT]
+    assert len(held) >= 9
+    assert all(abs(m.alt) < 0.1 for m in held)
 
 
 def test_one_that_flies_already_is_no_reason_to_wait() -> None:
