@@ -24,8 +24,9 @@ CHUNK_BYTES = 65_535
 # Of one link before the others and the points have their turn, however fast it floods in: what
 # fifty vehicles say in a third of a second.
 MOST_READS = 500
-# More senders than this at one listening port are not vehicles.
-MOST_PEERS = 8
+# More senders than this at one listening port are not vehicles: fifty followers without a router,
+# their leader, and some to spare.
+MOST_PEERS = 64
 # A vehicle learns the time from our signatures within a second or two; one whose frames are
 # refused for longer has another key, or none.
 REFUSED_S = 3.0
@@ -100,7 +101,8 @@ class UdpListener:
 
     def __init__(self, address: Address) -> None:
         self._socket = _bound(socket.SOCK_DGRAM, address)
-        self._peers: list[tuple[str, int]] = []
+        # In the order in which they were last heard, so that who has gone is forgotten first.
+        self._peers: dict[tuple[str, int], None] = {}
         self._last_peer: tuple[str, int] | None = None
 
     def fileno(self) -> int:
@@ -118,8 +120,12 @@ class UdpListener:
     def understood(self) -> None:
         """The last datagram held MAVLink: its sender is answered from now on."""
         peer = self._last_peer
-        if peer is not None and peer not in self._peers:
-            self._peers = [*self._peers, peer][-MOST_PEERS:]
+        if peer is None:
+            return
+        self._peers.pop(peer, None)
+        self._peers[peer] = None
+        if len(self._peers) > MOST_PEERS:
+            del self._peers[next(iter(self._peers))]
 
     def write(self, data: bytes) -> None:
         """As `Transport`."""

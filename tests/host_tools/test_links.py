@@ -176,6 +176,35 @@ def test_only_so_many_senders_are_answered(sender: socket.socket) -> None:
     link.close()
 
 
+def test_a_formation_without_a_router_shares_one_port() -> None:
+    """Fifty vehicles and their leader, each from a port of its own; all hear what is sent."""
+    port = free_port(socket.SOCK_DGRAM)
+    link = opened(f"udpin:{port}")
+    vehicles = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(51)]
+    for system_id, vehicle in enumerate(vehicles, 1):
+        vehicle.settimeout(DEADLINE_S)
+        vehicle.sendto(frame(system_id), ("127.0.0.1", port))
+        received(link)
+    link.send(frame(245), 0.0)
+    for vehicle in vehicles:
+        assert vehicle.recv(100) == frame(245)
+        vehicle.close()
+    link.close()
+
+
+def test_who_has_not_been_heard_for_longest_is_forgotten_first(sender: socket.socket) -> None:
+    port = free_port(socket.SOCK_DGRAM)
+    link = opened(f"udpin:{port}")
+    for _ in range(MOST_PEERS):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as passer_by:
+            for one in (sender, passer_by):
+                one.sendto(frame(), ("127.0.0.1", port))
+                received(link)
+    link.send(frame(245), 0.0)
+    assert sender.recv(100) == frame(245)
+    link.close()
+
+
 def test_udpout_speaks_first_and_hears_the_answer(sender: socket.socket) -> None:
     link = opened(f"udpout:127.0.0.1:{sender.getsockname()[1]}")
     link.send(frame(245), 0.0)
