@@ -55,6 +55,9 @@ REBOOT_MS = 10_000
 JUMP_M = 4.0
 # Accelerations beyond this are noise: a copter's default is 2.5 m/s2 (WP_ACC).
 MOST_MPS2 = 3.0
+# GLOBAL_POSITION_INT: the ends of its degrees, and MAVLink's word for no heading.
+MOST_LAT_E7, MOST_LON_E7 = 900_000_000, 1_800_000_000
+UNKNOWN_HEADING = 65_535
 # Two reports further apart than this say nothing of the acceleration now.
 LONGEST_GAP_S = 0.6
 # A new place is believed once this many reports in a row agree on it (2 s at 4 Hz).
@@ -184,7 +187,7 @@ class LeaderTrack:
             time_s=time_s,
             position=GlobalPosition(message.lat / 1e7, message.lon / 1e7, message.alt / 1e3),
             velocity_ned_mps=velocity,
-            heading_rad=math.radians(message.hdg / 100.0),
+            heading_rad=heading_of(message, 0.0 if self.fix is None else self.fix.heading_rad),
             acceleration_ned_mps2=self._acceleration(time_s, velocity),
         )
         if self._believable(fix):
@@ -351,7 +354,7 @@ class FollowSession:
         """Take any MAVLink message from any link; what is not needed is ignored."""
         system_id = message.get_srcSystem()
         kind = message.get_type()
-        if is_no_number(kind, message):
+        if is_nonsense(kind, message):
             return
         if self.guard is not None and (system_id == self.leader_id or system_id in self.followers):
             self.guard.receive(system_id, kind, message, now_s)
@@ -639,7 +642,7 @@ class FollowSession:
             follower.velocity_mps = message.vx / 100.0, message.vy / 100.0
             follower.ground_speed_mps = math.hypot(message.vx, message.vy) / 100.0
             follower.climb_mps = -message.vz / 100.0
-            follower.heading_rad = math.radians(message.hdg / 100.0)
+            follower.heading_rad = heading_of(message, follower.heading_rad)
         elif kind == "NAMED_VALUE_FLOAT" and message.name == SONAR_READING:
             follower.raw_at_s = now_s
             self._sonar(follower, message.value, now_s)
@@ -802,9 +805,21 @@ def position_target(
     )
 
 
-def is_no_number(kind: str, message: Any) -> bool:
-    """Whether a named float is NaN or infinite: scripts and filters make such when they fail."""
-    return kind == "NAMED_VALUE_FLOAT" and not math.isfinite(message.value)
+def is_nonsense(kind: str, message: Any) -> bool:
+    """Whether a message says what cannot be: a number that is none, a place that is nowhere.
+
+    Scripts and filters make such when they fail.
+    """
+    if kind == "NAMED_VALUE_FLOAT":
+        return not math.isfinite(message.value)
+    if kind == "GLOBAL_POSITION_INT":
+        return bool(abs(message.lat) > MOST_LAT_E7 or abs(message.lon) > MOST_LON_E7)
+    return False
+
+
+def heading_of(message: Any, before_rad: float) -> float:
+    """The heading in a GLOBAL_POSITION_INT; the one before where it is not known."""
+    return before_rad if message.hdg == UNKNOWN_HEADING else math.radians(message.hdg / 100.0)
 
 
 def _along(velocity_mps: Horizontal, bearing_rad: float) -> float:

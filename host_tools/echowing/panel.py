@@ -8,7 +8,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.feed_forward import sonar_range_m
-from echowing.follow import FORWARD, FollowerState, FollowSession, is_no_number
+from echowing.follow import FORWARD, FollowerState, FollowSession, is_nonsense
 from echowing.geo import distance_m, ned_between
 from echowing.guard import UNHEARD_S, is_flying, mode_name
 from echowing.guidance import is_stale
@@ -122,7 +122,7 @@ class Panel:
         if readings is None:
             return
         kind = message.get_type()
-        if is_no_number(kind, message):
+        if is_nonsense(kind, message):
             return
         if message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1:
             readings.quality.count(message.get_seq(), now_s)

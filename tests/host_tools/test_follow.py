@@ -101,6 +101,33 @@ def test_a_follower_that_is_not_armed_in_guided_is_left_alone(beat: Any) -> None
     assert any("hands off" in text for _, text in follow.events)
 
 
+@pytest.mark.parametrize(
+    ("lat_deg", "lon_deg"), [(91.0, -86.03), (-214.0, 0.0), (39.34, 180.1), (39.34, -214.0)]
+)
+def test_a_place_that_is_nowhere_is_no_report(lat_deg: float, lon_deg: float) -> None:
+    follow = session()
+    follow.receive(from_vehicle(LEADER, position(100.0, HERE)), 1.0)
+    nowhere = GlobalPosition(lat_deg, lon_deg, 260.0)
+    for system_id in (LEADER, FOLLOWER):  # with the stamp of a vehicle that has just started
+        follow.receive(from_vehicle(system_id, position(0.05, nowhere)), 1.05)
+    (target,) = targets(follow, 1.1)
+    assert metres_from_here(target) == pytest.approx((-3.0, 0.0), abs=0.03)
+    assert follow.followers[FOLLOWER].position == pytest.approx(FOLLOWER_AT, abs=1e-7)
+
+
+def test_an_unknown_heading_is_not_a_heading() -> None:
+    """65535 is MAVLink's word for it, and 655 degrees would put the slot to the leader's side."""
+    follow = session(replace(PLAIN, slot_rate_rps=None))
+    for boot_s, heading_cdeg in ((1.0, 9_000), (1.25, 65_535)):
+        report = position(boot_s, HERE)
+        report.hdg = heading_cdeg
+        for system_id in (LEADER, FOLLOWER):
+            follow.receive(from_vehicle(system_id, report), boot_s)
+    (target,) = targets(follow, 1.3)
+    assert metres_from_here(target) == pytest.approx((0.0, -3.0), abs=0.03)
+    assert follow.followers[FOLLOWER].heading_rad == pytest.approx(math.pi / 2)
+
+
 def test_no_message_ever_changes_a_mode() -> None:
     follow = session()
     follow.receive(from_vehicle(LEADER, position(1.0, HERE)), 1.0)
