@@ -284,11 +284,24 @@ TEST_CASE("the 49.7th day passes unnoticed: reports, states and tracking go on t
   CHECK(rig.texts().size() == 1);  // started
 }
 
-TEST_CASE("an autopilot port that always has bytes to send does not starve USB") {
+TEST_CASE("values come no more often than reports may, so that they cannot fill the wire") {
   Rig rig;
-  rig.command(511, MAVLINK_MSG_ID_NAMED_VALUE_FLOAT, 1);  // as often as it can
+  CHECK(rig.command(511, MAVLINK_MSG_ID_NAMED_VALUE_FLOAT, 24999) == MAV_RESULT_DENIED);
+  CHECK(rig.command(511, MAVLINK_MSG_ID_NAMED_VALUE_FLOAT, 25000) == MAV_RESULT_ACCEPTED);
+}
+
+TEST_CASE("with all that can be asked for, and the longest turns, neither port starves") {
+  Rig rig;
+  rig.sonar.ranging_us = 20000;
+  rig.set_parameter("SONAR_PERIOD", 25);
+  for (int port : {0, 1}) {
+    rig.command(511, MAVLINK_MSG_ID_DISTANCE_SENSOR, 25000, port);
+    rig.command(511, MAVLINK_MSG_ID_NAMED_VALUE_FLOAT, 25000, port);
+  }
   rig.forget();
-  rig.run(ms(5000), 2000);  // the longest turns that are allowed
-  CHECK(rig.heartbeats(1).size() >= 4);
-  CHECK(rig.ranges().size() >= 95);
+  rig.run(ms(5000), 2000);
+  for (int port : {0, 1}) {
+    CHECK(rig.heartbeats(port).size() >= 4);
+    CHECK(rig.ranges(port).size() >= 90);
+  }
 }

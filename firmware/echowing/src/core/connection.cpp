@@ -10,8 +10,8 @@ namespace {
 constexpr Microseconds kHeartbeatPeriod = kSecond;
 // Values that stand still are repeated, for a partner that joins late.
 constexpr Microseconds kRepeat = kSecond;
-// REPORT_RATE's limits, for SET_MESSAGE_INTERVAL.
-constexpr float kShortestReport_us = 25000.0f;
+// REPORT_RATE's limits, for SET_MESSAGE_INTERVAL. Values any more often would fill the wire.
+constexpr float kShortest_us = 25000.0f;
 constexpr float kLongestReport_us = 200000.0f;
 constexpr float kLongestValues_us = 60e6f;
 
@@ -173,9 +173,9 @@ uint8_t Connection::set_interval(uint32_t id, float interval_us) {
   const bool usual = interval_us == 0.0f;
   const bool reports = id == MAVLINK_MSG_ID_DISTANCE_SENSOR;
   if (!reports && id != MAVLINK_MSG_ID_NAMED_VALUE_FLOAT) return MAV_RESULT_UNSUPPORTED;
-  const float least = reports ? kShortestReport_us : 1.0f;
   const float most = reports ? kLongestReport_us : kLongestValues_us;
-  if (!off && !usual && !(interval_us >= least && interval_us <= most)) return MAV_RESULT_DENIED;
+  if (!off && !usual && !(interval_us >= kShortest_us && interval_us <= most))
+    return MAV_RESULT_DENIED;
   const Microseconds period = off || usual ? 0 : static_cast<Microseconds>(interval_us);
   (reports ? reports_off_ : values_off_) = off;
   (reports ? report_period_ : value_period_) = period;

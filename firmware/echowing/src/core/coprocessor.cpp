@@ -70,20 +70,8 @@ void Coprocessor::step(Microseconds now) {
   const bool told = tell_reading(now, telemetry);
   const bool handled = !told && !new_reading_ && listen(now);
   if (!told && !new_reading_ && !handled && !renew_pointing()) tell_other(now, telemetry);
-  flush();
+  if (!autopilot_connection_.flush()) usb_connection_.flush();
   keep(now);
-}
-
-// One port a turn is handed bytes, so that turns stay short: the autopilot's first of all, but USB
-// does not starve behind it.
-void Coprocessor::flush() {
-  const bool usb_is_due = usb_passed_over_ >= kMostPassedOver;
-  if (!usb_is_due && autopilot_connection_.flush()) {
-    ++usb_passed_over_;
-    return;
-  }
-  usb_passed_over_ = 0;
-  if (!usb_connection_.flush() && usb_is_due) autopilot_connection_.flush();
 }
 
 // The autopilot goes first.

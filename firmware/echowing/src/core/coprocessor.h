@@ -54,8 +54,6 @@ class Coprocessor {
  private:
   enum class Override : uint8_t { kNone, kScan, kCentre, kHold };
   enum Port : uint8_t { kAutopilotPort, kUsbPort };
-  // A reading's report leaves in three turns, before USB is due.
-  static constexpr uint8_t kMostPassedOver = 4;
 
   bool listen(Microseconds now);
   bool receive(Microseconds now, Connection& connection, Port port);
@@ -85,7 +83,6 @@ class Coprocessor {
   Telemetry observe(Microseconds now);
   bool tell_reading(Microseconds now, const Telemetry& telemetry);
   void tell_other(Microseconds now, const Telemetry& telemetry);
-  void flush();
   void keep(Microseconds now);
   void notify(Notice notice);
   GimbalMode gimbal_mode() const;
@@ -111,7 +108,6 @@ class Coprocessor {
   Timeout freshness_;
   uint32_t reading_ms_ = 0;
   bool new_reading_ = false;
-  uint8_t usb_passed_over_ = 0;
   bool heard_sonar_ = false;
   uint8_t asked_address_ = 0;
   Timeout reboot_delay_;
