@@ -32,18 +32,23 @@ EXIT_INTERRUPTED = 130
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a verb; returns the exit code. Errors that are the user's to mend have no traceback."""
     arguments = list(sys.argv[1:] if argv is None else argv)
-    args = _parser(arguments).parse_args(arguments)
+    verb = _asked_verb(arguments) or ""
     try:
+        args = _parser(arguments).parse_args(arguments)
         return int(_module(args.verb).run(args))
     except EchowingError as error:
-        print(f"echowing {args.verb}: {error}", file=sys.stderr)
+        print(f"echowing {verb}: {error}", file=sys.stderr)
         return EXIT_USER_ERROR
     except KeyboardInterrupt:
-        print(f"echowing {args.verb}: interrupted", file=sys.stderr)
+        print(f"echowing {verb}: interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
     except BrokenPipeError:
         sys.stderr.close()  # the reader, `head` say, has seen enough
         return 0
+
+
+def _asked_verb(arguments: Sequence[str]) -> str | None:
+    return next((word for word in arguments if not word.startswith("-")), None)
 
 
 def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
@@ -55,7 +60,7 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"echowing {__version__}")
     verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
-    asked = next((word for word in arguments if not word.startswith("-")), None)
+    asked = _asked_verb(arguments)
     for verb, summary in VERBS.items():
         child = verbs.add_parser(
             verb,
