@@ -10,6 +10,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from rich.console import Console
 
+from echowing.commands.follow import options_of
 from echowing.errors import EchowingError
 from echowing.follow import FollowerPlan, FollowSession
 from echowing.follow_log import FollowLog
@@ -76,6 +77,19 @@ def test_two_vehicles_with_one_id_are_refused() -> None:
     finder.heard("udpin:2", beat(1), 0.0)
     with pytest.raises(EchowingError, match="follower on udpin:2 is system 1, as is the leader"):
         finder.decide(LISTEN_S)
+
+
+# ---- what is asked for ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("step", ["-9.5", "-30.0", "nan", "600.0"])
+def test_a_slot_in_the_ground_or_out_of_sight_is_refused(step: str, tmp_path: Path) -> None:
+    """Altitude steps add to --altitude, and a copter flies where it is told to: into the ground."""
+    formation = tmp_path / "low.toml"
+    formation.write_text(f"[[slots]]\nradius_m = 4.0\naltitude_step_m = {step}\n", encoding="utf-8")
+    ends = ["--leader", "udpin:1", "--follower", "udpin:2", "--formation", str(formation)]
+    with pytest.raises(EchowingError, match=r"slot 1 would be flown at .* give 1 to 500"):
+        options_of(ends)
 
 
 # ---- what is shown ----------------------------------------------------------------------------

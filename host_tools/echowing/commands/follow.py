@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     from echowing.seats import Seat
     from echowing.take_off import TakeOff
 
+# Above the leader's home: what can be flown, and what can still be seen from there.
+LEAST_ALTITUDE_M, MOST_ALTITUDE_M = 1.0, 500.0
+
 EXAMPLES = """\
 examples:
   echowing follow --leader udpin:14550 --follower udpin:14560
@@ -187,9 +190,11 @@ def _options(args: argparse.Namespace) -> "FollowOptions":
     switch = None if args.stop_switch is None else parse_stop_switch(args.stop_switch)
     seats = _seats(args)
     VehicleFinder(seats)  # refuses what could never be told apart
+    slots = _slots(args)
+    _check_heights(slots, args.altitude)
     return FollowOptions(
         seats=seats,
-        slots=_slots(args),
+        slots=slots,
         settings=GuidanceSettings(lead_time_s=args.lead_time, feed_forward=args.feed_forward),
         altitude_m=args.altitude,
         rate_hz=args.rate,
@@ -233,7 +238,7 @@ def _check_numbers(args: argparse.Namespace) -> None:
         "--lead-time": (args.lead_time, 0.0, 5.0),
         "--rate": (args.rate, 1.0, 20.0),
         "--leader-rate": (args.leader_rate, 1.0, 20.0),
-        "--altitude": (args.altitude, 1.0, 500.0),
+        "--altitude": (args.altitude, LEAST_ALTITUDE_M, MOST_ALTITUDE_M),
         "--max-distance": (args.max_distance, 5.0, 10_000.0),
         "--min-separation": (args.min_separation, 0.5, 1_000.0),
         "--home-difference": (args.home_difference, 0.0, 1_000.0),
@@ -243,6 +248,17 @@ def _check_numbers(args: argparse.Namespace) -> None:
     for option, (value, least, most) in spans.items():
         if not least <= value <= most:
             raise EchowingError(f"{option} {value:g}: give {least:g} to {most:g}")
+
+
+def _check_heights(slots: "Sequence[Slot]", altitude_m: float) -> None:
+    """Refuse a slot whose altitude step leads into the ground, or out of sight."""
+    for number, slot in enumerate(slots, 1):
+        height_m = altitude_m + slot.altitude_step_m
+        if not LEAST_ALTITUDE_M <= height_m <= MOST_ALTITUDE_M:
+            raise EchowingError(
+                f"slot {number} would be flown at {height_m:g} m, --altitude and its "
+                f"altitude_step_m: give {LEAST_ALTITUDE_M:g} to {MOST_ALTITUDE_M:g}"
+            )
 
 
 def _seats(args: argparse.Namespace) -> "list[Seat]":
