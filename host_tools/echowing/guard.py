@@ -48,7 +48,8 @@ CLEAR_M = 0.5
 CLEAR_SHARE = 0.9
 # A correction of the altitude is told when it begins and when it has changed by more than this.
 DATUM_TOLD_M = 0.3
-# However much lower the leader's home lies, a follower is led no lower above its own.
+# However much lower the leader's home lies, a follower is led no lower above its own, nor from
+# lower than that.
 LOWEST_M = 2.0
 
 # Read back: positions travel as 1e-7 degrees (1 cm), so this far from everything sent is refused.
@@ -144,6 +145,7 @@ class _Watch:
     mode_at_s: float = -math.inf
     mode_taken_at_s: float = -math.inf
     unheard: bool = False
+    low_told: bool = False
     still_since_s: float | None = None
     told_at_s: float | None = None
     led_since_s: float | None = None
@@ -405,7 +407,22 @@ class Guard:
             text = f"not heard for {UNHEARD_S:g} s, no points sent" if unheard else "heard again"
             self._say(now_s, f"follower {system_id}: {text}")
         handed_back = watch.released or (self._switched(watch) and not follower.flown)
-        return not unheard and not handed_back
+        return not unheard and not handed_back and not self._too_low(follower, watch, now_s)
+
+    def _too_low(self, follower: "FollowerState", watch: _Watch, now_s: float) -> bool:
+        """Whether it has just left the ground: a point would end its pilot's take-off there."""
+        least_m = min(LOWEST_M, follower.plan.wanted_m / 2.0)
+        low = follower.altitude_m is not None and follower.altitude_m < least_m
+        if follower.flown or not low:
+            return False
+        if not watch.low_told:
+            watch.low_told = True
+            self._say(
+                now_s,
+                f"follower {follower.plan.system_id}: too low to be led, until it is {least_m:g} m "
+                "up",
+            )
+        return True
 
     def sent(self, system_id: int, point: GlobalPosition, now_s: float) -> None:
         """A point has gone to a follower."""

@@ -139,6 +139,20 @@ def test_points_flow_while_nothing_is_wrong() -> None:
     assert there.state == "following"
 
 
+def test_a_take_off_that_its_pilot_has_begun_is_not_ended_near_the_ground() -> None:
+    """In Guided it is airborne as soon as it leaves the ground, and a point sends it sideways."""
+    there = Field(Limits(), height_m=0.5)
+    assert there.points(2.0) == []
+    assert there.state == "no points sent"
+    assert [text for text in there.events() if "too low" in text] == [
+        "follower 2: too low to be led, until it is 2 m up"
+    ]
+    there.height_m = 2.5
+    assert len(there.points(1.0)) == 8
+    there.height_m = 1.5  # on its way somewhere it is ours, and has to be told where
+    assert len(there.points(1.0)) == 8
+
+
 def test_only_watching_sends_nothing_that_moves_a_vehicle() -> None:
     there = Field(Limits(switch=StopSwitch(5, 1200, "LAND")), engaged=False)
     kinds = {message.get_type() for message in there.fly(10.0)}
