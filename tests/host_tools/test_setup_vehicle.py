@@ -270,7 +270,7 @@ def test_another_applet_on_the_card_is_told_apart(make_desk: MakeDesk) -> None:
 def test_an_autopilot_without_mavftp_is_checked_all_the_same(
     make_desk: MakeDesk,
 ) -> None:
-    desk = make_desk(parameters="{BRD_OPTIONS=8}")
+    desk = make_desk(parameters="{BRD_OPTIONS=2}")
     readout = read_out(desk.vehicle, serial_port=2)
     assert readout.applet_is_ours is None
     with pytest.raises(EchowingError, match="has no MAVFTP"):

@@ -215,7 +215,7 @@ class FtpClient:
                         return answer
         raise NoAnswerError(
             f"{what}: no answer to file requests for {self._give_up_s:g} s; this autopilot has no "
-            "MAVFTP (BRD_OPTIONS bit 3 switches it off), or the link does not carry MAVLink 2"
+            "MAVFTP (BRD_OPTIONS bit 1 switches it off), or the link does not carry MAVLink 2"
         )
 
     def _answers(self, timeout_s: float) -> list[Packet]:

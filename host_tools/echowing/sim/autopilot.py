@@ -38,7 +38,7 @@ _FIRST_OTHER_PORT = 3
 # Where scripts are on the card (AP_Scripting, SCRIPTING_DIRECTORY); the one that is simulated.
 _SCRIPT_ON_CARD = Path("APM", "scripts", "echowing.lua")
 _SCRIPTS_DISABLED = 2  # SCR_DIR_DISABLE: the card's scripts are not loaded
-_FTP_DISABLED = 8  # BRD_OPTIONS: no file transfer, to save memory
+_FTP_DISABLED = 2  # BRD_OPTIONS bit 1 (AP_BoardConfig): no file transfer
 
 # A port gives about 30 % of its 57600 baud to a parameter list: one 37-byte value every 20 ms.
 PARAMETER_PERIOD_S = 0.02
