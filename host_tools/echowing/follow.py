@@ -270,7 +270,7 @@ class FollowerState:
 
     held_at, held_altitude_m, hold_reason: where, how high above its home and why it was stopped;
     in_guided: flies in Guided; flown: it was put in the air, or a point has gone to it, by us since
-    it was put in Guided; lift: how far its take-off was at the last tick; position_at_s: when it
+    it was put in Guided; sent_to: points might go to it at the last tick; position_at_s: when it
     was there, as far as TIMESYNC tells, else when the report came. With feed-forward, feed_mps: the
     velocity to go with the point (north, east), None: none; remark: what is done other than that.
     """
@@ -300,7 +300,7 @@ class FollowerState:
     flying: bool = False
     in_guided: bool = False
     flown: bool = False
-    lift: Lift | None = None
+    sent_to: bool = False
     held_at: GlobalPosition | None = None
     held_altitude_m: float | None = None
     hold_reason: str | None = None
@@ -378,7 +378,10 @@ class FollowSession:
             messages.extend(self._lift(self.take_offs, now_s))
         for system_id, follower in self.followers.items():
             point = self._point_for(follower, now_s)
-            if point is not None and self.sends_to(follower, now_s):
+            before, follower.sent_to = follower.sent_to, self.sends_to(follower, now_s)
+            if follower.sent_to and not before and follower.held_at is not None:
+                point = self._hold_anew(follower)
+            if point is not None and follower.sent_to:
                 messages.append((system_id, self._target(follower, point, now_s)))
                 self._sent(follower, point, now_s)
         if self.guard is not None and (self.engaged or self.take_offs is not None):
@@ -438,13 +441,8 @@ class FollowSession:
 
         messages = take_offs.messages(self.followers, objection, now_s)
         for follower in self.followers.values():
-            lift = self.lift_of(follower)
-            if lift is not follower.lift:
-                # It has climbed since it was held, if it was: a hold begins where it is now.
-                self._release(follower)
-                follower.lift = lift
             # A point at its own place ends a take-off that is under way, on the ground too.
-            follower.flown = follower.flown or lift is Lift.STOPPED
+            follower.flown = follower.flown or self.lift_of(follower) is Lift.STOPPED
         return messages
 
     def _sent(self, follower: FollowerState, point: GlobalPosition, now_s: float) -> None:
@@ -602,6 +600,14 @@ class FollowSession:
             if self._moves(follower):
                 self._say(now_s, f"follower {follower.plan.system_id}: {reason}, holding")
         follower.hold_reason = reason
+        return follower.held_at
+
+    def _hold_anew(self, follower: FollowerState) -> GlobalPosition | None:
+        """Stop where it is now: it was held while nothing went to it, and has moved since."""
+        follower.held_at = follower.position
+        follower.held_altitude_m = self._altitude_to_keep(follower)
+        if self.guard is not None:
+            self.guard.moving(follower.plan.system_id)
         return follower.held_at
 
     def _altitude_to_keep(self, follower: FollowerState) -> float:

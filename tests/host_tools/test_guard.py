@@ -153,6 +153,23 @@ def test_a_take_off_that_its_pilot_has_begun_is_not_ended_near_the_ground() -> N
     assert len(there.points(1.0)) == 8
 
 
+def test_a_hold_begins_where_it_is_when_points_begin_to_go_to_it() -> None:
+    """What was against it while nothing was sent was noted at another place and height."""
+    there = Field(Limits(), height_m=0.5)
+    there.fly(1.0)
+    there.silent = {LEADER}
+    assert there.points(2.0) == []
+    there.height_m, there.north_m[FOLLOWER] = 4.0, -6.0
+    (held, *_) = there.points(1.0)
+    assert (held.alt, north_of(held)) == pytest.approx((4.0, -6.0), abs=0.02)
+
+    there.silent = {LEADER, FOLLOWER}  # the watchdog has stopped it somewhere else
+    there.fly(UNHEARD_S + 1.0)
+    there.silent, there.north_m[FOLLOWER] = {LEADER}, -9.0
+    (again, *_) = there.points(1.0)
+    assert (again.alt, north_of(again)) == pytest.approx((4.0, -9.0), abs=0.02)
+
+
 def test_only_watching_sends_nothing_that_moves_a_vehicle() -> None:
     there = Field(Limits(switch=StopSwitch(5, 1200, "LAND")), engaged=False)
     kinds = {message.get_type() for message in there.fly(10.0)}
