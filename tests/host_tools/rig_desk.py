@@ -8,10 +8,13 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from echowing.rig.board import Board, await_board
 from echowing.rig.ports import PortLostError
 from echowing.signing import Parser
+from echowing.sim.autopilot import Autopilot
 from echowing.sim.coprocessor import AUTOPILOT_PORT, USB_PORT, NativeCoprocessor
+from echowing.sim.copter import Copter
 from echowing.sim.sonar import MaxSonar
 
 SLICE_S = 0.001
+STEP_S = 0.02  # of the simulated autopilot
 
 
 class Sonar(MaxSonar):
@@ -92,6 +95,40 @@ class CoreWire:
 
     def open(self) -> Board:
         return await_board(self, "desk", 115_200, self.clock)
+
+
+class RoutingWire:
+    """The telemetry port of a simulated autopilot, system 2; a board is on another of its ports."""
+
+    def __init__(self) -> None:
+        self._pilot = Autopilot(Copter((0.0, 0.0, 0.0)), system_id=2)
+        for name in ("board", "telemetry"):
+            self._pilot.add_link(name)
+        self._board = Speaker(2, 191)
+        self._beat_at_s = self._t_s = 0.0
+
+    def clock(self) -> float:
+        return self._t_s
+
+    def read(self, timeout_s: float) -> bytes:
+        end_s = self._t_s + timeout_s
+        while not (data := self._pilot.transmit("telemetry")) and self._t_s < end_s:
+            self._t_s += STEP_S
+            if self._t_s >= self._beat_at_s:
+                self._beat_at_s += 1.0
+                beat = self._board.say(device_heartbeat(), value("SNR_STATE", 2.0))
+                self._pilot.receive("board", beat)
+            self._pilot.step(self._t_s)
+        return data
+
+    def write(self, data: bytes) -> None:
+        self._pilot.receive("telemetry", data)
+
+    def understood(self) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
 
 
 class ScriptedWire:

@@ -13,6 +13,7 @@ from echowing.sim.coprocessor import parameter_table
 if TYPE_CHECKING:
     from tests.host_tools.rig_desk import (
         CoreWire,
+        RoutingWire,
         ScriptedWire,
         Speaker,
         autopilot_heartbeat,
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 else:
     from rig_desk import (
         CoreWire,
+        RoutingWire,
         ScriptedWire,
         Speaker,
         autopilot_heartbeat,
@@ -357,6 +359,12 @@ class TestOpening:
         assert (found.system_id, found.component_id) == (3, 191)
         assert found.state.range_m == 3.33  # said before it was known who said it
         assert found.state.state == "tracking"
+
+    def test_a_board_behind_an_autopilot_that_passes_it_on_only_to_who_has_spoken(self) -> None:
+        router = RoutingWire()
+        board = await_board(router, "x", 57_600, router.clock)
+        assert (board.system_id, board.component_id) == (2, 191)
+        assert router.clock() < 4.0
 
     def test_a_board_need_not_be_waited_for_until_it_beats(self, wire: CoreWire) -> None:
         wire.read(1.5)  # its first heartbeat has gone by

@@ -41,6 +41,7 @@ COMMAND_SCAN = mavlink.MAV_CMD_USER_1
 COMMAND_SONAR_ADDRESS = mavlink.MAV_CMD_USER_2
 COMMAND_SELF_TEST = mavlink.MAV_CMD_USER_3
 _PAN_SERVO, _TILT_SERVO = 1, 2
+_EVERYBODY: Source = (0, 0)  # broadcast
 
 _INBOX_KEPT = 20_000  # messages nobody has polled; some minutes' worth
 
@@ -408,6 +409,9 @@ class _Questions:
         self._ask_at_s: dict[Source, float] = {}
 
     def ask(self, now_s: float) -> None:
+        # An autopilot passes nothing on to a port where it has heard nobody.
+        if self.roster.autopilot_heard() and self._is_due(_EVERYBODY, now_s):
+            self._board.send(_heartbeat())
         for source in self.roster.candidates():
             if self._is_due(source, now_s):
                 name = TELLING_PARAMETER.encode()
@@ -425,6 +429,11 @@ class _Questions:
         if due:
             self._ask_at_s[source] = now_s + ASK_PERIOD_S
         return due
+
+
+def _heartbeat() -> Any:
+    kind, autopilot = mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID
+    return mavlink.MAVLink_heartbeat_message(kind, autopilot, 0, 0, mavlink.MAV_STATE_ACTIVE, 3)
 
 
 def _why_no_board(board: Board, roster: Roster, waited_s: float, baud: int) -> str:

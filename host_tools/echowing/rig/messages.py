@@ -116,6 +116,11 @@ class Roster:
             source for source, seen in self._seen.items() if seen.telling and not seen.heartbeat
         ]
 
+    def autopilot_heard(self) -> bool:
+        """Whether an autopilot beats here: what is behind it may be heard through it."""
+        beats = [seen.heartbeat for seen in self._seen.values() if seen.heartbeat is not None]
+        return any(beat.autopilot != mavlink.MAV_AUTOPILOT_INVALID for beat in beats)
+
     def others(self) -> list[str]:
         """What else beats on the wire, in words."""
         return [
