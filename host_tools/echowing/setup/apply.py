@@ -18,6 +18,8 @@ from echowing.setup.settings import same, settings_for
 
 FORMAT = "echowing parameters 1"
 SUFFIX = ".params.json"
+# What PARAM_SET can carry: a 32-bit float, and a name that is cut where it is longer.
+MOST_VALUE, NAME_BYTES = 3.402823e38, 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,8 +115,11 @@ def load(path: Path) -> Saved:
 
 def _are_values(parameters: Any) -> bool:
     return isinstance(parameters, dict) and all(
-        isinstance(value, (int, float)) and not isinstance(value, bool)
-        for value in parameters.values()
+        isinstance(value, (int, float))
+        and not isinstance(value, bool)
+        and abs(value) <= MOST_VALUE
+        and len(name.encode()) <= NAME_BYTES
+        for name, value in parameters.items()
     )
 
 
