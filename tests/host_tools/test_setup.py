@@ -1,8 +1,7 @@
-import math
-
 """`echowing setup`: the judgements, each alone; writing and putting back; files of old values."""
 
 import json
+import math
 import re
 from collections.abc import Mapping
 from datetime import datetime
@@ -402,16 +401,15 @@ def test_a_file_that_is_none_is_refused(tmp_path: Path, content: str, reason: st
         load(path)
 
 
-@pytest.mark.parametrize("name", ["A", "RNGFND1_MAX_CM_OLD"])
-@pytest.mark.parametrize("value", [1.0, math.nan, 1e39, -math.inf])
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("A", math.nan), ("A", 1e39), ("A", -math.inf), ("RNGFND1_MAX_CM_OLD", 1.0)],
+)
 def test_what_no_parameter_can_be_is_not_put_back(name: str, value: float, tmp_path: Path) -> None:
     """What no 32-bit float holds, and a name that would be cut to another parameter's."""
     path = tmp_path / "old.params.json"
     content = {"format": "echowing parameters 1", "system_id": 2, "parameters": {name: value}}
     path.write_text(json.dumps(content), encoding="utf-8")
-    if (name, value) == ("A", 1.0):
-        assert load(path) == Saved(2, {"A": 1.0})
-        return
     with pytest.raises(EchowingError, match="a parameter that is no number"):
         load(path)
 
