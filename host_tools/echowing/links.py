@@ -11,6 +11,7 @@ import select
 import socket
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, Protocol
 
 from echowing.errors import EchowingError
@@ -145,7 +146,7 @@ class UdpSender:
     def __init__(self, address: Address) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
-        self._peer = (socket.gethostbyname(address.host), address.port)
+        self._peer = (_number_of(address.host), address.port)
 
     def fileno(self) -> int:
         """As `Transport`."""
@@ -165,6 +166,12 @@ class UdpSender:
     def close(self) -> None:
         """As `Transport`."""
         self._socket.close()
+
+
+@cache
+def _number_of(host: str) -> str:
+    """A host's address, looked up once: where the network has gone a lookup waits for seconds."""
+    return socket.gethostbyname(host)
 
 
 def _send_datagram(sender: socket.socket, data: bytes, peer: tuple[str, int]) -> None:
@@ -189,7 +196,7 @@ class Stream:
     def to(cls, address: Address) -> "Stream":
         """Begin to connect; a refusal shows at the first `read`."""
         stream = cls(socket.socket(socket.AF_INET, socket.SOCK_STREAM))
-        code = stream._socket.connect_ex((address.host, address.port))
+        code = stream._socket.connect_ex((_number_of(address.host), address.port))
         if code != 0 and code not in _STILL_CONNECTING:
             stream.close()
             raise OSError(code, os.strerror(code))

@@ -216,6 +216,23 @@ def test_udpout_speaks_first_and_hears_the_answer(sender: socket.socket) -> None
     link.close()
 
 
+@pytest.mark.parametrize("kind", ["tcp", "udpout"])
+def test_a_name_is_looked_up_once(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A lookup waits for seconds where the network has gone, and followers want points then."""
+    asked: list[str] = []
+
+    def look_up(host: str) -> str:
+        asked.append(host)
+        return "127.0.0.1"
+
+    monkeypatch.setattr(socket, "gethostbyname", look_up)
+    link = Link(parse_address(f"{kind}:{kind}.drone.test:{free_port(socket.SOCK_STREAM)}"))
+    for step in range(4):
+        link.receive(step * 2.0 * RETRY_S)
+        link.close()
+    assert asked == [f"{kind}.drone.test"]
+
+
 def test_tcp_waits_for_a_listener_and_comes_back_to_the_next() -> None:
     port = free_port(socket.SOCK_STREAM)
     link = opened(f"tcp:127.0.0.1:{port}")
