@@ -2,6 +2,7 @@
 
 import io
 import json
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -116,6 +117,14 @@ def scripted(*messages: Any) -> Board:
     board = Board(wire, (1, 191), name="/dev/ttyACM0", clock=wire.clock)
     board.poll(2.0)
     return board
+
+
+@pytest.mark.parametrize("wrong", [math.nan, math.inf, -math.inf])
+def test_a_value_that_is_no_number_is_nothing_known(wrong: float) -> None:
+    board = scripted(*(value(f"SNR_{name}", wrong) for name in ("RAW", "PAN", "TILT", "STATE")))
+    state = board.state
+    assert (state.raw_m, state.pan_us, state.tilt_us) == (None, None, None)
+    assert "unknown" in shown(board)
 
 
 class TestPicture:

@@ -1,5 +1,6 @@
 """What is known of the board now, from the messages it has sent."""
 
+import math
 from collections import Counter, deque
 from dataclasses import dataclass, field
 from typing import Any
@@ -126,6 +127,8 @@ class BoardState:
         self.restarts += message.time_boot_ms < self._boot_ms
         self._boot_ms = int(message.time_boot_ms)
         value = float(message.value)
+        if not math.isfinite(value):
+            return
         match name:
             case "SNR_RAW":
                 self.raw_m = round(value, 3) if value < NOTHING_HEARD_M else None
