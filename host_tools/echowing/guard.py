@@ -362,20 +362,20 @@ class Guard:
             return None
         if follower.hold_reason is not None:
             least_m += CLEAR_M
-        here = self._in_height(follower.plan.system_id, follower.position)
+        here = self.in_height(follower.plan.system_id, follower.position)
         if leader is not None and nearer_than(
-            here, self._in_height(self._leader_id, leader), least_m
+            here, self.in_height(self._leader_id, leader), least_m
         ):
             return f"nearer to the leader than {least_m:g} m"
         for system_id, other in followers.items():
             if other is follower or other.position is None:
                 continue
             fresh = now_s - other.position_at_s < UNHEARD_S
-            if fresh and nearer_than(here, self._in_height(system_id, other.position), least_m):
+            if fresh and nearer_than(here, self.in_height(system_id, other.position), least_m):
                 return f"nearer to follower {system_id} than {least_m:g} m"
         return None
 
-    def _in_height(self, system_id: int, place: GlobalPosition) -> GlobalPosition:
+    def in_height(self, system_id: int, place: GlobalPosition) -> GlobalPosition:
         """A place to compare with others': its altitude above its home where homes are level.
 
         What the receivers make of such homes is their error, and would hide who is beside whom.

@@ -230,7 +230,11 @@ def _separation_m(session: FollowSession, follower: FollowerState, now_s: float)
     fix = session.leader.fix
     if follower.position is None or fix is None or is_stale(now_s - fix.time_s, session.settings):
         return None
-    return distance_m(follower.position, session.leader_for(follower, fix, now_s))
+    leader = session.leader_for(follower, fix, now_s)
+    if session.guard is None:
+        return distance_m(follower.position, leader)
+    here = session.guard.in_height(follower.plan.system_id, follower.position)
+    return distance_m(here, session.guard.in_height(session.leader_id, leader))
 
 
 def _slot_error_m(follower: FollowerState) -> float | None:

@@ -24,7 +24,7 @@ from echowing.guard import (
     parse_stop_switch,
 )
 from echowing.guidance import GuidanceSettings, Slot, SlotGuide
-from echowing.panel import left_as, state_of
+from echowing.panel import Panel, left_as, state_of
 
 LEADER, FOLLOWER, SECOND = 1, 2, 3
 HERE = GlobalPosition(39.34, -86.03, 260.0)
@@ -249,6 +249,15 @@ def test_level_homes_are_not_corrected() -> None:
     there = Field(limits, home_m={FOLLOWER: 254.0})
     assert there.points()[0].alt == pytest.approx(10.0)
     assert not any("home" in text for text in there.events())
+
+
+def test_level_homes_are_not_shown_as_a_separation() -> None:
+    """Nor held against the sonar, which hears the leader 4 m ahead and not 5.7 m away."""
+    limits = Limits(home_difference_m=5.0, level_homes=True)
+    there = Field(limits, home_m={FOLLOWER: 254.0})
+    there.fly(1.0)
+    (shown,) = Panel([LEADER, FOLLOWER]).rows(there.session, there.now_s)
+    assert shown.separation_m == pytest.approx(4.0, abs=0.02)
 
 
 @pytest.mark.parametrize("level", [False, True])
