@@ -79,6 +79,18 @@ class TestState:
         assert (state.range_m, state.raw_m, state.signal_quality) == (None, None, None)
         assert (state.state, state.critical, state.errors) == ("sonar fault", True, 1)
 
+    def test_the_state_is_waited_for_as_it_comes_once_a_second(self, wire: CoreWire) -> None:
+        board = wire.open()
+        assert board.state.state == "unknown"
+        board.wait_state()
+        assert board.state.state in {"starting", "searching", "tracking"}
+        wire.drop = is_kind("NAMED_VALUE_FLOAT")
+        silent = wire.open()
+        begin_s = wire.t_s
+        silent.wait_state(1.0)
+        assert silent.state.state == "unknown"
+        assert wire.t_s - begin_s == pytest.approx(1.0, abs=0.1)
+
     def test_a_restart_is_counted(self, wire: CoreWire) -> None:
         board = wire.open()
         while wire.t_s < 2.0:

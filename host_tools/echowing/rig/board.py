@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from echowing.errors import EchowingError
 from echowing.rig.messages import TELLING_PARAMETER, Frames, Roster, Source, is_telling, source_of
 from echowing.rig.ports import USB_BAUD, Wire, find_port, open_wire
-from echowing.rig.state import BoardState, Version
+from echowing.rig.state import UNKNOWN, BoardState, Version
 
 Clock = Callable[[], float]
 
@@ -27,6 +27,7 @@ OPEN_TIMEOUT_S = 8.0
 TALKING_S = 4.0
 ASK_PERIOD_S = 1.0
 ANSWER_TIMEOUT_S = 1.0
+STATE_TIMEOUT_S = 2.5  # the firmware tells its state once a second; one may get lost
 TRIES = 3
 # Parameters are listed as the wire is free between ranges: some 50 a second at 115200 baud.
 LIST_QUIET_S = 0.5
@@ -143,6 +144,12 @@ class Board:
         if answer is None:
             raise CommandError(f"{self._label()} has not told its version")
         return Version.of(answer)
+
+    def wait_state(self, timeout_s: float = STATE_TIMEOUT_S) -> None:
+        """Wait until the board has told its state, or the time is over."""
+        deadline_s = self._clock() + timeout_s
+        while self.state.state == UNKNOWN and self._clock() < deadline_s:
+            self._pump(deadline_s - self._clock())
 
     def ask_version(self) -> None:
         """Ask for the version, and do not wait: `state.version` fills when it comes."""

@@ -37,6 +37,8 @@ def run(args: argparse.Namespace) -> int:
 def facts(board: Board) -> dict[str, Any]:
     """What the board says of itself."""
     version = board.version()
+    parameters = board.parameters()
+    board.wait_state()
     usb = next((device for device in usb_devices() if device.device == board.name), None)
     return {
         "port": board.name,
@@ -45,7 +47,7 @@ def facts(board: Board) -> dict[str, Any]:
         "component_id": board.component_id,
         "version": version.firmware,
         "git_hash": version.git_hash,
-        "parameters": board.parameters(),
+        "parameters": parameters,
         "state": board.state.state,
         "sonar_fault": board.state.critical,
     }
