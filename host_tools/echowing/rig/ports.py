@@ -20,6 +20,7 @@ from echowing.links import (
     parse_address,
 )
 
+START_AGAIN = ". Plug it in and start again"
 USB_BAUD = 115_200  # of the firmware's USB port; boards with USB of their own ignore it
 WRITE_TIMEOUT_S = 2.0  # a board whose loop runs takes a frame within milliseconds
 
@@ -226,7 +227,7 @@ def _why_lost(error: Exception) -> str:
     reason = getattr(error, "strerror", None)
     return (
         "the connection was lost: the cable was unplugged or the board lost its power"
-        f"{f' ({reason})' if reason else ''}. Plug it in and start again"
+        f"{f' ({reason})' if reason else ''}{START_AGAIN}"
     )
 
 

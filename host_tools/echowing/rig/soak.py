@@ -16,7 +16,7 @@ from echowing.analysis.tables import Grid, Row
 from echowing.errors import EchowingError
 from echowing.rig.bench import POLL_S, Bench, add_bench_arguments, perform, positive
 from echowing.rig.board import Board, open_board
-from echowing.rig.ports import PortLostError
+from echowing.rig.ports import START_AGAIN, PortLostError
 from echowing.rig.readings import FAULT, average_m, heard_m, named_value, spread
 from echowing.rig.result import Check, Result
 from echowing.rig.state import STATE_NAMES
@@ -232,7 +232,8 @@ class SoakTest:
                 soak.hear(message)
         except PortLostError as error:
             soak.unplugged()
-            bench.operator.tell(f"{error}; waiting for it to come back")
+            words = str(error).removesuffix(START_AGAIN)
+            bench.operator.tell(f"{words}; waiting for it to come back")
             self._await(bench, soak)
             return False
         return True
