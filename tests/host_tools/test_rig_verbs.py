@@ -51,6 +51,7 @@ class TestParameterFile:
             (b"SCAN_DWELL,many\n", "line 1: a line is NAME,VALUE, not 'SCAN_DWELL many'"),
             (b"# x\nSCAN_DWELL\n", "line 2: a line is NAME,VALUE"),
             (b"A,1,2\n", "line 1: a line is NAME,VALUE"),
+            (b"prose " * 40, "not 'prose prose prose prose prose prose prose prose prose …'"),
             (b"A,nan\n", "line 1: A has to be a number, not nan"),
             (b"A,1e99\n", "line 1: A has to be a number"),
             (b"A,1\nA,2\n", "line 2: A is there twice"),

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping
 from pathlib import Path
+from textwrap import shorten
 
 from echowing.errors import EchowingError
 from echowing.rig.board import as_float32
@@ -50,7 +51,8 @@ def _row(words: list[str], where: str) -> tuple[str, float]:
         name, number = words
         value = as_float32(float(number))
     except (ValueError, OverflowError) as error:
-        raise EchowingError(f"{where}: a line is NAME,VALUE, not {' '.join(words)!r}") from error
+        line = shorten(" ".join(words), 60, placeholder=" …")
+        raise EchowingError(f"{where}: a line is NAME,VALUE, not {line!r}") from error
     if not math.isfinite(value):
         raise EchowingError(f"{where}: {name} has to be a number, not {number}")
     return name, value
