@@ -130,6 +130,11 @@ def test_time_in_the_pilots_hands_is_told_and_what_lies_outside_is_left_out(tmp_
     assert cut.warnings == ()
 
 
+def test_a_table_that_only_watched_says_so(tmp_path: Path) -> None:
+    (flight,) = read_flights([write(tmp_path, pilots=(-1.0, math.inf))])
+    assert flight.warnings == ("never followed; all of the log is used",)  # the flight has a name
+
+
 def test_a_table_cut_off_in_a_row_is_used_as_far_as_it_goes(tmp_path: Path) -> None:
     table = write(tmp_path)
     table.write_bytes(table.read_bytes()[:-60])

@@ -113,14 +113,14 @@ def _flown(label: str, rows: Sequence[Row]) -> tuple[Sequence[Row], list[str]]:
     """From the first to the last moment at which it was led; what to know of them."""
     led = [index for index, row in enumerate(rows) if str(row["state"]).startswith(FOLLOWING)]
     if not led:
-        return rows, [f"{label}: never followed; all of the log is used"]
+        return rows, ["never followed; all of the log is used"]
     flown = rows[led[0] : led[-1] + 1]
     other = len(flown) - len(led)
     if len(flown) < SHORTEST_ROWS:
         raise EchowingError(f"log {label}: followed for less than a second")
     if not other:
         return flown, []
-    return flown, [f"{label}: held or in its pilot's hands for {other / 10:.0f} s of the flight"]
+    return flown, [f"held or in its pilot's hands for {other / 10:.0f} s of the flight"]
 
 
 def _numbers(path: Path, rows: Sequence[Row], name: str) -> Floats:
