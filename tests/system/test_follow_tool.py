@@ -374,7 +374,7 @@ ENDS = ["follow", "--leader", "udpin:14550", "--follower", "udpin:14560"]
         (["--angle", "120"], "ahead of the leader"),
         (["--radius", "1.2"], "inside --min-separation"),
         (["--follower", "udpin:14570"], "2 followers need --formation"),
-        (["--formation", "/nowhere.toml"], "cannot be read"),
+        (["--formation", "/nowhere.toml"], "nowhere.toml: cannot be read: No such file"),
         (["--follower", "udpin:14560"], "say which is which"),
         (["--follower", "nonsense"], "no such kind"),
         (["--follower", "tcp:5760"], "which host"),

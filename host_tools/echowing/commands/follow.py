@@ -24,7 +24,7 @@ examples:
       only watches; add --engage, and points go to followers that fly in Guided
   echowing follow --leader /dev/ttyUSB0 --follower /dev/ttyUSB1 --baud 57600 --radius 8 --engage
   echowing follow --leader udpin:14550@1 --follower udpin:14550@2 --follower udpin:14550@3 \\
-      --formation vee.toml --stop-switch 5:1200 --log out/flight-7 --engage
+      --formation vee.toml --stop-switch 7:1700 --log out/flight-7 --engage
       all vehicles on one link, told apart by system id; vee.toml:
           [[slots]]
           radius_m = 4.0
@@ -307,7 +307,9 @@ def _load_formation(path: Path) -> "list[Slot]":
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
         formation = FormationSection.model_validate(table)
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except OSError as error:
+        raise EchowingError(f"--formation {path}: cannot be read: {error.strerror}") from error
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise EchowingError(f"--formation {path}: cannot be read: {error}") from error
     except ValidationError as error:
         first = error.errors()[0]
