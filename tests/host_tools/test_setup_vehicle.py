@@ -237,6 +237,24 @@ def test_a_link_that_goes_one_way_only_is_told(make_desk: MakeDesk) -> None:
         read_out(desk.vehicle)
 
 
+def test_one_whose_heartbeats_are_lost_may_be_armed(
+    make_desk: MakeDesk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    desk = make_desk()
+    receive = desk.receive
+
+    def without_heartbeats(now_s: float, say: Say) -> list[Any]:
+        return [one for one in receive(now_s, say) if one.get_type() != "HEARTBEAT"]
+
+    monkeypatch.setattr(desk, "receive", without_heartbeats)
+    desk.vehicle.refuse_armed("parameters are written")
+    until_s = desk.t_s + SILENCE_S + 1.0
+    while desk.t_s < until_s:
+        assert "SCR_ENABLE" in desk.vehicle.read(["SCR_ENABLE"])
+    with pytest.raises(EchowingError, match="heartbeats are not heard, so it may be armed"):
+        desk.vehicle.refuse_armed("parameters are written")
+
+
 def test_an_armed_vehicle_is_refused_and_left_as_it_is(make_desk: MakeDesk) -> None:
     desk = make_desk()
     saved = dict(desk.autopilot.parameters.saved)

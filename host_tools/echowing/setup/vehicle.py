@@ -67,7 +67,7 @@ class Vehicle:
         self._clock = clock
         self._say = say
         self._beat_s = -math.inf
-        self._heard_s = clock()
+        self._heard_s = self._state_at_s = clock()
 
     @property
     def name(self) -> str:
@@ -76,10 +76,13 @@ class Vehicle:
 
     @property
     def armed(self) -> bool:
-        """Motors armed, by the newest heartbeat; True before the first, to be safe."""
-        if self.base_mode is None:
+        """Motors armed, by the newest heartbeat; True while none has come lately, to be safe."""
+        if self.base_mode is None or self._state_is_old():
             return True
         return bool(self.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+
+    def _state_is_old(self) -> bool:
+        return self._clock() - self._state_at_s > SILENCE_S
 
     def now_s(self) -> float:
         """The time on our clock."""
@@ -120,6 +123,7 @@ class Vehicle:
         self._heard_s = heard.time_s
         if message.get_type() == "HEARTBEAT":
             self.base_mode, self.mode = message.base_mode, message.custom_mode
+            self._state_at_s = heard.time_s
         elif message.get_type() == "STATUSTEXT":
             self.texts.append(str(message.text))
 
@@ -148,6 +152,11 @@ class Vehicle:
 
     def refuse_armed(self, what: str) -> None:
         """Raise EchowingError if the motors are armed, or may be."""
+        if self._state_is_old():
+            raise EchowingError(
+                f"{self.name}: its heartbeats are not heard, so it may be armed: {what} only while "
+                "it is known to be disarmed"
+            )
         if self.armed:
             raise EchowingError(
                 f"{self.name} is armed: {what} only while it is disarmed, on the ground"
