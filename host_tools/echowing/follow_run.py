@@ -93,7 +93,10 @@ class FollowTool:
         self._events_told = 0
 
     def run(self) -> int:
-        """Until the end is asked for; 0: every follower that was moved is known to stand."""
+        """Until the end is asked for; 0: every follower that was moved is known to stand.
+
+        1: one is not, or the duration was over before all vehicles were heard.
+        """
         options = self._options
         try:
             for link in self._links.values():
@@ -102,12 +105,12 @@ class FollowTool:
                 self._log = FollowLog(options.log, self._start_unix_s, self._say)
             if not find_vehicles(options.seats, self._links, self._now_s, self._over, self._say):
                 self._say("ended before all vehicles were heard; nothing was moved")
-                return 0
+                return self._unheard_code()
             if options.settings.feed_forward and not find_sonars(
                 options.seats[1:], self._links, self._now_s, self._over, self._say
             ):
                 self._say("ended before all sonars were heard; nothing was moved")
-                return 0
+                return self._unheard_code()
             self._make_session()
             try:
                 self._fly()
@@ -167,6 +170,10 @@ class FollowTool:
         # Where nobody sees what is done nothing is done.
         ended = self._stop() or self._view.lost is not None
         return ended or (duration_s is not None and self._now_s() >= duration_s)
+
+    def _unheard_code(self) -> int:
+        """0 where the operator has ended it; a time that ran out in vain is no success."""
+        return 0 if self._stop() or self._view.lost is not None else 1
 
     def _fly(self) -> None:
         self._next_tick_s = self._next_rows_s = self._now_s()

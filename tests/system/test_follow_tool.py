@@ -388,6 +388,14 @@ def test_what_cannot_be_flown_is_refused(
     assert said in capsys.readouterr().err
 
 
+def test_a_time_that_ran_out_before_anybody_was_heard_is_no_success(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    ends = ["--leader", "tcp:127.0.0.1:9", "--follower", "tcp:127.0.0.1:10"]
+    assert main(["follow", *ends, "--duration", "0.3"]) == 1
+    assert "ended before all vehicles were heard" in capsys.readouterr().out
+
+
 def test_a_formation_file_of_another_size_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
