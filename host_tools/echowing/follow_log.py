@@ -1,6 +1,7 @@
 """What `echowing follow` writes down: a .tlog of all frames and a CSV of all rows.
 
-A log that cannot be written is said once and given up; it never stops the flying.
+A log that cannot be begun is refused; one that cannot be gone on with is said once and given up:
+it never stops the flying.
 """
 
 import csv
@@ -11,6 +12,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import BinaryIO, TextIO
 
+from echowing.errors import EchowingError
 from echowing.follow_track import Track
 from echowing.panel import Row
 
@@ -18,7 +20,10 @@ Say = Callable[[str], None]
 
 
 class FollowLog:
-    """Logs of one flight in `folder`, named by the UTC time of the start."""
+    """Logs of one flight in `folder`, named by the UTC time of the start.
+
+    Raises EchowingError where nothing can be written.
+    """
 
     def __init__(self, folder: Path, start_unix_s: float, say: Say) -> None:
         self._say = say
@@ -32,8 +37,11 @@ class FollowLog:
             names = [column.name for kind in (Row, Track) for column in fields(kind)]
             self._writer = csv.DictWriter(self._table, ["unix_time_s", *names])
             self._writer.writeheader()
+            self._table.flush()
         except OSError as error:
-            self._give_up(error)
+            raise EchowingError(
+                f"--log {folder}: cannot be written: {error.strerror}; give another folder"
+            ) from error
 
     def frame(self, unix_s: float, frame: bytes) -> None:
         """A frame received or sent."""

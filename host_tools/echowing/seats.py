@@ -93,13 +93,12 @@ class VehicleFinder:
 
     @property
     def complete(self) -> bool:
-        """Whether every seat has its system id."""
-        return not self._open_seats()
+        """Whether every seat has its system id, and that system is heard on its link."""
+        return not self._missing()
 
     def waiting(self) -> str:
         """Who is still missing."""
-        missing = [f"{seat.role} on {seat.address.text}" for seat in self._open_seats()]
-        return "waiting for " + ", ".join(missing)
+        return "waiting for " + ", ".join(self._described(seat) for seat in self._missing())
 
     def heard(self, link: str, message: Any, now_s: float) -> None:
         """Take any message of a link."""
@@ -133,6 +132,21 @@ class VehicleFinder:
                 f"{where}@{min(free)}"
             )
         return free[0]
+
+    def _missing(self) -> list[Seat]:
+        return [
+            seat
+            for seat in self._seats
+            if seat.system_id not in self._heard.get(seat.address.text, {})
+        ]
+
+    def _described(self, seat: Seat) -> str:
+        """A missing vehicle; where it was named, also who is heard in its place."""
+        if seat.system_id is None:
+            return f"{seat.role} on {seat.address.text}"
+        others = sorted(self._heard.get(seat.address.text, {}))
+        heard = f" (heard there: {', '.join(map(str, others))})" if others else ""
+        return f"{seat.role}, system {seat.system_id}, on {seat.address.text}{heard}"
 
     def _open_seats(self) -> list[Seat]:
         return [seat for seat in self._seats if seat.system_id is None]

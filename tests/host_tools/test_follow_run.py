@@ -70,6 +70,16 @@ def test_a_vehicle_with_an_id_leaves_the_other_on_the_link() -> None:
     assert seats[1].system_id == 12
 
 
+def test_a_vehicle_that_was_named_is_waited_for_too() -> None:
+    finder = VehicleFinder([parse_seat("leader", "udpin:1@7")])
+    assert finder.waiting() == "waiting for leader, system 7, on udpin:1"
+    finder.heard("udpin:1", beat(1), 0.0)
+    assert not finder.complete
+    assert finder.waiting() == "waiting for leader, system 7, on udpin:1 (heard there: 1)"
+    finder.heard("udpin:1", beat(7), 0.5)
+    assert finder.complete
+
+
 def test_two_vehicles_with_one_id_are_refused() -> None:
     seats = [parse_seat("leader", "udpin:1"), parse_seat("follower", "udpin:2")]
     finder = VehicleFinder(seats)
@@ -273,14 +283,8 @@ def test_logs_are_on_the_disk_after_every_row(tmp_path: Path) -> None:
     assert said == []
 
 
-def test_a_log_that_cannot_be_written_is_said_once(tmp_path: Path) -> None:
+def test_a_log_that_cannot_be_begun_is_refused_before_anything_moves(tmp_path: Path) -> None:
     blocked = tmp_path / "file"
     blocked.write_text("no folder")
-    said: list[str] = []
-    log = FollowLog(blocked, 0.0, said.append)
-    for _ in range(3):
-        log.frame(1.0, b"x")
-        log.rows(1.0, [row()], [placed()])
-    log.close()
-    assert len(said) == 1
-    assert "cannot be written" in said[0]
+    with pytest.raises(EchowingError, match=r"file: cannot be written: .* another folder"):
+        FollowLog(blocked, 0.0, print)

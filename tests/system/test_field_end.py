@@ -202,6 +202,7 @@ def test_what_fits_on_a_full_disk_can_be_read_and_the_end_is_clean(
     assert tool.end() == 0
     assert "stopped and stands, GUIDED" in tool.lines[-1]
     assert not any("Traceback" in line for line in tool.lines)
+    assert sum("cannot be written" in line for line in tool.lines) == 1
     (table,) = tmp_path.glob("*.csv")
     with table.open(newline="", encoding="utf-8") as file:
         assert next(csv.reader(file))[:2] == ["unix_time_s", "time_s"]

@@ -73,7 +73,7 @@ def footnotes(results: Sequence[Result]) -> list[str]:
     ours = (
         "Ours: RMSD and DRMS are sqrt(mean(e^2)), e = separation - wanted; sigma is about the "
         "mean; seen is the share of time with a sonar reading. "
-        "Indented rows are the thesis's, as printed."
+        "Rows named Table N are the thesis's, as printed."
     )
     return [ours, *(f"[{key}] {FOOTNOTES[key]}" for key in sorted(keys))]
 

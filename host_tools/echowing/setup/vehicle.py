@@ -335,8 +335,9 @@ def open_vehicle(
         until_s = clock() + FIND_TIMEOUT_S
         links = {seat.address.text: link}
         if not find_vehicles([seat], links, clock, lambda: clock() > until_s, say):
+            who = "autopilot" if seat.system_id is None else f"system {seat.system_id}"
             raise EchowingError(
-                f"{seat.address.text}: no autopilot heard for {FIND_TIMEOUT_S:g} s; is it powered, "
+                f"{seat.address.text}: no {who} heard for {FIND_TIMEOUT_S:g} s; is it powered, "
                 "is the connection string right, is another tool on the port?"
             )
         vehicle = Vehicle(link, known_id(seat), clock=clock, say=say)
