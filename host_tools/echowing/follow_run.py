@@ -8,11 +8,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.follow import (
-    FollowerPlan,
-    FollowSession,
-    Guide,
-)
+from echowing.follow import FollowerPlan, FollowSession, Guide
 from echowing.follow_log import FollowLog
 from echowing.follow_track import Track, track
 from echowing.follow_view import LastingView, View

@@ -6,14 +6,10 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.follow import (
-    HEARTBEAT_PERIOD_S,
-    RATE_REQUEST_PERIOD_S,
-    message_interval,
-    tool_heartbeat,
-)
+from echowing.follow import RATE_REQUEST_PERIOD_S
 from echowing.guard import SWITCH_HZ, UNHEARD_S, RateWatch
 from echowing.links import Address, Link, wait
+from echowing.messages import HEARTBEAT_PERIOD_S, message_interval, tool_heartbeat
 from echowing.seats import POLL_S, OpenLink, Seat, find_vehicles, known_id
 from echowing.signing import LinkSigning
 from echowing.stopping import StopRequest

@@ -7,16 +7,16 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.errors import EchowingError
-from echowing.follow import (
+from echowing.follow import REPELLING_HZ
+from echowing.links import DEFAULT_BAUD, Address, Link, parse_address, wait
+from echowing.messages import (
     FORWARD,
     HEARTBEAT_PERIOD_S,
-    REPELLING_HZ,
     TOOL_COMPONENT_ID,
     TOOL_SYSTEM_ID,
     message_interval,
     tool_heartbeat,
 )
-from echowing.links import DEFAULT_BAUD, Address, Link, parse_address, wait
 
 # Heartbeats come once a second: after this long everybody on a link has been heard.
 LISTEN_S = 1.5

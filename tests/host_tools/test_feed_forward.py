@@ -22,10 +22,11 @@ from echowing.feed_forward import (
     retreat_m,
     sonar_range_m,
 )
-from echowing.follow import RAW_FRESH_S, USUAL_ROUND_TRIP_S, FollowerPlan, FollowSession
+from echowing.follow import RAW_FRESH_S, FollowerPlan, FollowSession
 from echowing.geo import GlobalPosition, displace, ned_between
 from echowing.guard import REFUSED_FOR_S, Limits
 from echowing.guidance import GuidanceSettings, GuidedPoint, Slot
+from echowing.leader_track import USUAL_ROUND_TRIP_S
 from echowing.panel import state_of
 from echowing.paths import lua_folder
 from echowing.sim.flight import FormationFlight

@@ -5,16 +5,11 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.follow import (
-    AGREEING_REPORTS,
-    CLOCKS_AGREE_S,
-    TOOL_SYSTEM_ID,
-    FollowerPlan,
-    FollowSession,
-    VehicleClock,
-)
+from echowing.follow import FollowerPlan, FollowSession
 from echowing.geo import GlobalPosition, displace, ned_between
 from echowing.guidance import GuidanceSettings, Slot
+from echowing.leader_track import AGREEING_REPORTS, CLOCKS_AGREE_S, VehicleClock
+from echowing.messages import TOOL_SYSTEM_ID
 
 LEADER, FOLLOWER = 1, 2
 HERE = GlobalPosition(39.34, -86.03, 260.0)

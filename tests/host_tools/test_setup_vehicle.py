@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.applet import applet_parameters, applet_path, install_over_link
 from echowing.errors import EchowingError
-from echowing.follow import TOOL_COMPONENT_ID, TOOL_SYSTEM_ID
+from echowing.messages import TOOL_COMPONENT_ID, TOOL_SYSTEM_ID
 from echowing.seats import Say
 from echowing.setup import vehicle as vehicle_module
 from echowing.setup.apply import changes_for, write_all

@@ -11,7 +11,7 @@ from enum import Enum
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.applet import PARAMETER_PREFIX
-from echowing.follow import TOOL_SYSTEM_ID
+from echowing.messages import TOOL_SYSTEM_ID
 from echowing.setup.readout import Readout
 from echowing.setup.settings import (
     BAUD_115200,

@@ -15,8 +15,8 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.errors import EchowingError
-from echowing.follow import HEARTBEAT_PERIOD_S, TOOL_COMPONENT_ID, TOOL_SYSTEM_ID, tool_heartbeat
 from echowing.links import DEFAULT_BAUD, Link, wait
+from echowing.messages import HEARTBEAT_PERIOD_S, TOOL_COMPONENT_ID, TOOL_SYSTEM_ID, tool_heartbeat
 from echowing.seats import OpenLink, Say, find_vehicles, known_id, parse_seat
 from echowing.signing import LinkSigning, read_key
 

@@ -1,0 +1,156 @@
+"""Where the leader is, out of its reports: its clock against ours, late ones and jumps. Pure."""
+
+import math
+from typing import Any
+
+from echowing.geo import GlobalPosition, Ned, ned_between
+from echowing.guidance import LeaderFix
+from echowing.messages import heading_of
+
+# A vehicle's clock this far behind its newest report has begun anew: no radio holds one so long.
+REBOOT_MS = 10_000
+# A leader's report further than this from where the last one leads is a jump, not a movement:
+# twice what a hard reversal at 2 m/s can do between two reports.
+JUMP_M = 4.0
+# Accelerations beyond this are noise: a copter's default is 2.5 m/s2 (WP_ACC).
+MOST_MPS2 = 3.0
+# Two reports further apart than this say nothing of the acceleration now.
+LONGEST_GAP_S = 0.6
+# A new place is believed once this many reports in a row agree on it (2 s at 4 Hz).
+AGREEING_REPORTS = 8
+
+# How long a point takes there and back while no TIMESYNC answer has said.
+USUAL_ROUND_TRIP_S = 0.5
+TIMESYNC_PERIOD_S = 1.0
+# Crystals of 50 ppm drift 30 ms apart in this time: an older answer is forgotten.
+CLOCKS_AGREE_S = 600.0
+
+
+class VehicleClock:
+    """A vehicle's boot clock against ours, by TIMESYNC; the quickest answer is the truest.
+
+    Half the round trip is taken as the way back, so a link slower one way than the other
+    is off by half the difference.
+    """
+
+    def __init__(self) -> None:
+        self._best_round_trip_s = math.inf
+        self._best_at_s = -math.inf
+        self._boot_at_s: float | None = None
+        self._asked_at_s = -math.inf
+
+    @property
+    def known(self) -> bool:
+        """Whether a TIMESYNC answer has come."""
+        return self._boot_at_s is not None
+
+    @property
+    def round_trip_s(self) -> float:
+        """To the vehicle and back."""
+        return USUAL_ROUND_TRIP_S if self._boot_at_s is None else self._best_round_trip_s
+
+    def due(self, now_s: float) -> bool:
+        """Whether to ask again; asking is noted."""
+        if now_s - self._asked_at_s < TIMESYNC_PERIOD_S:
+            return False
+        self._asked_at_s = now_s
+        return True
+
+    def answered(self, asked_s: float, vehicle_boot_s: float, now_s: float) -> None:
+        """Take one TIMESYNC answer: when it was asked, and the vehicle's clock in it."""
+        round_trip_s = now_s - asked_s
+        if now_s - self._best_at_s > CLOCKS_AGREE_S:
+            self._best_round_trip_s = math.inf
+        if not 0.0 <= round_trip_s <= self._best_round_trip_s:
+            return
+        self._best_at_s = now_s
+        self._best_round_trip_s = round_trip_s
+        self._boot_at_s = now_s - round_trip_s / 2.0 - vehicle_boot_s
+
+    def to_ours(self, boot_s: float, received_s: float) -> float:
+        """Our time of a vehicle's time stamp; the time of receipt while the clock is unknown."""
+        if self._boot_at_s is None:
+            return received_s
+        return min(received_s, self._boot_at_s + boot_s)
+
+    def restarted(self) -> None:
+        """Forget everything: the vehicle has booted again."""
+        self.__init__()  # type: ignore[misc]
+
+
+class LeaderTrack:
+    """The newest believable report of the leader."""
+
+    def __init__(self) -> None:
+        self.clock = VehicleClock()
+        self.fix: LeaderFix | None = None
+        self.rejected = 0
+        self._newest_boot_ms = -1
+        self._candidate: LeaderFix | None = None
+        self._agreeing = 0
+        self.jumps = 0
+        """How often the leader has turned up somewhere else and been believed there."""
+
+    def receive(self, message: Any, now_s: float) -> None:
+        """Take a GLOBAL_POSITION_INT; late doubles and reordered ones are dropped."""
+        boot_ms = message.time_boot_ms
+        if is_late(boot_ms, self._newest_boot_ms):
+            return
+        if boot_ms < self._newest_boot_ms:
+            self._reboot()
+        self._newest_boot_ms = boot_ms
+        boot_s = boot_ms / 1000.0
+        velocity = (message.vx / 100.0, message.vy / 100.0, message.vz / 100.0)
+        time_s = self.clock.to_ours(boot_s, now_s)
+        fix = LeaderFix(
+            time_s=time_s,
+            position=GlobalPosition(message.lat / 1e7, message.lon / 1e7, message.alt / 1e3),
+            velocity_ned_mps=velocity,
+            heading_rad=heading_of(message, 0.0 if self.fix is None else self.fix.heading_rad),
+            acceleration_ned_mps2=self._acceleration(time_s, velocity),
+        )
+        if self._believable(fix):
+            self.fix = fix
+
+    def _acceleration(self, time_s: float, velocity: Ned) -> Ned:
+        """Between the last report and this one, limited to what copters do; 0 after a gap."""
+        if self.fix is None or not 0.0 < time_s - self.fix.time_s < LONGEST_GAP_S:
+            return (0.0, 0.0, 0.0)
+        elapsed_s = time_s - self.fix.time_s
+        change = [
+            (b - a) / elapsed_s for a, b in zip(self.fix.velocity_ned_mps, velocity, strict=True)
+        ]
+        north, east, down = (max(-MOST_MPS2, min(MOST_MPS2, one)) for one in change)
+        return north, east, down
+
+    def _reboot(self) -> None:
+        self.clock.restarted()
+        self.fix = None
+
+    def _believable(self, fix: LeaderFix) -> bool:
+        if self.fix is None or not _jumps(self.fix, fix):
+            self._agreeing = 0
+            return True
+        self.rejected += 1
+        agrees = self._candidate is not None and not _jumps(self._candidate, fix)
+        self._agreeing = self._agreeing + 1 if agrees else 0
+        self._candidate = fix
+        if self._agreeing < AGREEING_REPORTS:
+            return False
+        self.jumps += 1
+        return True
+
+
+def is_late(boot_ms: int, newest_boot_ms: int) -> bool:
+    """Whether a report is a double of the newest, or older: on its way too long, not a reboot."""
+    return 0 <= newest_boot_ms - boot_ms <= REBOOT_MS
+
+
+def _jumps(before: LeaderFix, after: LeaderFix) -> bool:
+    elapsed_s = after.time_s - before.time_s
+    north, east, _ = ned_between(before.position, after.position)
+    mean = [
+        (a + b) / 2.0 for a, b in zip(before.velocity_ned_mps, after.velocity_ned_mps, strict=True)
+    ]
+    off_m = math.hypot(north - mean[0] * elapsed_s, east - mean[1] * elapsed_s)
+    return off_m > JUMP_M * max(1.0, elapsed_s)

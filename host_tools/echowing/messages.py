@@ -1,0 +1,106 @@
+"""MAVLink messages as the ground tools write and read them. Pure."""
+
+import math
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from echowing.geo import GlobalPosition
+from echowing.guidance import Horizontal
+
+# Not 255: a helper that beats as the pilot's ground station would mask its fail-safe.
+TOOL_SYSTEM_ID = 245
+TOOL_COMPONENT_ID = mavlink.MAV_COMP_ID_MISSIONPLANNER
+HEARTBEAT_PERIOD_S = 1.0
+
+FORWARD = mavlink.MAV_SENSOR_ROTATION_NONE
+
+# GLOBAL_POSITION_INT: the ends of its degrees, and MAVLink's word for no heading.
+MOST_LAT_E7, MOST_LON_E7 = 900_000_000, 1_800_000_000
+UNKNOWN_HEADING = 65_535
+
+_POSITION_VELOCITY = (
+    mavlink.POSITION_TARGET_TYPEMASK_AX_IGNORE
+    | mavlink.POSITION_TARGET_TYPEMASK_AY_IGNORE
+    | mavlink.POSITION_TARGET_TYPEMASK_AZ_IGNORE
+    | mavlink.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE
+)
+_POSITION_ONLY = (
+    _POSITION_VELOCITY
+    | mavlink.POSITION_TARGET_TYPEMASK_VX_IGNORE
+    | mavlink.POSITION_TARGET_TYPEMASK_VY_IGNORE
+    | mavlink.POSITION_TARGET_TYPEMASK_VZ_IGNORE
+)
+
+
+def position_target(
+    system_id: int,
+    point: GlobalPosition,
+    altitude_m: float,
+    yaw_rad: float | None,
+    now_s: float,
+    velocity_mps: Horizontal | None = None,
+) -> Any:
+    """SET_POSITION_TARGET_GLOBAL_INT; `altitude_m` above the vehicle's home.
+
+    velocity_mps: (north, east); None: the position only.
+    """
+    mask = _POSITION_ONLY if velocity_mps is None else _POSITION_VELOCITY
+    if yaw_rad is None:
+        mask |= mavlink.POSITION_TARGET_TYPEMASK_YAW_IGNORE
+    return mavlink.MAVLink_set_position_target_global_int_message(
+        round(now_s * 1000.0) & 0xFFFFFFFF,
+        system_id,
+        mavlink.MAV_COMP_ID_AUTOPILOT1,
+        mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
+        mask,
+        round(point.lat_deg * 1e7),
+        round(point.lon_deg * 1e7),
+        altitude_m,
+        *(velocity_mps or (0.0, 0.0)),
+        *(0.0,) * 4,
+        yaw_rad or 0.0,
+        0.0,
+    )
+
+
+def is_nonsense(kind: str, message: Any) -> bool:
+    """Whether a message says what cannot be: a number that is none, a place that is nowhere.
+
+    Scripts and filters make such when they fail.
+    """
+    if kind == "NAMED_VALUE_FLOAT":
+        return not math.isfinite(message.value)
+    if kind == "GLOBAL_POSITION_INT":
+        return bool(abs(message.lat) > MOST_LAT_E7 or abs(message.lon) > MOST_LON_E7)
+    return False
+
+
+def heading_of(message: Any, before_rad: float) -> float:
+    """The heading in a GLOBAL_POSITION_INT; the one before where it is not known."""
+    return before_rad if message.hdg == UNKNOWN_HEADING else math.radians(message.hdg / 100.0)
+
+
+def tool_heartbeat() -> Any:
+    """HEARTBEAT of a ground tool that is no ground station."""
+    return mavlink.MAVLink_heartbeat_message(
+        mavlink.MAV_TYPE_ONBOARD_CONTROLLER,
+        mavlink.MAV_AUTOPILOT_INVALID,
+        0,
+        0,
+        mavlink.MAV_STATE_ACTIVE,
+        3,
+    )
+
+
+def message_interval(system_id: int, message_id: int, period_us: int) -> Any:
+    """Ask a vehicle to send a message at an interval."""
+    return mavlink.MAVLink_command_long_message(
+        system_id,
+        mavlink.MAV_COMP_ID_AUTOPILOT1,
+        mavlink.MAV_CMD_SET_MESSAGE_INTERVAL,
+        0,
+        message_id,
+        period_us,
+        *(0.0,) * 5,
+    )
