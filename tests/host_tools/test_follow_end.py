@@ -163,6 +163,7 @@ def _hang_up_handler() -> Iterator[None]:
 
 @pytest.mark.usefixtures("_hang_up_handler")
 def test_a_closed_terminal_is_a_request_to_end_unless_it_was_to_be_ignored() -> None:
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
     with stop_on_signals() as stop:
         signal.raise_signal(signal.SIGHUP)
         assert stop.count == 1
