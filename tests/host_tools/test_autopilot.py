@@ -1,7 +1,7 @@
 """The simulated autopilot flies, arms, refuses and stops as ArduCopter does."""
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -12,24 +12,14 @@ from echowing.sim.leader import TrackedBody
 from echowing.sim.modes import AUTO, BRAKE, GUIDED, LAND, LOITER, RTL
 from echowing.sim.parameters import Generation
 
-if TYPE_CHECKING:
-    from tests.host_tools.autopilot_bench import (
-        FORWARD_SONAR,
-        POSITION_ONLY_YAW,
-        POSITION_VELOCITY,
-        SYSTEM_ID,
-        VELOCITY_ONLY,
-        Bench,
-    )
-else:
-    from autopilot_bench import (
-        FORWARD_SONAR,
-        POSITION_ONLY_YAW,
-        POSITION_VELOCITY,
-        SYSTEM_ID,
-        VELOCITY_ONLY,
-        Bench,
-    )
+from .autopilot_bench import (
+    FORWARD_SONAR,
+    POSITION_ONLY_YAW,
+    POSITION_VELOCITY,
+    SYSTEM_ID,
+    VELOCITY_ONLY,
+    Bench,
+)
 
 ACCEPTED, DENIED, UNSUPPORTED, FAILED = 0, 2, 3, 4
 ARM, TAKE_OFF, SET_MODE = (

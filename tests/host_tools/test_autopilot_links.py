@@ -2,17 +2,14 @@
 
 import struct
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.sim.parameters import Generation, dialect_of, float32
 
-if TYPE_CHECKING:
-    from tests.host_tools.autopilot_bench import FORWARD_SONAR, SYSTEM_ID, TOOL, Bench
-else:
-    from autopilot_bench import FORWARD_SONAR, SYSTEM_ID, TOOL, Bench
+from .autopilot_bench import FORWARD_SONAR, SYSTEM_ID, TOOL, Bench
 
 NO_DATA, LOW, HIGH, GOOD = 1, 2, 3, 4
 ACCEPTED, DENIED, FAILED = 0, 2, 4

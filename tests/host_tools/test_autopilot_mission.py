@@ -1,6 +1,6 @@
 """Missions are uploaded by MAVLink and flown in Auto."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -9,10 +9,7 @@ from echowing.geo import displace
 from echowing.sim.autopilot import ORIGIN
 from echowing.sim.modes import AUTO
 
-if TYPE_CHECKING:
-    from tests.host_tools.autopilot_bench import RELATIVE, SYSTEM_ID, Bench
-else:
-    from autopilot_bench import RELATIVE, SYSTEM_ID, Bench
+from .autopilot_bench import RELATIVE, SYSTEM_ID, Bench
 
 WAYPOINT, TAKE_OFF = mavlink.MAV_CMD_NAV_WAYPOINT, mavlink.MAV_CMD_NAV_TAKEOFF
 RETURN, SPEED = mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH, mavlink.MAV_CMD_DO_CHANGE_SPEED

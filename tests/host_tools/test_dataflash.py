@@ -2,7 +2,7 @@
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 from pymavlink import DFReader
@@ -10,10 +10,7 @@ from pymavlink import DFReader
 from echowing.sim.autopilot import ORIGIN
 from echowing.sim.dataflash import DataflashLog
 
-if TYPE_CHECKING:
-    from tests.host_tools.autopilot_bench import FORWARD_SONAR, Bench
-else:
-    from autopilot_bench import FORWARD_SONAR, Bench
+from .autopilot_bench import FORWARD_SONAR, Bench
 
 
 def read(path: Path) -> tuple[Any, dict[str, list[Any]]]:

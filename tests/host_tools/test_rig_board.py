@@ -1,6 +1,6 @@
 """The rig's board against the firmware's own core, over a cable that loses what it is told to."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -10,28 +10,16 @@ from echowing.rig.board import COMMAND_SELF_TEST, ScanMode, await_board
 from echowing.rig.ports import PortLostError
 from echowing.sim.coprocessor import parameter_table
 
-if TYPE_CHECKING:
-    from tests.host_tools.rig_desk import (
-        CoreWire,
-        RoutingWire,
-        ScriptedWire,
-        Speaker,
-        autopilot_heartbeat,
-        device_heartbeat,
-        report,
-        value,
-    )
-else:
-    from rig_desk import (
-        CoreWire,
-        RoutingWire,
-        ScriptedWire,
-        Speaker,
-        autopilot_heartbeat,
-        device_heartbeat,
-        report,
-        value,
-    )
+from .rig_desk import (
+    CoreWire,
+    RoutingWire,
+    ScriptedWire,
+    Speaker,
+    autopilot_heartbeat,
+    device_heartbeat,
+    report,
+    value,
+)
 
 
 @pytest.fixture

@@ -1,22 +1,17 @@
 """The books of the wire: what came whole, damaged, or not at all; and who is who."""
 
-from typing import TYPE_CHECKING
-
 import pytest
 
 from echowing.rig.messages import Counts, Frames, Roster, describe
 
-if TYPE_CHECKING:
-    from tests.host_tools.rig_desk import (
-        Speaker,
-        autopilot_heartbeat,
-        device_heartbeat,
-        report,
-        text,
-        value,
-    )
-else:
-    from rig_desk import Speaker, autopilot_heartbeat, device_heartbeat, report, text, value
+from .rig_desk import (
+    Speaker,
+    autopilot_heartbeat,
+    device_heartbeat,
+    report,
+    text,
+    value,
+)
 
 
 def test_whole_frames_are_counted_and_stamped() -> None:

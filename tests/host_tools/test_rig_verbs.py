@@ -3,7 +3,7 @@
 import io
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -20,10 +20,7 @@ from echowing.rig.self_test import FAILED, FINE, UNTESTED
 from echowing.rig.view import JsonView
 from echowing.rig.watch import watch
 
-if TYPE_CHECKING:
-    from tests.host_tools.rig_desk import CoreWire, Speaker
-else:
-    from rig_desk import CoreWire, Speaker
+from .rig_desk import CoreWire, Speaker
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ import io
 import json
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -17,18 +17,15 @@ from echowing.rig.figure import COLUMNS, ROWS, direction, draw, points_at
 from echowing.rig.view import JsonView, LiveView, PlainView, bar, picture, snapshot
 from echowing.rig.watch import watch
 
-if TYPE_CHECKING:
-    from tests.host_tools.rig_desk import (
-        CoreWire,
-        ScriptedWire,
-        Speaker,
-        device_heartbeat,
-        report,
-        text,
-        value,
-    )
-else:
-    from rig_desk import CoreWire, ScriptedWire, Speaker, device_heartbeat, report, text, value
+from .rig_desk import (
+    CoreWire,
+    ScriptedWire,
+    Speaker,
+    device_heartbeat,
+    report,
+    text,
+    value,
+)
 
 
 class TestFigure:

@@ -1,24 +1,16 @@
 """Lets the tests in this folder share the field, and its vehicles."""
 
 import signal
-import sys
 from collections.abc import Iterator
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-sys.path.insert(0, str(Path(__file__).parent))
+from .field import World
 
 # A shell starts what it puts in the background with Ctrl-C ignored, and its children inherit that.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
-
-if TYPE_CHECKING:
-    from tests.system.field import World
-else:
-    from field import World
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import signal
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 from pymavlink import mavutil
@@ -16,34 +16,19 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from echowing.analysis.logs import read_flights
 from echowing.cli import main
 
-if TYPE_CHECKING:
-    from tests.system.field import (
-        FOLLOWER,
-        FULL_DISK,
-        LEADER,
-        Air,
-        Process,
-        World,
-        changed,
-        in_slot,
-        is_followed,
-        mode_of,
-        unspoilt,
-    )
-else:
-    from field import (
-        FOLLOWER,
-        FULL_DISK,
-        LEADER,
-        Air,
-        Process,
-        World,
-        changed,
-        in_slot,
-        is_followed,
-        mode_of,
-        unspoilt,
-    )
+from .field import (
+    FOLLOWER,
+    FULL_DISK,
+    LEADER,
+    Air,
+    Process,
+    World,
+    changed,
+    in_slot,
+    is_followed,
+    mode_of,
+    unspoilt,
+)
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 

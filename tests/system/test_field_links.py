@@ -5,35 +5,22 @@ import random
 from collections.abc import Callable, Iterable, Iterator
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-if TYPE_CHECKING:
-    from tests.system.field import (
-        FOLLOWER,
-        LEADER,
-        SECOND,
-        Air,
-        World,
-        changed,
-        in_slot,
-        is_followed,
-        unspoilt,
-    )
-else:
-    from field import (
-        FOLLOWER,
-        LEADER,
-        SECOND,
-        Air,
-        World,
-        changed,
-        in_slot,
-        is_followed,
-        unspoilt,
-    )
+from .field import (
+    FOLLOWER,
+    LEADER,
+    SECOND,
+    Air,
+    World,
+    changed,
+    in_slot,
+    is_followed,
+    unspoilt,
+)
 
 Fly = Callable[..., Air]
 

@@ -7,7 +7,7 @@ import signal
 import socket
 import threading
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -17,36 +17,20 @@ from echowing.cli import main
 from echowing.geo import displace
 from echowing.sim.autopilot import ORIGIN
 
-if TYPE_CHECKING:
-    from tests.system.field import (
-        DEADLINE_S,
-        FOLLOWER,
-        FULL_DISK,
-        GROUND_STATION_ID,
-        LEADER,
-        SECOND,
-        Bridge,
-        Process,
-        World,
-        in_slot,
-        is_followed,
-        mode_of,
-    )
-else:
-    from field import (
-        DEADLINE_S,
-        FOLLOWER,
-        FULL_DISK,
-        GROUND_STATION_ID,
-        LEADER,
-        SECOND,
-        Bridge,
-        Process,
-        World,
-        in_slot,
-        is_followed,
-        mode_of,
-    )
+from .field import (
+    DEADLINE_S,
+    FOLLOWER,
+    FULL_DISK,
+    GROUND_STATION_ID,
+    LEADER,
+    SECOND,
+    Bridge,
+    Process,
+    World,
+    in_slot,
+    is_followed,
+    mode_of,
+)
 
 
 def test_two_followers_fly_a_formation_file(world: World, tmp_path: Path) -> None:

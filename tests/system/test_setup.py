@@ -4,17 +4,13 @@ import json
 import signal
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 
 from echowing.applet import applet_path
 from echowing.setup.apply import load
 
-if TYPE_CHECKING:
-    from tests.system.field import FOLLOWER, Process, free_ports
-else:
-    from field import FOLLOWER, Process, free_ports
+from .field import FOLLOWER, Process, free_ports
 
 # The older names: the newer ones are `test_setup_vehicle`'s.
 OLD_GENERATION = ("--set", 'follower.generation="4.6"')
