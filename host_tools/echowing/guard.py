@@ -15,6 +15,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.errors import EchowingError
 from echowing.geo import GlobalPosition, displace, distance_m, nearer_than, ned_between
+from echowing.messages import command_long
 
 if TYPE_CHECKING:
     from echowing.follow import FollowerState
@@ -595,15 +596,8 @@ def _apart_m(a: GlobalPosition, b: GlobalPosition) -> float:
 
 
 def _set_mode(system_id: int, mode: int) -> Any:
-    return mavlink.MAVLink_command_long_message(
-        system_id,
-        mavlink.MAV_COMP_ID_AUTOPILOT1,
-        mavlink.MAV_CMD_DO_SET_MODE,
-        0,
-        mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED,
-        mode,
-        *(0.0,) * 5,
-    )
+    custom = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+    return command_long(system_id, mavlink.MAV_CMD_DO_SET_MODE, custom, mode)
 
 
 def _read_parameter(system_id: int, name: str) -> Any:

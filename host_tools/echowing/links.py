@@ -333,6 +333,11 @@ _OPENERS: dict[str, Callable[[Address], Transport]] = {
 }
 
 
+def open_transport(address: Address) -> Transport:
+    """Open what the address names. Raises OSError, OverflowError or ValueError."""
+    return _OPENERS[address.kind](address)
+
+
 class Link:
     """One link: connects, connects again when lost, and turns bytes into MAVLink messages.
 
@@ -365,7 +370,7 @@ class Link:
         if self.address.kind == "tcp":
             return
         try:
-            self._transport = _OPENERS[self.address.kind](self.address)
+            self._transport = open_transport(self.address)
         except (OSError, OverflowError, ValueError) as error:
             raise EchowingError(f"link {self.name}: {_reason(error)}") from error
 
@@ -409,7 +414,7 @@ class Link:
             return False
         self._try_at_s = now_s + RETRY_S
         try:
-            self._transport = _OPENERS[self.address.kind](self.address)
+            self._transport = open_transport(self.address)
         except (OSError, OverflowError, ValueError) as error:
             self._complain(error)
         self._parser = Parser(self.signing)

@@ -1,12 +1,13 @@
 """MAVLink messages as the ground tools write and read them. Pure."""
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.geo import GlobalPosition
-from echowing.guidance import Horizontal
+if TYPE_CHECKING:
+    from echowing.geo import GlobalPosition
+    from echowing.guidance import Horizontal
 
 # Not 255: a helper that beats as the pilot's ground station would mask its fail-safe.
 TOOL_SYSTEM_ID = 245
@@ -35,11 +36,11 @@ _POSITION_ONLY = (
 
 def position_target(
     system_id: int,
-    point: GlobalPosition,
+    point: "GlobalPosition",
     altitude_m: float,
     yaw_rad: float | None,
     now_s: float,
-    velocity_mps: Horizontal | None = None,
+    velocity_mps: "Horizontal | None" = None,
 ) -> Any:
     """SET_POSITION_TARGET_GLOBAL_INT; `altitude_m` above the vehicle's home.
 
@@ -95,12 +96,18 @@ def tool_heartbeat() -> Any:
 
 def message_interval(system_id: int, message_id: int, period_us: int) -> Any:
     """Ask a vehicle to send a message at an interval."""
+    return command_long(system_id, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, message_id, period_us)
+
+
+def command_long(
+    system_id: int,
+    command: int,
+    *params: float,
+    component_id: int = mavlink.MAV_COMP_ID_AUTOPILOT1,
+    confirmation: int = 0,
+) -> Any:
+    """COMMAND_LONG with its first parameters, the rest 0; `confirmation` counts the repetitions."""
+    filled = (*params, *(0.0,) * (7 - len(params)))
     return mavlink.MAVLink_command_long_message(
-        system_id,
-        mavlink.MAV_COMP_ID_AUTOPILOT1,
-        mavlink.MAV_CMD_SET_MESSAGE_INTERVAL,
-        0,
-        message_id,
-        period_us,
-        *(0.0,) * 5,
+        system_id, component_id, command, confirmation, *filled
     )

@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.messages import command_long
+
 if TYPE_CHECKING:
     from echowing.follow import FollowerState
 
@@ -235,11 +237,4 @@ def _is_stale(follower: "FollowerState", now_s: float) -> bool:
 
 
 def _take_off(system_id: int, altitude_m: float) -> Any:
-    return mavlink.MAVLink_command_long_message(
-        system_id,
-        mavlink.MAV_COMP_ID_AUTOPILOT1,
-        mavlink.MAV_CMD_NAV_TAKEOFF,
-        0,
-        *(0.0,) * 6,
-        altitude_m,
-    )
+    return command_long(system_id, mavlink.MAV_CMD_NAV_TAKEOFF, *(0.0,) * 6, altitude_m)

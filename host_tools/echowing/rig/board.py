@@ -11,15 +11,12 @@ from typing import Any, Self
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.errors import EchowingError
+from echowing.messages import TOOL_COMPONENT_ID, TOOL_SYSTEM_ID, command_long
 from echowing.rig.messages import TELLING_PARAMETER, Frames, Roster, Source, is_telling, source_of
 from echowing.rig.ports import USB_BAUD, Wire, find_port, open_wire
 from echowing.rig.state import UNKNOWN, BoardState, Version
 
 Clock = Callable[[], float]
-
-# A ground tool's id that is no ground station's, so that no fail-safe is masked by it.
-RIG_SYSTEM_ID = 245
-RIG_COMPONENT_ID = mavlink.MAV_COMP_ID_MISSIONPLANNER
 
 # Opening the port resets a mega; its bootloader waits a second or two before it starts the sketch.
 OPEN_TIMEOUT_S = 8.0
@@ -77,7 +74,7 @@ class Board:
         self.tap: Callable[[float, bytes], None] | None = None
         self._wire = wire
         self._clock = clock
-        self._mav = mavlink.MAVLink(None, srcSystem=RIG_SYSTEM_ID, srcComponent=RIG_COMPONENT_ID)
+        self._mav = mavlink.MAVLink(None, srcSystem=TOOL_SYSTEM_ID, srcComponent=TOOL_COMPONENT_ID)
         self._inbox: deque[Any] = deque(maxlen=_INBOX_KEPT)
         self._changed_at_s: float | None = None
 
@@ -111,10 +108,9 @@ class Board:
         Sent again after `timeout_s` without one, TRIES times. Raises CommandError when the board
         refuses it, with the reason, or does not answer.
         """
-        values = [*params, *[0.0] * (7 - len(params))]
 
         def ask(attempt: int) -> None:
-            self.send(self._command(command, attempt, values))
+            self.send(self._command(command, *params, confirmation=attempt))
 
         def is_answer(message: Any) -> bool:
             return (
@@ -129,9 +125,13 @@ class Board:
         if answer.result != mavlink.MAV_RESULT_ACCEPTED:
             raise CommandError(f"{self._label()} {_refusal(command, answer.result)}")
 
-    def _command(self, command: int, attempt: int, values: Iterable[float]) -> Any:
-        return mavlink.MAVLink_command_long_message(
-            self.system_id, self.component_id, command, attempt, *values
+    def _command(self, command: int, *params: float, confirmation: int = 0) -> Any:
+        return command_long(
+            self.system_id,
+            command,
+            *params,
+            component_id=self.component_id,
+            confirmation=confirmation,
         )
 
     def version(self) -> Version:
@@ -153,8 +153,8 @@ class Board:
 
     def ask_version(self) -> None:
         """Ask for the version, and do not wait: `state.version` fills when it comes."""
-        wanted = [float(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION), *[0.0] * 6]
-        self.send(self._command(mavlink.MAV_CMD_REQUEST_MESSAGE, 0, wanted))
+        wanted = mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION
+        self.send(self._command(mavlink.MAV_CMD_REQUEST_MESSAGE, wanted))
 
     def parameters(self) -> dict[str, float]:
         """The whole list, in the board's order; what went missing is asked for again."""
@@ -425,10 +425,13 @@ class _Questions:
                 self._board.send(mavlink.MAVLink_param_request_read_message(*source, name, -1))
         for source in self.roster.unbeaten():
             if self._is_due(source, now_s):
-                heartbeat = [float(mavlink.MAVLINK_MSG_ID_HEARTBEAT), *[0.0] * 6]
-                command = mavlink.MAV_CMD_REQUEST_MESSAGE
+                system_id, component_id = source
+                request, heartbeat = (
+                    mavlink.MAV_CMD_REQUEST_MESSAGE,
+                    mavlink.MAVLINK_MSG_ID_HEARTBEAT,
+                )
                 self._board.send(
-                    mavlink.MAVLink_command_long_message(*source, command, 0, *heartbeat)
+                    command_long(system_id, request, heartbeat, component_id=component_id)
                 )
 
     def _is_due(self, source: Source, now_s: float) -> bool:

@@ -9,6 +9,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from echowing.analysis import plots
 from echowing.analysis.tables import Grid, Row
+from echowing.messages import command_long
 from echowing.rig.bench import Bench, add_bench_arguments, perform, positive, whole
 from echowing.rig.readings import average_m, named_value, percentile
 from echowing.rig.result import Check, Result
@@ -109,9 +110,9 @@ class LatencyTest:
     def _ask(self, bench: Bench) -> None:
         board = bench.board
         asked_s = bench.clock()
-        values = (float(ASKED_FOR), *(0.0,) * 6)
-        target = (board.system_id, board.component_id)
-        board.send(mavlink.MAVLink_command_long_message(*target, QUESTION, 0, *values))
+        board.send(
+            command_long(board.system_id, QUESTION, ASKED_FOR, component_id=board.component_id)
+        )
         while bench.clock() - asked_s < ANSWER_S:
             for message in bench.heard(0.05):
                 self.clocks.hear(message)

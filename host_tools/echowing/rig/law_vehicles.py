@@ -7,8 +7,8 @@ from typing import Any, Protocol
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.errors import EchowingError
+from echowing.messages import TOOL_COMPONENT_ID, TOOL_SYSTEM_ID
 from echowing.paths import lua_folder
-from echowing.rig.board import RIG_COMPONENT_ID, RIG_SYSTEM_ID
 from echowing.rig.law_steps import Law, Sample
 from echowing.rig.messages import Frames, source_of
 from echowing.rig.ports import open_wire
@@ -153,7 +153,7 @@ class AutopilotVehicle:
         self._clock = clock
         self._wire = open_wire(where, baud)
         self._frames = Frames()
-        self._mav = mavlink.MAVLink(None, srcSystem=RIG_SYSTEM_ID, srcComponent=RIG_COMPONENT_ID)
+        self._mav = mavlink.MAVLink(None, srcSystem=TOOL_SYSTEM_ID, srcComponent=TOOL_COMPONENT_ID)
         self._heartbeat_s = -HEARTBEAT_S
         self._values: dict[str, float] = {}
         self._samples: list[Sample] = []

@@ -10,15 +10,7 @@ import serial
 from serial.tools import list_ports
 
 from echowing.errors import EchowingError
-from echowing.links import (
-    Address,
-    Stream,
-    TcpListener,
-    Transport,
-    UdpListener,
-    UdpSender,
-    parse_address,
-)
+from echowing.links import Address, UdpListener, open_transport, parse_address
 
 START_AGAIN = ". Plug it in and start again"
 USB_BAUD = 115_200  # of the firmware's USB port; boards with USB of their own ignore it
@@ -140,20 +132,12 @@ class SerialWire:
         self._port.close()
 
 
-_SOCKETS: dict[str, Callable[[Address], Transport]] = {
-    "udpin": UdpListener,
-    "udpout": UdpSender,
-    "tcp": Stream.to,
-    "tcpin": TcpListener,
-}
-
-
 class SocketWire:
     """A socket: a board behind a router, an autopilot or another computer."""
 
     def __init__(self, address: Address) -> None:
         self._name = address.text
-        self._transport = _SOCKETS[address.kind](address)
+        self._transport = open_transport(address)
 
     def read(self, timeout_s: float) -> bytes:
         """As `Wire`."""

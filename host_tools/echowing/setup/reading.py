@@ -11,6 +11,7 @@ from echowing.applet import CARD_APPLET, applet_parameters, applet_path
 from echowing.errors import EchowingError
 from echowing.follow import GUIDED_MODE
 from echowing.ftp_format import ardupilot_crc32
+from echowing.messages import FORWARD, command_long
 from echowing.setup.checks import RC_CHANNELS, SERIAL_PORTS, ports_at_115200
 from echowing.setup.ftp import FtpClient, FtpRefusedError, NoAnswerError
 from echowing.setup.readout import Readout, Reports
@@ -24,7 +25,6 @@ FILE_TIMEOUT_S = 4.0  # an autopilot without MAVFTP says nothing at all
 PROXIMITY_IDS_FROM = 10
 COPROCESSOR = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER  # 191, COMP_ID as it comes
 APPLET_STATE = "ECHO_STATE"
-_FORWARD = mavlink.MAV_SENSOR_ROTATION_NONE
 
 _NAMES: tuple[Name, ...] = (
     ("WP_SPD", "WPNAV_SPEED"),
@@ -203,19 +203,12 @@ def _takes_range(vehicle: Vehicle) -> bool:
 
 
 def _is_forward_rangefinder(message: Any) -> bool:
-    return bool(message.orientation == _FORWARD and message.id < PROXIMITY_IDS_FROM)
+    return bool(message.orientation == FORWARD and message.id < PROXIMITY_IDS_FROM)
 
 
 def _requested(vehicle: Vehicle, message_id: int, fits: Callable[[Any], bool]) -> Any | None:
     """A message of the autopilot, asked for a few times; None where it does not come."""
-    ask = mavlink.MAVLink_command_long_message(
-        vehicle.system_id,
-        AUTOPILOT,
-        mavlink.MAV_CMD_REQUEST_MESSAGE,
-        0,
-        message_id,
-        *(0.0,) * 6,
-    )
+    ask = command_long(vehicle.system_id, mavlink.MAV_CMD_REQUEST_MESSAGE, message_id)
     for _ in range(3):
         vehicle.send(ask)
         found = vehicle.until(

@@ -16,7 +16,13 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.errors import EchowingError
 from echowing.links import DEFAULT_BAUD, Link, wait
-from echowing.messages import HEARTBEAT_PERIOD_S, TOOL_COMPONENT_ID, TOOL_SYSTEM_ID, tool_heartbeat
+from echowing.messages import (
+    HEARTBEAT_PERIOD_S,
+    TOOL_COMPONENT_ID,
+    TOOL_SYSTEM_ID,
+    command_long,
+    tool_heartbeat,
+)
 from echowing.seats import OpenLink, Say, find_vehicles, known_id, parse_seat
 from echowing.signing import LinkSigning, read_key
 
@@ -216,11 +222,7 @@ class Vehicle:
 
     def command(self, number: int, *params: float) -> int | None:
         """Send a COMMAND_LONG; returns the MAV_RESULT, None where no answer comes."""
-        filled = [*params, *(0.0,) * (7 - len(params))]
-        return self._commanded(
-            number,
-            mavlink.MAVLink_command_long_message(self.system_id, AUTOPILOT, number, 0, *filled),
-        )
+        return self._commanded(number, command_long(self.system_id, number, *params))
 
     def command_int(self, number: int, *params: float) -> int | None:
         """The same as COMMAND_INT, which some commands need."""
