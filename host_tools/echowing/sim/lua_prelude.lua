@@ -462,18 +462,27 @@ function host.new_limit()
     return stop, function() over = false end, function() return over end
 end
 
--- A local function of the script by its name, reached through the functions that use it.
+-- A local of the script by its name, reached through the functions that use it and the tables that hold them.
 function host.find(start, name)
-    local seen, queue = {}, { start }
+    local seen, queue = { [sandbox] = true }, { start }
+    local function later(value)
+        local kind = TRUE_TYPE(value)
+        if (kind == 'function' or kind == 'table') and not seen[value] then
+            seen[value], queue[#queue + 1] = true, value
+        end
+    end
     while #queue > 0 do
-        local f = table.remove(queue)
-        seen[f] = true
-        local i, upvalue_name, upvalue = 1, debug.getupvalue(f, 1)
-        while upvalue_name do
-            if upvalue_name == name then return upvalue end
-            if TRUE_TYPE(upvalue) == 'function' and not seen[upvalue] then queue[#queue + 1] = upvalue end
-            i = i + 1
-            upvalue_name, upvalue = debug.getupvalue(f, i)
+        local one = table.remove(queue)
+        if TRUE_TYPE(one) == 'table' then
+            for _, value in next, one do later(value) end
+        else
+            local i, upvalue_name, upvalue = 1, debug.getupvalue(one, 1)
+            while upvalue_name do
+                if upvalue_name == name then return upvalue end
+                later(upvalue)
+                i = i + 1
+                upvalue_name, upvalue = debug.getupvalue(one, i)
+            end
         end
     end
 end
