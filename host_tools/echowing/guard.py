@@ -133,6 +133,10 @@ class Limits:
     switch: StopSwitch | None = None
 
 
+# The defaults of `echowing follow`, flown by the simulator too.
+FIELD_LIMITS = Limits(max_distance_m=100.0, min_separation_m=1.0, home_difference_m=5.0)
+
+
 @dataclass(slots=True)
 class _Watch:
     """What the guard knows of one follower."""
@@ -298,11 +302,7 @@ class Guard:
             return "leader is not known to fly"
         if follower.position is None:
             return None
-        return (
-            self._other_datum(follower, now_s)
-            or self._too_far(follower, leader)
-            or self.too_near(follower, leader, followers, now_s)
-        )
+        return self._other_datum(follower, now_s) or self._too_far(follower, leader)
 
     def altitude_shift_m(self, system_id: int) -> float:
         """How much lower than the leader's home a follower's own is: added to its altitude."""

@@ -93,7 +93,7 @@ class GuidanceSettings:
     learn_offset: bool = True
     standoff_sigmas: float = 2.5
     sonar_inset_m: float = 0.2
-    feed_forward: bool = False
+    feed_forward: bool = True
     fresh_age_s: float | None = 0.5
     stale_age_s: float | None = 1.0
 
@@ -104,6 +104,7 @@ GRAY = GuidanceSettings(
     face_leader=False,
     slot_rate_rps=None,
     learn_offset=False,
+    feed_forward=False,
     fresh_age_s=None,
     stale_age_s=None,
 )

@@ -137,9 +137,10 @@ def _add_safety(safety: "argparse._ArgumentGroup") -> None:
     safety.add_argument(
         "--min-separation",
         type=float,
-        default=1.5,
+        default=1.0,
         metavar="M",
-        help="stop where two vehicles are nearer by their receivers (1.5)",
+        help="what is to be certain of the distance between any two vehicles (1.0): a follower that "
+        "would come nearer slows down, gives way or backs off",
     )
     safety.add_argument(
         "--home-difference",

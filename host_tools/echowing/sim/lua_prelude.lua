@@ -313,6 +313,11 @@ raw.vehicle.set_target_posvel_NED = function(position, velocity)
     local n, e, d = position_ned(position)
     return py.set_target_posvel_ned(n, e, d, position_ned(velocity))
 end
+raw.vehicle.set_target_posvelaccel_NED = function(position, velocity, _, use_yaw, yaw_deg)
+    local n, e, d = position_ned(position)
+    local vn, ve, vd = position_ned(velocity)
+    return py.set_target_posvel_ned(n, e, d, vn, ve, vd, use_yaw and math.rad(yaw_deg) or nil)
+end
 raw.vehicle.set_target_velocity_NED = function(velocity)
     return py.set_target_velocity_ned(position_ned(velocity))
 end
@@ -329,6 +334,7 @@ raw.ahrs.groundspeed_vector = function()
     local n, e = py.velocity_ned()
     return vector2(n or 0, e or 0)
 end
+raw.ahrs.get_relative_position_D_home = function() return -py.height_above_home() end
 raw.ahrs.get_relative_position_NED_origin = function() return optional_vector3(py.position_ned()) end
 
 raw.rangefinder.num_sensors, raw.rangefinder.has_orientation = py.rangefinder_count, py.rangefinder_has

@@ -94,7 +94,9 @@ class VehicleApi(Protocol):
     def set_target_position_ned(self, position_ned_m: Ned, yaw_rad: float | None) -> bool:
         """Guided position target from the estimator's origin."""
 
-    def set_target_posvel_ned(self, position_ned_m: Ned, velocity_ned_mps: Ned) -> bool:
+    def set_target_posvel_ned(
+        self, position_ned_m: Ned, velocity_ned_mps: Ned, yaw_rad: float | None = None
+    ) -> bool:
         """Guided position and velocity target."""
 
     def set_target_velocity_ned(self, velocity_ned_mps: Ned) -> bool:
@@ -102,6 +104,9 @@ class VehicleApi(Protocol):
 
     def position_ned_m(self) -> Ned | None:
         """Estimated position from the estimator's origin."""
+
+    def height_above_home_m(self) -> float:
+        """Estimated height above home."""
 
     def velocity_ned_mps(self) -> Ned | None:
         """Estimated velocity."""
@@ -522,11 +527,12 @@ class LuaHost:
             "set_target_position_ned": lambda n, e, d, yaw: vehicle.set_target_position_ned(
                 (n, e, d), yaw
             ),
-            "set_target_posvel_ned": lambda n, e, d, vn, ve, vd: vehicle.set_target_posvel_ned(
-                (n, e, d), (vn, ve, vd)
+            "set_target_posvel_ned": lambda n, e, d, vn, ve, vd, yaw=None: vehicle.set_target_posvel_ned(
+                (n, e, d), (vn, ve, vd), yaw
             ),
             "set_target_velocity_ned": lambda n, e, d: vehicle.set_target_velocity_ned((n, e, d)),
             "position_ned": vehicle.position_ned_m,
+            "height_above_home": vehicle.height_above_home_m,
             "velocity_ned": vehicle.velocity_ned_mps,
             "location": location,
             "yaw_rad": lambda: float(vehicle.yaw_rad()),
