@@ -39,6 +39,8 @@ METRIC = {
     "RNGFND1_TYPE": 10.0,
     "RNGFND1_ORIENT": 0.0,
     "RNGFND1_MAX": 7.65,
+    "WP_ACC": 5.0,
+    "PSC_JERK_NE": 20.0,
 }
 CENTIMETRES = {
     "SERIAL2_BAUD": 115.0,
@@ -46,6 +48,8 @@ CENTIMETRES = {
     "RNGFND1_ORIENT": 0.0,
     "RNGFND1_MAX_CM": 765.0,
     "RTL_SPEED": 500.0,
+    "WPNAV_ACCEL": 500.0,
+    "PSC_JERK_XY": 20.0,
 }
 NEEDED = {
     Generation.V4_5: CENTIMETRES,
@@ -101,7 +105,7 @@ def test_the_factory_needs_just_what_the_docs_say(generation: Generation) -> Non
 
 
 WRONG = [
-    # what is changed, where it shows, what mends it
+    # what is changed, where it shows, what fixes it
     ({"SERIAL2_PROTOCOL": 1.0}, "SERIAL2_PROTOCOL", "param set SERIAL2_PROTOCOL 2"),
     ({"SERIAL2_PROTOCOL": -1.0}, "SERIAL2_PROTOCOL", "restart"),
     ({"SERIAL2_BAUD": 57.0}, "SERIAL2_BAUD", "param set SERIAL2_BAUD 115"),
@@ -121,6 +125,10 @@ WRONG = [
     ({"GUID_OPTIONS": 65.0}, "GUID_OPTIONS", "param set GUID_OPTIONS 1;"),
     ({"GUID_TIMEOUT": 60.0}, "GUID_TIMEOUT", "param set GUID_TIMEOUT 3"),
     ({"RTL_SPEED_MS": 0.0}, "RTL_SPEED_MS", "param set RTL_SPEED_MS 5"),
+    ({"WP_ACC": 2.5}, "WP_ACC", "param set WP_ACC 5;"),
+    ({"WP_ACC": 0.0}, "WP_ACC", "param set WP_ACC 5;"),  # ArduCopter flies 2.5 then
+    ({"PSC_JERK_NE": 5.0}, "PSC_JERK_NE", "param set PSC_JERK_NE 20;"),
+    ({"PSC_JERK_NE": 0.0}, "PSC_JERK_NE", "param set PSC_JERK_NE 20;"),
     ({"ECHO_ENABLE": 0.0}, "ECHO_ENABLE", "param set ECHO_ENABLE 1"),
     ({"ECHO_DIST": 0.5}, "ECHO_DIST", "param set ECHO_DIST 3"),
     ({"ECHO_SPD_MIN": 0.1}, "ECHO_SPD_MIN", "param set ECHO_SPD_MIN 0.2"),
@@ -138,14 +146,14 @@ WRONG = [
 ]
 
 
-@pytest.mark.parametrize(("changes", "about", "mend"), WRONG)
-def test_one_thing_wrong_is_one_line_that_mends_it(
-    changes: dict[str, Any], about: str, mend: str
+@pytest.mark.parametrize(("changes", "about", "fix"), WRONG)
+def test_one_thing_wrong_is_one_line_that_fixes_it(
+    changes: dict[str, Any], about: str, fix: str
 ) -> None:
     odd = odd_ones(ready(**changes))
     assert list(odd) == [about]
     assert odd[about].verdict is Verdict.WRONG
-    assert mend in odd[about].mend
+    assert fix in odd[about].fix
     assert odd[about].why
     assert exit_code(examine(ready(**changes))) == 1
 
@@ -187,6 +195,8 @@ def test_what_does_well_enough_is_let_be() -> None:
         SCR_HEAP_SIZE=307_200.0,
         GUID_OPTIONS=9.0,
         RTL_SPEED_MS=3.0,
+        WP_ACC=6.0,
+        PSC_JERK_NE=30.0,
     )
     assert odd_ones(fine) == {}
     assert changes_for(fine) == []
@@ -205,13 +215,24 @@ def test_what_cannot_be_told_is_neither_fine_nor_wrong() -> None:
     readout = ready(SCR_HEAP_SIZE=None)
     assert odd_ones(readout)["SCR_HEAP_SIZE"].verdict is Verdict.UNKNOWN
     assert exit_code(examine(readout)) == 2
-    assert "SCR_ENABLE is 1" in odd_ones(readout)["SCR_HEAP_SIZE"].mend
+    assert "SCR_ENABLE is 1" in odd_ones(readout)["SCR_HEAP_SIZE"].fix
     hidden = odd_ones(ready(RNGFND1_ORIENT=None))["RNGFND1_ORIENT"]
-    assert "shown once the rangefinder's TYPE is set" in hidden.mend
+    assert "shown once the rangefinder's TYPE is set" in hidden.fix
     no_copter = ready(WP_SPD=None)
     assert "neither WP_SPD nor WPNAV_SPEED" in odd_ones(no_copter)["speed parameter"].found
+    assert odd_ones(ready(WP_ACC=None))["WP_ACC"].verdict is Verdict.UNKNOWN
+    assert odd_ones(ready(PSC_JERK_NE=None))["PSC_JERK_NE"].verdict is Verdict.UNKNOWN
     both = ready(SCR_HEAP_SIZE=None, RTL_SPEED_MS=0.0)
     assert exit_code(examine(both)) == 1
+
+
+def test_limits_are_judged_in_the_units_of_the_generation() -> None:
+    old = Generation.V4_6
+    slow = odd_ones(ready(old, WPNAV_ACCEL=250.0, PSC_JERK_XY=5.0))
+    assert set(slow) == {"WPNAV_ACCEL", "PSC_JERK_XY"}
+    assert "param set WPNAV_ACCEL 500;" in slow["WPNAV_ACCEL"].fix
+    assert "param set PSC_JERK_XY 20;" in slow["PSC_JERK_XY"].fix
+    assert odd_ones(ready(old, WPNAV_ACCEL=600.0)) == {}
 
 
 def test_without_a_port_named_the_ports_are_left_alone_and_listed() -> None:
@@ -221,7 +242,7 @@ def test_without_a_port_named_the_ports_are_left_alone_and_listed() -> None:
         serial_port=None, coprocessor=None, reports=None, SERIAL4_PROTOCOL=2.0, SERIAL4_BAUD=115.0
     )
     # SERIAL0 is USB; 2 and 4 are MAVLink at 115200 baud.
-    assert "is now on: SERIAL2, SERIAL4" in odd_ones(unheard)["co-processor"].mend
+    assert "is now on: SERIAL2, SERIAL4" in odd_ones(unheard)["co-processor"].fix
 
 
 def test_a_second_rangefinder_may_be_ours() -> None:

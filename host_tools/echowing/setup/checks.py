@@ -1,7 +1,7 @@
 """Is this vehicle ready for Echowing? A table of small pure judgements over one read-out.
 
 Each looks at one thing and says whether it is fine, wrong, the pilot's to decide, or cannot be
-told; and where it is wrong, why, and what mends it. The values expected stand in `settings`.
+told; and where it is wrong, why, and what fixes it. The values expected stand in `settings`.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -48,13 +48,13 @@ class Verdict(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing looked at. mend: what to type or to do; empty where nothing is to be done."""
+    """One thing looked at. fix: what to type or to do; empty where nothing is to be done."""
 
     about: str
     verdict: Verdict
     found: str
     why: str = ""
-    mend: str = ""
+    fix: str = ""
 
 
 Check = Callable[[Readout], Iterable[Finding]]
@@ -90,10 +90,10 @@ def judge(setting: Setting, readout: Readout) -> Finding | None:
             setting.why,
             "use the next one: echowing setup … --rangefinder 2",
         )
-    mend = f"param set {setting.name} {setting.mended(value):g}; or {APPLY}"
+    fix = f"param set {setting.name} {setting.fixed(value):g}; or {APPLY}"
     if setting.restart:
-        mend += "; then restart the autopilot"
-    return Finding(setting.name, Verdict.WRONG, f"{value:g}", setting.why, mend)
+        fix += "; then restart the autopilot"
+    return Finding(setting.name, Verdict.WRONG, f"{value:g}", setting.why, fix)
 
 
 def _hidden(setting: Setting) -> str:
@@ -103,9 +103,9 @@ def _hidden(setting: Setting) -> str:
         return "this firmware has no scripting: small boards need a custom build"
     if setting.name.startswith("SCR_"):
         return "shown once SCR_ENABLE is 1 and the autopilot restarted"
-    if setting.name.endswith("_TYPE"):
-        return "is this ArduCopter 4.5 or later?"
-    return "shown once the rangefinder's TYPE is set and the autopilot restarted"
+    if setting.name.startswith("RNGFND") and not setting.name.endswith("_TYPE"):
+        return "shown once the rangefinder's TYPE is set and the autopilot restarted"
+    return "is this ArduCopter 4.5 or later?"
 
 
 def _settings(readout: Readout) -> Iterator[Finding]:
@@ -341,7 +341,7 @@ class _Choice:
     names: tuple[str, ...]
     doubtful: Callable[[float], bool]
     why: str
-    mend: str
+    fix: str
 
 
 _CHOICES = (
@@ -404,7 +404,7 @@ def _choices(readout: Readout) -> Iterator[Finding]:
             continue
         name, value = named
         if choice.doubtful(value):
-            yield Finding(name, Verdict.YOURS, f"{value:g}", choice.why, choice.mend)
+            yield Finding(name, Verdict.YOURS, f"{value:g}", choice.why, choice.fix)
         elif not name.startswith(PARAMETER_PREFIX):  # those are judged as settings too
             yield Finding(name, Verdict.FINE, f"{value:g}")
 

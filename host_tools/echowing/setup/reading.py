@@ -29,6 +29,8 @@ APPLET_STATE = "ECHO_STATE"
 _NAMES: tuple[Name, ...] = (
     ("WP_SPD", "WPNAV_SPEED"),
     ("RTL_SPEED_MS", "RTL_SPEED"),
+    ("WP_ACC", "WPNAV_ACCEL"),
+    ("PSC_JERK_NE", "PSC_JERK_XY"),
     ("MAV_GCS_SYSID", "SYSID_MYGCS"),
     "SCR_ENABLE",
     "SCR_DIR_DISABLE",
