@@ -76,6 +76,7 @@ class Vehicle:
         self._clock = clock
         self._say = say
         self._beat_s = -math.inf
+        self._rounds_in_vain = ROUNDS_IN_VAIN
         self._heard_s = self._state_at_s = clock()
 
     @property
@@ -180,8 +181,8 @@ class Vehicle:
         unanswered after some rounds without any answer is one that does not exist.
         """
         answers = _Answers(names, component)
-        in_vain, enough = -1, ROUNDS_IN_VAIN
-        while in_vain < enough and (missing := answers.missing()):
+        in_vain = -1
+        while in_vain < self._rounds_in_vain and (missing := answers.missing()):
             for start in range(0, len(missing), ASKED_AT_ONCE):
                 chunk = missing[start : start + ASKED_AT_ONCE]
                 for name in chunk:
@@ -191,7 +192,7 @@ class Vehicle:
             self._collect(answers, missing, answers.patience_s)
             in_vain += 1
             if in_vain > 0 and len(answers.missing()) < len(missing):
-                in_vain, enough = 0, ROUNDS_IN_VAIN_LOSSY
+                in_vain, self._rounds_in_vain = 0, ROUNDS_IN_VAIN_LOSSY
         return answers.found
 
     def _ask(self, name: str, component: int) -> None:
