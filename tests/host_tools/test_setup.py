@@ -25,7 +25,7 @@ from echowing.setup.apply import (
     write_all,
 )
 from echowing.setup.checks import Finding, Verdict, examine, exit_code
-from echowing.setup.readout import Readout, Reports
+from echowing.setup.readout import CardApplet, Readout, Reports, Role
 from echowing.setup.settings import settings_for
 from echowing.setup.view import as_json, as_lines, differences
 from echowing.sim.parameters import Generation, Parameters
@@ -74,7 +74,7 @@ def ready(generation: Generation = Generation.V4_8, **changes: Any) -> Readout:
         "coprocessor_parameters": {"TRACK_RANGE": 450.0},
         "reports": STEADY,
         "takes_range": True,
-        "applet_is_ours": True,
+        "applet_on_card": CardApplet.OURS,
     }
     for key, value in changes.items():
         if key[0].isupper():
@@ -133,8 +133,20 @@ WRONG = [
     ({"ECHO_DIST": 0.5}, "ECHO_DIST", "param set ECHO_DIST 3"),
     ({"ECHO_SPD_MIN": 0.1}, "ECHO_SPD_MIN", "param set ECHO_SPD_MIN 0.2"),
     ({"ECHO_SWITCH": 301.0}, "switch", "param set RC7_OPTION 301"),
-    ({"ECHO_ENABLE": None}, "applet", "echowing setup lua"),
-    ({"applet_is_ours": False}, "applet on the card", "echowing setup lua"),
+    (
+        {"ECHO_ENABLE": None, "applet_on_card": CardApplet.NONE},
+        "applet",
+        "echowing setup lua",
+    ),
+    ({"ECHO_ENABLE": None, "applet_on_card": None}, "applet", "echowing setup lua"),
+    ({"ECHO_ENABLE": None}, "applet", "restart the autopilot"),
+    ({"objections": ["Scripting: Error: ./x.lua:9: boom"]}, "applet", "take that off the card"),
+    (
+        {"coprocessor": None, "reports": None, "signs": True, "takes_range": False},
+        "co-processor",
+        "MAV3_OPTIONS 1 ",
+    ),
+    ({"applet_on_card": CardApplet.ANOTHER}, "applet on the card", "echowing setup lua"),
     ({"ECHO_MIRROR": 10.0, "WP_SPD": 0.2}, "WP_SPD", "restart the autopilot or its scripts"),
     ({"coprocessor": None, "reports": None}, "co-processor", "look at the wires"),
     ({"coprocessor_status": 5}, "co-processor", "SONAR_ADDR"),
@@ -280,6 +292,49 @@ def test_the_pages_for_people_say_the_same(page: str) -> None:
     assert {"SERIAL2_BAUD", "SERIAL2_PROTOCOL", "RNGFND1_TYPE"} <= set(compared)
     for name in compared:
         assert fits[name](float(rows[name])), name
+
+
+def test_the_applets_absence_has_a_reason() -> None:
+    off = ready(ECHO_ENABLE=None, SCR_ENABLE=0.0, applet_on_card=CardApplet.NONE)
+    assert odd_ones(off)["applet"].found == "does not run: scripting is off"
+    # The autopilot's own reason comes before all guesses.
+    told = "Scripting: Error: ./scripts/echowing.lua:673: too many l"
+    failed = ready(ECHO_ENABLE=None, objections=[told, "GPS 1: Bad fix"])
+    odd = odd_ones(failed)
+    assert odd["applet"].found == told
+    assert (odd["arming"].found, odd["arming"].verdict) == ("GPS 1: Bad fix", Verdict.YOURS)
+
+
+def test_signing_silences_the_co_processor_and_the_fix_is_named() -> None:
+    unheard: dict[str, Any] = {
+        "coprocessor": None,
+        "reports": None,
+        "signs": True,
+        "takes_range": False,
+    }
+    # MAVn counts MAVLink ports: without SERIAL1 the co-processor's is the second.
+    second = odd_ones(ready(SERIAL1_PROTOCOL=-1.0, MAV2_OPTIONS=4.0, **unheard))["co-processor"]
+    assert "param set MAV2_OPTIONS 5 " in second.fix
+    exempt = odd_ones(ready(MAV3_OPTIONS=1.0, **unheard))["co-processor"]
+    assert "look at the wires" in exempt.fix
+    old = odd_ones(ready(Generation.V4_6, **unheard))["co-processor"]
+    assert "only the USB port" in old.fix
+    assert "update to 4.7" in old.fix
+    unnamed = odd_ones(ready(serial_port=None, **unheard))["co-processor"]
+    assert "--serial 2" in unnamed.fix
+    assert odd_ones(ready(signs=True)) == {}  # heard: nothing is dropped
+    # On a signed link what is passed on without a signature is not believed, but the range counts.
+    assert odd_ones(ready(**{**unheard, "takes_range": True})) == {}
+
+
+def test_a_leader_is_not_judged_as_a_follower() -> None:
+    bare = Readout({**factory(), **PILOTS})
+    assert [one for one in examine(bare, Role.LEADER) if one.verdict is not Verdict.FINE] == []
+    assert exit_code(examine(bare)) == 1
+    careless = Readout({**factory(), "ECHO_ENABLE": 1.0, "ECHO_STREAM_T": 0.0})
+    doubts = {one.about for one in examine(careless, Role.LEADER) if one.verdict is Verdict.YOURS}
+    assert doubts == {"ECHO_ENABLE", "FS_GCS_ENABLE", "BATT_FS_LOW_ACT", "FENCE_ENABLE"}
+    assert exit_code(examine(careless, Role.LEADER)) == 0
 
 
 # ---- what is printed --------------------------------------------------------------------------

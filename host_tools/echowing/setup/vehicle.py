@@ -24,7 +24,7 @@ from echowing.messages import (
     tool_heartbeat,
 )
 from echowing.seats import OpenLink, Say, find_vehicles, known_id, parse_seat
-from echowing.signing import LinkSigning, read_key
+from echowing.signing import SETUP_LINK_ID, LinkSigning, read_key
 
 AUTOPILOT = mavlink.MAV_COMP_ID_AUTOPILOT1
 FIND_TIMEOUT_S = 15.0
@@ -72,6 +72,8 @@ class Vehicle:
         self.base_mode: int | None = None
         self.mode: int | None = None
         self.texts: list[str] = []
+        self.signs = False
+        self._text_id = 0
         self._link = link
         self._clock = clock
         self._say = say
@@ -131,11 +133,20 @@ class Vehicle:
         if message.get_srcComponent() != AUTOPILOT:
             return
         self._heard_s = heard.time_s
+        self.signs = _is_signed(message)
         if message.get_type() == "HEARTBEAT":
             self.base_mode, self.mode = message.base_mode, message.custom_mode
             self._state_at_s = heard.time_s
         elif message.get_type() == "STATUSTEXT":
+            self._take_text(message)
+
+    def _take_text(self, message: Any) -> None:
+        """A long text comes in pieces under one number."""
+        if message.chunk_seq > 0 and message.id == self._text_id and self.texts:
+            self.texts[-1] += str(message.text)
+        else:
             self.texts.append(str(message.text))
+        self._text_id = message.id
 
     def until(self, fits: Callable[[Any], bool], timeout_s: float) -> Any | None:
         """The first message that fits, None if none comes in time."""
@@ -311,6 +322,12 @@ class _Answers:
         return min(max(3.0 * self._slowest_s, SHORTEST_ROUND_S), LONGEST_ROUND_S)
 
 
+def _is_signed(message: Any) -> bool:
+    """Whether a message carries a signature, whether or not we have the key to check it."""
+    flags = message.get_header().incompat_flags
+    return bool(flags & mavlink.MAVLINK_IFLAG_SIGNED)
+
+
 def _is_value(message: Any, name: str) -> bool:
     from_autopilot = message.get_srcComponent() == AUTOPILOT
     return bool(from_autopilot and message.get_type() == "PARAM_VALUE" and message.param_id == name)
@@ -338,7 +355,7 @@ def open_vehicle(
     """
     seat = parse_seat("vehicle", where, baud)
     key = read_key(signing_key_file)
-    link = OpenLink(Link(seat.address, None if key is None else LinkSigning(key, 1)))
+    link = OpenLink(Link(seat.address, None if key is None else LinkSigning(key, SETUP_LINK_ID)))
     link.link.open()
     try:
         until_s = clock() + FIND_TIMEOUT_S
