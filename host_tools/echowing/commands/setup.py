@@ -89,7 +89,10 @@ def _add_link(parser: argparse.ArgumentParser) -> None:
 
     parser.add_argument("--baud", type=int, default=DEFAULT_BAUD, help="of a serial device")
     parser.add_argument(
-        "--signing-key-file", type=Path, metavar="FILE", help="as for `echowing follow`"
+        "--signing-key-file",
+        type=Path,
+        metavar="FILE",
+        help="as for `echowing follow`; the autopilot then drops the unsigned co-processor: host_tools/SETUP.md, Signing",
     )
 
 
