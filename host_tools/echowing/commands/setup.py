@@ -92,7 +92,8 @@ def _add_link(parser: argparse.ArgumentParser) -> None:
         "--signing-key-file",
         type=Path,
         metavar="FILE",
-        help="as for `echowing follow`; the autopilot then drops the unsigned co-processor: host_tools/SETUP.md, Signing",
+        help="as for `echowing follow`; on an autopilot with a key the co-processor's port has to "
+        "be left unsigned (host_tools/SETUP.md, Signing)",
     )
 
 
