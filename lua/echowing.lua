@@ -25,7 +25,7 @@ local GUIDED = 4 -- Copter's mode number
 local FORWARD = 0 -- orientation of the rangefinder
 local STATUS_NO_DATA, STATUS_LOW, STATUS_GOOD = 1, 2, 4 -- RangeFinder::Status
 local STATE = {
-    OFF = 0, SEARCHING = 1, TRACKING = 2, TOO_CLOSE = 3, NO_SONAR = 4, STREAM_LOST = 5, BACKING_OFF = 6,
+    OFF = 0, SEARCHING = 1, TRACKING = 2, TOO_CLOSE = 3, NO_SONAR = 4, STREAM_LOST = 5, BACKING_OFF = 6, HOLDING = 7,
 }
 
 local IDLE_MS = 200 -- pause before the next update while not in control
@@ -788,14 +788,8 @@ do
         return wanted_m, track.leader_mps
     end
 
-    -- Sends Guided the streamed point, moved along the beam. False: there is no leader to hold on to.
-    function hold.update(t_ms)
-        hold.active = hold.active and stream.moving
-        hold.active = stream.moving and C.LAW >= 2 and track.trusted(t_ms) and hold.move(t_ms)
-        return hold.active
-    end
-
-    function hold.move(t_ms)
+    -- Sends Guided the streamed point, moved along the beam. False: it was not taken, or there is none.
+    local function move(t_ms)
         local here = vehicle:get_likely_flying() and ahrs:get_location()
         local position = here and ahrs:get_relative_position_NED_origin()
         if not position then return false end
@@ -814,6 +808,18 @@ do
         velocity:y(stream.east_mps + by_mps * sin)
         return vehicle:set_target_posvelaccel_NED(position, velocity, acceleration, true,
             math.deg(stream.yaw_rad or yaw), false, 0.0, false)
+    end
+
+    -- Whether the distance is held: points carry a velocity, and there is a leader to hold on to.
+    function hold.update(t_ms)
+        hold.active = stream.moving and C.LAW >= 2 and track.trusted(t_ms) and move(t_ms)
+        if not hold.active then return false end
+        report.state = STATE.HOLDING
+        if track.range_m < C.CLOSE then
+            report.state = track.leader_mps < own.mps and STATE.BACKING_OFF or STATE.TOO_CLOSE
+            guard.close_ms = t_ms
+        end
+        return true
     end
 end
 
@@ -979,6 +985,7 @@ do
         { SEVERITY.WARNING, 'no sonar data', 10000 },
         { SEVERITY.CRITICAL, 'stream lost, holding here', 3000 },
         { SEVERITY.CRITICAL, 'too close, backing off', 3000 },
+        { SEVERITY.INFO, 'holding the distance', 10000 },
     }
 
     function report.begin()
@@ -1069,7 +1076,7 @@ end
 
 do
     local SWITCH_HIGH = 2
-    local ACTIVE_MS, EVADE_MS, REPAIR_MS = 50, 20, 1000 -- pause before the next update
+    local ACTIVE_MS, QUICK_MS, REPAIR_MS = 50, 20, 1000 -- pause before the next update
 
     -- Milliseconds since the script started, a plain integer (wraps after 24 days).
     local boot = millis()
@@ -1114,6 +1121,13 @@ do
         say(SEVERITY.NOTICE, string.format('handed back, %s %.2f (%s)', SPEED_NAME, speed.pilot_units, reason))
     end
 
+    -- The limit of the total speed; where points carry a velocity, of the correction towards them.
+    local function limit(range_m, status, t_ms)
+        if hold.update(t_ms) then return C.SPD_MAX end
+        if stream.moving and not stream.holding then return C.SPD_LOST end
+        return guard.update(range_m, status, t_ms)
+    end
+
     local function act(t_ms)
         if not control.active then take_control(t_ms) end
         speed.watch(t_ms)
@@ -1122,19 +1136,12 @@ do
             track.update(range_m, t_ms) -- no single readings: the average has to do
         end
         laws.update(range_m, status, t_ms)
-        local speed_mps
-        if hold.update(t_ms) then
-            speed_mps = C.SPD_MAX
-        elseif stream.moving then
-            speed_mps = C.SPD_MAX
-        else
-            speed_mps = guard.update(range_m, status, t_ms)
-        end
+        local limit_mps = limit(range_m, status, t_ms)
         stream.watch(t_ms)
-        speed.write(speed_mps)
+        speed.write(limit_mps)
         report.announce(t_ms)
         report.send(range_m, t_ms)
-        return (guard.evading or hold.active) and EVADE_MS or ACTIVE_MS
+        return (guard.evading or hold.active) and QUICK_MS or ACTIVE_MS
     end
 
     local function update()
