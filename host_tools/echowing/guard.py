@@ -61,9 +61,9 @@ REFUSED_FOR_S = 2.0
 NO_POSITION = 0x7
 SAME_MOMENT_MS = 20
 REMEMBERED_S = 1.5  # longer than any link takes there and back
-# The applet's own targets (lua/echowing.md): too close, stream lost, backing off.
+# The applet's own targets (lua/echowing.md): too close, stream lost, backing off, holding.
 APPLET_STATE = "ECHO_STATE"
-APPLET_FLIES = (3, 5, 6)
+APPLET_FLIES = (3, 5, 6, 7)
 WATCHDOG = "ECHO_STREAM_T"
 _FLIES_ON = "should this tool or the radio die, it flies on to its last point"
 WATCHDOG_ASKS = 3

@@ -1,6 +1,7 @@
 """Where the leader is as seen by one follower: receivers, sonar, and the time between them. Pure."""
 
 import math
+from collections import deque
 
 from echowing.flight.alignment import Alignment, History, Report
 from echowing.geo import GlobalPosition, Ned, displace, ned_between
@@ -18,8 +19,9 @@ SONAR_AGE_S = 0.03
 LEVEL_RAD = math.radians(8.0)
 # A report is carried on for no longer than this: after it the vehicle may do anything.
 LONGEST_CARRY_S = 2.0
-# A sender's clock is believed to run this evenly (100 ppm), so that a slow start is forgotten.
-CLOCK_DRIFT = 1e-4
+# The least delayed message of so long sets a sender's clock: two crystals that differ by 100 ppm
+# drift by 2 ms meanwhile.
+CLOCK_WINDOW_S = 20.0
 # A sender whose clock is this far behind its newest message has started anew.
 RESTART_S = 5.0
 
@@ -28,17 +30,22 @@ class SenderClock:
     """The clock of a sender that answers no TIMESYNC: its least delayed message sets it."""
 
     def __init__(self) -> None:
-        self._ahead_s = math.inf
+        # Stamps and how far we were ahead at their receipt; the least of those first, rising.
+        self._least: deque[tuple[float, float]] = deque()
         self._newest_s = -math.inf
 
     def to_ours(self, stamp_s: float, received_s: float, way_s: float) -> float:
         """Our time of a stamp; `way_s`: how long the least delayed message takes."""
         if stamp_s < self._newest_s - RESTART_S:
-            self._ahead_s, self._newest_s = math.inf, -math.inf
-        elapsed_s = max(0.0, stamp_s - self._newest_s) if self._newest_s > -math.inf else 0.0
+            self.__init__()  # type: ignore[misc]
         self._newest_s = max(self._newest_s, stamp_s)
-        self._ahead_s = min(self._ahead_s + CLOCK_DRIFT * elapsed_s, received_s - stamp_s)
-        return stamp_s + self._ahead_s - way_s
+        ahead_s = received_s - stamp_s
+        while self._least and self._least[-1][1] >= ahead_s:
+            self._least.pop()
+        self._least.append((stamp_s, ahead_s))
+        while self._least[0][0] < self._newest_s - CLOCK_WINDOW_S:
+            self._least.popleft()
+        return stamp_s + self._least[0][1] - way_s
 
 
 class Estimate:
