@@ -117,6 +117,8 @@ PRX1_TYPE        int8         0       0       0       0
 PRX2_TYPE        int8         0       0       0       0
 PRX3_TYPE        int8         0       0       0       0
 PRX4_TYPE        int8         -       -       0       0
+PSC_JERK_NE      real32       -       -       5       5
+PSC_JERK_XY      real32       5       5       -       -
 RC10_OPTION      int16        0       0       0       0
 RC11_OPTION      int16        0       0       0       0
 RC12_OPTION      int16        0       0       0       0
