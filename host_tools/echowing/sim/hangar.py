@@ -10,7 +10,7 @@ from echowing.paths import lua_folder
 from echowing.setup.settings import ACCELERATION_MPS2, JERK_MPS3
 from echowing.sim.autopilot import Autopilot
 from echowing.sim.coprocessor import NativeCoprocessor
-from echowing.sim.copter import Copter
+from echowing.sim.copter import Copter, Tuning, tuning_of
 from echowing.sim.gps import GpsDrift
 from echowing.sim.ground import Telemetry, open_log
 from echowing.sim.leader import TrackedBody, load_track, walk
@@ -59,7 +59,8 @@ class Hangar:
         elif plan.path == "track" and plan.track is not None:
             body = TrackedBody(load_track(plan.track))
         else:
-            body = Copter((0.0, 0.0, -plan.altitude_m), 0.0, flying=True)
+            start = (0.0, 0.0, -plan.altitude_m)
+            body = Copter(start, 0.0, tuning=self._tuning(), flying=True)
         drift = self._drift("leader", body)
         return SimVehicle(body, self._autopilot(body, LEADER_ID, {}), drift)
 
@@ -68,7 +69,7 @@ class Hangar:
     ) -> SimFollower:
         """Follower number `index` (from 0), with the applet running unless the law is none."""
         scenario = self.scenario
-        body = Copter(start_ned_m, yaw_rad, flying=True)
+        body = Copter(start_ned_m, yaw_rad, tuning=self._tuning(), flying=True)
         drift = self._drift(f"follower {index}", body)
         follower = SimFollower(
             body,
@@ -120,6 +121,9 @@ class Hangar:
             parameters=parameters,
             seed=self.seed,
         )
+
+    def _tuning(self) -> Tuning:
+        return tuning_of(self.scenario.follower.autopilot_generation())
 
     def _native(self, bus: Any) -> NativeCoprocessor:
         return NativeCoprocessor(bus, seed=self.seed, parameters=self.scenario.coprocessor)
