@@ -7,6 +7,7 @@ import pytest
 
 SECOND = """
 import atexit, os, signal
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a suite in the background ignores it
 from echowing.stopping import stop_on_signals
 with stop_on_signals() as stop:
     os.kill(os.getpid(), signal.{first})
