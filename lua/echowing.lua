@@ -10,6 +10,7 @@
   high. The pilot takes over by any change of mode; the speed parameter is then the pilot's again.
 
   Purpose, wiring, parameters, tests on the bench, in SITL and in the air, and what each message means: echowing.md.
+  Laws, guard, measurements: how-it-works.md.
 
   This file consists of parts: one block each, with constants and helpers that are local to the block, and one table
   with the part's state and the functions that the other parts call. The vehicle's Lua needs this: it allows 100 active
