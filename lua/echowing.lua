@@ -373,8 +373,9 @@ do
     parameters.mirror = objects[#objects]
 end
 
--- The parts and their state. Speeds along the nose, where the sonar looks; times in ms; nil is "never". -----------------
+-- The parts and their state -------------------------------------------------------------------------------------------
 
+-- Speeds are along the nose, where the sonar looks. Times are in ms; nil is "never".
 local own = { mps = 0.0, accel_mps2 = 0.0, at_ms = nil } -- this vehicle's motion
 local track = { -- what the sonar reads (averages, single readings), and where the leader is by that, and how fast
     raw_m = nil, raw_ms = nil,
@@ -443,7 +444,7 @@ do
     local TRUST_READINGS = 3 -- so many readings in agreement are a target
     local TRACK_GAP_MS = 700 -- after a gap this long the tracker starts again
 
-    -- Range in metres as the rangefinder gives it (the running average), nil where it is no measurement; and the status.
+    -- Range in metres as the rangefinder gives it (the running average), nil where it is no measurement; the status.
     function track.average()
         local status = rangefinder:status_orient(FORWARD)
         if status ~= STATUS_GOOD and status ~= STATUS_LOW then return nil, status end
@@ -625,8 +626,8 @@ do
     local JERK_MPS3 = 5.0 -- PSC_JERK_NE (PSC_JERK_XY) as it comes
 
     -- Distance still closed at this rate before the vehicle stops. An acceleration that is under way goes on until the
-    -- answer begins, and then dies away at the autopilot's jerk: the closing speed rises by a * ANSWER_S + a^2 / (2 JERK)
-    -- until then.
+    -- answer begins, and then dies away at the autopilot's jerk: until then the closing speed rises by
+    -- a * ANSWER_S + a^2 / (2 JERK).
     local function closing_distance(closing_mps)
         local a = math.max(0.0, own.accel_mps2)
         local peak_mps = math.max(0.0, closing_mps + a * ANSWER_S + 0.5 * a * a / JERK_MPS3)
@@ -797,7 +798,7 @@ do
     end
 end
 
--- MAVLink: points for the stream watch, single readings for the sonar track --------------------------------------------
+-- MAVLink: points for the stream watch, single readings for the sonar track ------------------------------------------
 
 local take_messages
 do

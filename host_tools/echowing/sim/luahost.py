@@ -5,8 +5,8 @@ nil cases and userdata, its sandbox, its limits of locals, upvalues, instruction
 calls exist and what they take is written once, in `lua_bindings.lua`. Sources: ArduPilot
 libraries/AP_Scripting (lua_scripts.cpp, lua_bindings.cpp, lua_boxed_numerics.cpp, lua/src).
 
-Two globals of the vehicle are refused here, as no applet should need them: `print`, which writes
-where no pilot looks, and `package`.
+Two globals of the vehicle are refused, as no applet needs them: `print`, which writes where no
+pilot looks, and `package`.
 """
 
 from __future__ import annotations
