@@ -11,6 +11,7 @@
   high. The pilot takes over by any change of mode; the speed parameter is then the pilot's again.
 
   Purpose, wiring, parameters, tests on the bench, in SITL and in the air, and what each message means: echowing.md.
+  Laws, guard, measurements: how-it-works.md.
 
   This file consists of parts: one block each, with constants and helpers that are local to the block, and one table
   with the part's state and the functions that the other parts call. The vehicle's Lua needs this: it allows 100 active
@@ -384,8 +385,9 @@ do
     parameters.mirror = objects[#objects]
 end
 
--- The parts and their state. Speeds along the nose, where the sonar looks; times in ms; nil is "never". -----------------
+-- The parts and their state -------------------------------------------------------------------------------------------
 
+-- Speeds are along the nose, where the sonar looks. Times are in ms; nil is "never".
 local own = { mps = 0.0, accel_mps2 = 0.0, at_ms = nil } -- this vehicle's motion
 local track = { -- what the sonar reads (averages, single readings), and where the leader is by that, and how fast
     raw_m = nil, raw_ms = nil,
@@ -647,8 +649,8 @@ do
     local JERK_MPS3 = 5.0 -- PSC_JERK_NE (PSC_JERK_XY) as it comes
 
     -- Distance still closed at this rate before the vehicle stops. An acceleration that is under way goes on until the
-    -- answer begins, and then dies away at the autopilot's jerk: the closing speed rises by a * ANSWER_S + a^2 / (2 JERK)
-    -- until then.
+    -- answer begins, and then dies away at the autopilot's jerk: until then the closing speed rises by
+    -- a * ANSWER_S + a^2 / (2 JERK).
     local function closing_distance(closing_mps)
         local a = math.max(0.0, own.accel_mps2)
         local peak_mps = math.max(0.0, closing_mps + a * ANSWER_S + 0.5 * a * a / JERK_MPS3)
@@ -884,7 +886,7 @@ do
     end
 end
 
--- MAVLink: points for the stream watch, single readings for the sonar track --------------------------------------------
+-- MAVLink: points for the stream watch, single readings for the sonar track ------------------------------------------
 
 local take_messages
 do
