@@ -25,10 +25,16 @@ APPLET = "echowing.lua"
 Listen = Callable[[SimFollower, float], float | None]
 
 
+def board_parameters(system_id: int, scenario: Scenario) -> dict[str, float]:
+    """The co-processor's parameters: it has learned long ago whose it is."""
+    return {"SYS_ID": float(system_id), **scenario.coprocessor}
+
+
 class Hangar:
     """Where a scenario's vehicles come from, all airborne and in Guided.
 
-    `make_coprocessor` builds the co-processor on a sonar bus: the native core by default.
+    `make_coprocessor` builds the co-processor on a sonar bus for a system id: the native core by
+    default.
     With `out`, telemetry logs are written there.
     """
 
@@ -115,8 +121,9 @@ class Hangar:
             seed=self.seed,
         )
 
-    def _native(self, bus: Any) -> NativeCoprocessor:
-        return NativeCoprocessor(bus, seed=self.seed, parameters=self.scenario.coprocessor)
+    def _native(self, bus: Any, system_id: int) -> NativeCoprocessor:
+        parameters = board_parameters(system_id, self.scenario)
+        return NativeCoprocessor(bus, seed=self.seed, parameters=parameters)
 
     def _drift(self, name: str, body: Body) -> GpsDrift:
         """The receiver's drift; the body believes it before its autopilot starts to hold."""
