@@ -121,7 +121,8 @@ class FormationWorld:
 class FormationFlight(FormationWorld):
     """A formation guided from the ground over radios, and recorded.
 
-    `make_coprocessor` builds the co-processor on a sonar bus: the native core by default.
+    `make_coprocessor` builds the co-processor on a sonar bus for a system id: the native core by
+    default.
     With `out` the telemetry logs and the truth are written there.
     """
 
