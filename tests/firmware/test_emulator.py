@@ -9,7 +9,7 @@ import pytest
 
 from echowing import firmware
 from echowing.errors import EchowingError
-from echowing.sim.avr import BOARDS, AvrBoard, Pin
+from echowing.sim.avr import AvrBoard
 from echowing.sim.sonar import MaxSonar
 
 LINK, USB = 0, 1
@@ -256,20 +256,17 @@ class TestBadInput:
 
 
 class TestBoardTable:
-    def test_pins_are_those_of_the_firmware(self) -> None:
-        # The firmware counts pins as Arduino does; the core's variant says where they are.
-        table = firmware.REPOSITORY / "firmware" / "echowing" / "src" / "board" / "pin_table.h"
-        row = re.search(r"^ECHOWING_PINS_mega\((.*), HIGH\)", table.read_text(), re.MULTILINE)
-        assert row is not None
-        pan, tilt, data, clock, link_rx, link_tx, led = map(int, row[1].split(","))
+    def test_chip_s_pins_are_those_that_arduino_numbers(self) -> None:
+        # The board's file has both; the core's variant says where a number is.
         variant = Path("/usr/share/arduino/hardware/arduino/avr/variants/mega/pins_arduino.h")
         places = {
-            int(number): Pin(port, int(bit))
+            number: f"{port}{bit}"
             for port, bit, number in re.findall(
                 r"// P(\w) (\d) \*\* (\d+) \*\*", variant.read_text()
             )
         }
-        mega = BOARDS["mega"]
-        emulated = (mega.pan, mega.tilt, mega.sda, mega.scl, mega.led)
-        assert emulated == tuple(places[number] for number in (pan, tilt, data, clock, led))
-        assert (link_rx, link_tx, mega.uarts[LINK]) == (19, 18, "1")  # Serial1
+        mega = firmware.BOARDS["mega"]
+        assert mega.chip_pins == {role: places[mega.pins[role]] for role in mega.chip_pins}
+        assert set(mega.chip_pins) == {"PAN", "TILT", "SDA", "SCL", "LED"}
+        # Serial1, of which Arduino's numbers are these.
+        assert (mega.pins["RX"], mega.pins["TX"], mega.uarts["autopilot"]) == ("19", "18", "1")

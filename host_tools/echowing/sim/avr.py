@@ -36,7 +36,7 @@ class Pin:
 
 @dataclass(frozen=True)
 class BoardType:
-    """What the emulator has to know about a board; the chip's side of `firmware`'s pin table."""
+    """What the emulator has to know about a board: the chip's side of the firmware's `boards/`."""
 
     mcu: str
     clock_hz: int
@@ -47,22 +47,6 @@ class BoardType:
     sda: Pin
     scl: Pin
     ram_bytes: int
-
-
-BOARDS = {
-    # Arduino Mega 2560: Serial1 and Serial, D11 = OC1A, D12 = OC1B, D13, D20 = SDA, D21 = SCL.
-    "mega": BoardType(
-        mcu="atmega2560",
-        clock_hz=16_000_000,
-        uarts=("1", "0"),
-        pan=Pin("B", 5),
-        tilt=Pin("B", 6),
-        led=Pin("B", 7),
-        sda=Pin("D", 1),
-        scl=Pin("D", 0),
-        ram_bytes=8192,
-    ),
-}
 
 
 @dataclass(frozen=True)
@@ -166,12 +150,26 @@ def _load_library() -> ctypes.CDLL:
         ) from error
 
 
-def board_type(board: str) -> BoardType:
+def board_type(name: str) -> BoardType:
     """The emulated board of that name; an error names those there are."""
-    if board not in BOARDS:
-        known = ", ".join(sorted(BOARDS))
-        raise EchowingError(f"no emulator for board {board!r}: only {known} can be emulated")
-    return BOARDS[board]
+    known = [board.name for board in firmware.BOARDS.values() if board.family == firmware.AVR]
+    if name not in known:
+        raise EchowingError(
+            f"no emulator for board {name!r}: only {', '.join(known)} can be emulated"
+        )
+    board = firmware.board(name)
+    pins = {role: Pin(place[0], int(place[1:])) for role, place in board.chip_pins.items()}
+    return BoardType(
+        mcu=board.chip,
+        clock_hz=board.clock_hz,
+        uarts=(board.uarts["autopilot"], board.uarts["usb"]),
+        pan=pins["PAN"],
+        tilt=pins["TILT"],
+        led=pins["LED"],
+        sda=pins["SDA"],
+        scl=pins["SCL"],
+        ram_bytes=board.ram,
+    )
 
 
 class AvrBoard:
