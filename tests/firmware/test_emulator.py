@@ -24,7 +24,7 @@ def power(probe_elf: Path) -> Power:
 
     def on(sensor: MaxSonar | None = None, **options: bytes | int) -> AvrBoard:
         sonar = sensor or MaxSonar(lambda _: 1.23)
-        board = AvrBoard(sonar, elf=probe_elf, **options)  # type: ignore[arg-type]
+        board = AvrBoard(sonar, board="mega", elf=probe_elf, **options)  # type: ignore[arg-type]
         board.pin(board.type.pan)
         board.pin(board.type.tilt)
         return board
@@ -239,20 +239,16 @@ class TestTime:
 class TestBadInput:
     def test_missing_binary_names_the_command(self, tmp_path: Path) -> None:
         with pytest.raises(EchowingError, match="make firmware BOARD=mega"):
-            AvrBoard(MaxSonar(lambda _: None), elf=tmp_path / "none.elf")
+            AvrBoard(MaxSonar(lambda _: None), board="mega", elf=tmp_path / "none.elf")
 
     def test_something_else_than_a_binary(self, tmp_path: Path) -> None:
         (tmp_path / "x.elf").write_text("not an ELF, but as long as one: " * 9)
         with pytest.raises(EchowingError, match="not an ELF file"):
-            AvrBoard(MaxSonar(lambda _: None), elf=tmp_path / "x.elf")
+            AvrBoard(MaxSonar(lambda _: None), board="mega", elf=tmp_path / "x.elf")
 
     def test_binary_of_another_machine(self) -> None:
         with pytest.raises(EchowingError, match="not built for a mega"):
-            AvrBoard(MaxSonar(lambda _: None), elf=Path("/bin/true").resolve())
-
-    def test_board_without_emulator(self) -> None:
-        with pytest.raises(EchowingError, match="only mega can be emulated"):
-            AvrBoard(MaxSonar(lambda _: None), board="bluepill_f103")
+            AvrBoard(MaxSonar(lambda _: None), board="mega", elf=Path("/bin/true").resolve())
 
 
 class TestBoardTable:

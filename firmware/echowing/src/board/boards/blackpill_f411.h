@@ -29,6 +29,7 @@
 #define ECHOWING_TILT_CHANNEL 2
 #define ECHOWING_TILT_OUTPUT PA_7_ALT1
 
-// For the emulator: the chip and its serial ports.
+// For the emulator: the chip, its crystal, and its serial ports.
 #define ECHOWING_CHIP "stm32f411"
+#define ECHOWING_CLOCK_HZ 25000000
 #define ECHOWING_UARTS "autopilot=1"

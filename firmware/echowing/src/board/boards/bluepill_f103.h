@@ -30,6 +30,7 @@
 #define ECHOWING_TILT_CHANNEL 2
 #define ECHOWING_TILT_OUTPUT PA_7_ALT1
 
-// For the emulator: the chip and its serial ports.
+// For the emulator: the chip, its crystal, and its serial ports.
 #define ECHOWING_CHIP "stm32f103"
+#define ECHOWING_CLOCK_HZ 8000000
 #define ECHOWING_UARTS "autopilot=1"
