@@ -140,6 +140,18 @@ class GpsSection(_Section):
     tau_s: Positive = 60.0
 
 
+class WindSection(_Section):
+    """Wind that copters fly in; see `echowing.sim.wind.Wind`.
+
+    `direction_deg` is where it comes from, as SIM_WIND_DIR. The default turbulence is what
+    MIL-F-8785C has at 10 m for the mean wind, whatever that is.
+    """
+
+    speed_mps: NotNegative = 0.0
+    direction_deg: float = 0.0
+    turbulence: Share = 0.19
+
+
 class RadioSection(_Section):
     """One link, both ways alike."""
 
@@ -209,6 +221,7 @@ class Scenario(_Section):
     applet: dict[str, float] = {}
     coprocessor: dict[str, float] = {}
     gps: GpsSection = GpsSection()
+    wind: WindSection = WindSection()
     radio: RadiosSection = RadiosSection()
     fault: FaultSection = FaultSection()
     wall: WallSection = WallSection()
