@@ -143,6 +143,12 @@ class Hangar:
     def _drift(self, name: str, body: Body) -> GpsDrift:
         """The receiver's drift; the body believes it before its autopilot starts to hold."""
         gps = self.scenario.gps
-        drift = GpsDrift(gps.sigma_m, gps.tau_s, self.rng(f"gps {name}"))
+        drift = GpsDrift(
+            gps.sigma_m,
+            gps.tau_s,
+            self.rng(f"gps {name}"),
+            vertical_sigma_m=gps.vertical_sigma_m,
+            vertical_rng=self.rng(f"gps height {name}"),
+        )
         body.set_estimate_offset(drift.step(0.0))
         return drift
