@@ -140,6 +140,7 @@ class Copter(EstimatedPosition):
         "_slope_e",
         "_slope_n",
         "_speed_limit",
+        "_steepest_mps2",
         "_target_age_s",
         "_target_velocity",
         "_vel_d",
@@ -359,8 +360,9 @@ class Copter(EstimatedPosition):
             self._vel_e += self._acc_e * dt
 
     def _prepare(self, dt: float) -> None:
-        """Shares of the way a first-order lag goes within one step."""
+        """Shares of the way a first-order lag goes within one step, and the lean's limit."""
         tuning = self.tuning
+        self._steepest_mps2 = GRAVITY_MPS2 * tan(tuning.lean_max_rad)
         self._dt = dt
         self._alpha_filter = 1.0 - exp(-dt * 2.0 * pi * tuning.velocity_filter_hz)
         self._alpha_input = 1.0 - exp(-dt / tuning.input_s)
@@ -554,7 +556,7 @@ class Copter(EstimatedPosition):
         acc_n = p * self._error_n + d * self._slope_n + self._integral_n + self._acc_n
         acc_e = p * self._error_e + d * self._slope_e + self._integral_e + self._acc_e
         self._control_n, self._control_e = limit_lean(
-            acc_n, acc_e, self._vel_n, self._vel_e, GRAVITY_MPS2 * tan(tuning.lean_max_rad)
+            acc_n, acc_e, self._vel_n, self._vel_e, self._steepest_mps2
         )
         limited = acc_n != self._control_n or acc_e != self._control_e
         self._saturated = (acc_n, acc_e) if limited else None

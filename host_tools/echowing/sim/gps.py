@@ -18,15 +18,23 @@ class _Wander:
         self._tau_s = tau_s
         self._rng = rng
         self._error_m = self.estimate_m = rng.gauss(0.0, sigma_m)
+        self._dt_s = -1.0
+        self._keep = self._kick_m = self._blend = 0.0
 
     def step(self, dt_s: float) -> float:
         """The estimate's error after `dt_s` more seconds."""
-        keep = math.exp(-dt_s / self._tau_s)
-        kick_m = self._sigma_m * math.sqrt(1.0 - keep * keep)
-        self._error_m = keep * self._error_m + self._rng.gauss(0.0, kick_m)
-        blend = 1.0 - math.exp(-dt_s / ESTIMATE_LAG_S)
-        self.estimate_m += blend * (self._error_m - self.estimate_m)
+        if dt_s != self._dt_s:
+            self._prepare(dt_s)
+        self._error_m = self._keep * self._error_m + self._rng.gauss(0.0, self._kick_m)
+        self.estimate_m += self._blend * (self._error_m - self.estimate_m)
         return self.estimate_m
+
+    def _prepare(self, dt_s: float) -> None:
+        """What a step keeps of the error, adds to it, and lets the filter follow."""
+        self._dt_s = dt_s
+        self._keep = math.exp(-dt_s / self._tau_s)
+        self._kick_m = self._sigma_m * math.sqrt(1.0 - self._keep * self._keep)
+        self._blend = 1.0 - math.exp(-dt_s / ESTIMATE_LAG_S)
 
 
 class GpsDrift:
