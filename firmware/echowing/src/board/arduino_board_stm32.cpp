@@ -53,6 +53,20 @@ void ArduinoBoard::enter_bootloader_if_asked() {
   jump_to_system_memory();
 }
 
+// Several flags may be set: any reset pulls the reset pin low, a power-on looks like a brown-out.
+ResetCause ArduinoBoard::reset_cause() const {
+  ResetCause cause = ResetCause::kUnknown;
+  if (__HAL_RCC_GET_FLAG(RCC_FLAG_PINRST)) cause = ResetCause::kPin;
+#if defined(RCC_FLAG_BORRST)
+  if (__HAL_RCC_GET_FLAG(RCC_FLAG_BORRST)) cause = ResetCause::kBrownOut;
+#endif
+  if (__HAL_RCC_GET_FLAG(RCC_FLAG_PORRST)) cause = ResetCause::kPowerOn;
+  if (__HAL_RCC_GET_FLAG(RCC_FLAG_SFTRST)) cause = ResetCause::kOrdered;
+  if (__HAL_RCC_GET_FLAG(RCC_FLAG_IWDGRST)) cause = ResetCause::kWatchdog;
+  __HAL_RCC_CLEAR_RESET_FLAGS();
+  return cause;
+}
+
 void ArduinoBoard::reboot(bool into_bootloader) {
   if (into_bootloader) {
     enableBackupDomain();

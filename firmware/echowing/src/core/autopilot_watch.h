@@ -52,6 +52,7 @@ class AutopilotWatch {
   bool several_ = false;   // vehicles heard while ours is not known
   uint8_t candidate_ = 0;  // the vehicle heard last
   uint8_t beats_ = 0;      // of it, with no other between
+  Milliseconds alone_since_ = 0;
   Timeout own_silence_;
   Timeout others_silence_;
   Timeout others_armed_pause_;
