@@ -44,7 +44,7 @@ bool Connection::send_raw(const Instant& now, const Telemetry& telemetry) {
 
 bool Connection::send_other(const Instant& now, const Parameters& parameters,
                             const Telemetry& telemetry, const char* git_hash) {
-  // When a reading is due the wire is kept free for it: a range never stands in a queue.
+  // When a reading is due the wire is kept free for it: a range never waits in a queue.
   if (!link_.idle() || telemetry.reading_soon) return false;
   if (!heartbeat_pause_.running(now)) {
     heartbeat_pause_.start(now, kHeartbeatPeriod);

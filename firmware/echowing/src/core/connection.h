@@ -10,7 +10,7 @@
 
 namespace echowing {
 
-// The state of the device as it is told on every port; the caller fills it once a turn.
+// The state of the device as every port reports it; the caller fills it once a turn.
 struct Telemetry {
   const Tracker& tracker;
   const Pointing& pointing;
@@ -33,7 +33,7 @@ class Connection {
 
   const mavlink_message_t* receive() { return link_.receive(port_); }
 
-  // A new reading is there to be told.
+  // A new reading is ready to be sent.
   void on_reading() { reading_unsent_ = raw_unsent_ = true; }
 
   // Queues the report, or the raw reading, if it is due; true if so. Once a turn, unless that turn
@@ -88,7 +88,7 @@ class Connection {
   bool reports_off_ = false;
   bool values_off_ = false;
   bool version_wanted_ = false;
-  bool asked_[kParameterCount] = {};  // parameters to be told
+  bool asked_[kParameterCount] = {};  // parameters to be sent
   uint8_t asked_count_ = 0;           // how many of them are true
   uint8_t next_asked_ = 0;
 };

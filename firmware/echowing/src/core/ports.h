@@ -38,7 +38,7 @@ class I2cBus {
   ~I2cBus() = default;
 };
 
-// Where the two servos shall stand.
+// Pulses of the two servos.
 struct Aim {
   uint16_t pan_us;
   uint16_t tilt_us;
@@ -66,7 +66,7 @@ class SlotMemory {
   ~SlotMemory() = default;
 };
 
-// Why the board started, as far as it can tell.
+// Why the board started, as far as it knows.
 enum class ResetCause : uint8_t { kUnknown, kPowerOn, kBrownOut, kPin, kWatchdog, kOrdered };
 
 // What the board itself can do and say.

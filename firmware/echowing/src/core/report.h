@@ -1,4 +1,4 @@
-// What is told of the range, and when.
+// What is reported of the range, and when.
 #pragma once
 
 #include <stdint.h>

@@ -18,7 +18,7 @@ constexpr Microseconds kTrackedEcho = milliseconds(46);
 constexpr Milliseconds kPowerUp = 500;
 // Asking once again while the sensor ranges costs one address byte, 0.2 ms at 50 kHz.
 constexpr Microseconds kPollInterval = milliseconds(2);
-// A supply that dips or a bus that glitches is over within this; more is a fault to be told.
+// A supply that dips or a bus that glitches is over within this; more is a fault to report.
 constexpr uint8_t kRecoveriesBeforeFault = 2;
 constexpr Microseconds kRetryInterval = milliseconds(10);
 constexpr Microseconds kFaultRetryInterval = milliseconds(200);

@@ -11,7 +11,7 @@
 namespace echowing {
 
 constexpr uint16_t kNearestCm = 20;    // nearer reads as this
-constexpr uint16_t kFarthestCm = 765;  // nothing heard reads as this
+constexpr uint16_t kFarthestCm = 765;  // no echo reads as this
 
 struct Reading {
   uint16_t range_cm;  // kNearestCm to kFarthestCm
