@@ -14,6 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from echowing.panel import Row
+from echowing.terminal import draws_live
 
 PLAIN_PERIOD_S = 5.0
 JSON_PERIOD_S = 1.0
@@ -74,7 +75,7 @@ def open_view(*, as_json: bool) -> View:
         sys.stdout.reconfigure(errors="backslashreplace")
     if as_json:
         return JsonView()
-    return LiveView() if sys.stdout.isatty() else PlainView()
+    return LiveView() if draws_live() else PlainView()
 
 
 class PlainView:
