@@ -59,6 +59,8 @@ def run(args: argparse.Namespace) -> int:
     from echowing.sim.sitl_scene import SitlScene  # noqa: PLC0415
     from echowing.sim.wires import open_wire  # noqa: PLC0415
 
+    if args.elf is not None and not args.elf.is_file():
+        raise EchowingError(f"--elf {args.elf}: no such file")
     with contextlib.ExitStack() as stack:
         watched = None
         if args.vehicles is not None:
