@@ -14,7 +14,7 @@ using namespace echowing;
 constexpr uint64_t kTurn_us = 500;
 
 constexpr ew_parameter kRows[] = {
-#define ECHOWING_PARAMETER(identifier, name, normal, least, most, whole, unit, text) \
+#define ECHOWING_PARAMETER(identifier, name, normal, least, most, whole, in_flight, unit, text) \
   {name, normal, least, most, whole, unit, text},
 #include "parameter_table.h"
 #undef ECHOWING_PARAMETER

@@ -17,7 +17,7 @@ from echowing.guard import Limits
 from echowing.guidance import GuidanceSettings, Slot
 from echowing.links import Address, Link, wait
 from echowing.panel import Panel, left_as
-from echowing.seats import OpenLink, Seat, find_sonars, find_vehicles, known_id
+from echowing.seats import OpenLink, Seat, find_vehicles, known_id
 from echowing.signing import LinkSigning
 from echowing.stopping import StopRequest
 from echowing.take_off import TakeOff
@@ -101,11 +101,6 @@ class FollowTool:
                 self._log = FollowLog(options.log, self._start_unix_s, self._say)
             if not find_vehicles(options.seats, self._links, self._now_s, self._over, self._say):
                 self._say("ended before all vehicles were heard; nothing was moved")
-                return self._unheard_code()
-            if options.settings.feed_forward and not find_sonars(
-                options.seats[1:], self._links, self._now_s, self._over, self._say
-            ):
-                self._say("ended before all sonars were heard; nothing was moved")
                 return self._unheard_code()
             self._make_session()
             try:

@@ -61,9 +61,9 @@ REFUSED_FOR_S = 2.0
 NO_POSITION = 0x7
 SAME_MOMENT_MS = 20
 REMEMBERED_S = 1.5  # longer than any link takes there and back
-# The applet's own targets (lua/echowing.md): too close, stream lost, backing off.
+# The applet's own targets (lua/echowing.md): too close, stream lost, backing off, holding.
 APPLET_STATE = "ECHO_STATE"
-APPLET_FLIES = (3, 5, 6)
+APPLET_FLIES = (3, 5, 6, 7)
 WATCHDOG = "ECHO_STREAM_T"
 _FLIES_ON = "should this tool or the radio die, it flies on to its last point"
 WATCHDOG_ASKS = 3
@@ -131,6 +131,10 @@ class Limits:
     level_homes: bool = False
     leader_flies: bool = True
     switch: StopSwitch | None = None
+
+
+# The defaults of `echowing follow`, flown by the simulator too.
+FIELD_LIMITS = Limits(max_distance_m=100.0, min_separation_m=1.0, home_difference_m=5.0)
 
 
 @dataclass(slots=True)
@@ -298,11 +302,7 @@ class Guard:
             return "leader is not known to fly"
         if follower.position is None:
             return None
-        return (
-            self._other_datum(follower, now_s)
-            or self._too_far(follower, leader)
-            or self.too_near(follower, leader, followers, now_s)
-        )
+        return self._other_datum(follower, now_s) or self._too_far(follower, leader)
 
     def altitude_shift_m(self, system_id: int) -> float:
         """How much lower than the leader's home a follower's own is: added to its altitude."""

@@ -175,8 +175,8 @@ class Panel:
             leader_speed_mps=None if fix is None else fix.speed_mps,
             altitude_m=follower.altitude_m,
             link_percent=readings.quality.percent,
-            north_offset_m=follower.offset.north_m,
-            east_offset_m=follower.offset.east_m,
+            north_offset_m=follower.estimate.offset.north_m,
+            east_offset_m=follower.estimate.offset.east_m,
         )
 
     def _compare(
@@ -222,8 +222,8 @@ def _led_state(session: FollowSession, follower: FollowerState) -> str:
         return f"holding: {follower.hold_reason}"
     if not follower.flown:
         return "waiting for the leader"
-    remark = follower.remark if session.settings.feed_forward else None
-    return "following" if remark is None else f"following: {remark}"
+    name = follower.gives_way_to
+    return "following" if name is None else f"gives way to {name}"
 
 
 def _separation_m(session: FollowSession, follower: FollowerState, now_s: float) -> float | None:

@@ -9,9 +9,9 @@ import pytest
 from pymavlink.dialects.v10 import common as mavlink1
 from pymavlink.dialects.v20 import common as mavlink
 
-from echowing.sim.coprocessor import AUTOPILOT_PORT, USB_PORT
+from echowing.sim.coprocessor import AUTOPILOT_PORT
 
-from .bench import OUR_COMPONENT, OUR_ID, PORTS, VEHICLE_ID, Bench, BenchSonar
+from .bench import CONSOLE_PORT, OUR_COMPONENT, OUR_ID, PORTS, VEHICLE_ID, Bench, BenchSonar
 
 BOOTED_S = 1.2
 LINE_BYTES_A_SECOND = 117_647 / 10  # what the board's UART takes at its setting for 115200 baud
@@ -26,7 +26,7 @@ def bench(mega_elf: Path) -> Bench:
     return bench
 
 
-def list_parameters(bench: Bench, port: int = USB_PORT) -> list[Any]:
+def list_parameters(bench: Bench, port: int = CONSOLE_PORT) -> list[Any]:
     """Everything a PARAM_REQUEST_LIST brings in 4 s."""
     begun_us = bench.t_us
     request = mavlink.MAVLink_param_request_list_message(OUR_ID, OUR_COMPONENT)
@@ -77,7 +77,7 @@ class TestParameters:
                 mavlink.MAVLink_param_request_read_message(OUR_ID, OUR_COMPONENT, name, index)
             )
             bench.run(0.1)
-            (heard,) = bench.messages("PARAM_VALUE", USB_PORT, begun_us)
+            (heard,) = bench.messages("PARAM_VALUE", CONSOLE_PORT, begun_us)
             assert heard.message.param_id == "SCAN_DWELL"
             assert heard.message.param_value == 300
 
@@ -99,7 +99,7 @@ class TestParameters:
         for system, component in ((OUR_ID, 1), (OUR_ID + 1, OUR_COMPONENT)):
             bench.send(mavlink.MAVLink_param_set_message(system, component, b"TRACK_RANGE", 300, 9))
         bench.run(0.3)
-        assert bench.messages("PARAM_VALUE", USB_PORT, begun_us) == []
+        assert bench.messages("PARAM_VALUE", CONSOLE_PORT, begun_us) == []
 
     def test_storm_of_requests_leaves_the_reports_alone(self, bench: Bench) -> None:
         begun_us = bench.t_us
@@ -143,14 +143,14 @@ class TestCommands:
             )
         )
         bench.run(0.2)
-        (ack,) = bench.messages("COMMAND_ACK", USB_PORT, begun_us)
+        (ack,) = bench.messages("COMMAND_ACK", CONSOLE_PORT, begun_us)
         assert (ack.message.command, ack.message.result) == (183, ACCEPTED)
         assert list(bench.aims())[-1][1] == pytest.approx(1234, abs=1)
 
     def test_version_tells_the_commit(self, bench: Bench) -> None:
         assert bench.command(512, 148).result == ACCEPTED
-        version = bench.messages("AUTOPILOT_VERSION", USB_PORT) or bench.run_until_heard(
-            "AUTOPILOT_VERSION", 0.2, USB_PORT
+        version = bench.messages("AUTOPILOT_VERSION", CONSOLE_PORT) or bench.run_until_heard(
+            "AUTOPILOT_VERSION", 0.2, CONSOLE_PORT
         )
         message = version[-1].message if isinstance(version, list) else version
         git_hash = bytes(message.flight_custom_version).rstrip(b"\0").decode()
@@ -161,20 +161,20 @@ class TestCommands:
         assert bench.command(511, 132, 200_000).result == ACCEPTED
         begun_us = bench.t_us
         bench.run(2.0)
-        assert len(bench.messages("DISTANCE_SENSOR", USB_PORT, begun_us)) == pytest.approx(
+        assert len(bench.messages("DISTANCE_SENSOR", CONSOLE_PORT, begun_us)) == pytest.approx(
             10, abs=1
         )
         assert len(bench.messages("DISTANCE_SENSOR", since_us=begun_us)) == pytest.approx(40, abs=1)
         assert bench.command(511, 132, -1).result == ACCEPTED
         begun_us = bench.t_us
         bench.run(1.0)
-        assert bench.messages("DISTANCE_SENSOR", USB_PORT, begun_us) == []
+        assert bench.messages("DISTANCE_SENSOR", CONSOLE_PORT, begun_us) == []
 
     def test_reboot_restarts_it(self, bench: Bench) -> None:
         begun_us = bench.t_us
         assert bench.command(246, 1).result == ACCEPTED
         bench.run(1.5)
-        assert bench.texts(USB_PORT, begun_us) == ["Echowing: started"]
+        assert bench.texts(CONSOLE_PORT, begun_us) == ["Echowing: started"]
         assert bench.board.meters().restarts == 1
         assert bench.ranges_cm()[-1] == 200
 
@@ -182,7 +182,7 @@ class TestCommands:
         begun_us = bench.t_us
         assert bench.command(31012).result == ACCEPTED
         bench.run(4.0)
-        texts = " ".join(bench.texts(USB_PORT, begun_us))
+        texts = " ".join(bench.texts(CONSOLE_PORT, begun_us))
         for word in ("sonar good", "memory good", "autopilot port", "USB port", "ended"):
             assert word in texts
         swept = {(round(pan), round(tilt)) for _, pan, tilt in bench.aims(begun_us)}
@@ -195,7 +195,7 @@ class TestCommands:
             sent = len(bench.raw)
             bench.run(0.05)
             bench.board.feed(AUTOPILOT_PORT, bytes(bench.raw[sent:]))
-        texts = " ".join(bench.texts(USB_PORT, begun_us))
+        texts = " ".join(bench.texts(CONSOLE_PORT, begun_us))
         assert "autopilot port looped" in texts
         assert "USB port has no loop plug" in texts
 
@@ -306,7 +306,7 @@ class TestLoad:
         meters = bench.board.meters()
         assert meters.longest_turn_us < 2_000
         assert meters.stack_headroom_bytes > 1_024
-        assert bench.board.overruns(AUTOPILOT_PORT) == bench.board.overruns(USB_PORT) == 0
+        assert bench.board.overruns(AUTOPILOT_PORT) == bench.board.overruns(CONSOLE_PORT) == 0
         times = [m.t_us for m in bench.messages("DISTANCE_SENSOR", since_us=begun_us)]
         tracked = [b - a for a, b in itertools.pairwise(times)]
         assert sorted(tracked)[len(tracked) // 2] == pytest.approx(50_000, abs=2_000)

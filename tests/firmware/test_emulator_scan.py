@@ -9,10 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from echowing.sim.coprocessor import USB_PORT
 from echowing.sim.sonar import SERVO_SLEW_DPS, SERVO_US_PER_DEG
 
-from .bench import Bench, BenchSonar
+from .bench import CONSOLE_PORT, Bench, BenchSonar
 
 # Thesis Appendix A: pan and tilt pulses, us, in the order of the figure 8.
 TWELVE_POINTS = [
@@ -305,7 +304,7 @@ class TestReport:
 
     def test_both_ports_hear_the_same(self, reported: Bench) -> None:
         link = reported.ranges_cm(1e6)
-        usb = reported.messages("DISTANCE_SENSOR", USB_PORT, 1e6)
+        usb = reported.messages("DISTANCE_SENSOR", CONSOLE_PORT, 1e6)
         assert len(usb) == pytest.approx(len(link), abs=1)
         assert {m.message.current_distance for m in usb} == {200}
 

@@ -76,7 +76,7 @@ def main() -> None:
     ]
     for name, law, range_m in situations:
         start, worst, heap = most(law, range_m)
-        print(f"{name:24} start {start:5d}, update {worst:5d} of 10000; heap {heap / 1024:.0f} KiB")
+        print(f"{name:24} start {start:5d}, update {worst:5d} of 10000; heap {heap / 1024:.1f} KiB")
 
 
 if __name__ == "__main__":

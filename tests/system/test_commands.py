@@ -118,8 +118,8 @@ def test_analyze_refuses_one_vehicle_alone(flight: Path) -> None:
 def test_calibrate_prints_every_recordings_error() -> None:
     rows = json.loads(succeeded("calibrate", RECORDINGS, "--json"))
 
-    assert len(rows) == len(list(RECORDINGS.glob("*.csv"))) == 8
-    assert all(row["rms_position_error_m"] < 0.25 for row in rows)
+    assert len(rows) == len(list(RECORDINGS.rglob("*.csv"))) == 20
+    assert all(row["rms_position_error_m"] < 0.10 for row in rows)
 
 
 def test_a_scenario_of_ones_own_is_flown(tmp_path: Path) -> None:

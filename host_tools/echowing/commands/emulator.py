@@ -18,13 +18,18 @@ examples:
       {"forward_m": 3.5, "right_m": 0.2, "down_m": -0.1} says where the leader is
       in the follower's body frame
   echowing emulator --link tcpin:5770 --usb pty --eeprom board.eep
+  echowing emulator --board blackpill_f411 --elf build/firmware/blackpill_f411/echowing.elf
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The verb's options."""
     parser.epilog = EXAMPLES
-    parser.add_argument("--board", default="mega", help="the board to emulate (mega)")
+    parser.add_argument(
+        "--board",
+        default="mega",
+        help="the board to emulate: mega (default), blackpill_f411, bluepill_f103, nucleo_f446",
+    )
     parser.add_argument("--elf", type=Path, help="another binary than build/firmware's")
     parser.add_argument(
         "--link",
@@ -32,7 +37,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="WHERE",
         help="the autopilot port: tcp:HOST:PORT connects, tcpin:PORT listens, pty (default)",
     )
-    parser.add_argument("--usb", metavar="WHERE", help="the USB port, likewise (default: nowhere)")
+    parser.add_argument(
+        "--usb", metavar="WHERE", help="the USB port, likewise (default: nowhere; not of the Pills)"
+    )
     seen = parser.add_mutually_exclusive_group()
     seen.add_argument("--range-cm", type=int, metavar="N", help="the sonar always reads this")
     seen.add_argument(
@@ -53,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run until stopped."""
-    from echowing.sim.avr import AvrBoard  # noqa: PLC0415
+    from echowing.sim.boards import emulated_board  # noqa: PLC0415
     from echowing.sim.coprocessor import AUTOPILOT_PORT, USB_PORT  # noqa: PLC0415
     from echowing.sim.desk import Desk, Scene  # noqa: PLC0415
     from echowing.sim.sitl_scene import SitlScene  # noqa: PLC0415
@@ -69,7 +76,14 @@ def run(args: argparse.Namespace) -> int:
             watched = sitl.leader_body_m
         scene = Scene(args.range_cm, args.target, watched)
         stack.callback(scene.close)
-        board = AvrBoard(scene.sensor, board=args.board, elf=args.elf, eeprom=_load(args.eeprom))
+        board = emulated_board(
+            scene.sensor, board=args.board, elf=args.elf, eeprom=_load(args.eeprom)
+        )
+        if args.usb and not board.has_port(USB_PORT):
+            raise EchowingError(
+                f"the emulated {args.board} has no USB port (nothing is plugged into its socket): "
+                "leave --usb out"
+            )
         wires = {AUTOPILOT_PORT: open_wire(args.link)}
         stack.callback(wires[AUTOPILOT_PORT].close)
         print(f"autopilot port: {wires[AUTOPILOT_PORT].describe()}", flush=True)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 
 from echowing.errors import EchowingError
 from echowing.geo import Ned
-from echowing.sim.avr import AvrBoard
+from echowing.sim.emulated import EmulatedBoard
 from echowing.sim.sonar import (
     PAN_CENTRE_US,
     TILT_CENTRE_US,
@@ -104,7 +104,7 @@ class Desk:
 
     def __init__(
         self,
-        board: AvrBoard,
+        board: EmulatedBoard,
         wires: Mapping[int, Wire],
         scene: Scene,
         *,

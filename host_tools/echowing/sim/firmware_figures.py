@@ -14,7 +14,8 @@ from echowing.sim.coprocessor import AUTOPILOT_PORT, USB_PORT
 from echowing.sim.sonar import MaxSonar
 
 BOARD = "mega"
-VEHICLE_ID, DEVICE_COMPONENT = 1, 191  # SYS_ID and COMP_ID as the firmware comes
+# SYS_ID and COMP_ID as the firmware comes: it has not learned yet whose it is.
+DEVICE_SYSTEM, DEVICE_COMPONENT = 250, 191
 STEP_US = 5_000
 RANGE_M = 2.0
 REPORT_PERIOD_US = 50_000
@@ -113,7 +114,7 @@ def _commands(run: _Run) -> Iterator[FirmwareFigure]:
     for _ in range(20):
         asked_us = run.board.t_us
         values = (REQUEST_MESSAGE, 0, AUTOPILOT_VERSION, 0, 0, 0, 0, 0, 0)
-        run.send(mavlink.MAVLink_command_long_message(VEHICLE_ID, DEVICE_COMPONENT, *values))
+        run.send(mavlink.MAVLink_command_long_message(DEVICE_SYSTEM, DEVICE_COMPONENT, *values))
         run.run(0.107)
         waits_us.append(run.times_us("COMMAND_ACK", asked_us)[0] - asked_us)
     yield FirmwareFigure("command to acknowledgement", max(waits_us) / 1e3, "ms", "under 20")

@@ -10,7 +10,7 @@ from echowing.paths import lua_folder
 from echowing.setup.settings import ACCELERATION_MPS2, JERK_MPS3
 from echowing.sim.autopilot import Autopilot
 from echowing.sim.coprocessor import NativeCoprocessor
-from echowing.sim.copter import Copter
+from echowing.sim.copter import Copter, Tuning, tuning_of
 from echowing.sim.gps import GpsDrift
 from echowing.sim.ground import Telemetry, open_log
 from echowing.sim.leader import TrackedBody, load_track, walk
@@ -26,10 +26,16 @@ APPLET = "echowing.lua"
 Listen = Callable[[SimFollower, float], float | None]
 
 
+def board_parameters(system_id: int, scenario: Scenario) -> dict[str, float]:
+    """The co-processor's parameters: it has learned long ago whose it is."""
+    return {"SYS_ID": float(system_id), **scenario.coprocessor}
+
+
 class Hangar:
     """Where a scenario's vehicles come from, all airborne and in Guided.
 
-    `make_coprocessor` builds the co-processor on a sonar bus: the native core by default.
+    `make_coprocessor` builds the co-processor on a sonar bus for a system id: the native core by
+    default.
     With `out`, telemetry logs are written there.
     """
 
@@ -59,7 +65,8 @@ class Hangar:
         elif plan.path == "track" and plan.track is not None:
             body = TrackedBody(load_track(plan.track))
         else:
-            body = Copter((0.0, 0.0, -plan.altitude_m), 0.0, flying=True)
+            start = (0.0, 0.0, -plan.altitude_m)
+            body = Copter(start, 0.0, tuning=self._tuning(), flying=True)
         drift = self._drift("leader", body)
         return SimVehicle(body, self._autopilot(body, LEADER_ID, {}), drift)
 
@@ -68,7 +75,7 @@ class Hangar:
     ) -> SimFollower:
         """Follower number `index` (from 0), with the applet running unless the law is none."""
         scenario = self.scenario
-        body = Copter(start_ned_m, yaw_rad, flying=True)
+        body = Copter(start_ned_m, yaw_rad, tuning=self._tuning(), flying=True)
         drift = self._drift(f"follower {index}", body)
         follower = SimFollower(
             body,
@@ -95,7 +102,10 @@ class Hangar:
         scenario = self.scenario
         modern = scenario.follower.autopilot_generation() in (Generation.V4_7, Generation.V4_8)
         speed = {"WP_SPD": speed_mps} if modern else {"WPNAV_SPEED": speed_mps * 100.0}
-        if modern:
+        limits: dict[str, float] = {}
+        if scenario.guidance.gray:
+            pass  # flown as they come: the set-up is ours
+        elif modern:
             limits = {"WP_ACC": ACCELERATION_MPS2, "PSC_JERK_NE": JERK_MPS3}
         else:
             limits = {"WPNAV_ACCEL": ACCELERATION_MPS2 * 100.0, "PSC_JERK_XY": JERK_MPS3}
@@ -121,8 +131,12 @@ class Hangar:
             seed=self.seed,
         )
 
-    def _native(self, bus: Any) -> NativeCoprocessor:
-        return NativeCoprocessor(bus, seed=self.seed, parameters=self.scenario.coprocessor)
+    def _tuning(self) -> Tuning:
+        return tuning_of(self.scenario.follower.autopilot_generation())
+
+    def _native(self, bus: Any, system_id: int) -> NativeCoprocessor:
+        parameters = board_parameters(system_id, self.scenario)
+        return NativeCoprocessor(bus, seed=self.seed, parameters=parameters)
 
     def _drift(self, name: str, body: Body) -> GpsDrift:
         """The receiver's drift; the body believes it before its autopilot starts to hold."""

@@ -108,7 +108,7 @@ class GuidanceSection(_Section):
     learn_offset: bool = True
     standoff_sigmas: NotNegative = 2.5
     sonar_inset_m: NotNegative = 0.2
-    feed_forward: bool = False
+    feed_forward: bool = True
     fresh_age_s: Positive | None = 0.5
     stale_age_s: Positive | None = 1.0
     gray: bool = False  # guided points as the thesis made them: none of the protections

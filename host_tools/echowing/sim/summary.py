@@ -11,7 +11,9 @@ from echowing.analysis.flight import Flight
 from echowing.analysis.metrics import Metrics, approach_s, dead_locked, metrics
 from echowing.analysis.tables import Result
 from echowing.errors import EchowingError
+from echowing.sim.coprocessor import SonarBus
 from echowing.sim.flight import FormationFlight, Progress
+from echowing.sim.hangar import board_parameters
 from echowing.sim.scenario import Scenario
 from echowing.sim.vehicles import MakeCoprocessor
 from echowing.sim.wall import fly_at_wall
@@ -118,7 +120,10 @@ def _coprocessors(scenario: Scenario, seed: int, firmware: str) -> MakeCoprocess
         raise EchowingError(f"--firmware {firmware!r}: native or avr")
     from echowing.sim.avr import AvrCoprocessor  # noqa: PLC0415 (needs the emulator built)
 
-    return lambda bus: AvrCoprocessor(bus, seed=seed, parameters=scenario.coprocessor)
+    def make(bus: SonarBus, system_id: int) -> AvrCoprocessor:
+        return AvrCoprocessor(bus, seed=seed, parameters=board_parameters(system_id, scenario))
+
+    return make
 
 
 def _wall(scenario: Scenario, seed: int, make_coprocessor: MakeCoprocessor | None) -> FlownScenario:

@@ -20,7 +20,8 @@ AUTOPILOT_PORT = 0
 STEP_US = 20_000
 
 Body = Copter | TrackedBody
-MakeCoprocessor = Callable[[SonarBus], Coprocessor]
+# On a sonar bus, for the vehicle of that system id.
+MakeCoprocessor = Callable[[SonarBus, int], Coprocessor]
 
 
 class SimVehicle:
@@ -64,7 +65,7 @@ class SimFollower(SimVehicle):
         self.gimbal = Gimbal()
         self.ear = Ear(rng)
         self.sensor = MaxSonar(lambda t_s: listen(self, t_s))
-        self.coprocessor = make_coprocessor(self.sensor)
+        self.coprocessor = make_coprocessor(self.sensor, autopilot.system_id)
         autopilot.add_link(COPROCESSOR)
 
     def pose(self) -> Pose:

@@ -119,7 +119,9 @@ struct Ack {
 
 class Rig {
  public:
-  explicit Rig(Microseconds start = 0, FakeMemory stored = FakeMemory(), uint32_t uptime_ms = 0);
+  // The board of vehicle `system`; 0: of whatever vehicle the memory says, if any.
+  explicit Rig(Microseconds start = 0, FakeMemory stored = FakeMemory(), uint32_t uptime_ms = 0,
+               uint8_t system = 1);
 
   void run(Microseconds span, Microseconds turn = 1000);
   // True if `happened` became true within `limit`; stops there.
@@ -128,6 +130,8 @@ class Rig {
   // The autopilot's heartbeat, repeated once a second while running.
   void autopilot(uint8_t system, bool armed);
   void silence_autopilot() { beating_ = false; }
+  // A single heartbeat of some vehicle's autopilot.
+  void hear_vehicle(uint8_t system, bool armed);
 
   template <typename Message>
   void hear(int port, const Message& message, uint8_t system = 255, uint8_t component = 190) {
@@ -151,6 +155,8 @@ class Rig {
   void forget();
 
   float parameter(Parameter which) const { return core.parameters().get(which); }
+  // Who sent the newest message.
+  uint8_t speaks_as(int port = 0) { return sent_[port].back().message.sysid; }
 
   static std::vector<uint8_t> frame(const mavlink_heartbeat_t&, uint8_t system, uint8_t component);
   static std::vector<uint8_t> frame(const mavlink_param_set_t&, uint8_t system, uint8_t component);

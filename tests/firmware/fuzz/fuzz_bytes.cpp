@@ -79,8 +79,8 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
     size -= 2 + length;
   }
   check(rig);
-  // The sonar's period can be set to a second and its address to where nobody answers: but no
-  // input may stop the loop, the heartbeat or the answers.
+  // The sonar's address can be set to where nobody answers: but no input may stop the loop, the
+  // heartbeat or the answers.
   rig.run(500000, kLongTurn);
   rig.forget();
   rig.run(2500000, kLongTurn);

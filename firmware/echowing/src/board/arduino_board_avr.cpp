@@ -2,6 +2,7 @@
 #include <avr/wdt.h>
 
 #include "arduino_board.h"
+#include "status_led.h"
 
 namespace echowing {
 
@@ -16,8 +17,10 @@ __attribute__((naked, used, section(".init3"))) void stop_watchdog_early() {
   wdt_disable();
 }
 
-// A hundred times the longest loop turn.
-void ArduinoBoard::start_watchdog() { wdt_enable(WDTO_250MS); }
+void ArduinoBoard::wake() {
+  begin_led();
+  wdt_enable(WDTO_250MS);  // a hundred times the longest loop turn
+}
 
 void ArduinoBoard::feed_watchdog() { wdt_reset(); }
 
@@ -25,8 +28,6 @@ void ArduinoBoard::feed_watchdog() { wdt_reset(); }
 uint32_t ArduinoBoard::seed() const { return static_cast<uint32_t>(analogRead(A0)); }
 
 // The bootloader runs first after every reset.
-void ArduinoBoard::enter_bootloader_if_asked() {}
-
 void ArduinoBoard::reboot(bool) {
   wdt_enable(WDTO_15MS);
   for (;;) {

@@ -8,7 +8,7 @@ namespace echowing {
 namespace {
 
 constexpr uint8_t kSlots = 2;
-constexpr Microseconds kCalm = 2 * kSecond;
+constexpr Milliseconds kCalm = 2000;
 
 uint16_t read_word(SlotMemory& memory, uint8_t slot, uint16_t offset) {
   const uint8_t low = memory.read(slot, offset);
@@ -58,7 +58,7 @@ ParameterStore::Loaded ParameterStore::load(SlotMemory& memory, Parameters& para
   return Loaded::kStored;
 }
 
-void ParameterStore::touch(Microseconds now) {
+void ParameterStore::touch(const Instant& now) {
   wanted_ = true;
   calm_.start(now, kCalm);
 }
@@ -67,7 +67,7 @@ bool ParameterStore::sound(SlotMemory& memory) const {
   return intact(memory, slot_) || (blank(memory, 0) && blank(memory, 1));
 }
 
-bool ParameterStore::step(Microseconds now, bool allowed, SlotMemory& memory,
+bool ParameterStore::step(const Instant& now, bool allowed, SlotMemory& memory,
                           const Parameters& parameters) {
   const bool calm = !calm_.running(now);
   if (!allowed || memory.busy()) return false;

@@ -23,10 +23,10 @@ class ParameterStore {
   // Whether what is stored can be read back, or nothing has been stored yet. Not while busy.
   bool sound(SlotMemory& memory) const;
   // Tells that a parameter has changed: it is stored 2 s after the last change.
-  void touch(Microseconds now);
+  void touch(const Instant& now);
   // One loop turn: at most one byte or one flush, and only while `allowed`. True when a set has
   // just become safe.
-  bool step(Microseconds now, bool allowed, SlotMemory& memory, const Parameters& parameters);
+  bool step(const Instant& now, bool allowed, SlotMemory& memory, const Parameters& parameters);
 
  private:
   void begin();

@@ -54,7 +54,7 @@ Pointing pointing(const Parameters& parameters, Aim aim) {
 }
 
 mavlink_distance_sensor_t distance_report(const Parameters& parameters, const Tracker& tracker,
-                                          const Pointing& direction, uint32_t reading_ms) {
+                                          const Pointing& direction, Milliseconds reading_ms) {
   mavlink_distance_sensor_t report = {};
   report.time_boot_ms = reading_ms;
   report.min_distance = kNearestCm;

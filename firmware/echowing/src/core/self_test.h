@@ -13,11 +13,11 @@ class SelfTest {
  public:
   static constexpr uint8_t kPorts = 2;
 
-  void start(Microseconds now);
+  void start(const Instant& now);
   void abort() { running_ = false; }
   bool running() const { return running_; }
   // Once a loop turn; true in the turn in which the test has ended.
-  bool step(Microseconds now);
+  bool step(const Instant& now);
 
   // Where the gimbal shall point while the test runs.
   Aim aim(const Parameters& parameters) const;

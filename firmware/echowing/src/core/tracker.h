@@ -20,11 +20,11 @@ enum class GimbalMode : uint8_t {
 
 class Tracker {
  public:
-  Tracker(const Parameters& parameters, Microseconds now);
+  Tracker(const Parameters& parameters, Instant now);
 
   // Once a loop turn, before the readings of that turn.
-  void step(Microseconds now, GimbalMode mode);
-  void on_reading(const Reading& reading);
+  void step(const Instant& now, GimbalMode mode);
+  void on_reading(const Instant& now, const Reading& reading);
   // For GimbalMode::kHold.
   void hold_at(Aim aim) { hold_ = aim; }
 
@@ -38,13 +38,13 @@ class Tracker {
   uint8_t quality_percent() const;
 
  private:
-  void move(Microseconds now, Aim aim);
-  void scan(Microseconds now);
+  void move(const Instant& now, Aim aim);
+  void scan(const Instant& now);
   void see();
   void miss();
   void forget();
   void remember(bool good);
-  Microseconds travel_time(Aim aim) const;
+  Milliseconds travel_time(Aim aim) const;
 
   const Parameters& parameters_;
   RangeFilter filter_;
@@ -54,6 +54,7 @@ class Tracker {
   Aim last_seen_;
   bool seen_ = false;
   bool tracking_ = false;
+  bool confirmed_ = false;  // the target, by a second reading
   bool restart_ = true;
   bool heard_here_ = false;
   uint8_t point_ = 0;
@@ -61,7 +62,7 @@ class Tracker {
   uint16_t history_ = 0;
   uint8_t history_size_ = 0;
   Timeout dwell_;
-  Microseconds arrival_ = 0;
+  Milliseconds arrival_ = 0;
 };
 
 }  // namespace echowing
