@@ -220,7 +220,8 @@ class Scenario(_Section):
     title: str
     kind: Literal["formation", "wall"] = "formation"
     duration_s: Positive = 240.0
-    settle_s: NotNegative = 20.0
+    # Left out of the figures at the beginning; none: until first within 1 m of the slot.
+    settle_s: NotNegative | None = None
     law: LawName = "continuous"
     leader: LeaderSection = LeaderSection()
     formation: FormationSection = FormationSection()
@@ -236,9 +237,10 @@ class Scenario(_Section):
 
     @model_validator(mode="after")
     def _flyable(self) -> "Scenario":
-        if self.settle_s >= self.duration_s:
+        if self.settle_s is not None and self.settle_s >= self.duration_s:
             raise ValueError(
-                f"settle_s ({self.settle_s:g}) must be less than duration_s ({self.duration_s:g})"
+                f"duration_s ({self.duration_s:g}) must be more than settle_s ({self.settle_s:g}), "
+                "the seconds left out of the figures"
             )
         return self
 
