@@ -55,7 +55,8 @@ class Rig:
             "RNGFND1_TYPE": 10.0,
             "RNGFND1_ORIENT": 0.0,
         }
-        self.vehicle = DeskVehicle({**firmware, "ECHO_ENABLE": 1.0})
+        # The laws' tests count from the sonar's face: a range is the distance. See test_hold.
+        self.vehicle = DeskVehicle({**firmware, "ECHO_ENABLE": 1.0, "ECHO_INSET": 0.0})
         for name, value in applet.items():
             self.vehicle.parameters[f"ECHO_{name}"] = value
         self.vehicle.place = HERE
@@ -79,7 +80,8 @@ class Rig:
             if not name.startswith("ECHO_")
         }
         firmware[self.names.speed] = PILOT_MPS * self.names.units_per_mps
-        self.vehicle = restarted(self.vehicle, {**firmware, "ECHO_ENABLE": 1.0})
+        own = {"ECHO_ENABLE": 1.0, "ECHO_INSET": self.vehicle.parameters["ECHO_INSET"]}
+        self.vehicle = restarted(self.vehicle, {**firmware, **own})
         self.restart_script()
 
     def run(self, seconds: float) -> Rig:
