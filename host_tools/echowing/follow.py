@@ -25,6 +25,7 @@ from echowing.flight.estimate import (
     carried_on,
     place_then,
 )
+from echowing.flight.offset_grid import Wandering
 from echowing.flight.tow_bar import TowBar
 from echowing.geo import GlobalPosition, Ned, displace, distance_m, ned_between, wrap_angle_rad
 from echowing.guard import Guard, Limits, RateWatch, is_flying, mode_name
@@ -52,7 +53,6 @@ from echowing.messages import (
     position_target,
     tool_heartbeat,
 )
-from echowing.flight.offset_grid import Wandering
 from echowing.take_off import Lift, TakeOff, TakeOffs
 
 GUIDED_MODE = 4
@@ -401,9 +401,7 @@ class FollowSession:
                 name = f"follower {system_id}"
                 in_the_way = is_in_the_way(ned_between(here, there), ned_between(here, goal))
                 from_it_m = ned_between(place, mine)
-                others.append(
-                    Other(name, from_it_m, velocity, UNRANGED_SIGMA_M, age_s, in_the_way)
-                )
+                others.append(Other(name, from_it_m, velocity, UNRANGED_SIGMA_M, age_s, in_the_way))
         return others
 
     def _in_height(self, system_id: int, place: GlobalPosition) -> GlobalPosition:

@@ -56,7 +56,7 @@ def limit_mps(other: Other) -> float:
     return closing_limit_mps(certain_distance_m(other), ANSWER)
 
 
-# ---- the two figures -------------------------------------------------------------------------------
+# ---- the two figures -----
 
 
 def test_what_is_not_known_is_against_us() -> None:
@@ -90,7 +90,7 @@ def test_more_room_never_means_less_speed(near_m: float, more_m: float) -> None:
     assert closing_limit_mps(near_m + more_m, ANSWER) >= closing_limit_mps(near_m, ANSWER)
 
 
-# ---- what is flown ----------------------------------------------------------------------------------
+# ---- what is flown -----
 
 
 @given(wanted=velocities, other=others)
@@ -127,7 +127,9 @@ def test_a_short_distance_is_never_shortened(wanted: Ned, other: Other) -> None:
 
 @given(wanted=velocities, about=st.lists(others, min_size=2, max_size=4))
 @always
-def test_among_several_it_leaves_no_less_than_standing_still(wanted: Ned, about: list[Other]) -> None:
+def test_among_several_it_leaves_no_less_than_standing_still(
+    wanted: Ned, about: list[Other]
+) -> None:
     """Of the distances that are short, a second later."""
     assume(min(map(certain_distance_m, about)) < LEAST_M)
     flown, _ = keep_apart(wanted, about, ANSWER)
@@ -211,7 +213,7 @@ def test_between_two_that_come_from_both_sides_it_goes_aside() -> None:
     assert abs(flown[0]) < 0.5
 
 
-# ---- two vehicles, closed loop ----------------------------------------------------------------------
+# ---- two vehicles, closed loop -----
 
 
 class Flyer:
@@ -229,9 +231,7 @@ class Flyer:
         return pace * north, pace * east, 0.0
 
     def step(self, seconds: float) -> None:
-        north, east, _ = (
-            told - now for told, now in zip(self.told, self.velocity, strict=True)
-        )
+        north, east, _ = (told - now for told, now in zip(self.told, self.velocity, strict=True))
         share = min(1.0, 2.5 * seconds / max(math.hypot(north, east), 1e-6))
         self.velocity = (
             self.velocity[0] + share * north,

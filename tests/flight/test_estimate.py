@@ -149,7 +149,9 @@ def test_a_leader_is_moved_by_what_was_learnt_and_back_when_it_is_forgotten() ->
     assert north_m == pytest.approx(2.2, abs=0.25)
 
     estimate.forget()
-    assert ned_between(START, estimate.as_seen(believed)) == pytest.approx((3.0, 0.0, 0.0), abs=0.01)
+    assert ned_between(START, estimate.as_seen(believed)) == pytest.approx(
+        (3.0, 0.0, 0.0), abs=0.01
+    )
 
 
 def test_a_report_is_carried_on_so_far_and_no_further() -> None:

@@ -85,7 +85,9 @@ def keep_apart(
 ) -> tuple[Ned, Other | None]:
     """The velocity to fly (NED), and for whose sake it is not the wanted one."""
     walls = [_wall(other, answer, least_m) for other in others]
-    broken = [(wall, other) for wall, other in zip(walls, others, strict=True) if _off(wanted_mps, wall)]
+    broken = [
+        (wall, other) for wall, other in zip(walls, others, strict=True) if _off(wanted_mps, wall)
+    ]
     if not broken:
         return wanted_mps, None
     flown = wanted_mps
