@@ -18,7 +18,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.feed_forward import sonar_range_m
 from echowing.flight.alignment import History, Report
-from echowing.flight.envelope import Answer, Other, keep_apart
+from echowing.flight.envelope import Answer, Other, is_in_the_way, keep_apart
 from echowing.flight.estimate import (
     LONGEST_CARRY_S,
     Estimate,
@@ -377,6 +377,7 @@ class FollowSession:
         """The vehicles about a follower that is `here` when the order reaches it."""
         arrives_s = now_s + self._way_s(follower)
         mine = self._in_height(follower.plan.system_id, here)
+        goal = here if follower.guided is None else follower.guided.slot
         others = []
         leader = self._leader_then(follower, arrives_s)
         if leader is not None:
@@ -398,9 +399,9 @@ class FollowSession:
                 velocity = (*other.velocity_mps, -other.climb_mps)
                 age_s = arrives_s - other.position_at_s
                 name = f"follower {system_id}"
-                others.append(
-                    Other(name, ned_between(place, mine), velocity, UNRANGED_SIGMA_M, age_s)
-                )
+                in_the_way = is_in_the_way(ned_between(here, there), ned_between(here, goal))
+                from_it_m = ned_between(place, mine)
+                others.append(Other(name, from_it_m, velocity, UNRANGED_SIGMA_M, age_s, in_the_way))
         return others
 
     def _in_height(self, system_id: int, place: GlobalPosition) -> GlobalPosition:

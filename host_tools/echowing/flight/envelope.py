@@ -5,7 +5,8 @@ vehicle can do to what is known of it; and how fast it may then be closed on, if
 stop in time. The velocity flown is the nearest to the plan's that closes on nobody faster; where
 that cannot be had, the one that leaves most room a second later. So a plan that leads past a vehicle
 is bent, one that leads at it is slowed, and a vehicle that comes too near is backed away from: never
-is standing still the answer to somebody who comes nearer.
+is standing still the answer to somebody who comes nearer. Two vehicles in each other's way would
+wait for each other: each passes the other on its own right, as ships do, and neither waits.
 
 The applet follows the same rule along its beam (`lua/echowing.lua`); `tests/flight/envelope.toml`
 holds for both.
@@ -55,7 +56,8 @@ class Other:
     """Another vehicle as this one sees it.
 
     name: for messages; from_it_m: from it to here, NED; velocity_mps: its, NED; sigma_m: standard
-    deviation of the distance; age_s: of what is known of it when the order takes effect.
+    deviation of the distance; age_s: of what is known of it when the order takes effect;
+    in_the_way: the plan leads to beyond it (see `is_in_the_way`), so that it is passed.
     """
 
     name: str
@@ -63,6 +65,13 @@ class Other:
     velocity_mps: Ned
     sigma_m: float
     age_s: float
+    in_the_way: bool = False
+
+
+def is_in_the_way(to_it_m: Ned, to_goal_m: Ned) -> bool:
+    """Whether the way to a goal leads beyond another vehicle; both as seen from here, NED."""
+    along_m2 = to_it_m[0] * to_goal_m[0] + to_it_m[1] * to_goal_m[1]
+    return 0.0 < along_m2 < to_goal_m[0] ** 2 + to_goal_m[1] ** 2
 
 
 def certain_distance_m(other: Other) -> float:
@@ -125,6 +134,9 @@ def keep_apart(
     if not broken:
         return wanted_mps, None
     flown = wanted_mps
+    for wall, other in broken:
+        if other.in_the_way:
+            flown = _turned_right(flown, wall)
     for _ in range(ROUNDS):
         for wall in walls:
             flown = _pushed(flown, wall)
@@ -158,6 +170,14 @@ def _off(velocity: Ned, wall: _Wall) -> float:
 def _pushed(velocity: Ned, wall: _Wall) -> Ned:
     short_mps = -_off(velocity, wall)
     return velocity[0] + short_mps * wall[0], velocity[1] + short_mps * wall[1], velocity[2]
+
+
+def _turned_right(velocity: Ned, wall: _Wall) -> Ned:
+    """What a wall takes of the speed towards the other is flown past it."""
+    north, east, _ = wall
+    closing_mps = max(0.0, -(velocity[0] * north + velocity[1] * east))
+    aside_mps = min(closing_mps, -_off(velocity, wall))
+    return velocity[0] + aside_mps * east, velocity[1] - aside_mps * north, velocity[2]
 
 
 def _roomiest(tried: Ned, others: Sequence[Other]) -> Ned:
