@@ -66,6 +66,7 @@ def run(args: argparse.Namespace) -> int:
     from echowing.seats import parse_seat  # noqa: PLC0415
     from echowing.signing import read_key  # noqa: PLC0415
     from echowing.stopping import stop_on_signals  # noqa: PLC0415
+    from echowing.terminal import run_in_flight  # noqa: PLC0415
 
     _check_numbers(args)
     ground = parse_ground(args.ground)
@@ -91,7 +92,8 @@ def run(args: argparse.Namespace) -> int:
         make_guide=lambda: RelayGuide(ground),
     )
     with stop_on_signals() as stop:
-        return FollowTool(options, open_view(as_json=args.json), stop).run()
+        tool = FollowTool(options, open_view(as_json=args.json), stop)
+        return run_in_flight(tool.run, lambda: tool.stuck)
 
 
 def _check_numbers(args: argparse.Namespace) -> None:
