@@ -182,10 +182,11 @@ def options_of(arguments: "Sequence[str]") -> "FollowOptions":
 
 def _options(args: argparse.Namespace) -> "FollowOptions":
     from echowing.follow_run import FollowOptions  # noqa: PLC0415
-    from echowing.guard import Limits, parse_stop_switch  # noqa: PLC0415
+    from echowing.guard import Limits  # noqa: PLC0415
     from echowing.guidance import GuidanceSettings  # noqa: PLC0415
     from echowing.seats import VehicleFinder  # noqa: PLC0415
     from echowing.signing import read_key  # noqa: PLC0415
+    from echowing.switch import parse_stop_switch  # noqa: PLC0415
 
     _check_numbers(args)
     switch = None if args.stop_switch is None else parse_stop_switch(args.stop_switch)
