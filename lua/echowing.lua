@@ -454,7 +454,9 @@ end
 do
     local RAW_FRESH_MS = 300 -- an older single reading is not "the newest": 3 periods of the slower sonar rate
     local RAW_NAME = 'SNR_RAW\0\0\0' -- ten characters on the wire
-    local SPIKE_M = 0.8 -- a single reading this far from the prediction waits for a second one like it
+    -- A single reading this far from the prediction, or after so long without one, waits for a second one like it:
+    -- readings 0.1 s apart differ by less even where both vehicles change their speed at 5 m/s2.
+    local SPIKE_M, SPIKE_MS = 0.3, 300
     local TRUST_READINGS = 3 -- so many readings in agreement are a target
     local TRACK_GAP_MS = 700 -- after a gap this long the tracker starts again
 
@@ -524,10 +526,11 @@ do
         track.own_mps, track.at_ms = own.mps, t_ms
     end
 
-    -- A reading far from the prediction counts only when the next one is like it: propellers make single wild ones.
+    -- A reading that was not foreseen counts only when the next one is like it: propellers make single wild ones. What
+    -- was known of the leader's speed stays.
     local function spike(range_m, t_ms)
         if track.spike_m and math.abs(range_m - track.spike_m) < SPIKE_M then
-            start(range_m, t_ms)
+            track.range_m, track.seen_ms, track.spike_m = range_m, t_ms, nil
         else
             track.spike_m = range_m
         end
@@ -539,7 +542,7 @@ do
         if dt_s <= 0.0 then return end
         track.carry(t_ms)
         local residual_m = range_m - track.range_m
-        if math.abs(residual_m) > SPIKE_M then return spike(range_m, t_ms) end
+        if math.abs(residual_m) > SPIKE_M or dt_s > SPIKE_MS * 0.001 then return spike(range_m, t_ms) end
         local keep = math.exp(-dt_s / C.TAU)
         local n = track.readings + 1 -- the first readings count as in a straight line through all of them
         local range_share = math.max(1.0 - keep * keep, 2.0 * (2.0 * n - 1.0) / (n * (n + 1.0)))
@@ -780,11 +783,16 @@ do
     -- How far the applet moves a point: little towards the leader, for the ground tool may know why the point is far
     -- from it; more away from the leader. A sonar that is stuck then moves the vehicle no further.
     local FORWARD_M, BACK_M = 1.0, 5.0
+    local UNSEEN_MS = 300
 
     -- Where the point belongs along the beam (metres ahead of here), and its speed there: at the wanted distance from
-    -- the leader and as fast as the leader. ahead_m, mps: the same of the streamed point.
-    local function along_beam(ahead_m, mps)
+    -- the leader and as fast as the leader. ahead_m, mps: the same of the streamed point. While the sonar sees nothing,
+    -- of the track and the point whichever is the more cautious.
+    local function along_beam(ahead_m, mps, t_ms)
         local wanted_m = track.range_m - C.DIST
+        if t_ms - track.seen_ms > UNSEEN_MS then
+            return math.min(wanted_m, ahead_m), math.min(track.leader_mps, mps)
+        end
         if wanted_m > ahead_m + FORWARD_M then return ahead_m + FORWARD_M, math.min(mps, track.leader_mps) end
         if wanted_m < ahead_m - BACK_M then return ahead_m - BACK_M, mps end
         return wanted_m, track.leader_mps
@@ -800,7 +808,7 @@ do
         local yaw = yaw_rad(ahrs)
         local cos, sin = math.cos(yaw), math.sin(yaw)
         local ahead_m, mps = north_m * cos + east_m * sin, stream.north_mps * cos + stream.east_mps * sin
-        local wanted_m, wanted_mps = along_beam(ahead_m, mps)
+        local wanted_m, wanted_mps = along_beam(ahead_m, mps, t_ms)
         local by_m, by_mps = wanted_m - ahead_m, wanted_mps - mps
         position:x(position:x() + north_m + by_m * cos)
         position:y(position:y() + east_m + by_m * sin)

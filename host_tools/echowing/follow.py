@@ -20,7 +20,6 @@ from echowing.feed_forward import sonar_range_m
 from echowing.flight.alignment import History, Report
 from echowing.flight.envelope import Answer, Other, keep_apart
 from echowing.flight.estimate import (
-    DETECTION_LIMIT_M,
     LONGEST_CARRY_S,
     Estimate,
     carried_on,
@@ -40,7 +39,7 @@ from echowing.guidance import (
     is_stale,
     lead_share,
     predicted,
-    sweep_rad,
+    sway_rad,
 )
 from echowing.leader_track import LeaderTrack, VehicleClock, is_late
 from echowing.messages import (
@@ -83,6 +82,8 @@ LONGEST_WAY_S = 1.0
 # A leader that the sonar does not hear is approached no faster than this, for a copter stops from
 # it within the beam's reach less what receivers are off.
 JOIN_MPS, HEARD_LATELY_S = 1.5, 1.5
+# Not heard for so long, the leader is looked for where it most likely is.
+LOST_S = 1.0
 # A hold that had to give way is from then on where the vehicle has been moved to.
 MOVED_M = 0.5
 # Two receivers of which no sonar knows more.
@@ -482,7 +483,7 @@ class FollowSession:
             guided = follower.guide.update(seen, now_s, follower.position, least_m)
         else:
             return follower.guide.update(fix, now_s, follower.position)
-        return self._looking_around(follower, guided, DETECTION_LIMIT_M + unsure_m, now_s)
+        return self._looking_around(follower, guided, now_s)
 
     def _towed(
         self, follower: FollowerState, fix: LeaderFix, now_s: float, least_m: float
@@ -501,15 +502,20 @@ class FollowSession:
         return replace(guided, age_s=age_s, velocity_mps=(share * north, share * east))
 
     def _looking_around(
-        self, follower: FollowerState, guided: GuidedPoint, hearing_m: float, now_s: float
+        self, follower: FollowerState, guided: GuidedPoint, now_s: float
     ) -> GuidedPoint:
-        """Sweep the nose about the leader's bearing where the sonar could hear it and does not."""
-        if guided.yaw_rad is None or follower.position is None:
+        """Turn the nose to where the leader most likely is, or to both sides to learn where."""
+        offset, here = follower.estimate.offset, follower.position
+        if guided.yaw_rad is None or here is None:
             return guided
-        north_m, east_m, _ = ned_between(follower.position, guided.leader)
-        if math.hypot(north_m, east_m) > hearing_m:
-            return guided
-        return guided
+        if offset.unheard_s(now_s) > LOST_S:
+            north, east = offset.most_likely_m
+            leader = displace(guided.leader, (offset.north_m - north, offset.east_m - east, 0.0))
+            return replace(guided, yaw_rad=bearing_rad(here, leader))
+        across_m = offset.sigma_m(guided.yaw_rad + math.pi / 2.0)
+        unsure_rad = across_m / max(1.0, distance_m(here, guided.leader))
+        off_rad = sway_rad(unsure_rad, now_s)
+        return replace(guided, yaw_rad=wrap_angle_rad(guided.yaw_rad + off_rad))
 
     def _target(self, follower: FollowerState, point: GlobalPosition, now_s: float) -> Any:
         if follower.held_at is None:

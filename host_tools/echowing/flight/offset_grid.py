@@ -132,6 +132,8 @@ class OffsetGrid:
         weights = self._map / self._map.sum()
         self.north_m = float((weights * self._north).sum())
         self.east_m = float((weights * self._east).sum())
+        most = int(weights.argmax())
+        self.most_likely_m = (float(self._north.flat[most]), float(self._east.flat[most]))
         off_n, off_e = self._north - self.north_m, self._east - self.east_m
         self._covariance = (
             float((weights * off_n * off_n).sum()),
