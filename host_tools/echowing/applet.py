@@ -16,7 +16,8 @@ APPLET = "echowing.lua"
 # Where ArduPilot looks for scripts on its card (AP_Scripting, SCRIPTING_DIRECTORY).
 FIRMWARE_FOLDER, SCRIPTS_FOLDER = "APM", "scripts"
 CARD_SCRIPTS = f"{FIRMWARE_FOLDER}/{SCRIPTS_FOLDER}"
-CARD_APPLET = f"{CARD_SCRIPTS}/{APPLET}"
+# On a vehicle's card, and in ArduPilot's SITL, whose card is the folder it runs in.
+CARD_FOLDERS = (CARD_SCRIPTS, SCRIPTS_FOLDER)
 PARAMETER_PREFIX = "ECHO_"
 # How the applet writes a constant, and a row of its table: name, default, lowest, highest.
 _CONSTANT = re.compile(r"^local (\w+) = ([\d.]+)", re.MULTILINE)

@@ -25,7 +25,7 @@ from echowing.setup.apply import (
     write_all,
 )
 from echowing.setup.checks import Finding, Verdict, examine, exit_code
-from echowing.setup.readout import Readout, Reports
+from echowing.setup.readout import CardApplet, Readout, Reports, Role
 from echowing.setup.settings import settings_for
 from echowing.setup.view import as_json, as_lines, differences
 from echowing.sim.parameters import Generation, Parameters
@@ -39,6 +39,8 @@ METRIC = {
     "RNGFND1_TYPE": 10.0,
     "RNGFND1_ORIENT": 0.0,
     "RNGFND1_MAX": 7.65,
+    "WP_ACC": 5.0,
+    "PSC_JERK_NE": 20.0,
 }
 CENTIMETRES = {
     "SERIAL2_BAUD": 115.0,
@@ -46,6 +48,8 @@ CENTIMETRES = {
     "RNGFND1_ORIENT": 0.0,
     "RNGFND1_MAX_CM": 765.0,
     "RTL_SPEED": 500.0,
+    "WPNAV_ACCEL": 500.0,
+    "PSC_JERK_XY": 20.0,
 }
 NEEDED = {
     Generation.V4_5: CENTIMETRES,
@@ -70,7 +74,7 @@ def ready(generation: Generation = Generation.V4_8, **changes: Any) -> Readout:
         "coprocessor_parameters": {"TRACK_RANGE": 450.0},
         "reports": STEADY,
         "takes_range": True,
-        "applet_is_ours": True,
+        "applet_on_card": CardApplet.OURS,
     }
     for key, value in changes.items():
         if key[0].isupper():
@@ -101,7 +105,7 @@ def test_the_factory_needs_just_what_the_docs_say(generation: Generation) -> Non
 
 
 WRONG = [
-    # what is changed, where it shows, what mends it
+    # what is changed, where it shows, what fixes it
     ({"SERIAL2_PROTOCOL": 1.0}, "SERIAL2_PROTOCOL", "param set SERIAL2_PROTOCOL 2"),
     ({"SERIAL2_PROTOCOL": -1.0}, "SERIAL2_PROTOCOL", "restart"),
     ({"SERIAL2_BAUD": 57.0}, "SERIAL2_BAUD", "param set SERIAL2_BAUD 115"),
@@ -121,12 +125,28 @@ WRONG = [
     ({"GUID_OPTIONS": 65.0}, "GUID_OPTIONS", "param set GUID_OPTIONS 1;"),
     ({"GUID_TIMEOUT": 60.0}, "GUID_TIMEOUT", "param set GUID_TIMEOUT 3"),
     ({"RTL_SPEED_MS": 0.0}, "RTL_SPEED_MS", "param set RTL_SPEED_MS 5"),
+    ({"WP_ACC": 2.5}, "WP_ACC", "param set WP_ACC 5;"),
+    ({"WP_ACC": 0.0}, "WP_ACC", "param set WP_ACC 5;"),  # ArduCopter flies 2.5 then
+    ({"PSC_JERK_NE": 5.0}, "PSC_JERK_NE", "param set PSC_JERK_NE 20;"),
+    ({"PSC_JERK_NE": 0.0}, "PSC_JERK_NE", "param set PSC_JERK_NE 20;"),
     ({"ECHO_ENABLE": 0.0}, "ECHO_ENABLE", "param set ECHO_ENABLE 1"),
     ({"ECHO_DIST": 0.5}, "ECHO_DIST", "param set ECHO_DIST 3"),
     ({"ECHO_SPD_MIN": 0.1}, "ECHO_SPD_MIN", "param set ECHO_SPD_MIN 0.2"),
     ({"ECHO_SWITCH": 301.0}, "switch", "param set RC7_OPTION 301"),
-    ({"ECHO_ENABLE": None}, "applet", "echowing setup lua"),
-    ({"applet_is_ours": False}, "applet on the card", "echowing setup lua"),
+    (
+        {"ECHO_ENABLE": None, "applet_on_card": CardApplet.NONE},
+        "applet",
+        "echowing setup lua",
+    ),
+    ({"ECHO_ENABLE": None, "applet_on_card": None}, "applet", "echowing setup lua"),
+    ({"ECHO_ENABLE": None}, "applet", "restart the autopilot"),
+    ({"objections": ["Scripting: Error: ./x.lua:9: boom"]}, "applet", "take that off the card"),
+    (
+        {"coprocessor": None, "reports": None, "signs": True, "takes_range": False},
+        "co-processor",
+        "MAV3_OPTIONS 1 ",
+    ),
+    ({"applet_on_card": CardApplet.ANOTHER}, "applet on the card", "echowing setup lua"),
     ({"ECHO_MIRROR": 10.0, "WP_SPD": 0.2}, "WP_SPD", "restart the autopilot or its scripts"),
     ({"coprocessor": None, "reports": None}, "co-processor", "look at the wires"),
     ({"coprocessor_status": 5}, "co-processor", "SONAR_ADDR"),
@@ -138,14 +158,14 @@ WRONG = [
 ]
 
 
-@pytest.mark.parametrize(("changes", "about", "mend"), WRONG)
-def test_one_thing_wrong_is_one_line_that_mends_it(
-    changes: dict[str, Any], about: str, mend: str
+@pytest.mark.parametrize(("changes", "about", "fix"), WRONG)
+def test_one_thing_wrong_is_one_line_that_fixes_it(
+    changes: dict[str, Any], about: str, fix: str
 ) -> None:
     odd = odd_ones(ready(**changes))
     assert list(odd) == [about]
     assert odd[about].verdict is Verdict.WRONG
-    assert mend in odd[about].mend
+    assert fix in odd[about].fix
     assert odd[about].why
     assert exit_code(examine(ready(**changes))) == 1
 
@@ -187,6 +207,8 @@ def test_what_does_well_enough_is_let_be() -> None:
         SCR_HEAP_SIZE=307_200.0,
         GUID_OPTIONS=9.0,
         RTL_SPEED_MS=3.0,
+        WP_ACC=6.0,
+        PSC_JERK_NE=30.0,
     )
     assert odd_ones(fine) == {}
     assert changes_for(fine) == []
@@ -205,13 +227,24 @@ def test_what_cannot_be_told_is_neither_fine_nor_wrong() -> None:
     readout = ready(SCR_HEAP_SIZE=None)
     assert odd_ones(readout)["SCR_HEAP_SIZE"].verdict is Verdict.UNKNOWN
     assert exit_code(examine(readout)) == 2
-    assert "SCR_ENABLE is 1" in odd_ones(readout)["SCR_HEAP_SIZE"].mend
+    assert "SCR_ENABLE is 1" in odd_ones(readout)["SCR_HEAP_SIZE"].fix
     hidden = odd_ones(ready(RNGFND1_ORIENT=None))["RNGFND1_ORIENT"]
-    assert "shown once the rangefinder's TYPE is set" in hidden.mend
+    assert "shown once the rangefinder's TYPE is set" in hidden.fix
     no_copter = ready(WP_SPD=None)
     assert "neither WP_SPD nor WPNAV_SPEED" in odd_ones(no_copter)["speed parameter"].found
+    assert odd_ones(ready(WP_ACC=None))["WP_ACC"].verdict is Verdict.UNKNOWN
+    assert odd_ones(ready(PSC_JERK_NE=None))["PSC_JERK_NE"].verdict is Verdict.UNKNOWN
     both = ready(SCR_HEAP_SIZE=None, RTL_SPEED_MS=0.0)
     assert exit_code(examine(both)) == 1
+
+
+def test_limits_are_judged_in_the_units_of_the_generation() -> None:
+    old = Generation.V4_6
+    slow = odd_ones(ready(old, WPNAV_ACCEL=250.0, PSC_JERK_XY=5.0))
+    assert set(slow) == {"WPNAV_ACCEL", "PSC_JERK_XY"}
+    assert "param set WPNAV_ACCEL 500;" in slow["WPNAV_ACCEL"].fix
+    assert "param set PSC_JERK_XY 20;" in slow["PSC_JERK_XY"].fix
+    assert odd_ones(ready(old, WPNAV_ACCEL=600.0)) == {}
 
 
 def test_without_a_port_named_the_ports_are_left_alone_and_listed() -> None:
@@ -221,7 +254,7 @@ def test_without_a_port_named_the_ports_are_left_alone_and_listed() -> None:
         serial_port=None, coprocessor=None, reports=None, SERIAL4_PROTOCOL=2.0, SERIAL4_BAUD=115.0
     )
     # SERIAL0 is USB; 2 and 4 are MAVLink at 115200 baud.
-    assert "is now on: SERIAL2, SERIAL4" in odd_ones(unheard)["co-processor"].mend
+    assert "is now on: SERIAL2, SERIAL4" in odd_ones(unheard)["co-processor"].fix
 
 
 def test_a_second_rangefinder_may_be_ours() -> None:
@@ -259,6 +292,49 @@ def test_the_pages_for_people_say_the_same(page: str) -> None:
     assert {"SERIAL2_BAUD", "SERIAL2_PROTOCOL", "RNGFND1_TYPE"} <= set(compared)
     for name in compared:
         assert fits[name](float(rows[name])), name
+
+
+def test_the_applets_absence_has_a_reason() -> None:
+    off = ready(ECHO_ENABLE=None, SCR_ENABLE=0.0, applet_on_card=CardApplet.NONE)
+    assert odd_ones(off)["applet"].found == "does not run: scripting is off"
+    # The autopilot's own reason comes before all guesses.
+    told = "Scripting: Error: ./scripts/echowing.lua:673: too many l"
+    failed = ready(ECHO_ENABLE=None, objections=[told, "GPS 1: Bad fix"])
+    odd = odd_ones(failed)
+    assert odd["applet"].found == told
+    assert (odd["arming"].found, odd["arming"].verdict) == ("GPS 1: Bad fix", Verdict.YOURS)
+
+
+def test_signing_silences_the_co_processor_and_the_fix_is_named() -> None:
+    unheard: dict[str, Any] = {
+        "coprocessor": None,
+        "reports": None,
+        "signs": True,
+        "takes_range": False,
+    }
+    # MAVn counts MAVLink ports: without SERIAL1 the co-processor's is the second.
+    second = odd_ones(ready(SERIAL1_PROTOCOL=-1.0, MAV2_OPTIONS=4.0, **unheard))["co-processor"]
+    assert "param set MAV2_OPTIONS 5 " in second.fix
+    exempt = odd_ones(ready(MAV3_OPTIONS=1.0, **unheard))["co-processor"]
+    assert "look at the wires" in exempt.fix
+    old = odd_ones(ready(Generation.V4_6, **unheard))["co-processor"]
+    assert "only the USB port" in old.fix
+    assert "update to 4.7" in old.fix
+    unnamed = odd_ones(ready(serial_port=None, **unheard))["co-processor"]
+    assert "--serial 2" in unnamed.fix
+    assert odd_ones(ready(signs=True)) == {}  # heard: nothing is dropped
+    # On a signed link what is passed on without a signature is not believed, but the range counts.
+    assert odd_ones(ready(**{**unheard, "takes_range": True})) == {}
+
+
+def test_a_leader_is_not_judged_as_a_follower() -> None:
+    bare = Readout({**factory(), **PILOTS})
+    assert [one for one in examine(bare, Role.LEADER) if one.verdict is not Verdict.FINE] == []
+    assert exit_code(examine(bare)) == 1
+    careless = Readout({**factory(), "ECHO_ENABLE": 1.0, "ECHO_STREAM_T": 0.0})
+    doubts = {one.about for one in examine(careless, Role.LEADER) if one.verdict is Verdict.YOURS}
+    assert doubts == {"ECHO_ENABLE", "FS_GCS_ENABLE", "BATT_FS_LOW_ACT", "FENCE_ENABLE"}
+    assert exit_code(examine(careless, Role.LEADER)) == 0
 
 
 # ---- what is printed --------------------------------------------------------------------------

@@ -74,6 +74,8 @@ BEFORE = {
     "RNGFND1_ORIENT",
     "RNGFND1_MAX_CM",
     "RTL_SPEED",
+    "WPNAV_ACCEL",
+    "PSC_JERK_XY",
 }
 
 
@@ -108,7 +110,7 @@ def test_killed_in_the_middle_of_writing_everything_can_be_put_back(
     tool.kill()
     assert set(load(file).parameters) == BEFORE - {"co-processor", "applet"}
     said = parked.done("restore", str(file), code=0)
-    assert "5 of 5 written and read back" in said
+    assert "7 of 7 written and read back" in said
     said = parked.done("check", "--serial", "2", "--json", code=1)
     told = json.loads(said[said.index("{") :])
     found = {one["about"]: one["found"] for one in told["findings"]}

@@ -58,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The verb's options."""
     parser.epilog = EXAMPLES
     parts = parser.add_subparsers(dest="part", metavar="PART", required=True)
-    _add_check(_part(parts, "check", "is the vehicle ready? what is wrong, and how to mend it"))
+    _add_check(_part(parts, "check", "is the vehicle ready? what is wrong, and how to fix it"))
     _add_apply(_part(parts, "apply", "write what is wrong, the old values kept in a file"))
     _add_restore(_part(parts, "restore", "put back the values that apply has kept"))
     _add_lua(_part(parts, "lua", "the applet, onto the autopilot's SD card"))

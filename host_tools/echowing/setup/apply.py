@@ -56,7 +56,7 @@ Write = Callable[[str, float], float]
 def changes_for(readout: Readout) -> list[Change]:
     """What has to be written: settings that are there and do not fit, but not what is spared."""
     return [
-        Change(one.name, value, one.mended(value), one.why, one.restart)
+        Change(one.name, value, one.fixed(value), one.why, one.restart)
         for one in settings_for(readout)
         if (value := readout.parameters.get(one.name)) is not None
         and not one.fits(value)

@@ -36,7 +36,7 @@ def as_json(system_id: int, readout: Readout, findings: Sequence[Finding]) -> di
                 "verdict": one.verdict.value,
                 "found": one.found,
                 "why": one.why,
-                "mend": one.mend,
+                "fix": one.fix,
             }
             for one in findings
         ],
@@ -44,7 +44,7 @@ def as_json(system_id: int, readout: Readout, findings: Sequence[Finding]) -> di
 
 
 def as_lines(system_id: int, readout: Readout, findings: Sequence[Finding]) -> Iterator[str]:
-    """A check's result to read: what is not fine with why, and what mends it."""
+    """A check's result to read: what is not fine with why, and what fixes it."""
     firmware = "" if readout.version is None else " {}.{}".format(*readout.version)
     yield f"vehicle {system_id}, ArduCopter{firmware}, {'armed' if readout.armed else 'disarmed'}"
     folded = [one for one in findings if _is_dull(one)]
@@ -53,7 +53,7 @@ def as_lines(system_id: int, readout: Readout, findings: Sequence[Finding]) -> I
             continue
         yield f"{_MARKS[one.verdict]}  {one.about:<22} {one.found}"
         if one.verdict is not Verdict.FINE:
-            yield from (f"         {text}" for text in (one.why, one.mend) if text)
+            yield from (f"         {text}" for text in (one.why, one.fix) if text)
     if folded:
         about = f"{PARAMETER_PREFIX}…"
         yield f"{_MARKS[Verdict.FINE]}  {about:<22} {len(folded)} parameters within their ranges"
@@ -76,7 +76,7 @@ def differences(readout: Readout, changes: Sequence[Change]) -> Iterator[str]:
     for setting in settings_for(readout):
         found = judge(setting, readout)
         if found is not None and found.verdict is not Verdict.FINE and found.about not in written:
-            yield _row(found.about, f"{found.found}, left alone: {found.why}; {found.mend}")
+            yield _row(found.about, f"{found.found}, left alone: {found.why}; {found.fix}")
     for found in examine(readout):
         if found.verdict is Verdict.YOURS:
             yield _row(found.about, f"{found.found} stays, it is yours to decide: {found.why}")

@@ -7,6 +7,7 @@ from typing import Any
 
 from echowing.geo import Ned
 from echowing.paths import lua_folder
+from echowing.setup.settings import ACCELERATION_MPS2, JERK_MPS3
 from echowing.sim.autopilot import Autopilot
 from echowing.sim.coprocessor import NativeCoprocessor
 from echowing.sim.copter import Copter
@@ -94,6 +95,10 @@ class Hangar:
         scenario = self.scenario
         modern = scenario.follower.autopilot_generation() in (Generation.V4_7, Generation.V4_8)
         speed = {"WP_SPD": speed_mps} if modern else {"WPNAV_SPEED": speed_mps * 100.0}
+        if modern:
+            limits = {"WP_ACC": ACCELERATION_MPS2, "PSC_JERK_NE": JERK_MPS3}
+        else:
+            limits = {"WPNAV_ACCEL": ACCELERATION_MPS2 * 100.0, "PSC_JERK_XY": JERK_MPS3}
         applet: dict[str, float] = {}
         if scenario.law != "none":
             applet = {"ECHO_ENABLE": 1.0, "ECHO_LAW": LAWS[scenario.law], **scenario.applet}
@@ -102,6 +107,7 @@ class Hangar:
             "RNGFND1_ORIENT": 0.0,
             "SCR_ENABLE": 1.0,
             **speed,
+            **limits,
             **applet,
             **scenario.follower.parameters,
         }

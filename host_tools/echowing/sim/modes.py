@@ -48,6 +48,7 @@ class Arming:
         self._parameters = parameters
         self._rangefinder = rangefinder
         self._answers: list[str | bool | None] = []
+        self.script_error: str | None = None
 
     def new_id(self) -> int | None:
         """Reserve an authorisation; None: all are taken."""
@@ -69,11 +70,14 @@ class Arming:
     def forget_scripts(self) -> None:
         """Scripting starts again (AP_Arming, reset_all_aux_auths): no authorisation is reserved."""
         self._answers.clear()
+        self.script_error = None
 
     def objection(self) -> str | None:
         """The first reason not to arm; None: there is none."""
         if self._checks(_CHECK_RANGEFINDER) and self._rangefinder.status == NO_DATA:
             return "Rangefinder 1: No Data"
+        if self.script_error is not None:  # AP_Scripting.cpp, arming_checks
+            return f"Scripting: {self.script_error}"
         if self._checks(_CHECK_AUX_AUTH):
             for answer in self._answers:
                 if isinstance(answer, str):
@@ -304,6 +308,10 @@ class FlightModes:
         if t_s - self._told_s < _PREARM_TEXT_PERIOD_S:
             return
         self._told_s = t_s
+        self.tell_objection()
+
+    def tell_objection(self) -> None:
+        """Say why the vehicle would not arm, if it would not."""
         reason = self._arming.objection()
         if reason is not None:
             self._say(mavlink.MAV_SEVERITY_CRITICAL, f"PreArm: {reason}")
