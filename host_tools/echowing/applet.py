@@ -111,6 +111,19 @@ def install_over_link(
     return True
 
 
+def scripts_folder(card: FtpClient) -> str:
+    """Where this vehicle has its scripts: on its SD card, or as ArduPilot's SITL has them."""
+    for folder, parent in ((CARD_SCRIPTS, FIRMWARE_FOLDER), (SCRIPTS_FOLDER, SCRIPTS_FOLDER)):
+        try:
+            card.entries(parent)
+        except FtpRefusedError as refusal:
+            if not refusal.not_there:
+                raise
+        else:
+            return folder
+    return CARD_SCRIPTS
+
+
 def _find_scripts(card: FtpClient, scripts: str) -> None:
     """See that there is a card, and make the folder on it."""
     parent = scripts.rpartition("/")[0]

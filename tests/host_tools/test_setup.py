@@ -1,10 +1,11 @@
 """`echowing setup`: the judgements, each alone; writing and putting back; files of old values."""
 
+import io
 import json
 import math
 import re
 from collections.abc import Mapping
-from datetime import datetime
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +21,14 @@ from echowing.setup.apply import (
     Saved,
     changes_for,
     default_file,
+    hidden_for,
     load,
+    others_of,
     save,
     write_all,
 )
 from echowing.setup.checks import Finding, Verdict, examine, exit_code
+from echowing.setup.job import Work
 from echowing.setup.readout import CardApplet, Readout, Reports, Role
 from echowing.setup.settings import settings_for
 from echowing.setup.view import as_json, as_lines, differences
@@ -194,7 +198,7 @@ def test_the_pilots_own_is_reported_and_never_written(changes: dict[str, Any], a
     assert odd[about].verdict is Verdict.YOURS
     assert exit_code(examine(readout)) == 0
     assert changes_for(readout) == []
-    assert any("stays, it is yours" in line for line in differences(readout, []))
+    assert any("stays, it is yours" in line for line in differences(readout, [], {}))
 
 
 def test_what_does_well_enough_is_let_be() -> None:
@@ -272,7 +276,7 @@ def test_a_second_rangefinder_may_be_ours() -> None:
 def test_a_sensor_of_the_pilots_is_never_overwritten() -> None:
     readout = ready(RNGFND1_TYPE=8.0)
     assert changes_for(readout) == []
-    told = "\n".join(differences(readout, []))
+    told = "\n".join(differences(readout, [], {}))
     assert "another sensor is set up there, left alone" in told
 
 
@@ -343,7 +347,7 @@ def test_a_leader_is_not_judged_as_a_follower() -> None:
 def test_lines_say_why_and_what_to_type_and_fold_what_is_dull() -> None:
     readout = ready(RTL_SPEED_MS=0.0, version=(4, 8))
     lines = list(as_lines(2, readout, examine(readout)))
-    assert lines[0] == "vehicle 2, ArduCopter 4.8, disarmed"
+    assert lines[0] == "vehicle 2, ArduCopter 4.8, disarmed, as a follower"
     at = next(i for i, line in enumerate(lines) if line.startswith("WRONG"))
     assert lines[at].split() == ["WRONG", "RTL_SPEED_MS", "0"]
     assert "flies at the speed parameter" in lines[at + 1]
@@ -351,6 +355,15 @@ def test_lines_say_why_and_what_to_type_and_fold_what_is_dull() -> None:
     assert not any("ECHO_TAU" in line for line in lines)
     assert any("26 parameters within their ranges" in line for line in lines)
     assert lines[-1].startswith("1 wrong, ")
+
+
+def test_no_label_runs_into_what_was_found() -> None:
+    findings = [
+        Finding("range in the autopilot", Verdict.FINE, "it"),
+        Finding("x", Verdict.FINE, "y"),
+    ]
+    lines = list(as_lines(2, ready(), findings))
+    assert lines[1:3] == ["fine   range in the autopilot it", "fine   x                      y"]
 
 
 def test_json_holds_every_finding() -> None:
@@ -392,7 +405,7 @@ def silent(name: str) -> None:
 def test_the_file_is_whole_before_the_first_write(tmp_path: Path) -> None:
     path = tmp_path / "old.json"
     save(path, 2, CHANGES, NOW)
-    assert load(path) == Saved(2, {"A": 1.0, "B": 0.1, "C": 5.0})
+    assert load(path) == Saved(2, {"A": 1.0, "B": 0.1, "C": 5.0}, "2026-11-21T09:30:00")
     assert [one.name for one in tmp_path.iterdir()] == ["old.json"]
 
 
@@ -434,23 +447,64 @@ class Standing:
         return value
 
 
-def test_interrupted_it_says_how_to_go_back(capsys: pytest.CaptureFixture[str]) -> None:
+def test_interrupted_it_says_how_to_go_back() -> None:
     vehicle: Any = Standing()
+    told: list[str] = []
     values = [(change.name, change.new) for change in CHANGES]
-    assert setup._write(vehicle, values, "back: echowing setup restore F --vehicle V") is None
+    work = Work(vehicle, "V", told.append, restart=False)
+    assert work.write(values, "back: echowing setup restore F --vehicle V") is None
     assert vehicle.written == ["A"]
-    told = capsys.readouterr().err
-    assert "only some values are written; back: echowing setup restore F" in told
+    assert "only some values are written; back: echowing setup restore F" in told[-1]
 
 
-def test_an_older_file_is_never_overwritten(tmp_path: Path) -> None:
+def test_the_oldest_values_stay_where_a_file_is_added_to(tmp_path: Path) -> None:
+    path = tmp_path / "old.json"
+    save(path, 2, CHANGES[:2], NOW)
+    later = [Change("B", 0.2, 0.3), Change("D", 7.0, 8.0)]
+    save(path, 2, later, NOW + timedelta(hours=1))
+    assert load(path) == Saved(2, {"A": 1.0, "B": 0.1, "D": 7.0}, "2026-11-21T09:30:00")
+    assert list(load(path).parameters) == ["A", "B", "D"]  # put back in reverse
+
+
+def test_a_file_of_anything_else_is_never_overwritten(tmp_path: Path) -> None:
     path = tmp_path / "old.json"
     save(path, 2, CHANGES, NOW)
-    with pytest.raises(EchowingError, match="is there already, and holds older values"):
-        save(path, 2, CHANGES[:1], NOW)
-    assert len(load(path).parameters) == 3
+    with pytest.raises(EchowingError, match="is of vehicle 2; name another file"):
+        save(path, 3, CHANGES, NOW)
+    assert load(path).system_id == 2
+    letter = tmp_path / "letter.txt"
+    letter.write_text("Dear pilot")
+    with pytest.raises(EchowingError, match="not a file of saved parameters"):
+        save(letter, 2, CHANGES, NOW)
+    assert letter.read_text() == "Dear pilot"
     with pytest.raises(EchowingError, match="nothing was changed"):
         save(tmp_path / "missing" / "old.json", 2, CHANGES, NOW)
+
+
+def test_files_of_other_applies_are_found_the_newest_first(tmp_path: Path) -> None:
+    files = [tmp_path / f"{name}.params.json" for name in ("c", "a", "b")]
+    for hours, path in enumerate(files):
+        save(path, 2, CHANGES, NOW + timedelta(hours=hours))
+    save(tmp_path / "other.params.json", 3, CHANGES, NOW)
+    (tmp_path / "broken.params.json").write_text("{")
+    assert [path.name[0] for path, _ in others_of(files[1], 2)] == ["b", "c"]
+
+
+def test_what_hides_is_announced() -> None:
+    hides: dict[str, Any] = {"RNGFND1_ORIENT": None, "RNGFND1_MIN": None, "SCR_HEAP_SIZE": None}
+    readout = ready(ECHO_ENABLE=None, applet_on_card=CardApplet.NONE, **hides)
+    hidden = hidden_for(readout)
+    assert hidden == {
+        "RNGFND1_ORIENT": 0.0,
+        "RNGFND1_MIN": 0.2,
+        "SCR_HEAP_SIZE": 204_800.0,
+        "ECHO_ENABLE": 1.0,
+    }
+    told = "\n".join(differences(readout, [], hidden))
+    assert "-> 0.2 after the restart" in told
+    assert "left alone" not in told
+    # A firmware without scripting shows nothing later.
+    assert "SCR_HEAP_SIZE" not in hidden_for(ready(SCR_ENABLE=None, SCR_HEAP_SIZE=None))
 
 
 def test_the_files_name_says_whose_and_when() -> None:
@@ -488,6 +542,23 @@ def test_what_no_parameter_can_be_is_not_put_back(name: str, value: float, tmp_p
     path.write_text(json.dumps(content), encoding="utf-8")
     with pytest.raises(EchowingError, match="a parameter that is no number"):
         load(path)
+
+
+@pytest.mark.parametrize(
+    ("typed", "yes"), [("y\n", True), ("YES\n", True), ("\n", False), ("n\n", False), ("y", True)]
+)
+def test_the_answer_may_come_through_a_pipe(
+    typed: str, yes: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO(typed))
+    assert setup.agreed("Write these to vehicle 2 on V? [y/N] ") is yes
+    assert capsys.readouterr().out == "Write these to vehicle 2 on V? [y/N] "
+
+
+def test_where_nobody_answers_nothing_is_taken_for_granted(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO(""))
+    with pytest.raises(EchowingError, match="nobody is there to ask; give --yes"):
+        setup.agreed("? ")
 
 
 # ---- the command line, where no vehicle is needed ---------------------------------------------

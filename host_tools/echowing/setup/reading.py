@@ -187,13 +187,16 @@ def _reports(heard: Sequence[Heard], start_s: float, end_s: float) -> Reports | 
     return Reports(len(heard), end_s - start_s, longest_s, newest.orientation, newest.id)
 
 
-def applet_on_card(vehicle: Vehicle) -> CardApplet | None:
-    """Compare the applet on the card with ours by its checksum; None: no answer."""
+def applet_on_card(vehicle: Vehicle, folder: str | None = None) -> CardApplet | None:
+    """Compare the applet on the card with ours by its checksum; None: no answer.
+
+    folder: of the scripts; where it is not given, those that ArduPilot uses are looked at.
+    """
     card = FtpClient(vehicle, give_up_s=FILE_TIMEOUT_S)
     ours = ardupilot_crc32(applet_path().read_bytes())
-    for folder in CARD_FOLDERS:
+    for place in CARD_FOLDERS if folder is None else (folder,):
         try:
-            found = card.checksum(f"{folder}/{APPLET}")
+            found = card.checksum(f"{place}/{APPLET}")
         except NoAnswerError:
             return None
         except FtpRefusedError as refusal:

@@ -104,10 +104,10 @@ class Vehicle:
         """Send a message to the vehicle."""
         self._link.send(message, self._clock())
 
-    def poll(self, timeout_s: float = POLL_S) -> list[Heard]:
+    def poll(self, timeout_s: float = POLL_S, silence_s: float = SILENCE_S) -> list[Heard]:
         """What has come from the vehicle's system; waits at most `timeout_s` for something.
 
-        Raises EchowingError once its autopilot has been silent for `SILENCE_S`.
+        Raises EchowingError once its autopilot has been silent for `silence_s`.
         """
         if self._clock() - self._beat_s >= HEARTBEAT_PERIOD_S:
             self._beat_s = self._clock()
@@ -121,9 +121,9 @@ class Vehicle:
         ]
         for one in heard:
             self._notice(one)
-        if now_s - self._heard_s > SILENCE_S:
+        if now_s - self._heard_s > silence_s:
             raise EchowingError(
-                f"{self.name} is silent: nothing heard of its autopilot for {SILENCE_S:g} s; "
+                f"{self.name} is silent: nothing heard of its autopilot for {silence_s:g} s; "
                 "look at the link, then try again"
             )
         return heard
@@ -164,6 +164,11 @@ class Vehicle:
         # What was sent while the link came up is lost; nobody's messages are passed on to a link
         # where nobody has been heard.
         self._beat_s = -math.inf
+
+    def forget(self) -> None:
+        """Know nothing of the vehicle's state, as it is starting again; `armed` until heard."""
+        self.base_mode = self.mode = None
+        self.texts.clear()
 
     def look_again(self) -> None:
         """Wait for a new heartbeat, after a time in which nobody has listened."""
