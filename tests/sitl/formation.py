@@ -35,6 +35,9 @@ DRIFT_PERIOD_S = 0.5
 BOOT_SPEEDUP = 8.0
 # Two receivers' clocks are the same when what they say at 2 m/s is the same within 4 cm.
 CLOCKS_S = 0.02
+# As the emulator says that it does not keep up, and how late a datagram may be for its sonar.
+SLOW_EMULATOR = "too slow for real time"
+FED_LATE_S = 0.15
 # Below, the autopilots' time-outs and the ages of what they say are not those of a real flight.
 REAL_TIME = 0.98
 SERIAL = "2"  # the co-processor's
@@ -135,10 +138,11 @@ class Formation:
         self.kit, self.folder = kit, folder
         self._rng = random.Random(seed)
         self._stack = contextlib.ExitStack()
-        self.began_s = time.monotonic()
+        self._tools: list[Tool] = []
+        self.followers: list[Follower] = []
         with self._guarded():
             self.leader = self._vehicle(LEADER, folder / "leader", 0.0, fresh=True)
-            self.followers = [self._follower(number) for number in range(followers)]
+            self.followers += [self._follower(number) for number in range(followers)]
             for follower in self.followers:
                 follower.feeder.scene = self.scene(follower.vehicle)
             self.leader_link = self._link(self.leader, latency_s)
@@ -150,7 +154,7 @@ class Formation:
         try:
             yield
         except BaseException:
-            self.close()
+            self._stack.close()
             raise
 
     def _vehicle(self, system_id: int, folder: Path, south_m: float, *, fresh: bool) -> Vehicle:
@@ -245,6 +249,7 @@ class Formation:
         log = ["--log", str(self.folder / "log")]
         tool = Tool("follow", *seats, *radius, *engaged, *log, "--json", *more)
         self._stack.callback(tool.kill)
+        self._tools.append(tool)
         return tool
 
     def fly_in_formation(self, *more: str) -> Tool:
@@ -290,13 +295,25 @@ class Formation:
         )
 
     def note(self, since_s: float) -> str:
-        """What has to stand beside a figure: simulated time that did not keep up."""
+        """What has to stand beside a figure: a machine that did not keep up since then."""
         pace = min(vehicle.pace(since_s) for vehicle in self.everybody)
-        return "" if pace > REAL_TIME else f"slow: {pace:.2f} of real time"
+        gap_s = max(truth.longest_gap_s(v.heard.truth, since_s) for v in self.everybody)
+        late = any(SLOW_EMULATOR in line for f in self.followers for line in f.emulator.lines)
+        notes = [
+            f"slow: {pace:.2f} of real time" if pace < REAL_TIME else "",
+            f"sonar fed {gap_s:.1f} s late" if gap_s > FED_LATE_S else "",
+            "emulator too slow" if late else "",
+        ]
+        return "; ".join(filter(None, notes))
 
     def close(self) -> None:
-        """End all that was started."""
+        """End all that was started, and write down what it has said and where it truly was."""
+        for vehicle in self.everybody:
+            truth.write(self.folder / f"truth-{vehicle.system_id}.csv", vehicle.heard.truth)
         self._stack.close()
+        for tool in self._tools:
+            lines = [f"{line}\n" for line in tool.lines]
+            (self.folder / f"{tool.name}.txt").write_text("".join(lines))
 
 
 def _catch_up(vehicle: Vehicle, behind_s: float) -> None:
@@ -318,9 +335,8 @@ def _catch_up(vehicle: Vehicle, behind_s: float) -> None:
 
 
 def still(vehicle: Vehicle, within_s: float) -> float:
-    """How long it takes until the vehicle stands for good: slower than 0.3 m/s for a second."""
-    began_s = time.monotonic()
-    moved_s = began_s
+    """Seconds from now until the vehicle stands for good: slower than 0.3 m/s for a second."""
+    began_s = moved_s = time.monotonic()
     while time.monotonic() - moved_s < 1.0:
         time.sleep(0.02)
         if vehicle.speed_mps > 0.3:
@@ -334,3 +350,8 @@ def rectangle(formation: Formation, laps: int = 3) -> Sequence[GlobalPosition]:
     """The demo's way: 60 m north, 40 m east, and back."""
     lap = ((60.0, 0.0), (60.0, 40.0), (0.0, 40.0), (0.0, 0.0))
     return [formation.place(*corner) for _ in range(laps) for corner in lap]
+
+
+def rest(duration_s: float) -> None:
+    """Let them fly."""
+    time.sleep(max(0.0, duration_s))

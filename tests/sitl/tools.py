@@ -23,6 +23,7 @@ class Tool(Process):
 
     def __init__(self, *arguments: str) -> None:
         self._arguments = arguments
+        self.name = arguments[0]
         super().__init__(*arguments, under=UNDER)
 
     def wait_for(

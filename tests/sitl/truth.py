@@ -1,6 +1,8 @@
 """What a flight truly was: figures from the simulated positions, by the product's definitions."""
 
+import csv
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import pymap3d
@@ -29,6 +31,25 @@ def at_times(states: Sequence[State], times_s: Floats) -> Floats:
     heard_s = np.array([state.time_s for state in states])
     track = track_ned_m(states)
     return np.column_stack([np.interp(times_s, heard_s, track[:, axis]) for axis in range(3)])
+
+
+def longest_gap_s(states: Sequence[State], since_s: float) -> float:
+    """The longest time for which nothing was heard of where it is."""
+    heard_s = [state.time_s for state in list(states) if state.time_s >= since_s]
+    return float(np.max(np.diff(heard_s), initial=0.0))
+
+
+def write(path: Path, states: Sequence[State]) -> None:
+    """A track as a CSV: our clock, NED metres about the origin, the nose."""
+    rows = list(states)
+    if not rows:
+        return
+    with path.open("w", newline="", encoding="utf-8") as file:
+        table = csv.writer(file)
+        table.writerow(("time_s", "north_m", "east_m", "down_m", "yaw_rad"))
+        for state, place in zip(rows, track_ned_m(rows), strict=True):
+            numbers = (state.time_s, *place, state.yaw_rad)
+            table.writerow([f"{number:.3f}" for number in numbers])
 
 
 def between(states: Sequence[State], from_s: float, to_s: float) -> list[State]:

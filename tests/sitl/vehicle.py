@@ -31,12 +31,15 @@ from .tools import UNDER
 
 # Anywhere will do; heights and distances count from here.
 ORIGIN = GlobalPosition(47.0, 8.0, 450.0)
-AUTO, GUIDED, LOITER, STABILIZE, RTL = 3, 4, 5, 0, 6
+AUTO, GUIDED, LOITER, LAND = 3, 4, 5, 9
 GROUND_STATION = 255  # SYSID_MYGCS, MAV_GCS_SYSID: whose RC overrides count
 COMPONENT = mavlink.MAV_COMP_ID_MISSIONPLANNER
 
 # SERIAL0, 1 and 2 of instance 0; ten more for each further instance.
 PORTS = (5760, 5762, 5763)
+# MAVLink counts the time of signatures from here: 2015-01-01, UTC.
+SIGNING_EPOCH_UNIX_S = 1_420_070_400
+SIGNING_LINK = 77  # no tool's
 ANSWER_S = 0.5  # then it is asked again
 PATIENCE_S = 30.0
 BOOT_S = 120.0  # until it can be armed, on a busy machine
@@ -526,9 +529,9 @@ class Vehicle:
         )
         self.every("fly", 0.1, lambda: self.send(target))
 
-    def go_to(self, point: GlobalPosition, height_m: float) -> None:
+    def go_to(self, point: GlobalPosition, height_m: float, yaw_rad: float | None = None) -> None:
         """Fly to a point and stay there: the same target eight times a second."""
-        target = position_target(self.system_id, point, height_m, None, 0.0)
+        target = position_target(self.system_id, point, height_m, yaw_rad, 0.0)
         self.every("fly", 0.125, lambda: self.send(target))
 
     def hands_off(self) -> None:
@@ -580,6 +583,25 @@ class Vehicle:
         more = [channels.get(number, 65_534) for number in range(9, 19)]
         message = mavlink.MAVLink_rc_channels_override_message(self.system_id, 1, *pulses, *more)
         self.every("override", 0.2, lambda: self.send(message))
+
+    def restart_scripts(self) -> None:
+        """Stop the scripts and load them anew."""
+        self.send(
+            mavlink.MAVLink_command_int_message(
+                *(self.system_id, 1, mavlink.MAV_FRAME_GLOBAL),
+                mavlink.MAV_CMD_SCRIPTING,
+                *(0, 0, mavlink.SCRIPTING_CMD_STOP_AND_RESTART, 0, 0, 0, 0, 0, 0),
+            )
+        )
+
+    def sign(self, key: bytes) -> None:
+        """Have it sign and believe only what is signed, as its ground station from now on does."""
+        now = round((time.time() - SIGNING_EPOCH_UNIX_S) * 1e5)  # ten microseconds
+        self.send(mavlink.MAVLink_setup_signing_message(self.system_id, 1, list(key), now))
+        with self._sending:
+            signing = self._packer.signing
+            signing.secret_key, signing.link_id = key, SIGNING_LINK
+            signing.timestamp, signing.sign_outgoing = now, True
 
     def speed_up(self, factor: float) -> None:
         """How fast its time passes."""
