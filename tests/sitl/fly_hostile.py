@@ -63,7 +63,7 @@ MANOEUVRES: dict[str, Callable[[Formation], None]] = {
 }
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, 2], ids=["seed1", "seed2"])
 @pytest.mark.parametrize("manoeuvre", MANOEUVRES)
 def test_leader(start: Start, table: list[Entry], manoeuvre: str, seed: int) -> None:
     formation = start(seed)

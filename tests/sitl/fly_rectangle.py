@@ -20,7 +20,7 @@ LINKS = {"0.46s": (0.46, 4.0), "0.05s": (0.05, 10.0)}
 
 
 @pytest.mark.parametrize("link", LINKS)
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, 2], ids=["seed1", "seed2"])
 def test_rectangle(start: Start, table: list[Entry], link: str, seed: int) -> None:
     latency_s, rate_hz = LINKS[link]
     formation = start(seed, latency_s=latency_s)

@@ -139,6 +139,7 @@ class Formation:
         self._rng = random.Random(seed)
         self._stack = contextlib.ExitStack()
         self._tools: list[Tool] = []
+        self.armed_s = math.nan
         self.followers: list[Follower] = []
         with self._guarded():
             self.leader = self._vehicle(LEADER, folder / "leader", 0.0, fresh=True)
@@ -234,9 +235,10 @@ class Formation:
                 _catch_up(vehicle, max(ahead_s) - one_s)
 
     def take_off(self) -> None:
-        """Everybody armed in Guided and up; the leader first."""
+        """Everybody armed in Guided and up; the leader first. The last has its log from then on."""
         for vehicle in self.everybody:
             vehicle.arm()
+            self.armed_s = time.monotonic()
             vehicle.take_off(HEIGHT_M)
 
     def follow(self, *more: str, radius_m: float | None = RADIUS_M, engage: bool = True) -> Tool:
