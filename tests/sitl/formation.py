@@ -121,8 +121,8 @@ class Follower:
 class Formation:
     """A leader and its followers, started, their clocks alike and their receivers drifting.
 
-    latency_s: of the leader's link, each way. drifting: whether the receivers wander. leaders: 0
-    for a follower alone.
+    latency_s: of the leader's link, each way. drifting: whether the receivers wander. key: all
+    sign with it; those that are signed have to have the time of day, so they start at its pace.
     """
 
     def __init__(
@@ -134,8 +134,9 @@ class Formation:
         followers: int = 1,
         latency_s: float = LEADER_LATENCY_S,
         drifting: bool = True,
+        key: bytes | None = None,
     ) -> None:
-        self.kit, self.folder = kit, folder
+        self.kit, self.folder, self._key = kit, folder, key
         self._rng = random.Random(seed)
         self._stack = contextlib.ExitStack()
         self._tools: list[Tool] = []
@@ -159,9 +160,13 @@ class Formation:
             raise
 
     def _vehicle(self, system_id: int, folder: Path, south_m: float, *, fresh: bool) -> Vehicle:
-        at_ned_m = (-south_m, 0.0, 0.0)
         vehicle = Vehicle(
-            self.kit.binary, system_id, folder, fresh=fresh, at_ned_m=at_ned_m, speedup=BOOT_SPEEDUP
+            self.kit.binary,
+            system_id,
+            folder,
+            fresh=fresh,
+            at_ned_m=(-south_m, 0.0, 0.0),
+            speedup=BOOT_SPEEDUP if self._key is None else 1.0,
         )
         self._stack.callback(vehicle.close)
         return vehicle
@@ -213,6 +218,8 @@ class Formation:
         """Let them find their positions fast, then let time pass as it does, alike for all."""
         for vehicle in self.everybody:
             vehicle.until_heard()
+            if self._key is not None:
+                vehicle.sign(self._key)
             if drifting:
                 self._let_drift(vehicle)
         for vehicle in self.everybody:

@@ -3,6 +3,7 @@
 import os
 import shutil
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -91,8 +92,9 @@ def start(kit: Kit, case_folder: Path) -> Iterator[Start]:
     """Start a formation; what it has started ends with the case."""
     started: list[Formation] = []
 
-    def begin(*arguments: Any, **options: Any) -> Formation:
-        formation = Formation(kit, case_folder, *arguments, **options)
+    def begin(*arguments: Any, prepared: Path | None = None, **options: Any) -> Formation:
+        one = replace(kit, prepared=prepared or kit.prepared)
+        formation = Formation(one, case_folder, *arguments, **options)
         started.append(formation)
         return formation
 
