@@ -82,7 +82,7 @@ def _follows(system_id: int) -> Callable[[str], bool]:
 
 
 def test_analyze_agrees_with_the_truth(start: Start, table: list[Entry]) -> None:
-    formation = start(drifting=False)
+    formation = start(drifting=False, same_clock=True)
     formation.leader.upload(rectangle(formation), 10.0)
     formation.take_off()
     opened_s = time.monotonic()

@@ -119,10 +119,11 @@ class Follower:
 
 
 class Formation:
-    """A leader and its followers, started, their clocks alike and their receivers drifting.
+    """A leader and its followers, started, their receivers drifting.
 
-    latency_s: of the leader's link, each way. drifting: whether the receivers wander. key: all
-    sign with it; those that are signed have to have the time of day, so they start at its pace.
+    latency_s: of the leader's link, each way. drifting: whether the receivers wander. same_clock:
+    the receivers tell the same time of day, which counts where logs are laid side by side. key:
+    all sign with it, by the time of day, so they start at its pace.
     """
 
     def __init__(
@@ -134,6 +135,7 @@ class Formation:
         followers: int = 1,
         latency_s: float = LEADER_LATENCY_S,
         drifting: bool = True,
+        same_clock: bool = False,
         key: bytes | None = None,
     ) -> None:
         self.kit, self.folder, self._key = kit, folder, key
@@ -150,6 +152,8 @@ class Formation:
             self.leader_link = self._link(self.leader, latency_s)
             self.follower_links = [self._link(v, FOLLOWER_LATENCY_S) for v in self._of_followers()]
             self._wake(drifting=drifting)
+            if same_clock:
+                self._set_clocks()
 
     @contextlib.contextmanager
     def _guarded(self) -> Iterator[None]:
@@ -215,7 +219,7 @@ class Formation:
         return [self.leader, *self._of_followers()]
 
     def _wake(self, *, drifting: bool) -> None:
-        """Let them find their positions fast, then let time pass as it does, alike for all."""
+        """Let them find their positions fast, then let time pass as it does."""
         for vehicle in self.everybody:
             vehicle.until_heard()
             if self._key is not None:
@@ -226,7 +230,6 @@ class Formation:
             vehicle.until_positioned()
         for vehicle in self.everybody:
             vehicle.speed_up(1.0)
-        self._set_clocks()
 
     def _set_clocks(self) -> None:
         """Let the time of those behind pass faster until all receivers tell the same UTC."""
