@@ -1,6 +1,7 @@
 """`python -m tests.sitl PATH [PATH …] [-- PYTEST'S OPTIONS]`: fly the suite."""
 
 import os
+import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -25,6 +26,8 @@ def main(arguments: Sequence[str]) -> int:
     except loopback.NotOnLoopbackError as error:
         print(error, file=sys.stderr)
         return BAD_USAGE
+    # Asked to end from outside, it ends as by Ctrl-C: in good order, and with its table.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     import pytest  # noqa: PLC0415 (threads of what it imports would forbid the step above)
 
     named = [part for path in paths for part in ("--arducopter", str(path))]

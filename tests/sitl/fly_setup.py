@@ -3,13 +3,14 @@
 from pathlib import Path
 
 from . import loopback
-from .formation import FOLLOWER, Follower, Kit, Preparation, copied
+from .formation import FOLLOWER, Follower, Kit, Preparation, copied, rest
 from .relay import LOOPBACK
 from .sonar import silence
 from .tools import run
 from .vehicle import GUIDED, Vehicle
 
 REFUSAL_S = 30.0
+CHECKED_S = 3.0  # the applet looks whether it can fly once a second
 
 
 def test_readmes_two_commands_make_it_ready(preparation: Preparation) -> None:
@@ -56,6 +57,7 @@ def test_arming_is_refused_without_a_sonar_that_looks_forward(kit: Kit, case_fol
         vehicle.until_positioned()
         vehicle.set_mode(GUIDED)
         vehicle.set("RNGFND1_ORIENT", 25.0)
+        rest(CHECKED_S)
         said = _refused(vehicle)
         assert any("ECHO: no forward rangefinder" in text for text in said), said
         vehicle.set("RNGFND1_ORIENT", 0.0)
