@@ -145,9 +145,9 @@ class RangeTest:
             notes=[
                 f"Detected: within {TARGET_GATE_M:g} m of the distance set; elsewhere: heard, but "
                 "farther off. Mean, bias and spread are those of the detected single readings. "
-                f"Maximum effective range: the farthest distance with {self._least_rate:.0%} detected, there and at "
-                f"every nearer distance set. The thesis does not give its own criterion; ours: "
-                f"{RATE_REASON}."
+                f"Maximum effective range: the farthest distance with {self._least_rate:.0%} "
+                "detected, there and at every nearer distance set. The thesis does not give its "
+                f"own criterion; ours: {RATE_REASON}."
             ],
         )
 
