@@ -45,7 +45,10 @@ def test_help_lists_the_verbs_without_importing_what_they_need() -> None:
     ("arguments", "says"),
     [
         (["sim", "grey"], "no scenario 'grey'"),
-        (["sim", "--set", "gps.sigma=1"], "gps.sigma: no such key; allowed here: sigma_m, tau_s"),
+        (
+            ["sim", "--set", "gps.sigma=1"],
+            "gps.sigma: no such key; allowed here: sigma_m, tau_s, vertical_sigma_m",
+        ),
         (["sim", "--seed", "many"], "--seed 'many': give a whole number"),
         (["sim", "--seed", "5-1"], "the range is empty"),
         (["sim", "absent.toml"], "absent.toml: cannot read the scenario"),

@@ -122,6 +122,17 @@ def test_calibrate_prints_every_recordings_error() -> None:
     assert all(row["rms_position_error_m"] < 0.10 for row in rows)
 
 
+def test_calibrate_takes_the_wind_and_refuses_none() -> None:
+    still = json.loads(succeeded("calibrate", RECORDINGS / "4.6", "--json"))
+    blown = json.loads(succeeded("calibrate", RECORDINGS / "4.6", "--wind", "6", "60", "--json"))
+    refused = echowing("calibrate", RECORDINGS, "--wind", "-1", "60")
+
+    assert [row["generation"] for row in still] == ["4.6"] * 6
+    assert all(a["max_error_m"] != b["max_error_m"] for a, b in zip(still, blown, strict=True))
+    assert refused.returncode == 2
+    assert "give a speed of 0 m/s or more" in refused.stderr
+
+
 def test_a_scenario_of_ones_own_is_flown(tmp_path: Path) -> None:
     mine = tmp_path / "mine.toml"
     mine.write_text(

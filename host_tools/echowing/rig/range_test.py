@@ -147,7 +147,8 @@ class RangeTest:
                 "farther off. Mean, bias and spread are those of the detected single readings. "
                 f"Maximum effective range: the farthest distance with {self._least_rate:.0%} "
                 "detected, there and at every nearer distance set. The thesis does not give its "
-                f"own criterion; ours: {RATE_REASON}."
+                "own criterion; ours: "
+                f"{RATE_REASON}."
             ],
         )
 
