@@ -115,11 +115,11 @@ class TestProcess:
         emulator.process.wait(timeout=PATIENCE_S)
         assert image.stat().st_size == 4096
 
-    def test_missing_binary_names_the_command(self, tmp_path: Path) -> None:
+    def test_a_binary_that_is_not_there_is_named(self, tmp_path: Path) -> None:
         emulator = Emulator("--elf", tmp_path / "none.elf")
         assert emulator.process.wait(timeout=PATIENCE_S) == 2
         complaint = emulator.stop()
-        assert "make firmware BOARD=mega" in complaint
+        assert "none.elf: no such file" in complaint
         assert "Traceback" not in complaint
 
     @pytest.mark.parametrize(
