@@ -9,7 +9,9 @@ import pytest
 
 from echowing import firmware
 
+from .bench import BOARD
 from .fake_programmer import FakeProgrammer
+from .fake_rom_loader import FakeRomLoader
 
 BUILD = firmware.REPOSITORY / "firmware" / "tools" / "build.py"
 
@@ -43,9 +45,25 @@ def mega_elf() -> Path:
     return elf
 
 
+@pytest.fixture(scope="session")
+def elf() -> Path:
+    """The firmware of the board under test (see bench.py): the Mega's, if nothing else is asked."""
+    path = firmware.elf_path(BOARD.name)
+    firmware.check_elf(path, BOARD.name)
+    return path
+
+
 @pytest.fixture
 def programmer() -> Iterator[FakeProgrammer]:
     """A Mega's bootloader on a pseudo-terminal."""
     fake = FakeProgrammer()
+    yield fake
+    fake.close()
+
+
+@pytest.fixture
+def rom_loader() -> Iterator[FakeRomLoader]:
+    """A Blue Pill's boot loader on a pseudo-terminal."""
+    fake = FakeRomLoader()
     yield fake
     fake.close()

@@ -239,6 +239,14 @@ class TestFlash:
         assert set(image[: size // 2]) == {0x75}  # neither the old nor erased
         assert set(image[size // 2 :]) == {0x20}
 
+    def test_erase_takes_as_long_as_it_is_told(self, board: Stm32Board) -> None:
+        board.set_erase_us(50_000)
+        begun_us = board.t_us
+        assert ask(board, "e", 60_000) == "82\r\n"
+        assert board.meters().restarts == 0
+        assert board.meters().longest_turn_us == pytest.approx(50_000, rel=0.05)
+        assert board.t_us < begun_us + 61_000
+
     def test_store_without_unlocking_is_told(self, board: Stm32Board) -> None:
         with pytest.raises(EchowingError, match=r"writes to flash at 0x080.* without leave"):
             ask(board, "X")
@@ -260,6 +268,7 @@ class TestResets:
         assert board.meters().restarts == 1
 
     def test_watchdog_restarts_a_hung_program(self, board: Stm32Board) -> None:
+        assert board.watchdog_us() == 120_000
         assert ask(board, "w", 119_000) == ""
         assert ask(board, "", 10_000) == "boot\r\n"
         assert ask(board, "q") == f"{self.PIN | self.POWER | self.WATCHDOG}\r\n"
