@@ -2,7 +2,7 @@
 
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -10,6 +10,7 @@ import pytest
 from echowing import firmware
 
 from .bench import BOARD
+from .emulator_process import Emulator
 from .fake_programmer import FakeProgrammer
 from .fake_rom_loader import FakeRomLoader
 
@@ -67,3 +68,17 @@ def rom_loader() -> Iterator[FakeRomLoader]:
     fake = FakeRomLoader()
     yield fake
     fake.close()
+
+
+@pytest.fixture
+def start(mega_elf: Path) -> Iterator[Callable[..., Emulator]]:
+    """Starts emulators, and stops them after the test."""
+    started: list[Emulator] = []
+
+    def run(*options: str | Path) -> Emulator:
+        started.append(Emulator(*options))
+        return started[-1]
+
+    yield run
+    for emulator in started:
+        emulator.stop()

@@ -1,6 +1,7 @@
 """The emulated STM32 against its reference manual, by a bare-metal probe of our own."""
 
 import itertools
+import socket
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -12,6 +13,8 @@ from echowing.errors import EchowingError
 from echowing.sim.boards import emulated_board
 from echowing.sim.sonar import MaxSonar
 from echowing.sim.stm32 import Stm32Board
+
+from .emulator_process import PATIENCE_S, Emulator
 
 LINK, USB = 0, 1
 BOOTED_US = 5_000
@@ -357,6 +360,29 @@ class TestTime:
             return board.take_timed(LINK)
 
         assert run(100) == run(1000) == run(40_000)
+
+
+class TestProcess:
+    """`echowing emulator --board`, with the probe for a firmware."""
+
+    def test_talks_on_its_port(self, probe: Path, start: Callable[..., Emulator]) -> None:
+        emulator = start("--board", probe.parent.name, "--elf", probe, "--link", "tcpin:0")
+        port = int(emulator.told(r"autopilot port: tcp 127\.0\.0\.1:(\d+)"))
+        with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S) as link:
+            link.sendall(b"ACE")
+            heard = b""
+            while b"ACE" not in heard:
+                heard += link.recv(100)
+
+    def test_usb_is_there_or_said_to_be_absent(self, probe: Path) -> None:
+        name = probe.parent.name
+        emulator = Emulator("--board", name, "--elf", probe, "--usb", "pty", "--duration", "0.01")
+        if name == "nucleo_f446":
+            assert emulator.told("USB port: (/dev/.+)")
+            assert emulator.process.wait(timeout=PATIENCE_S) == 0
+        else:
+            assert emulator.process.wait(timeout=PATIENCE_S) == 2
+            assert f"the emulated {name} has no USB port" in emulator.stop()
 
 
 class TestBadInput:
