@@ -1,7 +1,7 @@
 """Bring the tables of README.md and sketch.yaml up to date with the firmware: tables.py [--check].
 
 Parameters come from src/core/parameter_table.h, wiring and profiles from src/board/boards, commands
-from src/core/commands.h. With --check nothing is written and the exit code is 1 if they differ.
+from src/core/command_table.h. With --check nothing is written: the exit code is 1 if they differ.
 """
 
 import re
@@ -39,15 +39,21 @@ def parameters() -> str:
     """The parameter table."""
     text = (SOURCE / "core" / "parameter_table.h").read_text()
     rows = re.findall(
-        r'^ECHOWING_PARAMETER\(\w+, "(\w+)", ([-\d.]+), ([-\d.]+), ([-\d.]+), (\w+), "(.*?)",'
-        r' "(.*)"\)$',
+        r'^ECHOWING_PARAMETER\(\w+, "(\w+)", ([-\d.]+), ([-\d.]+), ([-\d.]+), (\w+), (\w+),'
+        r' "(.*?)", "(.*)"\)$',
         text,
         re.MULTILINE,
     )
-    lines = ["| name | default | least | most | unit | what it does |", "|---|---|---|---|---|---|"]
-    for name, normal, least, most, whole, unit, what in rows:
+    lines = [
+        "| name | default | least | most | unit | in flight | what it does |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for name, normal, least, most, whole, in_flight, unit, what in rows:
         kind = "" if whole == "true" else " (fractions allowed)"
-        lines.append(f"| `{name}` | {normal} | {least} | {most} | {unit} | {what}{kind} |")
+        flight = "yes" if in_flight == "true" else ""
+        lines.append(
+            f"| `{name}` | {normal} | {least} | {most} | {unit} | {flight} | {what}{kind} |"
+        )
     return "\n".join(lines)
 
 
@@ -83,13 +89,13 @@ def profiles() -> str:
 
 
 def commands() -> str:
-    """The commands understood, from the comments of their enumeration."""
-    text = (SOURCE / "core" / "commands.h").read_text()
-    rows = re.findall(r"^  kCommand(\w+) = (\d+), +// (.*)$", text, re.MULTILINE)
-    lines = ["| number | what | parameters |", "|---|---|---|"]
-    for name, number, what in rows:
-        words = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).lower()
-        lines.append(f"| {number} | {words} | {what} |")
+    """The commands understood."""
+    text = (SOURCE / "core" / "command_table.h").read_text()
+    rows = re.findall(r'^ECHOWING_COMMAND\((\w+), (\d+), (\w+), "(.*)"\)$', text, re.MULTILINE)
+    lines = ["| number | what | in flight | parameters |", "|---|---|---|---|"]
+    for name, number, in_flight, what in rows:
+        flight = "yes" if in_flight == "true" else ""
+        lines.append(f"| {number} | {name.replace('_', ' ')} | {flight} | {what} |")
     return "\n".join(lines)
 
 

@@ -1,15 +1,21 @@
 --[[
-  Echowing: holds a follower copter at its distance from the leader with a forward looking sonar.
+  Echowing: holds a follower copter at its distance from the leader with a forward looking track.
 
   A ground tool streams guided points that keep the follower roughly in its place behind the leader. This applet reads
   the forward rangefinder (the co-processor's running average, by MAVLink) and the co-processor's newest single reading
-  (NAMED_VALUE_FLOAT "SNR_RAW") and turns the distance into the speed limit of Guided: slower when too near, faster when
-  too far.
+  (NAMED_VALUE_FLOAT "SNR_RAW") and turns the distance into speed: slower when too near, faster when too far. Where the
+  points carry a velocity it moves them along the beam to the wanted distance; where they do not it sets the speed limit
+  of Guided.
 
   It acts only while ECHO_ENABLE is 1, the vehicle is armed and in Guided, and the switch (if ECHO_SWITCH names one) is
   high. The pilot takes over by any change of mode; the speed parameter is then the pilot's again.
 
   Purpose, wiring, parameters, tests on the bench, in SITL and in the air, and what each message means: echowing.md.
+  Laws, guard, measurements: how-it-works.md.
+
+  This file consists of parts: one block each, with constants and helpers that are local to the block, and one table
+  with the part's state and the functions that the other parts call. The vehicle's Lua needs this: it allows 100 active
+  local variables in one function, and the top level of a file counts as a function.
 --]]
 
 ---@diagnostic disable: need-check-nil
@@ -19,60 +25,36 @@ local SEVERITY = { CRITICAL = 2, ERROR = 3, WARNING = 4, NOTICE = 5, INFO = 6 }
 local GUIDED = 4 -- Copter's mode number
 local FORWARD = 0 -- orientation of the rangefinder
 local STATUS_NO_DATA, STATUS_LOW, STATUS_GOOD = 1, 2, 4 -- RangeFinder::Status
-local MAVLINK_RANGEFINDER = 10 -- RNGFNDx_TYPE
-local SWITCH_HIGH = 2
+local STATE = {
+    OFF = 0, SEARCHING = 1, TRACKING = 2, TOO_CLOSE = 3, NO_SONAR = 4, STREAM_LOST = 5, BACKING_OFF = 6, HOLDING = 7,
+}
 
-local ACTIVE_MS, EVADE_MS, IDLE_MS, REPAIR_MS = 50, 20, 200, 1000 -- pause before the next update
-local RAW_FRESH_MS = 300 -- an older single reading is not "the newest": 3 periods of the slower sonar rate
-local TARGET_FRESH_MS = 1000 -- an older streamed point is not the target in force
-local HARD_CLOSE_M = 1.0 -- under this it is too close, closing or not
-local SPEED_FLOOR_MPS = 0.2 -- below, the autopilot saves its own floor over the pilot's value; 0 would be no limit
-local SPIKE_M = 0.8 -- a single reading this far from the prediction waits for a second one like it
-local TRUST_READINGS = 3 -- so many readings in agreement are a target
-local TRACK_GAP_MS = 700 -- after a gap this long the tracker starts again
-local ANSWER_S = 0.1 -- so long a lean takes to follow its command
-local JERK_MPS3 = 5.0 -- PSC_JERK_NE (PSC_JERK_XY) as it comes
-local ACCEL_MS = 100 -- smooths the estimator's change of speed
+local IDLE_MS = 200 -- pause before the next update while not in control
 local BLIND_MS = 2500 -- a target lost while too close is still there for so long: no speed without sonar yet
-local CLEAR_M = 0.3 -- too close ends this far beyond where it began
-local CLOSING_MPS = 0.15 -- slower is noise of the tracker (1 cm steps at 10 Hz)
-local EVADE_LEAST_M, EVADE_MOST_M = 0.5, 5.0 -- how far back a target away from the leader lies
-local STREAM_LENGTH = 3 -- so many points without a gap are a stream; one alone may be a pilot's click on the map
-local NAMED_MS = 500 -- pace of the named floats
-local ARMING_MS = 1000 -- pace of the arming check
-local PARAMETERS_A_TURN = 3 -- read at each update: all of them within half a second in control, two seconds otherwise
-local CONFLICT_CHANGES, CONFLICT_MS = 4, 10000 -- so many outside changes of the speed in this time: another script
-
-local OFF, SEARCHING, TRACKING, TOO_CLOSE, NO_SONAR, STREAM_LOST, BACKING_OFF = 0, 1, 2, 3, 4, 5, 6
-local STATE_TEXT = {
-    [SEARCHING] = 'searching', [TRACKING] = 'tracking', [TOO_CLOSE] = 'too close', [NO_SONAR] = 'no sonar data',
-    [STREAM_LOST] = 'stream lost, holding here', [BACKING_OFF] = 'too close, backing off',
-}
-local NOTICE_GAP_MS = { -- the same state is not announced again sooner, however often it comes and goes
-    [SEARCHING] = 10000, [TRACKING] = 10000, [TOO_CLOSE] = 3000, [NO_SONAR] = 10000, [STREAM_LOST] = 3000,
-    [BACKING_OFF] = 3000,
-}
-local STATE_SEVERITY = {
-    [SEARCHING] = SEVERITY.NOTICE, [TRACKING] = SEVERITY.INFO, [TOO_CLOSE] = SEVERITY.WARNING,
-    [NO_SONAR] = SEVERITY.WARNING, [STREAM_LOST] = SEVERITY.CRITICAL, [BACKING_OFF] = SEVERITY.CRITICAL,
-}
-
-local SET_POSITION_TARGET_GLOBAL_INT, NAMED_VALUE_FLOAT = 86, 251
-local RAW_NAME = 'SNR_RAW\0\0\0' -- ten characters on the wire
-
-local TABLE_KEY = 95 -- used by no script in ArduPilot's tree
-local PREFIX = 'ECHO_'
+local SPEED_FLOOR_MPS = 0.2 -- below, the autopilot saves its own floor over the pilot's value; 0 would be no limit
 
 local function say(severity, text)
     gcs:send_text(severity, TEXT .. text)
 end
 
+local function clamp(value, low, high)
+    return math.max(low, math.min(high, value))
+end
+
+local function is_number(value) -- neither NaN nor infinite
+    return value and value - value == 0.0
+end
+
+-- What the firmware offers -------------------------------------------------------------------------------------------
+
 -- What the applet needs of the autopilot; the name of the first thing missing, or nil.
 local function missing_call()
     local needs = {
-        { 'vehicle', vehicle, { 'set_desired_speed', 'set_target_pos_NED', 'get_target_location', 'get_mode' } },
+        { 'vehicle', vehicle, { 'set_desired_speed', 'set_target_pos_NED', 'set_target_posvelaccel_NED',
+            'get_target_location', 'get_mode' } },
         { 'rangefinder', rangefinder, { 'status_orient', 'has_orientation' } },
-        { 'ahrs', ahrs, { 'get_location', 'get_velocity_NED', 'get_relative_position_NED_origin' } },
+        { 'ahrs', ahrs, { 'get_location', 'get_velocity_NED', 'get_relative_position_NED_origin',
+            'get_relative_position_D_home' } },
         { 'mavlink', mavlink, { 'init', 'register_rx_msgid', 'receive_chan' } },
         { 'param', param, { 'add_table', 'add_param' } },
         { 'arming', arming, { 'is_armed' } },
@@ -102,10 +84,11 @@ if not param:get(SPEED_NAME) then
     say(SEVERITY.ERROR, 'stopped, no parameter WP_SPD or WPNAV_SPEED')
     return
 end
-local speed_parameter = Parameter(SPEED_NAME)
 
 local MY_SYSTEM = param:get('MAV_SYSID') or param:get('SYSID_THISMAV')
 local yaw_rad = ahrs.get_yaw_rad or ahrs.get_yaw
+
+-- Parameters ---------------------------------------------------------------------------------------------------------
 
 -- Name, default, lowest and highest accepted value of each parameter, in the order of their numbers.
 local PARAMETERS = {
@@ -128,7 +111,7 @@ local PARAMETERS = {
     --[[
       // @Param: ECHO_DIST
       // @DisplayName: Echowing wanted distance
-      // @Description: Distance to the leader, as the sonar measures it
+      // @Description: Distance to the leader, centre to centre
       // @Range: 1.5 6
       // @Units: m
       // @User: Standard
@@ -339,6 +322,15 @@ local PARAMETERS = {
     --]]
     { 'ARM_CHK', 1, 0, 1 },
     --[[
+      // @Param: ECHO_INSET
+      // @DisplayName: Echowing sonar inset
+      // @Description: How much less than the distance between the two vehicles' centres the sonar reads: its face is ahead of the follower's centre, the leader's reflecting legs are around its own
+      // @Range: 0 1
+      // @Units: m
+      // @User: Standard
+    --]]
+    { 'INSET', 0.2, 0.0, 1.0 },
+    --[[
       // @Param: ECHO_MIRROR
       // @DisplayName: Echowing mirror of the pilot's speed
       // @Description: The pilot's value of the speed parameter, in its own unit, while the applet is in control; 0 otherwise. Written by the applet, so that a restarted script can put it back
@@ -349,630 +341,863 @@ local PARAMETERS = {
     { 'MIRROR', 0, 0, 5000 },
 }
 
--- Values in force (C.DIST, ...) and the parameters they come from.
-local C = {}
-local parameter_objects = {}
-local complained = {}
+local C = {} -- values in force: C.DIST, ...
+local parameters = { mirror = nil } -- the mirror is written by part "speed"
+do
+    local TABLE_KEY = 95 -- used by no script in ArduPilot's tree
+    local PREFIX = 'ECHO_'
+    local A_TURN = 3 -- read at each update: all of them within half a second in control, two seconds otherwise
 
-assert(param:add_table(TABLE_KEY, PREFIX, #PARAMETERS), TEXT .. 'parameter table key ' .. TABLE_KEY .. ' is taken')
-for i, row in ipairs(PARAMETERS) do
-    assert(param:add_param(TABLE_KEY, i, row[1], row[2]), TEXT .. 'cannot add ' .. PREFIX .. row[1])
-    parameter_objects[i] = Parameter(PREFIX .. row[1])
-    C[row[1]] = row[2]
-end
-local mirror_parameter = parameter_objects[#PARAMETERS]
+    -- Columns of the table above: they take less of the heap than its rows, which are dropped after the start.
+    local names, lowest, highest, objects = {}, {}, {}, {}
+    local complained = {}
+    local next_number = 1
 
--- Edges of the bands, from the wanted distance.
-local edges = {}
+    -- Takes parameter number i into force if it lies in its range (NaN does not); else the value in force stays.
+    local function read(i)
+        local name, value = names[i], objects[i]:get()
+        if value and value >= lowest[i] and value <= highest[i] then
+            C[name] = value
+            complained[name] = nil
+        elseif not complained[name] then
+            complained[name] = true
+            say(SEVERITY.WARNING, string.format('%s%s out of range, using %.2f', PREFIX, name, C[name]))
+        end
+    end
 
-local function derive()
+    function parameters.read_some()
+        for _ = 1, A_TURN do
+            read(next_number)
+            next_number = next_number % (#names - 1) + 1 -- all but the mirror
+            if next_number == 1 then C.SPD_MAX = math.max(C.SPD_MAX, C.SPD_MIN) end
+        end
+    end
+
+    local taken = TEXT .. 'parameter table key ' .. TABLE_KEY .. ' is taken'
+    assert(param:add_table(TABLE_KEY, PREFIX, #PARAMETERS), taken)
+    for i, row in ipairs(PARAMETERS) do
+        assert(param:add_param(TABLE_KEY, i, row[1], row[2]), TEXT .. 'cannot add ' .. PREFIX .. row[1])
+        names[i], C[row[1]], lowest[i], highest[i] = table.unpack(row)
+        objects[i] = Parameter(PREFIX .. row[1])
+    end
+    for i = 1, #names do read(i) end
     C.SPD_MAX = math.max(C.SPD_MAX, C.SPD_MIN)
-    edges.far, edges.beyond = C.DIST + C.BAND_OUT, C.DIST + C.BAND_IN
-    edges.within, edges.near = C.DIST - C.BAND_IN, C.DIST - C.BAND_OUT
+    parameters.mirror = objects[#objects]
 end
 
--- Takes parameter number i into force if it lies in its range (NaN does not); else the value in force stays.
-local function read_parameter(i)
-    local row = PARAMETERS[i]
-    local name = row[1]
-    local value = parameter_objects[i]:get()
-    if value and value >= row[3] and value <= row[4] then
-        C[name] = value
-        complained[name] = nil
-    elseif not complained[name] then
-        complained[name] = true
-        say(SEVERITY.WARNING, string.format('%s%s out of range, using %.2f', PREFIX, name, C[name]))
-    end
-end
+-- The parts and their state -------------------------------------------------------------------------------------------
 
-for i = 1, #PARAMETERS do read_parameter(i) end
-derive()
-local next_parameter = 1
-
-local function read_some_parameters()
-    for _ = 1, PARAMETERS_A_TURN do
-        read_parameter(next_parameter)
-        next_parameter = next_parameter % (#PARAMETERS - 1) + 1 -- all but the mirror
-        if next_parameter == 1 then derive() end
-    end
-end
-
--- Time: milliseconds since the script started, a plain integer (wraps after 24 days).
-local boot = millis()
-local function now_ms()
-    return (millis() - boot):toint()
-end
-
--- State. Times are in ms; nil is "never".
-local S = {
-    in_control = false, state = OFF, announced = OFF, speed_mps = 0.0, law_mps = 0.0, out_mps = 0.0,
-    announced_ms = {}, changes = {}, conflict = false, own_mps = 0.0, own_at_ms = -REPAIR_MS, accel_mps2 = 0.0,
-    streaming = 0,
+-- Speeds are along the nose, where the sonar looks. Times are in ms; nil is "never".
+local own = { mps = 0.0, accel_mps2 = 0.0, at_ms = nil } -- this vehicle's motion
+local track = { -- what the sonar reads (averages, single readings), and where the leader is by that, and how fast
+    raw_m = nil, raw_ms = nil,
+    range_m = nil, leader_mps = 0.0, own_mps = 0.0, at_ms = 0, seen_ms = 0, readings = 0, spike_m = nil,
 }
+local laws = { -- the range becomes a speed: the law's wish, and the same after the rate limit
+    wish_mps = 0.0, speed_mps = 0.0, step_ms = 0, update_ms = 0, seen_ms = 0, data_ms = 0,
+}
+local hold = { active = false } -- moves points that carry a velocity along the beam
+local guard = { too_close = false, evading = false, close_ms = 0 } -- keeps off the leader
+local stream = { -- the ground tool's guided points, and what happens when they end
+    at_ms = nil, points = 0, holding = false, lat = nil, lng = nil, up_m = nil, north_mps = 0.0, east_mps = 0.0,
+    yaw_rad = nil, moving = false,
+}
+local speed = { -- the speed parameter: ours, the pilot's, another script's
+    out_mps = 0.0, written = nil, pilot_units = nil, ground_units = nil, changes = {}, conflict = false,
+}
+local report = { -- what pilots see
+    state = STATE.OFF, announced = STATE.OFF, announced_ms = {}, named_ms = nil, log_ms = nil,
+}
+local control = { active = false, error = nil } -- takes control and hands back
 
-local function clamp(value, low, high)
-    return math.max(low, math.min(high, value))
-end
+-- This vehicle's motion ----------------------------------------------------------------------------------------------
 
-local function is_number(value) -- neither NaN nor infinite
-    return value and value - value == 0.0
-end
+do
+    local ACCEL_MS = 100 -- smooths the estimator's change of speed
 
--- The sonar ----------------------------------------------------------------------------------------------------------
-
--- Range in metres as the rangefinder gives it (the running average), nil where it is no measurement; and the status.
-local function read_average()
-    local status = rangefinder:status_orient(FORWARD)
-    if status ~= STATUS_GOOD and status ~= STATUS_LOW then return nil, status end
-    local range_m
-    if rangefinder.distance_orient then
-        range_m = rangefinder:distance_orient(FORWARD)
-    else
-        range_m = rangefinder:distance_cm_orient(FORWARD) / 100.0
+    -- Own speed along the heading; 0 while the estimator has none.
+    local function forward_speed()
+        local velocity = ahrs:get_velocity_NED()
+        if not velocity then return 0.0 end
+        local yaw = yaw_rad(ahrs)
+        local forward_mps = velocity:x() * math.cos(yaw) + velocity:y() * math.sin(yaw)
+        return is_number(forward_mps) and forward_mps or 0.0
     end
-    if not is_number(range_m) or range_m < 0.0 or (range_m == 0.0 and status == STATUS_GOOD) then return nil, status end
-    return range_m, status
-end
 
--- Range of the target and the leader's speed along the line of sight, from single readings: a critically damped observer
--- that knows the own speed, so that own braking is not taken for the leader's.
-local track = { range_m = nil, leader_mps = 0.0, own_mps = 0.0, at_ms = 0, seen_ms = 0, readings = 0, spike_m = nil }
+    -- Own speed and how it is changing: smoothed, and no more than the vehicle can.
+    function own.update(t_ms)
+        local mps = forward_speed()
+        local dt_ms = own.at_ms and t_ms - own.at_ms or math.maxinteger
+        if dt_ms > IDLE_MS then
+            own.accel_mps2 = 0.0 -- too long ago to compare with
+        elseif dt_ms > 0 then
+            local change_mps2 = clamp((mps - own.mps) * 1000.0 / dt_ms, -C.DECEL, C.DECEL)
+            own.accel_mps2 = own.accel_mps2 + (change_mps2 - own.accel_mps2) * dt_ms / (dt_ms + ACCEL_MS)
+        end
+        own.mps, own.at_ms = mps, t_ms
+    end
 
-local function track_start(range_m, own_mps, t_ms)
-    track.range_m, track.leader_mps, track.own_mps, track.at_ms = range_m, own_mps, own_mps, t_ms
-    track.seen_ms, track.readings, track.spike_m = t_ms, 1, nil
-end
-
--- While it backs off the nose is up and the sonar often sees nothing: the track is then carried on for longer.
-local function track_fresh(t_ms)
-    return track.range_m ~= nil and t_ms - track.seen_ms <= (S.evading and BLIND_MS or TRACK_GAP_MS)
-end
-
--- Two wild readings in a row happen; three that agree are a target.
-local function track_trusted(t_ms)
-    return track_fresh(t_ms) and track.readings >= TRUST_READINGS
-end
-
--- Carries the range on to now.
-local function track_carry(own_mps, t_ms)
-    if not track.range_m then return end
-    local dt_s = (t_ms - track.at_ms) * 0.001
-    track.range_m = track.range_m + (track.leader_mps - 0.5 * (track.own_mps + own_mps)) * dt_s
-    track.own_mps, track.at_ms = own_mps, t_ms
-end
-
--- A reading far from the prediction counts only when the next one is like it: propellers make single wild ones.
-local function track_spike(range_m, own_mps, t_ms)
-    if track.spike_m and math.abs(range_m - track.spike_m) < SPIKE_M then
-        track_start(range_m, own_mps, t_ms)
-    else
-        track.spike_m = range_m
+    -- Flies to a place so far straight back (0: stays here), at this height, looking where it looks now: Guided would
+    -- turn the nose, and with it the sonar, towards a target without a yaw. False: refused.
+    function own.fly_back(back_m)
+        local position = ahrs:get_relative_position_NED_origin()
+        if not position then return false end
+        local yaw = yaw_rad(ahrs)
+        position:x(position:x() - back_m * math.cos(yaw))
+        position:y(position:y() - back_m * math.sin(yaw))
+        return vehicle:set_target_pos_NED(position, true, math.deg(yaw), false, 0.0, false, false)
     end
 end
 
-local function track_update(range_m, own_mps, t_ms)
-    if not track_fresh(t_ms) then return track_start(range_m, own_mps, t_ms) end
-    local dt_s = (t_ms - track.seen_ms) * 0.001
-    if dt_s <= 0.0 then return end
-    track_carry(own_mps, t_ms)
-    local residual_m = range_m - track.range_m
-    if math.abs(residual_m) > SPIKE_M then return track_spike(range_m, own_mps, t_ms) end
-    local keep = math.exp(-dt_s / C.TAU)
-    local n = track.readings + 1 -- the first readings count as in a straight line through all of them
-    local range_share = math.max(1.0 - keep * keep, 2.0 * (2.0 * n - 1.0) / (n * (n + 1.0)))
-    local rate_share = math.max((1.0 - keep) * (1.0 - keep), 6.0 / (n * (n + 1.0)))
-    track.range_m = track.range_m + range_share * residual_m
-    track.leader_mps = track.leader_mps + rate_share / dt_s * residual_m
-    track.seen_ms, track.readings, track.spike_m = t_ms, n, nil
-end
+-- Sonar track --------------------------------------------------------------------------------------------------------
 
--- Own speed along the heading, where the sonar looks; 0 while the estimator has none.
-local function forward_speed()
-    local velocity = ahrs:get_velocity_NED()
-    if not velocity then return 0.0 end
-    local yaw = yaw_rad(ahrs)
-    local forward_mps = velocity:x() * math.cos(yaw) + velocity:y() * math.sin(yaw)
-    return is_number(forward_mps) and forward_mps or 0.0
-end
+do
+    local RAW_FRESH_MS = 300 -- an older single reading is not "the newest": 3 periods of the slower sonar rate
+    local RAW_NAME = 'SNR_RAW\0\0\0' -- ten characters on the wire
+    -- A single reading this far from the prediction, or after so long without one, waits for a second one like it:
+    -- readings 0.1 s apart differ by less even where both vehicles change their speed at 5 m/s2.
+    local SPIKE_M, SPIKE_MS = 0.3, 300
+    local TRUST_READINGS = 3 -- so many readings in agreement are a target
+    local TRACK_GAP_MS = 700 -- after a gap this long the tracker starts again
 
--- Own speed and how it is changing: smoothed, and no more than the vehicle can.
-local function note_own_speed(own_mps, t_ms)
-    local dt_ms = t_ms - S.own_at_ms
-    if dt_ms > IDLE_MS then
-        S.accel_mps2 = 0.0 -- too long ago to compare with
-    elseif dt_ms > 0 then
-        local change_mps2 = clamp((own_mps - S.own_mps) * 1000.0 / dt_ms, -C.DECEL, C.DECEL)
-        S.accel_mps2 = S.accel_mps2 + (change_mps2 - S.accel_mps2) * dt_ms / (dt_ms + ACCEL_MS)
+    -- Distance by the rangefinder's running average, nil where it is no measurement; and the status. All distances here
+    -- are between the two vehicles' centres.
+    function track.average()
+        local status = rangefinder:status_orient(FORWARD)
+        if status ~= STATUS_GOOD and status ~= STATUS_LOW then return nil, status end
+        local range_m
+        if rangefinder.distance_orient then
+            range_m = rangefinder:distance_orient(FORWARD)
+        else
+            range_m = rangefinder:distance_cm_orient(FORWARD) / 100.0
+        end
+        if not is_number(range_m) or range_m < 0.0 or (range_m == 0.0 and status == STATUS_GOOD) then
+            return nil, status
+        end
+        return range_m + C.INSET, status
     end
-    S.own_mps, S.own_at_ms = own_mps, t_ms
-end
 
--- MAVLink ------------------------------------------------------------------------------------------------------------
+    -- Whether a range, centre to centre, is one of a target.
+    function track.is_target(range_m)
+        return range_m ~= nil and range_m < C.DETECT + C.INSET
+    end
 
-mavlink:init(10, 2)
-mavlink:register_rx_msgid(SET_POSITION_TARGET_GLOBAL_INT)
-mavlink:register_rx_msgid(NAMED_VALUE_FLOAT)
+    -- The newest single reading, nil if it is old.
+    function track.newest(t_ms)
+        return track.raw_ms and t_ms - track.raw_ms <= RAW_FRESH_MS and track.raw_m or nil
+    end
 
-local WIDE_STRUCTURE = 299 -- bytes of mavlink_message_t where system ids have 32 bits; 291 where they have 8
+    function track.take(message, payload, t_ms)
+        local value, name = string.unpack('<fc10', message, payload + 4)
+        if name ~= RAW_NAME or not is_number(value) or value <= 0.0 then return end
+        track.raw_m, track.raw_ms = value + C.INSET, t_ms
+        if track.is_target(track.raw_m) then
+            track.update(track.raw_m, t_ms)
+        elseif track.readings < TRUST_READINGS then
+            track.range_m = nil -- what was seen before was a wild reading
+        end
+    end
 
-local function take_raw(message, payload, t_ms)
-    local value, name = string.unpack('<fc10', message, payload + 4)
-    if name ~= RAW_NAME or not is_number(value) or value <= 0.0 then return end
-    S.raw_m, S.raw_ms = value, t_ms
-    if value < C.DETECT then
-        track_update(value, S.own_mps, t_ms)
-    elseif track.readings < TRUST_READINGS then
-        track.range_m = nil -- what was seen before was a wild reading
+    -- Range of the target and the leader's speed along the line of sight: a critically damped observer that knows the
+    -- own speed, so that own braking is not taken for the leader's.
+    local function start(range_m, t_ms)
+        track.range_m, track.leader_mps, track.own_mps, track.at_ms = range_m, own.mps, own.mps, t_ms
+        track.seen_ms, track.readings, track.spike_m = t_ms, 1, nil
+    end
+
+    -- While it backs off the nose is up and the sonar often sees nothing: a leader lost while near is near until the
+    -- sonar shows otherwise, for as long as the track can be carried on.
+    local function fresh(t_ms)
+        if not track.range_m then return false end
+        local near = guard.evading or (hold.active and track.range_m < C.DIST)
+        return t_ms - track.seen_ms <= (near and BLIND_MS or TRACK_GAP_MS)
+    end
+
+    -- Two wild readings in a row happen; three that agree are a target.
+    function track.trusted(t_ms)
+        return fresh(t_ms) and track.readings >= TRUST_READINGS
+    end
+
+    -- Carries the range on to now.
+    function track.carry(t_ms)
+        if not track.range_m then return end
+        local dt_s = (t_ms - track.at_ms) * 0.001
+        track.range_m = track.range_m + (track.leader_mps - 0.5 * (track.own_mps + own.mps)) * dt_s
+        track.own_mps, track.at_ms = own.mps, t_ms
+    end
+
+    -- A reading that was not foreseen counts only when the next one is like it: propellers make single wild ones. What
+    -- was known of the leader's speed stays.
+    local function spike(range_m, t_ms)
+        if track.spike_m and math.abs(range_m - track.spike_m) < SPIKE_M then
+            track.range_m, track.seen_ms, track.spike_m = range_m, t_ms, nil
+        else
+            track.spike_m = range_m
+        end
+    end
+
+    function track.update(range_m, t_ms)
+        if not fresh(t_ms) then return start(range_m, t_ms) end
+        local dt_s = (t_ms - track.seen_ms) * 0.001
+        if dt_s <= 0.0 then return end
+        track.carry(t_ms)
+        local residual_m = range_m - track.range_m
+        if math.abs(residual_m) > SPIKE_M or dt_s > SPIKE_MS * 0.001 then return spike(range_m, t_ms) end
+        local keep = math.exp(-dt_s / C.TAU)
+        local n = track.readings + 1 -- the first readings count as in a straight line through all of them
+        local range_share = math.max(1.0 - keep * keep, 2.0 * (2.0 * n - 1.0) / (n * (n + 1.0)))
+        local rate_share = math.max((1.0 - keep) * (1.0 - keep), 6.0 / (n * (n + 1.0)))
+        track.range_m = track.range_m + range_share * residual_m
+        track.leader_mps = track.leader_mps + rate_share / dt_s * residual_m
+        track.seen_ms, track.readings, track.spike_m = t_ms, n, nil
     end
 end
 
-local function take_target(message, payload, t_ms)
-    local lat, lng, _, vn, ve = string.unpack('<i4i4fff', message, payload + 4)
-    local mask, system = string.unpack('<I2B', message, payload + 48)
-    if system ~= 0 and system ~= MY_SYSTEM then return end
-    if S.streaming < STREAM_LENGTH then
-        local gap = not S.stream_ms or t_ms - S.stream_ms > TARGET_FRESH_MS
-        S.streaming = gap and 1 or S.streaming + 1
+-- Laws ---------------------------------------------------------------------------------------------------------------
+
+do
+    -- Change of speed for a range, thesis Appendix A and Table 6.
+    local function band_change(range_m)
+        if range_m >= C.DIST + C.BAND_OUT then return C.STEP_BIG end
+        if range_m >= C.DIST + C.BAND_IN then return C.STEP_SML end
+        if range_m >= C.DIST - C.BAND_IN then return 0.0 end
+        if range_m >= C.DIST - C.BAND_OUT then return -C.STEP_SML end
+        return -C.STEP_BIG
     end
-    S.stream_ms = t_ms
-    S.target_lat, S.target_lng = nil, nil
-    if mask & 0x0003 == 0 then S.target_lat, S.target_lng = lat, lng end
-    S.target_vn, S.target_ve = 0.0, 0.0
-    if mask & 0x0018 == 0 then S.target_vn, S.target_ve = vn, ve end
+
+    -- Law 0, Appendix A: one step. A step that would reach a limit is refused.
+    local function thesis_step(speed_mps, range_m)
+        local change_mps = band_change(range_m)
+        local new_mps = speed_mps + change_mps
+        if change_mps > 0.0 and new_mps >= C.SPD_MAX then return speed_mps end
+        if change_mps < 0.0 and new_mps <= C.SPD_MIN then return speed_mps end
+        return new_mps
+    end
+
+    -- Law 1: the same step, which stops at the limits instead of being refused.
+    local function band_step(speed_mps, range_m)
+        return clamp(speed_mps + band_change(range_m), C.SPD_MIN, C.SPD_MAX)
+    end
+
+    -- Law 2: the leader's speed along the line of sight, a share of the range error, and a share of its rate, which
+    -- stands for where the error will be once the vehicle has answered.
+    local function continuous_speed(range_m, rate_mps, leader_mps)
+        return clamp(leader_mps + C.GAIN_P * (range_m - C.DIST) + C.GAIN_D * rate_mps, C.SPD_MIN, C.SPD_MAX)
+    end
+
+    -- The law's wish for this update.
+    local function run(range_m, t_ms)
+        if C.LAW >= 2 then
+            if not track.trusted(t_ms) then return end
+            laws.wish_mps = continuous_speed(track.range_m, track.leader_mps - own.mps, track.leader_mps)
+            return
+        end
+        if t_ms - laws.step_ms < C.PERIOD * 1000.0 then return end
+        laws.step_ms = t_ms
+        laws.wish_mps = C.LAW < 1 and thesis_step(laws.wish_mps, range_m) or band_step(laws.wish_mps, range_m)
+    end
+
+    -- Detection gate: a range at or beyond the limit is no target; what a lost target or a silent sonar means.
+    local function gate(range_m, status, t_ms)
+        if status > STATUS_NO_DATA then laws.data_ms = t_ms end
+        report.state = STATE.TRACKING
+        if track.is_target(range_m) then
+            laws.seen_ms = t_ms
+            run(range_m, t_ms)
+            return
+        end
+        laws.step_ms = t_ms -- the next average begins when the target is back
+        if t_ms - laws.data_ms >= C.NODATA_T * 1000.0 then
+            laws.wish_mps = C.SPD_LOST
+            report.state = STATE.NO_SONAR
+        elseif t_ms - laws.seen_ms >= C.LOST_T * 1000.0 and t_ms - guard.close_ms >= BLIND_MS then
+            if C.LAW >= 1 then laws.wish_mps = C.SPD_LOST end
+            report.state = STATE.SEARCHING
+        end
+    end
+
+    local function limit_rate(t_ms)
+        laws.wish_mps = clamp(laws.wish_mps, C.SPD_MIN, C.SPD_MAX)
+        local most_mps = C.RATE * (t_ms - laws.update_ms) * 0.001
+        if C.LAW < 1 or C.RATE <= 0.0 then
+            laws.speed_mps = laws.wish_mps
+        else
+            laws.speed_mps = laws.speed_mps + clamp(laws.wish_mps - laws.speed_mps, -most_mps, most_mps)
+        end
+        laws.speed_mps = clamp(laws.speed_mps, C.SPD_MIN, C.SPD_MAX)
+    end
+
+    function laws.begin(t_ms)
+        laws.step_ms, laws.update_ms, laws.seen_ms, laws.data_ms = t_ms, t_ms, t_ms, t_ms
+        laws.speed_mps = clamp(C.SPD_INIT, C.SPD_MIN, C.SPD_MAX)
+        laws.wish_mps = laws.speed_mps
+    end
+
+    -- From the average and its status to a speed.
+    function laws.update(range_m, status, t_ms)
+        gate(range_m, status, t_ms)
+        limit_rate(t_ms)
+        laws.update_ms = t_ms
+    end
 end
 
-local function take_messages(t_ms)
-    for _ = 1, 10 do
-        local message = mavlink:receive_chan()
-        if not message then return end
-        local wide = #message >= WIDE_STRUCTURE and 3 or 0
-        local system = string.unpack(wide > 0 and '<I4' or '<B', message, 8)
-        local id = string.unpack('<I3', message, 10 + wide)
-        if id == SET_POSITION_TARGET_GLOBAL_INT then
-            take_target(message, 13 + wide, t_ms)
-        elseif system == MY_SYSTEM then
-            take_raw(message, 13 + wide, t_ms)
+-- Guard: too close wins over every law -------------------------------------------------------------------------------
+
+do
+    local HARD_CLOSE_M = 1.0 -- under this it is too close, closing or not
+    local CLEAR_M = 0.3 -- too close ends this far beyond where it began
+    local CLOSING_MPS = 0.15 -- slower is noise of the tracker (1 cm steps at 10 Hz)
+    local EVADE_LEAST_M, EVADE_MOST_M = 0.5, 5.0 -- how far back a target away from the leader lies
+    local ANSWER_S = 0.1 -- so long a lean takes to follow its command
+    local JERK_MPS3 = 5.0 -- PSC_JERK_NE (PSC_JERK_XY) as it comes
+
+    -- Distance still closed at this rate before the vehicle stops. An acceleration that is under way goes on until the
+    -- answer begins, and then dies away at the autopilot's jerk: until then the closing speed rises by
+    -- a * ANSWER_S + a^2 / (2 JERK).
+    local function closing_distance(closing_mps)
+        local a = math.max(0.0, own.accel_mps2)
+        local peak_mps = math.max(0.0, closing_mps + a * ANSWER_S + 0.5 * a * a / JERK_MPS3)
+        return peak_mps * C.DELAY + peak_mps * peak_mps / (2.0 * C.DECEL)
+    end
+
+    -- The closing speed from which the vehicle still stops at the close distance: the inverse of the above without
+    -- acceleration.
+    local function stoppable_speed(range_m)
+        local lag_mps = C.DECEL * C.DELAY
+        return math.sqrt(lag_mps * lag_mps + 2.0 * C.DECEL * math.max(0.0, range_m - C.CLOSE)) - lag_mps
+    end
+
+    -- Metres that a place lies ahead (along the heading) of the vehicle.
+    local function ahead_m(here, lat, lng)
+        local target = here:copy()
+        target:lat(lat)
+        target:lng(lng)
+        local offset = here:get_distance_NE(target)
+        local yaw = yaw_rad(ahrs)
+        return offset:x() * math.cos(yaw) + offset:y() * math.sin(yaw)
+    end
+
+    -- Metres that the target in force lies behind the vehicle, away from the leader; 0 if it leads towards the leader.
+    local function target_behind_m(here, t_ms)
+        if stream.in_force(t_ms) then
+            local yaw = yaw_rad(ahrs)
+            if stream.north_mps * math.cos(yaw) + stream.east_mps * math.sin(yaw) > 0.0 then return 0.0 end
+            return math.max(0.0, -ahead_m(here, stream.lat, stream.lng))
+        end
+        local target = vehicle:get_target_location()
+        return target and math.max(0.0, -ahead_m(here, target:lat(), target:lng())) or 0.0
+    end
+
+    -- Whether the streamed target leads clear of the leader: back, or more than 60 degrees to the side of where the
+    -- sonar looks. The limit is against coming nearer, never against getting away.
+    local function leads_clear(t_ms)
+        if not stream.in_force(t_ms) then return false end
+        local here = vehicle:get_likely_flying() and ahrs:get_location()
+        if not here then return false end
+        local target = here:copy()
+        target:lat(stream.lat)
+        target:lng(stream.lng)
+        local distance_m = here:get_distance(target)
+        return distance_m > EVADE_LEAST_M and ahead_m(here, stream.lat, stream.lng) < 0.5 * distance_m
+    end
+
+    -- How far back to fly from a leader: to the wanted distance, and the leader's approach of one second more.
+    local function retreat_m(range_m)
+        return clamp(C.DIST - range_m + math.max(0.0, -track.leader_mps), EVADE_LEAST_M, EVADE_MOST_M)
+    end
+
+    -- The nearest the sonar has to offer: the newest single reading or the average.
+    local function nearest(range_m, t_ms)
+        local raw_m = track.newest(t_ms)
+        if not track.is_target(raw_m) then raw_m = nil end
+        if raw_m and range_m then return math.min(raw_m, range_m) end
+        return raw_m or range_m
+    end
+
+    -- The law's speed is not beyond this, and the wish is not kept for later.
+    local function allow_no_more(speed_mps)
+        laws.wish_mps, laws.speed_mps = math.min(laws.wish_mps, speed_mps), math.min(laws.speed_mps, speed_mps)
+    end
+
+    local function is_too_close(near_m, closing_mps, margin_m)
+        if near_m < HARD_CLOSE_M + margin_m then return true end
+        return near_m - closing_distance(closing_mps) < C.CLOSE + margin_m
+    end
+
+    -- Whether to fly a target of the applet's own away from the leader: it is still closing, and the target in force
+    -- does not lead away fast enough (Guided flies about 1 m/s for each metre to its target).
+    local function should_back_off(behind_m, near_m, closing_mps)
+        local approach_mps = -track.leader_mps
+        if guard.evading then return approach_mps > CLOSING_MPS or closing_mps > 0.0 end
+        if closing_mps <= CLOSING_MPS or behind_m > math.max(EVADE_LEAST_M, approach_mps) then return false end
+        return approach_mps > CLOSING_MPS or near_m < C.CLOSE or near_m - closing_distance(closing_mps) < HARD_CLOSE_M
+    end
+
+    -- Too close and the track agrees: the state, backing off, and the law starts again from the bottom.
+    local function too_close(near_m, closing_mps, t_ms)
+        guard.too_close, guard.close_ms = true, t_ms
+        report.state = STATE.TOO_CLOSE
+        if C.LAW >= 1 then allow_no_more(C.SPD_MIN) end
+        local here = vehicle:get_likely_flying() and ahrs:get_location()
+        if not here then
+            guard.evading = false
+            return C.SPD_MIN
+        end
+        local behind_m = target_behind_m(here, t_ms)
+        guard.evading = should_back_off(behind_m, near_m, closing_mps) and own.fly_back(retreat_m(near_m))
+        if guard.evading then report.state = STATE.BACKING_OFF end
+        if guard.evading or behind_m > EVADE_LEAST_M then return C.SPD_MAX end -- free to get away
+        return C.SPD_MIN
+    end
+
+    function guard.begin(t_ms)
+        guard.evading, guard.close_ms = false, t_ms - BLIND_MS
+    end
+
+    -- The distance is kept otherwise: nothing is too close, and no target of the guard's is in force.
+    function guard.rest()
+        guard.too_close, guard.evading = false, false
+    end
+
+    -- The speed to set, from the average and its status.
+    function guard.update(range_m, status, t_ms)
+        local trusted = track.trusted(t_ms)
+        local closing_mps = trusted and own.mps - track.leader_mps or 0.0
+        local tracked_m = trusted and track.range_m or nil
+        local margin_m = guard.too_close and CLEAR_M or 0.0
+        if status == STATUS_LOW or (tracked_m and is_too_close(tracked_m, closing_mps, margin_m)) then
+            return too_close(tracked_m or 0.0, closing_mps, t_ms)
+        end
+        guard.rest()
+        if C.LAW >= 1 and leads_clear(t_ms) then return C.SPD_MAX end
+        local near_m = nearest(range_m, t_ms)
+        -- Readings that are not yet trusted slow the vehicle, no more.
+        if near_m and is_too_close(near_m, closing_mps, 0.0) then return C.SPD_MIN end
+        -- Law 1 adds step to step for as long as the leader is far. Law 2 never wishes for so much, and law 0 is the
+        -- thesis's.
+        if tracked_m and C.LAW == 1 then
+            allow_no_more(math.max(C.SPD_MIN, track.leader_mps + stoppable_speed(tracked_m)))
+        end
+        return laws.speed_mps
+    end
+end
+
+-- Hold: points that carry a velocity -----------------------------------------------------------------------------------
+
+do
+    -- How far the applet moves a point: little towards the leader, for the ground tool may know why the point is far
+    -- from it; more away from the leader. A sonar that is stuck then moves the vehicle no further.
+    local FORWARD_M, BACK_M = 1.0, 5.0
+    local UNSEEN_MS = 300
+
+    -- Where the point belongs along the beam (metres ahead of here), and its speed there: at the wanted distance from
+    -- the leader and as fast as the leader. ahead_m, mps: the same of the streamed point. While the sonar sees nothing,
+    -- of the track and the point whichever is the more cautious.
+    local function along_beam(ahead_m, mps, t_ms)
+        local wanted_m = track.range_m - C.DIST
+        if t_ms - track.seen_ms > UNSEEN_MS then
+            return math.min(wanted_m, ahead_m), math.min(track.leader_mps, mps)
+        end
+        if wanted_m > ahead_m + FORWARD_M then return ahead_m + FORWARD_M, math.min(mps, track.leader_mps) end
+        if wanted_m < ahead_m - BACK_M then return ahead_m - BACK_M, mps end
+        return wanted_m, track.leader_mps
+    end
+
+    -- Sends Guided the streamed point, moved along the beam. False: it was not taken, or there is none.
+    local function move(t_ms)
+        local here = vehicle:get_likely_flying() and ahrs:get_location()
+        local position = here and ahrs:get_relative_position_NED_origin()
+        if not position then return false end
+        local north_m, east_m = stream.offset(here, t_ms)
+        if not north_m then return false end
+        local yaw = yaw_rad(ahrs)
+        local cos, sin = math.cos(yaw), math.sin(yaw)
+        local ahead_m, mps = north_m * cos + east_m * sin, stream.north_mps * cos + stream.east_mps * sin
+        local wanted_m, wanted_mps = along_beam(ahead_m, mps, t_ms)
+        local by_m, by_mps = wanted_m - ahead_m, wanted_mps - mps
+        position:x(position:x() + north_m + by_m * cos)
+        position:y(position:y() + east_m + by_m * sin)
+        if stream.up_m then position:z(position:z() - stream.up_m - ahrs:get_relative_position_D_home()) end
+        local velocity, acceleration = Vector3f(), Vector3f()
+        velocity:x(stream.north_mps + by_mps * cos)
+        velocity:y(stream.east_mps + by_mps * sin)
+        return vehicle:set_target_posvelaccel_NED(position, velocity, acceleration, true,
+            math.deg(stream.yaw_rad or yaw), false, 0.0, false)
+    end
+
+    function hold.is_wanted()
+        return stream.moving and C.LAW >= 2
+    end
+
+    -- Whether the distance is held: points carry a velocity, and there is a leader to hold on to.
+    function hold.update(t_ms)
+        hold.active = hold.is_wanted() and track.trusted(t_ms) and move(t_ms)
+        if not hold.active then return false end
+        report.state = STATE.HOLDING
+        if track.range_m < C.CLOSE then
+            report.state = track.leader_mps < own.mps and STATE.BACKING_OFF or STATE.TOO_CLOSE
+            guard.close_ms = t_ms
+        end
+        return true
+    end
+end
+
+-- Stream watch -------------------------------------------------------------------------------------------------------
+
+do
+    local TARGET_FRESH_MS = 1000 -- an older streamed point is not the target in force
+    local ABOVE_HOME = { [3] = true, [6] = true } -- MAV_FRAME_GLOBAL_RELATIVE_ALT and its _INT
+    local LENGTH = 3 -- so many points without a gap are a stream; one alone may be a pilot's click on the map
+
+    function stream.take(message, payload, t_ms)
+        local lat, lng, up_m, vn, ve = string.unpack('<i4i4fff', message, payload + 4)
+        local mask, system = string.unpack('<I2B', message, payload + 48)
+        if system ~= 0 and system ~= MY_SYSTEM then return end
+        if stream.points < LENGTH then
+            local gap = not stream.at_ms or t_ms - stream.at_ms > TARGET_FRESH_MS
+            stream.points = gap and 1 or stream.points + 1
+        end
+        stream.at_ms = t_ms
+        stream.lat, stream.lng, stream.up_m, stream.yaw_rad = nil, nil, nil, nil
+        if mask & 0x0003 == 0 then stream.lat, stream.lng = lat, lng end
+        if mask & 0x0004 == 0 and ABOVE_HOME[string.unpack('B', message, payload + 52)] then stream.up_m = up_m end
+        if mask & 0x0400 == 0 then stream.yaw_rad = string.unpack('<f', message, payload + 40) end
+        stream.moving = mask & 0x0018 == 0
+        stream.north_mps, stream.east_mps = 0.0, 0.0
+        if stream.moving then stream.north_mps, stream.east_mps = vn, ve end
+    end
+
+    -- Whether the newest streamed point is the vehicle's target, and a place.
+    function stream.in_force(t_ms)
+        return not stream.holding and stream.at_ms and t_ms - stream.at_ms < TARGET_FRESH_MS and stream.lat
+    end
+
+    -- Where the point in force is now, seen from here: north and east in metres; nil without one.
+    function stream.offset(here, t_ms)
+        if not stream.in_force(t_ms) then return nil end
+        local target = here:copy()
+        target:lat(stream.lat)
+        target:lng(stream.lng)
+        local offset, age_s = here:get_distance_NE(target), (t_ms - stream.at_ms) * 0.001
+        return offset:x() + stream.north_mps * age_s, offset:y() + stream.east_mps * age_s
+    end
+
+    function stream.begin()
+        stream.at_ms, stream.points, stream.holding = nil, 0, false
+    end
+
+    -- Holds the vehicle where it is once a stream of guided points has fallen silent.
+    function stream.watch(t_ms)
+        local silent = C.STREAM_T > 0.0 and stream.points >= LENGTH and t_ms - stream.at_ms > C.STREAM_T * 1000.0
+        if not silent then
+            stream.holding = false
+            return
+        end
+        if not guard.too_close then report.state = STATE.STREAM_LOST end
+        if guard.evading then
+            stream.holding = false -- hold again where the evasion ends
+            return
+        end
+        if stream.holding then return end
+        stream.holding = vehicle:get_likely_flying() and own.fly_back(0.0)
+    end
+end
+
+-- MAVLink: points for the stream watch, single readings for the sonar track ------------------------------------------
+
+local take_messages
+do
+    local SET_POSITION_TARGET_GLOBAL_INT, NAMED_VALUE_FLOAT = 86, 251
+    local WIDE_STRUCTURE = 299 -- bytes of mavlink_message_t where system ids have 32 bits; 291 where they have 8
+
+    mavlink:init(10, 2)
+    mavlink:register_rx_msgid(SET_POSITION_TARGET_GLOBAL_INT)
+    mavlink:register_rx_msgid(NAMED_VALUE_FLOAT)
+
+    function take_messages(t_ms)
+        for _ = 1, 10 do
+            local message = mavlink:receive_chan()
+            if not message then return end
+            local wide = #message >= WIDE_STRUCTURE and 3 or 0
+            local system = string.unpack(wide > 0 and '<I4' or '<B', message, 8)
+            local id = string.unpack('<I3', message, 10 + wide)
+            if id == SET_POSITION_TARGET_GLOBAL_INT then
+                stream.take(message, 13 + wide, t_ms)
+            elseif system == MY_SYSTEM then
+                track.take(message, 13 + wide, t_ms)
+            end
         end
     end
 end
 
--- Laws: pure ---------------------------------------------------------------------------------------------------------
+-- The speed parameter ------------------------------------------------------------------------------------------------
 
--- Change of speed for a range, thesis Appendix A and Table 6.
-local function band_change(range_m)
-    if range_m >= edges.far then return C.STEP_BIG end
-    if range_m >= edges.beyond then return C.STEP_SML end
-    if range_m >= edges.within then return 0.0 end
-    if range_m >= edges.near then return -C.STEP_SML end
-    return -C.STEP_BIG
-end
+do
+    local CONFLICT_CHANGES, CONFLICT_MS = 4, 10000 -- so many outside changes of the speed in this time: another script
 
--- Law 0, Appendix A: one step. A step that would reach a limit is refused.
-local function thesis_step(speed_mps, range_m)
-    local change_mps = band_change(range_m)
-    local new_mps = speed_mps + change_mps
-    if change_mps > 0.0 and new_mps >= C.SPD_MAX then return speed_mps end
-    if change_mps < 0.0 and new_mps <= C.SPD_MIN then return speed_mps end
-    return new_mps
-end
+    local parameter, mirror = Parameter(SPEED_NAME), parameters.mirror
 
--- Law 1: the same step, which stops at the limits instead of being refused.
-local function band_step(speed_mps, range_m)
-    return clamp(speed_mps + band_change(range_m), C.SPD_MIN, C.SPD_MAX)
-end
-
--- Law 2: the leader's speed along the line of sight, a share of the range error, and a share of its rate, which stands
--- for where the error will be once the vehicle has answered.
-local function continuous_speed(range_m, rate_mps, leader_mps)
-    return clamp(leader_mps + C.GAIN_P * (range_m - C.DIST) + C.GAIN_D * rate_mps, C.SPD_MIN, C.SPD_MAX)
-end
-
--- Distance still closed at this rate before the vehicle stops. An acceleration that is under way goes on until the answer
--- begins, and then dies away at the autopilot's jerk: the closing speed rises by a * ANSWER_S + a^2 / (2 JERK) until then.
-local function closing_distance(closing_mps)
-    local a = math.max(0.0, S.accel_mps2)
-    local peak_mps = math.max(0.0, closing_mps + a * ANSWER_S + 0.5 * a * a / JERK_MPS3)
-    return peak_mps * C.DELAY + peak_mps * peak_mps / (2.0 * C.DECEL)
-end
-
--- The closing speed from which the vehicle still stops at the close distance: the inverse of the above without acceleration.
-local function stoppable_speed(range_m)
-    local lag_mps = C.DECEL * C.DELAY
-    return math.sqrt(lag_mps * lag_mps + 2.0 * C.DECEL * math.max(0.0, range_m - C.CLOSE)) - lag_mps
-end
-
--- Control ------------------------------------------------------------------------------------------------------------
-
-local function set_state(state)
-    S.state = state
-end
-
--- One text a change of state.
-local function announce(t_ms)
-    if S.state == S.announced then return end
-    local last_ms = S.announced_ms[S.state]
-    if last_ms and t_ms - last_ms < NOTICE_GAP_MS[S.state] then return end
-    S.announced, S.announced_ms[S.state] = S.state, t_ms
-    local text = STATE_TEXT[S.state]
-    if S.state == SEARCHING or S.state == NO_SONAR then text = string.format('%s, %.1f m/s', text, S.law_mps) end
-    say(STATE_SEVERITY[S.state], text)
-end
-
-local function write_speed(speed_mps)
-    local units = speed_mps * SPEED_UNITS
-    speed_parameter:set(units)
-    S.written = speed_parameter:get()
-    vehicle:set_desired_speed(speed_mps)
-    S.out_mps = speed_mps
-end
-
-local function take_control(t_ms)
-    S.pilot_units = speed_parameter:get()
-    mirror_parameter:set(S.pilot_units) -- before the speed is touched: a restart must find it
-    S.in_control, S.step_ms, S.update_ms = true, t_ms, t_ms
-    S.stream_ms, S.seen_ms, S.data_ms, S.holding, S.evading = nil, t_ms, t_ms, false, false
-    S.announced_ms, S.changes, S.streaming, S.close_ms = {}, {}, 0, t_ms - BLIND_MS
-    S.speed_mps = clamp(C.SPD_INIT, C.SPD_MIN, C.SPD_MAX)
-    S.law_mps = S.speed_mps
-    track.range_m = nil
-    set_state(TRACKING)
-    S.announced = TRACKING -- a target is assumed until it is missed
-    say(SEVERITY.INFO, string.format('in control, law %.0f, %.1f m/s', C.LAW // 1, S.speed_mps))
-end
-
-local function hand_back(reason)
-    if not S.in_control then return end
-    S.in_control = false
-    speed_parameter:set(S.pilot_units)
-    if vehicle:get_mode() == GUIDED then vehicle:set_desired_speed(S.pilot_units / SPEED_UNITS) end
-    mirror_parameter:set(0)
-    S.written, S.state = nil, OFF
-    say(SEVERITY.NOTICE, string.format('handed back, %s %.2f (%s)', SPEED_NAME, S.pilot_units, reason))
-end
-
--- Outside changes of the speed parameter: one is the pilot's, many in a short time are another script's.
-local function note_change(t_ms)
-    S.changes[#S.changes + 1] = t_ms
-    if #S.changes > CONFLICT_CHANGES then table.remove(S.changes, 1) end
-end
-
-local function fought_over(t_ms)
-    return #S.changes == CONFLICT_CHANGES and t_ms - S.changes[1] < CONFLICT_MS
-end
-
--- The pilot has set the speed parameter while the applet is in control: his value from now on.
-local function watch_parameter(t_ms)
-    local units = speed_parameter:get()
-    if not S.written or units == S.written then return end
-    S.pilot_units = units
-    mirror_parameter:set(units)
-    note_change(t_ms)
-    S.conflict = fought_over(t_ms)
-end
-
-local function switch_is_high()
-    local channel = rc:find_channel_for_option(math.tointeger(C.SWITCH // 1))
-    return channel ~= nil and channel:get_aux_switch_pos() == SWITCH_HIGH
-end
-
--- Why the applet must not act now, or nil.
-local function reason_not_to_act()
-    if C.ENABLE < 1 then return 'disabled' end
-    if not arming:is_armed() then
-        S.conflict = false
-        return 'disarmed'
+    function speed.take_over()
+        speed.pilot_units = parameter:get()
+        mirror:set(speed.pilot_units) -- before the speed is touched: a restart must find it
+        speed.changes = {}
     end
-    if vehicle:get_mode() ~= GUIDED then return 'mode' end
-    if S.conflict then return 'another script sets ' .. SPEED_NAME end
-    if C.SWITCH > 0 and not switch_is_high() then return 'switch' end
-    return nil
-end
 
--- Metres that a place lies ahead (along the heading) of the vehicle.
-local function ahead_m(here, lat, lng)
-    local target = here:copy()
-    target:lat(lat)
-    target:lng(lng)
-    local offset = here:get_distance_NE(target)
-    local yaw = yaw_rad(ahrs)
-    return offset:x() * math.cos(yaw) + offset:y() * math.sin(yaw)
-end
-
--- Metres that the target in force lies behind the vehicle, away from the leader; 0 if it leads towards the leader.
-local function target_behind_m(here, t_ms)
-    if not S.holding and S.stream_ms and t_ms - S.stream_ms < TARGET_FRESH_MS and S.target_lat then
-        local yaw = yaw_rad(ahrs)
-        if S.target_vn * math.cos(yaw) + S.target_ve * math.sin(yaw) > 0.0 then return 0.0 end
-        return math.max(0.0, -ahead_m(here, S.target_lat, S.target_lng))
+    function speed.write(mps)
+        parameter:set(mps * SPEED_UNITS)
+        speed.written = parameter:get()
+        vehicle:set_desired_speed(mps)
+        speed.out_mps = mps
     end
-    local target = vehicle:get_target_location()
-    return target and math.max(0.0, -ahead_m(here, target:lat(), target:lng())) or 0.0
-end
 
--- Whether the streamed target leads clear of the leader: back, or more than 60 degrees to the side of where the sonar
--- looks. The limit is against coming nearer, never against getting away.
-local function leads_clear(t_ms)
-    if S.holding or not S.stream_ms or t_ms - S.stream_ms >= TARGET_FRESH_MS or not S.target_lat then return false end
-    local here = vehicle:get_likely_flying() and ahrs:get_location()
-    if not here then return false end
-    local target = here:copy()
-    target:lat(S.target_lat)
-    target:lng(S.target_lng)
-    local distance_m = here:get_distance(target)
-    return distance_m > EVADE_LEAST_M and ahead_m(here, S.target_lat, S.target_lng) < 0.5 * distance_m
-end
-
--- A target so far straight back (0: right here), at this height, looking where it looks now: Guided would turn the nose,
--- and with it the sonar, towards a target without a yaw.
-local function fly_back(back_m)
-    local position = ahrs:get_relative_position_NED_origin()
-    if not position then return false end
-    local yaw = yaw_rad(ahrs)
-    position:x(position:x() - back_m * math.cos(yaw))
-    position:y(position:y() - back_m * math.sin(yaw))
-    return vehicle:set_target_pos_NED(position, true, math.deg(yaw), false, 0.0, false, false)
-end
-
--- How far back to fly from a leader: to the wanted distance, and the leader's approach of one second more.
-local function retreat_m(range_m)
-    return clamp(C.DIST - range_m + math.max(0.0, -track.leader_mps), EVADE_LEAST_M, EVADE_MOST_M)
-end
-
--- The law's wish for this update, before any gate: S.law_mps.
-local function run_law(range_m, t_ms)
-    if C.LAW >= 2 then
-        if not track_trusted(t_ms) then return end
-        S.law_mps = continuous_speed(track.range_m, track.leader_mps - S.own_mps, track.leader_mps)
-        return
+    function speed.give_back(units)
+        parameter:set(units)
+        if vehicle:get_mode() == GUIDED then vehicle:set_desired_speed(units / SPEED_UNITS) end
+        mirror:set(0)
+        speed.written = nil
     end
-    if t_ms - S.step_ms < C.PERIOD * 1000.0 then return end
-    S.step_ms = t_ms
-    S.law_mps = C.LAW < 1 and thesis_step(S.law_mps, range_m) or band_step(S.law_mps, range_m)
-end
 
--- Detection gate: a range at or beyond the limit is no target; what a lost target or a silent sonar means.
-local function gate(range_m, status, t_ms)
-    if status > STATUS_NO_DATA then S.data_ms = t_ms end
-    if range_m and range_m < C.DETECT then
-        S.seen_ms = t_ms
-        run_law(range_m, t_ms)
-        set_state(TRACKING)
-        return
+    -- A script that died in control left the pilot's value in the mirror.
+    function speed.repair()
+        local units = mirror:get()
+        if not (units and units > 0.0) then return end
+        speed.give_back(units)
+        say(SEVERITY.WARNING, string.format('restarted, %s back to %.2f', SPEED_NAME, units))
     end
-    S.step_ms = t_ms -- the next average begins when the target is back
-    set_state(TRACKING)
-    if t_ms - S.data_ms >= C.NODATA_T * 1000.0 then
-        S.law_mps = C.SPD_LOST
-        set_state(NO_SONAR)
-    elseif t_ms - S.seen_ms >= C.LOST_T * 1000.0 and t_ms - S.close_ms >= BLIND_MS then
-        if C.LAW >= 1 then S.law_mps = C.SPD_LOST end
-        set_state(SEARCHING)
+
+    -- Outside changes of the speed parameter: one is the pilot's, many in a short time are another script's.
+    local function note_change(t_ms)
+        speed.changes[#speed.changes + 1] = t_ms
+        if #speed.changes > CONFLICT_CHANGES then table.remove(speed.changes, 1) end
     end
-end
 
-local function limit_rate(t_ms)
-    S.law_mps = clamp(S.law_mps, C.SPD_MIN, C.SPD_MAX)
-    local most_mps = C.RATE * (t_ms - S.update_ms) * 0.001
-    if C.LAW < 1 or C.RATE <= 0.0 then
-        S.speed_mps = S.law_mps
-    else
-        S.speed_mps = S.speed_mps + clamp(S.law_mps - S.speed_mps, -most_mps, most_mps)
+    function speed.fought_over(t_ms)
+        return #speed.changes == CONFLICT_CHANGES and t_ms - speed.changes[1] < CONFLICT_MS
     end
-    S.speed_mps = clamp(S.speed_mps, C.SPD_MIN, C.SPD_MAX)
-end
 
--- The nearest the sonar has to offer: the newest single reading or the average.
-local function nearest(range_m, t_ms)
-    local raw_m = S.raw_ms and t_ms - S.raw_ms <= RAW_FRESH_MS and S.raw_m or nil
-    if raw_m and raw_m >= C.DETECT then raw_m = nil end
-    if raw_m and range_m then return math.min(raw_m, range_m) end
-    return raw_m or range_m
-end
-
-local function is_too_close(near_m, closing_mps, margin_m)
-    if near_m < HARD_CLOSE_M + margin_m then return true end
-    return near_m - closing_distance(closing_mps) < C.CLOSE + margin_m
-end
-
--- Whether to fly a target of the applet's own away from the leader: it is still closing, and the target in force does not
--- lead away fast enough (Guided flies about 1 m/s for each metre to its target).
-local function should_back_off(behind_m, near_m, closing_mps)
-    local approach_mps = -track.leader_mps
-    if S.evading then return approach_mps > CLOSING_MPS or closing_mps > 0.0 end
-    if closing_mps <= CLOSING_MPS or behind_m > math.max(EVADE_LEAST_M, approach_mps) then return false end
-    return approach_mps > CLOSING_MPS or near_m < C.CLOSE or near_m - closing_distance(closing_mps) < HARD_CLOSE_M
-end
-
--- Too close and the track agrees: the state, backing off, and the law starts again from the bottom.
-local function too_close(near_m, closing_mps, t_ms)
-    S.too_close, S.close_ms = true, t_ms
-    set_state(TOO_CLOSE)
-    if C.LAW >= 1 then S.speed_mps, S.law_mps = C.SPD_MIN, C.SPD_MIN end
-    local here = vehicle:get_likely_flying() and ahrs:get_location()
-    if not here then
-        S.evading = false
-        return C.SPD_MIN
+    -- The pilot has set the speed parameter while the applet is in control: his value from now on.
+    function speed.watch(t_ms)
+        local units = parameter:get()
+        if not speed.written or units == speed.written then return end
+        speed.pilot_units = units
+        mirror:set(units)
+        note_change(t_ms)
+        speed.conflict = speed.fought_over(t_ms)
     end
-    local behind_m = target_behind_m(here, t_ms)
-    S.evading = should_back_off(behind_m, near_m, closing_mps) and fly_back(retreat_m(near_m))
-    if S.evading then set_state(BACKING_OFF) end
-    if S.evading or behind_m > EVADE_LEAST_M then return C.SPD_MAX end -- free to get away
-    return C.SPD_MIN
-end
 
--- Law 1 adds step to step for as long as the leader is far: not beyond the speed from which the vehicle still stops, and
--- the wish is not kept for later. Law 2 never wishes for so much, and law 0 is the thesis's.
-local function allow_no_more(speed_mps)
-    S.law_mps, S.speed_mps = math.min(S.law_mps, speed_mps), math.min(S.speed_mps, speed_mps)
-end
-
--- Too close wins over everything before it. Returns the speed to set.
-local function guard(range_m, status, t_ms)
-    local trusted = track_trusted(t_ms)
-    local closing_mps = trusted and S.own_mps - track.leader_mps or 0.0
-    local tracked_m = trusted and track.range_m or nil
-    local margin_m = S.too_close and CLEAR_M or 0.0
-    if status == STATUS_LOW or (tracked_m and is_too_close(tracked_m, closing_mps, margin_m)) then
-        return too_close(tracked_m or 0.0, closing_mps, t_ms)
+    function speed.watch_on_ground(t_ms)
+        local units = parameter:get()
+        if speed.ground_units and units ~= speed.ground_units then note_change(t_ms) end
+        speed.ground_units = units
     end
-    S.too_close, S.evading = false, false
-    if C.LAW >= 1 and leads_clear(t_ms) then return C.SPD_MAX end
-    local near_m = nearest(range_m, t_ms)
-    if near_m and is_too_close(near_m, closing_mps, 0.0) then return C.SPD_MIN end -- readings not yet trusted slow, no more
-    if tracked_m and C.LAW == 1 then
-        allow_no_more(math.max(C.SPD_MIN, track.leader_mps + stoppable_speed(tracked_m)))
-    end
-    return S.speed_mps
-end
-
--- Holds the vehicle where it is once a stream of guided points has fallen silent.
-local function watch_stream(t_ms)
-    local silent = C.STREAM_T > 0.0 and S.streaming >= STREAM_LENGTH and t_ms - S.stream_ms > C.STREAM_T * 1000.0
-    if not silent then
-        S.holding = false
-        return
-    end
-    if not S.too_close then set_state(STREAM_LOST) end
-    if S.evading then
-        S.holding = false -- hold again where the evasion ends
-        return
-    end
-    if S.holding then return end
-    S.holding = vehicle:get_likely_flying() and fly_back(0.0)
 end
 
 -- What pilots see ----------------------------------------------------------------------------------------------------
 
-local function report(range_m, t_ms)
-    if not S.named_ms or t_ms - S.named_ms >= NAMED_MS then
-        S.named_ms = t_ms
-        gcs:send_named_float('ECHO_RNG', range_m or 0.0)
-        gcs:send_named_float('ECHO_SPD', S.out_mps)
-        gcs:send_named_float('ECHO_STATE', S.state)
+do
+    local NAMED_MS = 500 -- pace of the named floats
+    -- Of each state from 1 on: severity, text, and how long it is not announced again, however often it comes and goes.
+    local NOTICES = {
+        { SEVERITY.NOTICE, 'searching', 10000 },
+        { SEVERITY.INFO, 'tracking', 10000 },
+        { SEVERITY.WARNING, 'too close', 3000 },
+        { SEVERITY.WARNING, 'no sonar data', 10000 },
+        { SEVERITY.CRITICAL, 'stream lost, holding here', 3000 },
+        { SEVERITY.CRITICAL, 'too close, backing off', 3000 },
+        { SEVERITY.INFO, 'holding the distance', 10000 },
+    }
+
+    function report.begin()
+        report.announced_ms = {}
+        report.state, report.announced = STATE.TRACKING, STATE.TRACKING -- a target is assumed until it is missed
     end
-    if C.LOG_HZ <= 0.0 or (S.log_ms and t_ms - S.log_ms < 1000.0 / C.LOG_HZ - 1.0) then return end
-    S.log_ms = t_ms
-    local range = range_m or 0.0
-    local filtered = track.range_m or 0.0
-    logger:write('ECHO', 'Rng,Flt,Err,Law,Spd,St', 'fffffB', 'mmmnn-', '00000-', range, filtered,
-        range_m and range_m - C.DIST or 0.0, S.law_mps, S.out_mps, S.state)
+
+    -- One text a change of state.
+    function report.announce(t_ms)
+        local state = report.state
+        if state == report.announced then return end
+        local severity, text, gap_ms = table.unpack(NOTICES[state])
+        local last_ms = report.announced_ms[state]
+        if last_ms and t_ms - last_ms < gap_ms then return end
+        report.announced, report.announced_ms[state] = state, t_ms
+        if state == STATE.SEARCHING or state == STATE.NO_SONAR then
+            text = string.format('%s, %.1f m/s', text, laws.wish_mps)
+        end
+        say(severity, text)
+    end
+
+    local function send_named(range_m, t_ms)
+        if report.named_ms and t_ms - report.named_ms < NAMED_MS then return end
+        report.named_ms = t_ms
+        gcs:send_named_float('ECHO_RNG', range_m or 0.0)
+        gcs:send_named_float('ECHO_SPD', speed.out_mps)
+        gcs:send_named_float('ECHO_STATE', report.state)
+    end
+
+    local function write_log(range_m, t_ms)
+        if C.LOG_HZ <= 0.0 or (report.log_ms and t_ms - report.log_ms < 1000.0 / C.LOG_HZ - 1.0) then return end
+        report.log_ms = t_ms
+        logger:write('ECHO', 'Rng,Flt,Err,Law,Spd,St', 'fffffB', 'mmmnn-', '00000-', range_m or 0.0,
+            track.range_m or 0.0, range_m and range_m - C.DIST or 0.0, laws.wish_mps, speed.out_mps, report.state)
+    end
+
+    function report.send(range_m, t_ms)
+        send_named(range_m, t_ms)
+        write_log(range_m, t_ms)
+    end
 end
 
 -- Before arming ------------------------------------------------------------------------------------------------------
 
-local auth_id = arming.get_aux_auth_id and arming:get_aux_auth_id()
-if not auth_id then say(SEVERITY.WARNING, 'no arming check, all authorisation ids are taken') end
+local check_arming
+do
+    local MAVLINK_RANGEFINDER = 10 -- RNGFNDx_TYPE
+    local CHECK_MS = 1000 -- pace
 
--- RNGFNDx_TYPE of the forward rangefinder, nil if none is set up.
-local function forward_type()
-    for i = 1, 9 do
-        if param:get('RNGFND' .. i .. '_ORIENT') == FORWARD then
-            local kind = param:get('RNGFND' .. i .. '_TYPE')
-            if kind and kind > 0 then return kind end
+    local checked_ms
+    local id = arming.get_aux_auth_id and arming:get_aux_auth_id()
+    if not id then say(SEVERITY.WARNING, 'no arming check, all authorisation ids are taken') end
+
+    -- RNGFNDx_TYPE of the forward rangefinder, nil if none is set up.
+    local function forward_type()
+        for i = 1, 9 do
+            if param:get('RNGFND' .. i .. '_ORIENT') == FORWARD then
+                local kind = param:get('RNGFND' .. i .. '_TYPE')
+                if kind and kind > 0 then return kind end
+            end
+        end
+        return nil
+    end
+
+    local function reason_not_to_arm(t_ms)
+        local kind = forward_type()
+        if not kind or not rangefinder:has_orientation(FORWARD) then return 'no forward rangefinder' end
+        if kind ~= MAVLINK_RANGEFINDER then return 'forward rangefinder is not MAVLink' end
+        if speed.fought_over(t_ms) then return 'another script sets ' .. SPEED_NAME end
+        return nil
+    end
+
+    function check_arming(t_ms)
+        if not id or arming:is_armed() then return end
+        speed.watch_on_ground(t_ms)
+        if checked_ms and t_ms - checked_ms < CHECK_MS then return end
+        checked_ms = t_ms
+        local reason = C.ENABLE >= 1 and C.ARM_CHK >= 1 and reason_not_to_arm(t_ms) or nil
+        if reason then
+            arming:set_aux_auth_failed(id, TEXT .. reason)
+        else
+            arming:set_aux_auth_passed(id)
         end
     end
-    return nil
 end
 
-local function reason_not_to_arm(t_ms)
-    local kind = forward_type()
-    if not kind or not rangefinder:has_orientation(FORWARD) then return 'no forward rangefinder' end
-    if kind ~= MAVLINK_RANGEFINDER then return 'forward rangefinder is not MAVLink' end
-    if fought_over(t_ms) then return 'another script sets ' .. SPEED_NAME end
-    return nil
-end
+-- Control: who flies, and the update ---------------------------------------------------------------------------------
 
-local function check_arming(t_ms)
-    if not auth_id or arming:is_armed() then return end
-    local units = speed_parameter:get()
-    if S.ground_units and units ~= S.ground_units then note_change(t_ms) end
-    S.ground_units = units
-    if S.arming_ms and t_ms - S.arming_ms < ARMING_MS then return end
-    S.arming_ms = t_ms
-    local reason = C.ENABLE >= 1 and C.ARM_CHK >= 1 and reason_not_to_arm(t_ms) or nil
-    if reason then
-        arming:set_aux_auth_failed(auth_id, TEXT .. reason)
-    else
-        arming:set_aux_auth_passed(auth_id)
+do
+    local SWITCH_HIGH = 2
+    local ACTIVE_MS, QUICK_MS, REPAIR_MS = 50, 20, 1000 -- pause before the next update
+
+    -- Milliseconds since the script started, a plain integer (wraps after 24 days).
+    local boot = millis()
+    local function now_ms()
+        return (millis() - boot):toint()
+    end
+
+    local function switch_is_high()
+        local channel = rc:find_channel_for_option(math.tointeger(C.SWITCH // 1))
+        return channel ~= nil and channel:get_aux_switch_pos() == SWITCH_HIGH
+    end
+
+    -- Why the applet must not act now, or nil.
+    local function reason_not_to_act()
+        if C.ENABLE < 1 then return 'disabled' end
+        if not arming:is_armed() then
+            speed.conflict = false
+            return 'disarmed'
+        end
+        if vehicle:get_mode() ~= GUIDED then return 'mode' end
+        if speed.conflict then return 'another script sets ' .. SPEED_NAME end
+        if C.SWITCH > 0 and not switch_is_high() then return 'switch' end
+        return nil
+    end
+
+    local function take_control(t_ms)
+        speed.take_over()
+        control.active = true
+        stream.begin()
+        laws.begin(t_ms)
+        guard.begin(t_ms)
+        report.begin()
+        track.range_m = nil
+        say(SEVERITY.INFO, string.format('in control, law %.0f, %.1f m/s', C.LAW // 1, laws.speed_mps))
+    end
+
+    local function hand_back(reason)
+        if not control.active then return end
+        control.active = false
+        speed.give_back(speed.pilot_units)
+        report.state = STATE.OFF
+        say(SEVERITY.NOTICE, string.format('handed back, %s %.2f (%s)', SPEED_NAME, speed.pilot_units, reason))
+    end
+
+    -- The limit of the total speed; where points carry a velocity, of the correction towards them.
+    local function limit(range_m, status, t_ms)
+        if hold.update(t_ms) then
+            guard.rest()
+            return C.SPD_MAX
+        end
+        if hold.is_wanted() and not stream.holding and not track.trusted(t_ms) and status ~= STATUS_LOW then
+            guard.rest()
+            return C.SPD_LOST
+        end
+        return guard.update(range_m, status, t_ms)
+    end
+
+    local function act(t_ms)
+        if not control.active then take_control(t_ms) end
+        speed.watch(t_ms)
+        local range_m, status = track.average()
+        if track.is_target(range_m) and not track.newest(t_ms) then
+            track.update(range_m, t_ms) -- no single readings: the average has to do
+        end
+        laws.update(range_m, status, t_ms)
+        local limit_mps = limit(range_m, status, t_ms)
+        stream.watch(t_ms)
+        speed.write(limit_mps)
+        report.announce(t_ms)
+        report.send(range_m, t_ms)
+        return (guard.evading or hold.active) and QUICK_MS or ACTIVE_MS
+    end
+
+    local function update()
+        local t_ms = now_ms()
+        parameters.read_some()
+        own.update(t_ms)
+        track.carry(t_ms)
+        take_messages(t_ms)
+        local reason = reason_not_to_act()
+        if not reason then return act(t_ms) end
+        hand_back(reason)
+        check_arming(t_ms)
+        return IDLE_MS
+    end
+
+    -- An error is told once with its place; the speed is handed back, and the next try is slower.
+    function control.run()
+        local ok, result = pcall(update)
+        if ok then
+            control.error = nil
+            return control.run, result
+        end
+        if result ~= control.error then
+            control.error = result
+            say(SEVERITY.CRITICAL, 'error ' .. tostring(result))
+        end
+        pcall(hand_back, 'error')
+        return control.run, REPAIR_MS
     end
 end
 
--- The update ---------------------------------------------------------------------------------------------------------
-
-local function act(t_ms)
-    if not S.in_control then take_control(t_ms) end
-    watch_parameter(t_ms)
-    local range_m, status = read_average()
-    if range_m and range_m < C.DETECT and not (S.raw_ms and t_ms - S.raw_ms <= RAW_FRESH_MS) then
-        track_update(range_m, S.own_mps, t_ms) -- no single readings: the average has to do
-    end
-    gate(range_m, status, t_ms)
-    limit_rate(t_ms)
-    local speed_mps = guard(range_m, status, t_ms)
-    watch_stream(t_ms)
-    write_speed(speed_mps)
-    announce(t_ms)
-    S.update_ms = t_ms
-    report(range_m, t_ms)
-    return S.evading and EVADE_MS or ACTIVE_MS
-end
-
-local function update()
-    local t_ms = now_ms()
-    read_some_parameters()
-    note_own_speed(forward_speed(), t_ms)
-    track_carry(S.own_mps, t_ms)
-    take_messages(t_ms)
-    local reason = reason_not_to_act()
-    if not reason then return act(t_ms) end
-    hand_back(reason)
-    check_arming(t_ms)
-    return IDLE_MS
-end
-
--- An error is told once with its place; the speed is handed back, and the next try is slower.
-local function protected_update()
-    local ok, result = pcall(update)
-    if ok then
-        S.error = nil
-        return protected_update, result
-    end
-    if result ~= S.error then
-        S.error = result
-        say(SEVERITY.CRITICAL, 'error ' .. tostring(result))
-    end
-    pcall(hand_back, 'error')
-    return protected_update, REPAIR_MS
-end
-
--- A script that died in control left the pilot's value in the mirror.
-local mirrored = mirror_parameter:get()
-if mirrored and mirrored > 0.0 then
-    speed_parameter:set(mirrored)
-    if vehicle:get_mode() == GUIDED then vehicle:set_desired_speed(mirrored / SPEED_UNITS) end
-    mirror_parameter:set(0)
-    say(SEVERITY.WARNING, string.format('restarted, %s back to %.2f', SPEED_NAME, mirrored))
-end
-
+speed.repair()
 say(SEVERITY.INFO, 'ready')
-return protected_update, IDLE_MS
+return control.run, IDLE_MS

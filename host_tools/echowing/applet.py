@@ -16,7 +16,8 @@ APPLET = "echowing.lua"
 # Where ArduPilot looks for scripts on its card (AP_Scripting, SCRIPTING_DIRECTORY).
 FIRMWARE_FOLDER, SCRIPTS_FOLDER = "APM", "scripts"
 CARD_SCRIPTS = f"{FIRMWARE_FOLDER}/{SCRIPTS_FOLDER}"
-CARD_APPLET = f"{CARD_SCRIPTS}/{APPLET}"
+# On a vehicle's card, and in ArduPilot's SITL, whose card is the folder it runs in.
+CARD_FOLDERS = (CARD_SCRIPTS, SCRIPTS_FOLDER)
 PARAMETER_PREFIX = "ECHO_"
 # How the applet writes a constant, and a row of its table: name, default, lowest, highest.
 _CONSTANT = re.compile(r"^local (\w+) = ([\d.]+)", re.MULTILINE)
@@ -108,6 +109,22 @@ def install_over_link(
     _replace(card, arriving, target, leaving)
     card.remove(leaving)
     return True
+
+
+def scripts_folder(card: FtpClient) -> str | None:
+    """Where this vehicle has its scripts: on its SD card, or as ArduPilot's SITL has them.
+
+    None: neither is there, as SITL makes the folder when scripting starts.
+    """
+    for folder, parent in ((CARD_SCRIPTS, FIRMWARE_FOLDER), (SCRIPTS_FOLDER, SCRIPTS_FOLDER)):
+        try:
+            card.entries(parent)
+        except FtpRefusedError as refusal:
+            if not refusal.not_there:
+                raise
+        else:
+            return folder
+    return None
 
 
 def _find_scripts(card: FtpClient, scripts: str) -> None:

@@ -20,6 +20,9 @@ from echowing.errors import EchowingError
 SIGNING_EPOCH_UNIX_S = 1_420_070_400  # 2015-01-01
 SIGNING_TICKS_PER_S = 100_000
 KEY_BYTES = 32
+# Tools that may run at the same time sign under different link ids, else each makes the other's
+# times look old. `follow` counts its links from 1; one verb of `setup` has one link.
+SETUP_LINK_ID = 255
 # What a radio says of itself carries no signature; ArduPilot accepts it all the same.
 NEEDS_NO_SIGNATURE = {mavlink.MAVLINK_MSG_ID_RADIO, mavlink.MAVLINK_MSG_ID_RADIO_STATUS}
 # pymavlink's word for a frame that it does not believe.

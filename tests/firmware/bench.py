@@ -19,7 +19,8 @@ from echowing.sim.sonar import MaxSonar
 
 STEP_US = 5_000
 VEHICLE_ID = 7
-OUR_ID, OUR_COMPONENT = 1, 191  # SYS_ID and COMP_ID as the firmware comes
+# SYS_ID and COMP_ID as the firmware comes: it has not learned yet whose it is.
+OUR_ID, OUR_COMPONENT = 250, 191
 BOARD = firmware.board(os.environ.get("ECHOWING_BOARD", "mega"))
 IS_STM32 = BOARD.family == firmware.STM32
 HAS_USB = "usb" in BOARD.uarts  # in the emulator
@@ -190,8 +191,9 @@ class Bench:
 
     @property
     def system(self) -> int:
-        """The system id the board has by now."""
-        return OUR_ID if self.armed is None else VEHICLE_ID
+        """The system id the board speaks as by now."""
+        newest = self.heard[-1].message if self.heard else None
+        return int(newest.get_srcSystem()) if newest else OUR_ID
 
     # ---- what was heard
 

@@ -58,7 +58,7 @@ class TestStart:
     def test_it_speaks_within_a_second(self, elf: Path) -> None:
         bench = Bench(elf, BenchSonar(2.0))
         bench.run(1.0)
-        assert "Echowing: started" in bench.texts(CONSOLE_PORT)
+        assert "Echowing: started, power on" in bench.texts(CONSOLE_PORT)
         assert bench.ranges_cm()[-1] == 200
         assert bench.board.meters().restarts == 0
 
@@ -158,7 +158,7 @@ class TestMemory:
         """SCAN_DWELL of a board booted with that memory, which it must not complain of."""
         again = Bench(elf, eeprom=image)
         again.run(0.3)
-        assert again.texts(CONSOLE_PORT) == ["Echowing: started"]
+        assert again.texts(CONSOLE_PORT) == ["Echowing: started, power on"]
         return float(again.set_parameter("SCAN_DWELL", float("nan")).param_value)
 
     def test_blocks_are_the_last_two_of_the_flash(self, elf: Path) -> None:

@@ -1,10 +1,11 @@
 """`echowing setup`: the judgements, each alone; writing and putting back; files of old values."""
 
+import io
 import json
 import math
 import re
 from collections.abc import Mapping
-from datetime import datetime
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -20,12 +21,15 @@ from echowing.setup.apply import (
     Saved,
     changes_for,
     default_file,
+    hidden_for,
     load,
+    others_of,
     save,
     write_all,
 )
 from echowing.setup.checks import Finding, Verdict, examine, exit_code
-from echowing.setup.readout import Readout, Reports
+from echowing.setup.job import Work
+from echowing.setup.readout import CardApplet, Readout, Reports, Role
 from echowing.setup.settings import settings_for
 from echowing.setup.view import as_json, as_lines, differences
 from echowing.sim.parameters import Generation, Parameters
@@ -39,6 +43,8 @@ METRIC = {
     "RNGFND1_TYPE": 10.0,
     "RNGFND1_ORIENT": 0.0,
     "RNGFND1_MAX": 7.65,
+    "WP_ACC": 5.0,
+    "PSC_JERK_NE": 20.0,
 }
 CENTIMETRES = {
     "SERIAL2_BAUD": 115.0,
@@ -46,6 +52,8 @@ CENTIMETRES = {
     "RNGFND1_ORIENT": 0.0,
     "RNGFND1_MAX_CM": 765.0,
     "RTL_SPEED": 500.0,
+    "WPNAV_ACCEL": 500.0,
+    "PSC_JERK_XY": 20.0,
 }
 NEEDED = {
     Generation.V4_5: CENTIMETRES,
@@ -70,7 +78,7 @@ def ready(generation: Generation = Generation.V4_8, **changes: Any) -> Readout:
         "coprocessor_parameters": {"TRACK_RANGE": 450.0},
         "reports": STEADY,
         "takes_range": True,
-        "applet_is_ours": True,
+        "applet_on_card": CardApplet.OURS,
     }
     for key, value in changes.items():
         if key[0].isupper():
@@ -101,7 +109,7 @@ def test_the_factory_needs_just_what_the_docs_say(generation: Generation) -> Non
 
 
 WRONG = [
-    # what is changed, where it shows, what mends it
+    # what is changed, where it shows, what fixes it
     ({"SERIAL2_PROTOCOL": 1.0}, "SERIAL2_PROTOCOL", "param set SERIAL2_PROTOCOL 2"),
     ({"SERIAL2_PROTOCOL": -1.0}, "SERIAL2_PROTOCOL", "restart"),
     ({"SERIAL2_BAUD": 57.0}, "SERIAL2_BAUD", "param set SERIAL2_BAUD 115"),
@@ -121,12 +129,28 @@ WRONG = [
     ({"GUID_OPTIONS": 65.0}, "GUID_OPTIONS", "param set GUID_OPTIONS 1;"),
     ({"GUID_TIMEOUT": 60.0}, "GUID_TIMEOUT", "param set GUID_TIMEOUT 3"),
     ({"RTL_SPEED_MS": 0.0}, "RTL_SPEED_MS", "param set RTL_SPEED_MS 5"),
+    ({"WP_ACC": 2.5}, "WP_ACC", "param set WP_ACC 5;"),
+    ({"WP_ACC": 0.0}, "WP_ACC", "param set WP_ACC 5;"),  # ArduCopter flies 2.5 then
+    ({"PSC_JERK_NE": 5.0}, "PSC_JERK_NE", "param set PSC_JERK_NE 20;"),
+    ({"PSC_JERK_NE": 0.0}, "PSC_JERK_NE", "param set PSC_JERK_NE 20;"),
     ({"ECHO_ENABLE": 0.0}, "ECHO_ENABLE", "param set ECHO_ENABLE 1"),
     ({"ECHO_DIST": 0.5}, "ECHO_DIST", "param set ECHO_DIST 3"),
     ({"ECHO_SPD_MIN": 0.1}, "ECHO_SPD_MIN", "param set ECHO_SPD_MIN 0.2"),
     ({"ECHO_SWITCH": 301.0}, "switch", "param set RC7_OPTION 301"),
-    ({"ECHO_ENABLE": None}, "applet", "echowing setup lua"),
-    ({"applet_is_ours": False}, "applet on the card", "echowing setup lua"),
+    (
+        {"ECHO_ENABLE": None, "applet_on_card": CardApplet.NONE},
+        "applet",
+        "echowing setup lua",
+    ),
+    ({"ECHO_ENABLE": None, "applet_on_card": None}, "applet", "echowing setup lua"),
+    ({"ECHO_ENABLE": None}, "applet", "restart the autopilot"),
+    ({"objections": ["Scripting: Error: ./x.lua:9: boom"]}, "applet", "take that off the card"),
+    (
+        {"coprocessor": None, "reports": None, "signs": True, "takes_range": False},
+        "co-processor",
+        "MAV3_OPTIONS 1 ",
+    ),
+    ({"applet_on_card": CardApplet.ANOTHER}, "applet on the card", "echowing setup lua"),
     ({"ECHO_MIRROR": 10.0, "WP_SPD": 0.2}, "WP_SPD", "restart the autopilot or its scripts"),
     ({"coprocessor": None, "reports": None}, "co-processor", "look at the wires"),
     ({"coprocessor_status": 5}, "co-processor", "SONAR_ADDR"),
@@ -138,14 +162,14 @@ WRONG = [
 ]
 
 
-@pytest.mark.parametrize(("changes", "about", "mend"), WRONG)
-def test_one_thing_wrong_is_one_line_that_mends_it(
-    changes: dict[str, Any], about: str, mend: str
+@pytest.mark.parametrize(("changes", "about", "fix"), WRONG)
+def test_one_thing_wrong_is_one_line_that_fixes_it(
+    changes: dict[str, Any], about: str, fix: str
 ) -> None:
     odd = odd_ones(ready(**changes))
     assert list(odd) == [about]
     assert odd[about].verdict is Verdict.WRONG
-    assert mend in odd[about].mend
+    assert fix in odd[about].fix
     assert odd[about].why
     assert exit_code(examine(ready(**changes))) == 1
 
@@ -174,7 +198,7 @@ def test_the_pilots_own_is_reported_and_never_written(changes: dict[str, Any], a
     assert odd[about].verdict is Verdict.YOURS
     assert exit_code(examine(readout)) == 0
     assert changes_for(readout) == []
-    assert any("stays, it is yours" in line for line in differences(readout, []))
+    assert any("stays, it is yours" in line for line in differences(readout, [], {}))
 
 
 def test_what_does_well_enough_is_let_be() -> None:
@@ -187,6 +211,8 @@ def test_what_does_well_enough_is_let_be() -> None:
         SCR_HEAP_SIZE=307_200.0,
         GUID_OPTIONS=9.0,
         RTL_SPEED_MS=3.0,
+        WP_ACC=6.0,
+        PSC_JERK_NE=30.0,
     )
     assert odd_ones(fine) == {}
     assert changes_for(fine) == []
@@ -205,13 +231,24 @@ def test_what_cannot_be_told_is_neither_fine_nor_wrong() -> None:
     readout = ready(SCR_HEAP_SIZE=None)
     assert odd_ones(readout)["SCR_HEAP_SIZE"].verdict is Verdict.UNKNOWN
     assert exit_code(examine(readout)) == 2
-    assert "SCR_ENABLE is 1" in odd_ones(readout)["SCR_HEAP_SIZE"].mend
+    assert "SCR_ENABLE is 1" in odd_ones(readout)["SCR_HEAP_SIZE"].fix
     hidden = odd_ones(ready(RNGFND1_ORIENT=None))["RNGFND1_ORIENT"]
-    assert "shown once the rangefinder's TYPE is set" in hidden.mend
+    assert "shown once the rangefinder's TYPE is set" in hidden.fix
     no_copter = ready(WP_SPD=None)
     assert "neither WP_SPD nor WPNAV_SPEED" in odd_ones(no_copter)["speed parameter"].found
+    assert odd_ones(ready(WP_ACC=None))["WP_ACC"].verdict is Verdict.UNKNOWN
+    assert odd_ones(ready(PSC_JERK_NE=None))["PSC_JERK_NE"].verdict is Verdict.UNKNOWN
     both = ready(SCR_HEAP_SIZE=None, RTL_SPEED_MS=0.0)
     assert exit_code(examine(both)) == 1
+
+
+def test_limits_are_judged_in_the_units_of_the_generation() -> None:
+    old = Generation.V4_6
+    slow = odd_ones(ready(old, WPNAV_ACCEL=250.0, PSC_JERK_XY=5.0))
+    assert set(slow) == {"WPNAV_ACCEL", "PSC_JERK_XY"}
+    assert "param set WPNAV_ACCEL 500;" in slow["WPNAV_ACCEL"].fix
+    assert "param set PSC_JERK_XY 20;" in slow["PSC_JERK_XY"].fix
+    assert odd_ones(ready(old, WPNAV_ACCEL=600.0)) == {}
 
 
 def test_without_a_port_named_the_ports_are_left_alone_and_listed() -> None:
@@ -221,7 +258,7 @@ def test_without_a_port_named_the_ports_are_left_alone_and_listed() -> None:
         serial_port=None, coprocessor=None, reports=None, SERIAL4_PROTOCOL=2.0, SERIAL4_BAUD=115.0
     )
     # SERIAL0 is USB; 2 and 4 are MAVLink at 115200 baud.
-    assert "is now on: SERIAL2, SERIAL4" in odd_ones(unheard)["co-processor"].mend
+    assert "is now on: SERIAL2, SERIAL4" in odd_ones(unheard)["co-processor"].fix
 
 
 def test_a_second_rangefinder_may_be_ours() -> None:
@@ -239,7 +276,7 @@ def test_a_second_rangefinder_may_be_ours() -> None:
 def test_a_sensor_of_the_pilots_is_never_overwritten() -> None:
     readout = ready(RNGFND1_TYPE=8.0)
     assert changes_for(readout) == []
-    told = "\n".join(differences(readout, []))
+    told = "\n".join(differences(readout, [], {}))
     assert "another sensor is set up there, left alone" in told
 
 
@@ -261,13 +298,56 @@ def test_the_pages_for_people_say_the_same(page: str) -> None:
         assert fits[name](float(rows[name])), name
 
 
+def test_the_applets_absence_has_a_reason() -> None:
+    off = ready(ECHO_ENABLE=None, SCR_ENABLE=0.0, applet_on_card=CardApplet.NONE)
+    assert odd_ones(off)["applet"].found == "does not run: scripting is off"
+    # The autopilot's own reason comes before all guesses.
+    told = "Scripting: Error: ./scripts/echowing.lua:673: too many l"
+    failed = ready(ECHO_ENABLE=None, objections=[told, "GPS 1: Bad fix"])
+    odd = odd_ones(failed)
+    assert odd["applet"].found == told
+    assert (odd["arming"].found, odd["arming"].verdict) == ("GPS 1: Bad fix", Verdict.YOURS)
+
+
+def test_signing_silences_the_co_processor_and_the_fix_is_named() -> None:
+    unheard: dict[str, Any] = {
+        "coprocessor": None,
+        "reports": None,
+        "signs": True,
+        "takes_range": False,
+    }
+    # MAVn counts MAVLink ports: without SERIAL1 the co-processor's is the second.
+    second = odd_ones(ready(SERIAL1_PROTOCOL=-1.0, MAV2_OPTIONS=4.0, **unheard))["co-processor"]
+    assert "param set MAV2_OPTIONS 5 " in second.fix
+    exempt = odd_ones(ready(MAV3_OPTIONS=1.0, **unheard))["co-processor"]
+    assert "look at the wires" in exempt.fix
+    old = odd_ones(ready(Generation.V4_6, **unheard))["co-processor"]
+    assert "only the USB port" in old.fix
+    assert "update to 4.7" in old.fix
+    unnamed = odd_ones(ready(serial_port=None, **unheard))["co-processor"]
+    assert "--serial 2" in unnamed.fix
+    assert odd_ones(ready(signs=True)) == {}  # heard: nothing is dropped
+    # On a signed link what is passed on without a signature is not believed, but the range counts.
+    assert odd_ones(ready(**{**unheard, "takes_range": True})) == {}
+
+
+def test_a_leader_is_not_judged_as_a_follower() -> None:
+    bare = Readout({**factory(), **PILOTS})
+    assert [one for one in examine(bare, Role.LEADER) if one.verdict is not Verdict.FINE] == []
+    assert exit_code(examine(bare)) == 1
+    careless = Readout({**factory(), "ECHO_ENABLE": 1.0, "ECHO_STREAM_T": 0.0})
+    doubts = {one.about for one in examine(careless, Role.LEADER) if one.verdict is Verdict.YOURS}
+    assert doubts == {"ECHO_ENABLE", "FS_GCS_ENABLE", "BATT_FS_LOW_ACT", "FENCE_ENABLE"}
+    assert exit_code(examine(careless, Role.LEADER)) == 0
+
+
 # ---- what is printed --------------------------------------------------------------------------
 
 
 def test_lines_say_why_and_what_to_type_and_fold_what_is_dull() -> None:
     readout = ready(RTL_SPEED_MS=0.0, version=(4, 8))
     lines = list(as_lines(2, readout, examine(readout)))
-    assert lines[0] == "vehicle 2, ArduCopter 4.8, disarmed"
+    assert lines[0] == "vehicle 2, ArduCopter 4.8, disarmed, as a follower"
     at = next(i for i, line in enumerate(lines) if line.startswith("WRONG"))
     assert lines[at].split() == ["WRONG", "RTL_SPEED_MS", "0"]
     assert "flies at the speed parameter" in lines[at + 1]
@@ -275,6 +355,15 @@ def test_lines_say_why_and_what_to_type_and_fold_what_is_dull() -> None:
     assert not any("ECHO_TAU" in line for line in lines)
     assert any("26 parameters within their ranges" in line for line in lines)
     assert lines[-1].startswith("1 wrong, ")
+
+
+def test_no_label_runs_into_what_was_found() -> None:
+    findings = [
+        Finding("range in the autopilot", Verdict.FINE, "it"),
+        Finding("x", Verdict.FINE, "y"),
+    ]
+    lines = list(as_lines(2, ready(), findings))
+    assert lines[1:3] == ["fine   range in the autopilot it", "fine   x                      y"]
 
 
 def test_json_holds_every_finding() -> None:
@@ -316,7 +405,7 @@ def silent(name: str) -> None:
 def test_the_file_is_whole_before_the_first_write(tmp_path: Path) -> None:
     path = tmp_path / "old.json"
     save(path, 2, CHANGES, NOW)
-    assert load(path) == Saved(2, {"A": 1.0, "B": 0.1, "C": 5.0})
+    assert load(path) == Saved(2, {"A": 1.0, "B": 0.1, "C": 5.0}, "2026-11-21T09:30:00")
     assert [one.name for one in tmp_path.iterdir()] == ["old.json"]
 
 
@@ -358,23 +447,64 @@ class Standing:
         return value
 
 
-def test_interrupted_it_says_how_to_go_back(capsys: pytest.CaptureFixture[str]) -> None:
+def test_interrupted_it_says_how_to_go_back() -> None:
     vehicle: Any = Standing()
+    told: list[str] = []
     values = [(change.name, change.new) for change in CHANGES]
-    assert setup._write(vehicle, values, "back: echowing setup restore F --vehicle V") is None
+    work = Work(vehicle, "V", told.append, restart=False)
+    assert work.write(values, "back: echowing setup restore F --vehicle V") is None
     assert vehicle.written == ["A"]
-    told = capsys.readouterr().err
-    assert "only some values are written; back: echowing setup restore F" in told
+    assert "only some values are written; back: echowing setup restore F" in told[-1]
 
 
-def test_an_older_file_is_never_overwritten(tmp_path: Path) -> None:
+def test_the_oldest_values_stay_where_a_file_is_added_to(tmp_path: Path) -> None:
+    path = tmp_path / "old.json"
+    save(path, 2, CHANGES[:2], NOW)
+    later = [Change("B", 0.2, 0.3), Change("D", 7.0, 8.0)]
+    save(path, 2, later, NOW + timedelta(hours=1))
+    assert load(path) == Saved(2, {"A": 1.0, "B": 0.1, "D": 7.0}, "2026-11-21T09:30:00")
+    assert list(load(path).parameters) == ["A", "B", "D"]  # put back in reverse
+
+
+def test_a_file_of_anything_else_is_never_overwritten(tmp_path: Path) -> None:
     path = tmp_path / "old.json"
     save(path, 2, CHANGES, NOW)
-    with pytest.raises(EchowingError, match="is there already, and holds older values"):
-        save(path, 2, CHANGES[:1], NOW)
-    assert len(load(path).parameters) == 3
+    with pytest.raises(EchowingError, match="is of vehicle 2; name another file"):
+        save(path, 3, CHANGES, NOW)
+    assert load(path).system_id == 2
+    letter = tmp_path / "letter.txt"
+    letter.write_text("Dear pilot")
+    with pytest.raises(EchowingError, match="not a file of saved parameters"):
+        save(letter, 2, CHANGES, NOW)
+    assert letter.read_text() == "Dear pilot"
     with pytest.raises(EchowingError, match="nothing was changed"):
         save(tmp_path / "missing" / "old.json", 2, CHANGES, NOW)
+
+
+def test_files_of_other_applies_are_found_the_newest_first(tmp_path: Path) -> None:
+    files = [tmp_path / f"{name}.params.json" for name in ("c", "a", "b")]
+    for hours, path in enumerate(files):
+        save(path, 2, CHANGES, NOW + timedelta(hours=hours))
+    save(tmp_path / "other.params.json", 3, CHANGES, NOW)
+    (tmp_path / "broken.params.json").write_text("{")
+    assert [path.name[0] for path, _ in others_of(files[1], 2)] == ["b", "c"]
+
+
+def test_what_hides_is_announced() -> None:
+    hides: dict[str, Any] = {"RNGFND1_ORIENT": None, "RNGFND1_MIN": None, "SCR_HEAP_SIZE": None}
+    readout = ready(ECHO_ENABLE=None, applet_on_card=CardApplet.NONE, **hides)
+    hidden = hidden_for(readout)
+    assert hidden == {
+        "RNGFND1_ORIENT": 0.0,
+        "RNGFND1_MIN": 0.2,
+        "SCR_HEAP_SIZE": 204_800.0,
+        "ECHO_ENABLE": 1.0,
+    }
+    told = "\n".join(differences(readout, [], hidden))
+    assert "-> 0.2 after the restart" in told
+    assert "left alone" not in told
+    # A firmware without scripting shows nothing later.
+    assert "SCR_HEAP_SIZE" not in hidden_for(ready(SCR_ENABLE=None, SCR_HEAP_SIZE=None))
 
 
 def test_the_files_name_says_whose_and_when() -> None:
@@ -412,6 +542,23 @@ def test_what_no_parameter_can_be_is_not_put_back(name: str, value: float, tmp_p
     path.write_text(json.dumps(content), encoding="utf-8")
     with pytest.raises(EchowingError, match="a parameter that is no number"):
         load(path)
+
+
+@pytest.mark.parametrize(
+    ("typed", "yes"), [("y\n", True), ("YES\n", True), ("\n", False), ("n\n", False), ("y", True)]
+)
+def test_the_answer_may_come_through_a_pipe(
+    typed: str, yes: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO(typed))
+    assert setup.agreed("Write these to vehicle 2 on V? [y/N] ") is yes
+    assert capsys.readouterr().out == "Write these to vehicle 2 on V? [y/N] "
+
+
+def test_where_nobody_answers_nothing_is_taken_for_granted(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO(""))
+    with pytest.raises(EchowingError, match="nobody is there to ask; give --yes"):
+        setup.agreed("? ")
 
 
 # ---- the command line, where no vehicle is needed ---------------------------------------------

@@ -45,7 +45,7 @@ class Watch:
         self.near_ms = -(10**6)  # when a reading last said "under 1 m"
         self.behind_ms = -(10**6)
         self.heard = 0
-        self.tables: tuple[Any, Any] | None = None
+        self.tables: tuple[Any, Any, Any] | None = None
 
     def do(self, action: tuple[Any, ...]) -> None:
         r, vehicle = self.r, self.r.vehicle
@@ -88,12 +88,13 @@ class Watch:
         r = self.r
         assert r.host.error is None, r.host.error
         self.check_texts()
-        if self.tables is None and r.host.local_value("S") is not None:
-            self.tables = r.host.local_value("S"), r.host.local_value("C")
+        if self.tables is None and r.host.local_value("control") is not None:
+            control, guard, limits = map(r.host.local_value, ("control", "guard", "C"))
+            self.tables = control, guard, limits
         if self.tables is None:  # restarted, and not yet run
             return
-        state, limits = self.tables
-        if not state.in_control:
+        control, guard, limits = self.tables
+        if not control.active:
             assert r.parameter_mps == pytest.approx(10.0)
             assert r.mirror_mps == 0.0
             return
@@ -101,7 +102,7 @@ class Watch:
         assert FLOOR_MPS - SLACK <= low - SLACK <= r.speed_mps <= high + SLACK
         assert r.parameter_mps == pytest.approx(r.speed_mps, abs=SLACK)
         assert r.mirror_mps == pytest.approx(10.0)
-        if self.too_close() and not self.led_away(state):
+        if self.too_close() and not self.led_away(guard):
             assert r.speed_mps <= low + SLACK
 
     def check_texts(self) -> None:
@@ -118,12 +119,12 @@ class Watch:
         average = average or (status == GOOD and 0.01 <= value < HARD_CLOSE_M)
         return average or vehicle.t_ms - self.near_ms <= 250
 
-    def led_away(self, state: Any) -> bool:
+    def led_away(self, guard: Any) -> bool:
         """A target away from the leader: the applet's own, or the stream's of late."""
         vehicle = self.r.vehicle
         target = vehicle.target
         own = target is not None and target[0] < 39.34
-        return bool(state.evading) or own or vehicle.t_ms - self.behind_ms <= 1000
+        return bool(guard.evading) or own or vehicle.t_ms - self.behind_ms <= 1000
 
 
 @settings(

@@ -37,13 +37,19 @@ WORLD = [
 class Process:
     """A verb in a process of its own; its output is read as it comes."""
 
-    def __init__(self, *arguments: str, under: Sequence[str] = ()) -> None:
+    def __init__(
+        self, *arguments: str, under: Sequence[str] = (), stdin: str | None = None
+    ) -> None:
         self._process = subprocess.Popen(
             [*under, sys.executable, "-m", "echowing", *arguments],
+            stdin=subprocess.DEVNULL if stdin is None else subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
         )
+        if stdin is not None and self._process.stdin is not None:
+            self._process.stdin.write(stdin)
+            self._process.stdin.close()
         self.lines: list[str] = []
         self._news = threading.Condition()
         self._reader = threading.Thread(target=self._read, daemon=True)
@@ -95,9 +101,9 @@ class Process:
         self._reader.join(DEADLINE_S)
         return code
 
-    def exit_code(self) -> int:
+    def exit_code(self, deadline_s: float = DEADLINE_S) -> int:
         """Wait for it to end by itself."""
-        code = self._process.wait(DEADLINE_S)
+        code = self._process.wait(deadline_s)
         self._reader.join(DEADLINE_S)
         return code
 

@@ -3,7 +3,7 @@
 import argparse
 import json
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 from echowing.errors import EchowingError
 
 if TYPE_CHECKING:
-    from echowing.setup.apply import Outcome
     from echowing.setup.ftp import Progress
+    from echowing.setup.job import Work
     from echowing.setup.vehicle import Vehicle
 
 EXAMPLES = """\
@@ -22,6 +22,7 @@ examples, in the order of a new vehicle:
   echowing setup check --vehicle /dev/ttyACM0 --serial 2
 and in the field, over the radio:
   echowing setup check --vehicle udpin:14550@2
+  echowing setup check --vehicle udpin:14550@1 --role leader
 `echowing setup PART --help` has more. Exit code of check: 0 fine, 1 wrong, 2 cannot tell.
 """
 LUA_EXAMPLES = """\
@@ -51,14 +52,13 @@ example:
 """
 SERIAL_PORTS = range(1, 10)
 RANGEFINDERS = range(1, 10)
-INTERRUPTED_EXIT = 130
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The verb's options."""
     parser.epilog = EXAMPLES
     parts = parser.add_subparsers(dest="part", metavar="PART", required=True)
-    _add_check(_part(parts, "check", "is the vehicle ready? what is wrong, and how to mend it"))
+    _add_check(_part(parts, "check", "is the vehicle ready? what is wrong, and how to fix it"))
     _add_apply(_part(parts, "apply", "write what is wrong, the old values kept in a file"))
     _add_restore(_part(parts, "restore", "put back the values that apply has kept"))
     _add_lua(_part(parts, "lua", "the applet, onto the autopilot's SD card"))
@@ -89,7 +89,11 @@ def _add_link(parser: argparse.ArgumentParser) -> None:
 
     parser.add_argument("--baud", type=int, default=DEFAULT_BAUD, help="of a serial device")
     parser.add_argument(
-        "--signing-key-file", type=Path, metavar="FILE", help="as for `echowing follow`"
+        "--signing-key-file",
+        type=Path,
+        metavar="FILE",
+        help="as for `echowing follow`; on an autopilot with a key the co-processor's port has to "
+        "be left unsigned (host_tools/SETUP.md, Signing)",
     )
 
 
@@ -115,6 +119,12 @@ def _add_check(parser: argparse.ArgumentParser) -> None:
     parser.epilog = CHECK_EXAMPLES
     _add_vehicle(parser)
     _add_wiring(parser)
+    parser.add_argument(
+        "--role",
+        choices=("follower", "leader"),
+        default="follower",
+        help="what the vehicle is to be: a leader needs no sonar and no applet (follower)",
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
@@ -123,12 +133,21 @@ def _add_apply(parser: argparse.ArgumentParser) -> None:
     _add_vehicle(parser)
     _add_wiring(parser)
     parser.add_argument("--yes", action="store_true", help="write without asking")
-    parser.add_argument("--restart", action="store_true", help="restart the autopilot afterwards")
+    parser.add_argument(
+        "--restart",
+        action="store_true",
+        help="restart the autopilot, wait for it, and write what shows only then",
+    )
     parser.add_argument(
         "--save",
         type=Path,
         metavar="FILE",
-        help="for the old values (echowing-ID-DATE.params.json)",
+        help="for the old values (echowing-ID-DATE.params.json); a file of this vehicle that is "
+        "there already is added to",
+    )
+    parser.add_argument(
+        "--folder",
+        help="the scripts' folder on the vehicle (found: APM/scripts, or scripts in SITL)",
     )
 
 
@@ -180,17 +199,19 @@ def _vehicle(where: str, args: argparse.Namespace) -> "Iterator[Vehicle]":
 def _check(args: argparse.Namespace) -> int:
     from echowing.setup.checks import examine, exit_code  # noqa: PLC0415
     from echowing.setup.reading import read_out  # noqa: PLC0415
+    from echowing.setup.readout import Role  # noqa: PLC0415
     from echowing.setup.view import as_json, as_lines  # noqa: PLC0415
 
     with _vehicle(args.vehicle, args) as vehicle:
         _tell(f"{vehicle.name}: listening and reading parameters …")
         readout = read_out(vehicle, args.serial, args.rangefinder)
-        findings = examine(readout)
+        role = Role(args.role)
+        findings = examine(readout, role)
         system_id = vehicle.system_id
     if args.json:
-        print(json.dumps(as_json(system_id, readout, findings), indent=2))
+        print(json.dumps(as_json(system_id, readout, findings, role), indent=2))
     else:
-        print("\n".join(as_lines(system_id, readout, findings)))
+        print("\n".join(as_lines(system_id, readout, findings, role)))
     return exit_code(findings)
 
 
@@ -200,115 +221,45 @@ def _check(args: argparse.Namespace) -> int:
 def _apply(args: argparse.Namespace) -> int:
     from datetime import datetime  # noqa: PLC0415
 
-    from echowing.setup.apply import changes_for, default_file, save  # noqa: PLC0415
-    from echowing.setup.reading import read_parameters  # noqa: PLC0415
-    from echowing.setup.readout import Readout  # noqa: PLC0415
-    from echowing.setup.view import differences  # noqa: PLC0415
+    from echowing.setup.apply import default_file  # noqa: PLC0415
+    from echowing.setup.job import Apply  # noqa: PLC0415
 
-    with _vehicle(args.vehicle, args) as vehicle:
-        vehicle.refuse_armed("parameters are written")
+    with _vehicle(args.vehicle, args) as vehicle, _progress_bar() as bar:
         _tell(f"{vehicle.name}: reading parameters …")
-        parameters = read_parameters(vehicle, args.serial, args.rangefinder)
-        readout = Readout(parameters, serial_port=args.serial, rangefinder=args.rangefinder)
-        changes = changes_for(readout)
-        for line in differences(readout, changes):
-            print(line)
-        if not changes:
-            print("nothing to write")
-            return 0
-        if not args.yes and not _agreed():
-            print("nothing was changed")
-            return 1
-        vehicle.look_again()  # the operator may have thought about it for a while
-        vehicle.refuse_armed("parameters are written")
-        now = datetime.now()
-        file = args.save or default_file(vehicle.system_id, now)
-        save(file, vehicle.system_id, changes, now)
-        print(f"old values: {file}", flush=True)
-        values = [(change.name, change.new) for change in changes]
-        back = f"back: echowing setup restore {file} --vehicle {args.vehicle}"
-        outcome = _write(vehicle, values, back)
-        if outcome is None:
-            return INTERRUPTED_EXIT
-        print(back)
-        _finish(vehicle, [c.name for c in changes if c.restart], args)
-    return 1 if outcome.refused else 0
-
-
-def _agreed() -> bool:
-    if not sys.stdin.isatty():
-        raise EchowingError("nobody is there to ask; give --yes to write without asking")
-    return input("Write these? [y/N] ").strip().lower() in ("y", "yes")
-
-
-def _write(
-    vehicle: "Vehicle", values: Sequence[tuple[str, float]], way_back: str
-) -> "Outcome | None":
-    """Write, and whatever ends it in the middle, say how to go back. None: interrupted."""
-    from echowing.setup.apply import write_all  # noqa: PLC0415
-
-    def write(name: str, value: float) -> float:
-        vehicle.refuse_armed("parameters are written")
-        return vehicle.write(name, value)
-
-    try:
-        outcome = write_all(values, write, _written(len(values)))
-    except EchowingError as error:
-        raise EchowingError(f"{error}\nonly some values are written; {way_back}") from error
-    except KeyboardInterrupt:
-        _tell(f"interrupted; only some values are written; {way_back}")
-        return None
-    for name, now in outcome.refused.items():
-        wanted = dict(values)[name]
-        print(f"{name} is {now:g} after writing {wanted:g}: the autopilot will not have it")
-    print(f"{len(outcome.written)} of {len(values)} written and read back")
-    return outcome
-
-
-def _written(total: int) -> Callable[[str], None]:
-    count = 0
-
-    def progress(name: str) -> None:
-        nonlocal count
-        count += 1
-        print(f"writing {count} of {total}: {name}", flush=True)
-
-    return progress
-
-
-def _finish(vehicle: "Vehicle", restart: Sequence[str], args: argparse.Namespace) -> None:
-    """Restart the autopilot, or say that it has to be."""
-    from pymavlink.dialects.v20 import ardupilotmega as mavlink  # noqa: PLC0415
-
-    if not restart:
-        return
-    if not args.restart:
-        print(f"restart the autopilot: {', '.join(restart)} count only then")
-        return
-    result = vehicle.command(mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1)
-    done = result == mavlink.MAV_RESULT_ACCEPTED
-    print("the autopilot restarts" if done else "it does not restart by command: take its power")
+        job = Apply(
+            _work(vehicle, args),
+            (lambda question: True) if args.yes else agreed,
+            bar,
+            args.save or default_file(vehicle.system_id, datetime.now()),
+            serial_port=args.serial,
+            rangefinder=args.rangefinder,
+            folder=None if args.folder is None else args.folder.strip("/"),
+        )
+        return job.run()
 
 
 def _restore(args: argparse.Namespace) -> int:
     from echowing.setup.apply import load  # noqa: PLC0415
+    from echowing.setup.job import restore  # noqa: PLC0415
 
     saved = load(args.file)
     with _vehicle(args.vehicle, args) as vehicle:
-        if vehicle.system_id != saved.system_id:
-            raise EchowingError(
-                f"{args.file} is of vehicle {saved.system_id}, and this is {vehicle.name}; "
-                "nothing was changed"
-            )
-        vehicle.refuse_armed("parameters are written")
-        # In reverse: a sensor's TYPE goes last, as its other parameters may hide with it.
-        values = list(saved.parameters.items())[::-1]
-        again = f"once more: echowing setup restore {args.file} --vehicle {args.vehicle}"
-        outcome = _write(vehicle, values, again)
-        if outcome is None:
-            return INTERRUPTED_EXIT
-        _finish(vehicle, list(saved.parameters), args)
-    return 1 if outcome.refused else 0
+        return restore(_work(vehicle, args), args.file, saved)
+
+
+def _work(vehicle: "Vehicle", args: argparse.Namespace) -> "Work":
+    from echowing.setup.job import Work  # noqa: PLC0415
+
+    return Work(vehicle, args.vehicle, lambda text: print(text, flush=True), args.restart)
+
+
+def agreed(question: str) -> bool:
+    """Ask the operator, or whoever writes to stdin in his place."""
+    print(question, end="", flush=True)
+    answer = sys.stdin.readline()
+    if not answer:
+        raise EchowingError("nobody is there to ask; give --yes to write without asking")
+    return answer.strip().lower() in ("y", "yes")
 
 
 # ---- lua ---------------------------------------------------------------------------------------
@@ -361,25 +312,22 @@ def _progress_bar() -> "Iterator[Callable[[str], Progress]]":
         yield step
 
 
-READY_TEXT, READY_TIMEOUT_S = "ECHO: ready", 10.0
-
-
 def _restart_scripts(vehicle: "Vehicle") -> str:
     """Have the autopilot load its scripts anew; says what came of it."""
-    from pymavlink.dialects.v20 import ardupilotmega as mavlink  # noqa: PLC0415
+    from echowing.setup.reading import objections  # noqa: PLC0415
+    from echowing.setup.restart import (  # noqa: PLC0415
+        restart_scripts,
+        scripting_error,
+        until_applet_runs,
+    )
 
     if vehicle.read(["SCR_ENABLE"]).get("SCR_ENABLE") != 1.0:
-        return "scripting is off: param set SCR_ENABLE 1 (or echowing setup apply), then restart"
+        return "scripting is off; next: echowing setup apply --restart"
     if vehicle.armed:
         return "it has been armed meanwhile: restart the autopilot when it is disarmed"
-    vehicle.texts.clear()
-    result = vehicle.command_int(mavlink.MAV_CMD_SCRIPTING, mavlink.SCRIPTING_CMD_STOP_AND_RESTART)
-    if result != mavlink.MAV_RESULT_ACCEPTED:
+    if not restart_scripts(vehicle):
         return "restart the autopilot: it does not restart its scripts by command"
-    until_s = vehicle.now_s() + READY_TIMEOUT_S
-    while vehicle.now_s() < until_s:
-        vehicle.poll()
-        if READY_TEXT in vehicle.texts:
-            return "the applet runs; next: echowing setup apply, then echowing setup check"
-    heard = "; ".join(vehicle.texts) or "nothing"
-    return f"the applet has not said that it is ready; restart the autopilot (it said: {heard})"
+    if until_applet_runs(vehicle):
+        return "the applet runs; next: echowing setup apply, then echowing setup check"
+    error = scripting_error(objections(vehicle))
+    return f"the applet does not run: {error or 'it is not loaded; restart the autopilot'}"

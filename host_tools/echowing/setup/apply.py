@@ -35,10 +35,11 @@ class Change:
 
 @dataclass(frozen=True, slots=True)
 class Saved:
-    """Old values of a vehicle, as they stand in a file."""
+    """Old values of a vehicle, as they stand in a file. when: saved, in ISO 8601."""
 
     system_id: int
     parameters: Mapping[str, float]
+    when: str = ""
 
 
 @dataclass(slots=True)
@@ -56,12 +57,30 @@ Write = Callable[[str, float], float]
 def changes_for(readout: Readout) -> list[Change]:
     """What has to be written: settings that are there and do not fit, but not what is spared."""
     return [
-        Change(one.name, value, one.mended(value), one.why, one.restart)
+        Change(one.name, value, one.fixed(value), one.why, one.restart)
         for one in settings_for(readout)
         if (value := readout.parameters.get(one.name)) is not None
         and not one.fits(value)
         and not one.spared(value)
     ]
+
+
+def hidden_for(readout: Readout) -> dict[str, float]:
+    """Settings that show only after a restart, with the value each gets then unless it fits."""
+    hidden = {
+        one.name: one.fixed(0.0)
+        for one in settings_for(readout)
+        if one.name not in readout and not one.optional and _shows_later(one.name, readout)
+    }
+    if "ECHO_ENABLE" not in readout and readout.applet_on_card is not None:
+        hidden["ECHO_ENABLE"] = 1.0
+    return hidden
+
+
+def _shows_later(name: str, readout: Readout) -> bool:
+    """Whether a switch that is in the read-out hides this parameter."""
+    switch = f"RNGFND{readout.rangefinder}_TYPE" if name.startswith("RNGFND") else "SCR_ENABLE"
+    return name != switch and name.startswith(("RNGFND", "SCR_")) and switch in readout
 
 
 def default_file(system_id: int, now: datetime) -> Path:
@@ -70,18 +89,20 @@ def default_file(system_id: int, now: datetime) -> Path:
 
 
 def save(path: Path, system_id: int, changes: Iterable[Change], now: datetime) -> None:
-    """Put the old values into a new file: there and whole when this returns.
+    """Put the old values into a file: there and whole when this returns.
 
-    Raises EchowingError for a file that is there already, or cannot be written.
+    A file of this vehicle that is there already is added to; the values that it holds are older
+    and stay. Raises EchowingError for a file of anything else, or one that cannot be written.
     """
+    older = _older(path, system_id)
+    news = {change.name: change.old for change in changes if change.name not in older.parameters}
     content = {
         "format": FORMAT,
         "system_id": system_id,
-        "saved": now.isoformat(timespec="seconds"),
-        "parameters": {change.name: change.old for change in changes},
+        "saved": older.when or now.isoformat(timespec="seconds"),
+        # In the order of writing, as it is put back in reverse.
+        "parameters": {**older.parameters, **news},
     }
-    if path.exists():
-        raise EchowingError(f"{path}: is there already, and holds older values; name another file")
     arriving = path.with_name(path.name + ".part")
     try:
         with arriving.open("w", encoding="utf-8") as file:
@@ -94,6 +115,33 @@ def save(path: Path, system_id: int, changes: Iterable[Change], now: datetime) -
         raise EchowingError(
             f"{path}: the old values cannot be kept there: {error.strerror}; nothing was changed"
         ) from error
+
+
+def _older(path: Path, system_id: int) -> Saved:
+    """What a file holds already; nothing where there is none."""
+    if not path.exists():
+        return Saved(system_id, {})
+    saved = load(path)
+    if saved.system_id != system_id:
+        raise EchowingError(
+            f"{path}: is there already, and is of vehicle {saved.system_id}; name another file"
+        )
+    return saved
+
+
+def others_of(file: Path, system_id: int) -> list[tuple[Path, str]]:
+    """Other files of a vehicle beside `file` with the time of each, the newest first."""
+    found = []
+    for path in file.resolve().parent.glob(f"*{SUFFIX}"):
+        if path == file.resolve():
+            continue
+        try:
+            saved = load(path)
+        except EchowingError:
+            continue
+        if saved.system_id == system_id:
+            found.append((path, saved.when))
+    return sorted(found, key=lambda one: one[1], reverse=True)
 
 
 def load(path: Path) -> Saved:
@@ -110,7 +158,8 @@ def load(path: Path) -> Saved:
     system_id = content.get("system_id")
     if not isinstance(system_id, int) or not _are_values(parameters):
         raise EchowingError(f"{path}: has no system id, or a parameter that is no number")
-    return Saved(system_id, {name: float(value) for name, value in parameters.items()})
+    values = {name: float(value) for name, value in parameters.items()}
+    return Saved(system_id, values, str(content.get("saved", "")))
 
 
 def _are_values(parameters: Any) -> bool:

@@ -1,7 +1,7 @@
 """Is this vehicle ready for Echowing? A table of small pure judgements over one read-out.
 
 Each looks at one thing and says whether it is fine, wrong, the pilot's to decide, or cannot be
-told; and where it is wrong, why, and what mends it. The values expected stand in `settings`.
+told; and where it is wrong, why, and what fixes it. The values expected stand in `settings`.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -10,9 +10,8 @@ from enum import Enum
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.applet import PARAMETER_PREFIX
 from echowing.messages import TOOL_SYSTEM_ID
-from echowing.setup.readout import Readout
+from echowing.setup.readout import CardApplet, Readout, Role
 from echowing.setup.settings import (
     BAUD_115200,
     FORWARD,
@@ -30,11 +29,14 @@ SLOWEST_REPORT_HZ = 5.0  # firmware/README.md, REPORT_RATE's least
 SERIAL_PORTS = range(1, 10)
 RC_CHANNELS = range(1, 17)
 MAVLINK_PROTOCOLS = (1.0, MAVLINK2)
+MAVLINK_HIGH_LATENCY = 43.0  # SERIALn_PROTOCOL: a MAVLink port too, where MAVn_* are counted
+NOT_SIGNED = 1  # MAVn_OPTIONS bit 0: this port neither signs nor wants signatures
 # A speed parameter under this is a return home at walking pace: has something been left behind?
 SLOW_MPS = 1.0
 LIMITS_DIFFER_M = 0.1
 
 APPLY = "echowing setup apply"
+SCRIPTING = "Scripting:"  # AP_Arming.cpp puts it before what is wrong with a script
 
 
 class Verdict(Enum):
@@ -48,21 +50,21 @@ class Verdict(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing looked at. mend: what to type or to do; empty where nothing is to be done."""
+    """One thing looked at. fix: what to type or to do; empty where nothing is to be done."""
 
     about: str
     verdict: Verdict
     found: str
     why: str = ""
-    mend: str = ""
+    fix: str = ""
 
 
 Check = Callable[[Readout], Iterable[Finding]]
 
 
-def examine(readout: Readout) -> list[Finding]:
-    """Everything there is to say, in the order of the table."""
-    return [finding for check in CHECKS for finding in check(readout)]
+def examine(readout: Readout, role: Role = Role.FOLLOWER) -> list[Finding]:
+    """Everything there is to say of a vehicle in this role, in the order of the table."""
+    return [finding for check in CHECKS[role] for finding in check(readout)]
 
 
 def exit_code(findings: Iterable[Finding]) -> int:
@@ -90,10 +92,10 @@ def judge(setting: Setting, readout: Readout) -> Finding | None:
             setting.why,
             "use the next one: echowing setup … --rangefinder 2",
         )
-    mend = f"param set {setting.name} {setting.mended(value):g}; or {APPLY}"
+    fix = f"param set {setting.name} {setting.fixed(value):g}; or {APPLY}"
     if setting.restart:
-        mend += "; then restart the autopilot"
-    return Finding(setting.name, Verdict.WRONG, f"{value:g}", setting.why, mend)
+        fix += "; then restart the autopilot"
+    return Finding(setting.name, Verdict.WRONG, f"{value:g}", setting.why, fix)
 
 
 def _hidden(setting: Setting) -> str:
@@ -103,9 +105,9 @@ def _hidden(setting: Setting) -> str:
         return "this firmware has no scripting: small boards need a custom build"
     if setting.name.startswith("SCR_"):
         return "shown once SCR_ENABLE is 1 and the autopilot restarted"
-    if setting.name.endswith("_TYPE"):
-        return "is this ArduCopter 4.5 or later?"
-    return "shown once the rangefinder's TYPE is set and the autopilot restarted"
+    if setting.name.startswith("RNGFND") and not setting.name.endswith("_TYPE"):
+        return "shown once the rangefinder's TYPE is set and the autopilot restarted"
+    return "is this ArduCopter 4.5 or later?"
 
 
 def _settings(readout: Readout) -> Iterator[Finding]:
@@ -119,7 +121,19 @@ def _settings(readout: Readout) -> Iterator[Finding]:
 
 
 def _coprocessor(readout: Readout) -> Iterator[Finding]:
-    if readout.coprocessor is None:
+    if readout.coprocessor is None and readout.signs and readout.takes_range:
+        found = "its range is in the autopilot; unsigned, it is not heard on a signed link"
+        yield Finding("co-processor", Verdict.FINE, found)
+    elif readout.coprocessor is None and _is_silenced(readout):
+        yield Finding(
+            "co-processor",
+            Verdict.WRONG,
+            "not heard, and signing is on",
+            "the autopilot drops what is not signed, and the co-processor does not sign: no "
+            "heartbeat and no range of it comes in",
+            _how_to_exempt(readout),
+        )
+    elif readout.coprocessor is None:
         yield Finding(
             "co-processor",
             Verdict.WRONG,
@@ -139,6 +153,34 @@ def _coprocessor(readout: Readout) -> Iterator[Finding]:
         where = "" if readout.serial_port is None else f" on SERIAL{readout.serial_port}"
         found = f"component {readout.coprocessor} heard{where}"
         yield Finding("co-processor", Verdict.FINE, found)
+
+
+def signing_option(parameters: Mapping[str, float], serial_port: int) -> str:
+    """The MAVn_OPTIONS of a serial port, from 4.7 on: n counts the MAVLink ports from SERIAL0."""
+    protocols = (*MAVLINK_PROTOCOLS, MAVLINK_HIGH_LATENCY)
+    before = [parameters.get(f"SERIAL{number}_PROTOCOL") for number in range(serial_port)]
+    return f"MAV{1 + sum(protocol in protocols for protocol in before)}_OPTIONS"
+
+
+def _is_silenced(readout: Readout) -> bool:
+    """Whether the autopilot drops unsigned messages where the co-processor is, or may be."""
+    if not readout.signs or readout.serial_port is None:
+        return readout.signs
+    option = signing_option(readout.parameters, readout.serial_port)
+    return not int(readout.parameters.get(option, 0.0)) & NOT_SIGNED
+
+
+def _how_to_exempt(readout: Readout) -> str:
+    if readout.serial_port is None:
+        return "say where the co-processor is wired, as --serial 2: then its port is named here"
+    option = signing_option(readout.parameters, readout.serial_port)
+    if option not in readout:
+        return (
+            "up to ArduCopter 4.6 only the USB port takes unsigned messages: update to 4.7 or "
+            "later, or fly without signing (host_tools/SETUP.md, Signing)"
+        )
+    value = int(readout.parameters[option]) | NOT_SIGNED
+    return f"param set {option} {value} (signing off on this wire only), and restart the autopilot"
 
 
 def _how_to_be_heard(readout: Readout) -> str:
@@ -203,11 +245,9 @@ def _reports(readout: Readout) -> Iterator[Finding]:
 def _taken(readout: Readout) -> Iterator[Finding]:
     """Whether the autopilot uses the range: the question behind all of it."""
     about = "range in the autopilot"
-    if readout.reports is None or readout.takes_range is None:
-        return
     if readout.takes_range:
-        yield Finding(about, Verdict.FINE, "it tells the forward range itself")
-    else:
+        yield Finding(about, Verdict.FINE, "it reports a forward range itself")
+    elif readout.takes_range is not None and readout.reports is not None:
         yield Finding(
             about,
             Verdict.WRONG,
@@ -242,14 +282,18 @@ def _tracking_range(readout: Readout) -> Iterator[Finding]:
 def _applet(readout: Readout) -> Iterator[Finding]:
     enabled = readout.parameters.get("ECHO_ENABLE")
     switched = readout.parameters.get("ECHO_SWITCH", 0.0) > 0.0
-    if enabled is None:
+    error = next((one for one in readout.objections if SCRIPTING in one), None)
+    if error is not None:
         yield Finding(
             "applet",
             Verdict.WRONG,
-            "no ECHO_ parameters",
-            "it is not on the card, or scripting is off",
-            "echowing setup lua --connect …, or SCR_ENABLE 1 and a restart",
+            error,
+            "a script has failed, in the autopilot's own words; it refuses to arm",
+            "where it names echowing.lua: echowing setup lua --connect …; where another script, "
+            "take that off the card; where memory, SCR_HEAP_SIZE; then restart the autopilot",
         )
+    elif enabled is None:
+        yield Finding("applet", Verdict.WRONG, *_why_absent(readout))
     elif readout.applet_heard:
         yield Finding("applet", Verdict.FINE, "in control")
     elif readout.in_guided and enabled and not switched:
@@ -264,18 +308,31 @@ def _applet(readout: Readout) -> Iterator[Finding]:
         yield Finding("applet", Verdict.FINE, "loaded; it speaks only when in control, in Guided")
 
 
+def _why_absent(readout: Readout) -> tuple[str, str, str]:
+    """What is found, why, and what to do where there are no ECHO_ parameters."""
+    upload = "echowing setup lua --connect …, or echowing setup apply"
+    if readout.parameters.get("SCR_ENABLE") == 0.0:
+        why, fix = "scripts run only while SCR_ENABLE is 1", f"param set SCR_ENABLE 1; or {APPLY}"
+        return "does not run: scripting is off", why, f"{fix}; then restart the autopilot"
+    if readout.applet_on_card is CardApplet.NONE:
+        return "not on the card", "the speed from distance is the applet's work", upload
+    if readout.applet_on_card is None:
+        why = "whether it is on the card cannot be seen, and the autopilot names no error"
+        return "no ECHO_ parameters", why, f"{upload}; then restart the autopilot"
+    why = "the autopilot names no error: scripts are loaded at its start"
+    return "on the card, but it does not run", why, "restart the autopilot"
+
+
 def _applet_file(readout: Readout) -> Iterator[Finding]:
-    if readout.applet_is_ours is None:
-        return
-    if readout.applet_is_ours:
+    if readout.applet_on_card is CardApplet.OURS:
         yield Finding("applet on the card", Verdict.FINE, "the one of this checkout")
-    else:
+    elif readout.applet_on_card is CardApplet.ANOTHER:
         yield Finding(
             "applet on the card",
             Verdict.WRONG,
             "another version than this checkout's",
             "tools and applet belong together",
-            "echowing setup lua --connect …",
+            "echowing setup lua --connect …, or echowing setup apply",
         )
 
 
@@ -341,7 +398,7 @@ class _Choice:
     names: tuple[str, ...]
     doubtful: Callable[[float], bool]
     why: str
-    mend: str
+    fix: str
 
 
 _CHOICES = (
@@ -381,6 +438,8 @@ _CHOICES = (
         "no fence ends a flight away; it keeps vehicles in, not apart",
         "param set FENCE_ENABLE 1 after setting its radius and altitude",
     ),
+)
+_APPLET_CHOICES = (
     _Choice(
         ("ECHO_STREAM_T",),
         lambda v: v == 0.0,
@@ -400,13 +459,24 @@ _CHOICES = (
 def _choices(readout: Readout) -> Iterator[Finding]:
     for choice in _CHOICES:
         named = readout.first(*choice.names)
-        if named is None:
-            continue
-        name, value = named
-        if choice.doubtful(value):
-            yield Finding(name, Verdict.YOURS, f"{value:g}", choice.why, choice.mend)
-        elif not name.startswith(PARAMETER_PREFIX):  # those are judged as settings too
-            yield Finding(name, Verdict.FINE, f"{value:g}")
+        if named is not None:
+            name, value = named
+            yield _doubt(choice, name, value) or Finding(name, Verdict.FINE, f"{value:g}")
+
+
+def _applet_choices(readout: Readout) -> Iterator[Finding]:
+    """Where nothing is doubtful these are judged as settings."""
+    for choice in _APPLET_CHOICES:
+        named = readout.first(*choice.names)
+        doubt = None if named is None else _doubt(choice, *named)
+        if doubt is not None:
+            yield doubt
+
+
+def _doubt(choice: _Choice, name: str, value: float) -> Finding | None:
+    if not choice.doubtful(value):
+        return None
+    return Finding(name, Verdict.YOURS, f"{value:g}", choice.why, choice.fix)
 
 
 def _avoidance(readout: Readout) -> Iterator[Finding]:
@@ -426,16 +496,47 @@ def _avoidance(readout: Readout) -> Iterator[Finding]:
         )
 
 
-CHECKS: tuple[Check, ...] = (
-    _coprocessor,
-    _reports,
-    _taken,
-    _applet,
-    _applet_file,
-    _switch,
-    _speed,
-    _tracking_range,
-    _settings,
-    _avoidance,
-    _choices,
-)
+def _arming(readout: Readout) -> Iterator[Finding]:
+    """What else the autopilot would refuse to arm for; indoors it has its reasons."""
+    for reason in readout.objections:
+        if SCRIPTING not in reason:
+            yield Finding(
+                "arming",
+                Verdict.YOURS,
+                reason,
+                "the autopilot would not arm now, in its own words",
+                "indoors, without GPS, it has to be so; else see to it before the flight",
+            )
+
+
+def _leaders_applet(readout: Readout) -> Iterator[Finding]:
+    """An enabled applet on a leader would take its speed in Guided."""
+    if readout.parameters.get("ECHO_ENABLE", 0.0):
+        yield Finding(
+            "ECHO_ENABLE",
+            Verdict.YOURS,
+            "1",
+            "set up as a follower: in Guided its applet takes its speed",
+            "param set ECHO_ENABLE 0 while it leads",
+        )
+
+
+CHECKS: Mapping[Role, tuple[Check, ...]] = {
+    Role.FOLLOWER: (
+        _coprocessor,
+        _reports,
+        _taken,
+        _applet,
+        _applet_file,
+        _arming,
+        _switch,
+        _speed,
+        _tracking_range,
+        _settings,
+        _avoidance,
+        _choices,
+        _applet_choices,
+    ),
+    # A leader flies by its own ground station; what a follower carries it does not need.
+    Role.LEADER: (_arming, _speed, _leaders_applet, _choices),
+}

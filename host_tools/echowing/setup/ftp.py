@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from echowing.errors import EchowingError
-from echowing.ftp_format import DATA_BYTES, Fault, Op, Packet, next_sequence
+from echowing.ftp_format import DATA_BYTES, SEQUENCES, Fault, Op, Packet, next_sequence
 
 # A frame of this fits a telemetry radio's packet of 252 bytes, signed: 12 of MAVLink's header
 # and checksum, 3 of the target, 12 of the file transfer's header, 13 of the signature.
@@ -24,6 +24,8 @@ BLOCKS_AT_ONCE = 4
 # A lost packet is asked again after this; twice as long the next time, up to the second.
 RETRY_S, LONGEST_RETRY_S = 0.6, 1.5
 GIVE_UP_S = 15.0
+# Shorter than any request takes, so that numbers by the clock are ahead of those that were used.
+SEQUENCE_STEP_S = 1e-4
 # A request that the server keeps refusing because another has a session is tried this often.
 BUSY_TRIES = 6
 # A session lost more often than this in one transfer is not worth opening again.
@@ -93,7 +95,9 @@ class FtpClient:
         self._wire = wire
         self._give_up_s = give_up_s
         self._session = session
-        self._sequence = 0
+        # The autopilot repeats its last answer to a number it has just had (GCS_FTP.cpp): a new
+        # client must not begin where a former one did, so it begins with the time.
+        self._sequence = int(wire.now_s() / SEQUENCE_STEP_S) % SEQUENCES
 
     def reset(self) -> None:
         """End what a former run of ours may have left open."""

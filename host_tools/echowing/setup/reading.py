@@ -7,28 +7,32 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.applet import CARD_APPLET, applet_parameters, applet_path
+from echowing.applet import APPLET, CARD_FOLDERS, applet_parameters, applet_path
 from echowing.errors import EchowingError
 from echowing.follow import GUIDED_MODE
 from echowing.ftp_format import ardupilot_crc32
 from echowing.messages import FORWARD, command_long
-from echowing.setup.checks import RC_CHANNELS, SERIAL_PORTS, ports_at_115200
+from echowing.setup.checks import RC_CHANNELS, SERIAL_PORTS, ports_at_115200, signing_option
 from echowing.setup.ftp import FtpClient, FtpRefusedError, NoAnswerError
-from echowing.setup.readout import Readout, Reports
+from echowing.setup.readout import CardApplet, Readout, Reports
 from echowing.setup.settings import PROXIMITY_SENSORS
 from echowing.setup.vehicle import AUTOPILOT, POLL_S, Heard, Name, Vehicle
 
 LISTEN_S = 3.0  # three heartbeats, 60 ranges, six of the applet's named floats
 SETTLE_S = 0.5  # until our first heartbeat has opened the way for what others send
+OBJECTIONS_S = 1.0  # after the answer to the command, for the texts that come with it
 FILE_TIMEOUT_S = 4.0  # an autopilot without MAVFTP says nothing at all
 # Ids from here on are proximity sectors (GCS_Common.cpp, PROXIMITY_SENSOR_ID_START).
 PROXIMITY_IDS_FROM = 10
 COPROCESSOR = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER  # 191, COMP_ID as it comes
 APPLET_STATE = "ECHO_STATE"
+PREARM = "PreArm: "
 
 _NAMES: tuple[Name, ...] = (
     ("WP_SPD", "WPNAV_SPEED"),
     ("RTL_SPEED_MS", "RTL_SPEED"),
+    ("WP_ACC", "WPNAV_ACCEL"),
+    ("PSC_JERK_NE", "PSC_JERK_XY"),
     ("MAV_GCS_SYSID", "SYSID_MYGCS"),
     "SCR_ENABLE",
     "SCR_DIR_DISABLE",
@@ -76,6 +80,9 @@ def read_parameters(
         )
     if serial_port is not None:
         found |= vehicle.read([f"SERIAL{serial_port}_OPTIONS"])
+    if vehicle.signs and serial_port is not None:
+        found |= vehicle.read([f"SERIAL{port}_PROTOCOL" for port in range(serial_port)])
+        found |= vehicle.read([signing_option(found, serial_port)])
     if "ECHO_ENABLE" in found:
         found |= vehicle.read([row.name for row in applet_parameters()])
     if found.get("ECHO_SWITCH", 0.0) > 0.0:
@@ -107,9 +114,11 @@ def read_out(
         rangefinder=rangefinder,
         armed=vehicle.armed,
         in_guided=vehicle.armed and vehicle.mode == GUIDED_MODE,
-        applet_is_ours=None if vehicle.armed else _is_ours(vehicle),
+        applet_on_card=None if vehicle.armed else applet_on_card(vehicle),
+        objections=() if vehicle.armed else objections(vehicle),
+        signs=vehicle.signs,
         version=_version(vehicle),
-        takes_range=None if readout.reports is None else _takes_range(vehicle),
+        takes_range=_takes_range(vehicle) if readout.reports or vehicle.signs else None,
     )
 
 
@@ -178,14 +187,37 @@ def _reports(heard: Sequence[Heard], start_s: float, end_s: float) -> Reports | 
     return Reports(len(heard), end_s - start_s, longest_s, newest.orientation, newest.id)
 
 
-def _is_ours(vehicle: Vehicle) -> bool | None:
-    """Compare the applet on the card with ours by its checksum."""
+def applet_on_card(vehicle: Vehicle, folder: str | None = None) -> CardApplet | None:
+    """Compare the applet on the card with ours by its checksum; None: no answer.
+
+    folder: of the scripts; where it is not given, those that ArduPilot uses are looked at.
+    """
     card = FtpClient(vehicle, give_up_s=FILE_TIMEOUT_S)
-    try:
-        found = card.checksum(CARD_APPLET)
-    except (FtpRefusedError, NoAnswerError):
-        return None
-    return None if found is None else found == ardupilot_crc32(applet_path().read_bytes())
+    ours = ardupilot_crc32(applet_path().read_bytes())
+    for place in CARD_FOLDERS if folder is None else (folder,):
+        try:
+            found = card.checksum(f"{place}/{APPLET}")
+        except NoAnswerError:
+            return None
+        except FtpRefusedError as refusal:
+            if refusal.not_there:
+                continue
+            return None
+        if found is None:
+            return None
+        return CardApplet.OURS if found == ours else CardApplet.ANOTHER
+    return CardApplet.NONE
+
+
+def objections(vehicle: Vehicle) -> tuple[str, ...]:
+    """Why the autopilot would not arm now, in its own words; empty where it would."""
+    vehicle.texts.clear()
+    result = vehicle.command(mavlink.MAV_CMD_RUN_PREARM_CHECKS)
+    if result != mavlink.MAV_RESULT_ACCEPTED:
+        return ()
+    _listen(vehicle, OBJECTIONS_S)
+    told = (text.removeprefix(PREARM) for text in vehicle.texts if text.startswith(PREARM))
+    return tuple(dict.fromkeys(told))
 
 
 def _version(vehicle: Vehicle) -> tuple[int, int] | None:

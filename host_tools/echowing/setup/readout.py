@@ -1,7 +1,23 @@
 """What has been read and heard of a vehicle: all that the checks go by."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from enum import Enum
+
+
+class Role(Enum):
+    """What a vehicle is to do: what it needs hangs on it."""
+
+    FOLLOWER = "follower"
+    LEADER = "leader"
+
+
+class CardApplet(Enum):
+    """Which applet is on the autopilot's card."""
+
+    OURS = "ours"
+    ANOTHER = "another"
+    NONE = "none"
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,8 +47,10 @@ class Readout:
     co-processor is wired to, where the operator has said so. rangefinder: which RNGFNDn is meant.
     coprocessor: its component id, None where it is not heard; coprocessor_status its MAV_STATE.
     takes_range: whether the autopilot itself tells a forward range, None where it was not asked.
-    in_guided: armed and in Guided, where an enabled applet is in control and heard. applet_is_ours:
-    whether the applet on the card is this checkout's, None where there is none or nobody tells.
+    in_guided: armed and in Guided, where an enabled applet is in control and heard. applet_on_card:
+    None where the autopilot does not answer file requests. objections: why the autopilot would not
+    arm, in its own words. signs: whether it signs what it sends, and so believes only what is
+    signed.
     """
 
     parameters: Mapping[str, float]
@@ -47,7 +65,9 @@ class Readout:
     takes_range: bool | None = None
     in_guided: bool = False
     applet_heard: bool = False
-    applet_is_ours: bool | None = None
+    applet_on_card: CardApplet | None = None
+    objections: Sequence[str] = ()
+    signs: bool = False
 
     def first(self, *names: str) -> tuple[str, float] | None:
         """The first of these parameters that the vehicle has, with its value."""

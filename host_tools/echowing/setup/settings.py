@@ -4,7 +4,7 @@
 pilot's (see `checks`).
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 from echowing.applet import applet_parameters
@@ -27,10 +27,13 @@ RANGE_MIN_M, RANGE_MAX_M = 0.2, 7.65
 PROXIMITY_MAVLINK, PROXIMITY_RANGEFINDER = 2.0, 4.0
 PROXIMITY_SENSORS = range(1, 6)
 SCRIPTS_NOT_LOADED = 2  # SCR_DIR_DISABLE bit 1: not from the card
-# lua/echowing.md, Figures: 69 KiB on a 64-bit computer, half as much again for other scripts.
+# lua/how-it-works.md, Figures: 70 KiB on a 64-bit computer, and nearly half as much for others.
 HEAP_LEAST_BYTES, HEAP_BYTES = 102_400.0, 204_800.0
 INSTRUCTIONS = 10_000.0  # SCR_VM_I_COUNT's default; an update takes a tenth of it
 RTL_SPEED_MPS = 5.0  # WP_SPD's half: what the applet's doc suggests
+# What the separation guard needs to fly back before a leader that reverses at 2 m/s arrives: with
+# ArduCopter's own 2.5 m/s^2 and 5 m/s^3 the follower only begins to move when it is too late.
+ACCELERATION_MPS2, JERK_MPS3 = 5.0, 20.0
 GUIDED_BY_WAYPOINTS = 64  # GUID_OPTIONS bit 6
 GUIDED_TIMEOUT_S, LONGEST_GUIDED_TIMEOUT_S = 3.0, 5.0  # GUID_TIMEOUT: its default, its range's end
 TOLERANCE = 1e-4  # of what a 32-bit float makes of a decimal number
@@ -40,14 +43,14 @@ TOLERANCE = 1e-4  # of what a 32-bit float makes of a decimal number
 class Setting:
     """A parameter that has to be so.
 
-    fits: whether a value will do; mended: what to write instead of one that will not. optional:
+    fits: whether a value will do; fixed: what to write instead of one that will not. optional:
     a vehicle without this parameter lacks nothing. restart: it counts from the next start on.
     spared: a value that is never overwritten, as something else of the pilot's hangs on it.
     """
 
     name: str
     fits: Callable[[float], bool]
-    mended: Callable[[float], float]
+    fixed: Callable[[float], float]
     why: str
     optional: bool = False
     restart: bool = False
@@ -61,7 +64,14 @@ def same(value: float, wanted: float) -> bool:
 
 def settings_for(readout: Readout) -> list[Setting]:
     """The settings of this vehicle: in its generation's names and units, for its wiring."""
-    settings = [*_scripting(), *_guided(), *_proximity(), *_rangefinder(readout), *_applet(readout)]
+    settings = [
+        *_scripting(),
+        *_guided(),
+        *_limits(readout),
+        *_proximity(),
+        *_rangefinder(readout),
+        *_applet(readout),
+    ]
     if readout.serial_port is not None:
         settings = [*_serial(readout.serial_port), *settings]
     return settings
@@ -192,6 +202,35 @@ def _guided() -> Iterator[Setting]:
             "with 0 a return home flies at the speed parameter, which the applet lowers",
             optional=True,
         )
+
+
+def _limits(readout: Readout) -> Iterator[Setting]:
+    """How quickly the vehicle can get away; a higher value is the pilot's own choice.
+
+    Neither knows 0 as no limit: AC_WPNav.h takes its default of 2.5 m/s^2 for an acceleration of 0,
+    and the position controller (AP_Math/control.cpp, shape_accel_xy) stops working at a jerk of 0.
+    """
+    yield _at_least(
+        readout,
+        {"WP_ACC": 1.0, "WPNAV_ACCEL": 100.0},
+        ACCELERATION_MPS2,
+        "the follower has to brake and fly back as quickly as this when its leader reverses",
+    )
+    yield _at_least(
+        readout,
+        {"PSC_JERK_NE": 1.0, "PSC_JERK_XY": 1.0},
+        JERK_MPS3,
+        "the acceleration has to build up as quickly as this when the leader reverses",
+    )
+
+
+def _at_least(
+    readout: Readout, units_per_si: Mapping[str, float], least: float, why: str
+) -> Setting:
+    """A lower bound in SI units, under the first of the names that the vehicle has."""
+    name = next((one for one in units_per_si if one in readout), next(iter(units_per_si)))
+    wanted = least * units_per_si[name]
+    return Setting(name, lambda v: v >= wanted - TOLERANCE, lambda v: wanted, why)
 
 
 def _applet(readout: Readout) -> Iterator[Setting]:

@@ -24,7 +24,7 @@ from echowing.messages import (
     tool_heartbeat,
 )
 from echowing.seats import OpenLink, Say, find_vehicles, known_id, parse_seat
-from echowing.signing import LinkSigning, read_key
+from echowing.signing import SETUP_LINK_ID, LinkSigning, read_key
 
 AUTOPILOT = mavlink.MAV_COMP_ID_AUTOPILOT1
 FIND_TIMEOUT_S = 15.0
@@ -37,7 +37,10 @@ ASKED_AT_ONCE = 10
 CHUNK_S = 0.25
 # After a round, what a slow radio still has on its way is waited for.
 SHORTEST_ROUND_S, LONGEST_ROUND_S = 0.3, 2.0
-ROUNDS = 4
+# So many rounds in which nothing more comes: what is missing then does not exist. The second where
+# a later round has brought something, so that the link loses messages: of one that loses a fifth
+# each way a parameter that exists is passed over with a chance of 0.36^8, three in ten thousand.
+ROUNDS_IN_VAIN, ROUNDS_IN_VAIN_LOSSY = 3, 8
 
 SET_TRIES, COMMAND_TRIES = 4, 4
 ANSWER_S = 1.0
@@ -69,10 +72,13 @@ class Vehicle:
         self.base_mode: int | None = None
         self.mode: int | None = None
         self.texts: list[str] = []
+        self.signs = False
+        self._text_id = 0
         self._link = link
         self._clock = clock
         self._say = say
         self._beat_s = -math.inf
+        self._rounds_in_vain = ROUNDS_IN_VAIN
         self._heard_s = self._state_at_s = clock()
 
     @property
@@ -98,10 +104,10 @@ class Vehicle:
         """Send a message to the vehicle."""
         self._link.send(message, self._clock())
 
-    def poll(self, timeout_s: float = POLL_S) -> list[Heard]:
+    def poll(self, timeout_s: float = POLL_S, silence_s: float = SILENCE_S) -> list[Heard]:
         """What has come from the vehicle's system; waits at most `timeout_s` for something.
 
-        Raises EchowingError once its autopilot has been silent for `SILENCE_S`.
+        Raises EchowingError once its autopilot has been silent for `silence_s`.
         """
         if self._clock() - self._beat_s >= HEARTBEAT_PERIOD_S:
             self._beat_s = self._clock()
@@ -115,9 +121,9 @@ class Vehicle:
         ]
         for one in heard:
             self._notice(one)
-        if now_s - self._heard_s > SILENCE_S:
+        if now_s - self._heard_s > silence_s:
             raise EchowingError(
-                f"{self.name} is silent: nothing heard of its autopilot for {SILENCE_S:g} s; "
+                f"{self.name} is silent: nothing heard of its autopilot for {silence_s:g} s; "
                 "look at the link, then try again"
             )
         return heard
@@ -127,11 +133,20 @@ class Vehicle:
         if message.get_srcComponent() != AUTOPILOT:
             return
         self._heard_s = heard.time_s
+        self.signs = _is_signed(message)
         if message.get_type() == "HEARTBEAT":
             self.base_mode, self.mode = message.base_mode, message.custom_mode
             self._state_at_s = heard.time_s
         elif message.get_type() == "STATUSTEXT":
+            self._take_text(message)
+
+    def _take_text(self, message: Any) -> None:
+        """A long text comes in pieces under one number."""
+        if message.chunk_seq > 0 and message.id == self._text_id and self.texts:
+            self.texts[-1] += str(message.text)
+        else:
             self.texts.append(str(message.text))
+        self._text_id = message.id
 
     def until(self, fits: Callable[[Any], bool], timeout_s: float) -> Any | None:
         """The first message that fits, None if none comes in time."""
@@ -149,6 +164,11 @@ class Vehicle:
         # What was sent while the link came up is lost; nobody's messages are passed on to a link
         # where nobody has been heard.
         self._beat_s = -math.inf
+
+    def forget(self) -> None:
+        """Know nothing of the vehicle's state, as it is starting again; `armed` until heard."""
+        self.base_mode = self.mode = None
+        self.texts.clear()
 
     def look_again(self) -> None:
         """Wait for a new heartbeat, after a time in which nobody has listened."""
@@ -173,12 +193,12 @@ class Vehicle:
     def read(self, names: Sequence[Name], component: int = AUTOPILOT) -> dict[str, float]:
         """Values of parameters; one that the vehicle does not have is not in it.
 
-        Asked by name, as a whole list takes half a minute over a radio; a name unanswered after
-        some rounds is one that does not exist.
+        Asked by name, as a whole list takes half a minute over a radio; a name that is still
+        unanswered after some rounds without any answer is one that does not exist.
         """
         answers = _Answers(names, component)
-        for _ in range(ROUNDS):
-            missing = answers.missing()
+        in_vain = -1
+        while in_vain < self._rounds_in_vain and (missing := answers.missing()):
             for start in range(0, len(missing), ASKED_AT_ONCE):
                 chunk = missing[start : start + ASKED_AT_ONCE]
                 for name in chunk:
@@ -186,6 +206,9 @@ class Vehicle:
                     answers.asked_s[name] = self._clock()
                 self._collect(answers, chunk, CHUNK_S)
             self._collect(answers, missing, answers.patience_s)
+            in_vain += 1
+            if in_vain > 0 and len(answers.missing()) < len(missing):
+                in_vain, self._rounds_in_vain = 0, ROUNDS_IN_VAIN_LOSSY
         return answers.found
 
     def _ask(self, name: str, component: int) -> None:
@@ -304,6 +327,12 @@ class _Answers:
         return min(max(3.0 * self._slowest_s, SHORTEST_ROUND_S), LONGEST_ROUND_S)
 
 
+def _is_signed(message: Any) -> bool:
+    """Whether a message carries a signature, whether or not we have the key to check it."""
+    flags = message.get_header().incompat_flags
+    return bool(flags & mavlink.MAVLINK_IFLAG_SIGNED)
+
+
 def _is_value(message: Any, name: str) -> bool:
     from_autopilot = message.get_srcComponent() == AUTOPILOT
     return bool(from_autopilot and message.get_type() == "PARAM_VALUE" and message.param_id == name)
@@ -331,7 +360,7 @@ def open_vehicle(
     """
     seat = parse_seat("vehicle", where, baud)
     key = read_key(signing_key_file)
-    link = OpenLink(Link(seat.address, None if key is None else LinkSigning(key, 1)))
+    link = OpenLink(Link(seat.address, None if key is None else LinkSigning(key, SETUP_LINK_ID)))
     link.link.open()
     try:
         until_s = clock() + FIND_TIMEOUT_S

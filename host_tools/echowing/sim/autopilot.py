@@ -38,6 +38,7 @@ _FIRST_OTHER_PORT = 3
 # Where scripts are on the card (AP_Scripting, SCRIPTING_DIRECTORY); the one that is simulated.
 _SCRIPT_ON_CARD = Path("APM", "scripts", "echowing.lua")
 _SCRIPTS_DISABLED = 2  # SCR_DIR_DISABLE: the card's scripts are not loaded
+_NOT_SIGNED = 1  # MAVn_OPTIONS bit 0 (GCS.h, MAVLINK2_SIGNING_DISABLED)
 _FTP_DISABLED = 2  # BRD_OPTIONS bit 1 (AP_BoardConfig): no file transfer
 
 # A port gives about 30 % of its 57600 baud to a parameter list: one 37-byte value every 20 ms.
@@ -125,6 +126,7 @@ class Autopilot:
         self._t_s = 0.0
         self._text_id = 0
         self._reboot_wanted = False
+        self._signing_key: bytes | None = None
         identity = {"MAV_SYSID": float(system_id), "SYSID_THISMAV": float(system_id)}
         self._boot({**identity, **(parameters or {})})
         self._router = Router(self.links, lambda: self.system_id)
@@ -173,6 +175,7 @@ class Autopilot:
             mavlink.MAVLINK_MSG_ID_PARAM_SET: self._param_set,
             mavlink.MAVLINK_MSG_ID_REQUEST_DATA_STREAM: self._request_data_stream,
             mavlink.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL: self._file_transfer,
+            mavlink.MAVLINK_MSG_ID_SETUP_SIGNING: self._setup_signing,
         }
 
     # ---- set-up ---------------------------------------------------------------------------------
@@ -196,6 +199,22 @@ class Autopilot:
     def sign_link(self, name: str, key: bytes) -> None:
         """Sign a link with a 32-byte key: only what carries its signature is heard there."""
         self.links[name].sign(key, self._unix_s)
+
+    def _setup_signing(self, port: _Port, message: Any) -> None:
+        """A key for all links (GCS_Signing.cpp): the first, which is USB, goes on believing all.
+
+        From 4.7 on a port is left out by its MAVn_OPTIONS (bit 0), which counts at the start.
+        """
+        if not self.modes.armed:
+            self._signing_key = bytes(message.secret_key)
+            self._sign_all(self._signing_key)
+
+    def _sign_all(self, key: bytes) -> None:
+        for link in self.links.values():
+            if int(self.parameters.value(f"MAV{link.number + 1}_OPTIONS")) & _NOT_SIGNED:
+                link.unsign()
+            else:
+                link.sign(key, self._unix_s, accept_unsigned=link.number == 0)
 
     def receive(self, link: str, data: bytes) -> None:
         """Bytes off the wire; they are looked at in the next step."""
@@ -278,6 +297,8 @@ class Autopilot:
         self._boot_s += self._t_s
         self._t_s = 0.0
         self._boot(self.parameters.saved)
+        if self._signing_key is not None:
+            self._sign_all(self._signing_key)
         for port in self._ports.values():
             port.list_next = None
             port.link.routes.clear()
@@ -305,6 +326,7 @@ class Autopilot:
         self.modes.step(t_s)
         if self.script is not None:
             self.script.step(self.millis())
+            self.arming.script_error = self.script.error
         for port in self._ports.values():
             self._speak(port, t_s)
         if self._flight_log is not None:
@@ -570,11 +592,13 @@ class Autopilot:
             return False
         return self.modes.guided.position(position_ned_m, yaw_rad)
 
-    def set_target_posvel_ned(self, position_ned_m: Ned, velocity_ned_mps: Ned) -> bool:
+    def set_target_posvel_ned(
+        self, position_ned_m: Ned, velocity_ned_mps: Ned, yaw_rad: float | None = None
+    ) -> bool:
         """Guided position and velocity target."""
         if self.modes.mode != GUIDED:
             return False
-        return self.modes.guided.position_velocity(position_ned_m, velocity_ned_mps)
+        return self.modes.guided.position_velocity(position_ned_m, velocity_ned_mps, yaw_rad)
 
     def set_target_velocity_ned(self, velocity_ned_mps: Ned) -> bool:
         """Guided velocity target; times out after 3 s."""
@@ -586,6 +610,10 @@ class Autopilot:
     def position_ned_m(self) -> Ned | None:
         """Estimated position from the estimator's origin."""
         return self.places.here_ned_m()
+
+    def height_above_home_m(self) -> float:
+        """Estimated height above home."""
+        return self.places.height_m()
 
     def velocity_ned_mps(self) -> Ned | None:
         """Estimated velocity."""

@@ -56,15 +56,16 @@ class _Bench:
 
     def store(self, parameters: Mapping[str, float]) -> bytes:
         """Set and store parameters; returns the EEPROM."""
-        heartbeat = self._wait("HEARTBEAT", _BOOT_US)
-        if heartbeat is None:
+        board = self._wait("HEARTBEAT", _BOOT_US)
+        if board is None:
             raise EchowingError("the emulated firmware sends no heartbeat on its USB port")
         for name, value in parameters.items():
-            self._set(heartbeat.get_srcSystem(), heartbeat.get_srcComponent(), name, value)
+            # It answers with the ids it has by then: the next is for those.
+            board = self._set(board.get_srcSystem(), board.get_srcComponent(), name, value)
         self._board.run_until(self._t_us + _STORE_US)
         return self._board.power_off()
 
-    def _set(self, system: int, component: int, name: str, value: float) -> None:
+    def _set(self, system: int, component: int, name: str, value: float) -> Any:
         sender = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
         request = mavlink.MAVLink_param_set_message(
             system, component, name.encode(), value, mavlink.MAV_PARAM_TYPE_REAL32
@@ -79,6 +80,7 @@ class _Bench:
             raise EchowingError(f"the co-processor has no parameter {name!r}")
         if abs(answer.param_value - value) > 1e-6 * abs(value):
             raise EchowingError(f"co-processor parameter {name}: {value:g} is not accepted")
+        return answer
 
 
 @lru_cache(maxsize=64)

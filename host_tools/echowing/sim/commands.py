@@ -14,6 +14,7 @@ from echowing.sim.targets import LAT_LIMIT_E7, LON_LIMIT_E7
 
 ACCEPTED = mavlink.MAV_RESULT_ACCEPTED
 DENIED = mavlink.MAV_RESULT_DENIED
+NOT_NOW = mavlink.MAV_RESULT_TEMPORARILY_REJECTED
 FAILED = mavlink.MAV_RESULT_FAILED
 UNSUPPORTED = mavlink.MAV_RESULT_UNSUPPORTED
 
@@ -105,6 +106,7 @@ class Commands:
             mavlink.MAV_CMD_REQUEST_MESSAGE: self._request_message,
             mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: self._capabilities,
             mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: self._restart,
+            mavlink.MAV_CMD_RUN_PREARM_CHECKS: self._run_prearm_checks,
             mavlink.MAV_CMD_SCRIPTING: self._scripting,
         }
 
@@ -195,6 +197,12 @@ class Commands:
         if command.p1 != _REBOOT_AUTOPILOT or self._modes.armed:
             return int(FAILED)
         self._reboot()
+        return int(ACCEPTED)
+
+    def _run_prearm_checks(self, command: Command, port: Port) -> int:
+        if self._modes.armed:
+            return int(NOT_NOW)
+        self._modes.tell_objection()
         return int(ACCEPTED)
 
     def _scripting(self, command: Command, port: Port) -> int:

@@ -50,6 +50,10 @@ class SerialLink:
             accept_unsigned or message_id in NEEDS_NO_SIGNATURE
         )
 
+    def unsign(self) -> None:
+        """Send unsigned, and accept everything."""
+        self._mav.signing = mavlink.MAVLinkSigning()
+
     def feed(self, data: bytes) -> None:
         """Bytes off the wire, to be parsed at the next `messages`."""
         self._incoming += data

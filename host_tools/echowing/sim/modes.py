@@ -10,6 +10,7 @@ from echowing.sim.guided import Body, Controls, Guided, SubMode
 from echowing.sim.parameters import Parameters
 from echowing.sim.places import Places
 from echowing.sim.rangefinder import NO_DATA, MavlinkRangefinder
+from echowing.sim.wpnav import TrackLimits
 
 STABILIZE, ALT_HOLD, AUTO, GUIDED, LOITER, RTL, LAND, POSHOLD, BRAKE = 0, 2, 3, 4, 5, 6, 9, 16, 17
 MODES = {
@@ -48,6 +49,7 @@ class Arming:
         self._parameters = parameters
         self._rangefinder = rangefinder
         self._answers: list[str | bool | None] = []
+        self.script_error: str | None = None
 
     def new_id(self) -> int | None:
         """Reserve an authorisation; None: all are taken."""
@@ -69,11 +71,14 @@ class Arming:
     def forget_scripts(self) -> None:
         """Scripting starts again (AP_Arming, reset_all_aux_auths): no authorisation is reserved."""
         self._answers.clear()
+        self.script_error = None
 
     def objection(self) -> str | None:
         """The first reason not to arm; None: there is none."""
         if self._checks(_CHECK_RANGEFINDER) and self._rangefinder.status == NO_DATA:
             return "Rangefinder 1: No Data"
+        if self.script_error is not None:  # AP_Scripting.cpp, arming_checks
+            return f"Scripting: {self.script_error}"
         if self._checks(_CHECK_AUX_AUTH):
             for answer in self._answers:
                 if isinstance(answer, str):
@@ -90,6 +95,8 @@ class Arming:
 
 class _Carried:
     """Controls of a body that moves by itself: nothing the autopilot does moves it."""
+
+    def set_limits(self, limits: TrackLimits) -> None: ...
 
     def start_guided(self, speed_limit_mps: float) -> None: ...
 
@@ -181,6 +188,7 @@ class FlightModes:
         elif mode == LAND:
             self.controls.land()
         else:
+            self.controls.set_limits(TrackLimits())  # LOIT_* and BRAKE_*, not WP_*
             self.controls.hold()
         self._on_change()
 
@@ -227,6 +235,7 @@ class FlightModes:
                 self.controls.take_off(self.take_off_first_m)
             return
         default_mps = self._parameters.waypoint_start_speed_mps()
+        self.controls.set_limits(self._parameters.motion_limits())
         self.controls.start_auto(self.waypoints, self.mission_speed_mps or default_mps)
 
     def _start_return(self) -> None:
@@ -239,6 +248,7 @@ class FlightModes:
         home = self._places.home_ned_m
         down_m = min(down_m, home[2] - height_m)
         path = [(north_m, east_m, down_m), (home[0], home[1], down_m)]
+        self.controls.set_limits(parameters.motion_limits())
         self.controls.start_auto(path, speed_mps or default_mps)
 
     # ---- arming ---------------------------------------------------------------------------------
@@ -304,6 +314,10 @@ class FlightModes:
         if t_s - self._told_s < _PREARM_TEXT_PERIOD_S:
             return
         self._told_s = t_s
+        self.tell_objection()
+
+    def tell_objection(self) -> None:
+        """Say why the vehicle would not arm, if it would not."""
         reason = self._arming.objection()
         if reason is not None:
             self._say(mavlink.MAV_SEVERITY_CRITICAL, f"PreArm: {reason}")

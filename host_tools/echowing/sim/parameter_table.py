@@ -2,8 +2,8 @@
 
 A dash: the generation has no such parameter. Source: the lists that ArduCopter 4.6-dev, 4.7-dev
 and 4.8-dev print themselves; 4.5 is taken as 4.6, and 4.7 is the later 4.7-dev, with WP_* in
-metres. Those lists were made with a rangefinder switched on (its parameters are hidden without);
-here RNGFND1_TYPE has the firmware's default, none.
+metres and the PSC_ names of 4.8. Those lists were made with a rangefinder switched on (its
+parameters are hidden without); here RNGFND1_TYPE has the firmware's default, none.
 """
 
 # name           type      4.5     4.6     4.7     4.8
@@ -117,6 +117,8 @@ PRX1_TYPE        int8         0       0       0       0
 PRX2_TYPE        int8         0       0       0       0
 PRX3_TYPE        int8         0       0       0       0
 PRX4_TYPE        int8         -       -       0       0
+PSC_JERK_NE      real32       -       -       5       5
+PSC_JERK_XY      real32       5       5       -       -
 RC10_OPTION      int16        0       0       0       0
 RC11_OPTION      int16        0       0       0       0
 RC12_OPTION      int16        0       0       0       0

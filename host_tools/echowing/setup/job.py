@@ -1,0 +1,316 @@
+"""`setup apply` and `setup restore` at work: write, restart, wait, and go on until all is set.
+
+What a parameter hides (a sensor's TYPE, scripting, the applet) shows only after a restart, so a new
+vehicle takes two rounds; the old values of both are in one file.
+"""
+
+import shlex
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+
+from echowing.applet import CARD_SCRIPTS, install_over_link, scripts_folder
+from echowing.errors import EchowingError
+from echowing.setup.apply import (
+    Change,
+    Outcome,
+    Saved,
+    changes_for,
+    hidden_for,
+    others_of,
+    save,
+    write_all,
+)
+from echowing.setup.ftp import FtpClient, Progress
+from echowing.setup.reading import applet_on_card, objections, read_parameters
+from echowing.setup.readout import CardApplet, Readout
+from echowing.setup.restart import (
+    restart_autopilot,
+    restart_scripts,
+    scripting_error,
+    until_applet_runs,
+)
+from echowing.setup.vehicle import Vehicle
+from echowing.setup.view import changes_as_lines, differences
+
+WRITING = "parameters are written"
+# Scripting, then what it shows, then what that shows; one to spare.
+ROUNDS = 4
+INTERRUPTED_EXIT = 130
+
+Ask = Callable[[str], bool]
+Bar = Callable[[str], Progress]
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What one round does. upload: the applet onto the card; start: it has to be loaded yet."""
+
+    readout: Readout
+    changes: Sequence[Change]
+    upload: bool
+    start: bool
+
+    @property
+    def empty(self) -> bool:
+        """Whether there is nothing to do."""
+        return not (self.changes or self.upload or self.start)
+
+    @property
+    def waits_for_restart(self) -> list[str]:
+        """Parameters that count from the next start on."""
+        return [change.name for change in self.changes if change.restart]
+
+
+@dataclass(slots=True)
+class Work:
+    """What both jobs need: the vehicle, how it is named, and who is told and asked.
+
+    restart: the autopilot may be restarted. bar: makes a progress bar out of a title.
+    """
+
+    vehicle: Vehicle
+    where: str
+    say: Callable[[str], None]
+    restart: bool
+
+    def write(self, values: Sequence[tuple[str, float]], way_back: str) -> Outcome | None:
+        """Write, and whatever ends it in the middle, say how to go back. None: interrupted."""
+
+        def one(name: str, value: float) -> float:
+            self.vehicle.refuse_armed(WRITING)
+            return self.vehicle.write(name, value)
+
+        count = 0
+
+        def progress(name: str) -> None:
+            nonlocal count
+            count += 1
+            self.say(f"writing {count} of {len(values)}: {name}")
+
+        try:
+            outcome = write_all(values, one, progress)
+        except EchowingError as error:
+            raise EchowingError(f"{error}\nonly some values are written; {way_back}") from error
+        except KeyboardInterrupt:
+            self.say(f"interrupted; only some values are written; {way_back}")
+            return None
+        for name, now in outcome.refused.items():
+            wanted = dict(values)[name]
+            self.say(f"{name} is {now:g} after writing {wanted:g}: the autopilot does not take it")
+        self.say(f"{len(outcome.written)} of {len(values)} written and read back")
+        return outcome
+
+    def restart_now(self) -> bool:
+        """Restart the autopilot and wait for it; False: it has to be done by hand."""
+        self.say("the autopilot restarts …")
+        if restart_autopilot(self.vehicle):
+            self.say("it is up again")
+            return True
+        self.say("it does not restart by command: take its power")
+        return False
+
+
+@dataclass(slots=True)
+class Apply:
+    """Makes a follower ready. ask: whether to go on; folder: of the scripts, found if not given."""
+
+    work: Work
+    ask: Ask
+    bar: Bar
+    file: Path
+    serial_port: int | None = None
+    rangefinder: int = 1
+    folder: str | None = None
+    now: Callable[[], datetime] = datetime.now
+    _refused: set[str] = field(default_factory=set)
+    _announced: set[str] = field(default_factory=set)
+
+    def run(self) -> int:
+        """0: all is set; 1: not all, and why has been said; 130: interrupted."""
+        self.work.vehicle.refuse_armed(WRITING)
+        plan = self._plan()
+        self._show(plan)
+        if plan.empty:
+            self.work.say("nothing to write")
+            return 0
+        if not self.ask(f"Write these to {self.work.vehicle.name}? [y/N] "):
+            self.work.say("nothing was changed")
+            return 1
+        self.work.vehicle.look_again()  # the operator may have thought about it for a while
+        for _ in range(ROUNDS):
+            code = self._carry_out(plan)
+            if code is not None:
+                return code
+            plan = self._plan()
+            if plan.empty:
+                break
+            if not self._agreed_again(plan):
+                return 1
+        return self._end(plan)
+
+    def _plan(self) -> Plan:
+        vehicle = self.work.vehicle
+        parameters = read_parameters(vehicle, self.serial_port, self.rangefinder)
+        card = applet_on_card(vehicle, self.folder)
+        readout = Readout(
+            parameters,
+            serial_port=self.serial_port,
+            rangefinder=self.rangefinder,
+            applet_on_card=card,
+        )
+        changes = [one for one in changes_for(readout) if one.name not in self._refused]
+        upload = card in (CardApplet.NONE, CardApplet.ANOTHER)
+        idle = "ECHO_ENABLE" not in readout and parameters.get("SCR_ENABLE") == 1.0
+        return Plan(readout, changes, upload, idle and card is CardApplet.OURS)
+
+    def _show(self, plan: Plan) -> None:
+        hidden = hidden_for(plan.readout)
+        self._announced |= set(hidden) | {change.name for change in plan.changes}
+        for line in differences(plan.readout, plan.changes, hidden):
+            self.work.say(line)
+
+    def _agreed_again(self, plan: Plan) -> bool:
+        """What was announced is written without another question."""
+        news = [change for change in plan.changes if change.name not in self._announced]
+        for line in changes_as_lines(plan.changes):
+            self.work.say(line)
+        return not news or self.ask(f"Write these too to {self.work.vehicle.name}? [y/N] ")
+
+    def _carry_out(self, plan: Plan) -> int | None:
+        """One round; an exit code where it is the last."""
+        vehicle, say = self.work.vehicle, self.work.say
+        vehicle.refuse_armed(WRITING)
+        if plan.changes:
+            save(self.file, vehicle.system_id, plan.changes, self.now())
+            say(f"old values: {self.file}")
+            values = [(change.name, change.new) for change in plan.changes]
+            outcome = self.work.write(values, self._way_back)
+            if outcome is None:
+                return INTERRUPTED_EXIT
+            self._refused |= set(outcome.refused)
+        if plan.upload and not self._uploaded(may_wait="SCR_ENABLE" in plan.waits_for_restart):
+            self.work.say("no folder for scripts yet: it is made when scripting starts")
+        return self._take_effect(plan)
+
+    @property
+    def _way_back(self) -> str:
+        file = shlex.quote(str(self.file))
+        return f"back: echowing setup restore {file} --vehicle {self.work.where}"
+
+    def _uploaded(self, *, may_wait: bool) -> bool:
+        """Put the applet onto the card; False: the next round has to, as there is no folder yet."""
+        card = FtpClient(self.work.vehicle)
+        try:
+            folder = self.folder or scripts_folder(card)
+            if folder is None and may_wait:
+                return False
+            install_over_link(card, self.bar, folder or CARD_SCRIPTS)
+        except EchowingError as error:
+            raise EchowingError(
+                f"{error}\nthe applet is not on the card: echowing setup lua --mount DIR writes it "
+                f"with the card in this computer, then apply once more; {self._way_back}"
+            ) from error
+        self.work.say(f"{folder}/echowing.lua: written, read back")
+        return True
+
+    def _take_effect(self, plan: Plan) -> int | None:
+        """Restart what has to be, and wait for the applet; an exit code where it ends here."""
+        names = plan.waits_for_restart
+        if not (names or plan.upload or plan.start):
+            return None
+        if not self._reload(names):
+            return self._by_hand(names)
+        if not self._applet_comes() or self._applet_runs():
+            return None
+        if not self.work.restart:
+            return self._by_hand(names)
+        self.work.say(self._way_back)
+        return 1
+
+    def _reload(self, names: Sequence[str]) -> bool:
+        """Have it take what was written; False: the autopilot has to be restarted by hand."""
+        if self.work.restart:
+            return self.work.restart_now()
+        return not names and restart_scripts(self.work.vehicle)
+
+    def _applet_comes(self) -> bool:
+        """Whether the applet should run now."""
+        scripting = self.work.vehicle.read(["SCR_ENABLE"]).get("SCR_ENABLE") == 1.0
+        return scripting and applet_on_card(self.work.vehicle, self.folder) is CardApplet.OURS
+
+    def _applet_runs(self) -> bool:
+        vehicle = self.work.vehicle
+        self.work.say("waiting for the applet …")
+        if until_applet_runs(vehicle):
+            self.work.say("the applet runs")
+            return True
+        reason = scripting_error(objections(vehicle)) or "the autopilot names no error"
+        self.work.say(f"the applet does not run: {reason}")
+        return False
+
+    def _by_hand(self, names: Sequence[str]) -> int:
+        count = f": {', '.join(names)} count only then" if names else ""
+        self.work.say(f"restart the autopilot{count}")
+        port = "" if self.serial_port is None else f" --serial {self.serial_port}"
+        self.work.say(
+            f"then: echowing setup apply --vehicle {self.work.where}{port} --save "
+            f"{shlex.quote(str(self.file))} writes the rest, its old values into the same file"
+        )
+        self.work.say(self._way_back)
+        return 1 if self._refused else 0
+
+    def _end(self, plan: Plan) -> int:
+        if self.file.exists():
+            self.work.say(self._way_back)
+        if self._refused or not plan.empty:
+            left = sorted(self._refused | {change.name for change in plan.changes})
+            self.work.say(f"not set: {', '.join(left) or 'the applet'}")
+            return 1
+        port = "" if self.serial_port is None else f" --serial {self.serial_port}"
+        self.work.say(f"all is set; next: echowing setup check --vehicle {self.work.where}{port}")
+        return 0
+
+
+def restore(work: Work, file: Path, saved: Saved) -> int:
+    """Put the values of a file back. 0: all; 1: some could not be; 130: interrupted."""
+    vehicle = work.vehicle
+    if vehicle.system_id != saved.system_id:
+        raise EchowingError(
+            f"{file} is of vehicle {saved.system_id}, and this is {vehicle.name}; nothing was "
+            "changed"
+        )
+    vehicle.refuse_armed(WRITING)
+    there = vehicle.read(list(saved.parameters))
+    # In reverse: a sensor's TYPE goes last, as its other parameters may hide with it.
+    values = [one for one in list(saved.parameters.items())[::-1] if one[0] in there]
+    absent = [name for name in saved.parameters if name not in there]
+    again = f"once more: echowing setup restore {shlex.quote(str(file))} --vehicle {work.where}"
+    outcome = work.write(values, again)
+    if outcome is None:
+        return INTERRUPTED_EXIT
+    if absent:
+        work.say(f"left out, as the vehicle does not have them now: {', '.join(absent)}")
+    _tell_of_others(work, file, saved)
+    if work.restart:
+        work.restart_now()
+    else:
+        work.say("restart the autopilot: some of them count only then")
+    return 1 if outcome.refused or absent else 0
+
+
+def _tell_of_others(work: Work, file: Path, saved: Saved) -> None:
+    """Files of other `apply`s: the way back leads through them from the newest to the oldest."""
+    others = others_of(file, saved.system_id)
+    if not others:
+        return
+    newer = [path for path, when in others if when > saved.when]
+    older = [path for path, when in others if when <= saved.when]
+    if older:
+        work.say(f"from before an earlier apply, restore next: {', '.join(map(str, older))}")
+    if newer:
+        work.say(
+            f"of a later apply, to be restored before {file}: {', '.join(map(str, newer))}; where "
+            f"that was not done, do it now and then restore {file} again"
+        )
