@@ -629,7 +629,7 @@ class FollowSession:
         if self.take_offs is not None and ours:
             self.take_offs.acknowledged(follower, message, now_s)
         if self.guard is not None and ours:
-            self.guard.mode_answered(follower.plan.system_id, message, now_s)
+            self.guard.switches.mode_answered(follower.plan.system_id, message, now_s)
 
     def _raw_reading(self, follower: FollowerState, message: Any, now_s: float) -> None:
         follower.raw_at_s = now_s
@@ -691,7 +691,7 @@ class FollowSession:
                 left = "not flying any more"
             self._say(now_s, f"follower {follower.plan.system_id}: {left}, hands off")
         elif self.guard is not None:
-            self.guard.entered_guided(follower.plan.system_id)
+            self.guard.entered_guided(follower.plan.system_id, now_s)
             deed = "taking off" if climbs else "following" if self.engaged else "only watched"
             self._say(now_s, f"follower {follower.plan.system_id}: in Guided, {deed}")
 

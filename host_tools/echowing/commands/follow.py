@@ -137,8 +137,8 @@ def _add_safety(safety: "argparse._ArgumentGroup") -> None:
         type=float,
         default=1.0,
         metavar="M",
-        help="what is to be certain of the distance between any two vehicles (1.0): a follower that "
-        "would come nearer slows down, gives way or backs off",
+        help="what is to be certain of the distance between any two vehicles (1.0): a follower "
+        "that would come nearer slows down, gives way or backs off",
     )
     safety.add_argument(
         "--home-difference",
@@ -165,10 +165,12 @@ def run(args: argparse.Namespace) -> int:
     from echowing.follow_run import FollowTool  # noqa: PLC0415
     from echowing.follow_view import open_view  # noqa: PLC0415
     from echowing.stopping import stop_on_signals  # noqa: PLC0415
+    from echowing.terminal import run_in_flight  # noqa: PLC0415
 
     options = _options(args)
     with stop_on_signals() as stop:
-        return FollowTool(options, open_view(as_json=args.json), stop).run()
+        tool = FollowTool(options, open_view(as_json=args.json), stop)
+        return run_in_flight(tool.run, lambda: tool.stuck)
 
 
 def options_of(arguments: "Sequence[str]") -> "FollowOptions":
@@ -180,10 +182,11 @@ def options_of(arguments: "Sequence[str]") -> "FollowOptions":
 
 def _options(args: argparse.Namespace) -> "FollowOptions":
     from echowing.follow_run import FollowOptions  # noqa: PLC0415
-    from echowing.guard import Limits, parse_stop_switch  # noqa: PLC0415
+    from echowing.guard import Limits  # noqa: PLC0415
     from echowing.guidance import GuidanceSettings  # noqa: PLC0415
     from echowing.seats import VehicleFinder  # noqa: PLC0415
     from echowing.signing import read_key  # noqa: PLC0415
+    from echowing.switch import parse_stop_switch  # noqa: PLC0415
 
     _check_numbers(args)
     switch = None if args.stop_switch is None else parse_stop_switch(args.stop_switch)
