@@ -1164,7 +1164,7 @@ do
         end
         if hold.is_wanted() and not stream.holding and not track.trusted(t_ms) and status ~= STATUS_LOW then
             guard.rest()
-            return C.SPD_LOST
+            return clamp(C.SPD_LOST, C.SPD_MIN, C.SPD_MAX)
         end
         return guard.update(range_m, status, t_ms)
     end
