@@ -27,8 +27,8 @@ DEADLY_COUNT, COUNT = 100.0, 10_000.0  # SCR_VM_I_COUNT
 
 def _following(formation: Formation, *more: str) -> Tool:
     formation.follower.set(SPEED, PILOTS_SPEED_MPS)
-    formation.follower.override({3: MIDDLE_US})  # Loiter with the throttle down would land
     tool = formation.fly_in_formation(*more)
+    formation.follower.override({3: MIDDLE_US})  # Loiter with the throttle down would land
     formation.leader.fly((SPEED_MPS, 0.0, 0.0))
     rest(SETTLE_S)
     return tool
@@ -56,9 +56,9 @@ def test_pilot_changes_the_mode_and_comes_back(start: Start, table: list[Entry])
     tool.event("left Guided for LOITER, hands off", since)
     follower.until_said("ECHO: handed back", began_s)
     _has_his_speed(follower)
-    formation.leader.fly((0.0, 0.0, 0.0))
-    rest(5.0)
+    rest(5.0)  # the leader flies on; how near the follower comes is its pilot's affair now
     assert follower.mode == LOITER
+    formation.leader.fly((0.0, 0.0, 0.0))
     back = len(tool.lines)
     follower.set_mode(GUIDED)
     tool.event("in Guided, following", back)
