@@ -25,8 +25,8 @@ bench: setup-test core emulated ## speeds and sizes, as a table
 monitor: setup ## watch the co-processor live: PORT=/dev/ttyACM0
 	@$(BIN)/echowing rig $(if $(PORT),--port $(PORT)) watch
 
-fuzz: setup-test ## fuzz the firmware's byte entry and its memory: SECONDS=600
-	$(BIN)/python tests/firmware/fuzz/run.py $(or $(SECONDS),600)
+fuzz: setup-test ## fuzz the firmware's byte entry and its memory: SECONDS=600 SEED=1
+	$(BIN)/python tests/firmware/fuzz/run.py $(or $(SECONDS),600) $(or $(SEED),1)
 
 lint: setup-test ## formatters and linters, nothing is changed
 	$(BIN)/ruff format --check .

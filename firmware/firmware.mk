@@ -3,7 +3,7 @@
 BOARD ?= mega
 ARDUINO_CLI := build/tools/arduino-cli
 ARDUINO_HOME := build/arduino-home/arduino-cli.yaml
-EMULATOR := build/emulator/libechowing_avr.so
+EMULATORS := build/emulator/libechowing_avr.so build/emulator/libechowing_stm32.so
 MAVLINK_HEADERS := firmware/echowing/src/mavlink/echowing/mavlink.h
 STM32_BOARDS := blackpill_f411 bluepill_f103 nucleo_f446
 FIRMWARE_SOURCES := $(shell find firmware/echowing -type f -not -path '*/src/mavlink/*')
@@ -20,9 +20,9 @@ firmware-stm32: $(STM32_BOARDS:%=build/firmware/%/echowing.elf) ## compile it fo
 flash: build/firmware/$(BOARD)/echowing.elf ## put it on a board: BOARD=mega PORT=/dev/ttyACM0
 	@$(BIN)/python firmware/tools/flash.py $(BOARD) $(PORT)
 
-emulator: $(EMULATOR) ## the emulator that runs the AVR binary
+emulator: $(EMULATORS) ## the emulators that run the binaries
 
-emulated: build/firmware/mega/echowing.elf $(EMULATOR)
+emulated: build/firmware/mega/echowing.elf $(EMULATORS)
 
 arduino-cli: $(ARDUINO_CLI) ## arduino-cli from its Go sources (once)
 
@@ -49,7 +49,12 @@ $(ARDUINO_HOME): firmware/tools/arduino_home.sh | setup
 	@firmware/tools/arduino_home.sh $(@D)
 	@touch $@
 
-$(EMULATOR): firmware/emulator/avr_board.c firmware/emulator/avr_board.h | setup
+EMULATOR_HEADERS := $(wildcard firmware/emulator/*.h)
+build/emulator/libechowing_avr.so: $(addprefix firmware/emulator/,avr_board.c recorders.c)
+build/emulator/libechowing_avr.so: LIBRARIES = $$(pkg-config --cflags simavr) -lsimavr -lelf
+build/emulator/libechowing_stm32.so: $(wildcard firmware/emulator/stm32_*.c) firmware/emulator/recorders.c
+build/emulator/libechowing_stm32.so: LIBRARIES = -lunicorn
+
+$(EMULATORS): $(EMULATOR_HEADERS) | setup
 	@mkdir -p $(@D)
-	@$(CC) -std=c11 -O2 -g -Wall -Wextra -Werror -fPIC -shared $< -o $@ \
-		$$(pkg-config --cflags simavr) -lsimavr -lelf
+	@$(CC) -std=c11 -O2 -g -Wall -Wextra -Werror -fPIC -shared -fvisibility=hidden $(filter %.c,$^) -o $@ $(LIBRARIES)

@@ -1,22 +1,28 @@
-"""Bring the tables of README.md up to date with the firmware: tables.py [--check].
+"""Bring the tables of README.md and sketch.yaml up to date with the firmware: tables.py [--check].
 
-Parameters come from src/core/parameter_table.h, wiring from src/board/pin_table.h, commands from
-src/core/commands.h. With --check nothing is written and the exit code is 1 if they differ.
-"""
+Parameters come from src/core/parameter_table.h, wiring and profiles from src/board/boards, commands
+Parameters come from src/core/parameter_table.h, wiring and profiles from src/board/boards, commands
+from src/core/command_table.h. With --check nothing is written: the exit code is 1 if they differ.
 
 import re
 import sys
 from pathlib import Path
 
+from echowing import firmware
+
 FIRMWARE = Path(__file__).resolve().parent
 README = FIRMWARE / "README.md"
 SOURCE = FIRMWARE / "echowing" / "src"
 
-BOARDS = {
-    "mega": "Arduino Mega 2560",
-    "blackpill_f411": "WeAct Black Pill F411CE",
-    "bluepill_f103": "Blue Pill F103C8",
-    "nucleo_f446": "ST Nucleo F446RE",
+PROFILES = FIRMWARE / "echowing" / "sketch.yaml"
+
+# The cores that the profiles pin; an index where Arduino's own does not have them.
+CORES = {
+    firmware.AVR: ("arduino:avr (1.8.6)", None),
+    firmware.STM32: (
+        "STMicroelectronics:stm32 (2.12.0)",
+        "https://github.com/stm32duino/BoardManagerFiles/raw/main/package_stmicroelectronics_index.json",
+    ),
 }
 ROLES = (
     "pan servo, signal",
@@ -33,40 +39,63 @@ def parameters() -> str:
     """The parameter table."""
     text = (SOURCE / "core" / "parameter_table.h").read_text()
     rows = re.findall(
-        r'^ECHOWING_PARAMETER\(\w+, "(\w+)", ([-\d.]+), ([-\d.]+), ([-\d.]+), (\w+), "(.*?)",'
-        r' "(.*)"\)$',
+        r'^ECHOWING_PARAMETER\(\w+, "(\w+)", ([-\d.]+), ([-\d.]+), ([-\d.]+), (\w+), (\w+),'
+        r' "(.*?)", "(.*)"\)$',
         text,
         re.MULTILINE,
     )
-    lines = ["| name | default | least | most | unit | what it does |", "|---|---|---|---|---|---|"]
-    for name, normal, least, most, whole, unit, what in rows:
+    lines = [
+        "| name | default | least | most | unit | in flight | what it does |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for name, normal, least, most, whole, in_flight, unit, what in rows:
         kind = "" if whole == "true" else " (fractions allowed)"
-        lines.append(f"| `{name}` | {normal} | {least} | {most} | {unit} | {what}{kind} |")
+        flight = "yes" if in_flight == "true" else ""
+        lines.append(
+            f"| `{name}` | {normal} | {least} | {most} | {unit} | {flight} | {what}{kind} |"
+        )
     return "\n".join(lines)
 
 
 def wiring() -> str:
     """Pins of every board, a row a connection."""
-    text = (SOURCE / "board" / "pin_table.h").read_text()
-    found = dict(re.findall(r"^ECHOWING_PINS_(\w+)\((.*)\)$", text, re.MULTILINE))
-    pins = {board: [pin.strip() for pin in found[board].split(",")] for board in BOARDS}
+    boards = firmware.BOARDS.values()
     lines = [
-        "| connection | " + " | ".join(BOARDS.values()) + " |",
-        "|---|" + "---|" * len(BOARDS),
+        "| connection | " + " | ".join(board.title for board in boards) + " |",
+        "|---|" + "---|" * len(boards),
     ]
-    for row, role in enumerate(ROLES):
-        lines.append(f"| {role} | " + " | ".join(pins[board][row] for board in BOARDS) + " |")
+    for name, role in zip(firmware.PINS, ROLES, strict=True):
+        lines.append(f"| {role} | " + " | ".join(board.pins[name] for board in boards) + " |")
     return "\n".join(lines)
 
 
+def profiles() -> str:
+    """The file with arduino-cli's profiles."""
+    lines = [
+        "# Boards and the exact cores they are compiled with: arduino-cli compile --profile NAME",
+        "# Written by firmware/tables.py from src/board/boards.",
+        "profiles:",
+    ]
+    for board in firmware.BOARDS.values():
+        core, index = CORES[board.family]
+        lines += [
+            f"  {board.name}:",
+            f"    fqbn: {board.fqbn}",
+            "    platforms:",
+            f"      - platform: {core}",
+            *([f"        platform_index_url: {index}"] if index else []),
+        ]
+    return "\n".join([*lines, f"default_fqbn: {firmware.BOARDS['mega'].fqbn}", ""])
+
+
 def commands() -> str:
-    """The commands understood, from the comments of their enumeration."""
-    text = (SOURCE / "core" / "commands.h").read_text()
-    rows = re.findall(r"^  kCommand(\w+) = (\d+), +// (.*)$", text, re.MULTILINE)
-    lines = ["| number | what | parameters |", "|---|---|---|"]
-    for name, number, what in rows:
-        words = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).lower()
-        lines.append(f"| {number} | {words} | {what} |")
+    """The commands understood."""
+    text = (SOURCE / "core" / "command_table.h").read_text()
+    rows = re.findall(r'^ECHOWING_COMMAND\((\w+), (\d+), (\w+), "(.*)"\)$', text, re.MULTILINE)
+    lines = ["| number | what | in flight | parameters |", "|---|---|---|---|"]
+    for name, number, in_flight, what in rows:
+        flight = "yes" if in_flight == "true" else ""
+        lines.append(f"| {number} | {name.replace('_', ' ')} | {flight} | {what} |")
     return "\n".join(lines)
 
 
@@ -84,11 +113,12 @@ def filled(text: str) -> str:
 
 def main() -> int:
     """Write, or check."""
-    before = README.read_text()
-    after = filled(before)
+    wanted = {README: filled(README.read_text()), PROFILES: profiles()}
+    stale = [path for path, text in wanted.items() if path.read_text() != text]
     if "--check" in sys.argv[1:]:
-        return int(before != after)
-    README.write_text(after)
+        return int(bool(stale))
+    for path in stale:
+        path.write_text(wanted[path])
     return 0
 
 

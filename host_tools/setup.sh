@@ -13,6 +13,7 @@ run_packages=(
   gcc-avr avr-libc        # the co-processor's binary
   arduino-core-avr arduino-ctags
   simavr libsimavr-dev libelf-dev pkg-config  # running that binary
+  libunicorn-dev          # running the STM32 boards' binaries
 )
 test_packages=(
   avrdude                 # flashing, tested against a fake programmer

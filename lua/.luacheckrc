@@ -1,9 +1,25 @@
 -- luacheck's settings for the applets: luacheck --config lua/.luacheckrc lua
-std = "lua53"
+std = "vehicle"
 max_line_length = 120
 max_comment_line_length = false -- a parameter's description is one line, as ArduPilot's tools read it
+
+-- What ArduPilot's Lua has of a stock one (host_tools/echowing/sim/lua_prelude.lua, `sandbox`).
+stds.vehicle = {
+    read_globals = {
+        'assert', 'error', 'ipairs', 'load', 'next', 'pairs', 'pcall', 'require', 'setmetatable', 'tonumber', 'tostring',
+        'type',
+        math = { other_fields = true }, table = { other_fields = true }, io = { other_fields = true },
+        string = {
+            fields = {
+                'byte', 'char', 'find', 'format', 'gmatch', 'gsub', 'len', 'lower', 'match', 'pack', 'packsize', 'rep',
+                'reverse', 'sub', 'unpack', 'upper',
+            },
+        },
+    },
+}
 
 -- ArduPilot's bindings in use; their arguments and results: host_tools/echowing/sim/lua_bindings.lua
 read_globals = {
     "ahrs", "arming", "gcs", "logger", "mavlink", "millis", "param", "Parameter", "rangefinder", "rc", "vehicle",
+    "Vector3f",
 }

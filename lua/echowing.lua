@@ -3,13 +3,15 @@
 
   A ground tool streams guided points that keep the follower roughly in its place behind the leader. This applet reads
   the forward rangefinder (the co-processor's running average, by MAVLink) and the co-processor's newest single reading
-  (NAMED_VALUE_FLOAT "SNR_RAW") and turns the distance into the speed limit of Guided: slower when too near, faster when
-  too far.
+  (NAMED_VALUE_FLOAT "SNR_RAW") and turns the distance into speed: slower when too near, faster when too far. Where the
+  points carry a velocity it moves them along the beam to the wanted distance; where they do not it sets the speed limit
+  of Guided.
 
   It acts only while ECHO_ENABLE is 1, the vehicle is armed and in Guided, and the switch (if ECHO_SWITCH names one) is
   high. The pilot takes over by any change of mode; the speed parameter is then the pilot's again.
 
   Purpose, wiring, parameters, tests on the bench, in SITL and in the air, and what each message means: echowing.md.
+  Laws, guard, measurements: how-it-works.md.
 
   This file consists of parts: one block each, with constants and helpers that are local to the block, and one table
   with the part's state and the functions that the other parts call. The vehicle's Lua needs this: it allows 100 active
@@ -24,7 +26,7 @@ local GUIDED = 4 -- Copter's mode number
 local FORWARD = 0 -- orientation of the rangefinder
 local STATUS_NO_DATA, STATUS_LOW, STATUS_GOOD = 1, 2, 4 -- RangeFinder::Status
 local STATE = {
-    OFF = 0, SEARCHING = 1, TRACKING = 2, TOO_CLOSE = 3, NO_SONAR = 4, STREAM_LOST = 5, BACKING_OFF = 6,
+    OFF = 0, SEARCHING = 1, TRACKING = 2, TOO_CLOSE = 3, NO_SONAR = 4, STREAM_LOST = 5, BACKING_OFF = 6, HOLDING = 7,
 }
 
 local IDLE_MS = 200 -- pause before the next update while not in control
@@ -48,9 +50,11 @@ end
 -- What the applet needs of the autopilot; the name of the first thing missing, or nil.
 local function missing_call()
     local needs = {
-        { 'vehicle', vehicle, { 'set_desired_speed', 'set_target_pos_NED', 'get_target_location', 'get_mode' } },
+        { 'vehicle', vehicle, { 'set_desired_speed', 'set_target_pos_NED', 'set_target_posvelaccel_NED',
+            'get_target_location', 'get_mode' } },
         { 'rangefinder', rangefinder, { 'status_orient', 'has_orientation' } },
-        { 'ahrs', ahrs, { 'get_location', 'get_velocity_NED', 'get_relative_position_NED_origin' } },
+        { 'ahrs', ahrs, { 'get_location', 'get_velocity_NED', 'get_relative_position_NED_origin',
+            'get_relative_position_D_home' } },
         { 'mavlink', mavlink, { 'init', 'register_rx_msgid', 'receive_chan' } },
         { 'param', param, { 'add_table', 'add_param' } },
         { 'arming', arming, { 'is_armed' } },
@@ -107,7 +111,7 @@ local PARAMETERS = {
     --[[
       // @Param: ECHO_DIST
       // @DisplayName: Echowing wanted distance
-      // @Description: Distance to the leader, as the sonar measures it
+      // @Description: Distance to the leader, centre to centre
       // @Range: 1.5 6
       // @Units: m
       // @User: Standard
@@ -318,6 +322,15 @@ local PARAMETERS = {
     --]]
     { 'ARM_CHK', 1, 0, 1 },
     --[[
+      // @Param: ECHO_INSET
+      // @DisplayName: Echowing sonar inset
+      // @Description: How much less than the distance between the two vehicles' centres the sonar reads: its face is ahead of the follower's centre, the leader's reflecting legs are around its own
+      // @Range: 0 1
+      // @Units: m
+      // @User: Standard
+    --]]
+    { 'INSET', 0.2, 0.0, 1.0 },
+    --[[
       // @Param: ECHO_MIRROR
       // @DisplayName: Echowing mirror of the pilot's speed
       // @Description: The pilot's value of the speed parameter, in its own unit, while the applet is in control; 0 otherwise. Written by the applet, so that a restarted script can put it back
@@ -372,8 +385,9 @@ do
     parameters.mirror = objects[#objects]
 end
 
--- The parts and their state. Speeds along the nose, where the sonar looks; times in ms; nil is "never". -----------------
+-- The parts and their state -------------------------------------------------------------------------------------------
 
+-- Speeds are along the nose, where the sonar looks. Times are in ms; nil is "never".
 local own = { mps = 0.0, accel_mps2 = 0.0, at_ms = nil } -- this vehicle's motion
 local track = { -- what the sonar reads (averages, single readings), and where the leader is by that, and how fast
     raw_m = nil, raw_ms = nil,
@@ -382,9 +396,11 @@ local track = { -- what the sonar reads (averages, single readings), and where t
 local laws = { -- the range becomes a speed: the law's wish, and the same after the rate limit
     wish_mps = 0.0, speed_mps = 0.0, step_ms = 0, update_ms = 0, seen_ms = 0, data_ms = 0,
 }
+local hold = { active = false } -- moves points that carry a velocity along the beam
 local guard = { too_close = false, evading = false, close_ms = 0 } -- keeps off the leader
 local stream = { -- the ground tool's guided points, and what happens when they end
-    at_ms = nil, points = 0, holding = false, lat = nil, lng = nil, north_mps = 0.0, east_mps = 0.0,
+    at_ms = nil, points = 0, holding = false, lat = nil, lng = nil, up_m = nil, north_mps = 0.0, east_mps = 0.0,
+    yaw_rad = nil, moving = false,
 }
 local speed = { -- the speed parameter: ours, the pilot's, another script's
     out_mps = 0.0, written = nil, pilot_units = nil, ground_units = nil, changes = {}, conflict = false,
@@ -438,11 +454,14 @@ end
 do
     local RAW_FRESH_MS = 300 -- an older single reading is not "the newest": 3 periods of the slower sonar rate
     local RAW_NAME = 'SNR_RAW\0\0\0' -- ten characters on the wire
-    local SPIKE_M = 0.8 -- a single reading this far from the prediction waits for a second one like it
+    -- A single reading this far from the prediction, or after so long without one, waits for a second one like it:
+    -- readings 0.1 s apart differ by less even where both vehicles change their speed at 5 m/s2.
+    local SPIKE_M, SPIKE_MS = 0.3, 300
     local TRUST_READINGS = 3 -- so many readings in agreement are a target
     local TRACK_GAP_MS = 700 -- after a gap this long the tracker starts again
 
-    -- Range in metres as the rangefinder gives it (the running average), nil where it is no measurement; and the status.
+    -- Distance by the rangefinder's running average, nil where it is no measurement; and the status. All distances here
+    -- are between the two vehicles' centres.
     function track.average()
         local status = rangefinder:status_orient(FORWARD)
         if status ~= STATUS_GOOD and status ~= STATUS_LOW then return nil, status end
@@ -455,7 +474,12 @@ do
         if not is_number(range_m) or range_m < 0.0 or (range_m == 0.0 and status == STATUS_GOOD) then
             return nil, status
         end
-        return range_m, status
+        return range_m + C.INSET, status
+    end
+
+    -- Whether a range, centre to centre, is one of a target.
+    function track.is_target(range_m)
+        return range_m ~= nil and range_m < C.DETECT + C.INSET
     end
 
     -- The newest single reading, nil if it is old.
@@ -466,9 +490,9 @@ do
     function track.take(message, payload, t_ms)
         local value, name = string.unpack('<fc10', message, payload + 4)
         if name ~= RAW_NAME or not is_number(value) or value <= 0.0 then return end
-        track.raw_m, track.raw_ms = value, t_ms
-        if value < C.DETECT then
-            track.update(value, t_ms)
+        track.raw_m, track.raw_ms = value + C.INSET, t_ms
+        if track.is_target(track.raw_m) then
+            track.update(track.raw_m, t_ms)
         elseif track.readings < TRUST_READINGS then
             track.range_m = nil -- what was seen before was a wild reading
         end
@@ -481,9 +505,12 @@ do
         track.seen_ms, track.readings, track.spike_m = t_ms, 1, nil
     end
 
-    -- While it backs off the nose is up and the sonar often sees nothing: the track is then carried on for longer.
+    -- While it backs off the nose is up and the sonar often sees nothing: a leader lost while near is near until the
+    -- sonar shows otherwise, for as long as the track can be carried on.
     local function fresh(t_ms)
-        return track.range_m ~= nil and t_ms - track.seen_ms <= (guard.evading and BLIND_MS or TRACK_GAP_MS)
+        if not track.range_m then return false end
+        local near = guard.evading or (hold.active and track.range_m < C.DIST)
+        return t_ms - track.seen_ms <= (near and BLIND_MS or TRACK_GAP_MS)
     end
 
     -- Two wild readings in a row happen; three that agree are a target.
@@ -499,10 +526,11 @@ do
         track.own_mps, track.at_ms = own.mps, t_ms
     end
 
-    -- A reading far from the prediction counts only when the next one is like it: propellers make single wild ones.
+    -- A reading that was not foreseen counts only when the next one is like it: propellers make single wild ones. What
+    -- was known of the leader's speed stays.
     local function spike(range_m, t_ms)
         if track.spike_m and math.abs(range_m - track.spike_m) < SPIKE_M then
-            start(range_m, t_ms)
+            track.range_m, track.seen_ms, track.spike_m = range_m, t_ms, nil
         else
             track.spike_m = range_m
         end
@@ -514,7 +542,7 @@ do
         if dt_s <= 0.0 then return end
         track.carry(t_ms)
         local residual_m = range_m - track.range_m
-        if math.abs(residual_m) > SPIKE_M then return spike(range_m, t_ms) end
+        if math.abs(residual_m) > SPIKE_M or dt_s > SPIKE_MS * 0.001 then return spike(range_m, t_ms) end
         local keep = math.exp(-dt_s / C.TAU)
         local n = track.readings + 1 -- the first readings count as in a straight line through all of them
         local range_share = math.max(1.0 - keep * keep, 2.0 * (2.0 * n - 1.0) / (n * (n + 1.0)))
@@ -573,7 +601,7 @@ do
     local function gate(range_m, status, t_ms)
         if status > STATUS_NO_DATA then laws.data_ms = t_ms end
         report.state = STATE.TRACKING
-        if range_m and range_m < C.DETECT then
+        if track.is_target(range_m) then
             laws.seen_ms = t_ms
             run(range_m, t_ms)
             return
@@ -624,8 +652,8 @@ do
     local JERK_MPS3 = 5.0 -- PSC_JERK_NE (PSC_JERK_XY) as it comes
 
     -- Distance still closed at this rate before the vehicle stops. An acceleration that is under way goes on until the
-    -- answer begins, and then dies away at the autopilot's jerk: the closing speed rises by a * ANSWER_S + a^2 / (2 JERK)
-    -- until then.
+    -- answer begins, and then dies away at the autopilot's jerk: until then the closing speed rises by
+    -- a * ANSWER_S + a^2 / (2 JERK).
     local function closing_distance(closing_mps)
         local a = math.max(0.0, own.accel_mps2)
         local peak_mps = math.max(0.0, closing_mps + a * ANSWER_S + 0.5 * a * a / JERK_MPS3)
@@ -681,7 +709,7 @@ do
     -- The nearest the sonar has to offer: the newest single reading or the average.
     local function nearest(range_m, t_ms)
         local raw_m = track.newest(t_ms)
-        if raw_m and raw_m >= C.DETECT then raw_m = nil end
+        if not track.is_target(raw_m) then raw_m = nil end
         if raw_m and range_m then return math.min(raw_m, range_m) end
         return raw_m or range_m
     end
@@ -726,6 +754,11 @@ do
         guard.evading, guard.close_ms = false, t_ms - BLIND_MS
     end
 
+    -- The distance is kept otherwise: nothing is too close, and no target of the guard's is in force.
+    function guard.rest()
+        guard.too_close, guard.evading = false, false
+    end
+
     -- The speed to set, from the average and its status.
     function guard.update(range_m, status, t_ms)
         local trusted = track.trusted(t_ms)
@@ -735,7 +768,7 @@ do
         if status == STATUS_LOW or (tracked_m and is_too_close(tracked_m, closing_mps, margin_m)) then
             return too_close(tracked_m or 0.0, closing_mps, t_ms)
         end
-        guard.too_close, guard.evading = false, false
+        guard.rest()
         if C.LAW >= 1 and leads_clear(t_ms) then return C.SPD_MAX end
         local near_m = nearest(range_m, t_ms)
         -- Readings that are not yet trusted slow the vehicle, no more.
@@ -749,14 +782,75 @@ do
     end
 end
 
+-- Hold: points that carry a velocity -----------------------------------------------------------------------------------
+
+do
+    -- How far the applet moves a point: little towards the leader, for the ground tool may know why the point is far
+    -- from it; more away from the leader. A sonar that is stuck then moves the vehicle no further.
+    local FORWARD_M, BACK_M = 1.0, 5.0
+    local UNSEEN_MS = 300
+
+    -- Where the point belongs along the beam (metres ahead of here), and its speed there: at the wanted distance from
+    -- the leader and as fast as the leader. ahead_m, mps: the same of the streamed point. While the sonar sees nothing,
+    -- of the track and the point whichever is the more cautious.
+    local function along_beam(ahead_m, mps, t_ms)
+        local wanted_m = track.range_m - C.DIST
+        if t_ms - track.seen_ms > UNSEEN_MS then
+            return math.min(wanted_m, ahead_m), math.min(track.leader_mps, mps)
+        end
+        if wanted_m > ahead_m + FORWARD_M then return ahead_m + FORWARD_M, math.min(mps, track.leader_mps) end
+        if wanted_m < ahead_m - BACK_M then return ahead_m - BACK_M, mps end
+        return wanted_m, track.leader_mps
+    end
+
+    -- Sends Guided the streamed point, moved along the beam. False: it was not taken, or there is none.
+    local function move(t_ms)
+        local here = vehicle:get_likely_flying() and ahrs:get_location()
+        local position = here and ahrs:get_relative_position_NED_origin()
+        if not position then return false end
+        local north_m, east_m = stream.offset(here, t_ms)
+        if not north_m then return false end
+        local yaw = yaw_rad(ahrs)
+        local cos, sin = math.cos(yaw), math.sin(yaw)
+        local ahead_m, mps = north_m * cos + east_m * sin, stream.north_mps * cos + stream.east_mps * sin
+        local wanted_m, wanted_mps = along_beam(ahead_m, mps, t_ms)
+        local by_m, by_mps = wanted_m - ahead_m, wanted_mps - mps
+        position:x(position:x() + north_m + by_m * cos)
+        position:y(position:y() + east_m + by_m * sin)
+        if stream.up_m then position:z(position:z() - stream.up_m - ahrs:get_relative_position_D_home()) end
+        local velocity, acceleration = Vector3f(), Vector3f()
+        velocity:x(stream.north_mps + by_mps * cos)
+        velocity:y(stream.east_mps + by_mps * sin)
+        return vehicle:set_target_posvelaccel_NED(position, velocity, acceleration, true,
+            math.deg(stream.yaw_rad or yaw), false, 0.0, false)
+    end
+
+    function hold.is_wanted()
+        return stream.moving and C.LAW >= 2
+    end
+
+    -- Whether the distance is held: points carry a velocity, and there is a leader to hold on to.
+    function hold.update(t_ms)
+        hold.active = hold.is_wanted() and track.trusted(t_ms) and move(t_ms)
+        if not hold.active then return false end
+        report.state = STATE.HOLDING
+        if track.range_m < C.CLOSE then
+            report.state = track.leader_mps < own.mps and STATE.BACKING_OFF or STATE.TOO_CLOSE
+            guard.close_ms = t_ms
+        end
+        return true
+    end
+end
+
 -- Stream watch -------------------------------------------------------------------------------------------------------
 
 do
     local TARGET_FRESH_MS = 1000 -- an older streamed point is not the target in force
+    local ABOVE_HOME = { [3] = true, [6] = true } -- MAV_FRAME_GLOBAL_RELATIVE_ALT and its _INT
     local LENGTH = 3 -- so many points without a gap are a stream; one alone may be a pilot's click on the map
 
     function stream.take(message, payload, t_ms)
-        local lat, lng, _, vn, ve = string.unpack('<i4i4fff', message, payload + 4)
+        local lat, lng, up_m, vn, ve = string.unpack('<i4i4fff', message, payload + 4)
         local mask, system = string.unpack('<I2B', message, payload + 48)
         if system ~= 0 and system ~= MY_SYSTEM then return end
         if stream.points < LENGTH then
@@ -764,15 +858,28 @@ do
             stream.points = gap and 1 or stream.points + 1
         end
         stream.at_ms = t_ms
-        stream.lat, stream.lng = nil, nil
+        stream.lat, stream.lng, stream.up_m, stream.yaw_rad = nil, nil, nil, nil
         if mask & 0x0003 == 0 then stream.lat, stream.lng = lat, lng end
+        if mask & 0x0004 == 0 and ABOVE_HOME[string.unpack('B', message, payload + 52)] then stream.up_m = up_m end
+        if mask & 0x0400 == 0 then stream.yaw_rad = string.unpack('<f', message, payload + 40) end
+        stream.moving = mask & 0x0018 == 0
         stream.north_mps, stream.east_mps = 0.0, 0.0
-        if mask & 0x0018 == 0 then stream.north_mps, stream.east_mps = vn, ve end
+        if stream.moving then stream.north_mps, stream.east_mps = vn, ve end
     end
 
     -- Whether the newest streamed point is the vehicle's target, and a place.
     function stream.in_force(t_ms)
         return not stream.holding and stream.at_ms and t_ms - stream.at_ms < TARGET_FRESH_MS and stream.lat
+    end
+
+    -- Where the point in force is now, seen from here: north and east in metres; nil without one.
+    function stream.offset(here, t_ms)
+        if not stream.in_force(t_ms) then return nil end
+        local target = here:copy()
+        target:lat(stream.lat)
+        target:lng(stream.lng)
+        local offset, age_s = here:get_distance_NE(target), (t_ms - stream.at_ms) * 0.001
+        return offset:x() + stream.north_mps * age_s, offset:y() + stream.east_mps * age_s
     end
 
     function stream.begin()
@@ -796,7 +903,7 @@ do
     end
 end
 
--- MAVLink: points for the stream watch, single readings for the sonar track --------------------------------------------
+-- MAVLink: points for the stream watch, single readings for the sonar track ------------------------------------------
 
 local take_messages
 do
@@ -897,6 +1004,7 @@ do
         { SEVERITY.WARNING, 'no sonar data', 10000 },
         { SEVERITY.CRITICAL, 'stream lost, holding here', 3000 },
         { SEVERITY.CRITICAL, 'too close, backing off', 3000 },
+        { SEVERITY.INFO, 'holding the distance', 10000 },
     }
 
     function report.begin()
@@ -987,7 +1095,7 @@ end
 
 do
     local SWITCH_HIGH = 2
-    local ACTIVE_MS, EVADE_MS, REPAIR_MS = 50, 20, 1000 -- pause before the next update
+    local ACTIVE_MS, QUICK_MS, REPAIR_MS = 50, 20, 1000 -- pause before the next update
 
     -- Milliseconds since the script started, a plain integer (wraps after 24 days).
     local boot = millis()
@@ -1032,20 +1140,33 @@ do
         say(SEVERITY.NOTICE, string.format('handed back, %s %.2f (%s)', SPEED_NAME, speed.pilot_units, reason))
     end
 
+    -- The limit of the total speed; where points carry a velocity, of the correction towards them.
+    local function limit(range_m, status, t_ms)
+        if hold.update(t_ms) then
+            guard.rest()
+            return C.SPD_MAX
+        end
+        if hold.is_wanted() and not stream.holding and not track.trusted(t_ms) and status ~= STATUS_LOW then
+            guard.rest()
+            return C.SPD_LOST
+        end
+        return guard.update(range_m, status, t_ms)
+    end
+
     local function act(t_ms)
         if not control.active then take_control(t_ms) end
         speed.watch(t_ms)
         local range_m, status = track.average()
-        if range_m and range_m < C.DETECT and not track.newest(t_ms) then
+        if track.is_target(range_m) and not track.newest(t_ms) then
             track.update(range_m, t_ms) -- no single readings: the average has to do
         end
         laws.update(range_m, status, t_ms)
-        local speed_mps = guard.update(range_m, status, t_ms)
+        local limit_mps = limit(range_m, status, t_ms)
         stream.watch(t_ms)
-        speed.write(speed_mps)
+        speed.write(limit_mps)
         report.announce(t_ms)
         report.send(range_m, t_ms)
-        return guard.evading and EVADE_MS or ACTIVE_MS
+        return (guard.evading or hold.active) and QUICK_MS or ACTIVE_MS
     end
 
     local function update()

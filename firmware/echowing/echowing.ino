@@ -13,7 +13,10 @@ static echowing::Coprocessor& device() {
   return device;
 }
 
-void setup() { board.begin(device().aim()); }
+void setup() {
+  board.wake();
+  board.begin(device().aim());
+}
 
 void loop() {
   board.feed_watchdog();

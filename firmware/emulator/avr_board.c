@@ -1,5 +1,3 @@
-#include "avr_board.h"
-
 #include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -12,6 +10,8 @@
 #include "avr_twi.h"
 #include "avr_uart.h"
 #include "avr_watchdog.h"
+#include "board.h"
+#include "recorders.h"
 #include "sim_avr.h"
 #include "sim_elf.h"
 
@@ -19,7 +19,6 @@ enum {
   UARTS = 4,
   PINS = 8,
   OUTPUTS = 2,         /* PB7 of the ATmega2560 is on two timers */
-  EDGES = 1024,        /* kept for each pin; older ones are dropped */
   BUS_BUFFER = 32,     /* Wire's own buffer size */
   READ_AHEAD = 2,      /* the sonar's answer: two bytes (PD11848) */
   UART_DEPTH = 3,      /* ATmega2560 22.7.1: two buffered bytes and one in the shift register */
@@ -27,6 +26,7 @@ enum {
   BITS_A_TWI_BYTE = 9, /* eight and the acknowledgement */
   BATCH_CYCLES = 1000, /* between looks at timers; simavr stops earlier at the next event */
   SUPPLY_MV = 5000,
+  ADC_STEPS = 1024,
   STARTING_RESETS = 3, /* watchdog off, watchdog on, and the one that begins the first turn */
   PAINT = 0xa5,        /* fresh stack memory */
   EEPROM_ERASED = 0xff,
@@ -42,24 +42,19 @@ typedef struct {
 } hook_t;
 
 typedef struct {
-  avr_board_t* board;
+  board_t* board;
   avr_uart_t* io;
   hook_t baud_hook;
-  uint8_t* in; /* bytes still on their way to the receiver */
-  size_t in_first, in_count, in_size;
+  inbox_t in;
   int receiving;
   uint64_t overruns;
-  uint8_t* out;
-  uint64_t* out_cycles;
-  size_t out_count, out_size;
+  outbox_t out;
 } uart_t;
 
 typedef struct {
-  avr_board_t* board;
+  board_t* board;
   avr_timer_comp_t* outputs[OUTPUTS]; /* timer outputs that can drive this pin */
-  board_pin_t state;
-  board_edge_t edges[EDGES];
-  size_t edge_first, edge_count;
+  pin_record_t record;
 } pin_t;
 
 typedef struct {
@@ -77,7 +72,7 @@ typedef struct {
   int data_pin, clock_pin;
 } bus_t;
 
-struct avr_board {
+struct board {
   avr_t* avr;
   avr_io_t probe; /* must be the first ioctl listener: sees watchdog resets and chip resets */
   uart_t uarts[UARTS];
@@ -94,14 +89,14 @@ struct avr_board {
   char fault[160];
 };
 
-static avr_board_t* board_of(avr_t* avr) { return avr->custom.data; }
+static board_t* board_of(avr_t* avr) { return avr->custom.data; }
 
 /* ---- simavr's messages
  * ------------------------------------------------------------------------------------- */
 
 static void keep_first_error(struct avr_t* avr, const int level, const char* format,
                              va_list arguments) {
-  avr_board_t* board = avr ? board_of(avr) : NULL;
+  board_t* board = avr ? board_of(avr) : NULL;
   if (!board || level != LOG_ERROR || board->fault[0]) return;
   vsnprintf(board->fault, sizeof board->fault, format, arguments);
   board->fault[strcspn(board->fault, "\n")] = 0;
@@ -151,13 +146,7 @@ static void baud_written(avr_t* avr, avr_io_addr_t address, uint8_t value, void*
 static void byte_sent(avr_irq_t* irq, uint32_t value, void* param) {
   (void)irq;
   uart_t* uart = param;
-  if (uart->out_count == uart->out_size) {
-    uart->out_size = uart->out_size ? 2 * uart->out_size : 4096;
-    uart->out = realloc(uart->out, uart->out_size);
-    uart->out_cycles = realloc(uart->out_cycles, uart->out_size * sizeof *uart->out_cycles);
-  }
-  uart->out[uart->out_count] = (uint8_t)value;
-  uart->out_cycles[uart->out_count++] = uart->board->avr->cycle + uart->io->cycles_per_byte;
+  outbox_add(&uart->out, (uint8_t)value, uart->board->avr->cycle + uart->io->cycles_per_byte);
 }
 
 static int unread(const avr_uart_t* io) {
@@ -168,12 +157,11 @@ static int unread(const avr_uart_t* io) {
 static avr_cycle_count_t byte_arrives(avr_t* avr, avr_cycle_count_t when, void* param) {
   (void)avr;
   uart_t* uart = param;
-  if (uart->in_count == 0) {
+  if (uart->in.count == 0) {
     uart->receiving = 0;
     return 0;
   }
-  uint8_t value = uart->in[uart->in_first++];
-  uart->in_count--;
+  uint8_t value = inbox_next(&uart->in);
   if (unread(uart->io) >= UART_DEPTH)
     uart->overruns++;
   else
@@ -182,18 +170,18 @@ static avr_cycle_count_t byte_arrives(avr_t* avr, avr_cycle_count_t when, void* 
 }
 
 static void start_receiving(uart_t* uart) {
-  if (uart->receiving || uart->in_count == 0) return;
+  if (uart->receiving || uart->in.count == 0) return;
   uart->receiving = 1;
   avr_cycle_timer_register(uart->board->avr, 1, byte_arrives, uart);
 }
 
-static uart_t* find_uart(const avr_board_t* board, char name) {
+static uart_t* find_uart(const board_t* board, char name) {
   int index = name - '0';
   if (index < 0 || index >= UARTS || !board->uarts[index].io) return NULL;
   return (uart_t*)&board->uarts[index];
 }
 
-static void attach_uarts(avr_board_t* board) {
+static void attach_uarts(board_t* board) {
   for (int i = 0; i < UARTS; i++) {
     uart_t* uart = &board->uarts[i];
     char name = (char)('0' + i);
@@ -207,43 +195,25 @@ static void attach_uarts(avr_board_t* board) {
   }
 }
 
-int board_feed(avr_board_t* board, char name, const uint8_t* data, size_t count) {
+int board_feed(board_t* board, char name, const uint8_t* data, size_t count) {
   uart_t* uart = find_uart(board, name);
   if (!uart) return -1;
-  if (uart->in_first + uart->in_count + count > uart->in_size) {
-    memmove(uart->in, uart->in + uart->in_first, uart->in_count);
-    uart->in_first = 0;
-    if (uart->in_count + count > uart->in_size) {
-      uart->in_size = 2 * (uart->in_count + count);
-      uart->in = realloc(uart->in, uart->in_size);
-    }
-  }
-  memcpy(uart->in + uart->in_first + uart->in_count, data, count);
-  uart->in_count += count;
+  inbox_add(&uart->in, data, count);
   start_receiving(uart);
   return 0;
 }
 
-size_t board_take(avr_board_t* board, char name, uint8_t* data, uint64_t* cycles, size_t size) {
+size_t board_take(board_t* board, char name, uint8_t* data, uint64_t* ticks, size_t size) {
   uart_t* uart = find_uart(board, name);
-  if (!uart) return 0;
-  size_t count = uart->out_count < size ? uart->out_count : size;
-  while (count && uart->out_cycles[count - 1] > board->avr->cycle)
-    count--; /* its stop bit has not passed yet */
-  memcpy(data, uart->out, count);
-  if (cycles) memcpy(cycles, uart->out_cycles, count * sizeof *cycles);
-  uart->out_count -= count;
-  memmove(uart->out, uart->out + count, uart->out_count);
-  memmove(uart->out_cycles, uart->out_cycles + count, uart->out_count * sizeof *uart->out_cycles);
-  return count;
+  return uart ? outbox_take(&uart->out, board->avr->cycle, data, ticks, size) : 0;
 }
 
-uint64_t board_uart_overruns(const avr_board_t* board, char name) {
+uint64_t board_uart_overruns(const board_t* board, char name) {
   uart_t* uart = find_uart(board, name);
   return uart ? uart->overruns : 0;
 }
 
-uint32_t board_uart_byte_cycles(const avr_board_t* board, char name) {
+uint32_t board_uart_byte_ticks(const board_t* board, char name) {
   uart_t* uart = find_uart(board, name);
   return uart ? (uint32_t)uart->io->cycles_per_byte : 0;
 }
@@ -253,21 +223,7 @@ uint32_t board_uart_byte_cycles(const avr_board_t* board, char name) {
  */
 
 static void set_level(pin_t* pin, int level) {
-  if (level == pin->state.level) return;
-  uint64_t now = pin->board->avr->cycle;
-  pin->state.level = level;
-  if (level) {
-    pin->state.period_cycles = pin->state.rise_cycle ? now - pin->state.rise_cycle : 0;
-    pin->state.rise_cycle = now;
-  } else if (pin->state.rise_cycle) {
-    pin->state.width_cycles = now - pin->state.rise_cycle;
-    pin->state.pulses++;
-  }
-  pin->edges[(pin->edge_first + pin->edge_count) % EDGES] = (board_edge_t){now, (uint8_t)level};
-  if (pin->edge_count < EDGES)
-    pin->edge_count++;
-  else
-    pin->edge_first = (pin->edge_first + 1) % EDGES;
+  record_level(&pin->record, pin->board->avr->cycle, level);
 }
 
 /* A timer whose compare output is connected to its pin drives it alone; simavr lets writes to the
@@ -306,7 +262,7 @@ static void attach_outputs(pin_t* pin, avr_io_addr_t port, int bit) {
   }
 }
 
-int board_watch_pin(avr_board_t* board, char port, int bit) {
+int board_watch_pin(board_t* board, char port, int bit) {
   avr_ioport_t* io = (avr_ioport_t*)find_port(board->avr, port);
   if (!io || bit < 0 || bit > 7 || board->pin_count == PINS) return -1;
   pin_t* pin = &board->pins[board->pin_count];
@@ -316,23 +272,19 @@ int board_watch_pin(avr_board_t* board, char port, int bit) {
   return board->pin_count++;
 }
 
-void board_read_pin(const avr_board_t* board, int pin, board_pin_t* out) {
-  *out = board->pins[pin].state;
+void board_read_pin(const board_t* board, int pin, board_pin_t* out) {
+  *out = board->pins[pin].record.state;
 }
 
-size_t board_take_edges(avr_board_t* board, int index, board_edge_t* out, size_t size) {
-  pin_t* pin = &board->pins[index];
-  size_t count = 0;
-  for (; count < size && pin->edge_count; count++, pin->edge_count--) {
-    out[count] = pin->edges[pin->edge_first];
-    pin->edge_first = (pin->edge_first + 1) % EDGES;
-  }
-  return count;
+size_t board_take_edges(board_t* board, int pin, board_edge_t* out, size_t size) {
+  return take_edges(&board->pins[pin].record, out, size);
 }
 
-void board_set_analog(avr_board_t* board, int channel, uint32_t millivolts) {
-  avr_irq_t* irq = avr_io_getirq(board->avr, AVR_IOCTL_ADC_GETIRQ, channel);
-  if (irq) avr_raise_irq(irq, millivolts);
+/* The open input A0, from which the firmware takes its seed: half a step on, so that the
+ * converter's rounding gives the number asked for. */
+void board_set_noise(board_t* board, uint32_t noise) {
+  avr_irq_t* irq = avr_io_getirq(board->avr, AVR_IOCTL_ADC_GETIRQ, 0);
+  if (irq) avr_raise_irq(irq, (2 * noise + 1) * SUPPLY_MV / (2 * ADC_STEPS));
 }
 
 /* ---- the two-wire bus: simavr runs it at 1 us a bit and cannot show a stuck one
@@ -364,7 +316,7 @@ static int begin_transfer(bus_t* bus, uint64_t cycle, uint8_t address) {
 
 static void bus_message(avr_irq_t* irq, uint32_t value, void* param) {
   (void)irq;
-  avr_board_t* board = param;
+  board_t* board = param;
   bus_t* bus = &board->bus;
   avr_twi_msg_irq_t message = {.u.v = value};
   if (message.u.twi.msg & TWI_COND_STOP) finish_write(bus, board->avr->cycle);
@@ -405,7 +357,7 @@ static void correct_address_state(avr_twi_t* io) {
 }
 
 static void control_written(avr_t* avr, avr_io_addr_t address, uint8_t value, void* param) {
-  avr_board_t* board = param;
+  board_t* board = param;
   bus_t* bus = &board->bus;
   avr_cycle_timer_slot_p before = find_timer(avr, bus->io);
   uint64_t pending = before ? before->when : 0;
@@ -422,7 +374,7 @@ static void control_written(avr_t* avr, avr_io_addr_t address, uint8_t value, vo
                              begun->timer, begun->param);
 }
 
-static void attach_bus(avr_board_t* board) {
+static void attach_bus(board_t* board) {
   bus_t* bus = &board->bus;
   bus->io = (avr_twi_t*)find_io(board->avr, "twi", 0);
   if (!bus->io) return;
@@ -430,14 +382,14 @@ static void attach_bus(avr_board_t* board) {
   avr_irq_register_notify(bus->io->io.irq + TWI_IRQ_OUTPUT, bus_message, board);
 }
 
-void board_set_bus(avr_board_t* board, board_write_fn write, board_read_fn read, void* context) {
+void board_set_bus(board_t* board, board_write_fn write, board_read_fn read, void* context) {
   board->bus.write = write;
   board->bus.read = read;
   board->bus.context = context;
 }
 
 /* Both lines are pulled up outside the chip; the data line reads low while something holds it. */
-static void pull_lines(avr_board_t* board) {
+static void pull_lines(board_t* board) {
   bus_t* bus = &board->bus;
   unsigned data = 1u << bus->data_pin, clock = 1u << bus->clock_pin;
   avr_ioport_external_t pull = {
@@ -454,7 +406,7 @@ static void pull_lines(avr_board_t* board) {
 
 static void clock_changed(avr_irq_t* irq, uint32_t value, void* param) {
   (void)irq;
-  avr_board_t* board = param;
+  board_t* board = param;
   bus_t* bus = &board->bus;
   int level = value & 1, rising = level && !bus->clock_level;
   bus->clock_level = level;
@@ -465,13 +417,13 @@ static void clock_changed(avr_irq_t* irq, uint32_t value, void* param) {
 
 static void data_changed(avr_irq_t* irq, uint32_t value, void* param) {
   (void)irq;
-  avr_board_t* board = param;
+  board_t* board = param;
   int level = value & 1, rising = level && !board->bus.data_level;
   board->bus.data_level = level;
   if (rising && board->bus.clock_level && !board->bus.pulling) board->meters.bus_stops++;
 }
 
-void board_hold_bus(avr_board_t* board, char port, int data_pin, int clock_pin, int clocks) {
+void board_hold_bus(board_t* board, char port, int data_pin, int clock_pin, int clocks) {
   bus_t* bus = &board->bus;
   bus->port = port;
   bus->data_pin = data_pin;
@@ -494,14 +446,14 @@ void board_hold_bus(avr_board_t* board, char port, int data_pin, int clock_pin, 
 
 static avr_cycle_count_t eeprom_written(avr_t* avr, avr_cycle_count_t when, void* param) {
   (void)when;
-  avr_board_t* board = param;
+  board_t* board = param;
   board->eeprom_writing = 0;
   avr_regbit_clear(avr, board->eeprom->eepe);
   return 0;
 }
 
 static void eeprom_control_written(avr_t* avr, avr_io_addr_t address, uint8_t value, void* param) {
-  avr_board_t* board = param;
+  board_t* board = param;
   avr_eeprom_t* io = board->eeprom;
   int begins = avr_regbit_get(avr, io->eempe) && avr_regbit_from_value(avr, io->eepe, value) &&
                !board->eeprom_writing;
@@ -515,23 +467,23 @@ static void eeprom_control_written(avr_t* avr, avr_io_addr_t address, uint8_t va
   if (board->eeprom_writing) avr_regbit_set(avr, io->eepe);
 }
 
-static void attach_eeprom(avr_board_t* board) {
+static void attach_eeprom(board_t* board) {
   board->eeprom = (avr_eeprom_t*)find_io(board->avr, "eeprom", 0);
   if (board->eeprom)
     hook_register(board->avr, board->eeprom->r_eecr, eeprom_control_written, board,
                   &board->eeprom_hook);
 }
 
-uint32_t board_eeprom_size(const avr_board_t* board) { return board->avr->e2end + 1; }
+uint32_t board_memory_size(const board_t* board) { return board->avr->e2end + 1; }
 
-int board_eeprom_set(avr_board_t* board, const uint8_t* data, size_t size) {
-  if (size > board_eeprom_size(board)) return -1;
+int board_memory_set(board_t* board, const uint8_t* data, size_t size) {
+  if (size > board_memory_size(board)) return -1;
   memcpy(board->eeprom->eeprom, data, size);
   return 0;
 }
 
-int board_eeprom_get(const avr_board_t* board, uint8_t* data, size_t size) {
-  if (size > board_eeprom_size(board)) return -1;
+int board_memory_get(const board_t* board, uint8_t* data, size_t size) {
+  if (size > board_memory_size(board)) return -1;
   memcpy(data, board->eeprom->eeprom, size);
   if (board->eeprom_writing && (size_t)board->eeprom_writing <= size)
     data[board->eeprom_writing - 1] = EEPROM_ERASED;
@@ -545,19 +497,19 @@ int board_eeprom_get(const avr_board_t* board, uint8_t* data, size_t size) {
 static int watchdog_reset_seen(avr_io_t* io, uint32_t control, void* param) {
   (void)param;
   if (control != AVR_IOCTL_WATCHDOG_RESET) return -1;
-  avr_board_t* board = board_of(io->avr);
+  board_t* board = board_of(io->avr);
   uint64_t now = io->avr->cycle;
   if (++board->watchdog_resets > STARTING_RESETS) {
     uint64_t cycles = now - board->turn_cycle;
     board->meters.turns++;
-    if (cycles > board->meters.longest_cycles) board->meters.longest_cycles = cycles;
+    if (cycles > board->meters.longest_ticks) board->meters.longest_ticks = cycles;
   }
   board->turn_cycle = now;
   return -1; /* the watchdog itself wants it too */
 }
 
 static void chip_restarted(avr_io_t* io) {
-  avr_board_t* board = board_of(io->avr);
+  board_t* board = board_of(io->avr);
   io->avr->run_cycle_limit = BATCH_CYCLES;
   board->meters.restarts++;
   board->watchdog_resets = 0;
@@ -568,15 +520,15 @@ static void chip_restarted(avr_io_t* io) {
   }
 }
 
-void board_read_meters(const avr_board_t* board, board_meters_t* out) {
+void board_read_meters(const board_t* board, board_meters_t* out) {
   uint32_t lowest = board->stack_floor;
   while (lowest <= board->avr->ramend && board->avr->data[lowest] == PAINT) lowest++;
   *out = board->meters;
   out->stack_headroom = lowest - board->stack_floor;
 }
 
-void board_clear_meters(avr_board_t* board) {
-  board->meters.turns = board->meters.longest_cycles = 0;
+void board_clear_meters(board_t* board) {
+  board->meters.turns = board->meters.longest_ticks = 0;
   board->meters.bus_clocks = board->meters.bus_stops = 0;
 }
 
@@ -604,14 +556,14 @@ static void correct_timers(avr_t* avr) {
   }
 }
 
-static void paint_stack(avr_board_t* board, const elf_firmware_t* firmware) {
+static void paint_stack(board_t* board, const elf_firmware_t* firmware) {
   avr_t* avr = board->avr;
   board->meters.static_bytes = firmware->datasize + firmware->bsssize;
   board->stack_floor = avr->ioend + 1u + board->meters.static_bytes;
   memset(avr->data + board->stack_floor, PAINT, avr->ramend + 1u - board->stack_floor);
 }
 
-static int load(avr_board_t* board, elf_firmware_t* firmware, uint32_t hz) {
+static int load(board_t* board, elf_firmware_t* firmware, uint32_t hz) {
   avr_t* avr = board->avr;
   if (firmware->flashbase + firmware->flashsize > avr->flashend + 1) return 0;
   if (firmware->datasize + firmware->bsssize > (uint32_t)avr->ramend - avr->ioend) return 0;
@@ -629,8 +581,8 @@ static void release(elf_firmware_t* firmware) {
   free(firmware->eeprom);
 }
 
-avr_board_t* board_power_on(const char* elf, const char* mcu, uint32_t hz, char* error,
-                            size_t error_size) {
+board_t* board_power_on(const char* elf, const char* mcu, uint32_t hz, char* error,
+                        size_t error_size) {
   avr_global_logger_set(keep_first_error);
   elf_firmware_t firmware = {0};
   if (elf_read_firmware(elf, &firmware) || !firmware.flash) {
@@ -643,7 +595,7 @@ avr_board_t* board_power_on(const char* elf, const char* mcu, uint32_t hz, char*
     snprintf(error, error_size, "simavr does not know the chip %s", mcu);
     return NULL;
   }
-  avr_board_t* board = calloc(1, sizeof *board);
+  board_t* board = calloc(1, sizeof *board);
   board->avr = avr;
   avr->custom.data = board;
   avr_init(avr);
@@ -668,13 +620,12 @@ avr_board_t* board_power_on(const char* elf, const char* mcu, uint32_t hz, char*
   return board;
 }
 
-void board_power_off(avr_board_t* board) {
+void board_power_off(board_t* board) {
   avr_terminate(board->avr);
   free(board->avr);
   for (int i = 0; i < UARTS; i++) {
-    free(board->uarts[i].in);
-    free(board->uarts[i].out);
-    free(board->uarts[i].out_cycles);
+    inbox_free(&board->uarts[i].in);
+    outbox_free(&board->uarts[i].out);
   }
   free(board);
 }
@@ -686,7 +637,7 @@ static avr_cycle_count_t end_batch(avr_t* avr, avr_cycle_count_t when, void* par
   return 0; /* being a timer is enough: no batch of instructions runs past it */
 }
 
-int board_run_until(avr_board_t* board, uint64_t cycle) {
+int board_run_until(board_t* board, uint64_t cycle) {
   avr_t* avr = board->avr;
   if (avr->cycle < cycle) avr_cycle_timer_register(avr, cycle - avr->cycle, end_batch, NULL);
   while (avr->cycle < cycle) {
@@ -701,6 +652,8 @@ int board_run_until(avr_board_t* board, uint64_t cycle) {
   return 0;
 }
 
-uint64_t board_cycle(const avr_board_t* board) { return board->avr->cycle; }
+uint64_t board_tick(const board_t* board) { return board->avr->cycle; }
 
-const char* board_fault(const avr_board_t* board) { return board->fault; }
+uint32_t board_ticks_per_us(const board_t* board) { return board->avr->frequency / 1000000; }
+
+const char* board_fault(const board_t* board) { return board->fault; }

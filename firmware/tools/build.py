@@ -1,8 +1,9 @@
 """Compile the sketch for one board: build.py BOARD [--sketch DIR] [--output DIR] [--home DIR].
 
-The AVR board is compiled with Debian's core, offline; the others through the profiles of
-sketch.yaml, for which arduino-cli fetches the pinned core (internet, once). The ELF and what is
-flashed land in the output folder, by default build/firmware/BOARD.
+The AVR board is compiled with Debian's core, offline. An STM32 board is compiled with the installed
+core that stm32_home.sh has laid out, if it has; otherwise through its profile of sketch.yaml, for
+which arduino-cli fetches the pinned core (internet, once). The ELF and what is flashed land in the
+output folder, by default build/firmware/BOARD.
 """
 
 import argparse
@@ -18,11 +19,12 @@ from echowing.errors import EchowingError
 
 ARDUINO_CLI = firmware.REPOSITORY / "build" / "tools" / "arduino-cli"
 ARDUINO_HOME = firmware.REPOSITORY / "build" / "arduino-home"
+CONFIGURATION = "arduino-cli.yaml"
+STM32_HOME = firmware.REPOSITORY / "build" / "arduino-home-stm32"
 SKETCH = firmware.REPOSITORY / "firmware" / "echowing"
 
-# Boards that Debian's core knows; its flags are those of arduino_home.sh.
-OFFLINE_FQBN = {"mega": "arduino:avr:mega"}
-OFFLINE_FLAGS = "-std=gnu++14 -DDECIMAL_DIG=__DECIMAL_DIG__"
+# What Debian's core needs; the flags are those of arduino_home.sh.
+AVR_FLAGS = "-std=gnu++14 -DDECIMAL_DIG=__DECIMAL_DIG__"
 
 # An offline home has no port discoveries, and compiling needs none.
 HARMLESS = "discovery builtin:"
@@ -43,26 +45,40 @@ def git_hash() -> str:
     return asked.stdout.strip()
 
 
-def command(board: str, sketch: Path, output: Path, home: Path) -> list[str]:
-    """The arduino-cli call for a board; `home` is where it keeps its cores."""
+def installed_home(board: str) -> Path | None:
+    """The arduino-cli home over an installed core for this board, if there is one."""
+    home = ARDUINO_HOME if firmware.board(board).family == firmware.AVR else STM32_HOME
+    return home if (home / CONFIGURATION).exists() else None
+
+
+def is_fetched(board: str, home: Path | None) -> bool:
+    """Whether the board's core comes from its maker's index rather than from this machine."""
+    named = home is not None or installed_home(board) is None
+    return firmware.board(board).family == firmware.STM32 and named
+
+
+def command(board: str, sketch: Path, output: Path, home: Path | None) -> list[str]:
+    """The arduino-cli call for a board; `home` is where its cores are, if not the usual place."""
+    kind = firmware.board(board)
+    fetched = is_fetched(board, home)
     flags = f"'-DECHOWING_GIT_HASH=\"{git_hash()}\"'"
-    target = ["--profile", firmware.board(board).profile]
-    if board in OFFLINE_FQBN:
-        target = ["--fqbn", OFFLINE_FQBN[board]]
-        flags = f"{OFFLINE_FLAGS} {flags}"
+    if kind.family == firmware.AVR:
+        flags = f"{AVR_FLAGS} {flags}"
     return [
         str(ARDUINO_CLI),
-        *("--config-file", str(home / "arduino-cli.yaml")),
+        *("--config-file", str((home or installed_home(board) or ARDUINO_HOME) / CONFIGURATION)),
         "compile",
-        *target,
+        *(("--profile", board) if fetched else ("--fqbn", kind.fqbn)),
         *("--warnings", "all"),
         *("--build-property", f"compiler.cpp.extra_flags={flags}"),
+        # The linker refuses a program that reaches into the parameters' flash.
+        *("--build-property", f"upload.maximum_size={kind.flash}"),
         *("--build-path", str(output / "work")),
         str(sketch),
     ]
 
 
-def compile_sketch(board: str, sketch: Path, output: Path, home: Path = ARDUINO_HOME) -> None:
+def compile_sketch(board: str, sketch: Path, output: Path, home: Path | None = None) -> None:
     """Compile; what the compiler says of the sketch goes to stderr, all of it on a failure."""
     output.mkdir(parents=True, exist_ok=True)
     done = subprocess.run(
@@ -73,7 +89,7 @@ def compile_sketch(board: str, sketch: Path, output: Path, home: Path = ARDUINO_
     for line in said if failed else own_warnings(said, sketch):
         print(line, file=sys.stderr)
     if failed:
-        raise EchowingError(_advice(board))
+        raise EchowingError(_advice(board, home))
 
 
 def own_warnings(said: Iterable[str], sketch: Path) -> Iterator[str]:
@@ -86,8 +102,8 @@ def own_warnings(said: Iterable[str], sketch: Path) -> Iterator[str]:
             yield line
 
 
-def _advice(board: str) -> str:
-    if board in OFFLINE_FQBN:
+def _advice(board: str, home: Path | None) -> str:
+    if not is_fetched(board, home):
         return f"the sketch does not compile for {board}"
     return (
         f"the sketch was not compiled for {board}. Its Arduino core is fetched from the maker's "
@@ -111,7 +127,7 @@ def main() -> int:
     parser.add_argument("board")
     parser.add_argument("--sketch", type=Path, default=SKETCH)
     parser.add_argument("--output", type=Path)
-    parser.add_argument("--home", type=Path, default=ARDUINO_HOME)
+    parser.add_argument("--home", type=Path)
     arguments = parser.parse_args()
     try:
         firmware.board(arguments.board)

@@ -111,8 +111,11 @@ def install_over_link(
     return True
 
 
-def scripts_folder(card: FtpClient) -> str:
-    """Where this vehicle has its scripts: on its SD card, or as ArduPilot's SITL has them."""
+def scripts_folder(card: FtpClient) -> str | None:
+    """Where this vehicle has its scripts: on its SD card, or as ArduPilot's SITL has them.
+
+    None: neither is there, as SITL makes the folder when scripting starts.
+    """
     for folder, parent in ((CARD_SCRIPTS, FIRMWARE_FOLDER), (SCRIPTS_FOLDER, SCRIPTS_FOLDER)):
         try:
             card.entries(parent)
@@ -121,7 +124,7 @@ def scripts_folder(card: FtpClient) -> str:
                 raise
         else:
             return folder
-    return CARD_SCRIPTS
+    return None
 
 
 def _find_scripts(card: FtpClient, scripts: str) -> None:

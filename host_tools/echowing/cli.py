@@ -8,6 +8,7 @@ from types import ModuleType
 
 from echowing import __version__
 from echowing.errors import EchowingError
+from echowing.stopping import ignore_signals
 
 # Verb, and what it does in a line. Its module in `echowing.commands` has
 # `add_arguments(parser)` and `run(args) -> exit code`.
@@ -35,7 +36,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     verb = _asked_verb(arguments) or ""
     try:
         args = _parser(arguments).parse_args(arguments)
-        return int(_module(args.verb).run(args))
+        code = int(_module(args.verb).run(args))
+        if argv is None:  # this process is ours, and only its end is left
+            ignore_signals()
+        return code
     except EchowingError as error:
         print(f"echowing {verb}: {error}", file=sys.stderr)
         return EXIT_USER_ERROR

@@ -16,17 +16,18 @@ from typing import Any, Protocol
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.feed_forward import (
-    DETECTION_LIMIT_M,
-    SLACK_M,
-    Keeper,
-    backed_off,
-    moving_slot,
-    no_further,
-    retreat_m,
-    sonar_range_m,
+from echowing.feed_forward import sonar_range_m
+from echowing.flight.alignment import History, Report
+from echowing.flight.envelope import Answer, Other, is_in_the_way, keep_apart
+from echowing.flight.estimate import (
+    LONGEST_CARRY_S,
+    Estimate,
+    carried_on,
+    place_then,
 )
-from echowing.geo import GlobalPosition, displace, ned_between, wrap_angle_rad
+from echowing.flight.offset_grid import Wandering
+from echowing.flight.tow_bar import TowBar
+from echowing.geo import GlobalPosition, Ned, displace, distance_m, ned_between, wrap_angle_rad
 from echowing.guard import Guard, Limits, RateWatch, is_flying, mode_name
 from echowing.guidance import (
     GuidanceSettings,
@@ -35,9 +36,11 @@ from echowing.guidance import (
     LeaderFix,
     Slot,
     SlotGuide,
+    bearing_rad,
     is_stale,
+    lead_share,
     predicted,
-    sweep_rad,
+    sway_rad,
 )
 from echowing.leader_track import LeaderTrack, VehicleClock, is_late
 from echowing.messages import (
@@ -50,7 +53,6 @@ from echowing.messages import (
     position_target,
     tool_heartbeat,
 )
-from echowing.offset import RelativeOffset
 from echowing.take_off import Lift, TakeOff, TakeOffs
 
 GUIDED_MODE = 4
@@ -61,24 +63,31 @@ STALE = "leader is stale"
 SONAR_READING = "SNR_RAW"
 RAW_FRESH_S = 1.0
 
-# Propellers make single wild readings: one counts when the one before it was like it.
-CONFIRM_S, CONFIRM_M = 0.3, 0.5
+# The co-processor averages over 0.45 s: its middle.
+AVERAGE_AGE_S = 0.225
 
 # A stop keeps the wanted altitude where it is this near (barometers wander), else its own.
 SAME_ALTITUDE_M = 1.0
 FOLLOWER_POSITION_HZ = 10.0
 DISTANCE_HZ, REPELLING_HZ = 5.0, 10.0
-# The same remark is not made again sooner, however often it comes and goes.
+# The same is not said again sooner, however often it comes and goes.
 REMARK_GAP_S = 10.0
 
 RATE_REQUEST_PERIOD_S = 5.0
 
-POSITION_ONLY, BACKING_OFF = "position only", "backing off"
-_REMARKS = {
-    None: "the sonar hears the leader, points carry its velocity",
-    POSITION_ONLY: "the sonar does not hear the leader, position only",
-    BACKING_OFF: "too close by its sonar, backing off",
-}
+# Guided's answer to a place off its own: 1 m/s for each metre (PSC_NE_POS_P), 5 m/s at the most.
+POSITION_GAIN_PER_S, CORRECTION_MOST_MPS = 1.0, 5.0
+# A longer way to the vehicle than this is not led over: the leader may have turned by then.
+LONGEST_WAY_S = 1.0
+# A leader that the sonar does not hear is approached no faster than this, for a copter stops from
+# it within the beam's reach less what receivers are off.
+JOIN_MPS, HEARD_LATELY_S = 1.5, 1.5
+# Not heard for so long, the leader is looked for where it most likely is.
+LOST_S = 1.0
+# A hold that had to give way is from then on where the vehicle has been moved to.
+MOVED_M = 0.5
+# Two receivers of which no sonar knows more.
+UNRANGED_SIGMA_M = math.sqrt(2.0) * Wandering().sigma_m
 
 
 @dataclass(slots=True)
@@ -115,21 +124,21 @@ class FollowerState:
     held_at, held_altitude_m, hold_reason: where, how high above its home and why it was stopped;
     in_guided: flies in Guided; flown: it was put in the air, or a point has gone to it, by us since
     it was put in Guided; sent_to: points might go to it at the last tick; position_at_s: when it
-    was there, as far as TIMESYNC tells, else when the report came. With feed-forward, feed_mps: the
-    velocity to go with the point (north, east), None: none; remark: what is done other than that.
+    was there, as far as TIMESYNC tells, else when the report came; feed_mps: the velocity to go
+    with the point (north, east), None: none; yaw_rad: where it was last told to look; gives_way_to:
+    for whose sake it is not flown as planned.
     """
 
     plan: FollowerPlan
     guide: Guide
+    bar: TowBar
     clock: VehicleClock = field(default_factory=VehicleClock)
-    offset: RelativeOffset = field(default_factory=RelativeOffset)
-    reading: tuple[float, float] = (-math.inf, math.nan)
-    """When the newest sonar reading came, and its range in metres."""
+    estimate: Estimate = field(default_factory=Estimate)
     raw_at_s: float = -math.inf
-    keeper: Keeper = field(default_factory=Keeper)
     feed_mps: Horizontal | None = None
-    remark: str | None = POSITION_ONLY
-    remarked_at_s: dict[str | None, float] = field(default_factory=dict)
+    yaw_rad: float | None = None
+    gives_way_to: str | None = None
+    gave_way_at_s: float = -math.inf
     position: GlobalPosition | None = None
     newest_boot_ms: int = -1
     position_at_s: float = -math.inf
@@ -176,12 +185,18 @@ class FollowSession:
         engaged: bool = True,
         take_off: TakeOff | None = None,
     ) -> None:
+        plans = list(plans)
+        longest_m = max((plan.slot.radius_m for plan in plans), default=None)
         self.leader_id = leader_id
         self.settings = settings
         self.leader = LeaderTrack()
         self.followers = {
-            plan.system_id: FollowerState(plan, SlotGuide(plan.slot, settings)) for plan in plans
+            plan.system_id: FollowerState(
+                plan, SlotGuide(plan.slot, settings), TowBar(plan.slot, longest_m)
+            )
+            for plan in plans
         }
+        self._leader_history = History()
         self.events: list[tuple[float, str]] = []
         self.engaged = engaged
         self.guard = None if limits is None else self._make_guard(limits)
@@ -226,6 +241,7 @@ class FollowSession:
             if follower.sent_to and not before and follower.held_at is not None:
                 point = self._hold_anew(follower)
             if point is not None and follower.sent_to:
+                point = self._kept_apart(follower, point, now_s)
                 messages.append((system_id, self._target(follower, point, now_s)))
                 self._sent(follower, point, now_s)
         if self.guard is not None and (self.engaged or self.take_offs is not None):
@@ -308,48 +324,113 @@ class FollowSession:
         if follower.held_at is not None:
             self._let_go(follower, now_s)
         follower.guided = self._guide(follower, fix, now_s)
-        if not self.settings.feed_forward:
-            return follower.guided.point
-        return self._fed(follower, follower.guided, now_s)
+        if self.settings.feed_forward:
+            follower.feed_mps = follower.guided.velocity_mps
+            return self._joined_slowly(follower, follower.guided.point, now_s)
+        return follower.guided.point
 
-    def _fed(
-        self, follower: FollowerState, guided: GuidedPoint, now_s: float
-    ) -> GlobalPosition | None:
-        """The point with feed-forward: the moving slot, or the position alone, or backwards."""
-        here, heading_rad = follower.position, follower.heading_rad
-        keeper, way_s = follower.keeper, follower.clock.round_trip_s
-        leader_mps = _along(guided.velocity_mps, heading_rad)
-        closing_mps = _along(follower.velocity_mps, heading_rad) - leader_mps
-        wanted_m = follower.plan.slot.radius_m - self.settings.sonar_inset_m
-        if keeper.judge(now_s, closing_mps, way_s) and here is not None:
-            self._remark(follower, BACKING_OFF, now_s)
-            back_m = retreat_m(wanted_m, keeper.range_m(now_s, closing_mps), -leader_mps)
-            return self._free_place(follower, backed_off(here, heading_rad, back_m))
-        if here is None or not keeper.sees(now_s):
-            self._remark(follower, POSITION_ONLY, now_s)
-            return guided.point
-        self._remark(follower, None, now_s)
-        point, follower.feed_mps = moving_slot(guided, self.settings, way_s / 2.0)
-        # Everything as it will be when the point arrives.
-        north_mps, east_mps = follower.velocity_mps
-        arrived = displace(here, (north_mps * way_s, east_mps * way_s, 0.0))
-        most_m = keeper.range_m(now_s + way_s, closing_mps) - wanted_m + SLACK_M
-        return no_further(point, arrived, heading_rad, most_m)
+    def _joined_slowly(
+        self, follower: FollowerState, point: GlobalPosition, now_s: float
+    ) -> GlobalPosition:
+        """The point, no further off than makes a fast approach to a leader that is not heard."""
+        here = self._follower_then(follower, now_s + self._way_s(follower))
+        if here is None or follower.estimate.offset.unheard_s(now_s) < HEARD_LATELY_S:
+            return point
+        north, east, down = ned_between(here, point)
+        share = min(1.0, JOIN_MPS / POSITION_GAIN_PER_S / max(math.hypot(north, east), 1e-6))
+        return displace(here, (share * north, share * east, down))
 
-    def _free_place(self, follower: FollowerState, place: GlobalPosition) -> GlobalPosition | None:
-        """A place to back off to; where it is, if another vehicle is there."""
-        if self.guard is None or self.guard.is_free(place, follower, self.followers):
-            return place
-        return follower.position
+    def _kept_apart(
+        self, follower: FollowerState, point: GlobalPosition, now_s: float
+    ) -> GlobalPosition:
+        """The point that leaves everybody room (see `flight.envelope`), and its velocity with it."""
+        least_m = None if self.guard is None else self.guard.limits.min_separation_m
+        here = self._follower_then(follower, now_s + self._way_s(follower))
+        if least_m is None or here is None:
+            return point
+        wanted = _wanted_mps(here, point, follower.feed_mps)
+        others = self._others(follower, here, now_s)
+        flown, other = keep_apart(wanted, others, Answer(), least_m)
+        self._give_way(follower, other, now_s)
+        if other is None:
+            return point
+        if follower.held_at is not None and follower.position is not None:
+            if distance_m(follower.held_at, follower.position) > MOVED_M:
+                follower.held_at = follower.position
+        if follower.feed_mps is None:
+            north, east = (mps / POSITION_GAIN_PER_S for mps in flown[:2])
+            return displace(here, (north, east, here.alt_m - point.alt_m))
+        north, east = follower.feed_mps
+        follower.feed_mps = north + flown[0] - wanted[0], east + flown[1] - wanted[1]
+        return point
 
-    def _remark(self, follower: FollowerState, remark: str | None, now_s: float) -> None:
-        """Note, and tell, what has become of the feed-forward."""
-        if remark == follower.remark:
-            return
-        follower.remark = remark
-        if now_s - follower.remarked_at_s.get(remark, -math.inf) >= REMARK_GAP_S:
-            follower.remarked_at_s[remark] = now_s
-            self._say(now_s, f"follower {follower.plan.system_id}: {_REMARKS[remark]}")
+    def _give_way(self, follower: FollowerState, other: Other | None, now_s: float) -> None:
+        """Note, and tell, for whose sake a follower is flown otherwise than planned."""
+        name = None if other is None else other.name
+        if name is not None and name != follower.gives_way_to:
+            if now_s - follower.gave_way_at_s >= REMARK_GAP_S:
+                follower.gave_way_at_s = now_s
+                self._say(now_s, f"follower {follower.plan.system_id}: gives way to {name}")
+        follower.gives_way_to = name
+
+    def _others(self, follower: FollowerState, here: GlobalPosition, now_s: float) -> list[Other]:
+        """The vehicles about a follower that is `here` when the order reaches it."""
+        arrives_s = now_s + self._way_s(follower)
+        mine = self._in_height(follower.plan.system_id, here)
+        goal = here if follower.guided is None else follower.guided.slot
+        others = []
+        leader = self._leader_then(follower, arrives_s)
+        if leader is not None:
+            place = self._in_height(self.leader_id, leader.position)
+            sigma_m = follower.estimate.offset.sigma_m(bearing_rad(here, leader.position))
+            others.append(
+                Other(
+                    "the leader",
+                    ned_between(place, mine),
+                    leader.velocity_ned_mps,
+                    sigma_m,
+                    self._leader_age_s(arrives_s),
+                )
+            )
+        for system_id, other in self.followers.items():
+            there = None if other is follower else self._follower_then(other, arrives_s)
+            if there is not None:
+                place = self._in_height(system_id, there)
+                velocity = (*other.velocity_mps, -other.climb_mps)
+                age_s = arrives_s - other.position_at_s
+                name = f"follower {system_id}"
+                in_the_way = is_in_the_way(ned_between(here, there), ned_between(here, goal))
+                from_it_m = ned_between(place, mine)
+                others.append(Other(name, from_it_m, velocity, UNRANGED_SIGMA_M, age_s, in_the_way))
+        return others
+
+    def _in_height(self, system_id: int, place: GlobalPosition) -> GlobalPosition:
+        return place if self.guard is None else self.guard.in_height(system_id, place)
+
+    def _leader_age_s(self, at_s: float) -> float:
+        return math.inf if self.leader.fix is None else max(0.0, at_s - self.leader.fix.time_s)
+
+    def _leader_then(self, follower: FollowerState, at_s: float) -> LeaderFix | None:
+        """The leader at a moment, in this follower's frame; None: nothing is known of it."""
+        fix = self.leader.fix
+        if fix is None or self._leader_age_s(at_s) > LONGEST_CARRY_S:
+            return None
+        if self.settings.learn_offset:
+            fix = replace(fix, position=follower.estimate.as_seen(fix.position))
+        return carried_on(fix, at_s)
+
+    def _follower_then(self, follower: FollowerState, at_s: float) -> GlobalPosition | None:
+        """Where a follower is at a moment; None: not known."""
+        since_s = at_s - follower.position_at_s
+        if follower.position is None or since_s > LONGEST_CARRY_S:
+            return None
+        velocity = (*follower.velocity_mps, -follower.climb_mps)
+        return place_then(follower.position, velocity, since_s)
+
+    @staticmethod
+    def _way_s(follower: FollowerState) -> float:
+        """How long a point takes to its vehicle."""
+        return min(LONGEST_WAY_S, follower.clock.round_trip_s / 2.0)
 
     def _reason_to_stop(
         self, follower: FollowerState, fix: LeaderFix | None, now_s: float
@@ -372,9 +453,7 @@ class FollowSession:
     def leader_for(self, follower: FollowerState, fix: LeaderFix, now_s: float) -> GlobalPosition:
         """Where the leader is now, as this follower's receiver would have it."""
         now = predicted(fix, max(0.0, now_s - fix.time_s)).position
-        if not self.settings.learn_offset:
-            return now
-        return displace(now, (-follower.offset.north_m, -follower.offset.east_m, 0.0))
+        return follower.estimate.as_seen(now) if self.settings.learn_offset else now
 
     def _let_go(self, follower: FollowerState, now_s: float) -> None:
         again = "leader heard again" if follower.hold_reason == STALE else "clear again"
@@ -392,38 +471,72 @@ class FollowSession:
         return self.guard is None or (follower.in_guided and (self.engaged or follower.flown))
 
     def _guide(self, follower: FollowerState, fix: LeaderFix, now_s: float) -> GuidedPoint:
-        if not self.settings.learn_offset:
+        settings, unsure_m, least_m = self.settings, 0.0, 0.0
+        if settings.learn_offset:
+            offset = follower.estimate.offset
+            offset.advance(now_s)
+            unsure_m = settings.standoff_sigmas * offset.sigma_m(self._line_rad(follower, now_s))
+            least_m = settings.clearance_m + unsure_m
+        if settings.feed_forward:
+            guided = self._towed(follower, fix, now_s, least_m)
+        elif settings.learn_offset:
+            seen = replace(fix, position=follower.estimate.as_seen(fix.position))
+            guided = follower.guide.update(seen, now_s, follower.position, least_m)
+        else:
             return follower.guide.update(fix, now_s, follower.position)
-        offset = follower.offset
-        offset.advance(now_s)
-        moved = displace(fix.position, (-offset.north_m, -offset.east_m, 0.0))
-        unsure_m = self.settings.standoff_sigmas * offset.sigma_m(self._line_rad(follower, now_s))
-        least_m = self.settings.clearance_m + unsure_m
-        guided = follower.guide.update(
-            replace(fix, position=moved), now_s, follower.position, least_m
-        )
-        return self._looking_around(follower, guided, DETECTION_LIMIT_M + unsure_m, now_s)
+        return self._looking_around(follower, guided, now_s)
+
+    def _towed(
+        self, follower: FollowerState, fix: LeaderFix, now_s: float, least_m: float
+    ) -> GuidedPoint:
+        """The slot on its bar when the point reaches the vehicle, and its velocity.
+
+        The velocity fades as the leader's report grows old.
+        """
+        arrives_s = now_s + self._way_s(follower)
+        leader = self._leader_then(follower, arrives_s) or fix
+        here = self._follower_then(follower, arrives_s)
+        guided = follower.bar.update(leader, arrives_s, here, least_m)
+        age_s = max(0.0, now_s - fix.time_s)
+        share = lead_share(age_s, self.settings)
+        north, east = guided.velocity_mps
+        return replace(guided, age_s=age_s, velocity_mps=(share * north, share * east))
 
     def _looking_around(
-        self, follower: FollowerState, guided: GuidedPoint, hearing_m: float, now_s: float
+        self, follower: FollowerState, guided: GuidedPoint, now_s: float
     ) -> GuidedPoint:
-        """Sweep the nose about the leader's bearing where the sonar could hear it and does not."""
-        if guided.yaw_rad is None or follower.position is None:
+        """Turn the nose to where the leader most likely is, or to both sides to learn where."""
+        offset, here = follower.estimate.offset, follower.position
+        if guided.yaw_rad is None or here is None:
             return guided
-        north_m, east_m, _ = ned_between(follower.position, guided.leader)
-        if math.hypot(north_m, east_m) > hearing_m:
-            return guided
-        off_rad = sweep_rad(follower.offset.unheard_s(now_s), now_s)
+        if offset.unheard_s(now_s) > LOST_S:
+            north, east = offset.most_likely_m
+            leader = displace(guided.leader, (offset.north_m - north, offset.east_m - east, 0.0))
+            return replace(guided, yaw_rad=bearing_rad(here, leader))
+        across_m = offset.sigma_m(guided.yaw_rad + math.pi / 2.0)
+        unsure_rad = across_m / max(1.0, distance_m(here, guided.leader))
+        off_rad = sway_rad(unsure_rad, now_s)
         return replace(guided, yaw_rad=wrap_angle_rad(guided.yaw_rad + off_rad))
 
     def _target(self, follower: FollowerState, point: GlobalPosition, now_s: float) -> Any:
-        facing = follower.guided is not None and follower.held_at is None
-        yaw_rad = follower.guided.yaw_rad if facing and follower.guided else None
+        if follower.held_at is None:
+            follower.yaw_rad = None if follower.guided is None else follower.guided.yaw_rad
+        elif self.settings.face_leader:
+            follower.yaw_rad = self._bearing_of_leader(follower, now_s)
         altitude_m = follower.held_altitude_m
         if altitude_m is None:
             altitude_m = self._wanted_m(follower)
-        system_id = follower.plan.system_id
-        return position_target(system_id, point, altitude_m, yaw_rad, now_s, follower.feed_mps)
+        return position_target(
+            follower.plan.system_id, point, altitude_m, follower.yaw_rad, now_s, follower.feed_mps
+        )
+
+    def _bearing_of_leader(self, follower: FollowerState, now_s: float) -> float | None:
+        """Where to look while it is stopped: at the leader, or where it looked before."""
+        leader = self._leader_then(follower, now_s)
+        here = self._follower_then(follower, now_s)
+        if leader is None or here is None:
+            return follower.yaw_rad
+        return bearing_rad(here, leader.position)
 
     def _wanted_m(self, follower: FollowerState) -> float:
         """Above its own home: the same height as the leader's altitude above the leader's."""
@@ -432,9 +545,9 @@ class FollowSession:
         return plan.wanted_m + shift_m
 
     def _line_rad(self, follower: FollowerState, now_s: float) -> float:
-        """Bearing from the follower to the leader by their own receivers."""
-        north_m, east_m = self._believed(follower, now_s) or (1.0, 0.0)
-        return math.atan2(east_m, north_m)
+        """Bearing from the follower to the leader."""
+        leader, here = self._leader_then(follower, now_s), self._follower_then(follower, now_s)
+        return 0.0 if leader is None or here is None else bearing_rad(here, leader.position)
 
     def _hold(self, follower: FollowerState, reason: str, now_s: float) -> GlobalPosition | None:
         """Stop where it is: a target at its own position, kept until there is no reason left."""
@@ -483,6 +596,7 @@ class FollowSession:
                 return
             if message.time_boot_ms < follower.newest_boot_ms:
                 follower.clock.restarted()
+                follower.estimate.history.clear()
             follower.newest_boot_ms = message.time_boot_ms
             follower.position = GlobalPosition(
                 message.lat / 1e7, message.lon / 1e7, message.alt / 1e3
@@ -493,11 +607,18 @@ class FollowSession:
             follower.ground_speed_mps = math.hypot(message.vx, message.vy) / 100.0
             follower.climb_mps = -message.vz / 100.0
             follower.heading_rad = heading_of(message, follower.heading_rad)
+            follower.estimate.reported(
+                Report(
+                    follower.position_at_s,
+                    follower.position,
+                    follower.velocity_mps,
+                    follower.heading_rad,
+                )
+            )
         elif kind == "NAMED_VALUE_FLOAT" and message.name == SONAR_READING:
-            follower.raw_at_s = now_s
-            self._sonar(follower, message.value, now_s)
+            self._raw_reading(follower, message, now_s)
         elif kind == "DISTANCE_SENSOR" and message.orientation == FORWARD:
-            self._distance(follower, sonar_range_m(message), now_s)
+            self._distance(follower, message, now_s)
         elif kind == "HEARTBEAT" and message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1:
             self._mode(follower, message, now_s)
         elif kind == "COMMAND_ACK":
@@ -508,49 +629,47 @@ class FollowSession:
         if self.take_offs is not None and ours:
             self.take_offs.acknowledged(follower, message, now_s)
         if self.guard is not None and ours:
-            self.guard.mode_answered(follower.plan.system_id, message, now_s)
+            self.guard.switches.mode_answered(follower.plan.system_id, message, now_s)
 
-    def _distance(self, follower: FollowerState, range_m: float | None, now_s: float) -> None:
-        follower.keeper.heard(now_s, range_m)
+    def _raw_reading(self, follower: FollowerState, message: Any, now_s: float) -> None:
+        follower.raw_at_s = now_s
+        way_s = self._way_s(follower)
+        time_s = follower.estimate.sonar_clock.to_ours(message.time_boot_ms / 1e3, now_s, way_s)
+        follower.estimate.heard(time_s, message.value, self.settings.sonar_inset_m)
+
+    def _distance(self, follower: FollowerState, message: Any, now_s: float) -> None:
+        """DISTANCE_SENSOR, an average: where single readings do not come it has to do."""
+        range_m = sonar_range_m(message)
         if range_m is not None and now_s - follower.raw_at_s > RAW_FRESH_S:
-            self._sonar(follower, range_m, now_s)
-
-    def _sonar(self, follower: FollowerState, range_m: float, now_s: float) -> None:
-        """Learn the receivers' disagreement from a reading that may be of the leader."""
-        before_s, before_m = follower.reading
-        follower.reading = (now_s, range_m)
-        confirmed = now_s - before_s < CONFIRM_S and abs(range_m - before_m) < CONFIRM_M
-        believed = self._believed(follower, now_s)
-        if believed is None or not confirmed or not 0.0 < range_m < DETECTION_LIMIT_M:
-            return
-        distance_m = range_m + self.settings.sonar_inset_m
-        follower.offset.heard(now_s, distance_m, follower.heading_rad, believed)
-
-    def _believed(self, follower: FollowerState, now_s: float) -> Horizontal | None:
-        """From follower to leader by their own receivers, (north, east) metres."""
-        fix = self.leader.fix
-        if fix is None or follower.position is None:
-            return None
-        age_s = max(0.0, now_s - fix.time_s)
-        if is_stale(age_s, self.settings):
-            return None
-        north_m, east_m, _ = ned_between(follower.position, predicted(fix, age_s).position)
-        return north_m, east_m
+            time_s = now_s - self._way_s(follower) - AVERAGE_AGE_S
+            follower.estimate.heard(time_s, range_m, self.settings.sonar_inset_m)
 
     def _forget_offsets(self) -> None:
         """A leader believed in a new place: what was learnt of its receiver is void."""
+        self._leader_history.clear()
         for follower in self.followers.values():
-            follower.offset = RelativeOffset()
+            follower.estimate.forget()
 
     def _leader_position(self, message: Any, now_s: float) -> None:
         rejected, jumps = self.leader.rejected, self.leader.jumps
+        before = self.leader.fix
         self.leader.receive(message, now_s)
         if self.leader.jumps > jumps:
             self._forget_offsets()
+        if self.leader.fix is not None and self.leader.fix is not before:
+            self._note_leader(self.leader.fix)
         jumped = self.leader.rejected > rejected
         if self.guard is not None and jumped and not self._leader_jumps:
             self._say(now_s, "leader jumps: not believed until its reports agree again")
         self._leader_jumps = jumped
+
+    def _note_leader(self, fix: LeaderFix) -> None:
+        self._leader_history.add(
+            Report(fix.time_s, fix.position, fix.velocity_ned_mps[:2], fix.heading_rad)
+        )
+        if self.settings.learn_offset:
+            for follower in self.followers.values():
+                follower.estimate.learn(self._leader_history)
 
     def _mode(self, follower: FollowerState, heartbeat: Any, now_s: float) -> None:
         follower.mode, follower.mode_at_s = heartbeat.custom_mode, now_s
@@ -572,7 +691,7 @@ class FollowSession:
                 left = "not flying any more"
             self._say(now_s, f"follower {follower.plan.system_id}: {left}, hands off")
         elif self.guard is not None:
-            self.guard.entered_guided(follower.plan.system_id)
+            self.guard.entered_guided(follower.plan.system_id, now_s)
             deed = "taking off" if climbs else "following" if self.engaged else "only watched"
             self._say(now_s, f"follower {follower.plan.system_id}: in Guided, {deed}")
 
@@ -624,6 +743,12 @@ class FollowSession:
         ]
 
 
-def _along(velocity_mps: Horizontal, bearing_rad: float) -> float:
-    """The part of a velocity along a bearing."""
-    return velocity_mps[0] * math.cos(bearing_rad) + velocity_mps[1] * math.sin(bearing_rad)
+def _wanted_mps(here: GlobalPosition, point: GlobalPosition, feed_mps: Horizontal | None) -> Ned:
+    """The velocity with which Guided answers a point, and its velocity, from here."""
+    north, east, _ = ned_between(here, point)
+    pace = POSITION_GAIN_PER_S
+    far_m = math.hypot(north, east)
+    if far_m * pace > CORRECTION_MOST_MPS:
+        pace = CORRECTION_MOST_MPS / far_m
+    feed_north, feed_east = feed_mps or (0.0, 0.0)
+    return feed_north + pace * north, feed_east + pace * east, 0.0

@@ -101,7 +101,13 @@ def _served() -> Iterator[None]:
 
 def drawn(rows: Sequence[Row], events: Sequence[str]) -> str:
     """The view as an SVG that names no font of another server and no file of this machine."""
-    console = Console(record=True, width=WIDTH_CHARACTERS, file=io.StringIO(), force_terminal=True)
+    console = Console(
+        record=True,
+        width=WIDTH_CHARACTERS,
+        file=io.StringIO(),
+        force_terminal=True,
+        _environ={},  # the same picture whatever terminal this runs in
+    )
     console.print(scene(rows, events))
     svg = console.export_svg(title="echowing follow", unique_id="follow")
     without_fonts = re.sub(r"\s*@font-face \{.*?\}", "", svg, flags=re.DOTALL)

@@ -3,21 +3,23 @@
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.background import BackgroundLog, BackgroundView
 from echowing.follow import FollowerPlan, FollowSession, Guide
 from echowing.follow_log import FollowLog
 from echowing.follow_track import Track, track
-from echowing.follow_view import LastingView, View
+from echowing.follow_view import View
 from echowing.formation import turning_together
 from echowing.guard import Limits
 from echowing.guidance import GuidanceSettings, Slot
 from echowing.links import Address, Link, wait
 from echowing.panel import Panel, left_as
-from echowing.seats import OpenLink, Seat, find_sonars, find_vehicles, known_id
+from echowing.seats import OpenLink, Seat, find_vehicles, known_id
 from echowing.signing import LinkSigning
 from echowing.stopping import StopRequest
 from echowing.take_off import TakeOff
@@ -74,7 +76,7 @@ class FollowTool:
         make_link: Callable[[Address, LinkSigning | None], Link] = Link,
     ) -> None:
         self._options = options
-        self._view = LastingView(view)
+        self._view = BackgroundView(view)
         self._stop = stop
         self._clock = clock
         self._make_link = make_link
@@ -84,7 +86,7 @@ class FollowTool:
         for seat in options.seats:
             if seat.address.text not in self._links:
                 self._links[seat.address.text] = self._link_of(seat)
-        self._log: FollowLog | None = None
+        self._log: BackgroundLog | None = None
         self._next_tick_s = self._next_rows_s = 0.0
         self._events_told = 0
 
@@ -98,14 +100,9 @@ class FollowTool:
             for link in self._links.values():
                 link.link.open()
             if options.log is not None:
-                self._log = FollowLog(options.log, self._start_unix_s, self._say)
+                self._log = BackgroundLog(partial(FollowLog, options.log, self._start_unix_s))
             if not find_vehicles(options.seats, self._links, self._now_s, self._over, self._say):
                 self._say("ended before all vehicles were heard; nothing was moved")
-                return self._unheard_code()
-            if options.settings.feed_forward and not find_sonars(
-                options.seats[1:], self._links, self._now_s, self._over, self._say
-            ):
-                self._say("ended before all sonars were heard; nothing was moved")
                 return self._unheard_code()
             self._make_session()
             try:
@@ -221,6 +218,8 @@ class FollowTool:
         return [track(self._session, follower, self._panel, now_s) for follower in followers]
 
     def _tell(self) -> None:
+        if self._log is not None:
+            self._log.tell(self._say)
         events = self._session.events
         for time_s, text in events[self._events_told :]:
             self._view.event(time_s, text)
@@ -250,11 +249,20 @@ class FollowTool:
             text, well = left_as(session, follower, now_s)
             safe = safe and well
             self._say(f"follower {follower.plan.system_id}: {text}")
+        self._view.settle()
         return 0 if safe and self._view.lost is None else 1
 
     def _close(self) -> None:
-        if self._log is not None:
-            self._log.close()
         for link in self._links.values():
             link.link.close()
-        self._view.close()
+        try:
+            if self._log is not None:
+                self._log.close()
+                self._log.tell(self._say)
+        finally:
+            self._view.close()
+
+    @property
+    def stuck(self) -> bool:
+        """Whether something that shows or logs took nothing until the end, and still blocks."""
+        return self._view.stuck or (self._log is not None and self._log.stuck)

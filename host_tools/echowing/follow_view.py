@@ -14,6 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from echowing.panel import Row
+from echowing.terminal import draws_live
 
 PLAIN_PERIOD_S = 5.0
 JSON_PERIOD_S = 1.0
@@ -74,7 +75,7 @@ def open_view(*, as_json: bool) -> View:
         sys.stdout.reconfigure(errors="backslashreplace")
     if as_json:
         return JsonView()
-    return LiveView() if sys.stdout.isatty() else PlainView()
+    return LiveView() if draws_live() else PlainView()
 
 
 class PlainView:
@@ -178,6 +179,9 @@ def table(rows: Sequence[Row]) -> Table:
     shown.add_column("gimbal")
     for head in ("age\ns", "speed\nm/s", "limit\nm/s", "height\nm", "link\n%"):
         shown.add_column(head, justify="right")
+    switches = any(row.switch is not None for row in rows)
+    if switches:
+        shown.add_column("switch")
     for row in rows:
         shown.add_row(
             str(row.system_id),
@@ -192,6 +196,7 @@ def table(rows: Sequence[Row]) -> Table:
             _number(row.command_mps, ".1f"),
             _number(row.altitude_m, ".1f"),
             _number(row.link_percent, ".0f"),
+            *([row.switch or "-"] if switches else []),
         )
     return shown
 
@@ -215,6 +220,7 @@ def plain_row(row: Row) -> str:
         f"sonar {_shown(row.sonar_m, 'm')}, {_shown(row.speed_mps, 'm/s', '.1f')} "
         f"of {_shown(row.command_mps, 'm/s', '.1f')}, {_shown(row.altitude_m, 'm', '.1f')} up, "
         f"leader {_shown(row.leader_age_s, 's')} old, link {_shown(row.link_percent, '%', '.0f')}"
+        + ("" if row.switch is None else f", stop switch {row.switch}")
     )
 
 

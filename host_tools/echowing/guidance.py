@@ -21,12 +21,10 @@ MOVING_MPS = 0.35
 # The slot waits for its follower: it is never further round the leader than this, so that the
 # straight way to it stays clear of the leader (3 m x cos 30 deg = 2.6 m in a 3 m formation).
 FURTHEST_ROUND_RAD = math.radians(60.0)
-# A follower that has not heard its leader looks to either side of where it should be: so long
-# after the last reading, so far, in so many seconds there and back (63 deg/s at the most, about
-# what a copter turns; the beam is 40 degrees wide).
-SWEEP_AFTER_S = 1.5
-SWEEP_RAD = math.radians(60.0)
-SWEEP_PERIOD_S = 6.0
+# Surer of the leader's bearing than this (standard deviation), the nose points at it; else it
+# sways to both sides, so far and in so many seconds there and back (24 deg/s at the most).
+SURE_RAD = math.radians(7.0)
+SWAY_SHARE, SWAY_RAD, SWAY_PERIOD_S = 1.3, math.radians(15.0), 4.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +91,7 @@ class GuidanceSettings:
     learn_offset: bool = True
     standoff_sigmas: float = 2.5
     sonar_inset_m: float = 0.2
-    feed_forward: bool = False
+    feed_forward: bool = True
     fresh_age_s: float | None = 0.5
     stale_age_s: float | None = 1.0
 
@@ -104,6 +102,7 @@ GRAY = GuidanceSettings(
     face_leader=False,
     slot_rate_rps=None,
     learn_offset=False,
+    feed_forward=False,
     fresh_age_s=None,
     stale_age_s=None,
 )
@@ -170,11 +169,14 @@ def held_behind(offset_m: Horizontal, course_rad: float, clearance_m: float) -> 
     return offset_m[0] - back_m * cos, offset_m[1] - back_m * sin
 
 
-def sweep_rad(unheard_s: float, now_s: float) -> float:
-    """How far off the leader's bearing to look, to find a leader that is not where it should be."""
-    if unheard_s < SWEEP_AFTER_S:
+def sway_rad(unsure_rad: float, now_s: float) -> float:
+    """How far off the leader's bearing to look, to learn where in the beam it is.
+
+    Heard all the time it could be anywhere in the beam; a beam whose edge passes over it tells.
+    """
+    if unsure_rad < SURE_RAD:
         return 0.0
-    return SWEEP_RAD * math.sin(2.0 * math.pi * now_s / SWEEP_PERIOD_S)
+    return min(SWAY_RAD, SWAY_SHARE * unsure_rad) * math.sin(2.0 * math.pi * now_s / SWAY_PERIOD_S)
 
 
 def lead_share(age_s: float, settings: GuidanceSettings) -> float:

@@ -6,7 +6,9 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.background import BackgroundView
 from echowing.follow import RATE_REQUEST_PERIOD_S
+from echowing.follow_view import PlainView
 from echowing.guard import SWITCH_HZ, UNHEARD_S, RateWatch
 from echowing.links import Address, Link, wait
 from echowing.messages import HEARTBEAT_PERIOD_S, message_interval, tool_heartbeat
@@ -46,12 +48,22 @@ class LeaderTool:
         self._start_s = clock()
         self._heard_s = self._beat_s = self._rates_s = 0.0
         self._silent = False
+        self._view = BackgroundView(PlainView())
+
+    @property
+    def stuck(self) -> bool:
+        """Whether the terminal took nothing until the end, and still blocks."""
+        return self._view.stuck
 
     def run(self, duration_s: float | None) -> int:
         """Until the end is asked for; returns the exit code."""
 
         def over() -> bool:
-            return self._stop() or (duration_s is not None and self._now_s() >= duration_s)
+            return (
+                self._stop()
+                or self._view.lost is not None
+                or (duration_s is not None and self._now_s() >= duration_s)
+            )
 
         links = {self._seat.address.text: self._vehicle}
         try:
@@ -66,22 +78,19 @@ class LeaderTool:
         finally:
             self._vehicle.link.close()
             self._follow.link.close()
+            self._view.close()
 
     def _now_s(self) -> float:
         return self._clock() - self._start_s
 
     def _say(self, text: str) -> None:
-        self._say_at(self._now_s(), text)
-
-    @staticmethod
-    def _say_at(time_s: float, text: str) -> None:
-        print(f"{time_s:7.1f} s  {text}", flush=True)
+        self._view.event(self._now_s(), text)
 
     def _begin(self) -> None:
         self._system_id = known_id(self._seat)
         self._heard_s = self._now_s()
         wanted = [(self._system_id, kind, hz) for kind, hz in self._wanted_hz.items()]
-        self._rates = RateWatch(wanted, self._say_at)
+        self._rates = RateWatch(wanted, self._view.event)
         self._say(f"leader is system {self._system_id}, published to {self._follow.link.name}")
 
     def _turn(self) -> None:

@@ -40,7 +40,7 @@ class Row:
     separation_m, error_m: from the leader by their receivers, heights included, and less the
     wanted radius, where there is one; slot_error_m: horizontally from the slot; leader_age_s:
     of the leader's report in use; age_s: of the follower's, both by their time stamps;
-    command_mps: the applet's limit.
+    command_mps: the applet's limit; switch: its stop switch, where there is one.
     """
 
     time_s: float
@@ -61,6 +61,7 @@ class Row:
     link_percent: float | None
     north_offset_m: float
     east_offset_m: float
+    switch: str | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Its fields by name, numbers to the millimetre."""
@@ -175,8 +176,9 @@ class Panel:
             leader_speed_mps=None if fix is None else fix.speed_mps,
             altitude_m=follower.altitude_m,
             link_percent=readings.quality.percent,
-            north_offset_m=follower.offset.north_m,
-            east_offset_m=follower.offset.east_m,
+            north_offset_m=follower.estimate.offset.north_m,
+            east_offset_m=follower.estimate.offset.east_m,
+            switch=_switch(session, follower, now_s),
         )
 
     def _compare(
@@ -222,8 +224,8 @@ def _led_state(session: FollowSession, follower: FollowerState) -> str:
         return f"holding: {follower.hold_reason}"
     if not follower.flown:
         return "waiting for the leader"
-    remark = follower.remark if session.settings.feed_forward else None
-    return "following" if remark is None else f"following: {remark}"
+    name = follower.gives_way_to
+    return "following" if name is None else f"gives way to {name}"
 
 
 def _separation_m(session: FollowSession, follower: FollowerState, now_s: float) -> float | None:
@@ -244,6 +246,12 @@ def _slot_error_m(follower: FollowerState) -> float | None:
         return None
     north_m, east_m, _ = ned_between(follower.position, follower.guided.slot)
     return math.hypot(north_m, east_m)
+
+
+def _switch(session: FollowSession, follower: FollowerState, now_s: float) -> str | None:
+    if session.guard is None:
+        return None
+    return session.guard.switches.shown(follower.plan.system_id, now_s)
 
 
 def _finite(value: float) -> float | None:

@@ -33,7 +33,8 @@ class StopRequest:
 def stop_on_signals() -> Iterator[StopRequest]:
     """Signals to end count into the request instead of ending the process.
 
-    One that is to be ignored stays so: `nohup` keeps a verb going without its terminal.
+    One that is to be ignored stays so: `nohup` keeps a verb going without its terminal. Where the
+    end was asked for, the verb has done what it had to: a further signal changes nothing.
     """
     request = StopRequest()
     heeded = [number for number in _SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
@@ -41,5 +42,14 @@ def stop_on_signals() -> Iterator[StopRequest]:
     try:
         yield request
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        if request():
+            ignore_signals()
+        else:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+
+def ignore_signals() -> None:
+    """The process is ending, and its exit code is known: no signal changes it any more."""
+    for number in _SIGNALS:
+        signal.signal(number, signal.SIG_IGN)

@@ -1,11 +1,10 @@
 """Where the hardware room's facts live, and how to read those that live in other rooms."""
 
-import re
 import tomllib
 from pathlib import Path
 from typing import Any
 
-from echowing import search
+from echowing import firmware, search
 from echowing.search import Aim
 from echowing.sim import sonar
 
@@ -14,7 +13,16 @@ ROOT = HW.parent
 WIRING = HW / "wiring"
 MOUNT = HW / "mount"
 PICTURES = HW / "pictures"
-FIRMWARE = ROOT / "firmware" / "echowing" / "src"
+# What a pin is for, and its name in the boards' files of the firmware.
+PIN_ROLES = {
+    "pan": "PAN",
+    "tilt": "TILT",
+    "i2c_data": "SDA",
+    "i2c_clock": "SCL",
+    "link_rx": "RX",
+    "link_tx": "TX",
+    "led": "LED",
+}
 
 
 class HardwareError(Exception):
@@ -48,20 +56,12 @@ def read(path: Path) -> str:
 
 
 def firmware_pins() -> dict[str, dict[str, str]]:
-    """Return the firmware's pin table: board, then name as the table's heading has it, then pin.
-
-    Raises:
-        HardwareError: the table or its heading is missing.
-
-    """
-    path = FIRMWARE / "board" / "pin_table.h"
-    source = read(path)
-    heading = re.search(r"^// ECHOWING_PINS_board\((.*)\)", source, re.MULTILINE)
-    rows = re.findall(r"^ECHOWING_PINS_(\w+)\((.*)\)", source, re.MULTILINE)
-    if heading is None or not rows:
-        raise HardwareError(f"{path}: no rows ECHOWING_PINS_board(...) under their heading")
-    names = _words(heading.group(1))
-    return {board: dict(zip(names, _words(pins), strict=True)) for board, pins in rows}
+    """Return the firmware's pins: board, then what a pin is for, then the board's name of it."""
+    return {
+        board.name: {role: board.pins[pin] for role, pin in PIN_ROLES.items()}
+        | {"led_on_level": board.led_on}
+        for board in firmware.BOARDS.values()
+    }
 
 
 def scan_aims() -> list[Aim]:
@@ -80,7 +80,3 @@ def beam_half_angle_deg() -> float:
 def lever_arm_mm() -> float:
     """Return how far the sonar's face is ahead of the aircraft's centre, from the simulator."""
     return sonar.LEVER_ARM_M * 1000.0
-
-
-def _words(listed: str) -> list[str]:
-    return [word.strip() for word in listed.split(",")]

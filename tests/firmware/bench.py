@@ -1,5 +1,9 @@
-"""A bench for the board's binary: a sonar to command, ports to listen to, an autopilot."""
+"""A bench for the board's binary: a sonar to command, ports to listen to, an autopilot.
 
+The board is the Mega, or what ECHOWING_BOARD says (`make test-stm32`).
+"""
+
+import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -7,14 +11,24 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from echowing.sim.avr import AvrBoard, Pin
+from echowing import firmware
+from echowing.sim.boards import emulated_board
 from echowing.sim.coprocessor import AUTOPILOT_PORT, USB_PORT
+from echowing.sim.emulated import Pin
 from echowing.sim.sonar import MaxSonar
 
 STEP_US = 5_000
 VEHICLE_ID = 7
-OUR_ID, OUR_COMPONENT = 1, 191  # SYS_ID and COMP_ID as the firmware comes
-PORTS = (AUTOPILOT_PORT, USB_PORT)
+# SYS_ID and COMP_ID as the firmware comes: it has not learned yet whose it is.
+OUR_ID, OUR_COMPONENT = 250, 191
+BOARD = firmware.board(os.environ.get("ECHOWING_BOARD", "mega"))
+IS_STM32 = BOARD.family == firmware.STM32
+HAS_USB = "usb" in BOARD.uarts  # in the emulator
+# Where a ground station on the bench is plugged in.
+CONSOLE_PORT = USB_PORT if HAS_USB else AUTOPILOT_PORT
+PORTS = (AUTOPILOT_PORT, USB_PORT) if HAS_USB else (AUTOPILOT_PORT,)
+# An STM32 is emulated at a quarter of its pace: what holds then holds on the chip, and sooner.
+SLOWNESS = 4
 
 
 class BenchSonar(MaxSonar):
@@ -76,7 +90,14 @@ class Bench:
     raw: bytearray = field(default_factory=bytearray)  # everything the autopilot port sent
 
     def __post_init__(self) -> None:
-        self.board = AvrBoard(self.sonar, elf=self.elf, eeprom=self.eeprom, noise=self.noise)
+        self.board = emulated_board(
+            self.sonar,
+            board=BOARD.name,
+            elf=self.elf,
+            eeprom=self.eeprom,
+            noise=self.noise,
+            slowness=SLOWNESS,
+        )
         self._parsers = [mavlink.MAVLink(None) for _ in PORTS]
         for parser in self._parsers:
             parser.robust_parsing = True
@@ -145,11 +166,11 @@ class Bench:
         )
         self.board.feed(AUTOPILOT_PORT, bytes(beat.pack(autopilot)))
 
-    def send(self, message: Any, port: int = USB_PORT) -> None:
+    def send(self, message: Any, port: int = CONSOLE_PORT) -> None:
         """A message from a ground station."""
         self.board.feed(port, bytes(message.pack(self._station)))
 
-    def command(self, command: int, *values: float, port: int = USB_PORT) -> Any:
+    def command(self, command: int, *values: float, port: int = CONSOLE_PORT) -> Any:
         """COMMAND_LONG to the board; returns its acknowledgement."""
         padded = (*values, *([0.0] * (7 - len(values))))
         self.send(
@@ -158,7 +179,7 @@ class Bench:
         )
         return self.run_until_heard("COMMAND_ACK", 0.2, port)
 
-    def set_parameter(self, name: str, value: float, port: int = USB_PORT) -> Any:
+    def set_parameter(self, name: str, value: float, port: int = CONSOLE_PORT) -> Any:
         """PARAM_SET; returns the PARAM_VALUE that answers it."""
         self.send(
             mavlink.MAVLink_param_set_message(
@@ -170,8 +191,9 @@ class Bench:
 
     @property
     def system(self) -> int:
-        """The system id the board has by now."""
-        return OUR_ID if self.armed is None else VEHICLE_ID
+        """The system id the board speaks as by now."""
+        newest = self.heard[-1].message if self.heard else None
+        return int(newest.get_srcSystem()) if newest else OUR_ID
 
     # ---- what was heard
 

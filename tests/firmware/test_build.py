@@ -1,5 +1,6 @@
 """Building and flashing: what is printed, what is refused, and that the bytes arrive."""
 
+import dataclasses
 import importlib
 import os
 import re
@@ -49,7 +50,7 @@ class TestSizes:
     def test_broken_limit_is_shouted_and_fails(
         self, mega_elf: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
     ) -> None:
-        tight = firmware.Board("mega", firmware.ELF_MACHINE_AVR, 253952, 8192, 9_999, 4096)
+        tight = dataclasses.replace(firmware.BOARDS["mega"], flash_limit=9_999)
         monkeypatch.setitem(firmware.BOARDS, "mega", tight)
         assert firmware.main(["mega"]) == 1
         flash, ram = capsys.readouterr().out.splitlines()

@@ -12,6 +12,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 SKETCH = ROOT / "firmware" / "echowing"
+DECLARATIONS = ROOT / "tests" / "firmware" / "stm32_declarations"
 STM32_BOARDS = {
     "blackpill_f411": ("STM32F4xx", "ARDUINO_BLACKPILL_F411CE", "USBD_USE_CDC"),
     "bluepill_f103": ("STM32F1xx", "ARDUINO_BLUEPILL_F103C8", "USBD_USE_CDC"),
@@ -58,28 +59,79 @@ def test_sketch_and_board_layer_compile_for_stm32(board: str) -> None:
         *("-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Werror"),
         *defines,
         "-I",
-        ROOT / "tests" / "firmware" / "stm32_declarations",
+        DECLARATIONS,
         *("-x", "c++"),
         *sources,
     )
 
 
-def test_a_pin_used_twice_does_not_compile(tmp_path: Path) -> None:
-    """The compile-time check of the pin table bites."""
-    table = (SKETCH / "src" / "board" / "pin_table.h").read_text()
-    copy = tmp_path / "src"
+def compile_changed(
+    board: str, source: str, folder: Path, old: str, new: str
+) -> subprocess.CompletedProcess[str]:
+    """Compile a file of the board layer for a board in whose file something is changed."""
+    copy = folder / "src"
     shutil.copytree(SKETCH / "src", copy)
-    (copy / "board" / "pin_table.h").write_text(table.replace("(PA6, PA7,", "(PA6, PA6,"))
-    done = subprocess.run(
+    file = copy / "board" / "boards" / f"{board}.h"
+    assert old in file.read_text()
+    file.write_text(file.read_text().replace(old, new))
+    return subprocess.run(
         [
             *("arm-none-eabi-g++", "-mcpu=cortex-m3", "-mthumb", "-std=gnu++17", "-fsyntax-only"),
-            *("-DARDUINO_ARCH_STM32", "-DSTM32F1xx", "-DARDUINO_BLUEPILL_F103C8"),
-            *("-I", str(ROOT / "tests" / "firmware" / "stm32_declarations")),
-            str(copy / "board" / "wire_bus.cpp"),
+            *(f"-D{name}" for name in ("ARDUINO_ARCH_STM32", *STM32_BOARDS[board])),
+            *("-I", str(DECLARATIONS)),
+            str(copy / "board" / source),
         ],
         capture_output=True,
         text=True,
         check=False,
     )
+
+
+def test_a_pin_used_twice_does_not_compile(tmp_path: Path) -> None:
+    done = compile_changed(
+        "bluepill_f103", "wire_bus.cpp", tmp_path, "PIN_TILT PA7", "PIN_TILT PA6"
+    )
     assert done.returncode != 0
-    assert "uses a pin of this board twice" in done.stderr
+    assert "uses a pin twice" in done.stderr
+
+
+@pytest.mark.parametrize("board", STM32_BOARDS)
+@pytest.mark.parametrize("output", ["PA_7", "PA_6"])  # TIM1's channel 1N, and pan's channel
+def test_an_output_that_the_core_stops_at_does_not_compile(
+    tmp_path: Path, board: str, output: str
+) -> None:
+    done = compile_changed(board, "servo_pwm_stm32.cpp", tmp_path, "PA_7_ALT1", output)
+    assert done.returncode != 0
+    assert "the tilt output is not that channel of the timer" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("PROGRAM_BYTES 262144", "PROGRAM_BYTES 262145", "sectors from 5 on have 128 kB"),
+        ("SLOT_BYTES 131072", "SLOT_BYTES 64", "a slot is larger than its block"),
+    ],
+)
+def test_memory_that_is_not_the_chip_s_does_not_compile(
+    tmp_path: Path, old: str, new: str, words: str
+) -> None:
+    done = compile_changed("blackpill_f411", "lasting_memory_stm32.cpp", tmp_path, old, new)
+    assert done.returncode != 0
+    assert words in done.stderr
+
+
+@pytest.mark.parametrize("board", STM32_BOARDS)
+def test_servo_pulses_start_on_pins_that_the_core_takes(tmp_path: Path, board: str) -> None:
+    """The core's look-up of a pin, on this machine: with the pin's number it would hang."""
+    program = tmp_path / "start_pwm"
+    run(
+        *("c++", "-std=gnu++17", "-Wall", "-Wextra", "-Werror", "-o", program),
+        *(f"-D{name}" for name in ("ARDUINO_ARCH_STM32", *STM32_BOARDS[board])),
+        *("-I", DECLARATIONS, "-I", SKETCH / "src"),
+        *(DECLARATIONS / name for name in ("start_pwm.cpp", "pwm_pins.cpp")),
+        SKETCH / "src" / "board" / "servo_pwm_stm32.cpp",
+    )
+    assert run(program) == "TIM3 channel 1 on pin 0x006\nTIM3 channel 2 on pin 0x107\n"
+    hung = subprocess.run([program, "by-number"], capture_output=True, text=True, check=False)
+    assert hung.returncode == 3
+    assert "the core stops here: pin 0x007 is not channel 2 of TIM3" in hung.stdout

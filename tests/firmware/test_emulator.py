@@ -9,7 +9,7 @@ import pytest
 
 from echowing import firmware
 from echowing.errors import EchowingError
-from echowing.sim.avr import BOARDS, AvrBoard, Pin
+from echowing.sim.avr import AvrBoard
 from echowing.sim.sonar import MaxSonar
 
 LINK, USB = 0, 1
@@ -24,7 +24,7 @@ def power(probe_elf: Path) -> Power:
 
     def on(sensor: MaxSonar | None = None, **options: bytes | int) -> AvrBoard:
         sonar = sensor or MaxSonar(lambda _: 1.23)
-        board = AvrBoard(sonar, elf=probe_elf, **options)  # type: ignore[arg-type]
+        board = AvrBoard(sonar, board="mega", elf=probe_elf, **options)  # type: ignore[arg-type]
         board.pin(board.type.pan)
         board.pin(board.type.tilt)
         return board
@@ -239,37 +239,30 @@ class TestTime:
 class TestBadInput:
     def test_missing_binary_names_the_command(self, tmp_path: Path) -> None:
         with pytest.raises(EchowingError, match="make firmware BOARD=mega"):
-            AvrBoard(MaxSonar(lambda _: None), elf=tmp_path / "none.elf")
+            AvrBoard(MaxSonar(lambda _: None), board="mega", elf=tmp_path / "none.elf")
 
     def test_something_else_than_a_binary(self, tmp_path: Path) -> None:
         (tmp_path / "x.elf").write_text("not an ELF, but as long as one: " * 9)
         with pytest.raises(EchowingError, match="not an ELF file"):
-            AvrBoard(MaxSonar(lambda _: None), elf=tmp_path / "x.elf")
+            AvrBoard(MaxSonar(lambda _: None), board="mega", elf=tmp_path / "x.elf")
 
     def test_binary_of_another_machine(self) -> None:
         with pytest.raises(EchowingError, match="not built for a mega"):
-            AvrBoard(MaxSonar(lambda _: None), elf=Path("/bin/true").resolve())
-
-    def test_board_without_emulator(self) -> None:
-        with pytest.raises(EchowingError, match="only mega can be emulated"):
-            AvrBoard(MaxSonar(lambda _: None), board="bluepill_f103")
+            AvrBoard(MaxSonar(lambda _: None), board="mega", elf=Path("/bin/true").resolve())
 
 
 class TestBoardTable:
-    def test_pins_are_those_of_the_firmware(self) -> None:
-        # The firmware counts pins as Arduino does; the core's variant says where they are.
-        table = firmware.REPOSITORY / "firmware" / "echowing" / "src" / "board" / "pin_table.h"
-        row = re.search(r"^ECHOWING_PINS_mega\((.*), HIGH\)", table.read_text(), re.MULTILINE)
-        assert row is not None
-        pan, tilt, data, clock, link_rx, link_tx, led = map(int, row[1].split(","))
+    def test_chip_s_pins_are_those_that_arduino_numbers(self) -> None:
+        # The board's file has both; the core's variant says where a number is.
         variant = Path("/usr/share/arduino/hardware/arduino/avr/variants/mega/pins_arduino.h")
         places = {
-            int(number): Pin(port, int(bit))
+            number: f"{port}{bit}"
             for port, bit, number in re.findall(
                 r"// P(\w) (\d) \*\* (\d+) \*\*", variant.read_text()
             )
         }
-        mega = BOARDS["mega"]
-        emulated = (mega.pan, mega.tilt, mega.sda, mega.scl, mega.led)
-        assert emulated == tuple(places[number] for number in (pan, tilt, data, clock, led))
-        assert (link_rx, link_tx, mega.uarts[LINK]) == (19, 18, "1")  # Serial1
+        mega = firmware.BOARDS["mega"]
+        assert mega.chip_pins == {role: places[mega.pins[role]] for role in mega.chip_pins}
+        assert set(mega.chip_pins) == {"PAN", "TILT", "SDA", "SCL", "LED"}
+        # Serial1, of which Arduino's numbers are these.
+        assert (mega.pins["RX"], mega.pins["TX"], mega.uarts["autopilot"]) == ("19", "18", "1")

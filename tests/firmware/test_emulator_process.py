@@ -125,7 +125,7 @@ class TestProcess:
     @pytest.mark.parametrize(
         ("options", "words"),
         [
-            (["--board", "uno"], "only mega can be emulated"),
+            (["--board", "uno"], "no board 'uno': BOARD is one of mega, blackpill_f411"),
             (["--link", "serial"], "write tcp:HOST:PORT, tcpin:PORT or pty"),
             (["--link", "tcp:localhost:http"], "the port has to be a number"),
             (["--range-cm", "-1"], "0 to 10000"),
@@ -211,7 +211,7 @@ class TestPace:
         def sleep(seconds: float) -> None:
             now[0] += seconds
 
-        board = AvrBoard(BenchSonar(), elf=probe_elf)
+        board = AvrBoard(BenchSonar(), board="mega", elf=probe_elf)
         return Desk(board, {}, Scene(), clock=clock, sleep=sleep), now
 
     def test_keeps_to_the_clock(self, probe_elf: Path) -> None:

@@ -40,10 +40,10 @@ class CoreWire:
 
     def __init__(self, range_m: float | None = 3.0) -> None:
         self.sonar = Sonar(range_m)
-        self.core = NativeCoprocessor(self.sonar)
+        self.autopilot_system = 1
+        self.core = self._board()
         self.t_s = self.started_s = 0.0
         self.armed: bool | None = None
-        self.autopilot_system = 1
         self.drop: Callable[[Any], bool] = lambda message: False
         self.plugged = True
         self.others = b""
@@ -51,6 +51,9 @@ class CoreWire:
         self._parser = Parser()
         self._ears = mavlink.MAVLink(None)
         self._beat_at_s = 0.0
+
+    def _board(self) -> NativeCoprocessor:
+        return NativeCoprocessor(self.sonar, parameters={"SYS_ID": self.autopilot_system})
 
     def clock(self) -> float:
         return self.t_s
@@ -65,7 +68,7 @@ class CoreWire:
 
     def restart(self) -> None:
         """Power off and on."""
-        self.core, self.started_s = NativeCoprocessor(self.sonar), self.t_s
+        self.core, self.started_s = self._board(), self.t_s
 
     def _take(self) -> bytes:
         if not self.plugged:

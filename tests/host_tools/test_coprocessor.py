@@ -1,6 +1,6 @@
 """The co-processor as the simulator drives it: through Python, over its MAVLink bytes."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import pytest
@@ -44,9 +44,16 @@ class FakeSonar:
 class Bench:
     """A co-processor, its sonar, and what it has said on each port."""
 
-    def __init__(self, range_cm: Callable[[int], int] = lambda _: 300, **options: object) -> None:
+    def __init__(
+        self,
+        range_cm: Callable[[int], int] = lambda _: 300,
+        *,
+        seed: int = 0,
+        parameters: Mapping[str, float] | None = None,
+    ) -> None:
         self.sonar = FakeSonar(range_cm)
-        self.device = NativeCoprocessor(self.sonar, **options)  # type: ignore[arg-type]
+        settings = {"SYS_ID": 1.0, **(parameters or {})}
+        self.device = NativeCoprocessor(self.sonar, seed=seed, parameters=settings)
         self.t_us = 0
         self.bytes: list[bytes] = [b"", b""]
         self.said: list[list[mavlink.MAVLink_message]] = [[], []]
@@ -111,12 +118,13 @@ def test_nothing_in_sight_goes_round_the_figure_eight() -> None:
 
 
 def test_the_vehicle_is_learned_and_the_gimbal_waits_disarmed() -> None:
-    bench = Bench(lambda _: 765)
-    bench.device.feed(
-        AUTOPILOT_PORT,
-        heartbeat(armed=False).pack(mavlink.MAVLink(None, srcSystem=7, srcComponent=1)),
-    )
-    bench.run(2.0)
+    bench = Bench(lambda _: 765, parameters={"SYS_ID": 0})
+    for _ in range(6):
+        bench.device.feed(
+            AUTOPILOT_PORT,
+            heartbeat(armed=False).pack(mavlink.MAVLink(None, srcSystem=7, srcComponent=1)),
+        )
+        bench.run(1.0)
     assert {m.get_srcSystem() for m in bench.said[AUTOPILOT_PORT][-20:]} == {7}
     assert (bench.device.pan_us, bench.device.tilt_us) == (1380, 1400)
 
@@ -126,9 +134,9 @@ def test_parameters_are_read_and_set_over_mavlink() -> None:
     bench.tell(mavlink.MAVLink_param_request_list_message(1, US), USB_PORT)
     bench.run(1.0)
     listed = bench.heard("PARAM_VALUE", USB_PORT)
-    assert [(m.param_id, m.param_value) for m in listed] == [
-        (row.name, row.default) for row in coprocessor.parameter_table()
-    ]
+    defaults = {row.name: row.default for row in coprocessor.parameter_table()}
+    assert {m.param_id: m.param_value for m in listed} == {**defaults, "SYS_ID": 1.0}
+    assert [m.param_id for m in listed] == list(defaults)
     bench.tell(
         mavlink.MAVLink_param_set_message(
             1, US, b"SCAN_DWELL", 450.0, mavlink.MAV_PARAM_TYPE_REAL32
@@ -165,8 +173,8 @@ def test_command_numbers_are_mavlinks() -> None:
         (mavlink.MAV_CMD_USER_1, (0, 0)),
         (mavlink.MAV_CMD_USER_2, (0x70, 0)),
         (mavlink.MAV_CMD_USER_3, (0, 0)),
-        (mavlink.MAV_CMD_PREFLIGHT_STORAGE, (2, 0)),
         (mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, (1, 0)),
+        (mavlink.MAV_CMD_PREFLIGHT_STORAGE, (2, 0)),
     ):
         bench.tell(
             mavlink.MAVLink_command_long_message(1, US, command, 0, *parameters, 0, 0, 0, 0, 0)

@@ -5,7 +5,10 @@ from collections.abc import Callable
 
 import pytest
 
-from echowing.sim.copter import Copter, Tuning, wrap_pi
+from echowing.sim.copter import Copter, Tuning, tuning_of, wrap_pi
+from echowing.sim.guided import Guided
+from echowing.sim.parameters import Generation, Parameters
+from echowing.sim.wpnav import TrackLimits
 
 STEP_S = 0.02
 START = (0.0, 0.0, -10.0)
@@ -50,6 +53,30 @@ def test_streamed_position_is_trailed_by_the_recorded_distance() -> None:
     track = fly(copter, 20.0, stream)
     behind = [2.0 * time_s - north for time_s, north, _ in track if time_s > 15.0]
     assert sum(behind) / len(behind) == pytest.approx(2.2, abs=0.1)
+
+
+@pytest.mark.parametrize("generation", [Generation.V4_5, Generation.V4_6, Generation.V4_7])
+def test_before_4_8_a_moving_target_is_trailed_by_more(generation: Generation) -> None:
+    # In the recordings `stream_pos_2mps`, 12 s to 19.5 s, the mean way to the last target is 1.99 m
+    # with ArduCopter 4.8 and 2.23 m with 4.6 and 4.7.
+    assert trail_m(Generation.V4_8) == pytest.approx(1.99, abs=0.03)
+    assert trail_m(generation) == pytest.approx(2.23, abs=0.03)
+
+
+def trail_m(generation: Generation) -> float:
+    """Mean way to a position target that moves at 2 m/s, sent at 8 Hz."""
+    copter = Copter(START, tuning=tuning_of(generation), flying=True)
+    copter.start_guided(5.0)
+    ways: list[float] = []
+    target_m = 0.0
+    for count in range(round(19.5 / STEP_S)):
+        if int(count * STEP_S * 8) != int((count - 1) * STEP_S * 8):
+            target_m = 2.0 * count * STEP_S
+            copter.guided_position((target_m, 0.0, -10.0))
+        copter.step(STEP_S)
+        if count * STEP_S > 12.0:
+            ways.append(target_m - copter.north_m)
+    return sum(ways) / len(ways)
 
 
 def test_position_and_velocity_settles_on_the_target() -> None:
@@ -124,7 +151,7 @@ def test_velocity_target_times_out_after_three_seconds() -> None:
     copter = guided()
     copter.guided_velocity((2.0, 0.0, 0.0))
     fly(copter, 2.9)
-    assert copter.vn_mps > 1.9
+    assert copter.vn_mps > 1.8  # and rising: the controller is still learning the drag
     fly(copter, 5.0)
     assert abs(copter.vn_mps) < 0.1
 
@@ -293,7 +320,8 @@ def test_lean_reaches_its_limit_and_stays_within() -> None:
         copter.step(STEP_S)
         most = max(most, abs(copter.pitch_rad))
     assert most == pytest.approx(Tuning().lean_max_rad, abs=0.01)
-    assert most <= Tuning().lean_max_rad + 1e-6
+    # the limit is that of the demand; the angle loop overshoots it by a hair
+    assert most <= Tuning().lean_max_rad + math.radians(0.1)
 
 
 def test_hold_brakes_and_stays() -> None:
@@ -326,6 +354,96 @@ def test_lands_slowly_and_rests() -> None:
     fly(copter, 30.0)
     assert copter.landed
     assert (copter.down_m, copter.vd_mps) == (0.0, 0.0)
+
+
+def retreat(acceleration_mps2: float, jerk_mps3: float) -> Copter:
+    """One second after the order to fly back at 2 m/s, while flying on at 2 m/s."""
+    copter = Copter(START, flying=True, velocity_ned_mps=(2.0, 0.0, 0.0))
+    copter.set_limits(TrackLimits(acceleration_mps2=acceleration_mps2, shaping_jerk_mps3=jerk_mps3))
+    copter.start_guided(5.0)
+    for _ in range(50):
+        copter.guided_velocity((-2.0, 0.0, 0.0), yaw_rad=0.0)
+        copter.step(STEP_S)
+    return copter
+
+
+def test_higher_limits_turn_the_vehicle_round_sooner() -> None:
+    # 2.5 m/s2 and 5 m/s3 take 0.5 s to full braking; 5 and 20 (15.3 in force) 0.33 s
+    slow, fast = retreat(2.5, 5.0), retreat(5.0, 20.0)
+    assert slow.vn_mps - fast.vn_mps > 1.0
+    assert slow.north_m - fast.north_m > 0.2
+
+
+@pytest.mark.parametrize(
+    ("generation", "acceleration", "jerk", "scale"),
+    [
+        (Generation.V4_6, "WPNAV_ACCEL", "PSC_JERK_XY", 100.0),
+        (Generation.V4_8, "WP_ACC", "PSC_JERK_NE", 1.0),
+    ],
+)
+def test_guided_reads_its_limits_with_the_sub_mode_and_with_the_speed(
+    generation: Generation, acceleration: str, jerk: str, scale: float
+) -> None:
+    copter, parameters = guided(), Parameters(generation, {})
+    mode = Guided(copter, parameters, lambda _: True, lambda *_: None)
+    mode.start()
+    assert copter.limits == TrackLimits()
+    parameters.set(acceleration, 5.0 * scale)
+    parameters.set(jerk, 20.0)
+    mode.velocity((0.0, 0.0, 0.0))  # the sub-mode it is in already
+    assert copter.limits == TrackLimits()
+    mode.position(START)
+    assert (copter.limits.acceleration_mps2, copter.limits.shaping_jerk_mps3) == (5.0, 20.0)
+    assert copter.limits.corner_acceleration_mps2 == 10.0  # twice the other, as WP_ACC_CNR 0 says
+    parameters.set(acceleration, 4.0 * scale)
+    mode.position((1.0, 0.0, -10.0))
+    assert copter.limits.acceleration_mps2 == 5.0
+    mode.set_speed(3.0)
+    assert copter.limits.acceleration_mps2 == 4.0
+    parameters.set(acceleration, 0.0)  # AC_WPNav.h: the default then
+    mode.set_speed(3.0)
+    assert copter.limits.acceleration_mps2 == 2.5
+
+
+def test_jerk_in_force_is_what_the_lean_can_follow() -> None:
+    # 0.5 sqrt(5 m/s2 x 1100 deg/s2 x g) = 15.3 m/s3, whatever PSC_JERK_NE asks for
+    assert retreat(5.0, 20.0).north_m == pytest.approx(retreat(5.0, 15.34).north_m, abs=1e-3)
+    assert retreat(5.0, 10.0).north_m - retreat(5.0, 20.0).north_m > 0.02
+
+
+@pytest.mark.parametrize(
+    ("acceleration_mps2", "jerk_mps3", "low_deg", "high_deg"),
+    # 2.5 m/s2 are 14 degrees, 5 m/s2 27: the lean comes 0.3 s late, so that the controller asks for
+    # some more, and no more than ATC_ANGLE_MAX, 30 degrees.
+    [(2.5, 5.0, 14.3, 21.0), (5.0, 20.0, 27.0, 30.1)],
+)
+def test_rears_up_to_fly_back(
+    acceleration_mps2: float, jerk_mps3: float, low_deg: float, high_deg: float
+) -> None:
+    copter = retreat(acceleration_mps2, jerk_mps3)
+    highest_rad = copter.pitch_rad
+    for _ in range(300):
+        copter.guided_velocity((-2.0, 0.0, 0.0), yaw_rad=0.0)
+        copter.step(STEP_S)
+        highest_rad = max(highest_rad, copter.pitch_rad)
+    assert low_deg < math.degrees(highest_rad) < high_deg
+    # flying back at 2 m/s leans against the drag, 0.63 m/s2: 3.7 degrees
+    assert math.degrees(copter.pitch_rad) == pytest.approx(3.7, abs=0.3)
+
+
+def test_attitude_follows_a_ramp_late_by_its_command_model() -> None:
+    # A lean that grows steadily comes 2 x 0.15 s late from 4.8 on, 0.15 s up to 4.7 (ATC_INPUT_TC;
+    # seen in SITL's dataflash logs): while the demand rises at 5 m/s3, that is 1.5 or 0.75 m/s2.
+    for generation, late_s in ((Generation.V4_8, 0.3), (Generation.V4_6, 0.15)):
+        copter = Copter(START, tuning=tuning_of(generation), flying=True)
+        copter.start_guided(0.0)
+        copter.guided_position((400.0, 0.0, -10.0), yaw_rad=0.0)
+        copter.set_limits(TrackLimits(acceleration_mps2=25.0, shaping_jerk_mps3=5.0))
+        fly(copter, 0.7)
+        demand, lean = copter.demand_ne_mps2[0], -math.tan(copter.pitch_rad) * 9.80665
+        fly(copter, STEP_S)
+        rate = (copter.demand_ne_mps2[0] - demand) / STEP_S
+        assert (demand - lean) / rate == pytest.approx(late_s, abs=0.04)
 
 
 def test_same_commands_give_the_same_flight() -> None:

@@ -155,13 +155,15 @@ class Once:
 
 
 @pytest.fixture
-def _hang_up_handler() -> Iterator[None]:
-    before = signal.getsignal(signal.SIGHUP)
+def _handlers() -> Iterator[None]:
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before = {number: signal.getsignal(number) for number in numbers}
     yield
-    signal.signal(signal.SIGHUP, before)
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
-@pytest.mark.usefixtures("_hang_up_handler")
+@pytest.mark.usefixtures("_handlers")
 def test_a_closed_terminal_is_a_request_to_end_unless_it_was_to_be_ignored() -> None:
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
     with stop_on_signals() as stop:

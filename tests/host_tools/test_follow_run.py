@@ -16,7 +16,7 @@ from echowing.follow import FollowerPlan, FollowSession
 from echowing.follow_log import FollowLog
 from echowing.follow_picture import SETTLED_S, Photographer, drawn
 from echowing.follow_track import Track
-from echowing.follow_view import PLAIN_PERIOD_S, JsonView, LiveView, PlainView
+from echowing.follow_view import PLAIN_PERIOD_S, JsonView, LiveView, PlainView, open_view
 from echowing.guidance import GuidanceSettings, Slot
 from echowing.panel import LINK_WINDOW_S, SONAR_FRESH_S, Panel, Row
 from echowing.seats import LISTEN_S, VehicleFinder, parse_seat
@@ -180,9 +180,32 @@ def row(**changes: Any) -> Row:
     return Row(**{**known, **changes})
 
 
+# Rich draws by the terminal it is told of, and not by the one that the tests run in.
+XTERM: dict[str, Any] = {"_environ": {"TERM": "xterm"}}
+
+
+@pytest.mark.parametrize(
+    ("term", "terminal", "kind"),
+    [
+        ("xterm", True, LiveView),
+        ("", True, LiveView),
+        ("dumb", True, PlainView),  # a live table is not shown there before the end
+        ("xterm", False, PlainView),
+    ],
+)
+def test_a_live_table_only_where_it_can_be_drawn(
+    term: str, terminal: bool, kind: type, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stdout = io.StringIO()
+    monkeypatch.setattr(stdout, "isatty", lambda: terminal)
+    monkeypatch.setattr("sys.stdout", stdout)
+    monkeypatch.setenv("TERM", term)
+    assert type(open_view(as_json=False)) is kind
+
+
 def test_the_live_view_shows_a_row_a_vehicle_and_the_last_events() -> None:
     output = io.StringIO()
-    view = LiveView(Console(file=output, force_terminal=True, width=200))
+    view = LiveView(Console(file=output, force_terminal=True, width=200, **XTERM))
     view.rows(1.0, [row(), row(system_id=3, sonar_m=None)])
     view.event(1.0, "follower 3: left Guided for LOITER, hands off")
     view.close()
@@ -195,7 +218,7 @@ def test_the_live_view_shows_a_row_a_vehicle_and_the_last_events() -> None:
 def test_many_rows_and_events_are_drawn_seldom_and_the_last_of_them_at_the_end() -> None:
     """Drawing holds up the points: fifty rows are drawn every 1.25 s, events along with them."""
     drawings: list[str] = []
-    console = Console(file=io.StringIO(), force_terminal=True, width=200, height=80)
+    console = Console(file=io.StringIO(), force_terminal=True, width=200, height=80, **XTERM)
     view = LiveView(console)
     many = [row(system_id=number) for number in range(2, 52)]
     for tenth in range(26):

@@ -20,11 +20,10 @@ from echowing.guard import (
     Guard,
     Limits,
     RateWatch,
-    StopSwitch,
-    parse_stop_switch,
 )
 from echowing.guidance import GuidanceSettings, Slot, SlotGuide
 from echowing.panel import Panel, left_as, state_of
+from echowing.switch import StopSwitch, parse_stop_switch
 
 LEADER, FOLLOWER, SECOND = 1, 2, 3
 HERE = GlobalPosition(39.34, -86.03, 260.0)
@@ -442,6 +441,8 @@ def test_the_stop_switch_may_change_the_mode() -> None:
     there = Field(Limits(switch=StopSwitch(5, 1200, "BRAKE")))
     there.fly(1.0)
     there.tell(FOLLOWER, rc_channels(5, 1800))
+    there.fly(TICK_S)
+    there.tell(FOLLOWER, heartbeat(GUIDED))
 
     changes = [m for m in there.fly(1.0) if getattr(m, "command", 0) == mavlink.MAV_CMD_DO_SET_MODE]
 
@@ -535,6 +536,8 @@ def test_a_mode_that_was_taken_is_not_asked_for_again_over_the_pilots_next() -> 
     there = Field(Limits(switch=StopSwitch(5, 1200, "LAND")))
     there.fly(1.0)
     there.tell(FOLLOWER, rc_channels(5, 1800))
+    there.fly(TICK_S)
+    there.tell(FOLLOWER, heartbeat(GUIDED))
     there.fly(TICK_S)
     command, accepted = mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_RESULT_ACCEPTED
     there.tell(FOLLOWER, mavlink.MAVLink_command_ack_message(command, accepted, 0, 0, 245, 190))

@@ -21,19 +21,21 @@ class Bench:
 
     def __init__(self, folder: Path) -> None:
         self.vehicle = DeskVehicle({"WP_SPD": 10.0})
-        self._script = folder / "piece.lua"
+        self.script = folder / "piece.lua"
 
     def host(self, source: str, generation: Generation = Generation.V4_8, **limits: Any) -> LuaHost:
-        self._script.write_text(source, encoding="utf-8")
-        return LuaHost(self.vehicle, self._script, generation=generation, **limits)
+        self.script.write_text(source, encoding="utf-8")
+        return LuaHost(self.vehicle, self.script, generation=generation, **limits)
 
     def run(self, source: str, generation: Generation = Generation.V4_8) -> str | None:
         host = self.host(source, generation)
         host.step(self.vehicle.t_ms)
         return host.error
 
-    def value(self, expression: str, generation: Generation = Generation.V4_8) -> str:
-        error = self.run(f"gcs:send_text(6, tostring({expression}))", generation)
+    def value(
+        self, expression: str, generation: Generation = Generation.V4_8, *, prefix: str = ""
+    ) -> str:
+        error = self.run(f"{prefix}gcs:send_text(6, tostring({expression}))", generation)
         assert error is None, error
         return self.vehicle.texts[-1][1]
 
@@ -279,6 +281,164 @@ def test_only_registered_messages_arrive_and_the_queue_has_an_end(bench: Bench) 
         "2 4 10",
         "nil nil nil",
     ]
+
+
+# What the vehicle's Lua refuses and a stock one takes
+
+SECOND = "local function select_second(_, value) return value end\n"
+
+
+def locals_of(count: int, name: str = "a") -> str:
+    """So many declarations, a line each."""
+    return "".join(f"local {name}{i} = {i}\n" for i in range(1, count + 1))
+
+
+def function_with_locals(count: int) -> str:
+    return f"local function f()\n{locals_of(count)}end\nf()"
+
+
+def function_with_upvalues(count: int) -> str:
+    """A function in a function: no single one may have more than 100 locals to lend."""
+    used = [f"a{i}" for i in range(1, 91)] + [f"b{i}" for i in range(1, count - 89)]
+    inner = f"return function()\nreturn {' + '.join(used)}\nend"
+    return f"{locals_of(90)}local function f()\n{locals_of(count - 90, 'b')}{inner}\nend\nf()()"
+
+
+def numeric_loop(count: int) -> str:
+    """A numeric loop has three hidden variables besides its own."""
+    return f"{locals_of(count - 4)}for i = 1, 2 do uint32_t(i) end"
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        locals_of(100),
+        function_with_locals(100),
+        f"{locals_of(99)}do local b = 1 end do local c = 2 end",  # one after the other
+        function_with_upvalues(127),
+        numeric_loop(100),
+    ],
+)
+def test_a_script_at_the_vehicles_limits_runs(bench: Bench, source: str) -> None:
+    assert bench.run(source) is None
+
+
+# The words, lines and tokens are what ArduPilot's own Lua says to these scripts.
+@pytest.mark.parametrize(
+    ("source", "error"),
+    [
+        (locals_of(101), "101: too many local variables (limit is 100) in main function near '='"),
+        (
+            "local " + ", ".join(f"a{i}" for i in range(101)),
+            "1: too many local variables (limit is 100) in main function near <eof>",
+        ),
+        (
+            f"{locals_of(100)}local function g()\nend",
+            "101: too many local variables (limit is 100) in main function near '('",
+        ),
+        (
+            function_with_locals(101),
+            "102: too many local variables (limit is 100) in function at line 1 near '='",
+        ),
+        (
+            f"local function f({', '.join(f'a{i}' for i in range(101))}) end",
+            "1: too many local variables (limit is 100) in function at line 1 near ')'",
+        ),
+        (
+            numeric_loop(101),
+            "98: too many local variables (limit is 100) in main function near '='",
+        ),
+        (
+            function_with_upvalues(128),
+            "132: too many upvalues (limit is 127) in function at line 130 near 'end'",
+        ),
+    ],
+)
+def test_a_script_beyond_the_vehicles_limits_does_not_load(
+    bench: Bench, source: str, error: str
+) -> None:
+    assert bench.run(source) == f"Error: scripts/piece.lua:{error}"
+    assert bench.vehicle.texts == [(2, f"Lua: Error: scripts/piece.lua:{error}")]
+
+
+def test_limits_hold_for_what_a_script_loads_and_requires(bench: Bench, tmp_path: Path) -> None:
+    (tmp_path / "modules").mkdir()
+    (tmp_path / "modules" / "long.lua").write_text(locals_of(101))
+    limit = "101: too many local variables (limit is 100) in main function near '='"
+    assert bench.value(f"select_second(load([[{locals_of(101)}]], '=long'))", prefix=SECOND) == (
+        f"long:{limit}"
+    )
+    assert f"scripts/modules/long.lua:{limit}" in str(bench.run("require('long')"))
+
+
+GLOBALS = (
+    *("assert", "error", "ipairs", "load", "next", "pairs", "pcall", "setmetatable"),
+    *("tonumber", "tostring", "type", "require", "math", "string", "table", "io"),
+)
+NO_GLOBALS = (
+    *("select", "print", "xpcall", "getmetatable", "rawget", "rawset", "rawequal", "rawlen"),
+    *("collectgarbage", "loadfile", "_G", "_VERSION", "os", "coroutine", "debug", "utf8"),
+    *("package", "dofile", "bit32", "string.dump", "('x').dump", "io.popen", "python"),
+)
+
+
+@pytest.mark.parametrize("name", GLOBALS)
+def test_the_vehicles_globals_are_there(bench: Bench, name: str) -> None:
+    assert bench.value(f"{name} ~= nil") == "true"
+
+
+@pytest.mark.parametrize("name", NO_GLOBALS)
+def test_other_globals_are_not(bench: Bench, name: str) -> None:
+    assert bench.value(name) == "nil"
+
+
+def test_a_global_the_vehicle_lacks_stops_the_script_with_its_words(bench: Bench) -> None:
+    error = bench.run("local n = select('#', 1)")
+    assert error == "scripts/piece.lua:1: attempt to call a nil value (global 'select')"
+
+
+@pytest.mark.parametrize(
+    ("expression", "value"),
+    [
+        ("load('return 7')()", "7"),
+        ("load(7)", "nil"),
+        ("load('return math')()", "nil"),  # without an environment it has no globals
+        ("load('return math', 'x', 't', {math = 5})()", "5"),
+        ("select_second(load('x = = 1', '=x'))", "x:1: unexpected symbol near '='"),
+        (
+            "select_second(load('return 1', 'x', 'b'))",
+            "attempt to load a text chunk (mode is 'b')",
+        ),
+        (  # bytecode
+            r"select_second(load('\27LuaS', '=x'))",
+            r"x:1: unexpected symbol near '<\27>'",
+        ),
+        ("select_second(pcall(load, {})):match('%(.*')", "(function expected, got table)"),
+    ],
+)
+def test_load_takes_text_only(bench: Bench, expression: str, value: str) -> None:
+    assert bench.value(expression, prefix=SECOND) == value
+
+
+def test_load_takes_a_function_that_returns_pieces(bench: Bench) -> None:
+    pieces = "local n = 0\nlocal function piece() n = n + 1 return ({'ret', 'urn 7'})[n] end\n"
+    assert bench.value("load(piece)()", prefix=pieces) == "7"
+
+
+def test_require_runs_a_module_once(bench: Bench, tmp_path: Path) -> None:
+    (tmp_path / "modules").mkdir()
+    (tmp_path / "modules" / "one.lua").write_text("gcs:send_text(6, 'once') return {5}")
+    assert bench.value("require('one')[1] + require('one')[1]") == "10"
+    assert [text for _, text in bench.vehicle.texts] == ["once", "10"]
+    assert "module 'two' not found" in str(bench.run("require('two')"))
+
+
+def test_a_script_need_not_be_utf_8(bench: Bench) -> None:
+    host = bench.host("")
+    bench.script.write_bytes(b"gcs:send_text(6, 'ready') -- 20 \xb0C")
+    host = LuaHost(bench.vehicle, bench.script, generation=Generation.V4_8)
+    host.step(0)
+    assert (host.error, bench.vehicle.texts) == (None, [(6, "ready")])
 
 
 # Life and death of a script

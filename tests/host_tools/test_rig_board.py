@@ -117,7 +117,8 @@ class TestState:
 class TestParameters:
     def test_all_of_them_in_order(self, wire: CoreWire) -> None:
         values = wire.open().parameters()
-        assert values == {row.name: row.default for row in parameter_table()}
+        defaults = {row.name: row.default for row in parameter_table()}
+        assert values == {**defaults, "SYS_ID": wire.autopilot_system}
         assert list(values) == [row.name for row in parameter_table()]
 
     def test_gaps_are_asked_for_again(self, wire: CoreWire) -> None:
@@ -173,10 +174,21 @@ class TestParameters:
         board = wire.open()
         while wire.t_s < 2.0:
             board.poll(0.1)
-        board.set_parameter("TRACK_RANGE", 400)
+        board.set_parameter("SCAN_DWELL", 400)
         assert not board.wait_stored(5.0)
         wire.armed = False
         assert board.wait_stored(5.0)
+
+    def test_what_is_refused_in_flight_is_said_as_such(self, wire: CoreWire) -> None:
+        wire.armed = True
+        board = wire.open()
+        while wire.t_s < 2.0:
+            board.poll(0.1)
+        with pytest.raises(EchowingError) as refusal:
+            board.set_parameter("TRACK_RANGE", 400)
+        assert str(refusal.value) == (
+            "TRACK_RANGE = 400 is refused, it stays 450: not while the autopilot is armed"
+        )
 
     def test_a_refusal_names_the_value_in_force_and_the_limits(self, wire: CoreWire) -> None:
         board = wire.open()
@@ -212,8 +224,10 @@ class TestParameters:
 class TestIdentity:
     def test_goes_along_when_the_board_learns_its_vehicle(self, wire: CoreWire) -> None:
         board = wire.open()
+        assert board.set_parameter("SYS_ID", 0) == 0.0
+        assert board.system_id == 250
         wire.autopilot_system, wire.armed = 7, False
-        end_s = wire.t_s + 4.0
+        end_s = wire.t_s + 6.0
         while wire.t_s < end_s:
             board.poll(0.1)
         assert (board.system_id, board.component_id) == (7, 191)

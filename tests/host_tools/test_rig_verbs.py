@@ -2,6 +2,7 @@
 
 import io
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -186,12 +187,9 @@ class TestSelfTest:
             self_test.ask_swept(Console(quiet=True))
 
     def test_every_text_of_the_firmware_is_understood(self) -> None:
-        source = Path(__file__).parents[2] / "firmware/echowing/src/core/notices.cpp"
-        texts = [
-            line.split('"')[1]
-            for line in source.read_text().splitlines()
-            if self_test.PREFIX in line
-        ]
+        source = Path(__file__).parents[2] / "firmware/echowing/src/core/notice_table.h"
+        rows = re.findall(r'^ECHOWING_NOTICE\(.*, "(.*)"\)$', source.read_text(), re.MULTILINE)
+        texts = [f"Echowing{row}" for row in rows if f"Echowing{row}".startswith(self_test.PREFIX)]
         good = [text for text in texts if text.endswith("good")]
         assert len(texts) == 9
         assert {part.verdict for part in self_test.judged(good)} == {FINE}

@@ -227,6 +227,25 @@ def test_one_command_makes_a_new_vehicle_ready_and_one_file_puts_it_back(
     assert not (tmp_path / "again.params.json").exists()
 
 
+def test_where_the_scripts_folder_comes_with_scripting_the_applet_waits_for_it(
+    make_desk: MakeDesk, tmp_path: Path
+) -> None:
+    """As in ArduPilot's SITL, which has its scripts in the folder it runs in."""
+    desk = make_desk(parameters="{SCR_ENABLE=0}")
+    (desk.card / "APM").rmdir()
+    reboot = desk.autopilot.reboot
+
+    def reboot_and_make() -> None:
+        (desk.card / "APM").mkdir(exist_ok=True)
+        reboot()
+
+    desk.autopilot.reboot = reboot_and_make  # type: ignore[method-assign]
+    job = Job(desk, tmp_path / "old.params.json")
+    assert job.apply.run() == 0, job.told
+    assert "no folder for scripts yet: it is made when scripting starts" in job.told
+    assert wrong(desk) == []
+
+
 def test_without_leave_to_restart_it_says_how_to_go_on_with_the_same_file(
     make_desk: MakeDesk, tmp_path: Path
 ) -> None:

@@ -149,10 +149,39 @@ def test_speed_recovers_once_the_target_is_lost(rig: MakeRig, law: int) -> None:
     assert r.texts[-1].startswith("searching")
 
 
-def test_rate_limit_holds_for_the_newer_laws(rig: MakeRig) -> None:
-    r = rig(LAW=1, RATE=2.0).range(4.0).run(5.0)
-    speeds = r.vehicle.desired_speeds
-    assert max(b - a for a, b in pairwise(speeds)) <= 2.0 * 0.05 + 1e-6
+def changes(r: Rig, range_m: float, seconds: float) -> list[float]:
+    """Changes of the limit, one an update (50 ms), at a range behind a leader of the same speed."""
+    r.vehicle.velocity = (2.5, 0.0, 0.0)
+    before = len(r.vehicle.desired_speeds)
+    r.range(range_m).run(seconds)
+    return [b - a for a, b in pairwise(r.vehicle.desired_speeds[before - 1 :])]
+
+
+@pytest.mark.parametrize(("range_m", "sign"), [(4.0, 1), (2.6, -1)])
+def test_rate_limit_holds_both_ways(rig: MakeRig, range_m: float, sign: int) -> None:
+    """Steps of 1 m/s every 0.45 s ask for more than 2 m/s^2: 0.1 m/s each update, no more."""
+    r = rig(LAW=1, RATE=2.0)
+    changes(r, 3.0, 2.0)
+    assert r.speed_mps == 2.5
+    assert changes(r, range_m, 1.0) == pytest.approx([sign * 0.1] * 20, abs=1e-6)
+
+
+def test_rate_limit_holds_for_law_2(rig: MakeRig) -> None:
+    r = rig(LAW=2, RATE=2.0)
+    changes(r, 3.0, 2.0)
+    found = changes(r, 4.0, 1.0)
+    assert max(found) == pytest.approx(0.1, abs=1e-6)
+    assert r.speed_mps == pytest.approx(2.5 + 0.7, abs=0.05)  # GAIN_P for the metre it is too far
+    found = changes(r, 3.0, 1.0)
+    assert min(found) == pytest.approx(-0.1, abs=1e-6)
+
+
+@pytest.mark.parametrize("applet", [{"LAW": 1, "RATE": 0.0}, {"LAW": 0, "RATE": 2.0}])
+def test_without_a_rate_limit_a_step_is_whole(rig: MakeRig, applet: dict[str, float]) -> None:
+    r = rig(**applet)
+    changes(r, 3.0, 2.0)
+    assert max(changes(r, 4.0, 0.6)) == 1.0
+    assert min(changes(r, 2.6, 0.6)) == -1.0
 
 
 def test_wanted_distance_moves_the_bands(rig: MakeRig) -> None:

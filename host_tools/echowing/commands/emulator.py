@@ -9,18 +9,27 @@ from echowing.errors import EchowingError
 EXAMPLES = """\
 examples:
   echowing emulator --board mega --range-cm 350
-  echowing emulator --link tcp:127.0.0.1:5762 --target udp:9005
-      plugged into a serial port of ArduPilot's SITL; each datagram
+  echowing emulator --link tcp:127.0.0.1:5773 \\
+      --vehicles tcp:127.0.0.1:5762@1 tcp:127.0.0.1:5772@2
+      plugged into SERIAL2 of a follower in ArduPilot's SITL; the sonar hears vehicle 1
+      where it truly is from vehicle 2 (lua/echowing.md, In SITL)
+  echowing emulator --link tcp:127.0.0.1:5773 --target udp:9005
+      the same from a program of your own; each datagram
       {"forward_m": 3.5, "right_m": 0.2, "down_m": -0.1} says where the leader is
       in the follower's body frame
   echowing emulator --link tcpin:5770 --usb pty --eeprom board.eep
+  echowing emulator --board blackpill_f411 --elf build/firmware/blackpill_f411/echowing.elf
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The verb's options."""
     parser.epilog = EXAMPLES
-    parser.add_argument("--board", default="mega", help="the board to emulate (mega)")
+    parser.add_argument(
+        "--board",
+        default="mega",
+        help="the board to emulate: mega (default), blackpill_f411, bluepill_f103, nucleo_f446",
+    )
     parser.add_argument("--elf", type=Path, help="another binary than build/firmware's")
     parser.add_argument(
         "--link",
@@ -28,11 +37,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="WHERE",
         help="the autopilot port: tcp:HOST:PORT connects, tcpin:PORT listens, pty (default)",
     )
-    parser.add_argument("--usb", metavar="WHERE", help="the USB port, likewise (default: nowhere)")
+    parser.add_argument(
+        "--usb", metavar="WHERE", help="the USB port, likewise (default: nowhere; not of the Pills)"
+    )
     seen = parser.add_mutually_exclusive_group()
     seen.add_argument("--range-cm", type=int, metavar="N", help="the sonar always reads this")
     seen.add_argument(
         "--target", metavar="udp:PORT", help="the sonar hears the leader told in datagrams"
+    )
+    seen.add_argument(
+        "--vehicles",
+        nargs=2,
+        metavar=("LEADER", "FOLLOWER"),
+        help="the sonar hears the leader where two vehicles in ArduPilot's SITL truly are; a "
+        "connection string of each, CONN[@ID]",
     )
     parser.add_argument(
         "--eeprom", type=Path, metavar="FILE", help="keep the board's stored parameters here"
@@ -42,15 +60,30 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run until stopped."""
-    from echowing.sim.avr import AvrBoard  # noqa: PLC0415
+    from echowing.sim.boards import emulated_board  # noqa: PLC0415
     from echowing.sim.coprocessor import AUTOPILOT_PORT, USB_PORT  # noqa: PLC0415
     from echowing.sim.desk import Desk, Scene  # noqa: PLC0415
+    from echowing.sim.sitl_scene import SitlScene  # noqa: PLC0415
     from echowing.sim.wires import open_wire  # noqa: PLC0415
 
+    if args.elf is not None and not args.elf.is_file():
+        raise EchowingError(f"--elf {args.elf}: no such file")
     with contextlib.ExitStack() as stack:
-        scene = Scene(args.range_cm, args.target)
+        watched = None
+        if args.vehicles is not None:
+            sitl = SitlScene(*args.vehicles, say=lambda text: print(text, flush=True))
+            stack.callback(sitl.close)
+            watched = sitl.leader_body_m
+        scene = Scene(args.range_cm, args.target, watched)
         stack.callback(scene.close)
-        board = AvrBoard(scene.sensor, board=args.board, elf=args.elf, eeprom=_load(args.eeprom))
+        board = emulated_board(
+            scene.sensor, board=args.board, elf=args.elf, eeprom=_load(args.eeprom)
+        )
+        if args.usb and not board.has_port(USB_PORT):
+            raise EchowingError(
+                f"the emulated {args.board} has no USB port (nothing is plugged into its socket): "
+                "leave --usb out"
+            )
         wires = {AUTOPILOT_PORT: open_wire(args.link)}
         stack.callback(wires[AUTOPILOT_PORT].close)
         print(f"autopilot port: {wires[AUTOPILOT_PORT].describe()}", flush=True)

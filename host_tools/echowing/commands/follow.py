@@ -34,7 +34,7 @@ examples:
           angle_deg = -40.0
   echowing follow --leader udpin:14550 --follower udpin:14560 --take-off 10 --engage
       takes off first: each pilot arms his vehicle in Guided, on the ground; the tool never arms
-  echowing follow --leader udpin:14550 --follower udpin:14560 --feed-forward \\
+  echowing follow --leader udpin:14550 --follower udpin:14560 \\
       --signing-key-file field.key --engage
 The pilot takes over by any change of mode; points go on when he puts the vehicle in Guided again.
 """
@@ -79,7 +79,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=1.4,
         metavar="S",
-        help="how far points run ahead; a copter trails them by about 1.4 s",
+        help="with --position-only: how far points run ahead; a copter trails them by about 1.4 s",
     )
     place.add_argument("--rate", type=float, default=8.0, metavar="HZ", help="of points, up to 20")
     links.add_argument(
@@ -90,11 +90,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="of the leader's positions, up to 20 (4): what its radio can carry",
     )
     place.add_argument(
-        "--feed-forward",
+        "--position-only",
         action="store_true",
-        help="points carry the leader's velocity while the follower's sonar hears it: closer, but "
-        "the speed limit holds the follower back no more, so that this tool keeps its distance, by "
-        "DISTANCE_SENSOR; refused where none comes",
+        help="points carry no velocity: the applet then holds the follower by its speed limit",
     )
     _add_safety(parser.add_argument_group("safety"))
     links.add_argument(
@@ -137,9 +135,10 @@ def _add_safety(safety: "argparse._ArgumentGroup") -> None:
     safety.add_argument(
         "--min-separation",
         type=float,
-        default=1.5,
+        default=1.0,
         metavar="M",
-        help="stop where two vehicles are nearer by their receivers (1.5)",
+        help="what is to be certain of the distance between any two vehicles (1.0): a follower "
+        "that would come nearer slows down, gives way or backs off",
     )
     safety.add_argument(
         "--home-difference",
@@ -166,10 +165,12 @@ def run(args: argparse.Namespace) -> int:
     from echowing.follow_run import FollowTool  # noqa: PLC0415
     from echowing.follow_view import open_view  # noqa: PLC0415
     from echowing.stopping import stop_on_signals  # noqa: PLC0415
+    from echowing.terminal import run_in_flight  # noqa: PLC0415
 
     options = _options(args)
     with stop_on_signals() as stop:
-        return FollowTool(options, open_view(as_json=args.json), stop).run()
+        tool = FollowTool(options, open_view(as_json=args.json), stop)
+        return run_in_flight(tool.run, lambda: tool.stuck)
 
 
 def options_of(arguments: "Sequence[str]") -> "FollowOptions":
@@ -181,10 +182,11 @@ def options_of(arguments: "Sequence[str]") -> "FollowOptions":
 
 def _options(args: argparse.Namespace) -> "FollowOptions":
     from echowing.follow_run import FollowOptions  # noqa: PLC0415
-    from echowing.guard import Limits, parse_stop_switch  # noqa: PLC0415
+    from echowing.guard import Limits  # noqa: PLC0415
     from echowing.guidance import GuidanceSettings  # noqa: PLC0415
     from echowing.seats import VehicleFinder  # noqa: PLC0415
     from echowing.signing import read_key  # noqa: PLC0415
+    from echowing.switch import parse_stop_switch  # noqa: PLC0415
 
     _check_numbers(args)
     switch = None if args.stop_switch is None else parse_stop_switch(args.stop_switch)
@@ -195,7 +197,7 @@ def _options(args: argparse.Namespace) -> "FollowOptions":
     return FollowOptions(
         seats=seats,
         slots=slots,
-        settings=GuidanceSettings(lead_time_s=args.lead_time, feed_forward=args.feed_forward),
+        settings=GuidanceSettings(lead_time_s=args.lead_time, feed_forward=not args.position_only),
         altitude_m=args.altitude,
         rate_hz=args.rate,
         limits=Limits(

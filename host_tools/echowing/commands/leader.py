@@ -44,6 +44,7 @@ def run(args: argparse.Namespace) -> int:
     from echowing.seats import parse_seat  # noqa: PLC0415
     from echowing.signing import read_key  # noqa: PLC0415
     from echowing.stopping import stop_on_signals  # noqa: PLC0415
+    from echowing.terminal import run_in_flight  # noqa: PLC0415
 
     if not 1.0 <= args.rate <= 20.0:
         raise EchowingError(f"--rate {args.rate:g}: give 1 to 20")
@@ -54,4 +55,4 @@ def run(args: argparse.Namespace) -> int:
     key = read_key(args.signing_key_file)
     with stop_on_signals() as stop:
         tool = LeaderTool(seat, parse_address(f"udpout:{where}"), args.rate, stop, signing_key=key)
-        return tool.run(args.duration)
+        return run_in_flight(lambda: tool.run(args.duration), lambda: tool.stuck)

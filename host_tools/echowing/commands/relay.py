@@ -60,12 +60,14 @@ def run(args: argparse.Namespace) -> int:
     """Relay until told to end."""
     from echowing.follow_run import FollowOptions, FollowTool  # noqa: PLC0415
     from echowing.follow_view import open_view  # noqa: PLC0415
-    from echowing.guard import Limits, parse_stop_switch  # noqa: PLC0415
+    from echowing.guard import Limits  # noqa: PLC0415
     from echowing.guidance import Slot  # noqa: PLC0415
     from echowing.relay import RELAY_SETTINGS, RelayGuide, parse_ground  # noqa: PLC0415
     from echowing.seats import parse_seat  # noqa: PLC0415
     from echowing.signing import read_key  # noqa: PLC0415
     from echowing.stopping import stop_on_signals  # noqa: PLC0415
+    from echowing.switch import parse_stop_switch  # noqa: PLC0415
+    from echowing.terminal import run_in_flight  # noqa: PLC0415
 
     _check_numbers(args)
     ground = parse_ground(args.ground)
@@ -91,7 +93,8 @@ def run(args: argparse.Namespace) -> int:
         make_guide=lambda: RelayGuide(ground),
     )
     with stop_on_signals() as stop:
-        return FollowTool(options, open_view(as_json=args.json), stop).run()
+        tool = FollowTool(options, open_view(as_json=args.json), stop)
+        return run_in_flight(tool.run, lambda: tool.stuck)
 
 
 def _check_numbers(args: argparse.Namespace) -> None:

@@ -89,7 +89,11 @@ def _add_link(parser: argparse.ArgumentParser) -> None:
 
     parser.add_argument("--baud", type=int, default=DEFAULT_BAUD, help="of a serial device")
     parser.add_argument(
-        "--signing-key-file", type=Path, metavar="FILE", help="as for `echowing follow`"
+        "--signing-key-file",
+        type=Path,
+        metavar="FILE",
+        help="as for `echowing follow`; on an autopilot with a key the co-processor's port has to "
+        "be left unsigned (host_tools/SETUP.md, Signing)",
     )
 
 

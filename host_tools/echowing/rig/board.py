@@ -32,6 +32,9 @@ LIST_QUIET_S = 0.5
 # a word of it that comes much sooner is about an earlier change.
 STORE_DELAY_S = 2.0
 STORED_TEXT = "Echowing: parameters stored"
+IN_FLIGHT_TEXT = "Echowing: parameter not changed in flight"
+# The board speaks as this system until it has learned whose it is (`kUnknownSystem` in the core).
+UNKNOWN_SYSTEM_ID = 250
 # The range of `set servo` (firmware/README.md, `kShortestPulse_us` in the core).
 LEAST_PULSE_US, MOST_PULSE_US = 800, 2200
 
@@ -233,19 +236,27 @@ class Board:
             raise CommandError(f"{self._label()} has not answered to {name} = {value:g}")
         in_force = float(answer.param_value)
         if in_force != as_float32(value):
-            raise EchowingError(
-                f"{name} = {value:g} is refused, it stays {in_force:g}{_allowed(name)}"
-            )
+            why = ": not while the autopilot is armed" if self._in_flight() else _allowed(name)
+            raise EchowingError(f"{name} = {value:g} is refused, it stays {in_force:g}{why}")
         self._adopt(answer)
         if in_force != before:
             self._changed_at_s = self._clock()
         return in_force
 
+    def _in_flight(self) -> bool:
+        """Whether the board has just refused something because the autopilot is armed."""
+        since_s = self._clock() - ANSWER_TIMEOUT_S
+        return any(text == IN_FLIGHT_TEXT and at_s >= since_s for at_s, _, text in self.state.texts)
+
     def _is_parameter(self, message: Any, name: str) -> bool:
         if message.get_type() != "PARAM_VALUE" or message.param_id != name:
             return False
-        # With a new id the answer already comes under it.
-        new_id = {"SYS_ID": message.get_srcSystem(), "COMP_ID": message.get_srcComponent()}
+        # With a new id the answer already comes under it; SYS_ID 0 is nobody's yet.
+        system_id = message.get_srcSystem()
+        new_id = {
+            "SYS_ID": 0 if system_id == UNKNOWN_SYSTEM_ID else system_id,
+            "COMP_ID": message.get_srcComponent(),
+        }
         return self.is_from_board(message) or message.param_value == new_id.get(name)
 
     def _no_such_parameter(self, name: str) -> EchowingError:

@@ -1,6 +1,5 @@
 """How `echowing rig watch` shows the board: a live picture, plain lines, or JSON lines."""
 
-import sys
 from collections import deque
 from typing import Any, Protocol
 
@@ -15,6 +14,7 @@ from echowing.rig.board import Board
 from echowing.rig.figure import completed, direction, draw, points_at
 from echowing.rig.options import print_json
 from echowing.rig.state import STALE_S, BoardState
+from echowing.terminal import draws_live
 
 PLAIN_PERIOD_S = 1.0
 TEXTS_SHOWN = 6
@@ -52,7 +52,7 @@ def open_view(*, as_json: bool) -> View:
     """JSON lines when asked for, a live picture on a terminal, plain lines elsewhere."""
     if as_json:
         return JsonView()
-    return LiveView() if sys.stdout.isatty() else PlainView()
+    return LiveView() if draws_live() else PlainView()
 
 
 class JsonView:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 
-from echowing.applet import install_over_link, scripts_folder
+from echowing.applet import CARD_SCRIPTS, install_over_link, scripts_folder
 from echowing.errors import EchowingError
 from echowing.setup.apply import (
     Change,
@@ -32,7 +32,7 @@ from echowing.setup.restart import (
     until_applet_runs,
 )
 from echowing.setup.vehicle import Vehicle
-from echowing.setup.view import differences
+from echowing.setup.view import changes_as_lines, differences
 
 WRITING = "parameters are written"
 # Scripting, then what it shows, then what that shows; one to spare.
@@ -174,7 +174,8 @@ class Apply:
     def _agreed_again(self, plan: Plan) -> bool:
         """What was announced is written without another question."""
         news = [change for change in plan.changes if change.name not in self._announced]
-        self._show(plan)
+        for line in changes_as_lines(plan.changes):
+            self.work.say(line)
         return not news or self.ask(f"Write these too to {self.work.vehicle.name}? [y/N] ")
 
     def _carry_out(self, plan: Plan) -> int | None:
@@ -189,8 +190,8 @@ class Apply:
             if outcome is None:
                 return INTERRUPTED_EXIT
             self._refused |= set(outcome.refused)
-        if plan.upload:
-            self._upload()
+        if plan.upload and not self._uploaded(may_wait="SCR_ENABLE" in plan.waits_for_restart):
+            self.work.say("no folder for scripts yet: it is made when scripting starts")
         return self._take_effect(plan)
 
     @property
@@ -198,17 +199,21 @@ class Apply:
         file = shlex.quote(str(self.file))
         return f"back: echowing setup restore {file} --vehicle {self.work.where}"
 
-    def _upload(self) -> None:
+    def _uploaded(self, *, may_wait: bool) -> bool:
+        """Put the applet onto the card; False: the next round has to, as there is no folder yet."""
         card = FtpClient(self.work.vehicle)
         try:
             folder = self.folder or scripts_folder(card)
-            install_over_link(card, self.bar, folder)
+            if folder is None and may_wait:
+                return False
+            install_over_link(card, self.bar, folder or CARD_SCRIPTS)
         except EchowingError as error:
             raise EchowingError(
                 f"{error}\nthe applet is not on the card: echowing setup lua --mount DIR writes it "
                 f"with the card in this computer, then apply once more; {self._way_back}"
             ) from error
         self.work.say(f"{folder}/echowing.lua: written, read back")
+        return True
 
     def _take_effect(self, plan: Plan) -> int | None:
         """Restart what has to be, and wait for the applet; an exit code where it ends here."""

@@ -74,6 +74,13 @@ def _is_dull(finding: Finding) -> bool:
     return finding.verdict is Verdict.FINE and finding.about.startswith(PARAMETER_PREFIX)
 
 
+def changes_as_lines(changes: Sequence[Change]) -> Iterator[str]:
+    """What is going to be written."""
+    for change in changes:
+        later = ", from the next start on" if change.restart else ""
+        yield _row(change.name, f"{change.old:g} -> {change.new:g}{later}: {change.why}")
+
+
 _ON_CARD = {
     CardApplet.NONE: "not on the card -> this checkout's",
     CardApplet.ANOTHER: "another version on the card -> this checkout's",
@@ -89,9 +96,7 @@ def differences(
 
     hidden: what is written once the vehicle shows it.
     """
-    for change in changes:
-        later = ", from the next start on" if change.restart else ""
-        yield _row(change.name, f"{change.old:g} -> {change.new:g}{later}: {change.why}")
+    yield from changes_as_lines(changes)
     for name, value in hidden.items():
         yield _row(name, f"not shown yet; -> {value:g} after the restart, where it does not fit")
     told = {change.name for change in changes} | set(hidden)

@@ -592,11 +592,13 @@ class Autopilot:
             return False
         return self.modes.guided.position(position_ned_m, yaw_rad)
 
-    def set_target_posvel_ned(self, position_ned_m: Ned, velocity_ned_mps: Ned) -> bool:
+    def set_target_posvel_ned(
+        self, position_ned_m: Ned, velocity_ned_mps: Ned, yaw_rad: float | None = None
+    ) -> bool:
         """Guided position and velocity target."""
         if self.modes.mode != GUIDED:
             return False
-        return self.modes.guided.position_velocity(position_ned_m, velocity_ned_mps)
+        return self.modes.guided.position_velocity(position_ned_m, velocity_ned_mps, yaw_rad)
 
     def set_target_velocity_ned(self, velocity_ned_mps: Ned) -> bool:
         """Guided velocity target; times out after 3 s."""
@@ -608,6 +610,10 @@ class Autopilot:
     def position_ned_m(self) -> Ned | None:
         """Estimated position from the estimator's origin."""
         return self.places.here_ned_m()
+
+    def height_above_home_m(self) -> float:
+        """Estimated height above home."""
+        return self.places.height_m()
 
     def velocity_ned_mps(self) -> Ned | None:
         """Estimated velocity."""

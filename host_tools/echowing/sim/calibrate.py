@@ -10,8 +10,11 @@ waypoint is where the vehicle stays, the speed is the median of the legs' own, t
 0.05 m/s. A way straight back shows its waypoint only to the metre: give such missions a sidecar.
 
 What a row cannot say is taken from its rate: the first command came one row before the first row;
-a command that appears in a row was given half a row before it. A mission starts when its first
-motion fits the recorded one.
+a command that appears in a row was given half a row before it. A mission starts when its motion
+fits the recorded one best.
+
+ArduCopter's generations fly differently. A recording is flown with the generation asked for, else
+with the one its folder is named after (`4.6`), else with 4.8.
 """
 
 import csv
@@ -22,10 +25,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from statistics import median
+from statistics import fmean, median
 
 from echowing.errors import EchowingError
-from echowing.sim.copter import LONGEST_STEP_S, Copter, wrap_pi
+from echowing.sim.copter import LONGEST_STEP_S, Copter, tuning_of, wrap_pi
+from echowing.sim.parameters import Generation
 from echowing.sim.wpnav import Ned
 
 STATE_COLUMNS = (
@@ -52,19 +56,54 @@ CRUISE_S = 1.0
 STEADY_SHARE = 0.985
 # Any speed above the peak then gives the same flight: the legs' length is what limits it.
 NO_CRUISE_FACTOR = 1.5
-# A mission has visibly begun at this share of its speed.
-BEGUN_SHARE = 0.1
+# A mission has visibly begun at this share of its speed. Below it, the track hangs on the noise of
+# the autopilot's estimate: its point waits for a vehicle that seems to drift back (AC_WPNav.cpp).
+BEGUN_SHARE = 0.5
+
+
+STILL_AIR: Ned = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class _Flyer:
+    """Who flew a recording, and in which wind."""
+
+    generation: Generation
+    wind_ned_mps: Ned
+
+    def copter(self, rows: Sequence["Row"]) -> Copter:
+        """A vehicle in the recording's first state, one row earlier."""
+        first, back_s = rows[0], _row_s(rows)
+        position = [
+            place - speed * back_s
+            for place, speed in zip(first.position_m, first.velocity_mps, strict=True)
+        ]
+        copter = Copter(
+            (position[0], position[1], position[2]),
+            first.yaw_rad,
+            tuning=tuning_of(self.generation),
+            flying=True,
+            velocity_ned_mps=first.velocity_mps,
+            ground_down_m=math.inf,
+        )
+        copter.wind_ned_mps = self.wind_ned_mps
+        copter.settle()
+        return copter
 
 
 @dataclass(frozen=True, slots=True)
 class CalibrationResult:
-    """How one replay went: horizontal position errors, metres; `kind` is "guided" or "auto"."""
+    """How one replay went: horizontal position errors, metres.
+
+    `kind` is "guided" or "auto"; `generation` the ArduCopter whose model flew it.
+    """
 
     name: str
     rms_position_error_m: float
     max_error_m: float
     duration_s: float
     kind: str
+    generation: str
     rms_3d_error_m: float
 
 
@@ -191,25 +230,41 @@ def _pair(where: str, cells: dict[str, str], one: str, two: str) -> tuple[float,
 # ---- replaying
 
 
-def replay_directory(directory: Path) -> list[CalibrationResult]:
-    """Replay every *.csv of a folder that is a recording, in the order of their names."""
+def replay_directory(
+    directory: Path, generation: Generation | None = None, wind_ned_mps: Ned = STILL_AIR
+) -> list[CalibrationResult]:
+    """Replay every *.csv of a folder, then those in its folders named after a generation (`4.6`).
+
+    `generation`: which ArduCopter flew them; None: as the folders' names say. `wind_ned_mps`: the
+    mean velocity of the air.
+    """
     if not directory.is_dir():
         raise EchowingError(f"{directory}: not a folder; name the one that holds the recordings")
-    files = sorted(directory.glob("*.csv"))
+    folders = [directory, *(directory / known.value for known in Generation)]
+    files = [file for folder in folders for file in sorted(folder.glob("*.csv"))]
     if not files:
         raise EchowingError(f"{directory}: no recordings (*.csv) in this folder")
-    return [replay(file) for file in files]
+    return [replay(file, generation, wind_ned_mps) for file in files]
 
 
-def replay(path: Path) -> CalibrationResult:
+def _generation_of(path: Path) -> Generation:
+    """Which ArduCopter flew a recording, by the name of its folder."""
+    name = path.resolve().parent.name
+    return next((known for known in Generation if known.value == name), Generation.V4_8)
+
+
+def replay(
+    path: Path, generation: Generation | None = None, wind_ned_mps: Ned = STILL_AIR
+) -> CalibrationResult:
     """Fly a recording's commands with the model, from the recording's first state."""
     rows = read_recording(path)
+    flyer = _Flyer(generation or _generation_of(path), wind_ned_mps)
     if rows[0].command is not None:
-        return _compare(path.stem, "guided", rows, _Guided(rows))
+        return _compare(path.stem, flyer, rows, _Guided(rows, flyer))
     mission = read_mission(path.with_suffix(".toml"), rows)
     if mission is None:
         mission = estimate_mission(path, rows)
-    return _compare(path.stem, "auto", rows, _Auto(rows, mission))
+    return _replay_auto(path.stem, rows, mission, flyer)
 
 
 def _row_s(rows: Sequence[Row]) -> float:
@@ -217,27 +272,11 @@ def _row_s(rows: Sequence[Row]) -> float:
     return median(after.time_s - before.time_s for before, after in pairwise(rows))
 
 
-def _copter(rows: Sequence[Row]) -> Copter:
-    """A vehicle in the recording's first state, one row earlier."""
-    first, back_s = rows[0], _row_s(rows)
-    position = [
-        place - speed * back_s
-        for place, speed in zip(first.position_m, first.velocity_mps, strict=True)
-    ]
-    return Copter(
-        (position[0], position[1], position[2]),
-        first.yaw_rad,
-        flying=True,
-        velocity_ned_mps=first.velocity_mps,
-        ground_down_m=math.inf,
-    )
-
-
 class _Guided:
     """Gives the commands of a Guided recording at their times."""
 
-    def __init__(self, rows: Sequence[Row]) -> None:
-        self.copter = _copter(rows)
+    def __init__(self, rows: Sequence[Row], flyer: _Flyer) -> None:
+        self.copter = flyer.copter(rows)
         self._row_s = _row_s(rows)
         self.start_s = rows[0].time_s - self._row_s
         self._down_m = median(row.position_m[2] for row in rows)
@@ -276,21 +315,24 @@ class _Guided:
 
 
 class _Auto:
-    """Starts a mission when its first motion fits the recording's."""
+    """Starts a mission `late_s` after the time at which its first motion fits the recording's."""
 
-    def __init__(self, rows: Sequence[Row], mission: Mission) -> None:
-        self.copter = _copter(rows)
-        self.start_s = rows[0].time_s - _row_s(rows)
+    def __init__(
+        self, rows: Sequence[Row], mission: Mission, flyer: _Flyer, late_s: float = 0.0
+    ) -> None:
+        self.copter = flyer.copter(rows)
         self._mission: Mission | None = mission
         begun = BEGUN_SHARE * mission.speed_mps
-        recorded_s = next((row.time_s for row in rows if row.speed_mps > begun), self.start_s)
-        trial = _copter(rows)
+        first_s = rows[0].time_s - _row_s(rows)
+        recorded_s = next((row.time_s for row in rows if row.speed_mps > begun), first_s)
+        trial = flyer.copter(rows)
         trial.start_auto(mission.waypoints_m, mission.speed_mps)
         steps = 0
         while math.hypot(trial.vn_mps, trial.ve_mps) <= begun and steps * LONGEST_STEP_S < 10.0:
             trial.step(LONGEST_STEP_S)
             steps += 1
-        self._begin_s = recorded_s - steps * LONGEST_STEP_S
+        self._begin_s = recorded_s - steps * LONGEST_STEP_S + late_s
+        self.start_s = min(first_s, self._begin_s)
 
     def command(self, time_s: float) -> None:
         """Start the mission if it is time."""
@@ -300,11 +342,33 @@ class _Auto:
             self._mission = None
 
 
-def _compare(
-    name: str, kind: str, rows: Sequence[Row], pilot: _Guided | _Auto
+def _replay_auto(
+    name: str, rows: Sequence[Row], mission: Mission, flyer: _Flyer
 ) -> CalibrationResult:
+    """Fly a mission twice: the second time without the first one's mean lag."""
+    early_s = _mean_lag_s(rows, _fly(rows, _Auto(rows, mission, flyer)))
+    return _compare(name, flyer, rows, _Auto(rows, mission, flyer, -early_s))
+
+
+def _mean_lag_s(rows: Sequence[Row], flown: Sequence[Ned]) -> float:
+    """How late a flight is behind the recorded one, where that one moves; s."""
+    fast = LEG_SPEED_SHARE * max(row.speed_mps for row in rows)
+    lags = [
+        (
+            (row.position_m[0] - place[0]) * row.velocity_mps[0]
+            + (row.position_m[1] - place[1]) * row.velocity_mps[1]
+        )
+        / row.speed_mps**2
+        for row, place in zip(rows, flown, strict=True)
+        if row.speed_mps > fast
+    ]
+    return fmean(lags) if lags else 0.0
+
+
+def _fly(rows: Sequence[Row], pilot: _Guided | _Auto) -> list[Ned]:
+    """Where the model is at the time of each row."""
     copter, time_s = pilot.copter, pilot.start_s
-    level = spatial = worst = 0.0
+    places: list[Ned] = []
     for row in rows:
         steps = max(1, math.ceil((row.time_s - time_s) / LONGEST_STEP_S - 1e-6))
         step_s = (row.time_s - time_s) / steps
@@ -312,17 +376,27 @@ def _compare(
             pilot.command(time_s)
             copter.step(step_s)
             time_s += step_s
+        places.append((copter.north_m, copter.east_m, copter.down_m))
+    return places
+
+
+def _compare(
+    name: str, flyer: _Flyer, rows: Sequence[Row], pilot: _Guided | _Auto
+) -> CalibrationResult:
+    level = spatial = worst = 0.0
+    for row, place in zip(rows, _fly(rows, pilot), strict=True):
         north, east, down = row.position_m
-        squared = (copter.north_m - north) ** 2 + (copter.east_m - east) ** 2
+        squared = (place[0] - north) ** 2 + (place[1] - east) ** 2
         level += squared
-        spatial += squared + (copter.down_m - down) ** 2
+        spatial += squared + (place[2] - down) ** 2
         worst = max(worst, squared)
     return CalibrationResult(
         name=name,
         rms_position_error_m=math.sqrt(level / len(rows)),
         max_error_m=math.sqrt(worst),
         duration_s=rows[-1].time_s - rows[0].time_s,
-        kind=kind,
+        kind="guided" if isinstance(pilot, _Guided) else "auto",
+        generation=flyer.generation.value,
         rms_3d_error_m=math.sqrt(spatial / len(rows)),
     )
 

@@ -1,24 +1,27 @@
 """Motion of one ArduCopter: target shaping, position and velocity control, lean lag, yaw.
 
 The structure is the autopilot's own (libraries/AC_AttitudeControl/AC_PosControl.cpp and
-ArduCopter/mode_guided.cpp, 4.8): a target is shaped into a smooth desired motion, a cascade of
+ArduCopter/mode_guided.cpp): a target is shaped into a smooth desired motion, a cascade of
 controllers holds the vehicle on it, the lean follows the wanted acceleration after a lag, and air
-drags on the vehicle. Gains and limits are ArduCopter's default parameters; the four constants of
-the airframe come from all recordings of SITL together (see `Tuning`).
+drags on the vehicle. Up to 4.7 and from 4.8 on the shaping and the lag differ (`tuning_of`). Gains
+are ArduCopter's defaults; limits are what the autopilot's parameters say (`set_limits`).
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from math import atan2, cos, exp, inf, pi, sin, sqrt, tan
+from dataclasses import dataclass
+from math import atan2, cos, exp, inf, pi, radians, sin, sqrt, tan
 
 from echowing.sim.estimate import EstimatedPosition
+from echowing.sim.parameters import Generation
 from echowing.sim.shaping import (
+    PREDICTIVE,
+    STEPPED,
+    ShapingLaw,
+    axis_speed,
     clamp,
     inverse_sqrt_controller,
-    limit_corner,
     limit_lean,
     limit_length,
-    shape_axis,
     sqrt_controller,
 )
 from echowing.sim.wpnav import Ned, TrackLimits, WaypointNavigator, along_limit
@@ -27,42 +30,60 @@ GRAVITY_MPS2 = 9.80665  # standard gravity, as AP_Math's GRAVITY_MSS
 LONGEST_STEP_S = 0.02  # the airframe's constants are fitted at this step: the simulator's
 # Below this share of the speed limit the heading is kept (AC_PosControl.cpp, yaw of the path).
 LOOK_SHARE = 0.05
+# Half of what the lean's acceleration (ATC_ACC_R_MAX, 1100 deg/s2) does to the vehicle's: however
+# high PSC_JERK_NE is, the jerk stays below 0.5 sqrt(WP_ACC x this) (AC_PosControl.cpp).
+SNAP_MPS4 = radians(1100.0) * GRAVITY_MPS2
 
 
 @dataclass(frozen=True, slots=True)
 class Tuning:
-    """Gains, limits and airframe of one vehicle (SI units).
+    """Gains and airframe of one vehicle (SI units), and how its ArduCopter shapes.
 
     Values are ArduCopter 4.8's defaults, parameter names beside them, except the airframe's.
     """
 
+    shaping: ShapingLaw = PREDICTIVE
     position_gain: float = 1.0  # PSC_NE_POS_P
     velocity_p: float = 2.0  # PSC_NE_VEL_P
     velocity_i: float = 1.0  # PSC_NE_VEL_I
+    velocity_i_max_mps2: float = 10.0  # PSC_NE_VEL_IMAX
     velocity_d: float = 0.25  # PSC_NE_VEL_D
     velocity_filter_hz: float = 5.0  # PSC_NE_VEL_FLTE and PSC_NE_VEL_FLTD
-    jerk_mps3: float = 5.0  # PSC_JERK_NE
     lean_max_rad: float = pi / 6.0  # ATC_ANGLE_MAX 30 degrees
     input_s: float = 0.15  # ATC_INPUT_TC
+    # AC_AttitudeControl.cpp: 4.8 shapes the wanted lean critically damped, that is through two lags
+    # of ATC_INPUT_TC; up to 4.7 through one.
+    input_lags: int = 2
+    angle_gain: float = 4.5  # ATC_ANG_RLL_P, ATC_ANG_PIT_P
     down_position_gain: float = 1.0  # PSC_D_POS_P
     down_velocity_p: float = 5.0  # PSC_D_VEL_P
-    down_jerk_mps3: float = 5.0  # PSC_JERK_D
     land_speed_mps: float = 0.5  # LAND_SPD_MS
     land_low_m: float = 10.0  # LAND_ALT_LOW_M
     yaw_rate_rps: float = pi / 3.0  # ATC_RATE_WPY_MAX 60 deg/s
     yaw_acceleration_rps2: float = 270.0 * pi / 180.0  # ATC_ACC_Y_MAX
     guided_timeout_s: float = 3.0  # GUID_TIMEOUT
-    track: TrackLimits = field(default_factory=TrackLimits)  # WP_*
-    # Airframe and attitude loops: one set that brings the squared error summed over all eight SITL
-    # recordings to its minimum at 20 ms steps. They are physical: the slow lag is ATC_INPUT_TC and
-    # the angle loop (ATC_ANG_RLL_P 4.5), the fast one rate loop and motors; the drag is SITL's
-    # momentum drag of the rotors, linear in speed, and the body's, quadratic.
-    lean_s: float = 0.257
-    motor_s: float = 0.053
-    drag_per_s: float = 0.264
-    drag_per_m: float = 0.031
+    # SITL's quad (SIM_Frame.h, SIM_Motor.cpp: 3 kg, 0.385 m2 of rotors, leans 45 degrees at
+    # 15.08 m/s) in air of 1.2 kg/m3: drag of the rotors, linear in airspeed,
+    # 0.2 sqrt(density x area x weight) / mass, and of the body, quadratic. Its logs show the same.
+    drag_per_s: float = 0.246
+    drag_per_m: float = 0.035
+    # Rate loop and motors, seen in SITL's dataflash logs (ATT): roll follows the shaped roll so.
+    rate_s: float = 0.025
     thrust_lag_s: float = 0.1  # acceleration loop PSC_D_ACC_* and motors, as recorded take-offs
     yaw_lag_s: float = 0.1  # rate loop ATC_RAT_YAW_*, from the turns of `step3_cap5`
+
+
+_TUNINGS = {
+    Generation.V4_5: Tuning(shaping=STEPPED, velocity_d=0.5, input_lags=1),
+    Generation.V4_6: Tuning(shaping=STEPPED, velocity_d=0.5, input_lags=1),
+    Generation.V4_7: Tuning(shaping=STEPPED, input_lags=1),
+    Generation.V4_8: Tuning(),
+}
+
+
+def tuning_of(generation: Generation) -> Tuning:
+    """What a line of ArduCopter flies like, with its default parameters."""
+    return _TUNINGS[generation]
 
 
 def wrap_pi(angle_rad: float) -> float:
@@ -76,10 +97,10 @@ class Copter(EstimatedPosition):
     True state: `north_m east_m down_m vn_mps ve_mps vd_mps` (local NED), `roll_rad pitch_rad
     yaw_rad` and their rates `rollspeed_rps pitchspeed_rps yawspeed_rps`. Targets are in the frame
     of the estimate, which is the truth plus `set_estimate_offset`; the ground is at
-    `ground_down_m`.
+    `ground_down_m`. The air moves at `wind_ned_mps`.
 
     `default_speed_mps` is the speed parameter (WP_SPD): a sub-mode of Guided reads it once, when it
-    starts. Limits: 0 is no limit.
+    starts. `set_limits` gives the others. Speed limits: 0 is no limit.
     """
 
     __slots__ = (
@@ -87,8 +108,8 @@ class Copter(EstimatedPosition):
         "_acc_e",
         "_acc_n",
         "_alpha_filter",
-        "_alpha_lean",
-        "_alpha_motor",
+        "_alpha_input",
+        "_alpha_rate",
         "_alpha_thrust",
         "_alpha_yaw",
         "_control_e",
@@ -100,8 +121,10 @@ class Copter(EstimatedPosition):
         "_gap_d",
         "_gap_e",
         "_gap_n",
+        "_input_twice",
         "_integral_e",
         "_integral_n",
+        "_jerk",
         "_lean_e",
         "_lean_n",
         "_lean_rate_e",
@@ -111,9 +134,13 @@ class Copter(EstimatedPosition):
         "_pos_d",
         "_pos_e",
         "_pos_n",
+        "_saturated",
+        "_shaped_e",
+        "_shaped_n",
         "_slope_e",
         "_slope_n",
         "_speed_limit",
+        "_steepest_mps2",
         "_target_age_s",
         "_target_velocity",
         "_vel_d",
@@ -129,6 +156,7 @@ class Copter(EstimatedPosition):
         "east_m",
         "ground_down_m",
         "landed",
+        "limits",
         "navigator",
         "north_m",
         "pitch_rad",
@@ -140,6 +168,7 @@ class Copter(EstimatedPosition):
         "vd_mps",
         "ve_mps",
         "vn_mps",
+        "wind_ned_mps",
         "yaw_rad",
         "yawspeed_rps",
     )
@@ -166,18 +195,33 @@ class Copter(EstimatedPosition):
         self.target_ned_m: Ned | None = None
         self.navigator: WaypointNavigator | None = None
         super().__init__()
-        # a vehicle that is already moving leans against its drag
-        drag = self._drag(self.vn_mps, self.ve_mps)
-        self._lean_n = self._wanted_n = self._control_n = drag * self.vn_mps
-        self._lean_e = self._wanted_e = self._control_e = drag * self.ve_mps
-        self._lean_rate_n = self._lean_rate_e = 0.0
+        self.wind_ned_mps: Ned = (0.0, 0.0, 0.0)
         self._lift_d = 0.0
         self._yaw_wanted = self.yaw_rad
         self._yaw_shaped_rate = 0.0
         self._dt = 0.0
+        self.set_limits(TrackLimits())
+        self.settle()
+
+    def settle(self) -> None:
+        """Hold here as if long since: leaning against the drag of `wind_ned_mps` and speed."""
+        drag_n, drag_e = (0.0, 0.0) if self.landed else self._drag()
+        self._lean_n = self._wanted_n = self._shaped_n = self._control_n = drag_n
+        self._lean_e = self._wanted_e = self._shaped_e = self._control_e = drag_e
+        self._lean_rate_n = self._lean_rate_e = 0.0
         self._enter(self._shape_hold)
 
     # ---- commands
+
+    def set_limits(self, limits: TrackLimits) -> None:
+        """Limits from now on, other than the speed.
+
+        The autopilot reads them from its parameters when a sub-mode or a mission starts, and when
+        the speed is set (AC_PosControl::NE_set_max_speed_accel_m); whoever plays it does so too.
+        """
+        self.limits = limits
+        steepest = 0.5 * sqrt(limits.acceleration_mps2 * SNAP_MPS4)
+        self._jerk = min(limits.shaping_jerk_mps3, steepest)
 
     def start_guided(self, speed_limit_mps: float) -> None:
         """Enter Guided: the limit is read once, the target is where the vehicle can stop."""
@@ -221,7 +265,7 @@ class Copter(EstimatedPosition):
         self._speed_limit = abs(speed_mps)
         self._pos_n, self._pos_e, self._pos_d = start
         self._vel_n = self._vel_e = self._vel_d = 0.0
-        self.navigator = WaypointNavigator(start, waypoints_ned_m, speed_mps, self.tuning.track)
+        self.navigator = WaypointNavigator(start, waypoints_ned_m, speed_mps, self.limits)
 
     def hold(self) -> None:
         """Brake and stay: the desired velocity goes to zero within the limits."""
@@ -244,16 +288,21 @@ class Copter(EstimatedPosition):
         speed = sqrt(self.vn_mps**2 + self.ve_mps**2)
         reach = 0.0
         if speed > 0.0:
-            limit = tuning.track.acceleration_mps2
+            limit = self.limits.acceleration_mps2
             reach = inverse_sqrt_controller(speed, tuning.position_gain, limit) / speed
         drop = inverse_sqrt_controller(
-            self.vd_mps, tuning.down_position_gain, tuning.track.vertical_acceleration_mps2
+            self.vd_mps, tuning.down_position_gain, self.limits.vertical_acceleration_mps2
         )
         return (
             self.est_north_m + self.vn_mps * reach,
             self.est_east_m + self.ve_mps * reach,
             self.est_down_m + drop,
         )
+
+    @property
+    def demand_ne_mps2(self) -> tuple[float, float]:
+        """Horizontal acceleration that the lean is to give, north and east."""
+        return self._control_n, self._control_e
 
     # ---- one step
 
@@ -284,20 +333,41 @@ class Copter(EstimatedPosition):
             self._follow_navigator(dt, flown)
 
     def _move_desired(self, dt: float) -> None:
-        self._pos_n += (self._vel_n + 0.5 * self._acc_n * dt) * dt
-        self._pos_e += (self._vel_e + 0.5 * self._acc_e * dt) * dt
+        if self._saturated is None:
+            self._pos_n += (self._vel_n + 0.5 * self._acc_n * dt) * dt
+            self._pos_e += (self._vel_e + 0.5 * self._acc_e * dt) * dt
+            self._vel_n += self._acc_n * dt
+            self._vel_e += self._acc_e * dt
+        else:
+            self._move_desired_within(self._saturated, dt)
         self._pos_d += (self._vel_d + 0.5 * self._acc_d * dt) * dt
-        self._vel_n += self._acc_n * dt
-        self._vel_e += self._acc_e * dt
         self._vel_d += self._acc_d * dt
 
+    def _move_desired_within(self, beyond: tuple[float, float], dt: float) -> None:
+        """The same while the lean is at its limit: what would go further beyond it waits.
+
+        update_pos_vel_accel_xy of AP_Math/control.cpp; `beyond` is the acceleration asked for.
+        """
+        north, east = beyond
+        gap = self._gap_n * north + self._gap_e * east
+        if not (gap > 0.0 and self._vel_n * north + self._vel_e * east > 0.0):
+            self._pos_n += (self._vel_n + 0.5 * self._acc_n * dt) * dt
+            self._pos_e += (self._vel_e + 0.5 * self._acc_e * dt) * dt
+        slow = self._error_n * north + self._error_e * east
+        growing = self._acc_n * north + self._acc_e * east > 0.0
+        if not (slow > 0.0 and growing and self._vel_n * north + self._vel_e * east >= 0.0):
+            self._vel_n += self._acc_n * dt
+            self._vel_e += self._acc_e * dt
+
     def _prepare(self, dt: float) -> None:
-        """Shares of the way a first-order lag goes within one step."""
+        """Shares of the way a first-order lag goes within one step, and the lean's limit."""
         tuning = self.tuning
+        self._steepest_mps2 = GRAVITY_MPS2 * tan(tuning.lean_max_rad)
         self._dt = dt
         self._alpha_filter = 1.0 - exp(-dt * 2.0 * pi * tuning.velocity_filter_hz)
-        self._alpha_lean = 1.0 - exp(-dt / tuning.lean_s)
-        self._alpha_motor = 1.0 - exp(-dt / tuning.motor_s)
+        self._alpha_input = 1.0 - exp(-dt / tuning.input_s)
+        self._input_twice = tuning.input_lags > 1
+        self._alpha_rate = 1.0 - exp(-dt / tuning.rate_s)
         self._alpha_thrust = 1.0 - exp(-dt / tuning.thrust_lag_s)
         self._alpha_yaw = 1.0 - exp(-dt / tuning.yaw_lag_s)
 
@@ -314,6 +384,7 @@ class Copter(EstimatedPosition):
         self._vel_n, self._vel_e, self._vel_d = self.vn_mps, self.ve_mps, self.vd_mps
         self._acc_n = self._acc_e = self._acc_d = 0.0
         self._gap_n = self._gap_e = self._gap_d = 0.0
+        self._saturated: tuple[float, float] | None = None
         self._fresh = True
         self._error_n = self._error_e = self._slope_n = self._slope_e = 0.0
         # the integrator takes over what is being leaned now: no bump
@@ -337,7 +408,7 @@ class Copter(EstimatedPosition):
         level = fall = 0.0
         if distance > 0.0:
             direction = (north / distance, east / distance, down / distance)
-            track = self.tuning.track
+            track = self.limits
             fastest = along_limit(direction, self._speed_limit, track.climb_mps, track.descent_mps)
             level = fastest * sqrt(direction[0] ** 2 + direction[1] ** 2)
             fall = fastest * abs(direction[2])
@@ -351,7 +422,7 @@ class Copter(EstimatedPosition):
         if self._target_age_s > self.tuning.guided_timeout_s:
             self._target_velocity = (0.0, 0.0, 0.0)
         vn, ve, vd = self._target_velocity
-        track = self.tuning.track
+        track = self.limits
         north, east, down = target
         self._shape_level(north - self._pos_n, east - self._pos_e, vn, ve, self._speed_limit, dt)
         self._shape_down(down - self._pos_d, vd, -track.climb_mps, track.descent_mps, dt)
@@ -388,70 +459,53 @@ class Copter(EstimatedPosition):
         tuning = self.tuning
         above_low_m = self.ground_down_m - self.est_down_m - tuning.land_low_m
         braking = sqrt_controller(
-            above_low_m, tuning.down_position_gain, tuning.track.vertical_acceleration_mps2
+            above_low_m, tuning.down_position_gain, self.limits.vertical_acceleration_mps2
         )
         slowest = tuning.land_speed_mps
-        self._shape_speed(0.0, 0.0, clamp(braking, slowest, tuning.track.descent_mps), dt)
+        self._shape_speed(0.0, 0.0, clamp(braking, slowest, self.limits.descent_mps), dt)
 
     def _shape_take_off(self, dt: float) -> None:
         target = self.target_ned_m
         if target is None:
             return
-        track = self.tuning.track
+        track = self.limits
         self._shape_level(target[0] - self._pos_n, target[1] - self._pos_e, 0.0, 0.0, 0.0, dt)
         self._shape_down(target[2] - self._pos_d, 0.0, -track.climb_mps, track.descent_mps, dt)
 
     def _shape_level(
         self, north: float, east: float, vn: float, ve: float, fastest: float, dt: float
     ) -> None:
-        """Desired horizontal acceleration for a position error (shape_pos_vel_accel_xy)."""
-        tuning = self.tuning
-        limit = tuning.track.acceleration_mps2
-        gain = tuning.jerk_mps3 / limit
-        distance = sqrt(north * north + east * east)
-        want_n, want_e = vn, ve
-        if distance > 0.0:
-            along_n, along_e = north / distance, east / distance
-            closing = (self._vel_n - vn) * along_n + (self._vel_e - ve) * along_e
-            speed = sqrt_controller(distance, gain, limit)
-            if closing > 0.0:
-                linear = distance <= limit / (gain * gain)
-                speed -= closing if linear else limit * closing / (speed * gain)
-            if fastest > 0.0:
-                speed = clamp(speed, -fastest, fastest)
-            want_n += along_n * speed
-            want_e += along_e * speed
-        self._demand((want_n - self._vel_n) * gain, (want_e - self._vel_e) * gain, limit, dt)
-
-    def _demand(self, acc_n: float, acc_e: float, limit: float, dt: float) -> None:
-        """Let the desired horizontal acceleration move towards a demand, limited in jerk."""
-        acc_n, acc_e = limit_corner(acc_n, acc_e, self._vel_n, self._vel_e, limit)
-        step_n, step_e = limit_length(
-            acc_n - self._acc_n, acc_e - self._acc_e, self.tuning.jerk_mps3 * dt
+        """Desired horizontal acceleration for a position error."""
+        limit, jerk = self.limits.acceleration_mps2, self._jerk
+        law, flown_n, flown_e = self.tuning.shaping, self._vel_n, self._vel_e
+        correct_n, correct_e = law.approach(
+            north, east, flown_n - vn, flown_e - ve, fastest, limit, jerk
         )
+        acc_n, acc_e = law.demand(vn + correct_n, ve + correct_e, flown_n, flown_e, limit, jerk)
+        self._demand(acc_n, acc_e, dt)
+
+    def _demand(self, acc_n: float, acc_e: float, dt: float) -> None:
+        """Let the desired horizontal acceleration move towards a demand, limited in jerk."""
+        step_n, step_e = limit_length(acc_n - self._acc_n, acc_e - self._acc_e, self._jerk * dt)
         self._acc_n += step_n
         self._acc_e += step_e
 
     def _shape_down(
         self, error: float, feed_forward: float, slowest: float, fastest: float, dt: float
     ) -> None:
-        tuning = self.tuning
-        limit, jerk = tuning.track.vertical_acceleration_mps2, tuning.down_jerk_mps3
-        wanted = shape_axis(error, self._vel_d, feed_forward, slowest, fastest, limit, jerk)
+        limit, jerk = self.limits.vertical_acceleration_mps2, self.limits.down_jerk_mps3
+        wanted = self.tuning.shaping.axis(
+            error, self._vel_d, feed_forward, slowest, fastest, limit, jerk
+        )
         self._acc_d += clamp(wanted - self._acc_d, -jerk * dt, jerk * dt)
 
     def _shape_speed(self, vn: float, ve: float, vd: float, dt: float) -> None:
-        """Desired acceleration for a velocity target (shape_vel_accel)."""
-        tuning = self.tuning
-        limit = tuning.track.acceleration_mps2
-        north, east = vn - self._vel_n, ve - self._vel_e
-        error = sqrt(north * north + east * east)
-        scale = 0.0
-        if error > 0.0:
-            scale = sqrt_controller(error, tuning.jerk_mps3 / limit, tuning.jerk_mps3) / error
-        self._demand(north * scale, east * scale, limit, dt)
-        limit, jerk = tuning.track.vertical_acceleration_mps2, tuning.down_jerk_mps3
-        wanted = clamp(sqrt_controller(vd - self._vel_d, jerk / limit, jerk), -limit, limit)
+        """Desired acceleration for a velocity target."""
+        limit, jerk = self.limits.acceleration_mps2, self._jerk
+        acc_n, acc_e = self.tuning.shaping.speed(vn, ve, self._vel_n, self._vel_e, limit, jerk)
+        self._demand(acc_n, acc_e, dt)
+        limit, jerk = self.limits.vertical_acceleration_mps2, self.limits.down_jerk_mps3
+        wanted = axis_speed(vd - self._vel_d, limit, jerk)
         self._acc_d += clamp(wanted - self._acc_d, -jerk * dt, jerk * dt)
 
     # ---- control: the desired motion becomes lean, thrust and turn
@@ -459,7 +513,7 @@ class Copter(EstimatedPosition):
     def _control_level(self, dt: float) -> None:
         """Position P, velocity PID and feed-forward, as accelerations north and east."""
         tuning = self.tuning
-        limit = tuning.track.acceleration_mps2
+        limit = self.limits.acceleration_mps2
         offset_n, offset_e, _ = self._offset
         north = self._pos_n - self.north_m - offset_n
         east = self._pos_e - self.east_m - offset_e
@@ -481,9 +535,8 @@ class Copter(EstimatedPosition):
         """Farthest the desired position may run ahead of the estimated one."""
         if self._speed_limit <= 0.0:
             return inf
-        tuning = self.tuning
         return inverse_sqrt_controller(
-            self._speed_limit, tuning.position_gain, tuning.track.acceleration_mps2
+            self._speed_limit, self.tuning.position_gain, self.limits.acceleration_mps2
         )
 
     def _velocity_pid(self, raw_n: float, raw_e: float, dt: float) -> None:
@@ -499,17 +552,33 @@ class Copter(EstimatedPosition):
             self._slope_n += (moved_n / dt - self._slope_n) * share
             self._slope_e += (moved_e / dt - self._slope_e) * share
         p, d = tuning.velocity_p, tuning.velocity_d
-        self._integral_n += self._error_n * tuning.velocity_i * dt
-        self._integral_e += self._error_e * tuning.velocity_i * dt
+        self._integrate(dt)
         acc_n = p * self._error_n + d * self._slope_n + self._integral_n + self._acc_n
         acc_e = p * self._error_e + d * self._slope_e + self._integral_e + self._acc_e
         self._control_n, self._control_e = limit_lean(
-            acc_n, acc_e, self._vel_n, self._vel_e, GRAVITY_MPS2 * tan(tuning.lean_max_rad)
+            acc_n, acc_e, self._vel_n, self._vel_e, self._steepest_mps2
+        )
+        limited = acc_n != self._control_n or acc_e != self._control_e
+        self._saturated = (acc_n, acc_e) if limited else None
+
+    def _integrate(self, dt: float) -> None:
+        """Integrate the velocity error; no longer than it is where the lean is at its limit.
+
+        AC_PID_2D::update_i: nothing winds up while the vehicle cannot do what is asked of it.
+        """
+        gain = self.tuning.velocity_i * dt
+        north, east = self._integral_n, self._integral_e
+        longest = self.tuning.velocity_i_max_mps2
+        beyond = self._saturated
+        if beyond is not None and self._error_n * beyond[0] + self._error_e * beyond[1] > 0.0:
+            longest = min(longest, sqrt(north * north + east * east))
+        self._integral_n, self._integral_e = limit_length(
+            north + self._error_n * gain, east + self._error_e * gain, longest
         )
 
     def _control_down(self) -> None:
         tuning = self.tuning
-        limit = tuning.track.vertical_acceleration_mps2
+        limit = self.limits.vertical_acceleration_mps2
         error = self._pos_d - self.down_m - self._offset[2]
         self._gap_d = error
         wanted = self._vel_d + sqrt_controller(error, tuning.down_position_gain, limit)
@@ -539,35 +608,65 @@ class Copter(EstimatedPosition):
     # ---- airframe
 
     def _move(self, dt: float) -> None:
-        """Lean follows the wanted acceleration; velocity and position follow the lean."""
-        share = self._alpha_lean
-        self._wanted_n += (self._control_n - self._wanted_n) * share
-        self._wanted_e += (self._control_e - self._wanted_e) * share
-        share = self._alpha_motor
-        step_n, step_e = (
-            (self._wanted_n - self._lean_n) * share,
-            (self._wanted_e - self._lean_e) * share,
-        )
-        self._lean_n += step_n
-        self._lean_e += step_e
-        self._lean_rate_n, self._lean_rate_e = step_n / dt, step_e / dt
+        """Lean follows the wanted acceleration; velocity and position follow the lean.
+
+        Each lag is driven by the mean of what it follows over the step, so that the length of the
+        step adds no delay and takes none away.
+        """
+        share = self._alpha_input
+        step_n = (self._control_n - self._shaped_n) * share
+        step_e = (self._control_e - self._shaped_e) * share
+        self._shaped_n += step_n
+        self._shaped_e += step_e
+        if self._input_twice:
+            step_n = (self._shaped_n - 0.5 * step_n - self._wanted_n) * share
+            step_e = (self._shaped_e - 0.5 * step_e - self._wanted_e) * share
+            self._wanted_n += step_n
+            self._wanted_e += step_e
+        else:
+            self._wanted_n, self._wanted_e = self._shaped_n, self._shaped_e
+        step_n, step_e = self._roll_body(step_n, step_e, dt)
         vn, ve = self.vn_mps, self.ve_mps
-        drag = self._drag(vn, ve)
-        acc_n, acc_e = self._lean_n - drag * vn, self._lean_e - drag * ve
+        drag_n, drag_e = self._drag()
+        acc_n = self._lean_n - 0.5 * step_n - drag_n
+        acc_e = self._lean_e - 0.5 * step_e - drag_e
+        # A climb's own drag is left to the loop of the vertical acceleration.
+        acc_d = self._lift_d + self.tuning.drag_per_s * self.wind_ned_mps[2]
         self.north_m += (vn + 0.5 * acc_n * dt) * dt
         self.east_m += (ve + 0.5 * acc_e * dt) * dt
-        self.down_m += (self.vd_mps + 0.5 * self._lift_d * dt) * dt
+        self.down_m += (self.vd_mps + 0.5 * acc_d * dt) * dt
         self.vn_mps = vn + acc_n * dt
         self.ve_mps = ve + acc_e * dt
-        self.vd_mps += self._lift_d * dt
+        self.vd_mps += acc_d * dt
         if self.down_m >= self.ground_down_m and self.vd_mps >= 0.0:
             self._touch_ground()
         else:
             self._lean_angles()
 
-    def _drag(self, vn: float, ve: float) -> float:
-        """Deceleration by the air per speed, 1/s."""
-        return self.tuning.drag_per_s + self.tuning.drag_per_m * sqrt(vn * vn + ve * ve)
+    def _roll_body(self, step_n: float, step_e: float, dt: float) -> tuple[float, float]:
+        """Lean by one step towards the shaped lean, which has just moved by `step`; the way gone.
+
+        The rate wanted is the shaped lean's own and the angle loop's correction; rate loop and
+        motors follow it after a lag.
+        """
+        share, gain = self._alpha_rate, self.tuning.angle_gain
+        rate_n, rate_e = self._lean_rate_n, self._lean_rate_e
+        want_n = step_n / dt + gain * (self._wanted_n - 0.5 * step_n - self._lean_n)
+        want_e = step_e / dt + gain * (self._wanted_e - 0.5 * step_e - self._lean_e)
+        self._lean_rate_n = rate_n + (want_n - rate_n) * share
+        self._lean_rate_e = rate_e + (want_e - rate_e) * share
+        step_n = 0.5 * (rate_n + self._lean_rate_n) * dt
+        step_e = 0.5 * (rate_e + self._lean_rate_e) * dt
+        self._lean_n += step_n
+        self._lean_e += step_e
+        return step_n, step_e
+
+    def _drag(self) -> tuple[float, float]:
+        """Deceleration by the air, north and east."""
+        wind, tuning = self.wind_ned_mps, self.tuning
+        north, east = self.vn_mps - wind[0], self.ve_mps - wind[1]
+        rate = tuning.drag_per_s + tuning.drag_per_m * sqrt(north * north + east * east)
+        return rate * north, rate * east
 
     def _lean_angles(self) -> None:
         """Roll and pitch (rad) whose thrust gives the horizontal acceleration, at this yaw."""
@@ -588,7 +687,8 @@ class Copter(EstimatedPosition):
         self.landed = True
         self.vn_mps = self.ve_mps = 0.0
         self._lean_n = self._lean_e = self._lean_rate_n = self._lean_rate_e = 0.0
-        self._wanted_n = self._wanted_e = self._control_n = self._control_e = 0.0
+        self._wanted_n = self._wanted_e = self._shaped_n = self._shaped_e = 0.0
+        self._control_n = self._control_e = 0.0
         self._lift_d = 0.0
         self.roll_rad = self.pitch_rad = 0.0
         self.rollspeed_rps = self.pitchspeed_rps = self.yawspeed_rps = 0.0

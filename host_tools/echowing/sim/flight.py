@@ -16,6 +16,7 @@ from echowing.analysis.flight import Flight
 from echowing.follow import FollowerPlan, FollowSession
 from echowing.formation import turning_together
 from echowing.geo import GlobalPosition, Ned, displace, ned_between
+from echowing.guard import FIELD_LIMITS, Limits
 from echowing.guidance import MOVING_MPS, slot_offset_m
 from echowing.sim.autopilot import ORIGIN, Autopilot
 from echowing.sim.ground import GroundStation
@@ -120,7 +121,8 @@ class FormationWorld:
 class FormationFlight(FormationWorld):
     """A formation guided from the ground over radios, and recorded.
 
-    `make_coprocessor` builds the co-processor on a sonar bus: the native core by default.
+    `make_coprocessor` builds the co-processor on a sonar bus for a system id: the native core by
+    default.
     With `out` the telemetry logs and the truth are written there.
     """
 
@@ -175,6 +177,7 @@ class FormationFlight(FormationWorld):
             plans,
             turning_together(scenario.slots(), scenario.guidance.settings()),
             leader_rate_hz=scenario.guidance.telemetry_hz,
+            limits=None if scenario.guidance.gray else _limits(scenario),
         )
         links = {LEADER_ID: self._hangar.telemetry(self.leader, "leader", scenario.radio.leader)}
         for plan, follower in zip(plans, self.followers, strict=True):
@@ -268,6 +271,11 @@ class FormationFlight(FormationWorld):
         turned = displace(centre, (-east_m, north_m, 0.0))
         message.lat_int, message.lon_int = round(turned.lat_deg * 1e7), round(turned.lon_deg * 1e7)
         return message
+
+
+def _limits(scenario: Scenario) -> Limits:
+    """What the field flies with: the defaults of `echowing follow`."""
+    return replace(FIELD_LIMITS, leader_flies=scenario.leader.path not in ("walk", "track"))
 
 
 def speed_parameter_mps(autopilot: Autopilot) -> float | None:

@@ -1,7 +1,8 @@
 """Guided flight: sub-modes, the speed limit read once, pause, refused targets.
 
 Semantics of ArduCopter/mode_guided.cpp: the limit is read from the speed parameter when a sub-mode
-starts and at no other time; a position target never times out; while paused, targets wait.
+starts and at no other time; the limits of acceleration and jerk then, and whenever the speed is
+set; a position target never times out; while paused, targets wait.
 """
 
 from collections.abc import Callable, Sequence
@@ -10,6 +11,7 @@ from typing import Protocol, runtime_checkable
 
 from echowing.geo import Ned
 from echowing.sim.parameters import Parameters
+from echowing.sim.wpnav import TrackLimits
 
 
 class Body(Protocol):
@@ -51,6 +53,9 @@ class Body(Protocol):
 @runtime_checkable
 class Controls(Protocol):
     """What the autopilot can make its vehicle do (see `Copter`). Estimated frame."""
+
+    def set_limits(self, limits: TrackLimits) -> None:
+        """Keep these limits of acceleration, jerk and vertical speed from now on."""
 
     def start_guided(self, speed_limit_mps: float) -> None:
         """Start a sub-mode of Guided with this limit; 0: none."""
@@ -162,6 +167,7 @@ class Guided:
         """Limit the speed until the next sub-mode starts; 0: no limit."""
         self.limit_mps = speed_mps
         if not self.paused:
+            self._controls.set_limits(self._parameters.motion_limits())
             self._controls.set_speed_limit(speed_mps)
 
     def pause(self) -> None:
@@ -188,6 +194,7 @@ class Guided:
         self.sub_mode = sub_mode
         self.limit_mps = self._parameters.speed_mps()
         if not self.paused:
+            self._controls.set_limits(self._parameters.motion_limits())
             self._controls.start_guided(self.limit_mps)
 
     def _do(self, act: Callable[[], None]) -> None:

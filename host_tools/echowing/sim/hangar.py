@@ -1,5 +1,6 @@
 """Builds the vehicles of a scenario: bodies, autopilots, receivers, sonar rigs, radio links."""
 
+import math
 import random
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -10,7 +11,7 @@ from echowing.paths import lua_folder
 from echowing.setup.settings import ACCELERATION_MPS2, JERK_MPS3
 from echowing.sim.autopilot import Autopilot
 from echowing.sim.coprocessor import NativeCoprocessor
-from echowing.sim.copter import Copter
+from echowing.sim.copter import Copter, Tuning, tuning_of
 from echowing.sim.gps import GpsDrift
 from echowing.sim.ground import Telemetry, open_log
 from echowing.sim.leader import TrackedBody, load_track, walk
@@ -18,6 +19,7 @@ from echowing.sim.parameters import Generation
 from echowing.sim.radio import Radio
 from echowing.sim.scenario import LAWS, RadioSection, Scenario
 from echowing.sim.vehicles import Body, MakeCoprocessor, SimFollower, SimVehicle
+from echowing.sim.wind import Wind
 
 LEADER_ID = 1
 FIRST_FOLLOWER_ID = 2
@@ -26,10 +28,16 @@ APPLET = "echowing.lua"
 Listen = Callable[[SimFollower, float], float | None]
 
 
+def board_parameters(system_id: int, scenario: Scenario) -> dict[str, float]:
+    """The co-processor's parameters: it has learned long ago whose it is."""
+    return {"SYS_ID": float(system_id), **scenario.coprocessor}
+
+
 class Hangar:
     """Where a scenario's vehicles come from, all airborne and in Guided.
 
-    `make_coprocessor` builds the co-processor on a sonar bus: the native core by default.
+    `make_coprocessor` builds the co-processor on a sonar bus for a system id: the native core by
+    default.
     With `out`, telemetry logs are written there.
     """
 
@@ -59,17 +67,20 @@ class Hangar:
         elif plan.path == "track" and plan.track is not None:
             body = TrackedBody(load_track(plan.track))
         else:
-            body = Copter((0.0, 0.0, -plan.altitude_m), 0.0, flying=True)
+            start = (0.0, 0.0, -plan.altitude_m)
+            body = Copter(start, 0.0, tuning=self._tuning(), flying=True)
         drift = self._drift("leader", body)
-        return SimVehicle(body, self._autopilot(body, LEADER_ID, {}), drift)
+        wind = self._wind("leader", body)
+        return SimVehicle(body, self._autopilot(body, LEADER_ID, {}), drift, wind)
 
     def follower(
         self, index: int, start_ned_m: Ned, yaw_rad: float, speed_mps: float, listen: Listen
     ) -> SimFollower:
         """Follower number `index` (from 0), with the applet running unless the law is none."""
         scenario = self.scenario
-        body = Copter(start_ned_m, yaw_rad, flying=True)
+        body = Copter(start_ned_m, yaw_rad, tuning=self._tuning(), flying=True)
         drift = self._drift(f"follower {index}", body)
+        wind = self._wind(f"follower {index}", body)
         follower = SimFollower(
             body,
             self._autopilot(body, FIRST_FOLLOWER_ID + index, self._parameters(speed_mps)),
@@ -77,6 +88,7 @@ class Hangar:
             listen=listen,
             make_coprocessor=self._make_coprocessor,
             rng=self.rng(f"sonar {index}"),
+            wind=wind,
         )
         if scenario.law != "none":
             follower.load_applet(lua_folder() / APPLET)
@@ -95,7 +107,10 @@ class Hangar:
         scenario = self.scenario
         modern = scenario.follower.autopilot_generation() in (Generation.V4_7, Generation.V4_8)
         speed = {"WP_SPD": speed_mps} if modern else {"WPNAV_SPEED": speed_mps * 100.0}
-        if modern:
+        limits: dict[str, float] = {}
+        if scenario.guidance.gray:
+            pass  # flown as they come: the set-up is ours
+        elif modern:
             limits = {"WP_ACC": ACCELERATION_MPS2, "PSC_JERK_NE": JERK_MPS3}
         else:
             limits = {"WPNAV_ACCEL": ACCELERATION_MPS2 * 100.0, "PSC_JERK_XY": JERK_MPS3}
@@ -121,12 +136,35 @@ class Hangar:
             seed=self.seed,
         )
 
-    def _native(self, bus: Any) -> NativeCoprocessor:
-        return NativeCoprocessor(bus, seed=self.seed, parameters=self.scenario.coprocessor)
+    def _tuning(self) -> Tuning:
+        return tuning_of(self.scenario.follower.autopilot_generation())
+
+    def _native(self, bus: Any, system_id: int) -> NativeCoprocessor:
+        parameters = board_parameters(system_id, self.scenario)
+        return NativeCoprocessor(bus, seed=self.seed, parameters=parameters)
+
+    def _wind(self, name: str, body: Body) -> Wind | None:
+        """The wind at a copter, in which it has long hovered; None without wind."""
+        plan = self.scenario.wind
+        if plan.speed_mps == 0.0 or not isinstance(body, Copter):
+            return None
+        height_m = self.scenario.leader.altitude_m
+        direction_rad = math.radians(plan.direction_deg)
+        rng = self.rng(f"wind {name}")
+        wind = Wind(plan.speed_mps, direction_rad, plan.turbulence, height_m, rng)
+        body.wind_ned_mps = wind.velocity_ned_mps
+        body.settle()
+        return wind
 
     def _drift(self, name: str, body: Body) -> GpsDrift:
         """The receiver's drift; the body believes it before its autopilot starts to hold."""
         gps = self.scenario.gps
-        drift = GpsDrift(gps.sigma_m, gps.tau_s, self.rng(f"gps {name}"))
+        drift = GpsDrift(
+            gps.sigma_m,
+            gps.tau_s,
+            self.rng(f"gps {name}"),
+            vertical_sigma_m=gps.vertical_sigma_m,
+            vertical_rng=self.rng(f"gps height {name}"),
+        )
         body.set_estimate_offset(drift.step(0.0))
         return drift

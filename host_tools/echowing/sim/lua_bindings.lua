@@ -209,6 +209,17 @@ function vehicle:set_target_pos_NED(position, use_yaw, yaw_deg, use_yaw_rate, ya
 ---@return boolean
 function vehicle:set_target_posvel_NED(position, velocity) end
 
+---@param position Vector3f_ud # metres from the estimator's origin
+---@param velocity Vector3f_ud
+---@param acceleration Vector3f_ud
+---@param use_yaw boolean
+---@param yaw_deg number -360..360
+---@param use_yaw_rate boolean
+---@param yaw_rate_degs number
+---@param yaw_relative boolean
+---@return boolean
+function vehicle:set_target_posvelaccel_NED(position, velocity, acceleration, use_yaw, yaw_deg, use_yaw_rate, yaw_rate_degs, yaw_relative) end
+
 ---@param velocity Vector3f_ud
 ---@return boolean
 function vehicle:set_target_velocity_NED(velocity) end
@@ -234,6 +245,9 @@ function ahrs:groundspeed_vector() end
 
 ---@return Vector3f_ud|nil # metres from the estimator's origin
 function ahrs:get_relative_position_NED_origin() end
+
+---@return number # metres below home
+function ahrs:get_relative_position_D_home() end
 
 ---@class rangefinder
 rangefinder = {}

@@ -313,6 +313,11 @@ raw.vehicle.set_target_posvel_NED = function(position, velocity)
     local n, e, d = position_ned(position)
     return py.set_target_posvel_ned(n, e, d, position_ned(velocity))
 end
+raw.vehicle.set_target_posvelaccel_NED = function(position, velocity, _, use_yaw, yaw_deg)
+    local n, e, d = position_ned(position)
+    local vn, ve, vd = position_ned(velocity)
+    return py.set_target_posvel_ned(n, e, d, vn, ve, vd, use_yaw and math.rad(yaw_deg) or nil)
+end
 raw.vehicle.set_target_velocity_NED = function(velocity)
     return py.set_target_velocity_ned(position_ned(velocity))
 end
@@ -329,6 +334,7 @@ raw.ahrs.groundspeed_vector = function()
     local n, e = py.velocity_ned()
     return vector2(n or 0, e or 0)
 end
+raw.ahrs.get_relative_position_D_home = function() return -py.height_above_home() end
 raw.ahrs.get_relative_position_NED_origin = function() return optional_vector3(py.position_ned()) end
 
 raw.rangefinder.num_sensors, raw.rangefinder.has_orientation = py.rangefinder_count, py.rangefinder_has
@@ -402,7 +408,7 @@ raw.logger.write = function(name, labels, format, ...)
     py.log_write(name, labels, format, units or '', multipliers or '', values)
 end
 
--- Script-side globals: ArduPilot's sandbox (luaopen_base_sandbox) with math, table, string and utf8.
+-- Script-side globals: ArduPilot's sandbox (create_sandbox in lua_scripts.cpp, base_funcs in lua/src/lbaselib.c).
 local exhausted = false
 
 -- Running out of heap ends a script on the vehicle whatever it wraps itself in.
@@ -415,15 +421,74 @@ local function survive(ok, first, ...)
     return ok, first, ...
 end
 
+rawset(string, 'dump', nil) -- from what strings themselves offer, too
+
 local sandbox = {
-    assert = assert, error = error, getmetatable = getmetatable, setmetatable = setmetatable, ipairs = ipairs,
-    next = next, pairs = pairs, print = py.print, rawequal = rawequal, rawlen = rawlen, rawget = rawget,
-    rawset = rawset, select = select, tonumber = tonumber, tostring = tostring, type = shadow_type,
+    assert = assert, error = error, ipairs = ipairs, next = next, pairs = pairs, setmetatable = setmetatable,
+    tonumber = tonumber, tostring = tostring, type = shadow_type,
     pcall = function(...) return survive(pcall(...)) end,
-    xpcall = function(...) return survive(xpcall(...)) end,
-    math = math, table = table, string = string, utf8 = utf8, _VERSION = _VERSION,
+    math = math, string = string, table = table,
+    io = {
+        close = io.close, flush = io.flush, input = io.input, lines = io.lines, open = io.open, output = io.output,
+        read = io.read, type = io.type, write = io.write,
+    },
 }
-sandbox._G = sandbox
+
+-- A text that keeps to the vehicle's limits as a function; nil and the error as the vehicle's compiler words it.
+local function compile(source, chunk_name, environment)
+    if source:byte() == 27 then -- the vehicle's Lua knows no bytecode: to it, that is a text with a strange first sign
+        source = '\1' .. source:sub(2)
+    end
+    local chunk, problem = load(source, chunk_name, 't', environment)
+    if not chunk then return nil, (problem:gsub("near '<\\1>'", "near '<\\27>'", 1)) end
+    if source:find('[\128-\255]') then source = source:gsub('[\128-\255]', '?') end -- other signs count nowhere
+    local excess = py.refusal(source, debug.getinfo(chunk, 'S').short_src)
+    if excess then return nil, excess end
+    return chunk
+end
+
+-- The pieces of a text that a function returns one by one.
+local function joined(reader)
+    local pieces = {}
+    for piece in reader do
+        if piece == '' then break end
+        pieces[#pieces + 1] = piece
+    end
+    return table.concat(pieces)
+end
+
+local NO_GLOBALS = {} -- where a chunk runs that is given no environment: not the script's, as on the vehicle
+
+function sandbox.load(source, chunk_name, mode, ...)
+    if TRUE_TYPE(source) == 'function' then
+        source, chunk_name = joined(source), chunk_name or '=(load)'
+    elseif TRUE_TYPE(source) == 'string' or TRUE_TYPE(source) == 'number' then
+        source = tostring(source)
+    else
+        bad_argument(1, 'load', 'function expected, got ' .. type_name(source))
+    end
+    if mode and not mode:find('t', 1, true) then
+        return nil, string.format("attempt to load a text chunk (mode is '%s')", mode)
+    end
+    local environment = NO_GLOBALS
+    if SELECT('#', ...) > 0 then environment = ... end
+    return compile(source, chunk_name or source, environment)
+end
+
+local modules = {}
+
+-- A file of the folder "modules" beside the script, run once, with the script's globals.
+function sandbox.require(name)
+    check.string(name, 1, 'require')
+    if modules[name] then return modules[name] end
+    local path, source = py.module(name)
+    if not source then fail(string.format("module '%s' not found:\n\tno file '%s'", name, path)) end
+    local chunk, problem = compile(source, '@' .. path, sandbox)
+    if not chunk then fail(string.format("error loading module '%s' from file '%s':\n\t%s", name, path, problem)) end
+    local value = chunk(name, path)
+    modules[name] = value == nil or value
+    return modules[name]
+end
 
 local function owner_table(owner)
     if owner == '' then return sandbox, nil end
@@ -446,7 +511,7 @@ function host.bind(owner, name, source)
 end
 
 function host.load(source, chunk_name)
-    return load(source, chunk_name, 't', sandbox)
+    return compile(source, chunk_name, sandbox)
 end
 
 function host.out_of_memory() return exhausted end

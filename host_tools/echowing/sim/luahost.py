@@ -1,9 +1,12 @@
 """ArduPilot's scripting engine, simulated: runs an applet's file unedited and just as strictly.
 
 Lua 5.3 with 32-bit integers and floats, ArduPilot's bindings by name with their argument checks,
-nil cases and userdata, its sandbox, its instruction and heap limits. Which calls exist and what
-they take is written once, in `lua_bindings.lua`. Sources: ArduPilot libraries/AP_Scripting
-(lua_scripts.cpp, lua_bindings.cpp, lua_boxed_numerics.cpp).
+nil cases and userdata, its sandbox, its limits of locals, upvalues, instructions and heap. Which
+calls exist and what they take is written once, in `lua_bindings.lua`. Sources: ArduPilot
+libraries/AP_Scripting (lua_scripts.cpp, lua_bindings.cpp, lua_boxed_numerics.cpp, lua/src).
+
+Two globals of the vehicle are refused, as no applet needs them: `print`, which writes where no
+pilot looks, and `package`.
 """
 
 from __future__ import annotations
@@ -21,6 +24,7 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol
 from lupa import lua53
 
 from echowing.errors import EchowingError
+from echowing.sim import lua_limits
 
 if TYPE_CHECKING:
     from echowing.sim.parameters import Generation
@@ -94,7 +98,9 @@ class VehicleApi(Protocol):
     def set_target_position_ned(self, position_ned_m: Ned, yaw_rad: float | None) -> bool:
         """Guided position target from the estimator's origin."""
 
-    def set_target_posvel_ned(self, position_ned_m: Ned, velocity_ned_mps: Ned) -> bool:
+    def set_target_posvel_ned(
+        self, position_ned_m: Ned, velocity_ned_mps: Ned, yaw_rad: float | None = None
+    ) -> bool:
         """Guided position and velocity target."""
 
     def set_target_velocity_ned(self, velocity_ned_mps: Ned) -> bool:
@@ -102,6 +108,9 @@ class VehicleApi(Protocol):
 
     def position_ned_m(self) -> Ned | None:
         """Estimated position from the estimator's origin."""
+
+    def height_above_home_m(self) -> float:
+        """Estimated height above home."""
 
     def velocity_ned_mps(self) -> Ned | None:
         """Estimated velocity."""
@@ -366,6 +375,7 @@ class LuaHost:
         version = tuple(int(n) for n in generation.name.removeprefix("V").split("_"))
         self._inbox = _Inbox(wide_system_id=version >= WIDE_SYSTEM_ID_SINCE)
         self._name = f"scripts/{script.name}"
+        self._folder = script.parent
         self._lua = _new_runtime()
         self._pcall = self._lua.globals().pcall
         self._sethook = self._lua.globals().debug.sethook
@@ -421,6 +431,15 @@ class LuaHost:
             return loaded
         self._stop(f"Error: {_text(loaded[1])}")
         return None
+
+    def _module(self, name: str) -> tuple[str, str | None]:
+        """Where `require` looks for a module, and its text; None: it is not there."""
+        file = Path("modules", f"{name.replace('.', '/')}.lua")
+        try:
+            text = (self._folder / file).read_text(encoding="utf-8")
+        except OSError:
+            text = None
+        return f"scripts/{file}", text
 
     def _collect(self) -> int:
         self._lua.gccollect()
@@ -501,7 +520,8 @@ class LuaHost:
         return {
             "millis": lambda: _signed(vehicle.millis()),
             "micros": lambda: _signed(vehicle.millis() * 1000),
-            "print": lambda *values: None,
+            "refusal": lambda text, name: lua_limits.refusal(text.encode(), name),
+            "module": self._module,
             "armed": vehicle.armed,
             "mode_number": vehicle.mode_number,
             "flying": vehicle.flying,
@@ -522,11 +542,12 @@ class LuaHost:
             "set_target_position_ned": lambda n, e, d, yaw: vehicle.set_target_position_ned(
                 (n, e, d), yaw
             ),
-            "set_target_posvel_ned": lambda n, e, d, vn, ve, vd: vehicle.set_target_posvel_ned(
-                (n, e, d), (vn, ve, vd)
+            "set_target_posvel_ned": lambda n, e, d, vn, ve, vd, yaw=None: (
+                vehicle.set_target_posvel_ned((n, e, d), (vn, ve, vd), yaw)
             ),
             "set_target_velocity_ned": lambda n, e, d: vehicle.set_target_velocity_ned((n, e, d)),
             "position_ned": vehicle.position_ned_m,
+            "height_above_home": vehicle.height_above_home_m,
             "velocity_ned": vehicle.velocity_ned_mps,
             "location": location,
             "yaw_rad": lambda: float(vehicle.yaw_rad()),

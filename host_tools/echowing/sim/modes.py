@@ -10,6 +10,7 @@ from echowing.sim.guided import Body, Controls, Guided, SubMode
 from echowing.sim.parameters import Parameters
 from echowing.sim.places import Places
 from echowing.sim.rangefinder import NO_DATA, MavlinkRangefinder
+from echowing.sim.wpnav import TrackLimits
 
 STABILIZE, ALT_HOLD, AUTO, GUIDED, LOITER, RTL, LAND, POSHOLD, BRAKE = 0, 2, 3, 4, 5, 6, 9, 16, 17
 MODES = {
@@ -94,6 +95,8 @@ class Arming:
 
 class _Carried:
     """Controls of a body that moves by itself: nothing the autopilot does moves it."""
+
+    def set_limits(self, limits: TrackLimits) -> None: ...
 
     def start_guided(self, speed_limit_mps: float) -> None: ...
 
@@ -185,6 +188,7 @@ class FlightModes:
         elif mode == LAND:
             self.controls.land()
         else:
+            self.controls.set_limits(TrackLimits())  # LOIT_* and BRAKE_*, not WP_*
             self.controls.hold()
         self._on_change()
 
@@ -231,6 +235,7 @@ class FlightModes:
                 self.controls.take_off(self.take_off_first_m)
             return
         default_mps = self._parameters.waypoint_start_speed_mps()
+        self.controls.set_limits(self._parameters.motion_limits())
         self.controls.start_auto(self.waypoints, self.mission_speed_mps or default_mps)
 
     def _start_return(self) -> None:
@@ -243,6 +248,7 @@ class FlightModes:
         home = self._places.home_ned_m
         down_m = min(down_m, home[2] - height_m)
         path = [(north_m, east_m, down_m), (home[0], home[1], down_m)]
+        self.controls.set_limits(parameters.motion_limits())
         self.controls.start_auto(path, speed_mps or default_mps)
 
     # ---- arming ---------------------------------------------------------------------------------

@@ -3,13 +3,14 @@
 import math
 import struct
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from functools import cache
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.sim.parameter_table import TABLE
+from echowing.sim.wpnav import TrackLimits
 
 NAME_CHARACTERS = 16  # AP_MAX_NAME_SIZE, and the width of the field in MAVLink
 SCRIPT_TABLES = 5  # AP_Param.cpp: dynamic tables for scripts, at most so many
@@ -18,7 +19,7 @@ SCRIPT_TABLE_PARAMETERS = range(1, 64)  # and so many parameters in one
 
 
 class Generation(Enum):
-    """A released line of ArduCopter; what differs between them is names and units only."""
+    """A released line of ArduCopter. They differ in names, units and how they fly (`tuning_of`)."""
 
     V4_5 = "4.5"
     V4_6 = "4.6"
@@ -49,7 +50,30 @@ class Dialect:
     first_stream: int
     skips_checks: bool  # ARMING_SKIPCHK names what is left out; ARMING_CHECK what is done
     filters_address: bool  # RNGFND1_ADDR picks a MAVLink rangefinder by its id
+    limits: Mapping[str, tuple[str, float]]  # of `TrackLimits`: parameter and scale
     version: tuple[int, int]
+
+
+_METRIC_LIMITS = {
+    "acceleration_mps2": ("WP_ACC", 1.0),
+    "vertical_acceleration_mps2": ("WP_ACC_Z", 1.0),
+    "corner_acceleration_mps2": ("WP_ACC_CNR", 1.0),
+    "jerk_mps3": ("WP_JERK", 1.0),
+    "climb_mps": ("WP_SPD_UP", 1.0),
+    "descent_mps": ("WP_SPD_DN", 1.0),
+    "radius_m": ("WP_RADIUS_M", 1.0),
+    "shaping_jerk_mps3": ("PSC_JERK_NE", 1.0),
+}
+_CENTIMETRE_LIMITS = {
+    "acceleration_mps2": ("WPNAV_ACCEL", 0.01),
+    "vertical_acceleration_mps2": ("WPNAV_ACCEL_Z", 0.01),
+    "corner_acceleration_mps2": ("WPNAV_ACCEL_C", 0.01),
+    "jerk_mps3": ("WPNAV_JERK", 1.0),
+    "climb_mps": ("WPNAV_SPEED_UP", 0.01),
+    "descent_mps": ("WPNAV_SPEED_DN", 0.01),
+    "radius_m": ("WPNAV_RADIUS", 0.01),
+    "shaping_jerk_mps3": ("PSC_JERK_XY", 1.0),
+}
 
 
 @cache
@@ -76,6 +100,7 @@ def dialect_of(generation: Generation) -> Dialect:
         first_stream=1 if metric else 0,
         skips_checks=minor >= 8,
         filters_address=minor >= 8,
+        limits=_METRIC_LIMITS if metric else _CENTIMETRE_LIMITS,
         version=(major, minor),
     )
 
@@ -200,6 +225,17 @@ class Parameters:
     def speed_mps(self) -> float:
         """The speed parameter."""
         return self.value(self.dialect.speed) * self.dialect.speed_scale
+
+    def motion_limits(self) -> TrackLimits:
+        """The limits of acceleration, jerk and vertical speed; defaults where 0 or less is set."""
+        names, defaults = self.dialect.limits, TrackLimits()
+        read = {
+            key: self.value(name) * scale
+            for key, (name, scale) in names.items()
+            if self.value(name) > 0.0
+        }
+        acceleration = read.get("acceleration_mps2", defaults.acceleration_mps2)
+        return replace(defaults, **{"corner_acceleration_mps2": 2.0 * acceleration, **read})
 
     def waypoint_start_speed_mps(self) -> float:
         """The speed parameter as a waypoint start reads it: below its floor, the floor is saved."""

@@ -57,14 +57,15 @@ class ParkedHangar(Hangar):
 
     def leader(self) -> SimVehicle:
         """The leader at the origin."""
-        body = Copter((0.0, 0.0, 0.0))
-        return SimVehicle(body, self._autopilot(body, LEADER_ID, {}), self._drift("leader", body))
+        body = Copter((0.0, 0.0, 0.0), tuning=self._tuning())
+        drift, wind = self._drift("leader", body), self._wind("leader", body)
+        return SimVehicle(body, self._autopilot(body, LEADER_ID, {}), drift, wind)
 
     def follower(
         self, index: int, start_ned_m: Ned, yaw_rad: float, speed_mps: float, listen: Listen
     ) -> SimFollower:
         """Follower number `index` (from 0) below where it would fly."""
-        body = Copter((start_ned_m[0], start_ned_m[1], 0.0), yaw_rad)
+        body = Copter((start_ned_m[0], start_ned_m[1], 0.0), yaw_rad, tuning=self._tuning())
         saved = self.scenario.follower.parameters
         return ParkedFollower(
             body,
@@ -73,6 +74,7 @@ class ParkedHangar(Hangar):
             listen=listen,
             make_coprocessor=self._make_coprocessor,
             rng=self.rng(f"sonar {index}"),
+            wind=self._wind(f"follower {index}", body),
         )
 
 

@@ -13,6 +13,7 @@ from echowing.sim.gps import GpsDrift
 from echowing.sim.leader import TrackedBody, mission
 from echowing.sim.scenario import LeaderEvent, LeaderSection
 from echowing.sim.sonar import Ear, Gimbal, MaxSonar, Pose, body_to_ned
+from echowing.sim.wind import Wind
 
 COPROCESSOR = "coprocessor"
 AUTOPILOT_PORT = 0
@@ -20,16 +21,20 @@ AUTOPILOT_PORT = 0
 STEP_US = 20_000
 
 Body = Copter | TrackedBody
-MakeCoprocessor = Callable[[SonarBus], Coprocessor]
+# On a sonar bus, for the vehicle of that system id.
+MakeCoprocessor = Callable[[SonarBus, int], Coprocessor]
 
 
 class SimVehicle:
-    """A body in the air with an autopilot and a GPS receiver that drifts."""
+    """A body in the air with an autopilot and a GPS receiver that drifts, in wind if there is."""
 
-    def __init__(self, body: Body, autopilot: Autopilot, drift: GpsDrift) -> None:
+    def __init__(
+        self, body: Body, autopilot: Autopilot, drift: GpsDrift, wind: Wind | None = None
+    ) -> None:
         self.body = body
         self.autopilot = autopilot
         self.drift = drift
+        self._wind = wind
 
     @property
     def position_ned_m(self) -> Ned:
@@ -42,8 +47,10 @@ class SimVehicle:
         return self.body.vn_mps, self.body.ve_mps, self.body.vd_mps
 
     def move(self, dt_s: float) -> None:
-        """Receiver and body, one step on."""
+        """Receiver, wind and body, one step on."""
         self.autopilot.set_gps_offset(self.drift.step(dt_s))
+        if self._wind is not None and isinstance(self.body, Copter):
+            self.body.wind_ned_mps = self._wind.step(dt_s)
         self.body.step(dt_s)
 
 
@@ -59,12 +66,13 @@ class SimFollower(SimVehicle):
         listen: Callable[["SimFollower", float], float | None],
         make_coprocessor: MakeCoprocessor,
         rng: random.Random,
+        wind: Wind | None = None,
     ) -> None:
-        super().__init__(body, autopilot, drift)
+        super().__init__(body, autopilot, drift, wind)
         self.gimbal = Gimbal()
         self.ear = Ear(rng)
         self.sensor = MaxSonar(lambda t_s: listen(self, t_s))
-        self.coprocessor = make_coprocessor(self.sensor)
+        self.coprocessor = make_coprocessor(self.sensor, autopilot.system_id)
         autopilot.add_link(COPROCESSOR)
 
     def pose(self) -> Pose:

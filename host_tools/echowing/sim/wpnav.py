@@ -20,21 +20,27 @@ SHORTEST_LEG_M = 1e-3
 BISECTIONS = 50
 # The point on the track may run at the vehicle's own progress and this much more (AC_WPNav.cpp).
 PROGRESS_BUFFER = 0.05
+INPUT_S = 0.15  # ATC_INPUT_TC
 
 
 @dataclass(frozen=True, slots=True)
 class TrackLimits:
-    """Limits of a mission's legs; the defaults are ArduCopter 4.8's parameters."""
+    """Limits of a mission's legs and of Guided; the defaults are ArduCopter 4.8's parameters."""
 
     acceleration_mps2: float = 2.5  # WP_ACC
     vertical_acceleration_mps2: float = 1.0  # WP_ACC_Z
     corner_acceleration_mps2: float = 5.0  # WP_ACC_CNR 0 stands for twice WP_ACC
     jerk_mps3: float = 1.0  # WP_JERK
-    # Half of what brings WP_JERK up within ATC_INPUT_TC (0.15 s), by a raised cosine: AC_WPNav.cpp.
-    snap_mps4: float = 0.5 * 1.0 * pi / (2.0 * 0.15)
     climb_mps: float = 2.5  # WP_SPD_UP
     descent_mps: float = 1.5  # WP_SPD_DN
     radius_m: float = 2.0  # WP_RADIUS_M
+    shaping_jerk_mps3: float = 5.0  # PSC_JERK_NE: Guided; a mission's legs keep WP_JERK
+    down_jerk_mps3: float = 5.0  # PSC_JERK_D
+
+    @property
+    def snap_mps4(self) -> float:
+        """Half of what brings WP_JERK up within ATC_INPUT_TC by a raised cosine (AC_WPNav.cpp)."""
+        return 0.5 * self.jerk_mps3 * pi / (2.0 * INPUT_S)
 
 
 def along_limit(direction: Ned, horizontal: float, up: float, down: float) -> float:

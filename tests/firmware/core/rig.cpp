@@ -43,6 +43,8 @@ uint8_t FakeSerial::write(const uint8_t* bytes, uint8_t count) {
 
 bool FakeSonar::answers(uint8_t asked) {
   ++accesses;
+  timed_out = held;
+  if (held) return false;
   if (ranging_ && reached(now, busy_until_)) ranging_ = false;
   return plugged && asked == address && !ranging_;
 }
@@ -69,14 +71,17 @@ bool FakeSonar::read(uint8_t asked, uint8_t* bytes, uint8_t count) {
 void FakeMemory::write(uint8_t slot, uint16_t offset, uint8_t value) {
   if (power_lost_after >= 0 && writes >= power_lost_after) return;
   ++writes;
-  slots[slot][offset] = value;
+  if (offset != stuck_at) slots[slot][offset] = value;
 }
 
-Rig::Rig(Microseconds start, FakeMemory stored, uint32_t uptime_ms)
+Rig::Rig(Microseconds start, FakeMemory stored, uint32_t uptime_ms, uint8_t system,
+         ResetCause cause)
     : memory(stored),
+      board(cause),
       now(start),
       core({serial[0], serial[1], sonar, servos, memory, board}, 1, start, uptime_ms) {
   sonar.now = start;
+  if (system != 0) core.set_parameter(static_cast<uint8_t>(Parameter::kSystemId), system);
 }
 
 void Rig::run(Microseconds span, Microseconds length) {
@@ -103,12 +108,16 @@ void Rig::turn(Microseconds length) {
   collect(1);
 }
 
-void Rig::autopilot(uint8_t system, bool armed) {
+void Rig::hear_vehicle(uint8_t system, bool armed) {
   mavlink_heartbeat_t heartbeat = {};
   heartbeat.type = 2;       // quadrotor
   heartbeat.autopilot = 3;  // ArduPilot
   heartbeat.base_mode = armed ? MAV_MODE_FLAG_SAFETY_ARMED : 0;
   hear(0, heartbeat, system, 1);
+}
+
+void Rig::autopilot(uint8_t system, bool armed) {
+  hear_vehicle(system, armed);
   vehicle_ = system;
   armed_ = armed;
   beating_ = true;

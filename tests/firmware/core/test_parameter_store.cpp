@@ -11,14 +11,16 @@ using Loaded = ParameterStore::Loaded;
 
 namespace {
 
+constexpr Instant at(Milliseconds ms) { return {ms * 1000, ms}; }
+
 constexpr uint8_t kDwellIndex = static_cast<uint8_t>(Parameter::kDwell);
 
 // Steps the store until it has written a set, or gives up.
 bool store(ParameterStore& store, FakeMemory& memory, const Parameters& parameters,
-           Microseconds& now) {
-  store.touch(now);
+           Milliseconds& now) {
+  store.touch(at(now));
   for (int turn = 0; turn < 5000; ++turn) {
-    if (store.step(now += 1000, true, memory, parameters)) return true;
+    if (store.step(at(++now), true, memory, parameters) == StoreEvent::kStored) return true;
   }
   return false;
 }
@@ -28,7 +30,7 @@ FakeMemory memory_with(int count) {
   FakeMemory memory;
   ParameterStore kept;
   Parameters parameters;
-  Microseconds now = 0;
+  Milliseconds now = 0;
   kept.load(memory, parameters);
   for (int i = 1; i <= count; ++i) {
     parameters.set(kDwellIndex, static_cast<float>(100 * i));
@@ -78,7 +80,7 @@ TEST_CASE("the order of the slots survives the wrap of the sequence number") {
   seal(memory.slots[0]);
   ParameterStore kept;
   Parameters parameters;
-  Microseconds now = 0;
+  Milliseconds now = 0;
   kept.load(memory, parameters);
   parameters.set(kDwellIndex, 222);
   CHECK(store(kept, memory, parameters, now));
@@ -93,7 +95,7 @@ TEST_CASE("losing power at any byte leaves the set before or the new one") {
     FakeMemory memory = memory_with(2);
     ParameterStore kept;
     Parameters parameters;
-    Microseconds now = 0;
+    Milliseconds now = 0;
     kept.load(memory, parameters);
     parameters.set(kDwellIndex, 777);
     memory.writes = 0;
@@ -138,15 +140,13 @@ TEST_CASE("nothing is written before two quiet seconds, each change counted anew
   FakeMemory memory;
   ParameterStore kept;
   const Parameters parameters;
-  kept.touch(0);
-  for (Microseconds now = 0; now < 1500000; now += 1000) kept.step(now, true, memory, parameters);
-  kept.touch(1500000);
-  for (Microseconds now = 1500000; now < 3500000; now += 1000) {
-    kept.step(now, true, memory, parameters);
-  }
+  kept.touch(at(0));
+  for (Milliseconds now = 0; now < 1500; ++now) kept.step(at(now), true, memory, parameters);
+  kept.touch(at(1500));
+  for (Milliseconds now = 1500; now < 3500; ++now) kept.step(at(now), true, memory, parameters);
   CHECK(memory.writes == 0);
-  kept.step(3500000, true, memory, parameters);
-  kept.step(3501000, true, memory, parameters);
+  kept.step(at(3500), true, memory, parameters);
+  kept.step(at(3501), true, memory, parameters);
   CHECK(memory.writes == 1);
 }
 
@@ -154,17 +154,17 @@ TEST_CASE("one byte a turn, none while the memory is busy or writing is not allo
   FakeMemory memory;
   ParameterStore kept;
   const Parameters parameters;
-  kept.touch(0);
-  Microseconds now = 2000000;
-  kept.step(now, true, memory, parameters);
+  kept.touch(at(0));
+  Milliseconds now = 2000;
+  kept.step(at(now), true, memory, parameters);
   for (int turn = 1; turn <= 10; ++turn) {
-    kept.step(++now, true, memory, parameters);
+    kept.step(at(++now), true, memory, parameters);
     CHECK(memory.writes == turn);
   }
   memory.is_busy = true;
-  for (int turn = 0; turn < 10; ++turn) kept.step(++now, true, memory, parameters);
+  for (int turn = 0; turn < 10; ++turn) kept.step(at(++now), true, memory, parameters);
   memory.is_busy = false;
-  for (int turn = 0; turn < 10; ++turn) kept.step(++now, false, memory, parameters);
+  for (int turn = 0; turn < 10; ++turn) kept.step(at(++now), false, memory, parameters);
   CHECK(memory.writes == 10);
   CHECK(memory.flushes == 0);
 }
@@ -186,4 +186,28 @@ TEST_CASE("a stored value outside today's limits gives way to the default") {
   memcpy(slot + ParameterStore::kHeaderSize + kDwellIndex * sizeof(float), &forged, sizeof(forged));
   seal(slot);
   CHECK(stored_dwell(memory, Loaded::kStored) == 300);
+}
+
+TEST_CASE("stored is said only of what was read back; the set before stays in force") {
+  FakeMemory memory = memory_with(1);  // in slot 0
+  memory.stuck_at = ParameterStore::kHeaderSize + kDwellIndex * sizeof(float) + 2;
+  ParameterStore kept;
+  Parameters parameters;
+  kept.load(memory, parameters);
+  parameters.set(kDwellIndex, 1234);
+  kept.touch(at(0));
+  int stored = 0, failed = 0;
+  for (Milliseconds now = 0; now < 5000; ++now) {
+    const StoreEvent event = kept.step(at(now), true, memory, parameters);
+    stored += event == StoreEvent::kStored;
+    failed += event == StoreEvent::kFailed;
+  }
+  CHECK(stored == 0);
+  CHECK(failed == 1);
+  CHECK(kept.sound(memory));
+  CHECK(stored_dwell(memory, Loaded::kStored) == 100);
+  memory.stuck_at = -1;
+  Milliseconds now = 5000;
+  CHECK(store(kept, memory, parameters, now));
+  CHECK(stored_dwell(memory, Loaded::kStored) == 1234);
 }

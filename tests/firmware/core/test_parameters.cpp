@@ -58,8 +58,8 @@ TEST_CASE("what is no number is refused") {
 TEST_CASE("unknown names and indices are refused") {
   CHECK(Parameters::find("NO_SUCH") == -1);
   CHECK(Parameters::find("") == -1);
-  CHECK(Parameters::find("AVG_COUN") == -1);
-  CHECK(Parameters::find("AVG_COUNTX") == -1);
+  CHECK(Parameters::find("AVG_WINDO") == -1);
+  CHECK(Parameters::find("AVG_WINDOWX") == -1);
   Parameters parameters;
   CHECK_FALSE(parameters.set(kParameterCount, 1));
 }

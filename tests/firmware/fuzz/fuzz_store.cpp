@@ -33,9 +33,10 @@ void seal(uint8_t* slot) {
 }
 
 void store(ParameterStore& store, FakeMemory& memory, const Parameters& parameters) {
-  Microseconds now = 0;
-  store.touch(now);
-  for (int turn = 0; turn < 3000; ++turn) store.step(now += 1000, true, memory, parameters);
+  store.touch({0, 0});
+  for (Milliseconds ms = 1; ms <= 3000; ++ms) {
+    store.step({ms * 1000, ms}, true, memory, parameters);
+  }
 }
 
 }  // namespace

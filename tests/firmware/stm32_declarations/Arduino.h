@@ -1,5 +1,5 @@
-// The calls of stm32duino (core 2.12.0) that the board layer makes, declared and no more: enough
-// to see that it compiles where the core itself cannot be had.
+// The calls of stm32duino (core 2.12.0) that the board layer makes, declared: enough to see that it
+// compiles where the core itself cannot be had. Only the timer does something (pwm_pins.h).
 #pragma once
 
 #include <stddef.h>
@@ -68,20 +68,40 @@ extern USBSerial Serial;
 extern HardwareSerial Serial;
 #endif
 
+// Names of a pin's functions: a port in the high digit, a pin in the low one, and which of several.
+#define ALT1 0x100
+#define ALT2 0x200
+#define ALT3 0x300
+enum PinName : uint32_t {
+  PA_6 = 0x06,
+  PA_6_ALT1 = PA_6 | ALT1,
+  PA_7 = 0x07,
+  PA_7_ALT1 = PA_7 | ALT1,
+  PA_7_ALT2 = PA_7 | ALT2,
+  PA_7_ALT3 = PA_7 | ALT3,
+};
+
 // Timers.
-struct TIM_TypeDef;
+struct TIM_TypeDef {
+  uint8_t number;
+};
+extern TIM_TypeDef* const TIM1;
 extern TIM_TypeDef* const TIM3;
 enum TimerModes_t { TIMER_OUTPUT_COMPARE_PWM1 };
 enum TimerFormat_t { MICROSEC_FORMAT };
 enum TimerCompareFormat_t { MICROSEC_COMPARE_FORMAT };
 class HardwareTimer {
  public:
-  explicit HardwareTimer(TIM_TypeDef* instance);
-  ~HardwareTimer();
+  explicit HardwareTimer(TIM_TypeDef* instance) : instance_(instance) {}
+  // With a pin by its Arduino number it is the pin's first function that counts.
   void setMode(uint32_t channel, TimerModes_t mode, uint32_t pin);
+  void setMode(uint32_t channel, TimerModes_t mode, PinName pin);
   void setOverflow(uint32_t value, TimerFormat_t format);
   void setCaptureCompare(uint32_t channel, uint32_t compare, TimerCompareFormat_t format);
   void resume();
+
+ private:
+  TIM_TypeDef* instance_;
 };
 
 // What stm32duino includes of ST's HAL and of CMSIS.
@@ -108,13 +128,31 @@ void __HAL_SYSCFG_REMAPMEMORY_SYSTEMFLASH();
 HAL_StatusTypeDef HAL_FLASH_Unlock();
 HAL_StatusTypeDef HAL_FLASH_Lock();
 HAL_StatusTypeDef HAL_FLASHEx_Erase(FLASH_EraseInitTypeDef* order, uint32_t* failed);
-HAL_StatusTypeDef HAL_RCC_DeInit();
+#define RCC_FLAG_PINRST 0x7au
+#define RCC_FLAG_PORRST 0x7bu
+#define RCC_FLAG_SFTRST 0x7cu
+#define RCC_FLAG_IWDGRST 0x7du
+#if defined(STM32F4xx)
+#define RCC_FLAG_BORRST 0x79u
+#endif
+bool __HAL_RCC_GET_FLAG(uint32_t flag);
+void __HAL_RCC_CLEAR_RESET_FLAGS();
 uint32_t HAL_GetUIDw0();
 uint32_t HAL_GetUIDw1();
 uint32_t HAL_GetUIDw2();
+void __HAL_RCC_PWR_CLK_ENABLE();
+#define FLASH_BASE 0x08000000u
+#define SysTick_CTRL_ENABLE_Msk 0x1u
+#define SysTick_CTRL_CLKSOURCE_Msk 0x4u
+#define SysTick_CTRL_COUNTFLAG_Msk 0x10000u
 struct SysTick_Type {
-  volatile uint32_t CTRL;
+  volatile uint32_t CTRL, LOAD, VAL;
 };
 extern SysTick_Type* const SysTick;
+struct SCB_Type {
+  volatile uint32_t VTOR;
+};
+extern SCB_Type* const SCB;
+extern uint32_t SystemCoreClock;
 void __set_MSP(uint32_t stack);
 [[noreturn]] void NVIC_SystemReset();

@@ -6,6 +6,7 @@
 class IWatchdogClass {
  public:
   void begin(uint32_t timeout_us);
+  void set(uint32_t timeout_us);
   void reload();
 };
 extern IWatchdogClass IWatchdog;

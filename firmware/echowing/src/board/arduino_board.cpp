@@ -1,6 +1,7 @@
 #include "arduino_board.h"
 
 #include "pins.h"
+#include "status_led.h"
 
 // The build gives the commit; the Arduino IDE does not.
 #if !defined(ECHOWING_GIT_HASH)
@@ -22,27 +23,21 @@ HardwareSerial& link_serial() {
 HardwareSerial& link_serial() { return Serial1; }
 #endif
 
-uint8_t led_level(bool on) { return on ? kPins.led_on_level : !kPins.led_on_level; }
-
 }  // namespace
 
 ArduinoBoard::ArduinoBoard() : link_(link_serial()), usb_(Serial) {}
 
 void ArduinoBoard::begin(Aim aim) {
-  enter_bootloader_if_asked();
   link_serial().begin(kBaud);
   Serial.begin(kBaud);
   bus_.begin();
   servos_.begin(aim);
-  pinMode(kPins.led, OUTPUT);
-  digitalWrite(kPins.led, led_level(false));
-  start_watchdog();
 }
 
 void ArduinoBoard::show(bool led_on) {
   if (led_on == led_on_) return;
   led_on_ = led_on;
-  digitalWrite(kPins.led, led_level(led_on));
+  set_led(led_on);
 }
 
 const char* ArduinoBoard::git_hash() const { return ECHOWING_GIT_HASH; }

@@ -14,7 +14,10 @@ namespace echowing {
 class ArduinoBoard : public Board {
  public:
   ArduinoBoard();
-  // Once, from setup().
+  // First thing in setup(): LED and watchdog are on before anything that can fail. On STM32 they
+  // have been on since before the Arduino core started its clocks.
+  void wake();
+  // Ports and servo pulses, once.
   void begin(Aim aim);
   // Every loop turn: a turn that never ends restarts the board.
   void feed_watchdog();
@@ -24,19 +27,17 @@ class ArduinoBoard : public Board {
   // Differs from board to board, or from start to start.
   uint32_t seed() const;
 
+  ResetCause reset_cause() const override;
   const char* git_hash() const override;
   void reboot(bool into_bootloader) override;
 
  private:
-  void start_watchdog();
-  void enter_bootloader_if_asked();
-
   Uart link_;
   Uart usb_;
   WireBus bus_;
   ServoPwm servos_;
   LastingMemory memory_;
-  bool led_on_ = false;
+  bool led_on_ = true;
 };
 
 }  // namespace echowing

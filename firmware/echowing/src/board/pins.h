@@ -3,6 +3,8 @@
 
 #include <Arduino.h>
 
+#include "board_here.h"
+
 namespace echowing {
 
 struct Pins {
@@ -13,36 +15,13 @@ struct Pins {
   uint8_t link_rx;
   uint8_t link_tx;
   uint8_t led;
-  uint8_t led_on_level;
 };
 
-#define ECHOWING_PINS_HERE(...) constexpr Pins kPins = {__VA_ARGS__};
-#define ECHOWING_PINS_ELSEWHERE(...)
+constexpr Pins kPins = {ECHOWING_PIN_PAN, ECHOWING_PIN_TILT, ECHOWING_PIN_SDA, ECHOWING_PIN_SCL,
+                        ECHOWING_PIN_RX,  ECHOWING_PIN_TX,   ECHOWING_PIN_LED};
 
-#if defined(ARDUINO_AVR_MEGA2560)
-#define ECHOWING_PINS_mega ECHOWING_PINS_HERE
-#else
-#define ECHOWING_PINS_mega ECHOWING_PINS_ELSEWHERE
-#endif
-#if defined(ARDUINO_BLACKPILL_F411CE)
-#define ECHOWING_PINS_blackpill_f411 ECHOWING_PINS_HERE
-#else
-#define ECHOWING_PINS_blackpill_f411 ECHOWING_PINS_ELSEWHERE
-#endif
-#if defined(ARDUINO_BLUEPILL_F103C8)
-#define ECHOWING_PINS_bluepill_f103 ECHOWING_PINS_HERE
-#else
-#define ECHOWING_PINS_bluepill_f103 ECHOWING_PINS_ELSEWHERE
-#endif
-#if defined(ARDUINO_NUCLEO_F446RE)
-#define ECHOWING_PINS_nucleo_f446 ECHOWING_PINS_HERE
-#else
-#define ECHOWING_PINS_nucleo_f446 ECHOWING_PINS_ELSEWHERE
-#endif
+constexpr uint8_t kLedOn = ECHOWING_LED_ON;
 
-#include "pin_table.h"
-
-// "kPins was not declared" below means: this board has no row in pin_table.h.
 constexpr bool all_different(const Pins& pins) {
   const uint8_t all[] = {pins.pan,     pins.tilt,    pins.i2c_data, pins.i2c_clock,
                          pins.link_rx, pins.link_tx, pins.led};
@@ -53,6 +32,6 @@ constexpr bool all_different(const Pins& pins) {
   }
   return true;
 }
-static_assert(all_different(kPins), "pin_table.h uses a pin of this board twice");
+static_assert(all_different(kPins), "the board's file uses a pin twice");
 
 }  // namespace echowing

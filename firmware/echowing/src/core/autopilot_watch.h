@@ -8,27 +8,56 @@
 
 namespace echowing {
 
+// A vehicle forwards the heartbeats of other vehicles to the co-processor's port, in any order.
+// Our own system id is therefore fixed by parameter, or learned once: from a vehicle that is heard
+// several times in a row, with no other between. While our own vehicle is not heard, or not known,
+// every vehicle counts as if it were ours: one that is armed is enough for "armed".
 class AutopilotWatch {
  public:
-  // Any message from the autopilot's port; only the vehicle's own heartbeats count.
-  void on_message(Microseconds now, const mavlink_message_t& message);
-  // Once a loop turn.
-  void step(Microseconds now) { heard_ = silence_.running(now); }
+  explicit AutopilotWatch(const Instant& now) { grace_.start(now, kSilence); }
 
-  bool heard() const { return heard_; }
-  bool armed() const { return heard_ && armed_; }
+  // Our vehicle's system id; 0: not known, learn it.
+  void set_own(uint8_t system);
+  uint8_t own() const { return own_; }
+
+  // Any message from the autopilot's port; only heartbeats of autopilots count.
+  void on_message(const Instant& now, const mavlink_message_t& message);
+  // Once a loop turn.
+  void step(const Instant& now);
+
+  // True once after our system id was learned.
+  bool take_learned();
+  // True once in a while, as long as it is not clear which vehicle is ours.
+  bool take_conflict(const Instant& now);
+
+  bool heard() const { return own_ != 0 ? own_heard_ : others_heard_; }
+  bool armed() const { return own_heard_ ? own_armed_ : others_armed_; }
   // Armed when last heard: silence may be a broken wire in flight.
-  bool maybe_flying() const { return armed_; }
-  // The vehicle's system id once learned, else `before`.
-  uint8_t system_id(uint8_t before) const { return system_id_ != 0 ? system_id_ : before; }
+  bool maybe_flying() const { return flying_; }
 
  private:
-  bool is_ours(const mavlink_message_t& message) const;
+  // Heartbeats come once a second; five missed in a row are more than a busy port.
+  static constexpr Milliseconds kSilence = 5000;
 
-  Timeout silence_;
-  uint8_t system_id_ = 0;
-  bool heard_ = false;
-  bool armed_ = false;
+  void on_own(const Instant& now, bool armed);
+  void on_other(const Instant& now, uint8_t system, bool armed);
+
+  uint8_t own_ = 0;
+  bool own_armed_ = false;  // when last heard
+  bool own_heard_ = false;
+  bool others_heard_ = false;
+  bool others_armed_ = false;
+  bool flying_ = false;
+  bool learned_ = false;
+  bool several_ = false;   // vehicles heard while ours is not known
+  uint8_t candidate_ = 0;  // the vehicle heard last
+  uint8_t beats_ = 0;      // of it, with no other between
+  Milliseconds alone_since_ = 0;
+  Timeout own_silence_;
+  Timeout others_silence_;
+  Timeout others_armed_pause_;
+  Timeout grace_;  // our autopilot may still be starting
+  Timeout notice_pause_;
 };
 
 }  // namespace echowing

@@ -7,9 +7,9 @@
 namespace echowing {
 namespace {
 
-constexpr Microseconds kHeartbeatPeriod = kSecond;
+constexpr Milliseconds kHeartbeatPeriod = 1000;
 // Values that stand still are repeated, for a partner that joins late.
-constexpr Microseconds kRepeat = kSecond;
+constexpr Milliseconds kRepeat = 1000;
 // REPORT_RATE's limits, for SET_MESSAGE_INTERVAL. Values any more often would fill the wire.
 constexpr float kShortest_us = 25000.0f;
 constexpr float kLongestReport_us = 200000.0f;
@@ -17,34 +17,34 @@ constexpr float kLongestValues_us = 60e6f;
 
 }  // namespace
 
-bool Connection::send_reading(Microseconds now, const Parameters& parameters,
+bool Connection::send_reading(const Instant& now, const Parameters& parameters,
                               const Telemetry& telemetry) {
-  if (!reading_untold_ && !raw_untold_ && report_clock_.quiet(now)) return false;
+  if (!reading_unsent_ && !raw_unsent_ && report_clock_.quiet(now.us)) return false;
   if (send_report(now, parameters, telemetry)) return true;
-  return raw_untold_ && send_raw(now, telemetry);
+  return raw_unsent_ && send_raw(now, telemetry);
 }
 
-bool Connection::send_report(Microseconds now, const Parameters& parameters,
+bool Connection::send_report(const Instant& now, const Parameters& parameters,
                              const Telemetry& telemetry) {
   const Microseconds usual = kSecond / parameters.whole(Parameter::kReportRate);
   const Microseconds period = report_period_ != 0 ? report_period_ : usual;
-  const bool due = report_clock_.due(now, reading_untold_, period);
-  reading_untold_ = false;
+  const bool due = report_clock_.due(now.us, reading_unsent_, telemetry.reading_soon, period);
+  reading_unsent_ = false;
   if (!due || !telemetry.fresh || reports_off_) return false;
   return link_.send(telemetry.identity, distance_report(parameters, telemetry.tracker,
                                                         telemetry.pointing, telemetry.reading_ms));
 }
 
-bool Connection::send_raw(Microseconds now, const Telemetry& telemetry) {
-  raw_untold_ = false;
+bool Connection::send_raw(const Instant& now, const Telemetry& telemetry) {
+  raw_unsent_ = false;
   if (values_off_ || raw_pause_.running(now)) return false;
   if (value_period_ != 0) raw_pause_.start(now, value_period_);
   return send_value(telemetry, "SNR_RAW", raw_range_m(telemetry.raw_cm));
 }
 
-bool Connection::send_other(Microseconds now, const Parameters& parameters,
+bool Connection::send_other(const Instant& now, const Parameters& parameters,
                             const Telemetry& telemetry, const char* git_hash) {
-  // When a reading is due the wire is kept free for it: a range never stands in a queue.
+  // When a reading is due the wire is kept free for it: a range never waits in a queue.
   if (!link_.idle() || telemetry.reading_soon) return false;
   if (!heartbeat_pause_.running(now)) {
     heartbeat_pause_.start(now, kHeartbeatPeriod);
@@ -52,7 +52,7 @@ bool Connection::send_other(Microseconds now, const Parameters& parameters,
   }
   if (!notices_.empty()) return send_notice(telemetry);
   if (version_wanted_) return send_version(telemetry, git_hash);
-  return send_changed_value(now, telemetry) || send_next_asked(telemetry, parameters);
+  return send_info(now, parameters, telemetry) || send_next_asked(telemetry, parameters);
 }
 
 bool Connection::send_heartbeat(const Telemetry& telemetry) {
@@ -87,10 +87,10 @@ bool Connection::send_parameter(const Telemetry& telemetry, const Parameters& pa
 }
 
 void Connection::list_parameters() {
-  for (uint8_t index = 0; index < kParameterCount; ++index) tell_parameter(index);
+  for (uint8_t index = 0; index < kParameterCount; ++index) report_parameter(index);
 }
 
-void Connection::tell_parameter(uint8_t index) {
+void Connection::report_parameter(uint8_t index) {
   if (!asked_[index]) ++asked_count_;
   asked_[index] = true;
 }
@@ -120,21 +120,28 @@ bool Connection::send_version(const Telemetry& telemetry, const char* git_hash) 
   return true;
 }
 
-bool Connection::send_changed_value(Microseconds now, const Telemetry& telemetry) {
+// One of what people look at, and no tool needs: where the gimbal points, and the state.
+bool Connection::send_info(const Instant& now, const Parameters& parameters,
+                           const Telemetry& telemetry) {
   if (values_off_) return false;
   const uint16_t values[kNamedValues] = {telemetry.aim.pan_us, telemetry.aim.tilt_us,
                                          telemetry.state};
   static const char kNames[kNamedValues][10] = {"SNR_PAN", "SNR_TILT", "SNR_STATE"};
+  const bool as_they_change = value_period_ == 0 && !paced_;
   for (uint8_t i = 0; i < kNamedValues; ++i) {
     const bool pausing = value_pause_[i].running(now);
-    const bool changed = values[i] != value_sent_[i] && value_period_ == 0;
-    if (pausing && !changed) continue;
+    if (pausing && !(as_they_change && values[i] != value_sent_[i])) continue;
     if (!send_value(telemetry, kNames[i], values[i])) return false;
     value_sent_[i] = values[i];
-    value_pause_[i].start(now, value_period_ != 0 ? value_period_ : kRepeat);
+    value_pause_[i].start(now, info_period(parameters));
     return true;
   }
   return false;
+}
+
+Milliseconds Connection::info_period(const Parameters& parameters) const {
+  if (value_period_ != 0) return value_period_;
+  return paced_ ? 1000 / parameters.whole(Parameter::kInfoRate) : kRepeat;
 }
 
 bool Connection::send_value(const Telemetry& telemetry, const char* name, float value) {
@@ -177,9 +184,20 @@ uint8_t Connection::set_interval(uint32_t id, float interval_us) {
   if (!off && !usual && !(interval_us >= kShortest_us && interval_us <= most))
     return MAV_RESULT_DENIED;
   const Microseconds period = off || usual ? 0 : static_cast<Microseconds>(interval_us);
-  (reports ? reports_off_ : values_off_) = off;
-  (reports ? report_period_ : value_period_) = period;
+  if (reports) {
+    reports_off_ = off;
+    report_period_ = period;
+  } else {
+    values_off_ = off;
+    value_period_ = period / kMillisecond;
+  }
   return MAV_RESULT_ACCEPTED;
+}
+
+void Connection::restore_intervals() {
+  reports_off_ = values_off_ = false;
+  report_period_ = 0;
+  value_period_ = 0;
 }
 
 }  // namespace echowing

@@ -10,13 +10,13 @@
 
 namespace echowing {
 
-// The state of the device as it is told on every port; the caller fills it once a turn.
+// The state of the device as every port reports it; the caller fills it once a turn.
 struct Telemetry {
   const Tracker& tracker;
   const Pointing& pointing;
-  uint32_t reading_ms;  // uptime at the newest reading
+  Milliseconds reading_ms;  // uptime at the newest reading
   Identity identity;
-  uint32_t uptime_ms;
+  Milliseconds uptime_ms;
   bool faulty;
   bool fresh;         // the newest reading is young enough to be reported
   bool reading_soon;  // keep the wire free for it
@@ -27,18 +27,20 @@ struct Telemetry {
 
 class Connection {
  public:
-  explicit Connection(SerialPort& port) : port_(port) {}
+  // `paced`: state, pan and tilt go at INFO_RATE, not whenever they change: the partner passes them
+  // on to a slow radio.
+  Connection(SerialPort& port, bool paced) : port_(port), paced_(paced) {}
 
   const mavlink_message_t* receive() { return link_.receive(port_); }
 
-  // A new reading is there to be told.
-  void on_reading() { reading_untold_ = raw_untold_ = true; }
+  // A new reading is ready to be sent.
+  void on_reading() { reading_unsent_ = raw_unsent_ = true; }
 
   // Queues the report, or the raw reading, if it is due; true if so. Once a turn, unless that turn
   // has been filled by another connection.
-  bool send_reading(Microseconds now, const Parameters& parameters, const Telemetry& telemetry);
+  bool send_reading(const Instant& now, const Parameters& parameters, const Telemetry& telemetry);
   // Queues one of the other messages; true if there was one to send and the wire was free for it.
-  bool send_other(Microseconds now, const Parameters& parameters, const Telemetry& telemetry,
+  bool send_other(const Instant& now, const Parameters& parameters, const Telemetry& telemetry,
                   const char* git_hash);
   // Hands what is queued to the port, as far as it takes it; true if it took anything.
   bool flush() { return link_.flush(port_); }
@@ -48,26 +50,30 @@ class Connection {
                    uint8_t result);
 
   void list_parameters();
-  void tell_parameter(uint8_t index);
+  void report_parameter(uint8_t index);
 
   // REQUEST_MESSAGE and SET_MESSAGE_INTERVAL; a MAV_RESULT.
   uint8_t request_message(uint32_t id);
   uint8_t set_interval(uint32_t id, float interval_us);
+  // Every message at its usual rate again.
+  void restore_intervals();
 
  private:
   static constexpr uint8_t kNamedValues = 3;
 
-  bool send_report(Microseconds now, const Parameters& parameters, const Telemetry& telemetry);
-  bool send_raw(Microseconds now, const Telemetry& telemetry);
+  bool send_report(const Instant& now, const Parameters& parameters, const Telemetry& telemetry);
+  bool send_raw(const Instant& now, const Telemetry& telemetry);
   bool send_heartbeat(const Telemetry& telemetry);
   bool send_notice(const Telemetry& telemetry);
   bool send_parameter(const Telemetry& telemetry, const Parameters& parameters, uint8_t index);
   bool send_next_asked(const Telemetry& telemetry, const Parameters& parameters);
   bool send_version(const Telemetry& telemetry, const char* git_hash);
-  bool send_changed_value(Microseconds now, const Telemetry& telemetry);
+  bool send_info(const Instant& now, const Parameters& parameters, const Telemetry& telemetry);
+  Milliseconds info_period(const Parameters& parameters) const;
   bool send_value(const Telemetry& telemetry, const char* name, float value);
 
   SerialPort& port_;
+  bool paced_;
   Link link_;
   Notices notices_;
   ReportClock report_clock_;
@@ -76,13 +82,13 @@ class Connection {
   Timeout value_pause_[kNamedValues];
   uint16_t value_sent_[kNamedValues] = {};
   Microseconds report_period_ = 0;  // 0: the parameter's
-  Microseconds value_period_ = 0;   // 0: as they come
-  bool reading_untold_ = false;
-  bool raw_untold_ = false;
+  Milliseconds value_period_ = 0;   // 0: the usual
+  bool reading_unsent_ = false;
+  bool raw_unsent_ = false;
   bool reports_off_ = false;
   bool values_off_ = false;
   bool version_wanted_ = false;
-  bool asked_[kParameterCount] = {};  // parameters to be told
+  bool asked_[kParameterCount] = {};  // parameters to be sent
   uint8_t asked_count_ = 0;           // how many of them are true
   uint8_t next_asked_ = 0;
 };

@@ -4,8 +4,8 @@
 #include <stdint.h>
 
 #include "autopilot_watch.h"
-#include "commands.h"
 #include "connection.h"
+#include "gimbal_orders.h"
 #include "led.h"
 #include "parameter_store.h"
 #include "parameters.h"
@@ -35,10 +35,19 @@ struct Ports {
   Board& board;
 };
 
+// What COMMAND_LONG and COMMAND_INT have in common and we use.
+struct Command {
+  uint8_t target_system;
+  uint8_t target_component;
+  uint16_t number;
+  float first;
+  float second;
+};
+
 class Coprocessor {
  public:
   // `seed` varies the ping's jitter from device to device. Loads the stored parameters.
-  Coprocessor(const Ports& ports, uint32_t seed, Microseconds now, uint32_t uptime_ms = 0);
+  Coprocessor(const Ports& ports, uint32_t seed, Microseconds now, Milliseconds uptime = 0);
 
   // One loop turn. Turns may be any time apart; the finer, the less delay.
   void step(Microseconds now);
@@ -48,46 +57,63 @@ class Coprocessor {
   LedState led_state() const;
   DeviceState state() const;
   const Parameters& parameters() const { return parameters_; }
-  // As if the set had come by PARAM_SET, but not stored. False: no such index, or out of range.
+  // As if the set had come by PARAM_SET on the ground, but not stored. False: no such index, or
+  // out of range.
   bool set_parameter(uint8_t index, float value);
 
+  // A command that was sent to us: when, by which connection, and its first parameters.
+  struct Order {
+    Instant now;
+    Connection& connection;
+    float first;
+    float second;
+  };
+
+  // The handlers of command_table.h; each returns a MAV_RESULT.
+#define ECHOWING_COMMAND(handler, number, in_flight, text) uint8_t handler(const Order& order);
+#include "command_table.h"
+#undef ECHOWING_COMMAND
+
  private:
-  enum class Override : uint8_t { kNone, kScan, kCentre, kHold };
   enum Port : uint8_t { kAutopilotPort, kUsbPort };
 
-  bool listen(Microseconds now);
-  bool receive(Microseconds now, Connection& connection, Port port);
-  void handle(Microseconds now, Connection& connection, const mavlink_message_t& message);
+  // The parts of a loop turn.
+  void sense(const Instant& now);
+  void decide(const Instant& now);
+  void act(const Instant& now);
+  void tell(const Instant& now);
+
+  void poll_sonar(const Instant& now);
+  void adopt_sonar_address(const Instant& now);
+  void adopt_system_id(const Instant& now);
+  void cancel_bench_orders();
+  void run_self_test(const Instant& now);
+  void report_self_test();
+  void aim_gimbal(const Instant& now);
+  void note_pointing();
+  void store_parameters(const Instant& now);
+  void restart_if_ordered(const Instant& now);
+
+  Telemetry observe(const Instant& now);
+  bool report_reading(const Instant& now, const Telemetry& telemetry);
+  bool handle_message(const Instant& now);
+  bool renew_pointing();
+  void send_other(const Instant& now, const Telemetry& telemetry);
+  void notify(Notice notice);
+
+  bool receive(const Instant& now, Connection& connection, Port port);
+  void dispatch(const Instant& now, Connection& connection, const mavlink_message_t& message);
   void on_parameter_read(Connection& connection, const mavlink_message_t& message);
   void on_parameter_list(Connection& connection, const mavlink_message_t& message);
-  void on_parameter_set(Microseconds now, Connection& connection, const mavlink_message_t& message);
-  void on_command(Microseconds now, Connection& connection, const mavlink_message_t& message,
+  void on_parameter_set(const Instant& now, Connection& connection,
+                        const mavlink_message_t& message);
+  void on_command(const Instant& now, Connection& connection, const mavlink_message_t& message,
                   const Command& command);
-  uint8_t execute(Microseconds now, Connection& connection, const Command& command);
-  uint8_t execute_on_bench(Microseconds now, const Command& command);
-  uint8_t hold(Aim aim);
-  uint8_t hold_servo(float servo, float pulse_us);
-  uint8_t hold_angles(float pitch_deg, float yaw_deg);
-  uint8_t scan_override(float choice);
-  uint8_t reboot(Microseconds now, float choice);
-  uint8_t restore_defaults(Microseconds now, float choice);
-  uint8_t change_sonar_address(float address);
-  uint8_t start_self_test(Microseconds now);
+  uint8_t execute(uint16_t number, const Order& order);
+  bool is_for_us(uint8_t system, uint8_t component, bool broadcast_too) const;
 
-  void range(Microseconds now);
-  void adopt_new_address(Microseconds now);
-  void point(Microseconds now);
-  void examine(Microseconds now);
-  void tell_test_results();
-  bool renew_pointing();
-  Telemetry observe(Microseconds now);
-  bool tell_reading(Microseconds now, const Telemetry& telemetry);
-  void tell_other(Microseconds now, const Telemetry& telemetry);
-  void keep(Microseconds now);
-  void notify(Notice notice);
   GimbalMode gimbal_mode() const;
   void renew_identity();
-  bool is_for_us(uint8_t system, uint8_t component, bool broadcast_too) const;
 
   Ports ports_;
   Parameters parameters_;
@@ -100,18 +126,18 @@ class Coprocessor {
   Connection autopilot_connection_;
   Connection usb_connection_;
   SelfTest self_test_;
+  GimbalOrders orders_;
   Identity identity_ = {};
-  Override override_ = Override::kNone;
   Aim pointed_;
   Pointing pointing_;  // of pointed_
   bool pointing_stale_ = false;
   Timeout freshness_;
-  uint32_t reading_ms_ = 0;
+  Milliseconds reading_ms_ = 0;
   bool new_reading_ = false;
   bool heard_sonar_ = false;
   uint8_t asked_address_ = 0;
-  Timeout reboot_delay_;
-  bool rebooting_ = false;
+  Timeout restart_delay_;
+  bool restarting_ = false;
   bool into_bootloader_ = false;
 };
 

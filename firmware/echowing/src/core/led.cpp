@@ -18,7 +18,7 @@ const uint16_t kPatterns[] ECHOWING_FLASH = {
 
 }  // namespace
 
-bool led_on(LedState state, uint32_t uptime_ms) {
+bool led_on(LedState state, Milliseconds uptime_ms) {
   const uint16_t pattern = from_flash(kPatterns[static_cast<uint8_t>(state)]);
   return (pattern >> uptime_ms / kStepMs % 16 & 1) != 0;
 }

@@ -16,6 +16,6 @@ enum class LedState : uint8_t {
 };
 
 // Whether the light is on at `uptime_ms`.
-bool led_on(LedState state, uint32_t uptime_ms);
+bool led_on(LedState state, Milliseconds uptime_ms);
 
 }  // namespace echowing

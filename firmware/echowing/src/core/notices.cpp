@@ -6,28 +6,41 @@
 namespace echowing {
 namespace {
 
-// In the order of the enumeration.
-const NoticeText kTexts[static_cast<uint8_t>(Notice::kCount)] ECHOWING_FLASH = {
-    {MAV_SEVERITY_INFO, "Echowing: started"},
-    {MAV_SEVERITY_CRITICAL, "Echowing: sonar does not answer"},
-    {MAV_SEVERITY_INFO, "Echowing: sonar answers again"},
-    {MAV_SEVERITY_INFO, "Echowing: sonar address changed"},
-    {MAV_SEVERITY_WARNING, "Echowing: memory corrupt, default parameters"},
-    {MAV_SEVERITY_INFO, "Echowing: parameters stored"},
-    {MAV_SEVERITY_INFO, "Echowing: default parameters"},
-    {MAV_SEVERITY_INFO, "Echowing test: sonar good"},
-    {MAV_SEVERITY_WARNING, "Echowing test: sonar gives no reading"},
-    {MAV_SEVERITY_INFO, "Echowing test: memory good"},
-    {MAV_SEVERITY_WARNING, "Echowing test: memory corrupt"},
-    {MAV_SEVERITY_INFO, "Echowing test: autopilot port looped, good"},
-    {MAV_SEVERITY_INFO, "Echowing test: autopilot port has no loop plug"},
-    {MAV_SEVERITY_INFO, "Echowing test: USB port looped, good"},
-    {MAV_SEVERITY_INFO, "Echowing test: USB port has no loop plug"},
-    {MAV_SEVERITY_INFO, "Echowing test: ended; did the servos sweep?"},
-};
+#define ECHOWING_CRITICAL "\2"
+#define ECHOWING_WARNING "\4"
+#define ECHOWING_INFO "\6"
+static_assert(MAV_SEVERITY_CRITICAL == 2 && MAV_SEVERITY_WARNING == 4 && MAV_SEVERITY_INFO == 6,
+              "the severities are MAVLink's");
+
+constexpr char kBrand[] = {'E', 'c', 'h', 'o', 'w', 'i', 'n', 'g'};
+
+// One after the other, each a severity, a text and a null: rows of the longest one's length would
+// take half as much again.
+const char kTexts[] ECHOWING_FLASH =
+#define ECHOWING_NOTICE(identifier, severity, text) severity text "\0"
+#include "notice_table.h"
+#undef ECHOWING_NOTICE
+    ;
+
+#define ECHOWING_NOTICE(identifier, severity, text) \
+  static_assert(sizeof(kBrand) + sizeof(text) - 1 <= kNoticeLength, "too long: " text);
+#include "notice_table.h"
+#undef ECHOWING_NOTICE
 
 }  // namespace
 
-NoticeText notice_text(Notice notice) { return from_flash(kTexts[static_cast<uint8_t>(notice)]); }
+NoticeText notice_text(Notice notice) {
+  const char* next = kTexts;
+  for (uint8_t before = static_cast<uint8_t>(notice); before > 0; --before) {
+    while (from_flash(*next++) != '\0') {
+    }
+  }
+  NoticeText line = {};
+  line.severity = static_cast<uint8_t>(from_flash(*next++));
+  char* to = line.text;
+  for (const char letter : kBrand) *to++ = letter;
+  while ((*to = from_flash(*next++)) != '\0') ++to;
+  return line;
+}
 
 }  // namespace echowing

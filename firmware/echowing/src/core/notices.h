@@ -6,39 +6,27 @@
 namespace echowing {
 
 enum class Notice : uint8_t {
-  kStarted,
-  kSonarFault,
-  kSonarBack,
-  kAddressChanged,
-  kParametersCorrupt,
-  kParametersStored,
-  kParametersReset,
-  kTestSonarGood,
-  kTestSonarBad,
-  kTestMemoryGood,
-  kTestMemoryBad,
-  kTestLinkLooped,
-  kTestLinkOpen,
-  kTestUsbLooped,
-  kTestUsbOpen,
-  kTestEnded,
-  kCount,
+#define ECHOWING_NOTICE(identifier, severity, text) identifier,
+#include "notice_table.h"
+#undef ECHOWING_NOTICE
 };
 
 // STATUSTEXT.text holds 50 characters, without a null when all are used.
 constexpr uint8_t kNoticeLength = 50;
 
 struct NoticeText {
-  uint8_t severity;
+  uint8_t severity;  // MAV_SEVERITY
   char text[kNoticeLength];
 };
 
 NoticeText notice_text(Notice notice);
 
-// First in, first out; when full, the newest is dropped.
+// First in, first out; when full, the newest is dropped, and so is one that says what the last one
+// says.
 class Notices {
  public:
   void add(Notice notice) {
+    if (count_ > 0 && queue_[count_ - 1] == notice) return;
     if (count_ < kCapacity) queue_[count_++] = notice;
   }
   bool empty() const { return count_ == 0; }

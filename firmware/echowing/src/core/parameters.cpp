@@ -1,7 +1,5 @@
 #include "parameters.h"
 
-#include <math.h>
-
 #include "crc.h"
 #include "flash_table.h"
 
@@ -9,8 +7,8 @@ namespace echowing {
 namespace {
 
 constexpr ParameterInfo kTable[kParameterCount] ECHOWING_FLASH = {
-#define ECHOWING_PARAMETER(identifier, name, normal, least, most, whole, unit, text) \
-  {name, normal, least, most, whole},
+#define ECHOWING_PARAMETER(identifier, name, normal, least, most, whole, in_flight, unit, text) \
+  {name, normal, least, most, whole, in_flight},
 #include "parameter_table.h"
 #undef ECHOWING_PARAMETER
 };
@@ -30,7 +28,7 @@ constexpr uint16_t kLayout = layout_of(kTable);
 bool acceptable(const ParameterInfo& info, float value) {
   // Not-a-number fails both comparisons.
   if (!(value >= info.least && value <= info.most)) return false;
-  return !info.whole || floorf(value) == value;
+  return !info.whole || static_cast<float>(static_cast<int16_t>(value)) == value;
 }
 
 }  // namespace

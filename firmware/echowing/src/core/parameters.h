@@ -6,13 +6,14 @@
 namespace echowing {
 
 enum class Parameter : uint8_t {
-#define ECHOWING_PARAMETER(identifier, name, normal, least, most, whole, unit, text) identifier,
+#define ECHOWING_PARAMETER(identifier, name, normal, least, most, whole, in_flight, unit, text) \
+  identifier,
 #include "parameter_table.h"
 #undef ECHOWING_PARAMETER
 };
 
 constexpr uint8_t kParameterCount = 0
-#define ECHOWING_PARAMETER(identifier, name, normal, least, most, whole, unit, text) +1
+#define ECHOWING_PARAMETER(identifier, name, normal, least, most, whole, in_flight, unit, text) +1
 #include "parameter_table.h"
 #undef ECHOWING_PARAMETER
     ;
@@ -22,10 +23,11 @@ constexpr uint8_t kParameterNameLength = 16;
 
 struct ParameterInfo {
   char name[kParameterNameLength];
-  float normal;
-  float least;
-  float most;
+  int16_t normal;
+  int16_t least;
+  int16_t most;
   bool whole;
+  bool in_flight;  // may be changed while armed
 };
 
 // Row of the table; `index` below kParameterCount.

@@ -1,4 +1,4 @@
-// What is told of the range, and when.
+// What is reported of the range, and when.
 #pragma once
 
 #include <stdint.h>
@@ -15,8 +15,8 @@ namespace echowing {
 // On the wire a range above the longest measurable says that there is no target.
 constexpr uint16_t kNoTargetCm = kFarthestCm + 1;
 
-// A range older than this is not told any more: the autopilot then sees "no data".
-constexpr Microseconds kStale = milliseconds(300);
+// A range older than this is not reported any more: the autopilot then sees "no data".
+constexpr Milliseconds kStale = 300;
 
 // Rotation from straight ahead to where the gimbal points, body frame, w x y z.
 struct Pointing {
@@ -26,7 +26,7 @@ struct Pointing {
 Pointing pointing(const Parameters& parameters, Aim aim);
 
 mavlink_distance_sensor_t distance_report(const Parameters& parameters, const Tracker& tracker,
-                                          const Pointing& direction, uint32_t reading_ms);
+                                          const Pointing& direction, Milliseconds reading_ms);
 
 // The newest single reading in metres, as SNR_RAW carries it.
 float raw_range_m(uint16_t range_cm);
@@ -37,9 +37,9 @@ class ReportClock {
  public:
   // True when `due` would be false, were it asked without a new reading: a quick answer for the
   // many turns in between.
-  bool quiet(Microseconds now) const { return started_ && !reached(now, next_ + kGrace); }
-  // True when a report is due; call once a turn.
-  bool due(Microseconds now, bool new_reading, Microseconds period);
+  bool quiet(Microseconds now) const { return started_ && !reached(now, next_); }
+  // True when a report is due; call once a turn. With `reading_soon` it waits a little for it.
+  bool due(Microseconds now, bool new_reading, bool reading_soon, Microseconds period);
 
  private:
   // A reading this near to its beat, before or after, takes it with it.

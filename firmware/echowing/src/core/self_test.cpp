@@ -5,19 +5,19 @@
 namespace echowing {
 namespace {
 
-// Left, right, low, high, centre: long enough for the eye.
+// Left, right, low, high, centre: long enough to be seen.
 constexpr uint8_t kStops = 5;
-constexpr Microseconds kPause = milliseconds(500);
+constexpr Milliseconds kPause = 500;
 
 }  // namespace
 
-void SelfTest::start(Microseconds now) {
+void SelfTest::start(const Instant& now) {
   *this = SelfTest();
   running_ = true;
   pause_.start(now, kPause);
 }
 
-bool SelfTest::step(Microseconds now) {
+bool SelfTest::step(const Instant& now) {
   if (!running_ || pause_.running(now)) return false;
   pause_.start(now, kPause);
   ++stop_;

@@ -11,11 +11,11 @@
 namespace echowing {
 
 constexpr uint16_t kNearestCm = 20;    // nearer reads as this
-constexpr uint16_t kFarthestCm = 765;  // nothing heard reads as this
+constexpr uint16_t kFarthestCm = 765;  // no echo reads as this
 
 struct Reading {
   uint16_t range_cm;  // kNearestCm to kFarthestCm
-  Microseconds triggered;
+  Instant triggered;
 };
 
 enum class SonarEvent : uint8_t {
@@ -27,17 +27,21 @@ enum class SonarEvent : uint8_t {
 
 class SonarDriver {
  public:
-  SonarDriver(const Parameters& parameters, uint32_t seed, Microseconds now);
+  SonarDriver(const Parameters& parameters, uint32_t seed, Instant now);
 
   // One loop turn.
-  SonarEvent step(Microseconds now, I2cBus& bus);
+  SonarEvent step(const Instant& now, I2cBus& bus);
   const Reading& reading() const { return reading_; }
   bool faulty() const { return faulty_; }
+  // In this turn a transfer has ended by time-out: it has been a long one already.
+  bool timed_out() const { return timed_out_; }
   // A reading is due within `span`, or overdue.
   bool reading_within(Microseconds now, Microseconds span) const;
   // Sends the address-change sequence as soon as the sonar listens, then uses the new address.
   // `address` is the 7-bit one; false if the sonar refuses it.
   bool change_address(uint8_t address);
+  // Drops a change that the sonar has not been sent yet.
+  void cancel_address_change() { new_address_ = 0; }
   uint8_t address() const;
   // True once after a change of address was acknowledged.
   bool take_address_changed();
@@ -45,12 +49,13 @@ class SonarDriver {
  private:
   enum class Phase : uint8_t { kDiscard, kTrigger, kAwait, kRecover };
 
-  SonarEvent discard(Microseconds now, I2cBus& bus);
-  SonarEvent trigger(Microseconds now, I2cBus& bus);
-  SonarEvent await(Microseconds now, I2cBus& bus);
-  SonarEvent recover(Microseconds now, I2cBus& bus);
-  SonarEvent silent(Microseconds now);
-  SonarEvent answered(Microseconds now);
+  SonarEvent proceed(const Instant& now, I2cBus& bus);
+  SonarEvent discard(const Instant& now, I2cBus& bus);
+  SonarEvent trigger(const Instant& now, I2cBus& bus);
+  SonarEvent await(const Instant& now, I2cBus& bus);
+  SonarEvent recover(const Instant& now, I2cBus& bus);
+  SonarEvent silent(const Instant& now);
+  SonarEvent answered(const Instant& now);
   void plan(Microseconds now);
   Microseconds jitter();
 
@@ -65,6 +70,7 @@ class SonarDriver {
   uint8_t new_address_ = 0;  // 0: none wanted
   bool address_changed_ = false;
   bool faulty_ = false;
+  bool timed_out_ = false;
   uint32_t random_;
 };
 

@@ -6,8 +6,8 @@ namespace echowing {
 namespace {
 
 constexpr uint8_t kQualityReadings = 10;
-// A servo hears of a new pulse with its next 50 Hz frame.
-constexpr Microseconds kServoFrame = milliseconds(20);
+// A servo gets a new pulse with its next 50 Hz frame.
+constexpr Milliseconds kServoFrame = 20;
 
 uint16_t apart(uint16_t a, uint16_t b) { return a > b ? a - b : b - a; }
 
@@ -15,22 +15,23 @@ bool same(Aim a, Aim b) { return a.pan_us == b.pan_us && a.tilt_us == b.tilt_us;
 
 }  // namespace
 
-Tracker::Tracker(const Parameters& parameters, Microseconds now)
+Tracker::Tracker(const Parameters& parameters, Instant now)
     : parameters_(parameters),
       aim_(scan_centre(parameters)),
       hold_(aim_),
       last_seen_(aim_),
-      arrival_(now) {}
+      arrival_(now.ms) {}
 
-void Tracker::step(Microseconds now, GimbalMode mode) {
+void Tracker::step(const Instant& now, GimbalMode mode) {
   if (mode != mode_) restart_ = true;
   mode_ = mode;
+  filter_.expire(now.ms);
   if (mode == GimbalMode::kCentre) move(now, scan_centre(parameters_));
   if (mode == GimbalMode::kHold) move(now, hold_);
   if (mode == GimbalMode::kScan && !tracking_) scan(now);
 }
 
-void Tracker::scan(Microseconds now) {
+void Tracker::scan(const Instant& now) {
   if (restart_) {
     restart_ = false;
     point_ = seen_ ? nearest_scan_point(parameters_, last_seen_) : 0;
@@ -40,38 +41,40 @@ void Tracker::scan(Microseconds now) {
     return;
   }
   heard_here_ = false;
-  arrival_ = now;
-  dwell_.start(now, milliseconds(parameters_.whole(Parameter::kDwell)));
+  arrival_ = now.ms;
+  dwell_.start(now, parameters_.whole(Parameter::kDwell));
   move(now, scan_point(parameters_, point_));
 }
 
-void Tracker::move(Microseconds now, Aim aim) {
+void Tracker::move(const Instant& now, Aim aim) {
   if (same(aim, aim_)) return;
-  // What is heard from another direction is another target until it proves to be the same.
+  // An echo from another direction is of another target until it proves to be the same.
   forget();
-  arrival_ = now + travel_time(aim);
+  arrival_ = now.ms + travel_time(aim);
   aim_ = aim;
 }
 
-Microseconds Tracker::travel_time(Aim aim) const {
+// Rounded up: a ping in the millisecond of the arrival may have come just before it.
+Milliseconds Tracker::travel_time(Aim aim) const {
   const uint16_t pan_us = apart(aim.pan_us, aim_.pan_us);
   const uint16_t tilt_us = apart(aim.tilt_us, aim_.tilt_us);
   const uint32_t farther_us = pan_us > tilt_us ? pan_us : tilt_us;
-  return kServoFrame +
-         milliseconds(farther_us * UINT32_C(1000) / parameters_.whole(Parameter::kServoRate));
+  return kServoFrame + 1 + farther_us * UINT32_C(1000) / parameters_.whole(Parameter::kServoRate);
 }
 
-void Tracker::on_reading(const Reading& reading) {
-  if (reached(reading.triggered, arrival_)) heard_here_ = true;
+void Tracker::on_reading(const Instant& now, const Reading& reading) {
+  if (reached(reading.triggered.ms, arrival_)) heard_here_ = true;
   if (reading.range_cm >= parameters_.whole(Parameter::kTrackRange)) {
     remember(false);
     return miss();
   }
   const bool acquired = !tracking_;
   tracking_ = true;
-  const bool taken = filter_.add(reading.range_cm,
-                                 static_cast<uint8_t>(parameters_.whole(Parameter::kAverageCount)),
-                                 parameters_.whole(Parameter::kAverageGate));
+  const FilterSettings settings = {
+      parameters_.whole(Parameter::kAverageWindow),
+      static_cast<uint16_t>(100 * parameters_.whole(Parameter::kGateSpeed)),
+  };
+  const bool taken = filter_.add(now.ms, reading.range_cm, settings);
   remember(taken || acquired);
   if (taken) return see();
   // A reading that nothing confirms is as good as none, or a stream of wild ones would keep an
@@ -80,6 +83,7 @@ void Tracker::on_reading(const Reading& reading) {
 }
 
 void Tracker::see() {
+  confirmed_ = true;
   misses_ = 0;
   seen_ = true;
   last_seen_ = aim_;
@@ -89,13 +93,13 @@ void Tracker::miss() {
   if (!tracking_) return;
   ++misses_;
   if (misses_ < parameters_.whole(Parameter::kMissLimit)) return;
-  // One wild reading stops the search for a moment; it shall not send it back to where it began.
-  if (filter_.has_average()) restart_ = true;
+  // One wild reading stops the search for a moment; it must not send it back to where it began.
+  if (confirmed_) restart_ = true;
   forget();
 }
 
 void Tracker::forget() {
-  tracking_ = false;
+  tracking_ = confirmed_ = false;
   misses_ = 0;
   filter_.clear();
 }

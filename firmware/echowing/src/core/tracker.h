@@ -1,4 +1,4 @@
-// The gimbal's mind: search with the figure 8, freeze on a target, search again when it is lost.
+// Gimbal control: search with the figure 8, hold still on a target, search again when it is lost.
 #pragma once
 
 #include <stdint.h>
@@ -20,31 +20,31 @@ enum class GimbalMode : uint8_t {
 
 class Tracker {
  public:
-  Tracker(const Parameters& parameters, Microseconds now);
+  Tracker(const Parameters& parameters, Instant now);
 
   // Once a loop turn, before the readings of that turn.
-  void step(Microseconds now, GimbalMode mode);
-  void on_reading(const Reading& reading);
+  void step(const Instant& now, GimbalMode mode);
+  void on_reading(const Instant& now, const Reading& reading);
   // For GimbalMode::kHold.
   void hold_at(Aim aim) { hold_ = aim; }
 
   Aim aim() const { return aim_; }
-  // A target is in the beam; the gimbal stands still.
+  // A target is in the beam; the gimbal holds still.
   bool tracking() const { return tracking_; }
-  // A range may be told: the target has been confirmed by a second reading.
+  // A range may be reported: a second reading has confirmed the target.
   bool has_range() const { return tracking_ && filter_.has_average(); }
   uint16_t range_cm() const { return filter_.average_cm(); }
   // Share of good readings among the newest ten, 1 (none) to 100, as MAVLink counts quality.
   uint8_t quality_percent() const;
 
  private:
-  void move(Microseconds now, Aim aim);
-  void scan(Microseconds now);
+  void move(const Instant& now, Aim aim);
+  void scan(const Instant& now);
   void see();
   void miss();
   void forget();
   void remember(bool good);
-  Microseconds travel_time(Aim aim) const;
+  Milliseconds travel_time(Aim aim) const;
 
   const Parameters& parameters_;
   RangeFilter filter_;
@@ -54,6 +54,7 @@ class Tracker {
   Aim last_seen_;
   bool seen_ = false;
   bool tracking_ = false;
+  bool confirmed_ = false;  // the target, by a second reading
   bool restart_ = true;
   bool heard_here_ = false;
   uint8_t point_ = 0;
@@ -61,7 +62,7 @@ class Tracker {
   uint16_t history_ = 0;
   uint8_t history_size_ = 0;
   Timeout dwell_;
-  Microseconds arrival_ = 0;
+  Milliseconds arrival_ = 0;
 };
 
 }  // namespace echowing

@@ -1,0 +1,151 @@
+"""Leader, follower and sonar reading, each taken at the same moment. Pure.
+
+Reports reach the ground late, and not equally late: a leader 0.5 s old beside a follower of now and
+a reading of now is wrong by 1 m at 2 m/s. The receivers' disagreement changes over a minute, so a
+reading can wait until both vehicles have reported from after it; then both are known at its moment
+by interpolation, and nothing has to be predicted.
+"""
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+from echowing.geo import GlobalPosition, ned_between, wrap_angle_rad
+from echowing.guidance import Horizontal
+
+# A reading that no report of both vehicles has overtaken for so long is dropped.
+LONGEST_WAIT_S = 3.0
+# Between reports further apart than this nothing is interpolated: 5 reports of a 4 Hz stream lost.
+LONGEST_GAP_S = 1.5
+GRAVITY_MPS2 = 9.80665
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """Where a vehicle was at `time_s` (our clock), its velocity (north, east) and its heading."""
+
+    time_s: float
+    position: GlobalPosition
+    velocity_mps: Horizontal
+    heading_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class AlignedReading:
+    """A sonar reading with both vehicles at its moment.
+
+    distance_m: between the vehicles' centres, None: nothing was heard; axis_rad: bearing of the
+    follower's nose; believed_m: from follower to leader by their own receivers, (north, east);
+    lean_rad: of the follower, by its change of velocity.
+    """
+
+    time_s: float
+    distance_m: float | None
+    axis_rad: float
+    believed_m: Horizontal
+    lean_rad: float
+
+
+class History:
+    """A vehicle's reports of the last seconds, oldest first."""
+
+    def __init__(self) -> None:
+        self._reports: deque[Report] = deque()
+
+    def add(self, report: Report) -> None:
+        """Take a report; one that is not newer than the last is left out."""
+        if self._reports and report.time_s <= self._reports[-1].time_s:
+            return
+        self._reports.append(report)
+        while self._reports[0].time_s < report.time_s - LONGEST_WAIT_S:
+            self._reports.popleft()
+
+    def clear(self) -> None:
+        """Forget all: the vehicle's clock or place has begun anew."""
+        self._reports.clear()
+
+    @property
+    def newest_s(self) -> float:
+        """Time of the newest report."""
+        return self._reports[-1].time_s if self._reports else -math.inf
+
+    def around(self, time_s: float) -> tuple[Report, Report] | None:
+        """The reports before and after a moment; None: there are none near enough."""
+        for before, after in zip(self._reports, list(self._reports)[1:], strict=False):
+            if before.time_s <= time_s <= after.time_s:
+                near = after.time_s - before.time_s <= LONGEST_GAP_S
+                return (before, after) if near else None
+        return None
+
+
+class Alignment:
+    """The readings of one follower's sonar that wait for the reports around them."""
+
+    def __init__(self) -> None:
+        self._waiting: deque[tuple[float, float | None]] = deque()
+
+    def add(self, time_s: float, distance_m: float | None) -> None:
+        """Take a reading: when it was taken, the distance between the centres (None: nothing)."""
+        self._waiting.append((time_s, distance_m))
+
+    def due(self, leader: History, follower: History) -> list[AlignedReading]:
+        """The readings that both vehicles have overtaken; each is given once."""
+        aligned = []
+        ready_s = min(leader.newest_s, follower.newest_s)
+        while self._waiting and self._waiting[0][0] <= ready_s:
+            time_s, distance_m = self._waiting.popleft()
+            of_leader, of_follower = leader.around(time_s), follower.around(time_s)
+            if of_leader is not None and of_follower is not None:
+                aligned.append(_aligned(time_s, distance_m, of_leader, of_follower))
+        while self._waiting and self._waiting[0][0] < self._waiting[-1][0] - LONGEST_WAIT_S:
+            self._waiting.popleft()
+        return aligned
+
+
+def _aligned(
+    time_s: float,
+    distance_m: float | None,
+    leader: tuple[Report, Report],
+    follower: tuple[Report, Report],
+) -> AlignedReading:
+    origin = follower[0].position
+    leader_m, follower_m = _place_m(origin, leader, time_s), _place_m(origin, follower, time_s)
+    before, after = follower
+    share = _share(before, after, time_s)
+    turn_rad = wrap_angle_rad(after.heading_rad - before.heading_rad)
+    return AlignedReading(
+        time_s=time_s,
+        distance_m=distance_m,
+        axis_rad=wrap_angle_rad(before.heading_rad + share * turn_rad),
+        believed_m=(leader_m[0] - follower_m[0], leader_m[1] - follower_m[1]),
+        lean_rad=_lean_rad(before, after),
+    )
+
+
+def _lean_rad(before: Report, after: Report) -> float:
+    """A copter leans as it accelerates."""
+    span_s = max(1e-3, after.time_s - before.time_s)
+    gained_mps = math.dist(before.velocity_mps, after.velocity_mps)
+    return math.atan2(gained_mps / span_s, GRAVITY_MPS2)
+
+
+def _share(before: Report, after: Report, time_s: float) -> float:
+    span_s = after.time_s - before.time_s
+    return 0.0 if span_s <= 0.0 else (time_s - before.time_s) / span_s
+
+
+def _place_m(origin: GlobalPosition, around: tuple[Report, Report], time_s: float) -> Horizontal:
+    """Where a vehicle was, (north, east) of `origin`: the cubic through both reports."""
+    before, after = around
+    span_s, share = after.time_s - before.time_s, _share(before, after, time_s)
+    start, end = ned_between(origin, before.position), ned_between(origin, after.position)
+    # Hermite's cubic: places at both ends, and the velocities there.
+    h01 = share * share * (3.0 - 2.0 * share)
+    h10, h11 = share * (1.0 - share) ** 2, share * share * (share - 1.0)
+    north_m, east_m = (
+        (1.0 - h01) * start[axis]
+        + h01 * end[axis]
+        + span_s * (h10 * before.velocity_mps[axis] + h11 * after.velocity_mps[axis])
+        for axis in (0, 1)
+    )
+    return north_m, east_m

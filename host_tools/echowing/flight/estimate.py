@@ -1,0 +1,112 @@
+"""Where the leader is as seen by one follower: receivers, sonar, and the time between them. Pure."""
+
+import math
+from collections import deque
+
+from echowing.flight.alignment import Alignment, History, Report
+from echowing.flight.offset_grid import OffsetGrid
+from echowing.geo import GlobalPosition, Ned, displace, ned_between
+from echowing.guidance import LeaderFix
+
+# Propellers make single wild readings: one counts when the one before it was like it.
+CONFIRM_S, CONFIRM_M = 0.3, 0.5
+# From where a range is no target (thesis 3.3.3: an X8 gives a consistent return out to 4.5 m).
+DETECTION_LIMIT_M = 4.5
+# Triggered, flown there and back at 343 m/s, read and packed: a range is this old when it is sent
+# (firmware/README.md: reading to wire 5 ms, and half of the 20 ms and the flight before it).
+SONAR_AGE_S = 0.03
+# A follower that leans more may look past a leader that is straight ahead.
+LEVEL_RAD = math.radians(8.0)
+# A report is carried on for no longer than this: after it the vehicle may do anything.
+LONGEST_CARRY_S = 2.0
+# The least delayed message of so long sets a sender's clock: two crystals that differ by 100 ppm
+# drift by 2 ms meanwhile.
+CLOCK_WINDOW_S = 20.0
+# A sender whose clock is this far behind its newest message has started anew.
+RESTART_S = 5.0
+
+
+class SenderClock:
+    """The clock of a sender that answers no TIMESYNC: its least delayed message sets it."""
+
+    def __init__(self) -> None:
+        # Stamps and how far we were ahead at their receipt; the least of those first, rising.
+        self._least: deque[tuple[float, float]] = deque()
+        self._newest_s = -math.inf
+
+    def to_ours(self, stamp_s: float, received_s: float, way_s: float) -> float:
+        """Our time of a stamp; `way_s`: how long the least delayed message takes."""
+        if stamp_s < self._newest_s - RESTART_S:
+            self.__init__()  # type: ignore[misc]
+        self._newest_s = max(self._newest_s, stamp_s)
+        ahead_s = received_s - stamp_s
+        while self._least and self._least[-1][1] >= ahead_s:
+            self._least.pop()
+        self._least.append((stamp_s, ahead_s))
+        while self._least[0][0] < self._newest_s - CLOCK_WINDOW_S:
+            self._least.popleft()
+        return stamp_s + self._least[0][1] - way_s
+
+
+class Estimate:
+    """One follower's view of its leader: the receivers' disagreement, learnt from the sonar."""
+
+    def __init__(self) -> None:
+        self.history = History()
+        self.offset = OffsetGrid()
+        self.sonar_clock = SenderClock()
+        self._alignment = Alignment()
+        self._before = (-math.inf, math.nan)
+
+    def reported(self, report: Report) -> None:
+        """Take a report of the follower itself."""
+        self.history.add(report)
+
+    def heard(self, time_s: float, range_m: float, inset_m: float) -> None:
+        """Take a sonar reading of a moment; `inset_m`: how much less than the separation it is."""
+        before_s, before_m = self._before
+        self._before = (time_s, range_m)
+        if not time_s - before_s < CONFIRM_S:
+            return
+        time_s -= SONAR_AGE_S
+        if min(range_m, before_m) >= DETECTION_LIMIT_M:
+            self._alignment.add(time_s, None)
+        elif abs(range_m - before_m) < CONFIRM_M and 0.0 < range_m < DETECTION_LIMIT_M:
+            self._alignment.add(time_s, range_m + inset_m)
+
+    def learn(self, leader: History) -> None:
+        """Use the readings that both vehicles' reports have overtaken by now."""
+        for one in self._alignment.due(leader, self.history):
+            if one.distance_m is not None:
+                self.offset.heard(one.time_s, one.distance_m, one.axis_rad, one.believed_m)
+            elif one.lean_rad < LEVEL_RAD:
+                self.offset.silent(one.time_s, one.axis_rad, one.believed_m)
+
+    def forget(self) -> None:
+        """A receiver has begun anew: what was learnt of it is void."""
+        self.offset = OffsetGrid()
+        self._alignment = Alignment()
+
+    def as_seen(self, leader: GlobalPosition) -> GlobalPosition:
+        """The leader's place in the follower's receiver's frame."""
+        return displace(leader, (-self.offset.north_m, -self.offset.east_m, 0.0))
+
+
+def carried_on(leader: LeaderFix, to_s: float) -> LeaderFix:
+    """The leader at a moment, from its newest report (see `guidance.predicted`)."""
+    from echowing.guidance import predicted
+
+    return predicted(leader, min(LONGEST_CARRY_S, max(0.0, to_s - leader.time_s)))
+
+
+def place_then(position: GlobalPosition, velocity_ned_mps: Ned, since_s: float) -> GlobalPosition:
+    """A place carried on for so long at a velocity."""
+    since_s = min(LONGEST_CARRY_S, max(0.0, since_s))
+    north, east, down = velocity_ned_mps
+    return displace(position, (north * since_s, east * since_s, down * since_s))
+
+
+def between(follower: GlobalPosition, leader: GlobalPosition) -> Ned:
+    """From leader to follower, NED metres."""
+    north, east, down = ned_between(leader, follower)
+    return north, east, down

@@ -1,0 +1,159 @@
+"""The slow disagreement between two GPS receivers, learnt from the sonar. Pure.
+
+Leader and follower each believe to be a metre or so from where they are, and the errors wander
+over a minute. Only their difference matters to a formation, and the sonar sees it: a reading says
+that the leader is on an arc, so far away and somewhere in the beam; silence says that it is not in
+the beam. An arc is no ellipse, and silence no measurement, so this is no Kalman filter but a map:
+how likely each difference (north, east) is. The mean of the map is where to look; where the sonar
+has looked and heard nothing, the map grows thin and the mean moves on, which is the search.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from echowing.guidance import Horizontal
+
+# Of the map: four standard deviations of the difference to each side, in cells as wide as the beam
+# is unsharp at 1 m.
+HALF_WIDTH_M, CELL_M = 4.6, 0.2
+# Both vehicles are known at the reading's moment to a decimetre, and a cell is as wide.
+RANGE_SIGMA_M = 0.15
+# The beam (sim/sonar.py), and over how much of an angle its edge is unsharp: the lean, the heading
+# and the echo's own strength.
+BEAM_HALF_RAD, EDGE_RAD = math.radians(20.0), math.radians(3.0)
+# A reading is of something else (wild, another vehicle, the ground) this often.
+WRONG_SHARE = 0.03
+# A leader in the beam and no further than this is heard this often, as long as nobody leans.
+SILENCE_TO_M, HEARD_SHARE = 4.0, 0.5
+# Readings nearer in time share their errors, and are not evidence twice.
+UPDATE_PERIOD_S = 0.25
+# The map changes by 0.2 m in a second: it is blurred so often.
+BLUR_PERIOD_S = 0.5
+LEAST_LIKELIHOOD = 1e-12
+
+Map = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Wandering:
+    """How far receivers wander: standard deviation an axis and correlation time, each one's."""
+
+    sigma_m: float = 0.8
+    tau_s: float = 60.0
+
+
+class OffsetGrid:
+    """Leader's minus follower's position error, (north, east) metres, with its uncertainty."""
+
+    def __init__(self, wandering: Wandering | None = None) -> None:
+        wandering = wandering or Wandering()
+        self._tau_s = wandering.tau_s
+        self._prior_m2 = 2.0 * wandering.sigma_m**2
+        cells = round(HALF_WIDTH_M / CELL_M)
+        axis = np.arange(-cells, cells + 1) * CELL_M
+        self._north, self._east = np.meshgrid(axis, axis, indexing="ij")
+        self._square = self._north**2 + self._east**2
+        self._map: Map = np.exp(-0.5 * self._square / self._prior_m2)
+        self._advanced_s: float | None = None
+        self._heard_at_s = -math.inf
+        self._silent_at_s = -math.inf
+        self._summarise()
+
+    def unheard_s(self, now_s: float) -> float:
+        """For how long no reading has been taken for the leader; infinite at first."""
+        return now_s - self._heard_at_s
+
+    def sigma_m(self, direction_rad: float) -> float:
+        """Standard deviation of the estimate along a bearing."""
+        cos, sin = math.cos(direction_rad), math.sin(direction_rad)
+        p_nn, p_ne, p_ee = self._covariance
+        return math.sqrt(p_nn * cos * cos + 2.0 * p_ne * cos * sin + p_ee * sin * sin)
+
+    def advance(self, now_s: float) -> None:
+        """Let the map blur until `now_s`, and fade back to what receivers do."""
+        if self._advanced_s is None:
+            self._advanced_s = now_s
+        elapsed_s = now_s - self._advanced_s
+        if elapsed_s < BLUR_PERIOD_S:
+            return
+        self._advanced_s = now_s
+        self._map = _blurred(self._map, 2.0 * self._prior_m2 / self._tau_s * elapsed_s)
+        # The information that balances this blur where the map is as wide as the prior.
+        self._map *= np.exp(-self._square * (elapsed_s / (self._tau_s * self._prior_m2)))
+        self._summarise()
+
+    def heard(
+        self, time_s: float, distance_m: float, axis_rad: float, believed: Horizontal
+    ) -> None:
+        """Take a sonar reading.
+
+        Args:
+            time_s: when it was taken.
+            distance_m: between the two vehicles' centres, by the sonar.
+            axis_rad: bearing the sonar looked along.
+            believed: from follower to leader by their receivers, (north, east) metres.
+
+        """
+        if time_s - self._heard_at_s < UPDATE_PERIOD_S:
+            return
+        self.advance(time_s)
+        far_m, in_beam = self._seen_from(axis_rad, believed)
+        fits = np.exp(-0.5 * ((far_m - distance_m) / RANGE_SIGMA_M) ** 2) * in_beam
+        weight = float((self._map * fits).sum() / self._map.sum())
+        if weight > WRONG_SHARE * _ring_share(distance_m):
+            self._heard_at_s = time_s
+        self._update(fits + WRONG_SHARE * _ring_share(distance_m))
+
+    def silent(self, time_s: float, axis_rad: float, believed: Horizontal) -> None:
+        """Take a reading of nothing; arguments as of `heard`."""
+        if time_s - max(self._silent_at_s, self._heard_at_s) < UPDATE_PERIOD_S:
+            return
+        self._silent_at_s = time_s
+        self.advance(time_s)
+        far_m, in_beam = self._seen_from(axis_rad, believed)
+        self._update(1.0 - HEARD_SHARE * in_beam * (far_m < SILENCE_TO_M))
+
+    def _seen_from(self, axis_rad: float, believed: Horizontal) -> tuple[Map, Map]:
+        """How far the leader is for each difference, and how surely it is in the beam (0 to 1)."""
+        north, east = believed[0] - self._north, believed[1] - self._east
+        far_m = np.hypot(north, east)
+        ahead = north * math.cos(axis_rad) + east * math.sin(axis_rad)
+        off_rad = np.arccos(np.clip(ahead / np.maximum(far_m, CELL_M), -1.0, 1.0))
+        return far_m, 1.0 / (1.0 + np.exp((off_rad - BEAM_HALF_RAD) / (0.5 * EDGE_RAD)))
+
+    def _update(self, likelihood: Map) -> None:
+        self._map *= likelihood
+        self._summarise()
+
+    def _summarise(self) -> None:
+        """Mean and covariance of the map, and its sum back to one."""
+        self._map = np.maximum(self._map / self._map.sum(), LEAST_LIKELIHOOD)
+        weights = self._map / self._map.sum()
+        self.north_m = float((weights * self._north).sum())
+        self.east_m = float((weights * self._east).sum())
+        most = int(weights.argmax())
+        self.most_likely_m = (float(self._north.flat[most]), float(self._east.flat[most]))
+        off_n, off_e = self._north - self.north_m, self._east - self.east_m
+        self._covariance = (
+            float((weights * off_n * off_n).sum()),
+            float((weights * off_n * off_e).sum()),
+            float((weights * off_e * off_e).sum()),
+        )
+
+
+def _ring_share(distance_m: float) -> float:
+    """The share of an even spread over the sonar's reach that would fit a reading by chance."""
+    return RANGE_SIGMA_M / max(distance_m, RANGE_SIGMA_M)
+
+
+def _blurred(values: Map, variance_m2: float) -> Map:
+    """The map after a random walk with this variance an axis, by a three point kernel."""
+    share = min(1.0 / 3.0, 0.5 * variance_m2 / (CELL_M * CELL_M))
+    for axis in (0, 1):
+        padded = np.pad(values, [(1, 1) if one == axis else (0, 0) for one in (0, 1)], mode="edge")
+        low, high = (padded[:-2], padded[2:]) if axis == 0 else (padded[:, :-2], padded[:, 2:])
+        values = (1.0 - 2.0 * share) * values + share * (low + high)
+    return values

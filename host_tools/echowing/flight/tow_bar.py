@@ -1,0 +1,106 @@
+"""The plan: a slot that the leader draws along as a car draws a trailer. Pure.
+
+The bar between leader and slot has the slot's length. Its bearing turns only as the leader's end
+moves across it, at v / length x sin(course - bearing); the slot moves along the bar. So a slot on
+the tail never moves faster than the leader, the distance is kept through corners, a leader that
+turns its nose moves nobody, and one that flies back pushes its follower straight back instead of
+sending it round. The slots of a formation hang on one bar as long as the outermost slot's, so that
+it turns as one body.
+"""
+
+import math
+from dataclasses import replace
+
+from echowing.geo import GlobalPosition, displace, wrap_angle_rad
+from echowing.guidance import (
+    GuidedPoint,
+    Horizontal,
+    LeaderFix,
+    Slot,
+    bearing_rad,
+    slot_offset_m,
+    turned_towards,
+)
+
+# Slower, the course is noise and the bar does not turn (thesis Appendix C takes 0.25 m/s for the
+# course itself; the bar turns in proportion to the speed, which fades the noise by itself).
+STILL_MPS = 0.1
+# A slot waits for its follower: it is never further round the leader than this, so that the
+# straight way to it stays clear of the leader (3 m x cos 30 deg = 2.6 m in a 3 m formation).
+FURTHEST_ROUND_RAD = math.radians(60.0)
+# Ticks come at 8 Hz; after a longer pause the bar begins from where it is.
+LONGEST_STEP_S = 1.0
+
+
+class TowBar:
+    """The slot of one follower behind its leader; holds the bar's bearing.
+
+    slot: its place; length_m: of the bar: the outermost slot's radius in a formation.
+    """
+
+    def __init__(self, slot: Slot, length_m: float | None = None) -> None:
+        self.slot = slot
+        self.length_m = slot.radius_m if length_m is None else length_m
+        self._course_rad: float | None = None
+        self._at_s = 0.0
+
+    def update(
+        self,
+        leader: LeaderFix,
+        now_s: float,
+        follower: GlobalPosition | None = None,
+        least_radius_m: float = 0.0,
+    ) -> GuidedPoint:
+        """The slot and its velocity, for a leader that is already carried on to its moment.
+
+        follower: where the follower is then (the slot, where that is not known); the slot is
+        `least_radius_m` from the leader at least.
+        """
+        slot = self.slot
+        if slot.radius_m < least_radius_m:
+            slot = replace(slot, radius_m=least_radius_m)
+        length_m = self.length_m * slot.radius_m / self.slot.radius_m
+        course_rad, rate_rps = self._turn(leader, now_s, follower, length_m)
+        offset_m = slot_offset_m(slot, course_rad)
+        place = displace(leader.position, (offset_m[0], offset_m[1], -slot.altitude_step_m))
+        return GuidedPoint(
+            point=place,
+            slot=place,
+            leader=leader.position,
+            yaw_rad=bearing_rad(follower or place, leader.position),
+            age_s=0.0,
+            velocity_mps=_carried(leader.velocity_ned_mps[:2], rate_rps, offset_m),
+            course_rad=course_rad,
+        )
+
+    def _turn(
+        self, leader: LeaderFix, now_s: float, follower: GlobalPosition | None, length_m: float
+    ) -> tuple[float, float]:
+        """The bearing in which the bar points, and the rate at which it turns."""
+        elapsed_s = min(LONGEST_STEP_S, max(0.0, now_s - self._at_s))
+        self._at_s = now_s
+        own_rad = None
+        if follower is not None:
+            own_rad = bearing_rad(leader.position, follower) + math.pi + self.slot.angle_rad
+        if self._course_rad is None:
+            self._course_rad = leader.heading_rad if own_rad is None else own_rad
+        rate_rps = _turn_rate_rps(leader, self._course_rad, length_m)
+        turned_rad = wrap_angle_rad(self._course_rad + rate_rps * elapsed_s)
+        if own_rad is not None:
+            turned_rad = turned_towards(own_rad, turned_rad, FURTHEST_ROUND_RAD)
+        self._course_rad = turned_rad
+        return turned_rad, rate_rps
+
+
+def _turn_rate_rps(leader: LeaderFix, course_rad: float, length_m: float) -> float:
+    """How fast the leader's end turns the bar."""
+    north_mps, east_mps, _ = leader.velocity_ned_mps
+    if leader.speed_mps < STILL_MPS:
+        return 0.0
+    across_mps = east_mps * math.cos(course_rad) - north_mps * math.sin(course_rad)
+    return across_mps / length_m
+
+
+def _carried(leader_mps: Horizontal, rate_rps: float, offset_m: Horizontal) -> Horizontal:
+    """The velocity of a place on a body that moves with the leader and turns (clockwise)."""
+    return leader_mps[0] - rate_rps * offset_m[1], leader_mps[1] + rate_rps * offset_m[0]

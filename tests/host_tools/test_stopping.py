@@ -1,0 +1,58 @@
+"""How a verb's end holds against signals: in processes of their own, as it is their end."""
+
+import subprocess
+import sys
+
+import pytest
+
+SECOND = """
+import atexit, os, signal
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a suite in the background ignores it
+from echowing.stopping import stop_on_signals
+with stop_on_signals() as stop:
+    os.kill(os.getpid(), signal.{first})
+    assert stop.count == 1
+os.kill(os.getpid(), signal.{second})
+atexit.register(os.kill, os.getpid(), signal.{second})
+class Last:
+    def __del__(self, kill=os.kill, pid=os.getpid()):
+        kill(pid, signal.{second})
+last = Last()
+raise SystemExit(3)
+"""
+AFTER = """
+import os, signal, sys
+from echowing.cli import main
+sys.argv = ["echowing", "sim", "--list"]
+code = main()
+os.kill(os.getpid(), signal.{second})
+raise SystemExit(3)
+"""
+STILL_ITS_OWN = """
+import os, signal
+from echowing.stopping import stop_on_signals
+with stop_on_signals():
+    pass
+os.kill(os.getpid(), signal.SIGTERM)
+"""
+
+
+def exit_code(code: str, **names: str) -> int:
+    run = [sys.executable, "-c", code.format(**names)]
+    return subprocess.run(run, capture_output=True, check=False, timeout=60).returncode
+
+
+@pytest.mark.parametrize("first", ["SIGINT", "SIGTERM"])
+@pytest.mark.parametrize("second", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_a_signal_after_the_last_word_does_not_change_the_exit_code(
+    first: str, second: str
+) -> None:
+    assert exit_code(SECOND, first=first, second=second) == 3
+
+
+def test_a_signal_after_a_verb_has_ended_does_not_change_its_exit_code() -> None:
+    assert exit_code(AFTER, second="SIGTERM") == 3
+
+
+def test_where_nothing_was_asked_signals_are_as_they_were() -> None:
+    assert exit_code(STILL_ITS_OWN) == -15
