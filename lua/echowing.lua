@@ -374,6 +374,8 @@ do
         end
     end
 
+    -- Of a script that was restarted, what has not been saved goes back to its default as it is added again.
+    local left_in_mirror = param:get(PREFIX .. 'MIRROR')
     local taken = TEXT .. 'parameter table key ' .. TABLE_KEY .. ' is taken'
     assert(param:add_table(TABLE_KEY, PREFIX, #PARAMETERS), taken)
     for i, row in ipairs(PARAMETERS) do
@@ -384,6 +386,7 @@ do
     for i = 1, #names do read(i) end
     C.SPD_MAX = math.max(C.SPD_MAX, C.SPD_MIN)
     parameters.mirror = objects[#objects]
+    if left_in_mirror then parameters.mirror:set(left_in_mirror) end
 end
 
 -- The parts and their state -------------------------------------------------------------------------------------------
