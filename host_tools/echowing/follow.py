@@ -16,6 +16,7 @@ from typing import Any, Protocol
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.engage import Engagement
 from echowing.feed_forward import sonar_range_m
 from echowing.flight.alignment import History, Report
 from echowing.flight.envelope import Answer, Other, keep_apart
@@ -184,6 +185,7 @@ class FollowSession:
         limits: Limits | None = None,
         engaged: bool = True,
         take_off: TakeOff | None = None,
+        leaders_height: bool = False,
     ) -> None:
         plans = list(plans)
         longest_m = max((plan.slot.radius_m for plan in plans), default=None)
@@ -199,7 +201,11 @@ class FollowSession:
         self._leader_history = History()
         self.events: list[tuple[float, str]] = []
         self.engaged = engaged
+        self.leaders_height = leaders_height
         self.guard = None if limits is None else self._make_guard(limits)
+        self.engagement: Engagement | None = None
+        if limits is not None and limits.ready is not None:
+            self.engagement = Engagement(limits.ready, leader_id, self.followers, self._say)
         self.take_offs = None if take_off is None else TakeOffs(take_off, self.followers, self._say)
         self._stopping: str | None = None
         self._leader_rate_hz = leader_rate_hz
@@ -221,6 +227,8 @@ class FollowSession:
             # What was asked before may have had no way to it: a listening port knows none.
             self._heard.add(system_id)
             self._rates_at_s = -math.inf
+        if self.engagement is not None:
+            self.engagement.receive(system_id, kind, message)
         if self._rates is not None:
             self._rates.received(system_id, message.get_msgId())
         if kind == "TIMESYNC":
@@ -233,6 +241,9 @@ class FollowSession:
     def tick(self, now_s: float) -> list[tuple[int, Any]]:
         """The messages to send now: guided points, time synchronisation, heartbeat, rates."""
         messages = self._housekeeping(now_s)
+        if self.engagement is not None:
+            self.engagement.prepare(self, now_s)
+            messages.extend(self.engagement.messages(now_s))
         if self.take_offs is not None:
             messages.extend(self._lift(self.take_offs, now_s))
         for system_id, follower in self.followers.items():
@@ -271,7 +282,13 @@ class FollowSession:
             return False
         if self._stopping is not None and not follower.flown:
             return False
+        if self._stopping is None and not stopped_rising and not self._cleared(follower):
+            return False
         return self.guard is None or self.guard.lets(follower, now_s)
+
+    def _cleared(self, follower: FollowerState) -> bool:
+        """Whether all that has to be right before its first point is."""
+        return self.engagement is None or self.engagement.cleared(follower.plan.system_id)
 
     def _may_lead(self, follower: FollowerState) -> bool:
         """Whether points may go to one that flies in Guided: none while it takes off."""
@@ -297,6 +314,10 @@ class FollowSession:
                 return "stop switch"
             fix = self.leader.fix
             leader = None if fix is None else self.leader_for(follower, fix, now_s)
+            if self.engagement is not None and not follower.flying:
+                unready = self.engagement.objection_to_take_off(self, follower, now_s)
+                if unready is not None:
+                    return unready
             return self.guard.too_near(follower, leader, self.followers, now_s)
 
         messages = take_offs.messages(self.followers, objection, now_s)
@@ -446,6 +467,10 @@ class FollowSession:
             return STALE
         if self.guard is None:
             return None
+        if self.engagement is not None and self._cleared(follower):
+            doubt = self.engagement.reason_to_stop(self, follower)
+            if doubt is not None:
+                return doubt
         leader = self.leader_for(follower, fix, now_s)
         return self.guard.reason_to_stop(follower, leader, self.followers, now_s)
 
@@ -467,7 +492,8 @@ class FollowSession:
 
     def _moves(self, follower: FollowerState) -> bool:
         """Whether it is ours to move, so that a stop is worth a word."""
-        return self.guard is None or (follower.in_guided and (self.engaged or follower.flown))
+        engaged = self.engaged and self._cleared(follower)
+        return self.guard is None or (follower.in_guided and (engaged or follower.flown))
 
     def _guide(self, follower: FollowerState, fix: LeaderFix, now_s: float) -> GuidedPoint:
         settings, unsure_m, least_m = self.settings, 0.0, 0.0
@@ -543,6 +569,25 @@ class FollowSession:
         shift_m = 0.0 if self.guard is None else self.guard.altitude_shift_m(plan.system_id)
         return plan.wanted_m + shift_m
 
+    def take_leaders_height(self, follower: FollowerState) -> None:
+        """Where no altitude was asked for: a follower flies as high as the leader does now."""
+        height_m = self._leaders_height_m()
+        if self.leaders_height and height_m is not None:
+            follower.plan.altitude_m = round(height_m, 1)
+
+    def height_wanted_m(self, follower: FollowerState) -> float | None:
+        """What it is to fly at above its own home; None: not known yet."""
+        if self.leaders_height and self._leaders_height_m() is None:
+            return None
+        return self._wanted_m(follower)
+
+    def _leaders_height_m(self) -> float | None:
+        """The leader's altitude above its home."""
+        home_m = None if self.guard is None else self.guard.home_m(self.leader_id)
+        if home_m is None or self.leader.fix is None:
+            return None
+        return self.leader.fix.position.alt_m - home_m
+
     def _line_rad(self, follower: FollowerState, now_s: float) -> float:
         """Bearing from the follower to the leader."""
         leader, here = self._leader_then(follower, now_s), self._follower_then(follower, now_s)
@@ -578,7 +623,7 @@ class FollowSession:
 
     def _timesync(self, system_id: int, message: Any, now_s: float) -> None:
         clock = self._clock(system_id)
-        if clock is not None and message.tc1 != 0:
+        if clock is not None and message.tc1 != 0 and clock.has_asked(message.ts1):
             clock.answered(message.ts1 / 1e9, message.tc1 / 1e9, now_s)
 
     def _clock(self, system_id: int) -> VehicleClock | None:
@@ -690,6 +735,8 @@ class FollowSession:
                 left = "not flying any more"
             self._say(now_s, f"follower {follower.plan.system_id}: {left}, hands off")
         elif self.guard is not None:
+            if self.engagement is not None:
+                self.engagement.entered_guided(follower.plan.system_id)
             self.guard.entered_guided(follower.plan.system_id, now_s)
             deed = "taking off" if climbs else "following" if self.engaged else "only watched"
             self._say(now_s, f"follower {follower.plan.system_id}: in Guided, {deed}")
@@ -700,9 +747,8 @@ class FollowSession:
         for system_id in vehicles:
             clock = self._clock(system_id)
             if clock is not None and clock.due(now_s):
-                messages.append(
-                    (system_id, mavlink.MAVLink_timesync_message(0, round(now_s * 1e9)))
-                )
+                stamp_ns = clock.asks(now_s)
+                messages.append((system_id, mavlink.MAVLink_timesync_message(0, stamp_ns)))
         if now_s - self._beat_at_s >= HEARTBEAT_PERIOD_S:
             self._beat_at_s = now_s
             messages.extend((system_id, tool_heartbeat()) for system_id in vehicles)
@@ -724,6 +770,8 @@ class FollowSession:
         if self.guard is None:
             return []
         wanted = self.guard.read_back_requests(feed_forward=self.settings.feed_forward)
+        if self.engagement is not None:
+            wanted += self.engagement.requests()
         if self.settings.learn_offset and not self.settings.feed_forward:
             distance = mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR
             wanted += [(system_id, distance, DISTANCE_HZ) for system_id in self.followers]

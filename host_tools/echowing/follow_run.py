@@ -27,6 +27,8 @@ from echowing.take_off import TakeOff
 ROWS_PERIOD_S = 0.1
 # A copter at 5 m/s stands within 5 s; the stop has to be seen for a second, over a slow link.
 STOPPING_S = 10.0
+# Until the leader's height is known, which is before anything is engaged.
+UNKNOWN_ALTITUDE_M = 10.0
 # This far behind, the points that were missed are not sent late.
 HOPELESS_S = 0.5
 # What another component of a vehicle, the co-processor, may say; all else is its autopilot's.
@@ -37,13 +39,14 @@ _COMPONENTS_SAY = {"DISTANCE_SENSOR", "NAMED_VALUE_FLOAT"}
 class FollowOptions:
     """What the operator has asked for; the first seat is the leader's.
 
-    make_guide: what leads a follower, where it is not its slot.
+    make_guide: what leads a follower, where it is not its slot; altitude_m: above the leader's home,
+    None: as high as the leader is when a follower is engaged.
     """
 
     seats: list[Seat]
     slots: list[Slot]
     settings: GuidanceSettings
-    altitude_m: float = 10.0
+    altitude_m: float | None = 10.0
     rate_hz: float = 8.0
     limits: Limits = field(default_factory=Limits)
     engage: bool = False
@@ -133,7 +136,7 @@ class FollowTool:
         options = self._options
         leader, *followers = options.seats
         plans = [
-            FollowerPlan(known_id(seat), slot, options.altitude_m)
+            FollowerPlan(known_id(seat), slot, options.altitude_m or UNKNOWN_ALTITUDE_M)
             for seat, slot in zip(followers, options.slots, strict=True)
         ]
         self._session = FollowSession(
@@ -144,6 +147,7 @@ class FollowTool:
             limits=options.limits,
             engaged=options.engage,
             take_off=options.take_off,
+            leaders_height=options.altitude_m is None,
         )
         if options.make_guide is not None:
             for follower in self._session.followers.values():

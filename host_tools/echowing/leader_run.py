@@ -7,6 +7,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.background import BackgroundView
+from echowing.engage import EKF_HZ, GPS_HZ
 from echowing.follow import RATE_REQUEST_PERIOD_S
 from echowing.follow_view import PlainView
 from echowing.guard import SWITCH_HZ, UNHEARD_S, RateWatch
@@ -42,6 +43,8 @@ class LeaderTool:
         self._wanted_hz = {
             mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: rate_hz,
             mavlink.MAVLINK_MSG_ID_RC_CHANNELS: SWITCH_HZ,
+            mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: EKF_HZ,
+            mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: GPS_HZ,
         }
         self._stop = stop
         self._clock = clock

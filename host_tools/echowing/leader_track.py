@@ -1,6 +1,7 @@
 """Where the leader is, out of its reports: its clock against ours, late ones and jumps. Pure."""
 
 import math
+from collections import deque
 from typing import Any
 
 from echowing.geo import GlobalPosition, Ned, ned_between
@@ -22,6 +23,8 @@ AGREEING_REPORTS = 8
 # How long a point takes there and back while no TIMESYNC answer has said.
 USUAL_ROUND_TRIP_S = 0.5
 TIMESYNC_PERIOD_S = 1.0
+# Questions that may still be answered: no radio holds one back for longer than half a minute.
+ANSWERS_AWAITED = 30
 # The quickest answer of so long sets the clock: crystals of 50 ppm drift 3 ms apart meanwhile.
 CLOCKS_AGREE_S = 60.0
 
@@ -38,6 +41,7 @@ class VehicleClock:
         self._best_at_s = -math.inf
         self._boot_at_s: float | None = None
         self._asked_at_s = -math.inf
+        self._asked_ns: deque[int] = deque(maxlen=ANSWERS_AWAITED)
 
     @property
     def known(self) -> bool:
@@ -55,6 +59,15 @@ class VehicleClock:
             return False
         self._asked_at_s = now_s
         return True
+
+    def asks(self, now_s: float) -> int:
+        """The stamp of a question sent now, nanoseconds."""
+        self._asked_ns.append(round(now_s * 1e9))
+        return self._asked_ns[-1]
+
+    def has_asked(self, stamp_ns: int) -> bool:
+        """Whether an answer with this stamp is to us: other tools ask on the same link."""
+        return stamp_ns in self._asked_ns
 
     def answered(self, asked_s: float, vehicle_boot_s: float, now_s: float) -> None:
         """Take one TIMESYNC answer: when it was asked, and the vehicle's clock in it."""
@@ -74,7 +87,7 @@ class VehicleClock:
         return min(received_s, self._boot_at_s + boot_s)
 
     def restarted(self) -> None:
-        """Forget everything: the vehicle has booted again."""
+        """Forget everything: the vehicle has booted again; late answers are of its former clock."""
         self.__init__()  # type: ignore[misc]
 
 

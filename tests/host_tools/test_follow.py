@@ -253,6 +253,7 @@ def test_an_answer_too_old_for_clocks_that_drift_is_forgotten() -> None:
 def test_the_leaders_age_is_measured_through_timesync() -> None:
     follow = session(replace(PLAIN, keep_behind=False))
     # The leader booted with our clock; its answers take 0.46 s each way.
+    follow.tick(5.0)
     answer = mavlink.MAVLink_timesync_message(round(5.46e9), round(5.0e9))
     follow.receive(from_vehicle(LEADER, answer), 5.92)
     follow.receive(from_vehicle(LEADER, position(6.0, HERE, (2.0, 0.0))), 6.46)

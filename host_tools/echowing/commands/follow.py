@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 # Above the leader's home: what can be flown, and what can still be seen from there.
 LEAST_ALTITUDE_M, MOST_ALTITUDE_M = 1.0, 500.0
+# Over a leader that is carried at a metre or two.
+CARRIED_ALTITUDE_M = 10.0
 
 EXAMPLES = """\
 examples:
@@ -70,9 +72,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     place.add_argument(
         "--altitude",
         type=float,
-        default=10.0,
         metavar="M",
-        help="above the leader's home; followers' own homes are allowed for (see --level-homes)",
+        help="above the leader's home (as high as the leader is when a follower is engaged; with "
+        "--carried-leader 10); a follower that is more than 3 m away from that needs --altitude",
     )
     place.add_argument(
         "--lead-time",
@@ -148,10 +150,17 @@ def _add_safety(safety: "argparse._ArgumentGroup") -> None:
         help="stop where leader's and follower's homes differ more in altitude (5); up to this "
         "the follower's altitude is corrected by the difference",
     )
-    safety.add_argument(
+    homes = safety.add_mutually_exclusive_group()
+    homes.add_argument(
         "--level-homes",
         action="store_true",
         help="the homes are level: what they differ by is the receivers' error, correct nothing",
+    )
+    homes.add_argument(
+        "--correct-homes",
+        action="store_true",
+        help="the homes are not level: correct the altitude by what they differ by. Without either "
+        "nobody is engaged whose home differs by more than 1 m",
     )
     safety.add_argument(
         "--carried-leader",
@@ -181,6 +190,7 @@ def options_of(arguments: "Sequence[str]") -> "FollowOptions":
 
 
 def _options(args: argparse.Namespace) -> "FollowOptions":
+    from echowing.engage import Readiness  # noqa: PLC0415
     from echowing.follow_run import FollowOptions  # noqa: PLC0415
     from echowing.guard import Limits  # noqa: PLC0415
     from echowing.guidance import GuidanceSettings  # noqa: PLC0415
@@ -193,12 +203,15 @@ def _options(args: argparse.Namespace) -> "FollowOptions":
     seats = _seats(args)
     VehicleFinder(seats)  # refuses what could never be told apart
     slots = _slots(args)
-    _check_heights(slots, args.altitude)
+    altitude_m = CARRIED_ALTITUDE_M if args.carried_leader else None
+    altitude_m = altitude_m if args.altitude is None else args.altitude
+    if altitude_m is not None:
+        _check_heights(slots, altitude_m)
     return FollowOptions(
         seats=seats,
         slots=slots,
         settings=GuidanceSettings(lead_time_s=args.lead_time, feed_forward=not args.position_only),
-        altitude_m=args.altitude,
+        altitude_m=altitude_m,
         rate_hz=args.rate,
         limits=Limits(
             max_distance_m=args.max_distance,
@@ -207,6 +220,10 @@ def _options(args: argparse.Namespace) -> "FollowOptions":
             level_homes=args.level_homes,
             leader_flies=not args.carried_leader,
             switch=switch,
+            ready=Readiness(
+                homes_told=args.level_homes or args.correct_homes,
+                height_told=args.altitude is not None,
+            ),
         ),
         engage=args.engage,
         take_off=_take_off(args),
@@ -240,7 +257,11 @@ def _check_numbers(args: argparse.Namespace) -> None:
         "--lead-time": (args.lead_time, 0.0, 5.0),
         "--rate": (args.rate, 1.0, 20.0),
         "--leader-rate": (args.leader_rate, 1.0, 20.0),
-        "--altitude": (args.altitude, LEAST_ALTITUDE_M, MOST_ALTITUDE_M),
+        "--altitude": (
+            LEAST_ALTITUDE_M if args.altitude is None else args.altitude,
+            LEAST_ALTITUDE_M,
+            MOST_ALTITUDE_M,
+        ),
         "--max-distance": (args.max_distance, 5.0, 10_000.0),
         "--min-separation": (args.min_separation, 0.5, 1_000.0),
         "--home-difference": (args.home_difference, 0.0, 1_000.0),

@@ -5,6 +5,8 @@ from pathlib import Path
 
 from echowing.errors import EchowingError
 
+ALTITUDE_M = 30.0
+
 EXAMPLES = """\
 examples:
   echowing relay --remote udpin:14550 --vehicle udpin:14560 --ground 39.3400,-86.0300 --altitude 40
@@ -28,7 +30,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--ground", required=True, metavar="LAT,LON", help="the ground station")
     parser.add_argument(
-        "--altitude", type=float, default=30.0, metavar="M", help="above the relay's home (30)"
+        "--altitude",
+        type=float,
+        metavar="M",
+        help="above the relay's home (30); a relay that is more than 3 m away from that needs it",
     )
     parser.add_argument("--baud", type=int, default=DEFAULT_BAUD, help="of serial devices")
     parser.add_argument("--rate", type=float, default=4.0, metavar="HZ", help="of points (4)")
@@ -58,6 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Relay until told to end."""
+    from echowing.engage import Readiness  # noqa: PLC0415
     from echowing.follow_run import FollowOptions, FollowTool  # noqa: PLC0415
     from echowing.follow_view import open_view  # noqa: PLC0415
     from echowing.guard import Limits  # noqa: PLC0415
@@ -69,6 +75,8 @@ def run(args: argparse.Namespace) -> int:
     from echowing.switch import parse_stop_switch  # noqa: PLC0415
     from echowing.terminal import run_in_flight  # noqa: PLC0415
 
+    altitude_told = args.altitude is not None
+    args.altitude = args.altitude if altitude_told else ALTITUDE_M
     _check_numbers(args)
     ground = parse_ground(args.ground)
     options = FollowOptions(
@@ -84,6 +92,7 @@ def run(args: argparse.Namespace) -> int:
             max_distance_m=args.max_distance,
             min_separation_m=args.min_separation,
             leader_flies=False,
+            ready=Readiness(distance=False, sides=False, height_told=altitude_told),
             switch=None if args.stop_switch is None else parse_stop_switch(args.stop_switch),
         ),
         engage=args.engage,

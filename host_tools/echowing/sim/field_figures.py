@@ -153,7 +153,7 @@ class _Measure(LiveView):
         super().rows(time_s, rows)
         now_s = time.perf_counter()
         if self._all_since_s is None and all(
-            row.state.startswith(("following", "holding")) for row in rows
+            row.state.startswith(("following", "holding", "gives way")) for row in rows
         ):
             self._all_since_s = now_s
         if self._all_since_s is None:
