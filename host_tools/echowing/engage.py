@@ -187,8 +187,7 @@ class Engagement:
         self._say = say
         self._since_s: float | None = None
         self._table_shown = False
-        self.strangers: dict[int, str] = {}
-        """Why it is not known who a vehicle is (see `seats`), by its system id."""
+        self._doubts: dict[int, str] = {}
 
     # ---- what comes in, and what is asked -------------------------------------------------------
 
@@ -197,6 +196,12 @@ class Engagement:
         vehicle = self._vehicles.get(system_id)
         if vehicle is not None:
             vehicle.receive(kind, message)
+
+    def doubt(self, system_id: int, text: str, now_s: float) -> None:
+        """It is not known who this vehicle is (see `seats.StrangerWatch`): for good."""
+        if system_id not in self._doubts:
+            self._doubts[system_id] = text
+            self._say(now_s, text)
 
     def requests(self) -> list[tuple[int, int, float]]:
         """Messages wanted: system id, message id, rate in Hz."""
@@ -292,12 +297,12 @@ class Engagement:
                 return f"{name} {fault}"
             if not clock.known:
                 return f"{name} has a clock that is not known"
-            if one in self.strangers:
-                return f"{name} may be another vehicle"
+            if one in self._doubts:
+                return f"{name} may not be the vehicle that was meant"
         return None
 
     def _show_table(self, session: "FollowSession", now_s: float) -> None:
-        """Say the table of all vehicles, once all is known or has had its time, and what is wrong."""
+        """Say the table once all is known or has had its time, and what is wrong in it."""
         rows = [(f"leader {self._leader_id}", self.leader_findings(session, now_s))]
         rows += [
             (f"follower {system_id}", self.findings(session, follower, now_s, own=True))
@@ -368,7 +373,7 @@ class Engagement:
             return []
         whose = "the leader's" if whose == "leader" else whose
         wrong = {
-            "not seen": f"{whose} stop switch is not seen: is its transmitter on, its channel right?",
+            "not seen": f"{whose} stop switch is not seen: check its transmitter and the channel",
             "on": f"{whose} stop switch is on: switch it off, then leave Guided and come back",
             "was on": f"{whose} stop switch was on: leave Guided and come back",
         }
@@ -450,7 +455,7 @@ class Engagement:
         return [Finding("side", "ok")]
 
     def _stranger(self, name: str, system_id: int) -> list[Finding]:
-        text = self.strangers.get(system_id)
+        text = self._doubts.get(system_id)
         return [] if text is None else [Finding("who", "doubtful", text)]
 
 
@@ -494,7 +499,7 @@ def _applet_state(known: Mapping[str, float]) -> tuple[str, str]:
 def _distance(
     known: Mapping[str, float], session: "FollowSession", follower: "FollowerState"
 ) -> Finding | None:
-    """The applet's distance against the slot's, where the sonar can detect the leader from there."""
+    """The applet's distance against the slot's, where the sonar reaches the leader from there."""
     radius_m, inset_m = follower.plan.slot.radius_m, session.settings.sonar_inset_m
     shown = f"{known[DIST]:.1f} m"
     if not 0.0 < radius_m - inset_m < DETECTION_LIMIT_M:
@@ -510,8 +515,8 @@ def _distance(
         return Finding(
             "distance",
             shown,
-            f"its {DIST} is {known[DIST]:g} m and its slot is {radius_m:g} m from the leader: param "
-            f"set {DIST} {radius_m:g}, or change --radius",
+            f"its {DIST} is {known[DIST]:g} m and its slot is {radius_m:g} m from the leader: "
+            f"param set {DIST} {radius_m:g}, or change --radius",
         )
     return Finding("distance", shown)
 

@@ -467,12 +467,15 @@ class FollowSession:
             return STALE
         if self.guard is None:
             return None
-        if self.engagement is not None and self._cleared(follower):
-            doubt = self.engagement.reason_to_stop(self, follower)
-            if doubt is not None:
-                return doubt
         leader = self.leader_for(follower, fix, now_s)
-        return self.guard.reason_to_stop(follower, leader, self.followers, now_s)
+        stop = self.guard.reason_to_stop(follower, leader, self.followers, now_s)
+        return self._doubt(follower) or stop
+
+    def _doubt(self, follower: FollowerState) -> str | None:
+        """Why what is known of it, or of the leader, is not to be believed now."""
+        if self.engagement is None or not self._cleared(follower):
+            return None
+        return self.engagement.reason_to_stop(self, follower)
 
     def leader_for(self, follower: FollowerState, fix: LeaderFix, now_s: float) -> GlobalPosition:
         """Where the leader is now, as this follower's receiver would have it."""

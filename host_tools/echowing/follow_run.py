@@ -19,7 +19,7 @@ from echowing.guard import Limits
 from echowing.guidance import GuidanceSettings, Slot
 from echowing.links import Address, Link, wait
 from echowing.panel import Panel, left_as
-from echowing.seats import OpenLink, Seat, find_vehicles, known_id
+from echowing.seats import OpenLink, Seat, StrangerWatch, find_vehicles, known_id
 from echowing.signing import LinkSigning
 from echowing.stopping import StopRequest
 from echowing.take_off import TakeOff
@@ -39,8 +39,8 @@ _COMPONENTS_SAY = {"DISTANCE_SENSOR", "NAMED_VALUE_FLOAT"}
 class FollowOptions:
     """What the operator has asked for; the first seat is the leader's.
 
-    make_guide: what leads a follower, where it is not its slot; altitude_m: above the leader's home,
-    None: as high as the leader is when a follower is engaged.
+    make_guide: what leads a follower, where it is not its slot; altitude_m: above the leader's
+    home, None: as high as the leader is when a follower is engaged.
     """
 
     seats: list[Seat]
@@ -85,6 +85,7 @@ class FollowTool:
         self._make_link = make_link
         self._start_s = clock()
         self._start_unix_s = unix_clock()
+        self._strangers = StrangerWatch(options.seats)
         self._links: dict[str, OpenLink] = {}
         for seat in options.seats:
             if seat.address.text not in self._links:
@@ -197,6 +198,9 @@ class FollowTool:
 
     def _take(self, link: OpenLink, message: Any, now_s: float) -> None:
         """Hand on what a vehicle of ours has said on its own link."""
+        doubt = self._strangers.heard(link.link.name, message)
+        if doubt is not None and self._session.engagement is not None:
+            self._session.engagement.doubt(*doubt, now_s)
         if self._ways.get(message.get_srcSystem()) is not link:
             return
         own = message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1

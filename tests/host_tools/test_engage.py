@@ -10,6 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from echowing.engage import FLOWN_M, PATIENCE_S, READ_AGAIN_S, Readiness, StuckPosition
 from echowing.guard import Limits
 from echowing.guidance import Slot
+from echowing.seats import StrangerWatch, parse_seat
 from echowing.switch import StopSwitch
 
 from .yard import FOLLOWER, GUIDED, LEADER, LOITER, SECOND, TICK_S, Vehicle, Yard
@@ -229,3 +230,34 @@ def test_only_watching_shows_the_table_and_what_would_be_wrong() -> None:
     assert yard.fly(SOON_S) == []
     assert any(text.startswith("follower 2") and "5 %!" in text for text in yard.events())
     assert yard.said("follower 2: it has 5 % of its battery left: land it")
+
+
+def beat_of(system_id: int) -> Any:
+    sender = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=1)
+    return mavlink.MAVLink(None).decode(bytearray(Vehicle((0.0, 0.0)).heartbeat().pack(sender)))
+
+
+def test_another_vehicle_that_turns_up_on_an_unnamed_link_is_refused_with_its_id() -> None:
+    seats = [parse_seat("leader", "udpin:1"), parse_seat("follower", "udpin:2@2")]
+    watch = StrangerWatch(seats)
+    seats[0].system_id = 1
+    assert watch.heard("udpin:1", beat_of(1)) is None
+    assert watch.heard("udpin:1", beat_of(2)) is None  # ours, forwarded
+    assert watch.heard("udpin:2", beat_of(9)) is None  # that one was named
+    found = watch.heard("udpin:1", beat_of(9))
+    assert found is not None
+    who, text = found
+    assert who == LEADER
+    assert "systems 1, 9 are heard there" in text
+    assert "udpin:1@1" in text
+
+
+def test_who_is_not_known_to_be_ours_is_not_engaged_and_is_held() -> None:
+    early, late = Yard(), Yard()
+    late.fly(2.0)
+    for yard in (early, late):
+        assert yard.session.engagement is not None
+        yard.session.engagement.doubt(LEADER, "systems 1, 9 are heard there", yard.now_s)
+    assert early.fly(SOON_S) == []
+    late.fly(1.0)
+    assert late.state() == "holding: leader may not be the vehicle that was meant"

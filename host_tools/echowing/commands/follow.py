@@ -205,8 +205,7 @@ def _options(args: argparse.Namespace) -> "FollowOptions":
     slots = _slots(args)
     altitude_m = CARRIED_ALTITUDE_M if args.carried_leader else None
     altitude_m = altitude_m if args.altitude is None else args.altitude
-    if altitude_m is not None:
-        _check_heights(slots, altitude_m)
+    _check_heights(slots, altitude_m)
     return FollowOptions(
         seats=seats,
         slots=slots,
@@ -273,10 +272,15 @@ def _check_numbers(args: argparse.Namespace) -> None:
             raise EchowingError(f"{option} {value:g}: give {least:g} to {most:g}")
 
 
-def _check_heights(slots: "Sequence[Slot]", altitude_m: float) -> None:
-    """Refuse a slot whose altitude step leads into the ground, or out of sight."""
+def _check_heights(slots: "Sequence[Slot]", altitude_m: float | None) -> None:
+    """Refuse a slot whose altitude step leads into the ground, or out of sight.
+
+    Without an altitude what no leader's height could make flyable; the rest is seen in the air.
+    """
     for number, slot in enumerate(slots, 1):
-        height_m = altitude_m + slot.altitude_step_m
+        height_m = slot.altitude_step_m + (altitude_m or 0.0)
+        if altitude_m is None and abs(height_m) < MOST_ALTITUDE_M - LEAST_ALTITUDE_M:
+            continue
         if not LEAST_ALTITUDE_M <= height_m <= MOST_ALTITUDE_M:
             raise EchowingError(
                 f"slot {number} would be flown at {height_m:g} m, --altitude and its "
