@@ -5,7 +5,7 @@
 BIN := .venv/bin
 export PATH := $(CURDIR)/$(BIN):$(PATH)
 
-.PHONY: help demo test bench monitor fuzz lint format setup setup-test core clean
+.PHONY: help demo test test-sitl bench monitor fuzz lint format setup setup-test core clean
 
 help: ## list the targets
 	@grep -hE '^[a-z0-9-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z0-9-]+):.*## /\1\t/' | expand -t 16
@@ -16,14 +16,17 @@ demo: setup core emulated ## fly the scenarios, print the table, write out/demo/
 test: setup-test core emulated lint ## every check and every test
 	$(BIN)/pytest -n 2 --dist loadfile
 
+test-sitl: setup-test core emulated ## fly it on ArduCopter SITL: ARDUCOPTER="PATH …" [CASES="NAME or NAME"]
+	$(BIN)/python -m tests.sitl $(ARDUCOPTER) -- $(if $(CASES),-k "$(CASES)")
+
 bench: setup-test core emulated ## speeds and sizes, as a table
 	@$(BIN)/echowing bench
 
 monitor: setup ## watch the co-processor live: PORT=/dev/ttyACM0
 	@$(BIN)/echowing rig $(if $(PORT),--port $(PORT)) watch
 
-fuzz: setup-test ## fuzz the firmware's byte entry and its memory: SECONDS=600
-	$(BIN)/python tests/firmware/fuzz/run.py $(or $(SECONDS),600)
+fuzz: setup-test ## fuzz the firmware's byte entry and its memory: SECONDS=600 SEED=1
+	$(BIN)/python tests/firmware/fuzz/run.py $(or $(SECONDS),600) $(or $(SEED),1)
 
 lint: setup-test ## formatters and linters, nothing is changed
 	$(BIN)/ruff format --check .

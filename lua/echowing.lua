@@ -754,6 +754,11 @@ do
         guard.evading, guard.close_ms = false, t_ms - BLIND_MS
     end
 
+    -- The distance is kept otherwise: nothing is too close, and no target of the guard's is in force.
+    function guard.rest()
+        guard.too_close, guard.evading = false, false
+    end
+
     -- The speed to set, from the average and its status.
     function guard.update(range_m, status, t_ms)
         local trusted = track.trusted(t_ms)
@@ -763,7 +768,7 @@ do
         if status == STATUS_LOW or (tracked_m and is_too_close(tracked_m, closing_mps, margin_m)) then
             return too_close(tracked_m or 0.0, closing_mps, t_ms)
         end
-        guard.too_close, guard.evading = false, false
+        guard.rest()
         if C.LAW >= 1 and leads_clear(t_ms) then return C.SPD_MAX end
         local near_m = nearest(range_m, t_ms)
         -- Readings that are not yet trusted slow the vehicle, no more.
@@ -820,9 +825,13 @@ do
             math.deg(stream.yaw_rad or yaw), false, 0.0, false)
     end
 
+    function hold.is_wanted()
+        return stream.moving and C.LAW >= 2
+    end
+
     -- Whether the distance is held: points carry a velocity, and there is a leader to hold on to.
     function hold.update(t_ms)
-        hold.active = stream.moving and C.LAW >= 2 and track.trusted(t_ms) and move(t_ms)
+        hold.active = hold.is_wanted() and track.trusted(t_ms) and move(t_ms)
         if not hold.active then return false end
         report.state = STATE.HOLDING
         if track.range_m < C.CLOSE then
@@ -1133,8 +1142,14 @@ do
 
     -- The limit of the total speed; where points carry a velocity, of the correction towards them.
     local function limit(range_m, status, t_ms)
-        if hold.update(t_ms) then return C.SPD_MAX end
-        if stream.moving and not stream.holding then return C.SPD_LOST end
+        if hold.update(t_ms) then
+            guard.rest()
+            return C.SPD_MAX
+        end
+        if hold.is_wanted() and not stream.holding and not track.trusted(t_ms) and status ~= STATUS_LOW then
+            guard.rest()
+            return C.SPD_LOST
+        end
         return guard.update(range_m, status, t_ms)
     end
 

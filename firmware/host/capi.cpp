@@ -59,6 +59,8 @@ class HostBus : public I2cBus {
   bool read(uint8_t address, uint8_t* bytes, uint8_t count) override {
     return read_(now_us, address, bytes, count) != 0;
   }
+  bool take_timeout() override { return false; }
+  void restart() override {}
   // The simulated bus has no lines to hold low.
   void take_lines() override {}
   void drive_clock(bool) override {}
@@ -93,6 +95,7 @@ class HostMemory : public SlotMemory {
 
 class HostBoard : public Board {
  public:
+  ResetCause reset_cause() const override { return ResetCause::kUnknown; }
   const char* git_hash() const override { return "host"; }
   void reboot(bool) override { ++reboots; }
   unsigned reboots = 0;

@@ -19,13 +19,14 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from echowing.engage import Engagement
 from echowing.feed_forward import sonar_range_m
 from echowing.flight.alignment import History, Report
-from echowing.flight.envelope import Answer, Other, keep_apart
+from echowing.flight.envelope import Answer, Other, is_in_the_way, keep_apart
 from echowing.flight.estimate import (
     LONGEST_CARRY_S,
     Estimate,
     carried_on,
     place_then,
 )
+from echowing.flight.offset_grid import Wandering
 from echowing.flight.tow_bar import TowBar
 from echowing.geo import GlobalPosition, Ned, displace, distance_m, ned_between, wrap_angle_rad
 from echowing.guard import Guard, Limits, RateWatch, is_flying, mode_name
@@ -53,7 +54,6 @@ from echowing.messages import (
     position_target,
     tool_heartbeat,
 )
-from echowing.flight.offset_grid import Wandering
 from echowing.take_off import Lift, TakeOff, TakeOffs
 
 GUIDED_MODE = 4
@@ -398,6 +398,7 @@ class FollowSession:
         """The vehicles about a follower that is `here` when the order reaches it."""
         arrives_s = now_s + self._way_s(follower)
         mine = self._in_height(follower.plan.system_id, here)
+        goal = here if follower.guided is None else follower.guided.slot
         others = []
         leader = self._leader_then(follower, arrives_s)
         if leader is not None:
@@ -419,9 +420,9 @@ class FollowSession:
                 velocity = (*other.velocity_mps, -other.climb_mps)
                 age_s = arrives_s - other.position_at_s
                 name = f"follower {system_id}"
-                others.append(
-                    Other(name, ned_between(place, mine), velocity, UNRANGED_SIGMA_M, age_s)
-                )
+                in_the_way = is_in_the_way(ned_between(here, there), ned_between(here, goal))
+                from_it_m = ned_between(place, mine)
+                others.append(Other(name, from_it_m, velocity, UNRANGED_SIGMA_M, age_s, in_the_way))
         return others
 
     def _in_height(self, system_id: int, place: GlobalPosition) -> GlobalPosition:

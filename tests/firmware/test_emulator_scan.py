@@ -33,9 +33,13 @@ DWELL_S = 0.3
 FRAME_US = 20_000.0  # a new pulse is seen with the servo's next frame
 NO_TARGET_CM = 766
 UNTIL_TRACKING_S = 1.0
+# The servos stand straight ahead until the first frame after the first turn.
+FIRST_FRAME_US = 2 * FRAME_US
 
 
-def aim_changes(bench: Bench, since_us: float = 0.0) -> list[tuple[float, tuple[int, int]]]:
+def aim_changes(
+    bench: Bench, since_us: float = FIRST_FRAME_US
+) -> list[tuple[float, tuple[int, int]]]:
     """When the commanded aim changed and what to; within a microsecond or the test fails."""
     changes: list[tuple[float, tuple[int, int]]] = []
     for t_us, pan_us, tilt_us in bench.aims(since_us):
@@ -147,7 +151,7 @@ class TestTrack:
 
     def test_miss_limit_is_a_parameter(self, mega_elf: Path) -> None:
         bench = tracking(mega_elf)
-        assert bench.set_parameter("MISS_LIMIT", 5).param_value == 5
+        assert bench.set_parameter("MISS_LIMIT", 4).param_value == 4
         begun_us = bench.t_us
         bench.sonar.range_m = None
         bench.run(1.0)
@@ -157,17 +161,17 @@ class TestTrack:
             for m in bench.messages("DISTANCE_SENSOR", since_us=begun_us)
             if m.message.current_distance == NO_TARGET_CM
         )
-        assert missed_us[4] <= lost.t_us < missed_us[5]
+        assert missed_us[3] <= lost.t_us < missed_us[4]
 
-    def test_reports_the_mean_of_the_ten_newest_readings(self, mega_elf: Path) -> None:
+    def test_reports_the_mean_of_the_newest_0_45_s(self, mega_elf: Path) -> None:
         bench = tracking(mega_elf, 3.0)
         begun_us = bench.t_us
         bench.sonar.range_m = lambda t_s: 3.0 - 0.8 * (t_s - begun_us / 1e6)
         bench.run(2.0)
         readings = bench.sonar.readings
         for report in bench.messages("DISTANCE_SENSOR", since_us=begun_us + 1e6):
-            heard = [cm for t_us, cm in readings if t_us < report.t_us][-10:]
-            assert report.message.current_distance == pytest.approx(sum(heard) / 10, abs=0.51)
+            heard = [cm for t_us, cm in readings if t_us < report.t_us][-5:]  # one in 100 ms
+            assert report.message.current_distance == pytest.approx(sum(heard) / 5, abs=0.51)
 
     def test_average_never_mixes_what_was_before_a_search(self, mega_elf: Path) -> None:
         bench = tracking(mega_elf, 4.0)
@@ -193,10 +197,10 @@ class TestTrack:
         begun_us = bench.t_us
         bench.sonar.range_m = lambda t_s: 3.0 - 0.8 * (t_s - begun_us / 1e6)
         bench.run(1.0)
-        told = bench.named("SNR_RAW", begun_us + 60_000)
+        told = bench.named("SNR_RAW", begun_us + 110_000)
         measured = [cm / 100 for t_us, cm in bench.sonar.readings if t_us > begun_us]
-        assert len(told) >= 18
-        assert told == pytest.approx(measured[-len(told) - 1 :][: len(told)], abs=0.051)
+        assert len(told) >= 8
+        assert told == pytest.approx(measured[-len(told) - 1 :][: len(told)], abs=0.081)
 
 
 class TestWhenItScans:
@@ -253,9 +257,11 @@ class TestReport:
         assert intervals == pytest.approx([50_000] * len(intervals), abs=2_000)
 
     def test_each_is_on_the_wire_10_ms_after_its_reading(self, reported: Bench) -> None:
-        for report in reported.messages("DISTANCE_SENSOR", since_us=1e6):
-            read_us = max(t_us for t_us, _ in reported.sonar.readings if t_us < report.t_us)
-            assert report.t_us - read_us < 10_000
+        sent_us = [m.t_us for m in reported.messages("DISTANCE_SENSOR", since_us=1e6)]
+        read_us = [t_us for t_us, _ in reported.sonar.readings if 1e6 < t_us < sent_us[-1]]
+        assert len(read_us) >= 95
+        for t_us in read_us:
+            assert min(one for one in sent_us if one > t_us) - t_us < 10_000
 
     def test_says_when_it_was_measured(self, reported: Bench) -> None:
         for report in reported.messages("DISTANCE_SENSOR", since_us=1e6):
@@ -300,7 +306,8 @@ class TestReport:
         ranges = reported.ranges_cm(1e6)
         stamps = [m.message.time_boot_ms for m in reported.messages("DISTANCE_SENSOR")]
         assert set(ranges) == {200}
-        assert all(b > a for a, b in itertools.pairwise(stamps))
+        assert all(b >= a for a, b in itertools.pairwise(stamps))
+        assert len(set(stamps)) >= 95  # two reports of each reading
 
     def test_both_ports_hear_the_same(self, reported: Bench) -> None:
         link = reported.ranges_cm(1e6)

@@ -127,6 +127,18 @@ def compare_with_truth(
     )
 
 
+def truth_separation(flight: Flight, path: Path, shift_s: float, settle_s: float) -> Floats:
+    """True separations, metres, (k,), while the flight was measured, `settle_s` left out.
+
+    shift_s: what is added to the truth's times (`TruthComparison.clock_shift_s`).
+    """
+    truth = _read_columns(path, ("unix_time_s", "separation_m"))
+    time_s = truth[:, 0] - (flight.start_unix_s or 0.0) + shift_s
+    begin_s, end_s = flight.time_s[0] + settle_s, flight.time_s[-1]
+    inside = (time_s >= begin_s) & (time_s <= end_s) & np.isfinite(truth[:, 1])
+    return np.asarray(truth[inside, 1])
+
+
 def _clock_shift_s(flight: Flight, time_s: Floats, speed_mps: Floats) -> float:
     """The shift of the truth's clock at which the follower's speeds agree best."""
     logged_mps = np.hypot(*flight.follower_velocity_mps[:, :2].T)

@@ -21,11 +21,12 @@ examples:
   echowing bench
   echowing bench --only speed --json
   echowing bench --only field         the follow tool: latency, and 50 followers on one core
+  echowing bench --only echoes        what late echoes do to the sonar's readings (half a minute)
   echowing bench --only laws          the speed laws, 20 seeds, about 5 minutes on two cores
   echowing bench --only laws --seeds 3
 """
 
-SECTIONS = ("speed", "field", "firmware", "laws")
+SECTIONS = ("speed", "field", "firmware", "echoes", "laws")
 
 
 @dataclass(frozen=True)
@@ -61,6 +62,8 @@ def run(args: argparse.Namespace) -> int:
         _print(figures)
         if "field" in chosen:
             _print_definition()
+    if "echoes" in chosen:
+        figures += _echoes(quiet=args.json)
     if "laws" in chosen:
         table = _fly_laws(args.seeds, quiet=args.json)
         figures += _law_figures(table)
@@ -136,6 +139,20 @@ def _law_figures(table: "list[LawRow]") -> Iterator[Figure]:
         if math.isfinite(row.attacked_m):
             yield Figure(f"{name}: the same, attacked", row.attacked_m, "m", "over 0.5")
         yield Figure(f"{name}: speed changes", row.changes_per_min, "1/min")
+
+
+def _echoes(*, quiet: bool) -> list[Figure]:
+    """The table in Markdown, as firmware/README.md has it."""
+    from echowing.sim.late_echoes import late_echoes, markdown  # noqa: PLC0415
+
+    rows = list(late_echoes())
+    if not quiet:
+        print(markdown(rows))
+    return [
+        Figure(f"{row.period_ms} ms +- {row.jitter_ms}, {row.scene}: {what}", share, "")
+        for row in rows
+        for what, share in (("false", row.false), ("missed", row.missed))
+    ]
 
 
 def _field() -> Iterator[Figure]:

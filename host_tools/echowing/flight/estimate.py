@@ -4,9 +4,9 @@ import math
 from collections import deque
 
 from echowing.flight.alignment import Alignment, History, Report
+from echowing.flight.offset_grid import OffsetGrid
 from echowing.geo import GlobalPosition, Ned, displace, ned_between
 from echowing.guidance import LeaderFix
-from echowing.flight.offset_grid import OffsetGrid
 
 # Propellers make single wild readings: one counts when the one before it was like it.
 CONFIRM_S, CONFIRM_M = 0.3, 0.5
@@ -99,9 +99,7 @@ def carried_on(leader: LeaderFix, to_s: float) -> LeaderFix:
     return predicted(leader, min(LONGEST_CARRY_S, max(0.0, to_s - leader.time_s)))
 
 
-def place_then(
-    position: GlobalPosition, velocity_ned_mps: Ned, since_s: float
-) -> GlobalPosition:
+def place_then(position: GlobalPosition, velocity_ned_mps: Ned, since_s: float) -> GlobalPosition:
     """A place carried on for so long at a velocity."""
     since_s = min(LONGEST_CARRY_S, max(0.0, since_s))
     north, east, down = velocity_ned_mps

@@ -16,8 +16,8 @@ from echowing.analysis.flight import Flight
 from echowing.engage import Readiness
 from echowing.follow import FollowerPlan, FollowSession
 from echowing.formation import turning_together
-from echowing.guard import FIELD_LIMITS, Limits
 from echowing.geo import GlobalPosition, Ned, displace, ned_between
+from echowing.guard import FIELD_LIMITS, Limits
 from echowing.guidance import MOVING_MPS, slot_offset_m
 from echowing.sim.autopilot import ORIGIN, Autopilot
 from echowing.sim.ground import GroundStation

@@ -7,7 +7,7 @@ PD11848 and thesis Table 5 unless a line says otherwise.
 import math
 import random
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from echowing.analysis.thesis import TABLE_5
 from echowing.geo import Ned
@@ -31,8 +31,11 @@ SPEED_OF_SOUND_MPS = 343.0
 # "40 Hz possible for near targets": 25 ms in all for a target under a metre.
 PROCESSING_US = 20_000
 # A wall met squarely is heard this far, though reported only up to 7.65 m: the rest are the late
-# echoes that come back into the next reading.
+# echoes that come back into a later reading.
 SURFACE_RANGE_M = 10.0
+# What a ping sends out has died away after this long, the datasheet's pause between readings (an
+# echo from 17 m).
+SOUND_DIES_S = 0.1
 NOISE_M = 0.01
 # Propeller noise: one reading in a hundred is anything at all.
 WILD_SHARE = 0.01
@@ -160,22 +163,13 @@ def surface_range_m(pose: Pose, surface: Surface) -> float | None:
     return range_m if range_m <= SURFACE_RANGE_M * math.cos(slant_rad) ** 2 else None
 
 
-@dataclass(slots=True)
-class Echoes:
-    """What one ping brings back: the nearest echo in time, and those that come too late for it."""
-
-    nearest_m: float | None = None
-    late_m: list[float] = field(default_factory=list)
-
-
 class Ear:
     """Pings: from what is in the beam to a range, with noise, wild readings and ghosts."""
 
     def __init__(self, rng: random.Random, *, wild_share: float = WILD_SHARE) -> None:
         self._rng = rng
         self._wild_share = wild_share
-        self._last_ping_s = -math.inf
-        self._late_m: list[float] = []
+        self._pings: list[tuple[float, list[float]]] = []  # time, and what they bring back when
 
     def ping(
         self,
@@ -186,10 +180,9 @@ class Ear:
         other_sonars: Sequence[Pose] = (),
     ) -> float | None:
         """Range of the nearest echo in metres, 1 cm steps; None: nothing came back."""
-        echoes = self._echoes(pose, targets, surfaces)
-        heard = [] if echoes.nearest_m is None else [echoes.nearest_m]
-        heard += self._ghosts(t_s)
-        self._last_ping_s, self._late_m = t_s, echoes.late_m
+        echoes_m = self._echoes_m(pose, targets, surfaces)
+        heard = [range_m for range_m in echoes_m if range_m <= LONGEST_M] + self._ghosts_m(t_s)
+        self._pings.append((t_s, echoes_m))
         if self._rng.random() < self._wild_share or any(
             hears_tone(pose, other) for other in other_sonars
         ):
@@ -199,8 +192,9 @@ class Ear:
         range_m = min(heard) + self._rng.gauss(0.0, NOISE_M)
         return max(SHORTEST_M, math.floor(range_m * 100.0) / 100.0)
 
-    def _echoes(self, pose: Pose, targets: Sequence[Target], surfaces: Sequence[Surface]) -> Echoes:
-        echoes = Echoes()
+    def _echoes_m(
+        self, pose: Pose, targets: Sequence[Target], surfaces: Sequence[Surface]
+    ) -> list[float]:
         ranges = [
             range_m
             for target in targets
@@ -210,18 +204,22 @@ class Ear:
         for surface in surfaces:
             range_m = surface_range_m(pose, surface)
             if range_m is not None:
-                (ranges if range_m <= LONGEST_M else echoes.late_m).append(range_m)
-        echoes.nearest_m = min(ranges, default=None)
-        return echoes
+                ranges.append(range_m)
+        return ranges
 
     def _is_loud(self, range_m: float, heard_to_m: float) -> bool:
         """Near its limit an echo comes and goes: from sure to never within 5 % either side."""
         return self._rng.uniform(0.95, 1.05) * heard_to_m >= range_m
 
-    def _ghosts(self, t_s: float) -> list[float]:
-        """Echoes of the ping before that arrive now, at the distance they then seem to have."""
-        travelled_m = (t_s - self._last_ping_s) * SPEED_OF_SOUND_MPS / 2.0
-        return [late - travelled_m for late in self._late_m if late - travelled_m >= SHORTEST_M]
+    def _ghosts_m(self, t_s: float) -> list[float]:
+        """Echoes of earlier pings that arrive now, at the distance they then seem to have."""
+        self._pings = [ping for ping in self._pings if t_s - ping[0] < SOUND_DIES_S]
+        ghosts = [
+            range_m - (t_s - ping_s) * SPEED_OF_SOUND_MPS / 2.0
+            for ping_s, ranges in self._pings
+            for range_m in ranges
+        ]
+        return [range_m for range_m in ghosts if SHORTEST_M <= range_m <= LONGEST_M]
 
 
 def hears_tone(pose: Pose, other: Pose) -> bool:

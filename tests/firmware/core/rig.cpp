@@ -43,6 +43,8 @@ uint8_t FakeSerial::write(const uint8_t* bytes, uint8_t count) {
 
 bool FakeSonar::answers(uint8_t asked) {
   ++accesses;
+  timed_out = held;
+  if (held) return false;
   if (ranging_ && reached(now, busy_until_)) ranging_ = false;
   return plugged && asked == address && !ranging_;
 }
@@ -69,11 +71,13 @@ bool FakeSonar::read(uint8_t asked, uint8_t* bytes, uint8_t count) {
 void FakeMemory::write(uint8_t slot, uint16_t offset, uint8_t value) {
   if (power_lost_after >= 0 && writes >= power_lost_after) return;
   ++writes;
-  slots[slot][offset] = value;
+  if (offset != stuck_at) slots[slot][offset] = value;
 }
 
-Rig::Rig(Microseconds start, FakeMemory stored, uint32_t uptime_ms, uint8_t system)
+Rig::Rig(Microseconds start, FakeMemory stored, uint32_t uptime_ms, uint8_t system,
+         ResetCause cause)
     : memory(stored),
+      board(cause),
       now(start),
       core({serial[0], serial[1], sonar, servos, memory, board}, 1, start, uptime_ms) {
   sonar.now = start;

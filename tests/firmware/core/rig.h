@@ -29,6 +29,12 @@ class FakeSonar : public I2cBus {
  public:
   bool write(uint8_t address, const uint8_t* bytes, uint8_t count) override;
   bool read(uint8_t address, uint8_t* bytes, uint8_t count) override;
+  bool take_timeout() override {
+    const bool happened = timed_out;
+    timed_out = false;
+    return happened;
+  }
+  void restart() override { ++restarts; }
   void take_lines() override { ++recoveries; }
   void drive_clock(bool) override {}
   void drive_data(bool) override {}
@@ -41,6 +47,9 @@ class FakeSonar : public I2cBus {
   bool plugged = true;
   Microseconds now = 0;
   std::vector<Microseconds> pings;
+  bool held = false;       // something holds the lines: every transfer ends by time-out
+  bool timed_out = false;  // the newest one did
+  int restarts = 0;
   int recoveries = 0;
   int accesses = 0;
 
@@ -72,15 +81,19 @@ class FakeMemory : public SlotMemory {
   int writes = 0;
   int flushes = 0;
   int power_lost_after = -1;
+  int stuck_at = -1;  // this byte of both slots cannot be changed any more
 };
 
 class FakeBoard : public Board {
  public:
+  explicit FakeBoard(ResetCause why) : cause(why) {}
+  ResetCause reset_cause() const override { return cause; }
   const char* git_hash() const override { return "0123abcd"; }
   void reboot(bool into_bootloader) override {
     ++reboots;
     bootloader = into_bootloader;
   }
+  ResetCause cause;
   int reboots = 0;
   bool bootloader = false;
 };
@@ -121,7 +134,7 @@ class Rig {
  public:
   // The board of vehicle `system`; 0: of whatever vehicle the memory says, if any.
   explicit Rig(Microseconds start = 0, FakeMemory stored = FakeMemory(), uint32_t uptime_ms = 0,
-               uint8_t system = 1);
+               uint8_t system = 1, ResetCause cause = ResetCause::kUnknown);
 
   void run(Microseconds span, Microseconds turn = 1000);
   // True if `happened` became true within `limit`; stops there.

@@ -14,6 +14,8 @@ class StuckBus : public I2cBus {
 
   bool write(uint8_t, const uint8_t*, uint8_t) override { return freed(); }
   bool read(uint8_t, uint8_t*, uint8_t) override { return freed(); }
+  bool take_timeout() override { return false; }
+  void restart() override {}
   void take_lines() override { by_hand = true; }
   void return_lines() override { by_hand = false; }
   void drive_clock(bool high) override {

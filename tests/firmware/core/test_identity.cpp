@@ -101,6 +101,13 @@ TEST_CASE("while it learns, the autopilot is heard and its arming counts") {
   CHECK(scans(rig));
 }
 
+TEST_CASE("a burst of heartbeats out of a radio's buffer teaches nothing") {
+  Fresh rig;
+  for (int i = 0; i < 20; ++i) rig.hear_vehicle(kLeader, false);
+  rig.run(ms(1000));
+  CHECK(rig.speaks_as() == kNobody);
+}
+
 TEST_CASE("only a heartbeat of component 1 with an autopilot, on its port, is a vehicle's") {
   Fresh rig;
   mavlink_heartbeat_t heartbeat = {};

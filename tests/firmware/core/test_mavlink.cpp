@@ -183,6 +183,47 @@ TEST_CASE("defaults come back by command") {
   CHECK(Rig(0, rig.memory).parameter(Parameter::kDwell) == 300);
 }
 
+TEST_CASE("defaults keep the address of a sonar that has been given another") {
+  Rig rig;
+  rig.run(ms(500));
+  CHECK(rig.command(31011, 0x35) == MAV_RESULT_ACCEPTED);
+  rig.run(ms(3000));
+  CHECK(rig.command(245, 2) == MAV_RESULT_ACCEPTED);
+  rig.forget();
+  rig.run(ms(3000));
+  CHECK(rig.parameter(Parameter::kSonarAddress) == 0x35);
+  CHECK(rig.ranges().back().report.current_distance == 300);
+  CHECK(Rig(0, rig.memory).parameter(Parameter::kSonarAddress) == 0x35);
+}
+
+TEST_CASE("a memory that fails is said, and not that the parameters are stored") {
+  Rig rig;
+  rig.memory.stuck_at = 40;
+  rig.set_parameter("SCAN_DWELL", 400);
+  rig.run(ms(5000));
+  CHECK(rig.said("parameters NOT stored"));
+  CHECK_FALSE(rig.said("parameters stored"));
+}
+
+TEST_CASE("the start notice says why it started") {
+  struct Row {
+    ResetCause cause;
+    const char* text;
+  };
+  const Row rows[] = {{ResetCause::kUnknown, "Echowing: started"},
+                      {ResetCause::kPowerOn, "Echowing: started, power on"},
+                      {ResetCause::kBrownOut, "Echowing: started, supply was too low"},
+                      {ResetCause::kPin, "Echowing: started, reset pin"},
+                      {ResetCause::kWatchdog, "Echowing: started, watchdog"},
+                      {ResetCause::kOrdered, "Echowing: started, as ordered"}};
+  for (const Row& row : rows) {
+    Rig rig(0, rig::FakeMemory(), 0, 1, row.cause);
+    rig.run(ms(100));
+    REQUIRE(rig.texts().size() == 1);
+    CHECK(rig.texts()[0] == row.text);
+  }
+}
+
 TEST_CASE("unknown commands are answered as unsupported, those for others not at all") {
   Rig rig;
   rig.run(ms(500));
@@ -230,10 +271,13 @@ TEST_CASE("an acknowledgement goes to who asked, on the port it came by, at once
   rig.run(ms(10));
   CHECK(rig.acks(0).empty());
   REQUIRE(rig.acks(1).size() == 1);
-  mavlink_command_ack_t ack;
-  mavlink_msg_command_ack_decode(&rig.sent(1).front().message, &ack);
-  CHECK(ack.target_system == 245);
-  CHECK(ack.target_component == 7);
+  for (const auto& each : rig.sent(1)) {
+    if (each.message.msgid != MAVLINK_MSG_ID_COMMAND_ACK) continue;
+    mavlink_command_ack_t ack;
+    mavlink_msg_command_ack_decode(&each.message, &ack);
+    CHECK(ack.target_system == 245);
+    CHECK(ack.target_component == 7);
+  }
 }
 
 TEST_CASE("version and git hash are told on request, the old way too") {
@@ -451,6 +495,7 @@ TEST_CASE("a frame with any bit flipped or any tail missing does nothing") {
 
 TEST_CASE("a storm of parameter sets and lists: every report still leaves in its turn") {
   Rig rig;
+  rig.set_parameter("SONAR_PERIOD", 50);  // a reading for each report
   rig.run(ms(1000));
   rig.forget();
   for (int i = 0; i < 250; ++i) {
@@ -459,7 +504,7 @@ TEST_CASE("a storm of parameter sets and lists: every report still leaves in its
     rig.run(ms(8));
   }
   CHECK(rig.ranges().size() == 40);
-  for (const auto& range : rig.ranges()) CHECK(range.at / 1000 - range.report.time_boot_ms <= 2);
+  for (const auto& range : rig.ranges()) CHECK(range.at / 1000 - range.report.time_boot_ms <= 3);
   rig.run(ms(2000));
   for (uint8_t i = 0; i < kParameterCount; ++i) {
     const auto values = rig.values();
@@ -473,7 +518,7 @@ TEST_CASE("no frame is longer than its message, whatever the compiler pads a str
   rig.command(512, 148);
   rig.command(31012);
   rig.run(ms(4000));
-  REQUIRE(rig.sent().size() > 200);
+  REQUIRE(rig.sent().size() > 150);
   for (const auto& each : rig.sent()) {
     CHECK(each.message.len <= mavlink_max_message_length(&each.message));
     if (each.message.msgid != MAVLINK_MSG_ID_STATUSTEXT) continue;

@@ -20,7 +20,7 @@ bool store(ParameterStore& store, FakeMemory& memory, const Parameters& paramete
            Milliseconds& now) {
   store.touch(at(now));
   for (int turn = 0; turn < 5000; ++turn) {
-    if (store.step(at(++now), true, memory, parameters)) return true;
+    if (store.step(at(++now), true, memory, parameters) == StoreEvent::kStored) return true;
   }
   return false;
 }
@@ -186,4 +186,28 @@ TEST_CASE("a stored value outside today's limits gives way to the default") {
   memcpy(slot + ParameterStore::kHeaderSize + kDwellIndex * sizeof(float), &forged, sizeof(forged));
   seal(slot);
   CHECK(stored_dwell(memory, Loaded::kStored) == 300);
+}
+
+TEST_CASE("stored is said only of what was read back; the set before stays in force") {
+  FakeMemory memory = memory_with(1);  // in slot 0
+  memory.stuck_at = ParameterStore::kHeaderSize + kDwellIndex * sizeof(float) + 2;
+  ParameterStore kept;
+  Parameters parameters;
+  kept.load(memory, parameters);
+  parameters.set(kDwellIndex, 1234);
+  kept.touch(at(0));
+  int stored = 0, failed = 0;
+  for (Milliseconds now = 0; now < 5000; ++now) {
+    const StoreEvent event = kept.step(at(now), true, memory, parameters);
+    stored += event == StoreEvent::kStored;
+    failed += event == StoreEvent::kFailed;
+  }
+  CHECK(stored == 0);
+  CHECK(failed == 1);
+  CHECK(kept.sound(memory));
+  CHECK(stored_dwell(memory, Loaded::kStored) == 100);
+  memory.stuck_at = -1;
+  Milliseconds now = 5000;
+  CHECK(store(kept, memory, parameters, now));
+  CHECK(stored_dwell(memory, Loaded::kStored) == 1234);
 }

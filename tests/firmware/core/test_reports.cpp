@@ -37,13 +37,21 @@ TEST_CASE("reports come at 20 Hz within 2 ms, tracking as well as searching") {
   }
 }
 
-// 51 bytes go to the port in three turns of 24.
-TEST_CASE("a second after start a report leaves with the turn of its reading") {
+// It is queued in the turn after, and its 51 bytes go to the port in three turns of 24.
+TEST_CASE("a second after start a report leaves right after its reading") {
   Rig rig;
   rig.run(ms(1000));
   rig.forget();
   rig.run(ms(3000));
-  for (const auto& range : rig.ranges()) CHECK(range.at / 1000 - range.report.time_boot_ms <= 2);
+  uint32_t told_ms = 0;
+  int readings = 0;
+  for (const auto& range : rig.ranges()) {
+    if (range.report.time_boot_ms == told_ms) continue;  // the same reading again
+    told_ms = range.report.time_boot_ms;
+    ++readings;
+    CHECK(range.at / 1000 - told_ms <= 3);
+  }
+  CHECK(readings >= 29);
 }
 
 TEST_CASE("the rate is settable from 5 to 40 Hz, by parameter and by command") {
@@ -181,19 +189,39 @@ TEST_CASE("a servo scale of nought makes no infinities") {
   CHECK(q[0] == doctest::Approx(1.0));
 }
 
-TEST_CASE("pan, tilt and state travel when they change, and once a second anyway") {
+TEST_CASE("on USB pan, tilt and state travel when they change, and once a second anyway") {
   Rig rig;
   rig.autopilot(1, false);
   rig.run(ms(1000));
   rig.forget();
   rig.run(ms(5000));
-  CHECK(std::abs(static_cast<int>(rig.named("SNR_PAN").size()) - 5) <= 1);
-  CHECK(rig.named("SNR_PAN").back() == 1380);
-  CHECK(rig.named("SNR_STATE").back() == 2);
+  CHECK(std::abs(static_cast<int>(rig.named("SNR_PAN", 1).size()) - 5) <= 1);
+  CHECK(rig.named("SNR_PAN", 1).back() == 1380);
+  CHECK(rig.named("SNR_STATE", 1).back() == 2);
   rig.command(183, 1, 1500);
   rig.run(ms(60));
-  CHECK(rig.named("SNR_PAN").back() == 1500);
-  CHECK(rig.named("SNR_TILT").back() == 1400);
+  CHECK(rig.named("SNR_PAN", 1).back() == 1500);
+  CHECK(rig.named("SNR_TILT", 1).back() == 1400);
+}
+
+TEST_CASE("to the autopilot pan, tilt and state go at INFO_RATE, however fast they change") {
+  for (const int rate : {2, 1, 10}) {
+    CAPTURE(rate);
+    Rig rig;
+    rig.sonar.listen = nothing;
+    rig.autopilot(1, true);
+    rig.set_parameter("SCAN_DWELL", 50);
+    rig.set_parameter("INFO_RATE", static_cast<float>(rate));
+    rig.run(ms(2000));
+    rig.forget();
+    rig.run(ms(5000));
+    for (const char* name : {"SNR_PAN", "SNR_TILT", "SNR_STATE"}) {
+      CHECK(std::abs(static_cast<int>(rig.named(name).size()) - 5 * rate) <= 2);
+    }
+    // What the applet and the ground's estimate live on keeps its rate.
+    CHECK(rig.named("SNR_RAW").size() >= 45);
+    CHECK(rig.ranges().size() >= 95);
+  }
 }
 
 TEST_CASE("both ports get the same reports") {
@@ -236,11 +264,11 @@ TEST_CASE("the wire is kept free for a range whatever else is asked for") {
 
 TEST_CASE("a pause of the loop is not made up for by a burst") {
   ReportClock clock;
-  clock.due(0, true, ms(50));
-  CHECK(clock.due(ms(250), false, ms(50)));
+  clock.due(0, true, true, ms(50));
+  CHECK(clock.due(ms(250), false, true, ms(50)));
   for (uint32_t now_ms = 251; now_ms < 300; ++now_ms)
-    CHECK_FALSE(clock.due(ms(now_ms), false, ms(50)));
-  CHECK(clock.due(ms(302), false, ms(50)));
+    CHECK_FALSE(clock.due(ms(now_ms), false, true, ms(50)));
+  CHECK(clock.due(ms(302), false, true, ms(50)));
 }
 
 TEST_CASE("the beat of the reports locks on to readings at whatever distance they begin") {
@@ -250,7 +278,7 @@ TEST_CASE("the beat of the reports locks on to readings at whatever distance the
     uint32_t late = 0;
     for (uint32_t now_ms = 0; now_ms < 3000; ++now_ms) {
       const bool reading = now_ms % 50 == offset_ms;
-      const bool due = clock.due(ms(now_ms), reading, ms(50));
+      const bool due = clock.due(ms(now_ms), reading, true, ms(50));
       if (now_ms >= 1000) late += due != reading;
     }
     CHECK(late == 0);
@@ -264,7 +292,7 @@ TEST_CASE("time goes on through the wrap of the microseconds, unnoticed") {
   CHECK(ranges.size() >= 115);
   for (size_t i = 1; i < ranges.size(); ++i) {
     const uint32_t gap = ranges[i].report.time_boot_ms - ranges[i - 1].report.time_boot_ms;
-    CHECK(gap <= 52);
+    CHECK(gap <= 102);
   }
   CHECK(rig.texts().size() == 1);  // started
 }
@@ -278,7 +306,7 @@ TEST_CASE("the 49.7th day passes unnoticed: reports, states and tracking go on t
   CHECK(ranges.back().report.time_boot_ms < 3000);
   for (size_t i = 1; i < ranges.size(); ++i) {
     const uint32_t gap = ranges[i].report.time_boot_ms - ranges[i - 1].report.time_boot_ms;
-    CHECK(gap <= 52);
+    CHECK(gap <= 102);
     CHECK(ranges[i].report.current_distance == 300);
   }
   CHECK(rig.texts().size() == 1);  // started

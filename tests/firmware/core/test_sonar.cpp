@@ -19,19 +19,42 @@ TEST_CASE("the first read, part information, is no range") {
   Rig rig;
   rig.run(ms(1000));
   for (const float raw : rig.named("SNR_RAW")) CHECK(raw == doctest::Approx(3.0));
-  CHECK(rig.named("SNR_RAW").size() >= 15);
+  CHECK(rig.named("SNR_RAW").size() >= 9);
 }
 
-TEST_CASE("a near target is read every 50 ms on a steady grid") {
+TEST_CASE("a target is read on a steady grid, at most 54 ms after its ping") {
+  for (const uint32_t period_ms : {50, 100, 200}) {
+    CAPTURE(period_ms);
+    Rig rig;
+    rig.set_parameter("SONAR_PERIOD", static_cast<float>(period_ms));
+    rig.run(ms(2000));
+    uint32_t before_ms = 0;
+    for (int i = 0; i < 10; ++i) {
+      const size_t known = rig.named("SNR_RAW").size();
+      REQUIRE(rig.run_until([&] { return rig.named("SNR_RAW").size() > known; }, ms(300)));
+      // The echo of 4.5 m takes 46 ms, the jitter 5; and three turns until it is sent.
+      CHECK(rig.now - rig.sonar.pings.back() <= ms(54));
+      const uint32_t now_ms = rig.now / 1000;
+      if (i > 0) CHECK(now_ms - before_ms == period_ms);
+      before_ms = now_ms;
+    }
+  }
+}
+
+TEST_CASE("a period that freshness does not allow is refused") {
   Rig rig;
+  rig.set_parameter("SONAR_PERIOD", 201);
+  rig.run(ms(100));
+  CHECK(rig.parameter(Parameter::kSonarPeriod) == 100);
+  rig.set_parameter("SONAR_PERIOD", 200);
   rig.run(ms(2000));
   rig.forget();
-  rig.run(ms(2000));
-  const auto ranges = rig.ranges();
-  REQUIRE(ranges.size() == 40);
-  for (size_t i = 1; i < ranges.size(); ++i) {
-    CHECK(ranges[i].report.time_boot_ms - ranges[i - 1].report.time_boot_ms == 50);
-  }
+  // One reading in two is a miss: the range goes on all the same.
+  size_t count = 0;
+  rig.sonar.listen = [&](Microseconds) { return ++count % 2 == 0 ? uint16_t{765} : uint16_t{300}; };
+  rig.run(ms(3000));
+  CHECK(rig.ranges().size() >= 59);
+  for (const auto& range : rig.ranges()) CHECK(range.report.current_distance == 300);
 }
 
 TEST_CASE("turns that do not divide the period do not stretch it") {
@@ -39,7 +62,7 @@ TEST_CASE("turns that do not divide the period do not stretch it") {
   rig.run(ms(2000), 700);
   rig.forget();
   rig.run(ms(20000), 700);
-  CHECK(rig.named("SNR_RAW").size() == 400);
+  CHECK(rig.named("SNR_RAW").size() == 200);
 }
 
 TEST_CASE("pings are jittered by up to 5 ms, and more than one value") {
@@ -49,22 +72,23 @@ TEST_CASE("pings are jittered by up to 5 ms, and more than one value") {
   std::vector<uint32_t> gaps;
   for (size_t i = 5; i < pings.size(); ++i) gaps.push_back(pings[i] - pings[i - 1]);
   const auto ends = std::minmax_element(gaps.begin(), gaps.end());
-  CHECK(*ends.first >= ms(45) - 200);
-  CHECK(*ends.second <= ms(55) + 200);
+  CHECK(*ends.first >= ms(95) - 200);
+  CHECK(*ends.second <= ms(105) + 200);
   CHECK(*ends.second - *ends.first >= ms(5));
 }
 
 TEST_CASE("the period is settable") {
   Rig rig;
-  rig.set_parameter("SONAR_PERIOD", 100);
+  rig.set_parameter("SONAR_PERIOD", 80);
   rig.run(ms(1000));
   rig.sonar.pings.clear();
   rig.run(ms(2000));
-  CHECK(rig.sonar.pings.size() == 20);
+  CHECK(rig.sonar.pings.size() == 25);
 }
 
 TEST_CASE("a sonar that ranges longer than the period is waited for and is no fault") {
   Rig rig;
+  rig.set_parameter("SONAR_PERIOD", 50);
   rig.sonar.ranging_us = 100000;
   rig.sonar.listen = nothing;
   rig.run(ms(5000));
@@ -119,17 +143,17 @@ TEST_CASE("one missed acknowledgement passes unnoticed") {
 
 TEST_CASE("with a slow period too, one missed acknowledgement is asked for again") {
   Rig rig;
-  rig.set_parameter("SONAR_PERIOD", 1000);
+  rig.set_parameter("SONAR_PERIOD", 200);
   rig.run(ms(5000));
   rig.forget();
   rig.run_until([&] { return rig.named("SNR_RAW").size() == 1; }, ms(2000));
-  rig.run(ms(990));
+  rig.run(ms(190));
   rig.sonar.plugged = false;
   rig.run(ms(60));
   rig.sonar.plugged = true;
   rig.run(ms(3000));
   CHECK(rig.sonar.recoveries == 0);
-  CHECK(rig.named("SNR_RAW").size() >= 3);
+  CHECK(rig.named("SNR_RAW").size() >= 13);
 }
 
 TEST_CASE("a sonar that browns out between ping and reading tells nothing false") {
@@ -190,7 +214,7 @@ TEST_CASE("the address can be changed by command, and is remembered") {
   CHECK(rig.said("address changed"));
   rig.forget();
   rig.run(ms(500));
-  CHECK(rig.named("SNR_RAW").size() >= 9);
+  CHECK(rig.named("SNR_RAW").size() >= 4);
 }
 
 TEST_CASE("addresses that the sonar or the bus refuses are denied") {
@@ -202,4 +226,24 @@ TEST_CASE("addresses that the sonar or the bus refuses are denied") {
   }
   rig.run(ms(500));
   CHECK(rig.sonar.address == 0x70);
+}
+
+TEST_CASE("after a time-out the bus is initialised anew; a missing acknowledgement is none") {
+  Rig rig;
+  rig.run(ms(2000));
+  rig.sonar.plugged = false;
+  rig.run(ms(500));
+  CHECK(rig.sonar.restarts == 0);
+  rig.sonar.plugged = true;
+  rig.run(ms(1000));
+  rig.sonar.held = true;
+  rig.run(ms(60));
+  CHECK(rig.sonar.restarts >= 1);
+  rig.sonar.held = false;
+  rig.forget();
+  rig.run(ms(1000));
+  CHECK(rig.named("SNR_RAW").size() >= 9);
+  const int restarts = rig.sonar.restarts;
+  rig.run(ms(1000));
+  CHECK(rig.sonar.restarts == restarts);
 }

@@ -99,8 +99,9 @@ TEST_CASE("a reading under 4.5 m freezes the gimbal, one at 4.5 m does not") {
   CHECK(at(rig.servos.last, frozen.pan_us, frozen.tilt_us));
 }
 
-TEST_CASE("the report is the average of the newest ten readings") {
+TEST_CASE("the report is the average of the newest 0.45 s") {
   Rig rig;
+  rig.set_parameter("SONAR_PERIOD", 50);
   uint16_t next = 300;
   rig.sonar.listen = [&](Microseconds) { return next++; };
   rig.run_until([&] { return next == 330; }, ms(5000));

@@ -34,7 +34,10 @@ constexpr Kind kKinds[] = {
 constexpr size_t kKindCount = sizeof(kKinds) / sizeof(kKinds[0]);
 
 std::vector<uint8_t> frame(const Kind& kind, const uint8_t* payload, uint8_t length) {
-  std::vector<uint8_t> bytes = {MAVLINK_STX, length, 0, 0, 0, 1, 1, kind.id, 0, 0};
+  // Heartbeats come from several vehicles.
+  const bool beat = kind.id == MAVLINK_MSG_ID_HEARTBEAT;
+  const uint8_t system = static_cast<uint8_t>(beat ? 1 + (payload[0] & 3) : 1);
+  std::vector<uint8_t> bytes = {MAVLINK_STX, length, 0, 0, 0, system, 1, kind.id, 0, 0};
   bytes.insert(bytes.end(), payload, payload + length);
   uint16_t crc = crc_calculate(&bytes[1], static_cast<uint16_t>(bytes.size() - 1));
   crc_accumulate(kind.crc_extra, &crc);
@@ -69,7 +72,8 @@ void check(Rig& rig) {
 }  // namespace
 
 extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
-  Rig rig;
+  // The board of vehicle 1, or one that learns.
+  Rig rig(0, rig::FakeMemory(), 0, static_cast<uint8_t>(size & 1));
   rig.run(100000, kLongTurn);
   while (size >= 2) {
     const uint8_t length = static_cast<uint8_t>(std::min<size_t>(data[1], size - 2));
@@ -86,5 +90,8 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
   rig.run(2500000, kLongTurn);
   check(rig);
   require(rig.heartbeats(0).size() >= 2 && rig.heartbeats(1).size() >= 2);
+  // It is its own vehicle's, or nobody's.
+  const float own = rig.parameter(Parameter::kSystemId);
+  require(rig.speaks_as() == (own == 0 ? 250 : own));
   return 0;
 }

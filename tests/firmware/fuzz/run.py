@@ -1,4 +1,4 @@
-"""Fuzz the core:  run.py SECONDS   (shared by the targets; finds are kept in build/fuzz).
+"""Fuzz the core:  run.py SECONDS [SEED]   (shared by the targets; finds are kept in build/fuzz).
 
 Starts from the corpus beside this file and what earlier runs have found. An input that breaks a
 target is left in build/fuzz and printed; to keep what a long run has learned:
@@ -23,15 +23,15 @@ def build() -> None:
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
 
 
-def fuzz(target: str, seconds: int) -> subprocess.CompletedProcess[str]:
-    """Run one target for that long, from a fixed seed."""
+def fuzz(target: str, seconds: int, seed: int = 1) -> subprocess.CompletedProcess[str]:
+    """Run one target for that long."""
     found = BUILD / "corpus" / target
     found.mkdir(parents=True, exist_ok=True)
     return subprocess.run(
         [
             str(BUILD / target),
             f"-max_total_time={seconds}",
-            "-seed=1",
+            f"-seed={seed}",
             "-verbosity=0",
             "-print_final_stats=1",
             f"-artifact_prefix={BUILD}/{target}-",
@@ -47,10 +47,11 @@ def fuzz(target: str, seconds: int) -> subprocess.CompletedProcess[str]:
 def main() -> int:
     """Fuzz every target; 1 if one broke."""
     seconds = int(sys.argv[1]) if len(sys.argv) > 1 else 60
+    seed = int(sys.argv[2]) if len(sys.argv) > 2 else 1
     build()
     broken = 0
     for target in TARGETS:
-        done = fuzz(target, seconds // len(TARGETS))
+        done = fuzz(target, seconds // len(TARGETS), seed)
         print(f"{target}: {'ok' if done.returncode == 0 else 'BROKEN'}\n{done.stderr}")
         broken |= done.returncode != 0
     return int(broken)

@@ -128,6 +128,15 @@ void __HAL_SYSCFG_REMAPMEMORY_SYSTEMFLASH();
 HAL_StatusTypeDef HAL_FLASH_Unlock();
 HAL_StatusTypeDef HAL_FLASH_Lock();
 HAL_StatusTypeDef HAL_FLASHEx_Erase(FLASH_EraseInitTypeDef* order, uint32_t* failed);
+#define RCC_FLAG_PINRST 0x7au
+#define RCC_FLAG_PORRST 0x7bu
+#define RCC_FLAG_SFTRST 0x7cu
+#define RCC_FLAG_IWDGRST 0x7du
+#if defined(STM32F4xx)
+#define RCC_FLAG_BORRST 0x79u
+#endif
+bool __HAL_RCC_GET_FLAG(uint32_t flag);
+void __HAL_RCC_CLEAR_RESET_FLAGS();
 uint32_t HAL_GetUIDw0();
 uint32_t HAL_GetUIDw1();
 uint32_t HAL_GetUIDw2();

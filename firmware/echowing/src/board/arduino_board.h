@@ -27,6 +27,7 @@ class ArduinoBoard : public Board {
   // Differs from board to board, or from start to start.
   uint32_t seed() const;
 
+  ResetCause reset_cause() const override;
   const char* git_hash() const override;
   void reboot(bool into_bootloader) override;
 

@@ -91,6 +91,20 @@ void ArduinoBoard::feed_watchdog() { IWatchdog.reload(); }
 
 uint32_t ArduinoBoard::seed() const { return HAL_GetUIDw0() ^ HAL_GetUIDw1() ^ HAL_GetUIDw2(); }
 
+// Several flags may be set: any reset pulls the reset pin low, a power-on looks like a brown-out.
+ResetCause ArduinoBoard::reset_cause() const {
+  ResetCause cause = ResetCause::kUnknown;
+  if (__HAL_RCC_GET_FLAG(RCC_FLAG_PINRST)) cause = ResetCause::kPin;
+#if defined(RCC_FLAG_BORRST)
+  if (__HAL_RCC_GET_FLAG(RCC_FLAG_BORRST)) cause = ResetCause::kBrownOut;
+#endif
+  if (__HAL_RCC_GET_FLAG(RCC_FLAG_PORRST)) cause = ResetCause::kPowerOn;
+  if (__HAL_RCC_GET_FLAG(RCC_FLAG_SFTRST)) cause = ResetCause::kOrdered;
+  if (__HAL_RCC_GET_FLAG(RCC_FLAG_IWDGRST)) cause = ResetCause::kWatchdog;
+  __HAL_RCC_CLEAR_RESET_FLAGS();
+  return cause;
+}
+
 void ArduinoBoard::reboot(bool into_bootloader) {
   if (into_bootloader) {
     __HAL_RCC_PWR_CLK_ENABLE();

@@ -4,8 +4,10 @@ namespace echowing {
 namespace {
 
 // Our own autopilot is on a wire and beats once a second: four seconds in which only one vehicle
-// is heard leave no room for another that is ours.
+// is heard leave no room for another that is ours. Five beats, as a burst out of a radio's buffer
+// says nothing of who else is there.
 constexpr uint8_t kBeatsToLearn = 5;
+constexpr Milliseconds kTimeToLearn = 3800;  // four beats' time, less what a busy port shifts them
 constexpr Milliseconds kNoticePeriod = 30000;
 
 }  // namespace
@@ -42,14 +44,18 @@ void AutopilotWatch::on_own(const Instant& now, bool armed) {
 
 void AutopilotWatch::on_other(const Instant& now, uint8_t system, bool armed) {
   const bool another = system != candidate_;
-  if (another || !others_silence_.running(now)) beats_ = 0;
+  if (another || !others_silence_.running(now)) {
+    beats_ = 0;
+    alone_since_ = now.ms;
+  }
   several_ = another && candidate_ != 0 && others_silence_.running(now);
   others_heard_ = true;
   others_silence_.start(now, kSilence);
   if (armed) others_armed_pause_.start(now, kSilence);
   candidate_ = system;
   if (beats_ < kBeatsToLearn) ++beats_;
-  if (own_ != 0 || beats_ < kBeatsToLearn) return;
+  const bool alone = beats_ == kBeatsToLearn && now.ms - alone_since_ >= kTimeToLearn;
+  if (own_ != 0 || !alone) return;
   own_ = system;
   learned_ = true;
   several_ = false;

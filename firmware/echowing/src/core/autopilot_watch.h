@@ -10,7 +10,7 @@ namespace echowing {
 
 // A vehicle forwards the heartbeats of other vehicles to the co-processor's port, in any order.
 // Our own system id is therefore fixed by parameter, or learned once: from a vehicle that is heard
-// several times in a row with no other between. While our own vehicle is not heard, or not known,
+// several times in a row, with no other between. While our own vehicle is not heard, or not known,
 // every vehicle counts as if it were ours: one that is armed is enough for "armed".
 class AutopilotWatch {
  public:
@@ -52,6 +52,7 @@ class AutopilotWatch {
   bool several_ = false;   // vehicles heard while ours is not known
   uint8_t candidate_ = 0;  // the vehicle heard last
   uint8_t beats_ = 0;      // of it, with no other between
+  Milliseconds alone_since_ = 0;
   Timeout own_silence_;
   Timeout others_silence_;
   Timeout others_armed_pause_;

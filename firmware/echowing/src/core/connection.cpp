@@ -28,7 +28,7 @@ bool Connection::send_report(const Instant& now, const Parameters& parameters,
                              const Telemetry& telemetry) {
   const Microseconds usual = kSecond / parameters.whole(Parameter::kReportRate);
   const Microseconds period = report_period_ != 0 ? report_period_ : usual;
-  const bool due = report_clock_.due(now.us, reading_unsent_, period);
+  const bool due = report_clock_.due(now.us, reading_unsent_, telemetry.reading_soon, period);
   reading_unsent_ = false;
   if (!due || !telemetry.fresh || reports_off_) return false;
   return link_.send(telemetry.identity, distance_report(parameters, telemetry.tracker,
@@ -44,7 +44,7 @@ bool Connection::send_raw(const Instant& now, const Telemetry& telemetry) {
 
 bool Connection::send_other(const Instant& now, const Parameters& parameters,
                             const Telemetry& telemetry, const char* git_hash) {
-  // When a reading is due the wire is kept free for it: a range never stands in a queue.
+  // When a reading is due the wire is kept free for it: a range never waits in a queue.
   if (!link_.idle() || telemetry.reading_soon) return false;
   if (!heartbeat_pause_.running(now)) {
     heartbeat_pause_.start(now, kHeartbeatPeriod);
@@ -52,7 +52,7 @@ bool Connection::send_other(const Instant& now, const Parameters& parameters,
   }
   if (!notices_.empty()) return send_notice(telemetry);
   if (version_wanted_) return send_version(telemetry, git_hash);
-  return send_changed_value(now, telemetry) || send_next_asked(telemetry, parameters);
+  return send_info(now, parameters, telemetry) || send_next_asked(telemetry, parameters);
 }
 
 bool Connection::send_heartbeat(const Telemetry& telemetry) {
@@ -120,21 +120,28 @@ bool Connection::send_version(const Telemetry& telemetry, const char* git_hash) 
   return true;
 }
 
-bool Connection::send_changed_value(const Instant& now, const Telemetry& telemetry) {
+// One of what people look at, and no tool needs: where the gimbal points, and the state.
+bool Connection::send_info(const Instant& now, const Parameters& parameters,
+                           const Telemetry& telemetry) {
   if (values_off_) return false;
   const uint16_t values[kNamedValues] = {telemetry.aim.pan_us, telemetry.aim.tilt_us,
                                          telemetry.state};
   static const char kNames[kNamedValues][10] = {"SNR_PAN", "SNR_TILT", "SNR_STATE"};
+  const bool as_they_change = value_period_ == 0 && !paced_;
   for (uint8_t i = 0; i < kNamedValues; ++i) {
     const bool pausing = value_pause_[i].running(now);
-    const bool changed = values[i] != value_sent_[i] && value_period_ == 0;
-    if (pausing && !changed) continue;
+    if (pausing && !(as_they_change && values[i] != value_sent_[i])) continue;
     if (!send_value(telemetry, kNames[i], values[i])) return false;
     value_sent_[i] = values[i];
-    value_pause_[i].start(now, value_period_ != 0 ? value_period_ : kRepeat);
+    value_pause_[i].start(now, info_period(parameters));
     return true;
   }
   return false;
+}
+
+Milliseconds Connection::info_period(const Parameters& parameters) const {
+  if (value_period_ != 0) return value_period_;
+  return paced_ ? 1000 / parameters.whole(Parameter::kInfoRate) : kRepeat;
 }
 
 bool Connection::send_value(const Telemetry& telemetry, const char* name, float value) {

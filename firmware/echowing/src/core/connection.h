@@ -10,7 +10,7 @@
 
 namespace echowing {
 
-// The state of the device as it is told on every port; the caller fills it once a turn.
+// The state of the device as every port reports it; the caller fills it once a turn.
 struct Telemetry {
   const Tracker& tracker;
   const Pointing& pointing;
@@ -27,11 +27,13 @@ struct Telemetry {
 
 class Connection {
  public:
-  explicit Connection(SerialPort& port) : port_(port) {}
+  // `paced`: state, pan and tilt go at INFO_RATE, not whenever they change: the partner passes them
+  // on to a slow radio.
+  Connection(SerialPort& port, bool paced) : port_(port), paced_(paced) {}
 
   const mavlink_message_t* receive() { return link_.receive(port_); }
 
-  // A new reading is there to be told.
+  // A new reading is ready to be sent.
   void on_reading() { reading_unsent_ = raw_unsent_ = true; }
 
   // Queues the report, or the raw reading, if it is due; true if so. Once a turn, unless that turn
@@ -66,10 +68,12 @@ class Connection {
   bool send_parameter(const Telemetry& telemetry, const Parameters& parameters, uint8_t index);
   bool send_next_asked(const Telemetry& telemetry, const Parameters& parameters);
   bool send_version(const Telemetry& telemetry, const char* git_hash);
-  bool send_changed_value(const Instant& now, const Telemetry& telemetry);
+  bool send_info(const Instant& now, const Parameters& parameters, const Telemetry& telemetry);
+  Milliseconds info_period(const Parameters& parameters) const;
   bool send_value(const Telemetry& telemetry, const char* name, float value);
 
   SerialPort& port_;
+  bool paced_;
   Link link_;
   Notices notices_;
   ReportClock report_clock_;
@@ -78,13 +82,13 @@ class Connection {
   Timeout value_pause_[kNamedValues];
   uint16_t value_sent_[kNamedValues] = {};
   Microseconds report_period_ = 0;  // 0: the parameter's
-  Milliseconds value_period_ = 0;   // 0: as they come
+  Milliseconds value_period_ = 0;   // 0: the usual
   bool reading_unsent_ = false;
   bool raw_unsent_ = false;
   bool reports_off_ = false;
   bool values_off_ = false;
   bool version_wanted_ = false;
-  bool asked_[kParameterCount] = {};  // parameters to be told
+  bool asked_[kParameterCount] = {};  // parameters to be sent
   uint8_t asked_count_ = 0;           // how many of them are true
   uint8_t next_asked_ = 0;
 };

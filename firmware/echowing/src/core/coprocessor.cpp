@@ -12,6 +12,14 @@ constexpr Microseconds kClearWire = milliseconds(8);
 // from 1 up, ground stations from 255 down.
 constexpr uint8_t kUnknownSystem = 250;
 
+Notice start_notice(ResetCause cause) {
+  return static_cast<Notice>(static_cast<uint8_t>(Notice::kStarted) + static_cast<uint8_t>(cause));
+}
+static_assert(static_cast<uint8_t>(Notice::kStartedByOrder) -
+                      static_cast<uint8_t>(Notice::kStarted) ==
+                  static_cast<uint8_t>(ResetCause::kOrdered),
+              "a notice for each cause");
+
 }  // namespace
 
 Coprocessor::Coprocessor(const Ports& ports, uint32_t seed, Microseconds now, Milliseconds uptime)
@@ -21,12 +29,12 @@ Coprocessor::Coprocessor(const Ports& ports, uint32_t seed, Microseconds now, Mi
       autopilot_({now, uptime}),
       sonar_(parameters_, seed, {now, uptime}),
       tracker_(parameters_, {now, uptime}),
-      autopilot_connection_(ports.autopilot),
-      usb_connection_(ports.usb),
+      autopilot_connection_(ports.autopilot, true),
+      usb_connection_(ports.usb, false),
       pointed_(tracker_.aim()),
       pointing_(pointing(parameters_, pointed_)) {
   renew_identity();
-  notify(Notice::kStarted);
+  notify(start_notice(ports_.board.reset_cause()));
   if (loaded_ == ParameterStore::Loaded::kCorrupt) notify(Notice::kParametersCorrupt);
 }
 
@@ -67,12 +75,12 @@ void Coprocessor::act(const Instant& now) {
   restart_if_ordered(now);
 }
 
-// A turn does one of its costly things, a reading with its report first of all: so it stays short
-// on AVR, and what waits has its turn within two milliseconds.
+// A turn does one of its costly things: so it stays short on AVR, and what waits has its turn
+// within two milliseconds. A reading's report goes first of all, in the turn after it.
 void Coprocessor::tell(const Instant& now) {
   const Telemetry telemetry = observe(now);
-  const bool busy =
-      report_reading(now, telemetry) || new_reading_ || handle_message(now) || renew_pointing();
+  const bool busy = new_reading_ || sonar_.timed_out() || report_reading(now, telemetry) ||
+                    handle_message(now) || renew_pointing();
   if (!busy) send_other(now, telemetry);
   if (!autopilot_connection_.flush()) usb_connection_.flush();
 }
@@ -116,8 +124,8 @@ void Coprocessor::cancel_bench_orders() {
 
 void Coprocessor::run_self_test(const Instant& now) {
   if (new_reading_) self_test_.on_reading();
-  // The memory is asked at the end, and a byte that still burns would make that wait.
-  if (ports_.memory.busy()) return;
+  // The memory is asked at the end: not while a byte still burns, nor after a reading.
+  if (ports_.memory.busy() || new_reading_) return;
   if (self_test_.step(now)) report_self_test();
 }
 
@@ -153,8 +161,13 @@ GimbalMode Coprocessor::gimbal_mode() const {
 }
 
 void Coprocessor::store_parameters(const Instant& now) {
-  const bool may_store = !autopilot_.maybe_flying();
-  if (store_.step(now, may_store, ports_.memory, parameters_)) notify(Notice::kParametersStored);
+  // A turn with a reading has enough to do.
+  const bool may_store = !autopilot_.maybe_flying() && !new_reading_;
+  switch (store_.step(now, may_store, ports_.memory, parameters_)) {
+    case StoreEvent::kStored: return notify(Notice::kParametersStored);
+    case StoreEvent::kFailed: return notify(Notice::kParametersNotStored);
+    default: return;
+  }
 }
 
 void Coprocessor::restart_if_ordered(const Instant& now) {

@@ -1,4 +1,4 @@
-// The one door to mavgen's headers (generated from firmware/dialect/echowing.xml by the build).
+// The only include of mavgen's headers (generated from firmware/dialect/echowing.xml by the build).
 #pragma once
 
 // The wired link is unsigned; without these the SHA-256 code is linked in. Signed frames are

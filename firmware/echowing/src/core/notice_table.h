@@ -3,12 +3,21 @@
 // with.
 //
 // ECHOWING_NOTICE(identifier, severity, "text")
+
+// One for each ResetCause, in its order.
 ECHOWING_NOTICE(kStarted, ECHOWING_INFO, ": started")
+ECHOWING_NOTICE(kStartedAtPowerOn, ECHOWING_INFO, ": started, power on")
+ECHOWING_NOTICE(kStartedAfterBrownOut, ECHOWING_WARNING, ": started, supply was too low")
+ECHOWING_NOTICE(kStartedByPin, ECHOWING_INFO, ": started, reset pin")
+ECHOWING_NOTICE(kStartedByWatchdog, ECHOWING_WARNING, ": started, watchdog")
+ECHOWING_NOTICE(kStartedByOrder, ECHOWING_INFO, ": started, as ordered")
+
 ECHOWING_NOTICE(kSonarFault, ECHOWING_CRITICAL, ": sonar does not answer")
 ECHOWING_NOTICE(kSonarBack, ECHOWING_INFO, ": sonar answers again")
 ECHOWING_NOTICE(kAddressChanged, ECHOWING_INFO, ": sonar address changed")
 ECHOWING_NOTICE(kParametersCorrupt, ECHOWING_WARNING, ": memory corrupt, default parameters")
 ECHOWING_NOTICE(kParametersStored, ECHOWING_INFO, ": parameters stored")
+ECHOWING_NOTICE(kParametersNotStored, ECHOWING_WARNING, ": parameters NOT stored, memory fails")
 ECHOWING_NOTICE(kParametersReset, ECHOWING_INFO, ": default parameters")
 ECHOWING_NOTICE(kSystemLearned, ECHOWING_INFO, ": system id learned from the autopilot")
 ECHOWING_NOTICE(kSeveralVehicles, ECHOWING_WARNING, ": several vehicles heard, set SYS_ID")

@@ -67,36 +67,50 @@ bool ParameterStore::sound(SlotMemory& memory) const {
   return intact(memory, slot_) || (blank(memory, 0) && blank(memory, 1));
 }
 
-bool ParameterStore::step(const Instant& now, bool allowed, SlotMemory& memory,
-                          const Parameters& parameters) {
+StoreEvent ParameterStore::step(const Instant& now, bool allowed, SlotMemory& memory,
+                                const Parameters& parameters) {
   const bool calm = !calm_.running(now);
-  if (!allowed || memory.busy()) return false;
-  if (!writing_) {
-    if (wanted_ && calm) begin();
-    return false;
+  if (!allowed || memory.busy()) return StoreEvent::kNone;
+  switch (phase_) {
+    case Phase::kWriting: write_next(memory, parameters); break;
+    case Phase::kReadingBack: return read_back(memory);
+    default:
+      if (wanted_ && calm) begin();
   }
-  const uint8_t slot = 1 - slot_;
-  if (offset_ == kSlotSize) {
-    memory.flush(slot);
-    slot_ = slot;
-    writing_ = false;
-    return true;
-  }
-  const uint8_t byte = image_byte(offset_, parameters);
-  memory.write(slot, offset_, byte);
-  if (offset_ < kImageSize) crc_ = crc_add(crc_, byte);
-  ++offset_;
-  return false;
+  return StoreEvent::kNone;
 }
 
 // A change that comes while bytes are written asks for another round: the set then stored first
 // may mix old and new values, each of them valid.
 void ParameterStore::begin() {
   wanted_ = false;
-  writing_ = true;
+  phase_ = Phase::kWriting;
   offset_ = 0;
   crc_ = kCrcStart;
   ++sequence_;
+}
+
+void ParameterStore::write_next(SlotMemory& memory, const Parameters& parameters) {
+  if (offset_ == kSlotSize) {
+    memory.flush(other_slot());
+    phase_ = Phase::kReadingBack;
+    return;
+  }
+  const uint8_t byte = image_byte(offset_, parameters);
+  memory.write(other_slot(), offset_, byte);
+  if (offset_ < kImageSize) crc_ = crc_add(crc_, byte);
+  ++offset_;
+}
+
+// The older set stays in force until the new one has been read as it was written.
+StoreEvent ParameterStore::read_back(SlotMemory& memory) {
+  phase_ = Phase::kIdle;
+  const uint8_t slot = other_slot();
+  if (!intact(memory, slot) || read_word(memory, slot, kImageSize) != crc_) {
+    return StoreEvent::kFailed;
+  }
+  slot_ = slot;
+  return StoreEvent::kStored;
 }
 
 uint8_t ParameterStore::image_byte(uint16_t offset, const Parameters& parameters) const {

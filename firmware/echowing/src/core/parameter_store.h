@@ -10,6 +10,12 @@
 
 namespace echowing {
 
+enum class StoreEvent : uint8_t {
+  kNone,
+  kStored,  // a set has been written and read back
+  kFailed,  // what was read back is not what was written
+};
+
 class ParameterStore {
  public:
   enum class Loaded : uint8_t { kStored, kBlank, kCorrupt };
@@ -22,19 +28,24 @@ class ParameterStore {
   Loaded load(SlotMemory& memory, Parameters& parameters);
   // Whether what is stored can be read back, or nothing has been stored yet. Not while busy.
   bool sound(SlotMemory& memory) const;
-  // Tells that a parameter has changed: it is stored 2 s after the last change.
+  // Call it when a parameter has changed: it is stored 2 s after the last change.
   void touch(const Instant& now);
-  // One loop turn: at most one byte or one flush, and only while `allowed`. True when a set has
-  // just become safe.
-  bool step(const Instant& now, bool allowed, SlotMemory& memory, const Parameters& parameters);
+  // One loop turn: at most one byte, one flush or one reading back, and only while `allowed`.
+  StoreEvent step(const Instant& now, bool allowed, SlotMemory& memory,
+                  const Parameters& parameters);
 
  private:
+  enum class Phase : uint8_t { kIdle, kWriting, kReadingBack };
+
   void begin();
+  void write_next(SlotMemory& memory, const Parameters& parameters);
+  StoreEvent read_back(SlotMemory& memory);
+  uint8_t other_slot() const { return static_cast<uint8_t>(1 - slot_); }
   uint8_t image_byte(uint16_t offset, const Parameters& parameters) const;
 
   Timeout calm_;
   bool wanted_ = false;
-  bool writing_ = false;
+  Phase phase_ = Phase::kIdle;
   uint8_t slot_ = 1;  // in force; the other one is written next
   uint16_t sequence_ = 0;
   uint16_t offset_ = 0;

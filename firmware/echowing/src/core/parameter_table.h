@@ -9,7 +9,7 @@
 ECHOWING_PARAMETER(kSystemId, "SYS_ID", 0, 0, 255, true, false, "", "MAVLink system id of the vehicle; 0: learn it from the autopilot and store it here")
 ECHOWING_PARAMETER(kComponentId, "COMP_ID", 191, 2, 250, true, false, "", "MAVLink component id (191: onboard computer)")
 ECHOWING_PARAMETER(kSonarAddress, "SONAR_ADDR", 112, 8, 119, true, false, "", "7-bit I2C address of the sonar (112 = 0x70, as delivered)")
-ECHOWING_PARAMETER(kSonarPeriod, "SONAR_PERIOD", 50, 25, 200, true, false, "ms", "time between readings while the echo is near enough for it")
+ECHOWING_PARAMETER(kSonarPeriod, "SONAR_PERIOD", 100, 25, 200, true, false, "ms", "time between readings; under 100 late echoes read as near ones")
 ECHOWING_PARAMETER(kSonarJitter, "SONAR_JITTER", 5, 0, 20, true, true, "ms", "random delay of each ping: late echoes then show as jumping readings")
 ECHOWING_PARAMETER(kTrackRange, "TRACK_RANGE", 450, 30, 765, true, false, "cm", "a reading nearer than this is the leader; others are misses")
 ECHOWING_PARAMETER(kMissLimit, "MISS_LIMIT", 2, 1, 20, true, true, "", "misses in a row that start a search")
@@ -28,3 +28,4 @@ ECHOWING_PARAMETER(kServoRate, "SERVO_RATE", 2500, 100, 20000, true, false, "us/
 ECHOWING_PARAMETER(kBeamWidth, "BEAM_WIDTH", 40, 1, 120, false, true, "deg", "full width of the sonar's beam, reported as its field of view")
 ECHOWING_PARAMETER(kReportRate, "REPORT_RATE", 20, 5, 40, true, false, "Hz", "DISTANCE_SENSOR messages a second")
 ECHOWING_PARAMETER(kSensorId, "SENSOR_ID", 0, 0, 255, true, false, "", "id in DISTANCE_SENSOR, to match the autopilot's RNGFNDx_ADDR where that is set")
+ECHOWING_PARAMETER(kInfoRate, "INFO_RATE", 2, 1, 20, true, true, "Hz", "state, pan and tilt for people, on the autopilot's port, which passes them on to its radios")

@@ -23,6 +23,10 @@ class I2cBus {
   // `address` is the 7-bit one. False: not acknowledged, or the bus did not answer in time.
   virtual bool write(uint8_t address, const uint8_t* bytes, uint8_t count) = 0;
   virtual bool read(uint8_t address, uint8_t* bytes, uint8_t count) = 0;
+  // True once after a transfer that ended by time-out: the bus is held, or the peripheral hangs.
+  virtual bool take_timeout() = 0;
+  // Initialises the peripheral anew.
+  virtual void restart() = 0;
 
   // Between take_lines and return_lines the peripheral is off and the lines are open drain.
   virtual void take_lines() = 0;
@@ -34,7 +38,7 @@ class I2cBus {
   ~I2cBus() = default;
 };
 
-// Where the two servos shall stand.
+// Pulses of the two servos.
 struct Aim {
   uint16_t pan_us;
   uint16_t tilt_us;
@@ -62,9 +66,13 @@ class SlotMemory {
   ~SlotMemory() = default;
 };
 
+// Why the board started, as far as it knows.
+enum class ResetCause : uint8_t { kUnknown, kPowerOn, kBrownOut, kPin, kWatchdog, kOrdered };
+
 // What the board itself can do and say.
 class Board {
  public:
+  virtual ResetCause reset_cause() const = 0;
   // First eight characters of the git hash this was built from.
   virtual const char* git_hash() const = 0;
   // Does not return on hardware. Boards without a bootloader to enter restart plainly.

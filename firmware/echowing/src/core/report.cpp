@@ -76,13 +76,13 @@ float raw_range_m(uint16_t range_cm) {
   return static_cast<float>(told_cm) * 0.01f;
 }
 
-bool ReportClock::due(Microseconds now, bool new_reading, Microseconds period) {
+bool ReportClock::due(Microseconds now, bool new_reading, bool reading_soon, Microseconds period) {
   if (!started_) {
     started_ = true;
     next_ = now;
   }
   const bool on_the_beat = new_reading && reached(now + kGrace, next_);
-  if (!on_the_beat && !reached(now, next_ + kGrace)) {
+  if (!on_the_beat && !reached(now, reading_soon ? next_ + kGrace : next_)) {
     if (new_reading) lean(now, period);
     return false;
   }

@@ -1,4 +1,4 @@
-// What is told of the range, and when.
+// What is reported of the range, and when.
 #pragma once
 
 #include <stdint.h>
@@ -37,9 +37,9 @@ class ReportClock {
  public:
   // True when `due` would be false, were it asked without a new reading: a quick answer for the
   // many turns in between.
-  bool quiet(Microseconds now) const { return started_ && !reached(now, next_ + kGrace); }
-  // True when a report is due; call once a turn.
-  bool due(Microseconds now, bool new_reading, Microseconds period);
+  bool quiet(Microseconds now) const { return started_ && !reached(now, next_); }
+  // True when a report is due; call once a turn. With `reading_soon` it waits a little for it.
+  bool due(Microseconds now, bool new_reading, bool reading_soon, Microseconds period);
 
  private:
   // A reading this near to its beat, before or after, takes it with it.

@@ -5,7 +5,7 @@
 namespace echowing {
 namespace {
 
-// Left, right, low, high, centre: long enough for the eye.
+// Left, right, low, high, centre: long enough to be seen.
 constexpr uint8_t kStops = 5;
 constexpr Milliseconds kPause = 500;
 

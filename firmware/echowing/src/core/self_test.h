@@ -1,4 +1,4 @@
-// The bench's self test: servos through their corners, then what was heard meanwhile.
+// The bench's self test: the servos go through their corners; then what was received meanwhile.
 #pragma once
 
 #include <stdint.h>
@@ -19,7 +19,7 @@ class SelfTest {
   // Once a loop turn; true in the turn in which the test has ended.
   bool step(const Instant& now);
 
-  // Where the gimbal shall point while the test runs.
+  // Where the gimbal points while the test runs.
   Aim aim(const Parameters& parameters) const;
 
   void on_reading() { sonar_heard_ = true; }

@@ -11,7 +11,7 @@
 namespace echowing {
 
 constexpr uint16_t kNearestCm = 20;    // nearer reads as this
-constexpr uint16_t kFarthestCm = 765;  // nothing heard reads as this
+constexpr uint16_t kFarthestCm = 765;  // no echo reads as this
 
 struct Reading {
   uint16_t range_cm;  // kNearestCm to kFarthestCm
@@ -33,6 +33,8 @@ class SonarDriver {
   SonarEvent step(const Instant& now, I2cBus& bus);
   const Reading& reading() const { return reading_; }
   bool faulty() const { return faulty_; }
+  // In this turn a transfer has ended by time-out: it has been a long one already.
+  bool timed_out() const { return timed_out_; }
   // A reading is due within `span`, or overdue.
   bool reading_within(Microseconds now, Microseconds span) const;
   // Sends the address-change sequence as soon as the sonar listens, then uses the new address.
@@ -47,6 +49,7 @@ class SonarDriver {
  private:
   enum class Phase : uint8_t { kDiscard, kTrigger, kAwait, kRecover };
 
+  SonarEvent proceed(const Instant& now, I2cBus& bus);
   SonarEvent discard(const Instant& now, I2cBus& bus);
   SonarEvent trigger(const Instant& now, I2cBus& bus);
   SonarEvent await(const Instant& now, I2cBus& bus);
@@ -67,6 +70,7 @@ class SonarDriver {
   uint8_t new_address_ = 0;  // 0: none wanted
   bool address_changed_ = false;
   bool faulty_ = false;
+  bool timed_out_ = false;
   uint32_t random_;
 };
 

@@ -6,7 +6,7 @@ namespace echowing {
 namespace {
 
 constexpr uint8_t kQualityReadings = 10;
-// A servo hears of a new pulse with its next 50 Hz frame.
+// A servo gets a new pulse with its next 50 Hz frame.
 constexpr Milliseconds kServoFrame = 20;
 
 uint16_t apart(uint16_t a, uint16_t b) { return a > b ? a - b : b - a; }
@@ -48,7 +48,7 @@ void Tracker::scan(const Instant& now) {
 
 void Tracker::move(const Instant& now, Aim aim) {
   if (same(aim, aim_)) return;
-  // What is heard from another direction is another target until it proves to be the same.
+  // An echo from another direction is of another target until it proves to be the same.
   forget();
   arrival_ = now.ms + travel_time(aim);
   aim_ = aim;
@@ -93,7 +93,7 @@ void Tracker::miss() {
   if (!tracking_) return;
   ++misses_;
   if (misses_ < parameters_.whole(Parameter::kMissLimit)) return;
-  // One wild reading stops the search for a moment; it shall not send it back to where it began.
+  // One wild reading stops the search for a moment; it must not send it back to where it began.
   if (confirmed_) restart_ = true;
   forget();
 }

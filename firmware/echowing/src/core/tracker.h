@@ -1,4 +1,4 @@
-// The gimbal's mind: search with the figure 8, freeze on a target, search again when it is lost.
+// Gimbal control: search with the figure 8, hold still on a target, search again when it is lost.
 #pragma once
 
 #include <stdint.h>
@@ -29,9 +29,9 @@ class Tracker {
   void hold_at(Aim aim) { hold_ = aim; }
 
   Aim aim() const { return aim_; }
-  // A target is in the beam; the gimbal stands still.
+  // A target is in the beam; the gimbal holds still.
   bool tracking() const { return tracking_; }
-  // A range may be told: the target has been confirmed by a second reading.
+  // A range may be reported: a second reading has confirmed the target.
   bool has_range() const { return tracking_ && filter_.has_average(); }
   uint16_t range_cm() const { return filter_.average_cm(); }
   // Share of good readings among the newest ten, 1 (none) to 100, as MAVLink counts quality.
