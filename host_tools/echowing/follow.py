@@ -21,6 +21,7 @@ from echowing.feed_forward import sonar_range_m
 from echowing.flight.alignment import History, Report
 from echowing.flight.envelope import Answer, Other, is_in_the_way, keep_apart
 from echowing.flight.estimate import (
+    DETECTION_LIMIT_M,
     LONGEST_CARRY_S,
     Estimate,
     carried_on,
@@ -43,6 +44,7 @@ from echowing.guidance import (
     predicted,
     sway_rad,
 )
+from echowing.jumps import SAME_RANGE_M, UNCONFIRMED_S, OwnJump, RangeMemory
 from echowing.leader_track import LeaderTrack, VehicleClock, is_late
 from echowing.messages import (
     FORWARD,
@@ -67,6 +69,9 @@ RAW_FRESH_S = 1.0
 # The co-processor averages over 0.45 s: its middle.
 AVERAGE_AGE_S = 0.225
 
+# Reports that agree on a leader's new place before the sonar is asked of it (0.5 s at 4 Hz), and
+# how long before the jump it has to have detected the leader.
+CONFIRMING_REPORTS, HEARD_S = 2, 3.0
 # A stop keeps the wanted altitude where it is this near (barometers wander), else its own.
 SAME_ALTITUDE_M = 1.0
 FOLLOWER_POSITION_HZ = 10.0
@@ -127,7 +132,7 @@ class FollowerState:
     it was put in Guided; sent_to: points might go to it at the last tick; position_at_s: when it
     was there, as far as TIMESYNC tells, else when the report came; feed_mps: the velocity to go
     with the point (north, east), None: none; yaw_rad: where it was last told to look; gives_way_to:
-    for whose sake it is not flown as planned.
+    for whose sake it is not flown as planned; latched: why it is held until it leaves Guided.
     """
 
     plan: FollowerPlan
@@ -135,6 +140,9 @@ class FollowerState:
     bar: TowBar
     clock: VehicleClock = field(default_factory=VehicleClock)
     estimate: Estimate = field(default_factory=Estimate)
+    ranges: RangeMemory = field(default_factory=RangeMemory)
+    own_jump: OwnJump = field(default_factory=OwnJump)
+    latched: str | None = None
     raw_at_s: float = -math.inf
     feed_mps: Horizontal | None = None
     yaw_rad: float | None = None
@@ -210,7 +218,7 @@ class FollowSession:
         self._stopping: str | None = None
         self._leader_rate_hz = leader_rate_hz
         self._rates = None if limits is None else RateWatch(self._wanted(), self._say)
-        self._leader_jumps = False
+        self._leader_jumps = self._two_leaders = False
         self._beat_at_s = -math.inf
         self._rates_at_s = -math.inf
         self._heard: set[int] = set()
@@ -247,6 +255,7 @@ class FollowSession:
         if self.take_offs is not None:
             messages.extend(self._lift(self.take_offs, now_s))
         for system_id, follower in self.followers.items():
+            self._settle_own_jump(follower, now_s)
             point = self._point_for(follower, now_s)
             before, follower.sent_to = follower.sent_to, self.sends_to(follower, now_s)
             if follower.sent_to and not before and follower.held_at is not None:
@@ -474,6 +483,8 @@ class FollowSession:
 
     def _doubt(self, follower: FollowerState) -> str | None:
         """Why what is known of it, or of the leader, is not to be believed now."""
+        if follower.latched is not None or follower.own_jump.since_s is not None:
+            return follower.latched or "its position jumps"
         if self.engagement is None or not self._cleared(follower):
             return None
         return self.engagement.reason_to_stop(self, follower)
@@ -655,14 +666,14 @@ class FollowSession:
             follower.ground_speed_mps = math.hypot(message.vx, message.vy) / 100.0
             follower.climb_mps = -message.vz / 100.0
             follower.heading_rad = heading_of(message, follower.heading_rad)
-            follower.estimate.reported(
-                Report(
-                    follower.position_at_s,
-                    follower.position,
-                    follower.velocity_mps,
-                    follower.heading_rad,
-                )
+            report = Report(
+                follower.position_at_s,
+                follower.position,
+                follower.velocity_mps,
+                follower.heading_rad,
             )
+            self._note_own_jump(follower, report)
+            follower.estimate.reported(report)
         elif kind == "NAMED_VALUE_FLOAT" and message.name == SONAR_READING:
             self._raw_reading(follower, message, now_s)
         elif kind == "DISTANCE_SENSOR" and message.orientation == FORWARD:
@@ -683,6 +694,7 @@ class FollowSession:
         follower.raw_at_s = now_s
         way_s = self._way_s(follower)
         time_s = follower.estimate.sonar_clock.to_ours(message.time_boot_ms / 1e3, now_s, way_s)
+        self._remember_range(follower, time_s, message.value)
         follower.estimate.heard(time_s, message.value, self.settings.sonar_inset_m)
 
     def _distance(self, follower: FollowerState, message: Any, now_s: float) -> None:
@@ -690,7 +702,92 @@ class FollowSession:
         range_m = sonar_range_m(message)
         if range_m is not None and now_s - follower.raw_at_s > RAW_FRESH_S:
             time_s = now_s - self._way_s(follower) - AVERAGE_AGE_S
+            self._remember_range(follower, time_s, range_m)
             follower.estimate.heard(time_s, range_m, self.settings.sonar_inset_m)
+
+    @staticmethod
+    def _remember_range(follower: FollowerState, time_s: float, range_m: float) -> None:
+        if 0.0 < range_m < DETECTION_LIMIT_M:
+            follower.ranges.add(time_s, range_m)
+
+    # ---- jumps ----------------------------------------------------------------------------------
+
+    def _sonar_denies(self, follower: FollowerState, since_s: float) -> bool:
+        """Whether its sonar, which detected the leader, ranges it as before that moment."""
+        if not self.settings.learn_offset or follower.estimate.offset.unheard_s(since_s) > HEARD_S:
+            return False
+        return follower.ranges.unchanged(since_s)
+
+    def _settle_leaders_jump(self, now_s: float) -> None:
+        """A jump that the sonar denies is the receiver's: it goes into everybody's estimate."""
+        since_s = self.leader.jump_since_s
+        if since_s is None or self.leader.agreeing < CONFIRMING_REPORTS:
+            return
+        if not any(self._sonar_denies(one, since_s) for one in self.followers.values()):
+            return
+        moved_m = self.leader.believe_jump()
+        self._leader_history.clear()
+        for follower in self.followers.values():
+            follower.estimate.jumped(moved_m)
+        self._say(
+            now_s,
+            f"leader's receiver jumped by {math.hypot(*moved_m):.1f} m: the sonar's range did not "
+            "change, allowed for",
+        )
+
+    def _believed_elsewhere(self) -> None:
+        """The leader is believed in a new place that no sonar knows: nobody is flown there."""
+        self._forget_offsets()
+        jump_m = math.hypot(*self.leader.jump_m)
+        for follower in self.followers.values():
+            follower.latched = f"leader jumped by {jump_m:.1f} m, until it leaves Guided"
+
+    def _note_own_jump(self, follower: FollowerState, report: Report) -> None:
+        moved_m = None if self.engagement is None else follower.own_jump.reported(report)
+        if moved_m is None:
+            return
+        follower.estimate.history.clear()
+        if follower.held_at is not None:
+            # Where it stands has another name now.
+            follower.held_at = displace(follower.held_at, (*moved_m, 0.0))
+
+    def _settle_own_jump(self, follower: FollowerState, now_s: float) -> None:
+        jump = follower.own_jump
+        if jump.since_s is None:
+            return
+        moved_m = jump.moved_m
+        far_m = math.hypot(*moved_m)
+        denied = self._sonar_denies(follower, jump.since_s)
+        if not denied and now_s - jump.since_s < UNCONFIRMED_S:
+            return
+        jump.settled()
+        if not follower.in_guided or far_m < SAME_RANGE_M:
+            return
+        if denied:
+            follower.estimate.jumped((-moved_m[0], -moved_m[1]))
+            text = "the sonar's range did not change, allowed for"
+        else:
+            follower.latched = f"its position jumped by {far_m:.1f} m, until it leaves Guided"
+            text = "held until its pilot has left Guided and come back"
+        self._say(
+            now_s,
+            f"follower {follower.plan.system_id}: its receiver jumped by {far_m:.1f} m: {text}",
+        )
+
+    def _refuse_two_leaders(self, now_s: float) -> None:
+        """Two boot clocks in turn: two vehicles with the leader's id."""
+        if self._two_leaders or not self.leader.clocks.two_at_once(now_s):
+            return
+        self._two_leaders = True
+        text = (
+            f"system {self.leader_id}: two boot clocks at once: two vehicles with this id, or an "
+            "old recording on the link; give each vehicle a MAV_SYSID (SYSID_THISMAV) of its own"
+        )
+        self._say(now_s, text)
+        for follower in self.followers.values():
+            follower.latched = "two vehicles with the leader's id, until it leaves Guided"
+        if self.engagement is not None:
+            self.engagement.doubt(self.leader_id, "two vehicles with the leader's id", now_s)
 
     def _forget_offsets(self) -> None:
         """A leader believed in a new place: what was learnt of its receiver is void."""
@@ -702,8 +799,13 @@ class FollowSession:
         rejected, jumps = self.leader.rejected, self.leader.jumps
         before = self.leader.fix
         self.leader.receive(message, now_s)
-        if self.leader.jumps > jumps:
+        if self.leader.jumps > jumps and self.guard is None:
             self._forget_offsets()
+        elif self.leader.jumps > jumps:
+            self._believed_elsewhere()
+        if self.guard is not None:
+            self._settle_leaders_jump(now_s)
+            self._refuse_two_leaders(now_s)
         if self.leader.fix is not None and self.leader.fix is not before:
             self._note_leader(self.leader.fix)
         jumped = self.leader.rejected > rejected
@@ -729,6 +831,8 @@ class FollowSession:
         if in_guided is follower.in_guided:
             return
         follower.in_guided = in_guided
+        follower.latched = None
+        follower.own_jump.settled()
         # Whatever was held against it, and wherever it was held, was in another flight.
         climbs = self.lift_of(follower) in (Lift.CLIMBING, Lift.STOPPED)
         follower.flown = in_guided and climbs

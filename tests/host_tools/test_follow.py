@@ -8,7 +8,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from echowing.follow import FollowerPlan, FollowSession
 from echowing.geo import GlobalPosition, displace, ned_between
 from echowing.guidance import GuidanceSettings, Slot
-from echowing.leader_track import AGREEING_REPORTS, CLOCKS_AGREE_S, VehicleClock
+from echowing.jumps import AGREEING_REPORTS
+from echowing.leader_track import CLOCKS_AGREE_S, VehicleClock
 from echowing.messages import TOOL_SYSTEM_ID
 
 LEADER, FOLLOWER = 1, 2
@@ -189,10 +190,15 @@ def test_a_leader_that_reboots_is_taken_on_its_new_clock() -> None:
     follow = session()
     follow.receive(from_vehicle(LEADER, position(500.0, HERE)), 500.0)
 
-    follow.receive(from_vehicle(LEADER, position(3.0, displace(HERE, (1.0, 0, 0)))), 504.0)
+    for quarter in range(AGREEING_REPORTS + 1):
+        assert follow.leader.fix is not None
+        assert follow.leader.fix.time_s == 500.0  # not on one report's word
+        late_s = quarter / 4.0
+        again = position(3.0 + late_s, displace(HERE, (1.0, 0, 0)))
+        follow.receive(from_vehicle(LEADER, again), 504.0 + late_s)
 
     assert follow.leader.fix is not None
-    assert follow.leader.fix.time_s == 504.0
+    assert follow.leader.fix.time_s == 506.0
 
 
 def test_a_jump_is_not_followed_and_stops_the_follower_after_a_second() -> None:
