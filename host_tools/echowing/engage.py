@@ -263,7 +263,8 @@ class Engagement:
         system_id = follower.plan.system_id
         turn.wrong = [one for one in self.findings(session, follower, now_s) if one.wrong]
         if turn.wrong:
-            self._tell(system_id, turn, now_s)
+            for text in self._tell(system_id, turn, now_s):
+                session.alert(system_id, f"not engaged, {text}")
             return
         turn.cleared = True
         if session.leaders_height:
@@ -322,14 +323,20 @@ class Engagement:
     def _waited(self, now_s: float) -> bool:
         return self._since_s is not None and now_s - self._since_s >= PATIENCE_S
 
-    def _tell(self, system_id: int, turn: _Turn, now_s: float) -> None:
-        """Say what is wrong, each once for a while; what is only not known yet has its time."""
+    def _tell(self, system_id: int, turn: _Turn, now_s: float) -> list[str]:
+        """Say what is wrong, each once for a while; what is only not known yet has its time.
+
+        Returns what was said, in short.
+        """
+        said = []
         for one in turn.wrong:
             text = _NUMBERS.sub("", one.wrong)
             again = now_s - turn.told.get(text, -math.inf) >= SAY_AGAIN_S
             if again and (self._waited(now_s) or one.shown != "?"):
                 turn.told[text] = now_s
                 self._say(now_s, f"follower {system_id}: not engaged, {one.wrong}")
+                said.append(one.wrong.partition(":")[0])
+        return said
 
     # ---- the checks -----------------------------------------------------------------------------
 

@@ -54,6 +54,7 @@ from echowing.messages import (
     is_nonsense,
     message_interval,
     position_target,
+    status_text,
     tool_heartbeat,
 )
 from echowing.take_off import Lift, TakeOff, TakeOffs
@@ -215,6 +216,9 @@ class FollowSession:
         if limits is not None and limits.ready is not None:
             self.engagement = Engagement(limits.ready, leader_id, self.followers, self._say)
         self.take_offs = None if take_off is None else TakeOffs(take_off, self.followers, self._say)
+        self.alerts = 0
+        """How much has been said that somebody should look up for."""
+        self._hud: list[tuple[int, Any]] = []
         self._stopping: str | None = None
         self._leader_rate_hz = leader_rate_hz
         self._rates = None if limits is None else RateWatch(self._wanted(), self._say)
@@ -264,6 +268,8 @@ class FollowSession:
                 point = self._kept_apart(follower, point, now_s)
                 messages.append((system_id, self._target(follower, point, now_s)))
                 self._sent(follower, point, now_s)
+        messages.extend(self._hud)
+        self._hud.clear()
         if self.guard is not None and (self.engaged or self.take_offs is not None):
             messages.extend(self.guard.messages(self.followers, now_s))
         return messages
@@ -498,6 +504,7 @@ class FollowSession:
         again = "leader heard again" if follower.hold_reason == STALE else "clear again"
         self._release(follower)
         if self._moves(follower):
+            self.alert(follower.plan.system_id, f"{again}, following", mavlink.MAV_SEVERITY_NOTICE)
             self._say(now_s, f"follower {follower.plan.system_id}: {again}, following")
 
     def _release(self, follower: FollowerState) -> None:
@@ -614,6 +621,7 @@ class FollowSession:
             follower.held_at = follower.position
             follower.held_altitude_m = self._altitude_to_keep(follower)
             if self._moves(follower):
+                self.alert(follower.plan.system_id, f"holding, {reason}")
                 self._say(now_s, f"follower {follower.plan.system_id}: {reason}, holding")
         follower.hold_reason = reason
         return follower.held_at
@@ -632,6 +640,14 @@ class FollowSession:
         if follower.altitude_m is None or abs(follower.altitude_m - wanted_m) <= SAME_ALTITUDE_M:
             return wanted_m
         return follower.altitude_m
+
+    def alert(
+        self, system_id: int, text: str, severity: int = mavlink.MAV_SEVERITY_WARNING
+    ) -> None:
+        """Tell a follower's pilot on his display, in the field only, and whoever looks here."""
+        if self.engagement is not None:
+            self.alerts += 1
+            self._hud.append((system_id, status_text(severity, f"Echowing: {text}")))
 
     def _say(self, now_s: float, text: str) -> None:
         self.events.append((now_s, text))

@@ -92,7 +92,7 @@ class FollowTool:
                 self._links[seat.address.text] = self._link_of(seat)
         self._log: BackgroundLog | None = None
         self._next_tick_s = self._next_rows_s = 0.0
-        self._events_told = 0
+        self._events_told = self._alerts_told = 0
 
     def run(self) -> int:
         """Until the end is asked for; 0: every follower that was moved is known to stand.
@@ -105,6 +105,7 @@ class FollowTool:
                 link.link.open()
             if options.log is not None:
                 self._log = BackgroundLog(partial(FollowLog, options.log, self._start_unix_s))
+                self._say(f"log: {options.log}")
             if not find_vehicles(options.seats, self._links, self._now_s, self._over, self._say):
                 self._say("ended before all vehicles were heard; nothing was moved")
                 return self._unheard_code()
@@ -232,6 +233,9 @@ class FollowTool:
         for time_s, text in events[self._events_told :]:
             self._view.event(time_s, text)
         self._events_told = len(events)
+        if self._session.alerts > self._alerts_told:
+            self._alerts_told = self._session.alerts
+            self._view.ring()
         for system_id, text in self._panel.texts:
             self._say(f"system {system_id} warns: {text}")
         self._panel.texts.clear()

@@ -141,10 +141,10 @@ class VehicleFinder:
     def _described(self, seat: Seat) -> str:
         """A missing vehicle; where it was named, also who is heard in its place."""
         if seat.system_id is None:
-            return f"{seat.role} on {seat.address.text}"
+            return f"{seat.role} on {seat.address.where}"
         others = sorted(self._heard.get(seat.address.text, {}))
         heard = f" (heard there: {', '.join(map(str, others))})" if others else ""
-        return f"{seat.role}, system {seat.system_id}, on {seat.address.text}{heard}"
+        return f"{seat.role}, system {seat.system_id}, on {seat.address.where}{heard}"
 
     def _open_seats(self) -> list[Seat]:
         return [seat for seat in self._seats if seat.system_id is None]

@@ -261,3 +261,27 @@ def test_who_is_not_known_to_be_ours_is_not_engaged_and_is_held() -> None:
     assert early.fly(SOON_S) == []
     late.fly(1.0)
     assert late.state() == "holding: leader may not be the vehicle that was meant"
+
+
+def test_the_pilots_display_shows_why_it_stands_and_the_bell_rings() -> None:
+    yard = Yard()
+    yard.fly(2.0)
+    yard.sent.clear()
+    yard.vehicles[LEADER].silent = True
+    yard.fly(2.0)
+    yard.vehicles[LEADER].silent = False
+    yard.fly(1.0)
+    texts = [(who, m.text) for who, m in yard.sent if m.get_type() == "STATUSTEXT"]
+    assert texts == [
+        (FOLLOWER, "Echowing: holding, leader is stale"),
+        (FOLLOWER, "Echowing: leader heard again, following"),
+    ]
+    assert yard.session.alerts == 2
+
+
+def test_what_keeps_it_from_being_engaged_is_on_the_display_too() -> None:
+    yard = Yard()
+    yard.vehicles[FOLLOWER].battery_percent = 5
+    yard.fly(SOON_S)
+    (text,) = [m.text for _, m in yard.sent if m.get_type() == "STATUSTEXT"]
+    assert text == "Echowing: not engaged, it has 5 % of its battery l"

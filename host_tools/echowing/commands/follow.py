@@ -2,6 +2,7 @@
 
 import argparse
 import math
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 LEAST_ALTITUDE_M, MOST_ALTITUDE_M = 1.0, 500.0
 # Over a leader that is carried at a metre or two.
 CARRIED_ALTITUDE_M = 10.0
+LOG_FOLDER = Path("out/flights")
 
 EXAMPLES = """\
 examples:
@@ -26,7 +28,7 @@ examples:
       only watches; add --engage, and points go to followers that fly in Guided
   echowing follow --leader /dev/ttyUSB0 --follower /dev/ttyUSB1 --baud 57600 --radius 8 --engage
   echowing follow --leader udpin:14550@1 --follower udpin:14550@2 --follower udpin:14550@3 \\
-      --formation vee.toml --stop-switch 7:1700 --log out/flight-7 --engage
+      --formation vee.toml --stop-switch 7:1700 --log out/vee-7 --engage
       all vehicles on one link, told apart by system id; vee.toml:
           [[slots]]
           radius_m = 4.0
@@ -49,7 +51,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = EXAMPLES
     links = parser.add_argument_group(
         "vehicles",
-        "CONN: udpin:[HOST:]PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:[HOST:]PORT or a serial "
+        "CONN: udpin:PORT (on all addresses of this computer), udpin:HOST:PORT, "
+        "udpout:HOST:PORT, tcp:HOST:PORT, tcpin:[HOST:]PORT or a serial "
         "device; CONN@ID where several vehicles share a link",
     )
     leader = links.add_mutually_exclusive_group(required=True)
@@ -58,8 +61,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--leader-from",
         dest="leader",
         metavar="udp:[HOST:]PORT",
-        help="the leader as published by `echowing leader` on another computer; HOST: the address "
-        "to listen on, 0.0.0.0 for all",
+        help="the leader as published by `echowing leader` on another computer; HOST: the only "
+        "address to listen on",
     )
     links.add_argument("--follower", action="append", required=True, metavar="CONN")
     links.add_argument("--baud", type=int, default=DEFAULT_BAUD, help="of serial devices")
@@ -105,9 +108,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "hexadecimal digits or a pass phrase. What a co-processor says itself nobody signs: ranges "
         "come by the autopilot's DISTANCE_SENSOR then, and the gimbal's state does not",
     )
-    parser.add_argument("--log", type=Path, metavar="DIR", help="write a .tlog and a CSV here")
+    add_log_arguments(parser)
     parser.add_argument("--duration", type=float, metavar="S", help="end after this long")
     parser.add_argument("--json", action="store_true", help="print JSON, an object a line")
+
+
+def add_log_arguments(parser: argparse.ArgumentParser) -> None:
+    """Where the flight is logged."""
+    log = parser.add_mutually_exclusive_group()
+    log.add_argument(
+        "--log",
+        type=Path,
+        metavar="DIR",
+        help=f"write a .tlog and a CSV here ({LOG_FOLDER}/DATE-TIME)",
+    )
+    log.add_argument("--no-log", action="store_true", help="write no log")
+
+
+def log_folder(args: argparse.Namespace) -> Path | None:
+    """The folder that was asked for, or one of this moment's; None: no log."""
+    if args.no_log:
+        return None
+    return args.log or LOG_FOLDER / time.strftime("%Y%m%d-%H%M%S")
 
 
 def _add_safety(safety: "argparse._ArgumentGroup") -> None:
@@ -228,7 +250,7 @@ def _options(args: argparse.Namespace) -> "FollowOptions":
         take_off=_take_off(args),
         leader_rate_hz=args.leader_rate,
         duration_s=args.duration,
-        log=args.log,
+        log=log_folder(args),
         signing_key=read_key(args.signing_key_file),
     )
 

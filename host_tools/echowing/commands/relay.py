@@ -3,6 +3,7 @@
 import argparse
 from pathlib import Path
 
+from echowing.commands.follow import add_log_arguments, log_folder
 from echowing.errors import EchowingError
 
 ALTITUDE_M = 30.0
@@ -56,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--signing-key-file", type=Path, metavar="FILE", help="as for `echowing follow`"
     )
-    parser.add_argument("--log", type=Path, metavar="DIR", help="write a .tlog and a CSV here")
+    add_log_arguments(parser)
     parser.add_argument("--duration", type=float, metavar="S", help="end after this long")
     parser.add_argument("--json", action="store_true", help="print JSON, an object a line")
 
@@ -97,7 +98,7 @@ def run(args: argparse.Namespace) -> int:
         ),
         engage=args.engage,
         duration_s=args.duration,
-        log=args.log,
+        log=log_folder(args),
         signing_key=read_key(args.signing_key_file),
         make_guide=lambda: RelayGuide(ground),
     )

@@ -201,7 +201,7 @@ def _measured(followers: int, rate_hz: float, seconds: float, port: int, folder:
 
 
 def _options(followers: int, rate_hz: float, port: int, folder: Path) -> FollowOptions:
-    link = parse_address(f"udpin:{port}")
+    link = parse_address(f"udpin:127.0.0.1:{port}")
     roles = [("leader", LEADER_ID)]
     roles += [("follower", FIRST_FOLLOWER_ID + number) for number in range(followers)]
     return FollowOptions(
