@@ -379,7 +379,7 @@ class FollowSession:
     def _kept_apart(
         self, follower: FollowerState, point: GlobalPosition, now_s: float
     ) -> GlobalPosition:
-        """The point that leaves everybody room (see `flight.envelope`), and its velocity with it."""
+        """The point that leaves everybody room (see `flight.envelope`), its velocity with it."""
         least_m = None if self.guard is None else self.guard.limits.min_separation_m
         here = self._follower_then(follower, now_s + self._way_s(follower))
         if least_m is None or here is None:
@@ -390,9 +390,8 @@ class FollowSession:
         self._give_way(follower, other, now_s)
         if other is None:
             return point
-        if follower.held_at is not None and follower.position is not None:
-            if distance_m(follower.held_at, follower.position) > MOVED_M:
-                follower.held_at = follower.position
+        if _moved_off(follower):
+            follower.held_at = follower.position
         if follower.feed_mps is None:
             north, east = (mps / POSITION_GAIN_PER_S for mps in flown[:2])
             return displace(here, (north, east, here.alt_m - point.alt_m))
@@ -403,10 +402,10 @@ class FollowSession:
     def _give_way(self, follower: FollowerState, other: Other | None, now_s: float) -> None:
         """Note, and tell, for whose sake a follower is flown otherwise than planned."""
         name = None if other is None else other.name
-        if name is not None and name != follower.gives_way_to:
-            if now_s - follower.gave_way_at_s >= REMARK_GAP_S:
-                follower.gave_way_at_s = now_s
-                self._say(now_s, f"follower {follower.plan.system_id}: gives way to {name}")
+        begins = name is not None and name != follower.gives_way_to
+        if begins and now_s - follower.gave_way_at_s >= REMARK_GAP_S:
+            follower.gave_way_at_s = now_s
+            self._say(now_s, f"follower {follower.plan.system_id}: gives way to {name}")
         follower.gives_way_to = name
 
     def _others(self, follower: FollowerState, here: GlobalPosition, now_s: float) -> list[Other]:
@@ -912,6 +911,13 @@ class FollowSession:
             *((system_id, distance, REPELLING_HZ) for system_id in repelled),
             *(self.guard.requests() if self.guard is not None else ()),
         ]
+
+
+def _moved_off(follower: FollowerState) -> bool:
+    """Whether one that is held has been moved away from its place."""
+    if follower.held_at is None or follower.position is None:
+        return False
+    return distance_m(follower.held_at, follower.position) > MOVED_M
 
 
 def _wanted_mps(here: GlobalPosition, point: GlobalPosition, feed_mps: Horizontal | None) -> Ned:

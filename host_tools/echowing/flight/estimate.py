@@ -1,4 +1,4 @@
-"""Where the leader is as seen by one follower: receivers, sonar, and the time between them. Pure."""
+"""Where the leader is, as seen by one follower: receivers, sonar, and their times. Pure."""
 
 import math
 from collections import deque
@@ -6,7 +6,7 @@ from collections import deque
 from echowing.flight.alignment import Alignment, History, Report
 from echowing.flight.offset_grid import OffsetGrid
 from echowing.geo import GlobalPosition, Ned, displace, ned_between
-from echowing.guidance import LeaderFix
+from echowing.guidance import LeaderFix, predicted
 
 # Propellers make single wild readings: one counts when the one before it was like it.
 CONFIRM_S, CONFIRM_M = 0.3, 0.5
@@ -105,8 +105,6 @@ class Estimate:
 
 def carried_on(leader: LeaderFix, to_s: float) -> LeaderFix:
     """The leader at a moment, from its newest report (see `guidance.predicted`)."""
-    from echowing.guidance import predicted
-
     return predicted(leader, min(LONGEST_CARRY_S, max(0.0, to_s - leader.time_s)))
 
 
