@@ -5,7 +5,7 @@
 BIN := .venv/bin
 export PATH := $(CURDIR)/$(BIN):$(PATH)
 
-.PHONY: help demo test bench monitor fuzz lint format setup setup-test core clean
+.PHONY: help demo test test-sitl bench monitor fuzz lint format setup setup-test core clean
 
 help: ## list the targets
 	@grep -hE '^[a-z0-9-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z0-9-]+):.*## /\1\t/' | expand -t 16
@@ -15,6 +15,9 @@ demo: setup core emulated ## fly the scenarios, print the table, write out/demo/
 
 test: setup-test core emulated lint ## every check and every test
 	$(BIN)/pytest -n 2 --dist loadfile
+
+test-sitl: setup-test core emulated ## fly it on ArduCopter SITL: ARDUCOPTER="PATH …" [CASES="NAME or NAME"]
+	$(BIN)/python -m tests.sitl $(ARDUCOPTER) -- $(if $(CASES),-k "$(CASES)")
 
 bench: setup-test core emulated ## speeds and sizes, as a table
 	@$(BIN)/echowing bench
@@ -48,8 +51,9 @@ core: setup ## the co-processor's core for this machine
 		-DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(BIN)/ninja >/dev/null
 	@$(BIN)/ninja -C build/host --quiet
 
-clean: ## remove what was built (not .venv)
-	rm -rf build out
+clean: ## remove what was built (not .venv, nor tools and cores that were downloaded)
+	rm -rf out build/arduino-home*/cache
+	@[ ! -d build ] || find build -mindepth 1 -maxdepth 1 ! -name tools ! -name 'arduino-home*' -exec rm -rf {} +
 
 -include firmware/firmware.mk
 -include hw/hw.mk

@@ -179,6 +179,9 @@ def table(rows: Sequence[Row]) -> Table:
     shown.add_column("gimbal")
     for head in ("age\ns", "speed\nm/s", "limit\nm/s", "height\nm", "link\n%"):
         shown.add_column(head, justify="right")
+    switches = any(row.switch is not None for row in rows)
+    if switches:
+        shown.add_column("switch")
     for row in rows:
         shown.add_row(
             str(row.system_id),
@@ -193,6 +196,7 @@ def table(rows: Sequence[Row]) -> Table:
             _number(row.command_mps, ".1f"),
             _number(row.altitude_m, ".1f"),
             _number(row.link_percent, ".0f"),
+            *([row.switch or "-"] if switches else []),
         )
     return shown
 
@@ -201,7 +205,7 @@ def _style(state: str) -> str:
     """Green where all is well, yellow where it is stopped or on its way, red where nothing is."""
     if state == "following":
         return "green"
-    return "red" if state == "no points sent" else "yellow"
+    return "red" if state.startswith(("no points sent", "not engaged")) else "yellow"
 
 
 def _number(value: float | None, form: str = ".2f") -> str:
@@ -216,6 +220,7 @@ def plain_row(row: Row) -> str:
         f"sonar {_shown(row.sonar_m, 'm')}, {_shown(row.speed_mps, 'm/s', '.1f')} "
         f"of {_shown(row.command_mps, 'm/s', '.1f')}, {_shown(row.altitude_m, 'm', '.1f')} up, "
         f"leader {_shown(row.leader_age_s, 's')} old, link {_shown(row.link_percent, '%', '.0f')}"
+        + ("" if row.switch is None else f", stop switch {row.switch}")
     )
 
 

@@ -13,25 +13,14 @@ from typing import TYPE_CHECKING, Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.errors import EchowingError
+from echowing.engage import Readiness
 from echowing.geo import GlobalPosition, displace, distance_m, nearer_than, ned_between
-from echowing.messages import command_long
+from echowing.switch import StopSwitch, Switches
 
 if TYPE_CHECKING:
     from echowing.follow import FollowerState
 
 Say = Callable[[float, str], None]
-
-# Modes that a stop switch may choose. STABILIZE is none: a low throttle stick drops the vehicle.
-SWITCH_MODES = {
-    "LOITER": mavlink.COPTER_MODE_LOITER,
-    "BRAKE": mavlink.COPTER_MODE_BRAKE,
-    "LAND": mavlink.COPTER_MODE_LAND,
-    "RTL": mavlink.COPTER_MODE_RTL,
-}
-# What ArduPilot takes as a pulse of a receiver; 0 means that there is none.
-VALID_PULSE_US = range(801, 2200)
-CHANNELS = 18  # of RC_CHANNELS
 
 # A hovering copter's estimate wanders by a decimetre a second; below this it stands.
 STILL_MPS = 0.3
@@ -71,41 +60,9 @@ WATCHDOG_PERIOD_S = 2.0
 
 READ_BACK_HZ = 4.0
 SWITCH_HZ = 4.0
-MODE_PERIOD_S = 0.5
 # Rates are judged over this long; so much of what was asked for will do.
 RATE_WINDOW_S = 8.0
 RATE_SHARE = 0.6
-
-
-@dataclass(frozen=True, slots=True)
-class StopSwitch:
-    """A switch on a transmitter: on above `pwm_us`; `mode`: what to change to, None: just stop."""
-
-    channel: int
-    pwm_us: int
-    mode: str | None = None
-
-    def pulse_us(self, message: Any) -> int:
-        """The channel's pulse in an RC_CHANNELS; 0: none."""
-        return int(getattr(message, f"chan{self.channel}_raw"))
-
-
-def parse_stop_switch(text: str) -> StopSwitch:
-    """`CH:PWM[:MODE]`, as `5:1200` or `7:1700:LOITER`. Raises EchowingError."""
-    channel, _, rest = text.partition(":")
-    pwm, _, mode = rest.partition(":")
-    if not channel.isdecimal() or not 1 <= int(channel) <= CHANNELS:
-        raise EchowingError(f"stop switch {text!r}: the channel is a number from 1 to {CHANNELS}")
-    if not pwm.isdecimal() or int(pwm) not in VALID_PULSE_US:
-        raise EchowingError(f"stop switch {text!r}: the pulse is a number from 801 to 2199 us")
-    if mode.upper() == "STABILIZE":
-        raise EchowingError(
-            f"stop switch {text!r}: STABILIZE is refused, since a low throttle stick drops the "
-            f"vehicle; take {', '.join(SWITCH_MODES)}, or no mode to stop in Guided"
-        )
-    if mode and mode.upper() not in SWITCH_MODES:
-        raise EchowingError(f"stop switch {text!r}: the mode is one of {', '.join(SWITCH_MODES)}")
-    return StopSwitch(int(channel), int(pwm), mode.upper() or None)
 
 
 def mode_name(number: int) -> str:
@@ -122,7 +79,8 @@ class Limits:
     included; home_difference_m: between the altitudes of the leader's home and the follower's,
     from which each counts its own, up to this it is corrected; level_homes: both homes are known
     to be level, so that what they differ by is the receivers' error, and is not corrected;
-    leader_flies: the leader has to be armed and in the air.
+    leader_flies: the leader has to be armed and in the air; ready: what has to be right before the
+    first point, None: nothing is asked.
     """
 
     max_distance_m: float | None = None
@@ -131,10 +89,13 @@ class Limits:
     level_homes: bool = False
     leader_flies: bool = True
     switch: StopSwitch | None = None
+    ready: Readiness | None = None
 
 
 # The defaults of `echowing follow`, flown by the simulator too.
-FIELD_LIMITS = Limits(max_distance_m=100.0, min_separation_m=1.0, home_difference_m=5.0)
+FIELD_LIMITS = Limits(
+    max_distance_m=100.0, min_separation_m=1.0, home_difference_m=5.0, ready=Readiness()
+)
 
 
 @dataclass(slots=True)
@@ -145,10 +106,7 @@ class _Watch:
     off_since_s: float | None = None
     refused: bool = False
     applet_state: int = 0
-    switched: bool = False
     released: bool = False
-    mode_at_s: float = -math.inf
-    mode_taken_at_s: float = -math.inf
     unheard: bool = False
     low_told: bool = False
     still_since_s: float | None = None
@@ -177,14 +135,14 @@ class Guard:
         self._leader_flies: bool | None = None
         self._homes_m: dict[int, float] = {}
         self._shifts_told_m: dict[int, float] = {}
-        self._leader_switched = False
+        self.switches = Switches(limits.switch, leader_id, self._watches)
 
     # ---- what comes in --------------------------------------------------------------------------
 
     def receive(self, system_id: int, kind: str, message: Any, now_s: float) -> None:
         """Take a message of the leader or of a follower."""
-        if kind == "RC_CHANNELS" and self.limits.switch is not None:
-            self._switch(system_id, self.limits.switch, message)
+        if kind == "RC_CHANNELS":
+            self.switches.receive(system_id, message, now_s)
         elif kind == "GLOBAL_POSITION_INT":
             self._homes_m[system_id] = (message.alt - message.relative_alt) / 1e3
             if system_id != self._leader_id:
@@ -200,7 +158,7 @@ class Guard:
             self._read_back_local(system_id, message, now_s)
         elif kind == "NAMED_VALUE_FLOAT" and message.name == APPLET_STATE:
             self._watches[system_id].applet_state = round(message.value)
-        elif kind == "PARAM_VALUE" and message.param_id == WATCHDOG:
+        elif kind == "PARAM_VALUE" and message.param_id == WATCHDOG and self.limits.ready is None:
             self._find_watchdog(system_id, message.param_value, now_s)
 
     def _find_watchdog(self, system_id: int, silence_s: float, now_s: float) -> None:
@@ -212,29 +170,10 @@ class Guard:
             )
         watch.watchdog_s = silence_s
 
-    def mode_answered(self, system_id: int, message: Any, now_s: float) -> None:
-        """Take a COMMAND_ACK for us: a mode that was taken is not asked for twice.
-
-        The pilot may have chosen another since, which shows with the next heartbeat.
-        """
-        taken = message.result == mavlink.MAV_RESULT_ACCEPTED
-        if taken and message.command == mavlink.MAV_CMD_DO_SET_MODE:
-            self._watches[system_id].mode_taken_at_s = now_s
-
     def _leader_message(self, kind: str, message: Any) -> None:
         autopilot = message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1
         if kind == "HEARTBEAT" and autopilot:
             self._leader_flies = is_flying(message)
-
-    def _switch(self, system_id: int, switch: StopSwitch, message: Any) -> None:
-        pulse_us = switch.pulse_us(message)
-        if pulse_us not in VALID_PULSE_US:
-            return
-        on = pulse_us > switch.pwm_us
-        if system_id == self._leader_id:
-            self._leader_switched = on
-        else:
-            self._watches[system_id].switched = on
 
     @staticmethod
     def _find_origin(watch: _Watch, local: Any) -> None:
@@ -273,12 +212,12 @@ class Guard:
                 "(a fence in the way?)",
             )
 
-    def entered_guided(self, system_id: int) -> None:
+    def entered_guided(self, system_id: int, now_s: float) -> None:
         """The pilot has put a follower in Guided: what was held against it is forgotten."""
+        self.switches.entered_guided(system_id, now_s)
         known = self._watches[system_id]
         self._watches[system_id] = _Watch(
             applet_state=known.applet_state,
-            switched=known.switched,
             watchdog_s=known.watchdog_s,
             watchdog_asks=known.watchdog_asks,
         )
@@ -294,7 +233,7 @@ class Guard:
     ) -> str | None:
         """Why this follower may not move now; None: it may. `leader`: where it is believed."""
         watch = self._watches[follower.plan.system_id]
-        if watch.switched or self._leader_switched:
+        if self.switched(follower.plan.system_id):
             return "stop switch"
         if watch.refused:
             return "its points are refused"
@@ -303,6 +242,15 @@ class Guard:
         if follower.position is None:
             return None
         return self._other_datum(follower, now_s) or self._too_far(follower, leader)
+
+    def home_m(self, system_id: int) -> float | None:
+        """Altitude of a vehicle's home above sea level, by its receiver; None: not known."""
+        return self._homes_m.get(system_id)
+
+    def home_above_leaders_m(self, system_id: int) -> float | None:
+        """How much higher than the leader's home a follower's is, by their receivers."""
+        own_m, leaders_m = self.home_m(system_id), self.home_m(self._leader_id)
+        return None if own_m is None or leaders_m is None else own_m - leaders_m
 
     def altitude_shift_m(self, system_id: int) -> float:
         """How much lower than the leader's home a follower's own is: added to its altitude."""
@@ -407,7 +355,7 @@ class Guard:
             watch.unheard = unheard
             text = f"not heard for {UNHEARD_S:g} s, no points sent" if unheard else "heard again"
             self._say(now_s, f"follower {system_id}: {text}")
-        handed_back = watch.released or (self._switched(watch) and not follower.flown)
+        handed_back = watch.released or (self.switched(system_id) and not follower.flown)
         return not unheard and not handed_back and not self._too_low(follower, watch, now_s)
 
     def _too_low(self, follower: "FollowerState", watch: _Watch, now_s: float) -> bool:
@@ -461,7 +409,7 @@ class Guard:
         elif now_s - watch.still_since_s >= STILL_FOR_S and not watch.verified:
             watch.verified = True
             self._say(now_s, f"follower {system_id}: stands")
-            if self._switched(watch):
+            if self.switched(system_id):
                 watch.released = True
                 self._say(now_s, f"follower {system_id}: hands off, by the stop switch")
 
@@ -474,12 +422,9 @@ class Guard:
                 now_s, f"follower {system_id}: still moves at {speed_mps:.1f} m/s, stopped again"
             )
 
-    def _switched(self, watch: _Watch) -> bool:
-        return watch.switched or self._leader_switched
-
     def switched(self, system_id: int) -> bool:
-        """Whether the pilot's stop switch, or the leader's, is on."""
-        return self._switched(self._watches[system_id])
+        """Whether the pilot's stop switch, or the leader's, has stopped it."""
+        return self.switches.stops(system_id)
 
     def stands(self, system_id: int) -> bool:
         """Whether this follower's stop has been verified."""
@@ -494,22 +439,13 @@ class Guard:
         messages: list[tuple[int, Any]] = []
         for system_id, follower in followers.items():
             watch = self._watches[system_id]
-            mode = self._wanted_mode(follower, watch, now_s)
-            if mode is not None:
-                messages.append((system_id, _set_mode(system_id, mode)))
-            if self._asks_watchdog(system_id, watch, now_s):
+            if follower.in_guided and follower.flown:
+                round_trip_s = follower.clock.round_trip_s
+                asked = self.switches.message(system_id, follower.mode_at_s, round_trip_s, now_s)
+                messages.extend([] if asked is None else [(system_id, asked)])
+            if self.limits.ready is None and self._asks_watchdog(system_id, watch, now_s):
                 messages.append((system_id, _read_parameter(system_id, WATCHDOG)))
         return messages
-
-    def _wanted_mode(self, follower: "FollowerState", watch: _Watch, now_s: float) -> int | None:
-        switch = self.limits.switch
-        wanted = switch is not None and switch.mode is not None and self._switched(watch)
-        if not wanted or not follower.in_guided or not follower.flown:
-            return None
-        if now_s - watch.mode_at_s < MODE_PERIOD_S or follower.mode_at_s <= watch.mode_taken_at_s:
-            return None
-        watch.mode_at_s = now_s
-        return SWITCH_MODES[switch.mode] if switch and switch.mode else None
 
     def _asks_watchdog(self, system_id: int, watch: _Watch, now_s: float) -> bool:
         if watch.watchdog_s is not None or watch.watchdog_asks > WATCHDOG_ASKS:
@@ -593,11 +529,6 @@ def is_flying(heartbeat: Any) -> bool:
 def _apart_m(a: GlobalPosition, b: GlobalPosition) -> float:
     north_m, east_m, _ = ned_between(a, b._replace(alt_m=a.alt_m))
     return math.hypot(north_m, east_m)
-
-
-def _set_mode(system_id: int, mode: int) -> Any:
-    custom = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
-    return command_long(system_id, mavlink.MAV_CMD_DO_SET_MODE, custom, mode)
 
 
 def _read_parameter(system_id: int, name: str) -> Any:

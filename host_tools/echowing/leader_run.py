@@ -6,9 +6,13 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.background import BackgroundView
+from echowing.engage import EKF_HZ, GPS_HZ
+from echowing.errors import EchowingError
 from echowing.follow import RATE_REQUEST_PERIOD_S
+from echowing.follow_view import PlainView
 from echowing.guard import SWITCH_HZ, UNHEARD_S, RateWatch
-from echowing.links import Address, Link, wait
+from echowing.links import Address, Link, leads_back, wait
 from echowing.messages import HEARTBEAT_PERIOD_S, message_interval, tool_heartbeat
 from echowing.seats import POLL_S, OpenLink, Seat, find_vehicles, known_id
 from echowing.signing import LinkSigning
@@ -34,24 +38,37 @@ class LeaderTool:
         signing_key: bytes | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
+        _refuse_loop(seat.address, publish)
         self._seat = seat
         self._vehicle = _open_link(seat.address, signing_key, VEHICLE_LINK_ID)
         self._follow = _open_link(publish, signing_key, PUBLISHED_LINK_ID)
         self._wanted_hz = {
             mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: rate_hz,
             mavlink.MAVLINK_MSG_ID_RC_CHANNELS: SWITCH_HZ,
+            mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: EKF_HZ,
+            mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: GPS_HZ,
         }
         self._stop = stop
         self._clock = clock
         self._start_s = clock()
         self._heard_s = self._beat_s = self._rates_s = 0.0
         self._silent = False
+        self._view = BackgroundView(PlainView())
+
+    @property
+    def stuck(self) -> bool:
+        """Whether the terminal took nothing until the end, and still blocks."""
+        return self._view.stuck
 
     def run(self, duration_s: float | None) -> int:
         """Until the end is asked for; returns the exit code."""
 
         def over() -> bool:
-            return self._stop() or (duration_s is not None and self._now_s() >= duration_s)
+            return (
+                self._stop()
+                or self._view.lost is not None
+                or (duration_s is not None and self._now_s() >= duration_s)
+            )
 
         links = {self._seat.address.text: self._vehicle}
         try:
@@ -66,22 +83,19 @@ class LeaderTool:
         finally:
             self._vehicle.link.close()
             self._follow.link.close()
+            self._view.close()
 
     def _now_s(self) -> float:
         return self._clock() - self._start_s
 
     def _say(self, text: str) -> None:
-        self._say_at(self._now_s(), text)
-
-    @staticmethod
-    def _say_at(time_s: float, text: str) -> None:
-        print(f"{time_s:7.1f} s  {text}", flush=True)
+        self._view.event(self._now_s(), text)
 
     def _begin(self) -> None:
         self._system_id = known_id(self._seat)
         self._heard_s = self._now_s()
         wanted = [(self._system_id, kind, hz) for kind, hz in self._wanted_hz.items()]
-        self._rates = RateWatch(wanted, self._say_at)
+        self._rates = RateWatch(wanted, self._view.event)
         self._say(f"leader is system {self._system_id}, published to {self._follow.link.name}")
 
     def _turn(self) -> None:
@@ -124,3 +138,12 @@ class LeaderTool:
 
 def _open_link(address: Address, key: bytes | None, link_id: int) -> OpenLink:
     return OpenLink(Link(address, None if key is None else LinkSigning(key, link_id)))
+
+
+def _refuse_loop(vehicle: Address, publish: Address) -> None:
+    """What is published must not come in again as the vehicle's."""
+    if leads_back(vehicle, publish):
+        raise EchowingError(
+            f"--publish to {publish.host}:{publish.port} is where the vehicle is heard "
+            f"({vehicle.text}): all would go round and round; give another port"
+        )

@@ -40,7 +40,7 @@ class Row:
     separation_m, error_m: from the leader by their receivers, heights included, and less the
     wanted radius, where there is one; slot_error_m: horizontally from the slot; leader_age_s:
     of the leader's report in use; age_s: of the follower's, both by their time stamps;
-    command_mps: the applet's limit.
+    command_mps: the applet's limit; switch: its stop switch, where there is one.
     """
 
     time_s: float
@@ -61,6 +61,7 @@ class Row:
     link_percent: float | None
     north_offset_m: float
     east_offset_m: float
+    switch: str | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Its fields by name, numbers to the millimetre."""
@@ -177,6 +178,7 @@ class Panel:
             link_percent=readings.quality.percent,
             north_offset_m=follower.estimate.offset.north_m,
             east_offset_m=follower.estimate.offset.east_m,
+            switch=_switch(session, follower, now_s),
         )
 
     def _compare(
@@ -211,6 +213,13 @@ def state_of(session: FollowSession, follower: FollowerState, now_s: float) -> s
         return "only watched"
     if not follower.in_guided:
         return "hands off"
+    objection = (
+        None
+        if session.engagement is None
+        else session.engagement.objection(follower.plan.system_id)
+    )
+    if objection is not None:
+        return f"not engaged: {objection}"
     if not session.sends_to(follower, now_s):
         return "no points sent"
     return _led_state(session, follower)
@@ -244,6 +253,12 @@ def _slot_error_m(follower: FollowerState) -> float | None:
         return None
     north_m, east_m, _ = ned_between(follower.position, follower.guided.slot)
     return math.hypot(north_m, east_m)
+
+
+def _switch(session: FollowSession, follower: FollowerState, now_s: float) -> str | None:
+    if session.guard is None:
+        return None
+    return session.guard.switches.shown(follower.plan.system_id, now_s)
 
 
 def _finite(value: float) -> float | None:

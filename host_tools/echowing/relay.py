@@ -10,7 +10,11 @@ from echowing.guidance import GuidanceSettings, GuidedPoint, LeaderFix, predicte
 
 # Nothing here looks at the remote vehicle with a sonar, and nothing runs ahead of it.
 RELAY_SETTINGS = GuidanceSettings(
-    lead_time_s=0.0, keep_behind=False, face_leader=False, slot_rate_rps=None, learn_offset=False,
+    lead_time_s=0.0,
+    keep_behind=False,
+    face_leader=False,
+    slot_rate_rps=None,
+    learn_offset=False,
     feed_forward=False,
 )
 

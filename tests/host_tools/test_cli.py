@@ -7,6 +7,7 @@ import pytest
 
 from echowing import __version__
 from echowing.cli import VERBS, main
+from echowing.paths import repository_root
 
 
 def test_the_version_is_the_packages(capsys: pytest.CaptureFixture[str]) -> None:
@@ -44,7 +45,10 @@ def test_help_lists_the_verbs_without_importing_what_they_need() -> None:
     ("arguments", "says"),
     [
         (["sim", "grey"], "no scenario 'grey'"),
-        (["sim", "--set", "gps.sigma=1"], "gps.sigma: no such key; allowed here: sigma_m, tau_s"),
+        (
+            ["sim", "--set", "gps.sigma=1"],
+            "gps.sigma: no such key; allowed here: sigma_m, tau_s, vertical_sigma_m",
+        ),
         (["sim", "--seed", "many"], "--seed 'many': give a whole number"),
         (["sim", "--seed", "5-1"], "the range is empty"),
         (["sim", "absent.toml"], "absent.toml: cannot read the scenario"),
@@ -81,3 +85,32 @@ def test_out_that_cannot_be_written_is_said(
 
     assert main(["sim", "gray", "--duration", "30", "--out", str(in_the_way)]) == 2
     assert "cannot be written" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (["emulator", "--elf", "/no/elf"], "--elf /no/elf: no such file"),
+        (["sim", "--duration", "5", "--seed", "-3"], "--seed '-3': give a whole number"),
+        (["sim", "hostile", "--duration", "5"], "duration_s (5) must be more than settle_s (10)"),
+        (["analyze", "x.BIN", "y.BIN", "--radius", "-3"], "--radius -3: give 0.1 to 1000"),
+        (["analyze", "x.BIN", "y.BIN", "--settle", "-5"], "--settle -5: give 0 to 86400"),
+        (["analyze", "x.BIN", "y.BIN", "--settle", "nan"], "--settle nan: give 0"),
+    ],
+)
+def test_what_is_wrong_is_named_and_not_something_else(
+    arguments: list[str], reason: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(arguments) == 2
+    said = capsys.readouterr()
+    assert reason in said.err
+    assert said.out == ""
+
+
+def test_a_wrong_truth_is_told_before_any_figure(capsys: pytest.CaptureFixture[str]) -> None:
+    data = repository_root() / "tests" / "host_tools" / "data"
+    logs = [str(data / name) for name in ("leader.BIN", "follower.BIN")]
+    assert main(["analyze", *logs, "--truth", str(repository_root() / "README.md")]) == 2
+    said = capsys.readouterr()
+    assert "needs the columns" in said.err
+    assert said.out == ""

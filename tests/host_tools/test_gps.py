@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from echowing.sim.gps import GpsDrift
+from echowing.sim.hangar import Hangar
+from echowing.sim.scenario import load_scenario
 
 DT_S = 0.5
 
@@ -53,3 +55,27 @@ def test_a_jump_comes_at_once() -> None:
 def test_the_same_seed_drifts_the_same_way() -> None:
     assert series(7, 100) == series(7, 100)
     assert series(7, 100) != series(8, 100)
+
+
+def test_the_height_wanders_by_a_sigma_of_its_own_and_moves_nothing_else() -> None:
+    level = GpsDrift(0.8, 60.0, random.Random(3))
+    both = GpsDrift(
+        0.8, 60.0, random.Random(3), vertical_sigma_m=1.6, vertical_rng=random.Random(4)
+    )
+    heights = []
+    for _ in range(80_000):
+        north, east, down = both.step(DT_S)
+        assert (north, east, 0.0) == level.step(DT_S)
+        heights.append(down)
+
+    assert statistics.pstdev(heights) == pytest.approx(1.6, rel=0.12)
+    assert statistics.fmean(heights) == pytest.approx(0.0, abs=0.4)
+
+
+def test_the_height_of_a_scenario_is_off_unless_asked_for() -> None:
+    right = Hangar(load_scenario("echowing"), 1).leader()
+    wrong = Hangar(load_scenario("echowing", ["gps.vertical_sigma_m=1.6"]), 1).leader()
+
+    assert right.body.est_down_m == right.body.down_m
+    assert abs(wrong.body.est_down_m - wrong.body.down_m) > 0.01
+    assert wrong.body.est_north_m == right.body.est_north_m

@@ -113,6 +113,25 @@ def test_half_a_log_gives_half_a_flight(tmp_path: Path, kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["tlog", "BIN"])
+@pytest.mark.parametrize("bytes_gone", [1, 3, 40])
+def test_a_log_that_was_cut_off_says_so(tmp_path: Path, kind: str, bytes_gone: int) -> None:
+    whole = read_flights([DATA / "leader.BIN", DATA / f"follower.{kind}"])[0].warnings
+    cut = tmp_path / f"cut.{kind}"
+    cut.write_bytes((DATA / f"follower.{kind}").read_bytes()[:-bytes_gone])
+    (flight,) = read_flights([DATA / "leader.BIN", cut])
+    note = f"{cut}: damaged or cut off; what could be read is used"
+    assert note in flight.warnings
+    assert not any("cut off" in text for text in whole)
+
+
+def test_a_log_without_a_whole_message_says_so(tmp_path: Path) -> None:
+    stub = tmp_path / "stub.tlog"
+    stub.write_bytes((DATA / "leader.tlog").read_bytes()[:25])
+    with pytest.raises(EchowingError, match=r"no whole message in its 25 bytes"):
+        read_flights([stub, DATA / "follower.BIN"])
+
+
+@pytest.mark.parametrize("kind", ["tlog", "BIN"])
 def test_damage_in_the_middle_is_skipped_with_a_warning(
     tmp_path: Path, kind: str, capfd: pytest.CaptureFixture[str]
 ) -> None:

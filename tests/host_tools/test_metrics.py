@@ -10,7 +10,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from echowing.analysis.flight import Flight, Floats
-from echowing.analysis.metrics import Metrics, aggregate, dead_locked, metrics, position_error_m
+from echowing.analysis.metrics import (
+    Metrics,
+    aggregate,
+    approach_s,
+    by_sonar,
+    dead_locked,
+    metrics,
+    position_error_m,
+)
 from echowing.errors import EchowingError
 from echowing.guidance import Slot, slot_offset_m
 
@@ -219,3 +227,53 @@ def test_no_dead_lock_while_the_separation_does_not_grow() -> None:
 def test_no_dead_lock_without_a_speed_command() -> None:
     lost = losing(1.5)
     assert not dead_locked(replace(lost, speed_command_mps=np.full(400, NAN)))
+
+
+# ---- the approach, and the other witness -------------------------------------------------------
+
+
+def test_the_approach_ends_at_the_first_moment_near_the_slot() -> None:
+    # Wanted 3 m: 1.1 m too far is still on the way, 1.0 m is not; leaving again is flying.
+    coming = blind(flight([9.0, 6.0, 4.1, 4.0, 3.0, 5.5]))
+    assert approach_s(coming) == pytest.approx(0.3)
+    kept = metrics(coming, approach_s(coming))
+    assert kept.mean_separation_m == pytest.approx((4.0 + 3.0 + 5.5) / 3.0)
+    assert kept.settle_s == pytest.approx(0.3)
+    assert kept.wanted_m == 3.0
+    assert approach_s(flight([3.2, 3.0])) == 0.0
+    # One that never comes is measured whole.
+    assert approach_s(flight([9.0, 8.0])) == 0.0
+
+
+def blind(one: Flight) -> Flight:
+    """The same without a reading."""
+    return replace(one, sonar_m=np.full(len(one.time_s), NAN))
+
+
+def test_the_sonar_ends_the_approach_where_the_receivers_disagree() -> None:
+    # By positions the follower is 1.5 m off its slot all the time; the sonar knows better.
+    off = flight([4.5] * 8, right_m=1.5, period_s=0.5)
+    seen = replace(off, sonar_m=np.array([NAN, 3.1, 4.2, 3.9, 3.5, 3.1, 3.0, 3.0]))
+    assert approach_s(seen) == pytest.approx(1.5)  # not at the single echo before
+    # One reading is no proof, and what is not steady for a second is none.
+    single = replace(off, sonar_m=np.array([NAN, 3.2, NAN, 3.2, 3.2, NAN, 3.2, 3.2]))
+    assert approach_s(single) == 0.0
+
+
+def test_a_step_in_height_is_no_part_of_the_way_to_the_slot() -> None:
+    low = flight([9.0, 3.0])
+    sunk = replace(low, follower_ned_m=low.follower_ned_m + np.array([0.0, 0.0, 4.0]))
+    assert approach_s(sunk) == pytest.approx(0.1)
+
+
+def test_by_sonar_is_what_the_sonar_measured_while_it_saw() -> None:
+    whole = flight([9.0, 3.0, 3.5, 4.0])
+    seen = replace(whole, sonar_m=np.array([8.0, NAN, 3.1, 3.5]))
+    ours = by_sonar(seen, settle_s=0.1)
+    assert ours is not None
+    assert ours.mean_separation_m == pytest.approx(3.3)
+    assert ours.mean_abs_error_m == pytest.approx(0.3)
+    assert ours.seen_share == pytest.approx(2 / 3)
+    assert ours.samples == 2
+    assert math.isnan(ours.slot_error_m)
+    assert by_sonar(replace(whole, sonar_m=np.full(4, NAN))) is None

@@ -285,6 +285,26 @@ def test_nothing_heard_fails_and_says_so() -> None:
     assert check(result, "maximum effective range").found == "not detected at the nearest distance"
 
 
+def test_what_was_not_tried_is_not_failed() -> None:
+    near = FakeBoard(place(lambda t_s, n: 3.0))
+    result, code = run_to_result(range_test(3.0), bench_of(near))
+    assert (result.verdict, code) == ("INCOMPLETE", 2)
+    assert result.incomplete is not None
+    assert result.incomplete.startswith("not tested beyond 3 m, and 3.25 m are needed")
+    assert not any(one.what == "maximum effective range" for one in result.checks)
+    # What was measured wrongly is a failure all the same, and one that was far enough passes.
+    assert done(range_test(3.0), FakeBoard(place(lambda t_s, n: 3.2))).verdict == "FAIL"
+    assert done(range_test(3.3), FakeBoard(place(lambda t_s, n: 3.3))).verdict == "PASS"
+
+
+def test_a_bar_without_a_terminal_names_its_unit() -> None:
+    said = io.StringIO()
+    operator = Operator(Console(file=said, force_terminal=False), io.StringIO(), yes=True)
+    with operator.progress("asking", 20, "commands"), operator.progress("listening", 2.0):
+        pass
+    assert said.getvalue().split("\n")[:2] == ["asking, 20 commands", "listening, 2 s"]
+
+
 def test_a_wall_behind_is_no_detection() -> None:
     result = done(range_test(2.0, need_m=2.0), FakeBoard(place(lambda t_s, n: 5.0)))
     assert result.verdict == "FAIL"

@@ -80,7 +80,7 @@ def test_changes_reach_nested_keys() -> None:
         ("gps.sigma_m=wide", r"gps\.sigma_m: .*valid number.*got 'wide'"),
         ("law=magic", r"law: .*'none', 'thesis', 'bands' or 'continuous'.*got 'magic'"),
         ("guidance.rate_hz=50", r"guidance\.rate_hz: .*less than or equal to 20"),
-        ("duration_s=5", r"settle_s \(20\) must be less than duration_s \(5\)"),
+        ("settle_s=300", r"duration_s \(240\) must be more than settle_s \(300\)"),
         ("leader.path=track", "path 'track' needs `track`"),
         ("gps", "write key=value"),
         ("title.x=1", "'title' is a value, not a section"),

@@ -117,3 +117,38 @@ def test_markdown_has_a_cell_for_every_column() -> None:
 def test_an_unknown_figure_is_a_dash() -> None:
     unseen = Result("hostile", replace(figures(), seen_share=float("nan")))
     assert grids([unseen])[0].rows[0].cells[-1] == "-"
+
+
+def test_n_counts_flights_and_not_followers() -> None:
+    swarm = [Result("many", figures(), flight=seed) for seed in (1, 2) for _ in range(3)]
+    (row,) = grids(swarm)[0].rows
+    assert row.cells[:2] == ("many (3 followers)", "2")
+
+
+def test_a_mean_over_different_radii_is_not_given() -> None:
+    near, far = replace(figures(5.0), wanted_m=5.0), replace(figures(30.0), wanted_m=30.0)
+    apart = [Result("many", near, flight=1), Result("many", far, flight=1)]
+    (row,) = grids(apart)[0].rows
+    n, mean, error, *_, least, most, _seen = row.cells[1:]
+    assert (n, mean, most) == ("1", "-", "-")
+    assert error != "-"  # each follower's own
+    assert least != "-"
+    assert any("different radii" in note for note in footnotes(apart))
+    assert not any("different radii" in note for note in footnotes(ALL))
+
+
+def test_what_is_left_out_is_printed() -> None:
+    runs = [Result("x", replace(figures(), settle_s=s)) for s in (2.4, 7.25)]
+    assert any("2.4 to 7.2 s, the approach" in note for note in footnotes(runs))
+    assert not any(
+        "approach" in note for note in footnotes([Result("x", replace(figures(), settle_s=0.0))])
+    )
+
+
+def test_a_witness_of_separation_alone_has_no_row_of_places() -> None:
+    nan = float("nan")
+    nowhere = replace(figures(), slot_error_m=nan, forward_mean_m=nan, right_mean_m=nan)
+    sonar = Result("by sonar", nowhere)
+    gps = Result("by GPS", figures())
+    places = grids([gps, sonar])[1]
+    assert [row.cells[0] for row in places.rows] == ["by GPS"]

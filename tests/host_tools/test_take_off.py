@@ -7,11 +7,12 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.follow import FollowerPlan, FollowSession
 from echowing.geo import ned_between
-from echowing.guard import Limits, StopSwitch
+from echowing.guard import Limits
 from echowing.guidance import GuidanceSettings, Slot
 from echowing.panel import left_as, state_of
 from echowing.sim.autopilot import ORIGIN, Autopilot
 from echowing.sim.copter import Copter
+from echowing.switch import StopSwitch
 from echowing.take_off import STALE_S, WARNING_S, Lift, TakeOff
 
 LEADER, FIRST, SECOND = 1, 2, 3

@@ -21,6 +21,7 @@ METRES_PER_E7 = 0.011131884502145034  # 1e-7 degrees of latitude
 HERE = (39.34, -86.03, 260.0)
 POSITION_ONLY = 0x0DF8
 POSITION_VELOCITY = 0x0DC0
+YAW_IGNORED = 0x0400
 GROUND_TOOL, CO_PROCESSOR = 245, 1
 
 
@@ -55,7 +56,8 @@ class Rig:
             "RNGFND1_TYPE": 10.0,
             "RNGFND1_ORIENT": 0.0,
         }
-        self.vehicle = DeskVehicle({**firmware, "ECHO_ENABLE": 1.0})
+        # The laws' tests count from the sonar's face: a range is the distance. See test_hold.
+        self.vehicle = DeskVehicle({**firmware, "ECHO_ENABLE": 1.0, "ECHO_INSET": 0.0})
         for name, value in applet.items():
             self.vehicle.parameters[f"ECHO_{name}"] = value
         self.vehicle.place = HERE
@@ -79,7 +81,8 @@ class Rig:
             if not name.startswith("ECHO_")
         }
         firmware[self.names.speed] = PILOT_MPS * self.names.units_per_mps
-        self.vehicle = restarted(self.vehicle, {**firmware, "ECHO_ENABLE": 1.0})
+        own = {"ECHO_ENABLE": 1.0, "ECHO_INSET": self.vehicle.parameters["ECHO_INSET"]}
+        self.vehicle = restarted(self.vehicle, {**firmware, **own})
         self.restart_script()
 
     def run(self, seconds: float) -> Rig:
@@ -119,14 +122,23 @@ class Rig:
         velocity_mps: float | None = None,
         *,
         aside_m: float = 0.0,
+        aside_mps: float = 0.0,
+        up_m: float = 10.0,
+        yaw_rad: float | None = None,
         system: int = 1,
     ) -> None:
-        """A guided point so far north and east of the vehicle, with or without a velocity."""
+        """A guided point so far north and east of HERE, with or without a velocity (there, too).
+
+        up_m: above home; yaw_rad: None: the autopilot's choice.
+        """
         lat = round(HERE[0] * 1e7 + ahead_m / METRES_PER_E7)
         metres_per_e7 = METRES_PER_E7 * math.cos(math.radians(HERE[0]))
         lng = round(HERE[1] * 1e7 + aside_m / metres_per_e7)
         mask = POSITION_ONLY if velocity_mps is None else POSITION_VELOCITY
-        fields = (lat, lng, 10.0, velocity_mps or 0.0, *(0.0,) * 7)
+        if yaw_rad is not None:
+            mask &= ~YAW_IGNORED
+        velocity = (0.0, 0.0) if velocity_mps is None else (velocity_mps, aside_mps)
+        fields = (lat, lng, up_m, *velocity, *(0.0,) * 4, yaw_rad or 0.0, 0.0)
         payload = struct.pack("<Iii9fHBBB", self.vehicle.t_ms, *fields, mask, system, 1, 6)
         self.vehicle.inbox.append((mavlink_frame(86, payload, GROUND_TOOL), 0))
 

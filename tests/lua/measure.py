@@ -18,6 +18,7 @@ from echowing.sim.luahost import LuaHost
 from echowing.sim.parameters import Generation
 
 STEP_MS = 10
+POSITION_ONLY, POSITION_VELOCITY = 0x0DF8, 0x0DC0  # type masks of guided points
 
 
 def new_vehicle(law: int) -> DeskVehicle:
@@ -34,17 +35,17 @@ def frame(message_id: int, payload: bytes, system: int) -> bytes:
     return head + payload + b"\0\0"
 
 
-def feed(vehicle: DeskVehicle, range_m: float) -> None:
+def feed(vehicle: DeskVehicle, range_m: float, mask: int) -> None:
     """A single reading every 50 ms and a guided point every 120 ms."""
     if vehicle.t_ms % 50 == 0:
         vehicle.ranges[0] = (GOOD, range_m)
         vehicle.inbox.append((frame(251, struct.pack("<If10s", 0, range_m, b"SNR_RAW"), 1), 1))
     if vehicle.t_ms % 120 == 0:
-        fields = (0, 393400300, -860300000, 10.0, *(0.0,) * 8, 0x0DF8, 1, 1, 6)
+        fields = (0, 393400300, -860300000, 10.0, *(0.0,) * 8, mask, 1, 1, 6)
         vehicle.inbox.append((frame(86, struct.pack("<Iii9fHBBB", *fields), 245), 0))
 
 
-def most(law: int, range_m: Callable[[float], float]) -> tuple[int, int, int]:
+def most(law: int, range_m: Callable[[float], float], mask: int) -> tuple[int, int, int]:
     """Most instructions of the start and of any update in 20 s, and the heap at the end."""
     vehicle = new_vehicle(law)
     host = LuaHost(
@@ -58,7 +59,7 @@ def most(law: int, range_m: Callable[[float], float]) -> tuple[int, int, int]:
     host.instructions = 0
     for _ in range(2000):
         vehicle.t_ms += STEP_MS
-        feed(vehicle, range_m(vehicle.t_ms / 1000.0))
+        feed(vehicle, range_m(vehicle.t_ms / 1000.0), mask)
         host.step(vehicle.t_ms)
         worst = max(worst, host.instructions)
     if host.error is not None:
@@ -68,14 +69,15 @@ def most(law: int, range_m: Callable[[float], float]) -> tuple[int, int, int]:
 
 def main() -> None:
     """Print one line a situation."""
-    situations: list[tuple[str, int, Callable[[float], float]]] = [
-        ("law 0, tracking", 0, lambda t: 3.0),
-        ("law 1, tracking", 1, lambda t: 3.0),
-        ("law 2, tracking", 2, lambda t: 3.0),
-        ("law 2, leader closing", 2, lambda t: max(0.3, 4.0 - t % 4.0)),
+    situations: list[tuple[str, int, Callable[[float], float], int]] = [
+        ("law 0, tracking", 0, lambda t: 3.0, POSITION_ONLY),
+        ("law 1, tracking", 1, lambda t: 3.0, POSITION_ONLY),
+        ("law 2, tracking", 2, lambda t: 3.0, POSITION_ONLY),
+        ("law 2, leader closing", 2, lambda t: max(0.3, 4.0 - t % 4.0), POSITION_ONLY),
+        ("law 2, holding", 2, lambda t: 3.0, POSITION_VELOCITY),
     ]
-    for name, law, range_m in situations:
-        start, worst, heap = most(law, range_m)
+    for name, law, range_m, mask in situations:
+        start, worst, heap = most(law, range_m, mask)
         print(f"{name:24} start {start:5d}, update {worst:5d} of 10000; heap {heap / 1024:.1f} KiB")
 
 

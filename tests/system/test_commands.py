@@ -23,11 +23,16 @@ def succeeded(*arguments: str | Path) -> str:
 
 
 @pytest.fixture(scope="module")
-def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of a flight of 90 s, flown by the command."""
+def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """The folder of a flight of 90 s, flown by the command, and what it printed."""
     folder = tmp_path_factory.mktemp("flight")
-    succeeded("sim", "echowing", "--seed", "3", "--duration", "90", "--out", folder)
-    return folder
+    return folder, succeeded("sim", "echowing", "--seed", "3", "--duration", "90", "--out", folder)
+
+
+@pytest.fixture(scope="module")
+def flight(flown: tuple[Path, str]) -> Path:
+    """The folder of that flight."""
+    return flown[0]
 
 
 def test_sim_prints_one_object_a_flight() -> None:
@@ -76,15 +81,14 @@ def test_sim_leaves_logs_truth_and_a_report(flight: Path) -> None:
     assert 'src="http' not in page
 
 
-def test_analyze_finds_in_the_logs_what_was_true(flight: Path) -> None:
+def test_analyze_finds_in_the_logs_what_was_true(flown: tuple[Path, str]) -> None:
+    flight, printed = flown
     output = succeeded(
         "analyze",
         flight / "leader.tlog",
         flight / "follower-2.tlog",
         "--truth",
         flight / "truth.csv",
-        "--settle",
-        "20",
         "--json",
     )
 
@@ -94,6 +98,13 @@ def test_analyze_finds_in_the_logs_what_was_true(flight: Path) -> None:
     assert found["truth"]["rms_m"] < 2.5
     # Logged telemetry is 0.46 s late; the vehicles' own time stamps take that out.
     assert abs(found["truth"]["clock_shift_s"]) < 0.2
+    # The same rule for the approach: in truth the figures are those that `sim` has printed, but for
+    # the truth's clock, which is matched to the logs' to a few hundredths of a second.
+    row = next(line.split() for line in printed.splitlines() if line.startswith(" echowing"))
+    figures = ("mean_separation_m", "mean_abs_error_m", "rmsd_m")
+    for figure, cell in zip(figures, row[2:], strict=False):
+        assert found["in_truth"][figure] == pytest.approx(float(cell), abs=0.03)
+    assert found["by_sonar"]["mean_separation_m"] < found["in_truth"]["mean_separation_m"]
 
 
 def test_analyze_refuses_one_vehicle_alone(flight: Path) -> None:
@@ -109,6 +120,17 @@ def test_calibrate_prints_every_recordings_error() -> None:
 
     assert len(rows) == len(list(RECORDINGS.rglob("*.csv"))) == 20
     assert all(row["rms_position_error_m"] < 0.10 for row in rows)
+
+
+def test_calibrate_takes_the_wind_and_refuses_none() -> None:
+    still = json.loads(succeeded("calibrate", RECORDINGS / "4.6", "--json"))
+    blown = json.loads(succeeded("calibrate", RECORDINGS / "4.6", "--wind", "6", "60", "--json"))
+    refused = echowing("calibrate", RECORDINGS, "--wind", "-1", "60")
+
+    assert [row["generation"] for row in still] == ["4.6"] * 6
+    assert all(a["max_error_m"] != b["max_error_m"] for a, b in zip(still, blown, strict=True))
+    assert refused.returncode == 2
+    assert "give a speed of 0 m/s or more" in refused.stderr
 
 
 def test_a_scenario_of_ones_own_is_flown(tmp_path: Path) -> None:

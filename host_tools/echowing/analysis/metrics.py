@@ -9,7 +9,7 @@ RMSD^2 = sigma^2 + mean^2 holds to the last digit; the thesis's own figures do n
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 
 import numpy as np
 
@@ -19,6 +19,9 @@ from echowing.errors import EchowingError
 # A reading this near to the distance between the two positions is a sight of the leader. Generous:
 # in real logs two receivers drift apart by metres (0.8 m an axis each in the simulator).
 SIGHT_TOLERANCE_M = 2.0
+# The approach ends where a follower has first come this near to its slot.
+APPROACHED_M = 1.0
+STEADY_S = 1.0
 # One sweep of the figure 8 takes 3.6 s (thesis Appendix A: 12 points, 0.3 s each): after more
 # than five of them in vain the leader is gone.
 DEAD_LOCK_WINDOW_S = 20.0
@@ -33,6 +36,7 @@ class Metrics:
     forward_*, right_*: position error in the leader's course frame, right positive.
     seen_share: share of the samples with a sonar reading, 0 to 1.
     samples, left_out: how many moments the figures are made from, and how many had no positions.
+    settle_s: seconds left out at the beginning. wanted_m: the separation that was wanted.
     """
 
     mean_separation_m: float
@@ -53,6 +57,8 @@ class Metrics:
     seen_share: float
     samples: int
     left_out: int
+    settle_s: float = 0.0
+    wanted_m: float = math.nan
 
     def to_json(self) -> dict[str, float | int | None]:
         """The same as plain values, to a tenth of a millimetre; None where unknown."""
@@ -70,6 +76,78 @@ class Spread:
     count: int
 
 
+def approach_s(flight: Flight) -> float:
+    """How long the follower took until it was first near its slot; 0 where it never was.
+
+    The one rule for simulated and for real flights: figures are about keeping a place, and the way
+    to it is as long as the start was far. Near is within `APPROACHED_M` of the slot by positions,
+    or of the wanted separation by the sonar for a second: two receivers that disagree by metres may
+    have the follower off its slot for the whole of a good flight.
+    """
+    if len(flight.time_s) == 0:
+        return 0.0
+    away_m = np.linalg.norm((flight.follower_ned_m - flight.slot_ned_m)[:, :2], axis=1)
+    placed = flight.time_s[away_m <= APPROACHED_M][:1]
+    near_s = [*placed.tolist(), *_ranged_s(flight)]
+    return float(min(near_s) - flight.time_s[0]) if near_s else 0.0
+
+
+def _ranged_s(flight: Flight) -> list[float]:
+    """The first moment from which on the sonar has the leader near its place for a second.
+
+    Longer than any single echo of something else; empty where there is none.
+    """
+    ranged = np.abs(flight.sonar_m - flight.wanted_separation_m) <= APPROACHED_M
+    ends = np.searchsorted(flight.time_s, flight.time_s + STEADY_S, side="right")
+    for first in np.flatnonzero(ranged).tolist():
+        last = int(ends[first])
+        if last < len(ranged) and ranged[first:last].all():
+            return [float(flight.time_s[first])]
+    return []
+
+
+def by_sonar(flight: Flight, settle_s: float = 0.0) -> Metrics | None:
+    """The separation as the sonar measured it; None: no reading after `settle_s`.
+
+    From its face to what echoes, so shorter than from centre to centre; only while it sees.
+    """
+    settled = _settled(flight, settle_s)
+    known = settled & np.isfinite(flight.sonar_m)
+    if not known.any():
+        return None
+    seen = float(known.sum() / settled.sum())
+    return of_separation(flight.sonar_m[known], flight.wanted_separation_m, settle_s, seen)
+
+
+def of_separation(
+    separation_m: Floats, wanted_m: float, settle_s: float, seen_share: float = math.nan
+) -> Metrics:
+    """Figures of separations alone, (n,) and all known; nothing is said of the place."""
+    error_m = separation_m - wanted_m
+    return Metrics(
+        mean_separation_m=float(separation_m.mean()),
+        mean_abs_error_m=float(np.abs(error_m).mean()),
+        rmsd_m=_root_mean_square(error_m),
+        std_m=float(separation_m.std()),
+        min_separation_m=float(separation_m.min()),
+        max_separation_m=float(separation_m.max()),
+        **dict.fromkeys(_OF_PLACE, math.nan),
+        seen_share=seen_share,
+        samples=len(separation_m),
+        left_out=0,
+        settle_s=settle_s,
+        wanted_m=wanted_m,
+    )
+
+
+_OF_PLACE = (
+    "slot_error_m",
+    *(f"{way}_{figure}_m" for way in ("forward", "right") for figure in ("mean", "sigma", "drms")),
+    "position_sigma_m",
+    "position_drms_m",
+)
+
+
 def metrics(flight: Flight, settle_s: float = 0.0) -> Metrics:
     """The figures of one flight, its first `settle_s` seconds left out.
 
@@ -80,19 +158,14 @@ def metrics(flight: Flight, settle_s: float = 0.0) -> Metrics:
     known = settled & np.isfinite(separation_m)
     if not known.any():
         raise EchowingError(_nothing_left(flight, settle_s))
-    separation_m = separation_m[known]
-    error_m = separation_m - flight.wanted_separation_m
     placed_m = position_error_m(flight)[known]
     placed_m = placed_m[np.isfinite(placed_m).all(axis=1)]
     forward, right = _statistics(placed_m[:, 0]), _statistics(placed_m[:, 1])
     position = _statistics(np.hypot(placed_m[:, 0], placed_m[:, 1]))
-    return Metrics(
-        mean_separation_m=float(separation_m.mean()),
-        mean_abs_error_m=float(np.abs(error_m).mean()),
-        rmsd_m=_root_mean_square(error_m),
-        std_m=float(separation_m.std()),
-        min_separation_m=float(separation_m.min()),
-        max_separation_m=float(separation_m.max()),
+    wanted_m = flight.wanted_separation_m
+    seen_share = _seen_share(flight, known)
+    return replace(
+        of_separation(separation_m[known], wanted_m, settle_s, seen_share),
         slot_error_m=position[0],
         forward_mean_m=forward[0],
         forward_sigma_m=forward[1],
@@ -102,8 +175,6 @@ def metrics(flight: Flight, settle_s: float = 0.0) -> Metrics:
         right_drms_m=right[2],
         position_sigma_m=position[1],
         position_drms_m=position[2],
-        seen_share=_seen_share(flight, known),
-        samples=int(known.sum()),
         left_out=int(settled.sum() - known.sum()),
     )
 

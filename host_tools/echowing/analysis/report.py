@@ -8,7 +8,7 @@ import numpy as np
 
 from echowing.analysis import plots
 from echowing.analysis.flight import Flight
-from echowing.analysis.metrics import metrics
+from echowing.analysis.metrics import Metrics, approach_s, metrics
 from echowing.analysis.page import box, page, table, write_page
 from echowing.analysis.tables import Result, footnotes, grids
 from echowing.errors import EchowingError
@@ -25,19 +25,26 @@ def write_report(
     results: Sequence[Result] = (),
     notes: Sequence[str] = (),
     title: str = "Echowing: flown formations",
+    settle_s: Sequence[float] = (),
 ) -> None:
     """Write the HTML file.
 
     flights: those that are plotted. results: what the table is made from (all flights, over the
-    seeds); without, the plotted flights. notes: paragraphs of plain text under the table.
+    seeds); without, the plotted flights. notes: paragraphs of plain text under the table. settle_s:
+    what of each plotted flight is left out of its figures; without, its approach.
     Raises EchowingError when there is nothing to show or the file cannot be written.
     """
     if not flights:
         raise EchowingError("report: no flights to show; fly or read at least one")
-    shown = results or [Result(flight.name, metrics(flight)) for flight in flights]
+    left_s = settle_s or [approach_s(flight) for flight in flights]
+    measured = [metrics(flight, one) for flight, one in zip(flights, left_s, strict=True)]
+    shown = results or [
+        Result(flight.name, one) for flight, one in zip(flights, measured, strict=True)
+    ]
     figures: dict[str, plots.Figure] = {}
     sections = [
-        _flight_section(number, flight, figures) for number, flight in enumerate(flights, 1)
+        _flight_section(number, flight, one, figures)
+        for number, (flight, one) in enumerate(zip(flights, measured, strict=True), 1)
     ]
     comparisons = _comparison_section(flights, figures)
     body = [
@@ -60,7 +67,9 @@ def flight_label(flight: Flight) -> str:
     return ", ".join(parts)
 
 
-def _flight_section(number: int, flight: Flight, figures: dict[str, plots.Figure]) -> str:
+def _flight_section(
+    number: int, flight: Flight, measured: Metrics, figures: dict[str, plots.Figure]
+) -> str:
     drawn = {
         "tracks": plots.tracks(flight),
         "matching": plots.matching_times(flight),
@@ -75,7 +84,7 @@ def _flight_section(number: int, flight: Flight, figures: dict[str, plots.Figure
     warnings = "".join(f"<li>{html.escape(text)}</li>" for text in flight.warnings)
     return (
         f'<section><h2 id="flight-{number}">{html.escape(flight_label(flight))}</h2>'
-        f'<p class="facts">{html.escape(_facts(flight))}</p>'
+        f'<p class="facts">{html.escape(_facts(flight, measured))}</p>'
         + (f'<ul class="notes warning">{warnings}</ul>' if warnings else "")
         + f'<div class="plots">{boxes}</div></section>'
     )
@@ -86,16 +95,18 @@ def _holds_data(figure: plots.Figure) -> bool:
     return any(value is not None for trace in figure["data"] for value in trace["y"])
 
 
-def _facts(flight: Flight) -> str:
-    figures = metrics(flight)
+def _facts(flight: Flight, figures: Metrics) -> str:
     seen = f", leader seen {figures.seen_share:.0%} of the time" if flight.sonar_known else ""
     origin = (
         "true positions" if flight.source == "truth" else "positions as the vehicles logged them"
     )
+    left_out = "whole flight"
+    if figures.settle_s > 0.0:
+        left_out = f"the first {figures.settle_s:.1f} s left out"
     return (
         f"wanted {flight.wanted_separation_m:g} m; mean {figures.mean_separation_m:.2f} m, "
         f"RMSD {figures.rmsd_m:.2f} m, {figures.min_separation_m:.2f} to "
-        f"{figures.max_separation_m:.2f} m{seen}; {origin}, whole flight"
+        f"{figures.max_separation_m:.2f} m{seen}; {origin}, {left_out}"
     )
 
 

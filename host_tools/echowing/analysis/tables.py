@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from echowing.analysis.metrics import Metrics, Spread, aggregate
+from echowing.analysis.metrics import APPROACHED_M, Metrics, Spread, aggregate
 from echowing.analysis.thesis import BESIDE, FOOTNOTES, TABLE_11, ErrorFigures, ThesisFigures
 
 if TYPE_CHECKING:
@@ -16,18 +16,21 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 NOTHING = "-"
+SAME_RADIUS_M = 0.01
 
 
 @dataclass(frozen=True)
 class Result:
     """One follower of one flight. Results of one name are pooled into one row, in order.
 
-    A name of `thesis.BESIDE` gets the thesis's figures printed under it.
+    A name of `thesis.BESIDE` gets the thesis's figures printed under it. flight: which flight it
+    is of, the seed say; the followers of one flight have the same.
     """
 
     name: str
     metrics: Metrics
     dead_locked: bool = False
+    flight: object = None
 
 
 @dataclass(frozen=True)
@@ -75,7 +78,34 @@ def footnotes(results: Sequence[Result]) -> list[str]:
         "mean; seen is the share of time with a sonar reading. "
         "Rows named Table N are the thesis's, as printed."
     )
-    return [ours, *(f"[{key}] {FOOTNOTES[key]}" for key in sorted(keys))]
+    notes = [ours, *_approach_note(results)]
+    if any(_radii_differ(pool.runs) for pool in _pools(results)):
+        notes.append(
+            "Where followers have different radii a mean separation means nothing: the errors are "
+            "each follower's own, and the slot error is in the next table."
+        )
+    return [*notes, *(f"[{key}] {FOOTNOTES[key]}" for key in sorted(keys))]
+
+
+def _approach_note(results: Sequence[Result]) -> list[str]:
+    """How much of the flights is left out."""
+    times_s = sorted(result.metrics.settle_s for result in results)
+    if not times_s or times_s[-1] == 0.0:
+        return []
+    span = (
+        f"{times_s[0]:.1f} to {times_s[-1]:.1f}"
+        if times_s[0] < times_s[-1]
+        else f"{times_s[0]:.1f}"
+    )
+    return [
+        f"Left out at the beginning of a flight: {span} s, the approach until first within "
+        f"{APPROACHED_M:g} m of the slot, or as its scenario or --settle says."
+    ]
+
+
+def _radii_differ(runs: Sequence[Metrics]) -> bool:
+    wanted_m = [run.wanted_m for run in runs]
+    return max(wanted_m) - min(wanted_m) > SAME_RADIUS_M
 
 
 def terminal_table(results: Sequence[Result]) -> "Group":
@@ -141,6 +171,7 @@ class _Pool:
     name: str
     label: str
     runs: list[Metrics]
+    flights: int
     printed: tuple[ThesisFigures, ...]
 
 
@@ -148,23 +179,46 @@ def _pools(results: Sequence[Result]) -> Iterable[_Pool]:
     """A row for each name; a name with dead-locks gets a second one over the other flights."""
     for name in _names(results):
         runs = [result for result in results if result.name == name]
-        free = [run.metrics for run in runs if not run.dead_locked]
+        free = [run for run in runs if not run.dead_locked]
         locked = len(runs) - len(free)
-        label = f"{name} ({locked} of {len(runs)} dead-locked)" if locked else name
         printed = BESIDE.get(name, ())
-        yield _Pool(name, label, [run.metrics for run in runs], () if locked and free else printed)
+        label = _label(name, runs, locked)
+        yield _pool(name, label, runs, () if locked and free else printed)
         if locked and free:
-            yield _Pool(name, f"{name}, not dead-locked", free, printed)
+            yield _pool(name, f"{name}, not dead-locked", free, printed)
+
+
+def _pool(
+    name: str, label: str, runs: Sequence[Result], printed: tuple[ThesisFigures, ...]
+) -> _Pool:
+    return _Pool(name, label, [run.metrics for run in runs], _flights(runs), printed)
+
+
+def _flights(runs: Sequence[Result]) -> int:
+    """How many flights these followers flew in; one each where it is not said."""
+    said = {run.flight for run in runs if run.flight is not None}
+    return len(said) + sum(run.flight is None for run in runs)
+
+
+def _label(name: str, runs: Sequence[Result], locked: int) -> str:
+    parts = []
+    if len(runs) > _flights(runs):
+        parts.append(f"{len(runs) // _flights(runs)} followers")
+    if locked:
+        parts.append(f"{locked} of {len(runs)} dead-locked")
+    return f"{name} ({', '.join(parts)})" if parts else name
 
 
 def _rows(
     pools: Sequence[_Pool],
-    ours: Callable[[dict[str, Spread], int], list[str]],
+    ours: Callable[[dict[str, Spread], _Pool], list[str]],
     theirs: Callable[[ThesisFigures], list[str]],
 ) -> tuple[Row, ...]:
     rows = []
     for pool in pools:
-        rows.append(Row((pool.label, *ours(aggregate(pool.runs), len(pool.runs)))))
+        cells = ours(aggregate(pool.runs), pool)
+        if any(cell != NOTHING for cell in cells):
+            rows.append(Row((pool.label, *cells)))
         for printed in pool.printed:
             cells = theirs(printed)
             if any(cell not in ("", NOTHING) for cell in cells):
@@ -200,12 +254,14 @@ def _marked(printed: ThesisFigures) -> str:
     return f"  {printed.title}{marks}"
 
 
-def _separation_cells(spread: dict[str, Spread], runs: int) -> list[str]:
+def _separation_cells(spread: dict[str, Spread], pool: _Pool) -> list[str]:
+    differ = _radii_differ(pool.runs)
     return [
-        str(runs),
-        *(_cell(spread[f]) for f in ("mean_separation_m", "mean_abs_error_m", "rmsd_m", "std_m")),
+        str(pool.flights),
+        NOTHING if differ else _cell(spread["mean_separation_m"]),
+        *(_cell(spread[f]) for f in ("mean_abs_error_m", "rmsd_m", "std_m")),
         _number(spread["min_separation_m"].lowest),
-        _number(spread["max_separation_m"].highest),
+        NOTHING if differ else _number(spread["max_separation_m"].highest),
         _percent(spread["seen_share"].mean),
     ]
 
@@ -215,7 +271,7 @@ def _thesis_separation(printed: ThesisFigures) -> list[str]:
     return ["", *map(_printed, values), NOTHING, NOTHING, NOTHING]
 
 
-def _position_cells(spread: dict[str, Spread], _runs: int) -> list[str]:
+def _position_cells(spread: dict[str, Spread], _pool: _Pool) -> list[str]:
     return [
         _triple(spread["forward_mean_m"], spread["forward_sigma_m"], spread["forward_drms_m"]),
         _triple(spread["right_mean_m"], spread["right_sigma_m"], spread["right_drms_m"]),

@@ -156,7 +156,9 @@ class _Reader:
         with _quiet_stderr() as complaints:
             log = self._guarded(self._open)
             self._damaged = "bad header" in complaints()
-        if self._kind == "tlog":
+        if self._kind == "BIN":
+            self._damaged |= not self._guarded(lambda: _ends_whole(log))
+        else:
             self._damaged = not _whole(self._path.read_bytes())
         last_s: float | None = None
         while (message := self._guarded(lambda: log.recv_match(type=self._types))) is not None:
@@ -183,16 +185,31 @@ class _Reader:
             return DFReader.DFReader_binary(str(self._path), zero_time_base=False)
         # Not mavlink_connection: that goes by the file's suffix.
         mavutil.set_dialect("ardupilotmega")
-        return mavutil.mavmmaplog(str(self._path))
+        try:
+            return mavutil.mavmmaplog(str(self._path))
+        except AttributeError as error:  # it looks for the time of a first message
+            size = self._path.stat().st_size
+            raise EchowingError(
+                f"log {self._path}: no whole message in its {size} bytes; fetch it from the "
+                "vehicle again"
+            ) from error
 
     def _guarded(self, read: Callable[[], Any]) -> Any:
         try:
             return read()
+        except EchowingError:
+            raise
         except Exception as error:  # pymavlink raises whatever damage makes it trip over
             raise EchowingError(
                 f"log {self._path}: cannot be read as a {self._kind} file "
                 f"({type(error).__name__}); fetch it from the vehicle again"
             ) from error
+
+
+def _ends_whole(log: Any) -> bool:
+    """Whether an indexed .BIN ends with the end of a message; pymavlink says nothing of a rest."""
+    last = max((int(places[-1]) for places in log.offsets if len(places)), default=0)
+    return bool(last + log.formats[log.data_map[last + 2]].len == log.data_len)
 
 
 def _whole(data: bytes) -> bool:

@@ -2,7 +2,10 @@
 
 import argparse
 import json
+import math
 from pathlib import Path
+
+from echowing.errors import EchowingError
 
 EXAMPLES = """\
 examples:
@@ -25,6 +28,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=("4.5", "4.6", "4.7", "4.8"),
         help="which ArduCopter flew all of them",
     )
+    parser.add_argument(
+        "--wind",
+        type=float,
+        nargs=2,
+        metavar=("M/S", "FROM_DEG"),
+        default=(0.0, 0.0),
+        help="mean wind of all of them: speed, and the bearing it came from",
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON list")
 
 
@@ -34,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
     from echowing.sim.parameters import Generation  # noqa: PLC0415
 
     generation = Generation(args.generation) if args.generation else None
-    results = replay_directory(args.folder, generation)
+    results = replay_directory(args.folder, generation, _air_ned_mps(*args.wind))
     if args.json:
         rows = [
             {
@@ -58,3 +69,13 @@ def run(args: argparse.Namespace) -> int:
             f"  {result.max_error_m:5.2f} m  {result.duration_s:4.0f} s"
         )
     return 0
+
+
+def _air_ned_mps(speed_mps: float, from_deg: float) -> tuple[float, float, float]:
+    """Velocity of the air of a wind."""
+    if not (0.0 <= speed_mps < math.inf and math.isfinite(from_deg)):
+        raise EchowingError(
+            f"--wind {speed_mps:g} {from_deg:g}: give a speed of 0 m/s or more, and degrees"
+        )
+    bearing_rad = math.radians(from_deg)
+    return -speed_mps * math.cos(bearing_rad), -speed_mps * math.sin(bearing_rad), 0.0

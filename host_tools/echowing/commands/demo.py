@@ -150,7 +150,10 @@ def _present(folder: Path, tasks: Sequence[Task], flown: "Sequence[FlownScenario
     for note in notes:
         console.print(note, highlight=False)
     shown = [flight for task, one in by_task.items() if task.shown for flight in one.flights]
-    write_report(folder / "report.html", shown, results, notes)
+    left_out = [
+        figures.settle_s for task, one in by_task.items() if task.shown for figures in one.metrics
+    ]
+    write_report(folder / "report.html", shown, results, notes, settle_s=left_out)
     (folder / "table.md").write_text(
         markdown_tables(results) + "".join(f"\n{note}\n" for note in notes), encoding="utf-8"
     )

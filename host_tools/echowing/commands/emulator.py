@@ -9,13 +9,20 @@ from echowing.errors import EchowingError
 EXAMPLES = """\
 examples:
   echowing emulator --board mega --range-cm 350
-  echowing emulator --link tcp:127.0.0.1:5762 --target udp:9005
-      plugged into a serial port of ArduPilot's SITL; each datagram
+  echowing emulator --link tcp:127.0.0.1:5773 \\
+      --vehicles tcp:127.0.0.1:5762@1 tcp:127.0.0.1:5772@2
+      plugged into SERIAL2 of a follower in ArduPilot's SITL; the sonar hears vehicle 1
+      where it truly is from vehicle 2 (lua/echowing.md, In SITL)
+  echowing emulator --link tcp:127.0.0.1:5773 --target udp:9005
+      the same from a program of your own; each datagram
       {"forward_m": 3.5, "right_m": 0.2, "down_m": -0.1} says where the leader is
       in the follower's body frame
   echowing emulator --link tcpin:5770 --usb pty --eeprom board.eep
   echowing emulator --board blackpill_f411 --elf build/firmware/blackpill_f411/echowing.elf
 """
+
+# An STM32's processor at a quarter of its pace: one core of a usual machine then keeps up with it.
+_SLOWNESS = 4
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -41,6 +48,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     seen.add_argument(
         "--target", metavar="udp:PORT", help="the sonar hears the leader told in datagrams"
     )
+    seen.add_argument(
+        "--vehicles",
+        nargs=2,
+        metavar=("LEADER", "FOLLOWER"),
+        help="the sonar hears the leader where two vehicles in ArduPilot's SITL truly are; a "
+        "connection string of each, CONN[@ID]",
+    )
     parser.add_argument(
         "--eeprom", type=Path, metavar="FILE", help="keep the board's stored parameters here"
     )
@@ -52,13 +66,25 @@ def run(args: argparse.Namespace) -> int:
     from echowing.sim.boards import emulated_board  # noqa: PLC0415
     from echowing.sim.coprocessor import AUTOPILOT_PORT, USB_PORT  # noqa: PLC0415
     from echowing.sim.desk import Desk, Scene  # noqa: PLC0415
+    from echowing.sim.sitl_scene import SitlScene  # noqa: PLC0415
     from echowing.sim.wires import open_wire  # noqa: PLC0415
 
+    if args.elf is not None and not args.elf.is_file():
+        raise EchowingError(f"--elf {args.elf}: no such file")
     with contextlib.ExitStack() as stack:
-        scene = Scene(args.range_cm, args.target)
+        watched = None
+        if args.vehicles is not None:
+            sitl = SitlScene(*args.vehicles, say=lambda text: print(text, flush=True))
+            stack.callback(sitl.close)
+            watched = sitl.leader_body_m
+        scene = Scene(args.range_cm, args.target, watched)
         stack.callback(scene.close)
         board = emulated_board(
-            scene.sensor, board=args.board, elf=args.elf, eeprom=_load(args.eeprom)
+            scene.sensor,
+            board=args.board,
+            elf=args.elf,
+            eeprom=_load(args.eeprom),
+            slowness=_SLOWNESS,
         )
         if args.usb and not board.has_port(USB_PORT):
             raise EchowingError(

@@ -9,7 +9,7 @@ EXAMPLES = """\
 examples:
   echowing leader --vehicle /dev/ttyUSB0 --publish udp:192.168.1.20:14600
       and on 192.168.1.20:
-  echowing follow --leader-from udp:0.0.0.0:14600 --follower /dev/ttyUSB0 --engage
+  echowing follow --leader-from udp:14600 --follower /dev/ttyUSB0 --engage
 Only questions for the leader's clock come back this way: nothing can move the leader.
 """
 
@@ -23,7 +23,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--vehicle",
         required=True,
         metavar="CONN",
-        help="udpin:[HOST:]PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:[HOST:]PORT or a serial "
+        help="udpin:PORT (on all addresses of this computer), udpin:HOST:PORT, "
+        "udpout:HOST:PORT, tcp:HOST:PORT, tcpin:[HOST:]PORT or a serial "
         "device; CONN@ID where several vehicles share the link",
     )
     parser.add_argument("--publish", required=True, metavar="udp:HOST:PORT")
@@ -44,6 +45,7 @@ def run(args: argparse.Namespace) -> int:
     from echowing.seats import parse_seat  # noqa: PLC0415
     from echowing.signing import read_key  # noqa: PLC0415
     from echowing.stopping import stop_on_signals  # noqa: PLC0415
+    from echowing.terminal import run_in_flight  # noqa: PLC0415
 
     if not 1.0 <= args.rate <= 20.0:
         raise EchowingError(f"--rate {args.rate:g}: give 1 to 20")
@@ -54,4 +56,4 @@ def run(args: argparse.Namespace) -> int:
     key = read_key(args.signing_key_file)
     with stop_on_signals() as stop:
         tool = LeaderTool(seat, parse_address(f"udpout:{where}"), args.rate, stop, signing_key=key)
-        return tool.run(args.duration)
+        return run_in_flight(lambda: tool.run(args.duration), lambda: tool.stuck)

@@ -83,17 +83,17 @@ def run(args: argparse.Namespace) -> int:
     """Fly, print, write."""
     if args.list:
         return _list(as_json=args.json)
+    seeds = _seeds(args.seed)
     scenario = _scenario(args)
     if args.serve is not None:
         from echowing.signing import read_key  # noqa: PLC0415
         from echowing.sim.serve_flight import serve  # noqa: PLC0415
 
         key = read_key(args.signing_key_file)
-        seed = _seeds(args.seed)[0]
-        return serve(scenario, seed, args.serve, key, parked=args.parked, cards=args.card)
+        return serve(scenario, seeds[0], args.serve, key, parked=args.parked, cards=args.card)
     if args.parked or args.card is not None:
         raise EchowingError("--parked and --card go with --serve PORT")
-    flown = list(_fly_all(scenario, _seeds(args.seed), args))
+    flown = list(_fly_all(scenario, seeds, args))
     if not args.json:
         _print_table(flown)
         if args.out is not None:
@@ -179,5 +179,7 @@ def _write_report(out: Path, flown: "list[FlownScenario]") -> None:
 
     path = out / "report.html"
     results = [result for one in flown for result in one.results()]
-    write_report(path, [flight for one in flown for flight in one.flights], results)
+    flights = [flight for one in flown for flight in one.flights]
+    left_out = [one_metrics.settle_s for one in flown for one_metrics in one.metrics]
+    write_report(path, flights, results, settle_s=left_out)
     print(f"report: {path}")

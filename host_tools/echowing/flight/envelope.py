@@ -5,7 +5,8 @@ vehicle can do to what is known of it; and how fast it may then be closed on, if
 stop in time. The velocity flown is the nearest to the plan's that closes on nobody faster; where
 that cannot be had, the one that leaves most room a second later. So a plan that leads past a vehicle
 is bent, one that leads at it is slowed, and a vehicle that comes too near is backed away from: never
-is standing still the answer to somebody who comes nearer.
+is standing still the answer to somebody who comes nearer. Two vehicles in each other's way would
+wait for each other: each passes the other on its own right, as ships do, and neither waits.
 
 The applet follows the same rule along its beam (`lua/echowing.lua`); `tests/flight/envelope.toml`
 holds for both.
@@ -21,8 +22,8 @@ from echowing.geo import Ned
 LEAST_M = 1.0
 # So many standard deviations of what is not known are taken off: one in 160 is beyond.
 SURE_SIGMAS = 2.5
-# What the other can do meanwhile: ArduCopter's default acceleration (WP_ACC).
-OTHERS_MPS2 = 2.5
+# What the other can do meanwhile: ArduCopter's default acceleration and jerk.
+OTHERS_MPS2, OTHERS_MPS3 = 2.5, 5.0
 # Below LEAST_M, so fast away for each metre that is missing; and no faster than that.
 RETREAT_PER_S, RETREAT_MOST_MPS = 1.5, 3.0
 # A candidate is judged by what it leaves after so long, and there are so many round the compass.
@@ -33,12 +34,21 @@ ROUNDS = 4
 SAME_MPS = 1e-6
 
 
+# The applet sees a leader brake by its sonar, and its vehicle has begun to lean, after so long.
+SONAR_DEAD_S = 0.5
+STEP_S = 0.01
+
+
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """How a vehicle answers: dead time from order to motion, and its deceleration then."""
+    """How a vehicle answers: dead time from order to motion, then deceleration and jerk.
+
+    The defaults are ArduCopter's own WP_ACC and PSC_JERK_NE.
+    """
 
     dead_s: float = 0.6
-    decel_mps2: float = 2.5
+    decel_mps2: float = OTHERS_MPS2
+    jerk_mps3: float = OTHERS_MPS3
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +56,8 @@ class Other:
     """Another vehicle as this one sees it.
 
     name: for messages; from_it_m: from it to here, NED; velocity_mps: its, NED; sigma_m: standard
-    deviation of the distance; age_s: of what is known of it when the order takes effect.
+    deviation of the distance; age_s: of what is known of it when the order takes effect;
+    in_the_way: the plan leads to beyond it (see `is_in_the_way`), so that it is passed.
     """
 
     name: str
@@ -54,6 +65,13 @@ class Other:
     velocity_mps: Ned
     sigma_m: float
     age_s: float
+    in_the_way: bool = False
+
+
+def is_in_the_way(to_it_m: Ned, to_goal_m: Ned) -> bool:
+    """Whether the way to a goal leads beyond another vehicle; both as seen from here, NED."""
+    along_m2 = to_it_m[0] * to_goal_m[0] + to_it_m[1] * to_goal_m[1]
+    return 0.0 < along_m2 < to_goal_m[0] ** 2 + to_goal_m[1] ** 2
 
 
 def certain_distance_m(other: Other) -> float:
@@ -71,15 +89,54 @@ def closing_limit_mps(certain_m: float, answer: Answer, least_m: float = LEAST_M
     return math.sqrt(lag_mps * lag_mps + 2.0 * answer.decel_mps2 * room_m) - lag_mps
 
 
+def reversal_loss_m(speed_mps: float, answer: Answer) -> float:
+    """How much nearer a leader comes that turns from this speed to the same speed backwards.
+
+    Its follower flies as fast behind it, sees it by its sonar, and does the same.
+    """
+    leader, follower = (
+        _Turn(speed_mps, OTHERS_MPS2, OTHERS_MPS3),
+        _Turn(speed_mps, answer.decel_mps2, answer.jerk_mps3),
+    )
+    gap_m, least_m, time_s = 0.0, 0.0, 0.0
+    while follower.speed_mps > -speed_mps:
+        leader.step()
+        if time_s >= SONAR_DEAD_S:
+            follower.step()
+        time_s += STEP_S
+        gap_m += (leader.speed_mps - follower.speed_mps) * STEP_S
+        least_m = min(least_m, gap_m)
+    return -least_m
+
+
+class _Turn:
+    """A speed that changes its sign as fast as acceleration and jerk allow."""
+
+    def __init__(self, speed_mps: float, most_mps2: float, jerk_mps3: float) -> None:
+        self.speed_mps = speed_mps
+        self._end_mps = -speed_mps
+        self._most_mps2, self._jerk_mps3 = most_mps2, jerk_mps3
+        self._mps2 = 0.0
+
+    def step(self) -> None:
+        self._mps2 = min(self._most_mps2, self._mps2 + self._jerk_mps3 * STEP_S)
+        self.speed_mps = max(self._end_mps, self.speed_mps - self._mps2 * STEP_S)
+
+
 def keep_apart(
     wanted_mps: Ned, others: Sequence[Other], answer: Answer, least_m: float = LEAST_M
 ) -> tuple[Ned, Other | None]:
     """The velocity to fly (NED), and for whose sake it is not the wanted one."""
     walls = [_wall(other, answer, least_m) for other in others]
-    broken = [(wall, other) for wall, other in zip(walls, others, strict=True) if _off(wanted_mps, wall)]
+    broken = [
+        (wall, other) for wall, other in zip(walls, others, strict=True) if _off(wanted_mps, wall)
+    ]
     if not broken:
         return wanted_mps, None
     flown = wanted_mps
+    for wall, other in broken:
+        if other.in_the_way:
+            flown = _turned_right(flown, wall)
     for _ in range(ROUNDS):
         for wall in walls:
             flown = _pushed(flown, wall)
@@ -113,6 +170,14 @@ def _off(velocity: Ned, wall: _Wall) -> float:
 def _pushed(velocity: Ned, wall: _Wall) -> Ned:
     short_mps = -_off(velocity, wall)
     return velocity[0] + short_mps * wall[0], velocity[1] + short_mps * wall[1], velocity[2]
+
+
+def _turned_right(velocity: Ned, wall: _Wall) -> Ned:
+    """What a wall takes of the speed towards the other is flown past it."""
+    north, east, _ = wall
+    closing_mps = max(0.0, -(velocity[0] * north + velocity[1] * east))
+    aside_mps = min(closing_mps, -_off(velocity, wall))
+    return velocity[0] + aside_mps * east, velocity[1] - aside_mps * north, velocity[2]
 
 
 def _roomiest(tried: Ned, others: Sequence[Other]) -> Ned:

@@ -85,7 +85,9 @@ class OffsetGrid:
         self._map *= np.exp(-self._square * (elapsed_s / (self._tau_s * self._prior_m2)))
         self._summarise()
 
-    def heard(self, time_s: float, distance_m: float, axis_rad: float, believed: Horizontal) -> None:
+    def heard(
+        self, time_s: float, distance_m: float, axis_rad: float, believed: Horizontal
+    ) -> None:
         """Take a sonar reading.
 
         Args:

@@ -67,17 +67,19 @@ class Operator:
             raise EchowingError("nobody answers: the input has ended; --yes asks nothing")
 
     @contextlib.contextmanager
-    def progress(self, text: str, duration_s: float) -> Iterator[Callable[[float, str], None]]:
-        """A bar that is told the seconds done and a word on how it stands."""
+    def progress(
+        self, text: str, total: float, unit: str = "s"
+    ) -> Iterator[Callable[[float, str], None]]:
+        """A bar that is told how much of `total` is done, and a word on how it stands."""
         if not self.console.is_terminal:
-            self.tell(f"{text}, {duration_s:g} s")
-            yield lambda done_s, words: None
+            self.tell(f"{text}, {total:g} {unit}")
+            yield lambda done, words: None
             return
         columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
         with Progress(*columns, console=self.console, transient=True) as bar:
-            task = bar.add_task(text, total=duration_s)
-            yield lambda done_s, words: bar.update(
-                task, completed=done_s, description=f"{text}  {words}"
+            task = bar.add_task(text, total=total)
+            yield lambda done, words: bar.update(
+                task, completed=done, description=f"{text}  {words}"
             )
 
     @contextlib.contextmanager
@@ -234,7 +236,8 @@ def run_to_result(procedure: Procedure, bench: Bench) -> tuple[Result, int]:
     with contextlib.suppress(EchowingError, KeyboardInterrupt):  # gone, or flying: not ours to turn
         bench.leave()
     result = procedure.result()
-    result.incomplete = why
+    if why is not None:
+        result.incomplete = why
     result.facts = {
         "started": started,
         "board": bench.board.name,

@@ -98,7 +98,7 @@ class LatencyTest:
         """As `Procedure`."""
         bench.ask("Put a target one to four metres in front of it, and leave it alone.")
         bench.centre()
-        with bench.operator.progress("asking", self._commands) as show:
+        with bench.operator.progress("asking", self._commands, "commands") as show:
             for number in range(self._commands):
                 show(number, "")
                 self._ask(bench)

@@ -128,10 +128,12 @@ class RangeTest:
     def result(self) -> Result:
         """As `Procedure`."""
         farthest_m = effective_range_m(self.points, self._least_rate)
+        checks = self._checks(farthest_m)
+        exact = all(check.passed for check in checks)
         return Result(
             "range-test",
             "Sonar range test",
-            checks=self._checks(farthest_m),
+            checks=checks,
             measured={
                 "maximum_effective_range_m": farthest_m,
                 "least_detection_rate": self._least_rate,
@@ -139,6 +141,7 @@ class RangeTest:
             },
             grids=[self._grid(), self._table_5(farthest_m)],
             figures={"rate": rate_figure(self.points, self._least_rate), "bias": self._bias()},
+            incomplete=self._untested(farthest_m) if exact else None,
             notes=[
                 f"Detected: within {TARGET_GATE_M:g} m of the distance set; elsewhere: heard, but "
                 "farther off. Mean, bias and spread are those of the detected single readings. "
@@ -149,15 +152,27 @@ class RangeTest:
             ],
         )
 
+    def _untested(self, farthest_m: float | None) -> str | None:
+        """What keeps the range from being known: it was detected as far as was tried."""
+        tried_m = max((point.distance_m for point in self.points), default=0.0)
+        if farthest_m is None or farthest_m < tried_m or tried_m >= self._needed_m:
+            return None
+        return (
+            f"not tested beyond {tried_m:g} m, and {self._needed_m:g} m are needed: give farther "
+            "distances too"
+        )
+
     def _checks(self, farthest_m: float | None) -> list[Check]:
         """Range, and exactness wherever it detects."""
+        within = [p for p in self.points if farthest_m is not None and p.distance_m <= farthest_m]
+        if self._untested(farthest_m):
+            return _exactness(within)
         found = (
             "not detected at the nearest distance" if farthest_m is None else f"{farthest_m:g} m"
         )
         enough = farthest_m is not None and farthest_m >= self._needed_m
         asked = f"at least {self._needed_m:g} m: up to there the speed law has to see the leader"
         checks = [Check("maximum effective range", found, asked, enough)]
-        within = [p for p in self.points if farthest_m is not None and p.distance_m <= farthest_m]
         return [*checks, *_exactness(within)] if within else checks
 
     def _grid(self) -> Grid:

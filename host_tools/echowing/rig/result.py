@@ -44,7 +44,8 @@ class Result:
 
     procedure: its verb. measured: what goes into the JSON document as it is. grids, figures (a
     caption and a plotly figure) and notes: what is shown; page_grids: too long for the terminal;
-    terminal_grids: where the page has a figure. incomplete: why it was broken off.
+    terminal_grids: where the page has a figure. incomplete: why it was broken off, or what
+    is missing.
     """
 
     procedure: str

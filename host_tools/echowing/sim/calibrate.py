@@ -61,6 +61,36 @@ NO_CRUISE_FACTOR = 1.5
 BEGUN_SHARE = 0.5
 
 
+STILL_AIR: Ned = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class _Flyer:
+    """Who flew a recording, and in which wind."""
+
+    generation: Generation
+    wind_ned_mps: Ned
+
+    def copter(self, rows: Sequence["Row"]) -> Copter:
+        """A vehicle in the recording's first state, one row earlier."""
+        first, back_s = rows[0], _row_s(rows)
+        position = [
+            place - speed * back_s
+            for place, speed in zip(first.position_m, first.velocity_mps, strict=True)
+        ]
+        copter = Copter(
+            (position[0], position[1], position[2]),
+            first.yaw_rad,
+            tuning=tuning_of(self.generation),
+            flying=True,
+            velocity_ned_mps=first.velocity_mps,
+            ground_down_m=math.inf,
+        )
+        copter.wind_ned_mps = self.wind_ned_mps
+        copter.settle()
+        return copter
+
+
 @dataclass(frozen=True, slots=True)
 class CalibrationResult:
     """How one replay went: horizontal position errors, metres.
@@ -201,11 +231,12 @@ def _pair(where: str, cells: dict[str, str], one: str, two: str) -> tuple[float,
 
 
 def replay_directory(
-    directory: Path, generation: Generation | None = None
+    directory: Path, generation: Generation | None = None, wind_ned_mps: Ned = STILL_AIR
 ) -> list[CalibrationResult]:
     """Replay every *.csv of a folder, then those in its folders named after a generation (`4.6`).
 
-    `generation`: which ArduCopter flew them; None: as the folders' names say.
+    `generation`: which ArduCopter flew them; None: as the folders' names say. `wind_ned_mps`: the
+    mean velocity of the air.
     """
     if not directory.is_dir():
         raise EchowingError(f"{directory}: not a folder; name the one that holds the recordings")
@@ -213,7 +244,7 @@ def replay_directory(
     files = [file for folder in folders for file in sorted(folder.glob("*.csv"))]
     if not files:
         raise EchowingError(f"{directory}: no recordings (*.csv) in this folder")
-    return [replay(file, generation) for file in files]
+    return [replay(file, generation, wind_ned_mps) for file in files]
 
 
 def _generation_of(path: Path) -> Generation:
@@ -222,16 +253,18 @@ def _generation_of(path: Path) -> Generation:
     return next((known for known in Generation if known.value == name), Generation.V4_8)
 
 
-def replay(path: Path, generation: Generation | None = None) -> CalibrationResult:
+def replay(
+    path: Path, generation: Generation | None = None, wind_ned_mps: Ned = STILL_AIR
+) -> CalibrationResult:
     """Fly a recording's commands with the model, from the recording's first state."""
     rows = read_recording(path)
-    flown = generation or _generation_of(path)
+    flyer = _Flyer(generation or _generation_of(path), wind_ned_mps)
     if rows[0].command is not None:
-        return _compare(path.stem, flown, rows, _Guided(rows, flown))
+        return _compare(path.stem, flyer, rows, _Guided(rows, flyer))
     mission = read_mission(path.with_suffix(".toml"), rows)
     if mission is None:
         mission = estimate_mission(path, rows)
-    return _replay_auto(path.stem, rows, mission, flown)
+    return _replay_auto(path.stem, rows, mission, flyer)
 
 
 def _row_s(rows: Sequence[Row]) -> float:
@@ -239,28 +272,11 @@ def _row_s(rows: Sequence[Row]) -> float:
     return median(after.time_s - before.time_s for before, after in pairwise(rows))
 
 
-def _copter(rows: Sequence[Row], generation: Generation) -> Copter:
-    """A vehicle in the recording's first state, one row earlier."""
-    first, back_s = rows[0], _row_s(rows)
-    position = [
-        place - speed * back_s
-        for place, speed in zip(first.position_m, first.velocity_mps, strict=True)
-    ]
-    return Copter(
-        (position[0], position[1], position[2]),
-        first.yaw_rad,
-        flying=True,
-        tuning=tuning_of(generation),
-        velocity_ned_mps=first.velocity_mps,
-        ground_down_m=math.inf,
-    )
-
-
 class _Guided:
     """Gives the commands of a Guided recording at their times."""
 
-    def __init__(self, rows: Sequence[Row], generation: Generation) -> None:
-        self.copter = _copter(rows, generation)
+    def __init__(self, rows: Sequence[Row], flyer: _Flyer) -> None:
+        self.copter = flyer.copter(rows)
         self._row_s = _row_s(rows)
         self.start_s = rows[0].time_s - self._row_s
         self._down_m = median(row.position_m[2] for row in rows)
@@ -302,14 +318,14 @@ class _Auto:
     """Starts a mission `late_s` after the time at which its first motion fits the recording's."""
 
     def __init__(
-        self, rows: Sequence[Row], mission: Mission, generation: Generation, late_s: float = 0.0
+        self, rows: Sequence[Row], mission: Mission, flyer: _Flyer, late_s: float = 0.0
     ) -> None:
-        self.copter = _copter(rows, generation)
+        self.copter = flyer.copter(rows)
         self._mission: Mission | None = mission
         begun = BEGUN_SHARE * mission.speed_mps
         first_s = rows[0].time_s - _row_s(rows)
         recorded_s = next((row.time_s for row in rows if row.speed_mps > begun), first_s)
-        trial = _copter(rows, generation)
+        trial = flyer.copter(rows)
         trial.start_auto(mission.waypoints_m, mission.speed_mps)
         steps = 0
         while math.hypot(trial.vn_mps, trial.ve_mps) <= begun and steps * LONGEST_STEP_S < 10.0:
@@ -327,11 +343,11 @@ class _Auto:
 
 
 def _replay_auto(
-    name: str, rows: Sequence[Row], mission: Mission, generation: Generation
+    name: str, rows: Sequence[Row], mission: Mission, flyer: _Flyer
 ) -> CalibrationResult:
     """Fly a mission twice: the second time without the first one's mean lag."""
-    early_s = _mean_lag_s(rows, _fly(rows, _Auto(rows, mission, generation)))
-    return _compare(name, generation, rows, _Auto(rows, mission, generation, -early_s))
+    early_s = _mean_lag_s(rows, _fly(rows, _Auto(rows, mission, flyer)))
+    return _compare(name, flyer, rows, _Auto(rows, mission, flyer, -early_s))
 
 
 def _mean_lag_s(rows: Sequence[Row], flown: Sequence[Ned]) -> float:
@@ -365,7 +381,7 @@ def _fly(rows: Sequence[Row], pilot: _Guided | _Auto) -> list[Ned]:
 
 
 def _compare(
-    name: str, generation: Generation, rows: Sequence[Row], pilot: _Guided | _Auto
+    name: str, flyer: _Flyer, rows: Sequence[Row], pilot: _Guided | _Auto
 ) -> CalibrationResult:
     level = spatial = worst = 0.0
     for row, place in zip(rows, _fly(rows, pilot), strict=True):
@@ -380,7 +396,7 @@ def _compare(
         max_error_m=math.sqrt(worst),
         duration_s=rows[-1].time_s - rows[0].time_s,
         kind="guided" if isinstance(pilot, _Guided) else "auto",
-        generation=generation.value,
+        generation=flyer.generation.value,
         rms_3d_error_m=math.sqrt(spatial / len(rows)),
     )
 

@@ -46,6 +46,7 @@ class Tuning:
     position_gain: float = 1.0  # PSC_NE_POS_P
     velocity_p: float = 2.0  # PSC_NE_VEL_P
     velocity_i: float = 1.0  # PSC_NE_VEL_I
+    velocity_i_max_mps2: float = 10.0  # PSC_NE_VEL_IMAX
     velocity_d: float = 0.25  # PSC_NE_VEL_D
     velocity_filter_hz: float = 5.0  # PSC_NE_VEL_FLTE and PSC_NE_VEL_FLTD
     lean_max_rad: float = pi / 6.0  # ATC_ANGLE_MAX 30 degrees
@@ -96,7 +97,7 @@ class Copter(EstimatedPosition):
     True state: `north_m east_m down_m vn_mps ve_mps vd_mps` (local NED), `roll_rad pitch_rad
     yaw_rad` and their rates `rollspeed_rps pitchspeed_rps yawspeed_rps`. Targets are in the frame
     of the estimate, which is the truth plus `set_estimate_offset`; the ground is at
-    `ground_down_m`.
+    `ground_down_m`. The air moves at `wind_ned_mps`.
 
     `default_speed_mps` is the speed parameter (WP_SPD): a sub-mode of Guided reads it once, when it
     starts. `set_limits` gives the others. Speed limits: 0 is no limit.
@@ -133,11 +134,13 @@ class Copter(EstimatedPosition):
         "_pos_d",
         "_pos_e",
         "_pos_n",
+        "_saturated",
         "_shaped_e",
         "_shaped_n",
         "_slope_e",
         "_slope_n",
         "_speed_limit",
+        "_steepest_mps2",
         "_target_age_s",
         "_target_velocity",
         "_vel_d",
@@ -165,6 +168,7 @@ class Copter(EstimatedPosition):
         "vd_mps",
         "ve_mps",
         "vn_mps",
+        "wind_ned_mps",
         "yaw_rad",
         "yawspeed_rps",
     )
@@ -191,16 +195,20 @@ class Copter(EstimatedPosition):
         self.target_ned_m: Ned | None = None
         self.navigator: WaypointNavigator | None = None
         super().__init__()
-        # a vehicle that is already moving leans against its drag
-        drag = self._drag(self.vn_mps, self.ve_mps)
-        self._lean_n = self._wanted_n = self._shaped_n = self._control_n = drag * self.vn_mps
-        self._lean_e = self._wanted_e = self._shaped_e = self._control_e = drag * self.ve_mps
-        self._lean_rate_n = self._lean_rate_e = 0.0
+        self.wind_ned_mps: Ned = (0.0, 0.0, 0.0)
         self._lift_d = 0.0
         self._yaw_wanted = self.yaw_rad
         self._yaw_shaped_rate = 0.0
         self._dt = 0.0
         self.set_limits(TrackLimits())
+        self.settle()
+
+    def settle(self) -> None:
+        """Hold here as if long since: leaning against the drag of `wind_ned_mps` and speed."""
+        drag_n, drag_e = (0.0, 0.0) if self.landed else self._drag()
+        self._lean_n = self._wanted_n = self._shaped_n = self._control_n = drag_n
+        self._lean_e = self._wanted_e = self._shaped_e = self._control_e = drag_e
+        self._lean_rate_n = self._lean_rate_e = 0.0
         self._enter(self._shape_hold)
 
     # ---- commands
@@ -325,16 +333,36 @@ class Copter(EstimatedPosition):
             self._follow_navigator(dt, flown)
 
     def _move_desired(self, dt: float) -> None:
-        self._pos_n += (self._vel_n + 0.5 * self._acc_n * dt) * dt
-        self._pos_e += (self._vel_e + 0.5 * self._acc_e * dt) * dt
+        if self._saturated is None:
+            self._pos_n += (self._vel_n + 0.5 * self._acc_n * dt) * dt
+            self._pos_e += (self._vel_e + 0.5 * self._acc_e * dt) * dt
+            self._vel_n += self._acc_n * dt
+            self._vel_e += self._acc_e * dt
+        else:
+            self._move_desired_within(self._saturated, dt)
         self._pos_d += (self._vel_d + 0.5 * self._acc_d * dt) * dt
-        self._vel_n += self._acc_n * dt
-        self._vel_e += self._acc_e * dt
         self._vel_d += self._acc_d * dt
 
+    def _move_desired_within(self, beyond: tuple[float, float], dt: float) -> None:
+        """The same while the lean is at its limit: what would go further beyond it waits.
+
+        update_pos_vel_accel_xy of AP_Math/control.cpp; `beyond` is the acceleration asked for.
+        """
+        north, east = beyond
+        gap = self._gap_n * north + self._gap_e * east
+        if not (gap > 0.0 and self._vel_n * north + self._vel_e * east > 0.0):
+            self._pos_n += (self._vel_n + 0.5 * self._acc_n * dt) * dt
+            self._pos_e += (self._vel_e + 0.5 * self._acc_e * dt) * dt
+        slow = self._error_n * north + self._error_e * east
+        growing = self._acc_n * north + self._acc_e * east > 0.0
+        if not (slow > 0.0 and growing and self._vel_n * north + self._vel_e * east >= 0.0):
+            self._vel_n += self._acc_n * dt
+            self._vel_e += self._acc_e * dt
+
     def _prepare(self, dt: float) -> None:
-        """Shares of the way a first-order lag goes within one step."""
+        """Shares of the way a first-order lag goes within one step, and the lean's limit."""
         tuning = self.tuning
+        self._steepest_mps2 = GRAVITY_MPS2 * tan(tuning.lean_max_rad)
         self._dt = dt
         self._alpha_filter = 1.0 - exp(-dt * 2.0 * pi * tuning.velocity_filter_hz)
         self._alpha_input = 1.0 - exp(-dt / tuning.input_s)
@@ -356,6 +384,7 @@ class Copter(EstimatedPosition):
         self._vel_n, self._vel_e, self._vel_d = self.vn_mps, self.ve_mps, self.vd_mps
         self._acc_n = self._acc_e = self._acc_d = 0.0
         self._gap_n = self._gap_e = self._gap_d = 0.0
+        self._saturated: tuple[float, float] | None = None
         self._fresh = True
         self._error_n = self._error_e = self._slope_n = self._slope_e = 0.0
         # the integrator takes over what is being leaned now: no bump
@@ -523,12 +552,28 @@ class Copter(EstimatedPosition):
             self._slope_n += (moved_n / dt - self._slope_n) * share
             self._slope_e += (moved_e / dt - self._slope_e) * share
         p, d = tuning.velocity_p, tuning.velocity_d
-        self._integral_n += self._error_n * tuning.velocity_i * dt
-        self._integral_e += self._error_e * tuning.velocity_i * dt
+        self._integrate(dt)
         acc_n = p * self._error_n + d * self._slope_n + self._integral_n + self._acc_n
         acc_e = p * self._error_e + d * self._slope_e + self._integral_e + self._acc_e
         self._control_n, self._control_e = limit_lean(
-            acc_n, acc_e, self._vel_n, self._vel_e, GRAVITY_MPS2 * tan(tuning.lean_max_rad)
+            acc_n, acc_e, self._vel_n, self._vel_e, self._steepest_mps2
+        )
+        limited = acc_n != self._control_n or acc_e != self._control_e
+        self._saturated = (acc_n, acc_e) if limited else None
+
+    def _integrate(self, dt: float) -> None:
+        """Integrate the velocity error; no longer than it is where the lean is at its limit.
+
+        AC_PID_2D::update_i: nothing winds up while the vehicle cannot do what is asked of it.
+        """
+        gain = self.tuning.velocity_i * dt
+        north, east = self._integral_n, self._integral_e
+        longest = self.tuning.velocity_i_max_mps2
+        beyond = self._saturated
+        if beyond is not None and self._error_n * beyond[0] + self._error_e * beyond[1] > 0.0:
+            longest = min(longest, sqrt(north * north + east * east))
+        self._integral_n, self._integral_e = limit_length(
+            north + self._error_n * gain, east + self._error_e * gain, longest
         )
 
     def _control_down(self) -> None:
@@ -582,15 +627,17 @@ class Copter(EstimatedPosition):
             self._wanted_n, self._wanted_e = self._shaped_n, self._shaped_e
         step_n, step_e = self._roll_body(step_n, step_e, dt)
         vn, ve = self.vn_mps, self.ve_mps
-        drag = self._drag(vn, ve)
-        acc_n = self._lean_n - 0.5 * step_n - drag * vn
-        acc_e = self._lean_e - 0.5 * step_e - drag * ve
+        drag_n, drag_e = self._drag()
+        acc_n = self._lean_n - 0.5 * step_n - drag_n
+        acc_e = self._lean_e - 0.5 * step_e - drag_e
+        # A climb's own drag is left to the loop of the vertical acceleration.
+        acc_d = self._lift_d + self.tuning.drag_per_s * self.wind_ned_mps[2]
         self.north_m += (vn + 0.5 * acc_n * dt) * dt
         self.east_m += (ve + 0.5 * acc_e * dt) * dt
-        self.down_m += (self.vd_mps + 0.5 * self._lift_d * dt) * dt
+        self.down_m += (self.vd_mps + 0.5 * acc_d * dt) * dt
         self.vn_mps = vn + acc_n * dt
         self.ve_mps = ve + acc_e * dt
-        self.vd_mps += self._lift_d * dt
+        self.vd_mps += acc_d * dt
         if self.down_m >= self.ground_down_m and self.vd_mps >= 0.0:
             self._touch_ground()
         else:
@@ -614,9 +661,12 @@ class Copter(EstimatedPosition):
         self._lean_e += step_e
         return step_n, step_e
 
-    def _drag(self, vn: float, ve: float) -> float:
-        """Deceleration by the air per speed, 1/s."""
-        return self.tuning.drag_per_s + self.tuning.drag_per_m * sqrt(vn * vn + ve * ve)
+    def _drag(self) -> tuple[float, float]:
+        """Deceleration by the air, north and east."""
+        wind, tuning = self.wind_ned_mps, self.tuning
+        north, east = self.vn_mps - wind[0], self.ve_mps - wind[1]
+        rate = tuning.drag_per_s + tuning.drag_per_m * sqrt(north * north + east * east)
+        return rate * north, rate * east
 
     def _lean_angles(self) -> None:
         """Roll and pitch (rad) whose thrust gives the horizontal acceleration, at this yaw."""

@@ -29,18 +29,25 @@ _DATAGRAM_BYTES = 2048
 
 
 class Scene:
-    """What the sonar hears: a fixed range, a leader told of in datagrams, or nothing.
+    """What the sonar hears: a fixed range, a leader told of in datagrams or watched, or nothing.
 
-    A leader stays where it was told to be until the next datagram.
+    A leader stays where it was told to be until the next datagram. watched: where it is in the
+    follower's body frame, asked for at every step.
     """
 
-    def __init__(self, range_cm: int | None = None, target: str | None = None) -> None:
+    def __init__(
+        self,
+        range_cm: int | None = None,
+        target: str | None = None,
+        watched: Callable[[], Ned | None] | None = None,
+    ) -> None:
         if range_cm is not None and not 0 <= range_cm <= LONGEST_RANGE_CM:
             raise EchowingError(f"a range of {range_cm} cm: 0 to {LONGEST_RANGE_CM} can be heard")
         self.sensor = MaxSonar(self._listen)
         self._range_m = None if range_cm is None else range_cm / 100.0
         self._datagrams = open_udp(target) if target else None
         self._leader_body_m: Ned | None = None
+        self._watched = watched
         self._gimbal = Gimbal()
         self._ear = Ear(random.Random(0))
 
@@ -50,7 +57,7 @@ class Scene:
         return int(self._datagrams.getsockname()[1]) if self._datagrams else None
 
     def _listen(self, t_s: float) -> float | None:
-        if self._datagrams is None:
+        if self._datagrams is None and self._watched is None:
             return self._range_m
         pose = Pose((0.0, 0.0, 0.0), self._gimbal.axis_body())
         targets = [] if self._leader_body_m is None else [Target(self._leader_body_m)]
@@ -59,6 +66,8 @@ class Scene:
     def step(self, dt_s: float, pan_us: float, tilt_us: float) -> None:
         """Turn the gimbal, and take the newest datagram; a senseless one is reported and left."""
         self._gimbal.step(dt_s, pan_us or PAN_CENTRE_US, tilt_us or TILT_CENTRE_US)
+        if self._watched is not None:
+            self._leader_body_m = self._watched()
         while self._datagrams is not None:
             try:
                 datagram = self._datagrams.recv(_DATAGRAM_BYTES)

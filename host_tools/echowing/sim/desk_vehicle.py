@@ -35,7 +35,11 @@ class DeskVehicle:
     velocity: Ned | None = (0.0, 0.0, 0.0)
     yaw: float = 0.0
     place: tuple[float, float, float] | None = (39.34, -86.03, 260.0)
+    height_m: float = 10.0
+    """Above home."""
     target: Position | None = None
+    takes_posvel: bool = True
+    """Whether targets with a velocity are accepted."""
     free_auth_ids: int = 3
     inbox: deque[tuple[bytes, int]] = field(default_factory=deque)
 
@@ -47,6 +51,8 @@ class DeskVehicle:
     auth: dict[int, str | None] = field(default_factory=dict)
     """Authorisation id -> reason of refusal, None: passed."""
     tables: dict[int, str] = field(default_factory=dict)
+    added: set[str] = field(default_factory=set)
+    """Script parameters that exist since the start."""
 
     def millis(self) -> int:
         return self.t_ms
@@ -82,8 +88,15 @@ class DeskVehicle:
         return True
 
     def parameter_add(self, key: int, index: int, name: str, default: float) -> bool:
+        """As AP_Param::add_param: a script that comes again finds what was saved, or the default.
+
+        A parameter that was there before any script is one that a pilot has saved.
+        """
         full = self.tables[key] + name
-        self.parameters.setdefault(full, self.saved.get(full, default))
+        if full not in self.added and full in self.parameters:
+            self.saved.setdefault(full, self.parameters[full])
+        self.added.add(full)
+        self.parameters[full] = self.saved.get(full, default)
         return True
 
     def rangefinder_orientations(self) -> Sequence[int]:
@@ -119,10 +132,12 @@ class DeskVehicle:
             self.target = (self.place[0] + ahead_m / 111318.845, *self.place[1:], "absolute")
         return self.mode == 4
 
-    def set_target_posvel_ned(self, position_ned_m: Ned, velocity_ned_mps: Ned) -> bool:
-        self.targets.append(("posvel", (*position_ned_m, *velocity_ned_mps)))
+    def set_target_posvel_ned(
+        self, position_ned_m: Ned, velocity_ned_mps: Ned, yaw_rad: float | None = None
+    ) -> bool:
+        self.targets.append(("posvel", (*position_ned_m, *velocity_ned_mps, yaw_rad)))
         self.target = None
-        return self.mode == 4
+        return self.mode == 4 and self.takes_posvel
 
     def set_target_velocity_ned(self, velocity_ned_mps: Ned) -> bool:
         self.targets.append(("velocity", velocity_ned_mps))
@@ -131,6 +146,9 @@ class DeskVehicle:
 
     def position_ned_m(self) -> Ned | None:
         return self.position
+
+    def height_above_home_m(self) -> float:
+        return self.height_m
 
     def velocity_ned_mps(self) -> Ned | None:
         return self.velocity

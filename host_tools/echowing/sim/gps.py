@@ -1,4 +1,4 @@
-"""GPS drift: the slow wandering of a receiver's position."""
+"""GPS drift: the slow wandering of an estimated position, and of an estimated height."""
 
 import math
 import random
@@ -10,34 +10,63 @@ from echowing.geo import Ned
 ESTIMATE_LAG_S = 1.0
 
 
-class GpsDrift:
-    """First-order Gauss-Markov offset of an estimated position, horizontal axes alike.
-
-    sigma_m: standard deviation an axis; tau_s: correlation time. Starts in the steady state.
-    """
+class _Wander:
+    """One axis: a first-order Gauss-Markov error and what the filter makes of it (metres)."""
 
     def __init__(self, sigma_m: float, tau_s: float, rng: random.Random) -> None:
         self._sigma_m = sigma_m
         self._tau_s = tau_s
         self._rng = rng
-        self._north_m = rng.gauss(0.0, sigma_m)
-        self._east_m = rng.gauss(0.0, sigma_m)
+        self._error_m = self.estimate_m = rng.gauss(0.0, sigma_m)
+        self._dt_s = -1.0
+        self._keep = self._kick_m = self._blend = 0.0
+
+    def step(self, dt_s: float) -> float:
+        """The estimate's error after `dt_s` more seconds."""
+        if dt_s != self._dt_s:
+            self._prepare(dt_s)
+        self._error_m = self._keep * self._error_m + self._rng.gauss(0.0, self._kick_m)
+        self.estimate_m += self._blend * (self._error_m - self.estimate_m)
+        return self.estimate_m
+
+    def _prepare(self, dt_s: float) -> None:
+        """What a step keeps of the error, adds to it, and lets the filter follow."""
+        self._dt_s = dt_s
+        self._keep = math.exp(-dt_s / self._tau_s)
+        self._kick_m = self._sigma_m * math.sqrt(1.0 - self._keep * self._keep)
+        self._blend = 1.0 - math.exp(-dt_s / ESTIMATE_LAG_S)
+
+
+class GpsDrift:
+    """First-order Gauss-Markov offset of an estimated position. Starts in the steady state.
+
+    sigma_m: standard deviation of each horizontal axis; tau_s: correlation time;
+    vertical_sigma_m: that of the height, with chance of its own (`vertical_rng`), so that it
+    changes nothing else in a flight. 0: the height is right.
+    """
+
+    def __init__(
+        self,
+        sigma_m: float,
+        tau_s: float,
+        rng: random.Random,
+        *,
+        vertical_sigma_m: float = 0.0,
+        vertical_rng: random.Random | None = None,
+    ) -> None:
+        self._north = _Wander(sigma_m, tau_s, rng)
+        self._east = _Wander(sigma_m, tau_s, rng)
+        self._down: _Wander | None = None
+        if vertical_sigma_m > 0.0:
+            self._down = _Wander(vertical_sigma_m, tau_s, vertical_rng or rng)
         self.jump_ned_m: Ned = (0.0, 0.0, 0.0)
-        self._estimate = (self._north_m, self._east_m)
 
     def step(self, dt_s: float) -> Ned:
         """Offset (estimated minus true, NED metres) after `dt_s` more seconds.
 
         A jump (`jump_ned_m`, a fault) is added at once: the filter resets to it.
         """
-        keep = math.exp(-dt_s / self._tau_s)
-        kick_m = self._sigma_m * math.sqrt(1.0 - keep * keep)
-        self._north_m = keep * self._north_m + self._rng.gauss(0.0, kick_m)
-        self._east_m = keep * self._east_m + self._rng.gauss(0.0, kick_m)
-        blend = 1.0 - math.exp(-dt_s / ESTIMATE_LAG_S)
-        north, east = self._estimate
-        north += blend * (self._north_m - north)
-        east += blend * (self._east_m - east)
-        self._estimate = (north, east)
+        north, east = self._north.step(dt_s), self._east.step(dt_s)
+        down = self._down.step(dt_s) if self._down is not None else 0.0
         jump = self.jump_ned_m
-        return north + jump[0], east + jump[1], jump[2]
+        return north + jump[0], east + jump[1], down + jump[2]

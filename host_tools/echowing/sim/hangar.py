@@ -1,5 +1,6 @@
 """Builds the vehicles of a scenario: bodies, autopilots, receivers, sonar rigs, radio links."""
 
+import math
 import random
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -18,6 +19,7 @@ from echowing.sim.parameters import Generation
 from echowing.sim.radio import Radio
 from echowing.sim.scenario import LAWS, RadioSection, Scenario
 from echowing.sim.vehicles import Body, MakeCoprocessor, SimFollower, SimVehicle
+from echowing.sim.wind import Wind
 
 LEADER_ID = 1
 FIRST_FOLLOWER_ID = 2
@@ -68,7 +70,8 @@ class Hangar:
             start = (0.0, 0.0, -plan.altitude_m)
             body = Copter(start, 0.0, tuning=self._tuning(), flying=True)
         drift = self._drift("leader", body)
-        return SimVehicle(body, self._autopilot(body, LEADER_ID, {}), drift)
+        wind = self._wind("leader", body)
+        return SimVehicle(body, self._autopilot(body, LEADER_ID, {}), drift, wind)
 
     def follower(
         self, index: int, start_ned_m: Ned, yaw_rad: float, speed_mps: float, listen: Listen
@@ -77,6 +80,7 @@ class Hangar:
         scenario = self.scenario
         body = Copter(start_ned_m, yaw_rad, tuning=self._tuning(), flying=True)
         drift = self._drift(f"follower {index}", body)
+        wind = self._wind(f"follower {index}", body)
         follower = SimFollower(
             body,
             self._autopilot(body, FIRST_FOLLOWER_ID + index, self._parameters(speed_mps)),
@@ -84,6 +88,7 @@ class Hangar:
             listen=listen,
             make_coprocessor=self._make_coprocessor,
             rng=self.rng(f"sonar {index}"),
+            wind=wind,
         )
         if scenario.law != "none":
             follower.load_applet(lua_folder() / APPLET)
@@ -138,9 +143,28 @@ class Hangar:
         parameters = board_parameters(system_id, self.scenario)
         return NativeCoprocessor(bus, seed=self.seed, parameters=parameters)
 
+    def _wind(self, name: str, body: Body) -> Wind | None:
+        """The wind at a copter, in which it has long hovered; None without wind."""
+        plan = self.scenario.wind
+        if plan.speed_mps == 0.0 or not isinstance(body, Copter):
+            return None
+        height_m = self.scenario.leader.altitude_m
+        direction_rad = math.radians(plan.direction_deg)
+        rng = self.rng(f"wind {name}")
+        wind = Wind(plan.speed_mps, direction_rad, plan.turbulence, height_m, rng)
+        body.wind_ned_mps = wind.velocity_ned_mps
+        body.settle()
+        return wind
+
     def _drift(self, name: str, body: Body) -> GpsDrift:
         """The receiver's drift; the body believes it before its autopilot starts to hold."""
         gps = self.scenario.gps
-        drift = GpsDrift(gps.sigma_m, gps.tau_s, self.rng(f"gps {name}"))
+        drift = GpsDrift(
+            gps.sigma_m,
+            gps.tau_s,
+            self.rng(f"gps {name}"),
+            vertical_sigma_m=gps.vertical_sigma_m,
+            vertical_rng=self.rng(f"gps height {name}"),
+        )
         body.set_estimate_offset(drift.step(0.0))
         return drift

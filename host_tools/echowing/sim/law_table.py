@@ -107,15 +107,15 @@ def fly_law(law: str, path: str, seed: int) -> LawFlight:
     if path != HOSTILE:
         changes += [f'leader.path="{path}"', f"duration_s={DURATION_S}"]
     scenario = load_scenario(HOSTILE if path == HOSTILE else "echowing", changes)
-    return law_flight(fly(scenario, seed), path, scenario.settle_s)
+    return law_flight(fly(scenario, seed), path)
 
 
-def law_flight(flown: FlownScenario, path: str, settle_s: float) -> LawFlight:
+def law_flight(flown: FlownScenario, path: str) -> LawFlight:
     """The figures of a flown scenario's first follower."""
     calm = {label: m for label, m in flown.phases.items() if label not in ATTACKS}
     attacks = [m for label, m in flown.phases.items() if label in ATTACKS]
     flight: Flight = flown.flights[0]
-    settled = flight.time_s >= settle_s
+    settled = flight.time_s >= flown.metrics[0].settle_s
     return LawFlight(
         law=flown.law,
         path=path,

@@ -542,8 +542,8 @@ class LuaHost:
             "set_target_position_ned": lambda n, e, d, yaw: vehicle.set_target_position_ned(
                 (n, e, d), yaw
             ),
-            "set_target_posvel_ned": lambda n, e, d, vn, ve, vd, yaw=None: vehicle.set_target_posvel_ned(
-                (n, e, d), (vn, ve, vd), yaw
+            "set_target_posvel_ned": lambda n, e, d, vn, ve, vd, yaw=None: (
+                vehicle.set_target_posvel_ned((n, e, d), (vn, ve, vd), yaw)
             ),
             "set_target_velocity_ned": lambda n, e, d: vehicle.set_target_velocity_ned((n, e, d)),
             "position_ned": vehicle.position_ned_m,

@@ -58,7 +58,8 @@ class ParkedHangar(Hangar):
     def leader(self) -> SimVehicle:
         """The leader at the origin."""
         body = Copter((0.0, 0.0, 0.0), tuning=self._tuning())
-        return SimVehicle(body, self._autopilot(body, LEADER_ID, {}), self._drift("leader", body))
+        drift, wind = self._drift("leader", body), self._wind("leader", body)
+        return SimVehicle(body, self._autopilot(body, LEADER_ID, {}), drift, wind)
 
     def follower(
         self, index: int, start_ned_m: Ned, yaw_rad: float, speed_mps: float, listen: Listen
@@ -73,6 +74,7 @@ class ParkedHangar(Hangar):
             listen=listen,
             make_coprocessor=self._make_coprocessor,
             rng=self.rng(f"sonar {index}"),
+            wind=self._wind(f"follower {index}", body),
         )
 
 

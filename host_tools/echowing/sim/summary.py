@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from echowing.analysis.flight import Flight
-from echowing.analysis.metrics import Metrics, dead_locked, metrics
+from echowing.analysis.metrics import Metrics, approach_s, dead_locked, metrics
 from echowing.analysis.tables import Result
 from echowing.errors import EchowingError
 from echowing.sim.coprocessor import SonarBus
@@ -46,7 +46,7 @@ class FlownScenario:
         """One a follower, for the tables, under `name` or the scenario's."""
         locked = self.locked or (False,) * len(self.metrics)
         return [
-            Result(name or self.scenario, one, lost)
+            Result(name or self.scenario, one, lost, self.seed)
             for one, lost in zip(self.metrics, locked, strict=True)
         ]
 
@@ -96,18 +96,19 @@ def fly(
         return _wall(scenario, seed, make_coprocessor)
     flight = FormationFlight(scenario, seed, out=out, make_coprocessor=make_coprocessor)
     result = flight.run(progress)
+    measured = [metrics(one, _settle_s(one, scenario)) for one in result.flights]
     return FlownScenario(
         scenario=scenario.name,
         law=scenario.law,
         seed=seed,
         flights=result.flights,
-        metrics=[metrics(one, settle_s=scenario.settle_s) for one in result.flights],
+        metrics=measured,
         closest_m=result.closest_m,
         simulated_s=result.simulated_s,
         wall_s=result.wall_s,
         locked=tuple(dead_locked(one) for one in result.flights),
         phases=result.phases,
-        commanded_slot=_commanded(result.commanded_slot_m, scenario),
+        commanded_slot=_commanded(result.commanded_slot_m, scenario, measured[0].settle_s),
         events=result.events,
     )
 
@@ -140,9 +141,13 @@ def _wall(scenario: Scenario, seed: int, make_coprocessor: MakeCoprocessor | Non
     )
 
 
-def _commanded(distances_m: list[float], scenario: Scenario) -> dict[str, float]:
+def _settle_s(flight: Flight, scenario: Scenario) -> float:
+    return approach_s(flight) if scenario.settle_s is None else scenario.settle_s
+
+
+def _commanded(distances_m: list[float], scenario: Scenario, settle_s: float) -> dict[str, float]:
     """Statistics of the distance from the leader to the commanded slot, once settled."""
-    first = round(scenario.settle_s * 10.0)
+    first = round(settle_s * 10.0)
     distances = np.array(distances_m[first:])
     if distances.size == 0 or not math.isfinite(float(distances.sum())):
         return {}

@@ -13,6 +13,7 @@ from echowing.sim.gps import GpsDrift
 from echowing.sim.leader import TrackedBody, mission
 from echowing.sim.scenario import LeaderEvent, LeaderSection
 from echowing.sim.sonar import Ear, Gimbal, MaxSonar, Pose, body_to_ned
+from echowing.sim.wind import Wind
 
 COPROCESSOR = "coprocessor"
 AUTOPILOT_PORT = 0
@@ -25,12 +26,15 @@ MakeCoprocessor = Callable[[SonarBus, int], Coprocessor]
 
 
 class SimVehicle:
-    """A body in the air with an autopilot and a GPS receiver that drifts."""
+    """A body in the air with an autopilot and a GPS receiver that drifts, in wind if there is."""
 
-    def __init__(self, body: Body, autopilot: Autopilot, drift: GpsDrift) -> None:
+    def __init__(
+        self, body: Body, autopilot: Autopilot, drift: GpsDrift, wind: Wind | None = None
+    ) -> None:
         self.body = body
         self.autopilot = autopilot
         self.drift = drift
+        self._wind = wind
 
     @property
     def position_ned_m(self) -> Ned:
@@ -43,8 +47,10 @@ class SimVehicle:
         return self.body.vn_mps, self.body.ve_mps, self.body.vd_mps
 
     def move(self, dt_s: float) -> None:
-        """Receiver and body, one step on."""
+        """Receiver, wind and body, one step on."""
         self.autopilot.set_gps_offset(self.drift.step(dt_s))
+        if self._wind is not None and isinstance(self.body, Copter):
+            self.body.wind_ned_mps = self._wind.step(dt_s)
         self.body.step(dt_s)
 
 
@@ -60,8 +66,9 @@ class SimFollower(SimVehicle):
         listen: Callable[["SimFollower", float], float | None],
         make_coprocessor: MakeCoprocessor,
         rng: random.Random,
+        wind: Wind | None = None,
     ) -> None:
-        super().__init__(body, autopilot, drift)
+        super().__init__(body, autopilot, drift, wind)
         self.gimbal = Gimbal()
         self.ear = Ear(rng)
         self.sensor = MaxSonar(lambda t_s: listen(self, t_s))

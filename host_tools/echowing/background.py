@@ -1,0 +1,184 @@
+"""Work that may block, done by a thread: a stopped terminal, an unread pipe, a slow disk.
+
+The loop that flies only ever puts something into a bounded queue. What does not fit is dropped and
+counted, and said when there is room again.
+"""
+
+import threading
+from collections import deque
+from collections.abc import Callable, Sequence
+
+from echowing.follow_log import FollowLog
+from echowing.follow_track import Track
+from echowing.follow_view import LastingView, View
+from echowing.panel import Row
+from echowing.terminal import ring
+
+# Lines of a view that wait: an hour of a quiet flight, half a minute of fifty talking vehicles.
+MOST_SHOWN = 500
+# Frames and rows of a log that wait: 20 s of fifty followers, 5 MB.
+MOST_LOGGED = 20_000
+# Rows come at 10 Hz and only the newest is worth showing; so many dropped are worth a word (2 s).
+ROWS_WORTH_A_WORD = 20
+# A terminal or a disk that takes nothing for so long at the end is left behind.
+LAST_WORDS_S = 2.0
+
+
+class Worker:
+    """Does what it is given, in order, in a daemon thread; never makes the giver wait.
+
+    error: the first exception of what it was given; all after it is still done.
+    """
+
+    def __init__(self, most: int) -> None:
+        self.error: Exception | None = None
+        self._most = most
+        self._work: deque[Callable[[], None]] = deque()
+        self._news = threading.Condition()
+        self._busy = self._ending = False
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def do(self, work: Callable[[], None]) -> bool:
+        """Have it done later; False: too much is waiting, it is dropped."""
+        with self._news:
+            if len(self._work) >= self._most or self._ending:
+                return False
+            self._work.append(work)
+            self._news.notify_all()
+        return True
+
+    @property
+    def has_room(self) -> bool:
+        """Whether less than half of what may wait is waiting."""
+        return 2 * len(self._work) < self._most
+
+    def settle(self, timeout_s: float) -> bool:
+        """Wait until all is done; False: it is not, after `timeout_s`."""
+        with self._news:
+            return self._news.wait_for(lambda: not self._work and not self._busy, timeout_s)
+
+    def end(self, last: Callable[[], None], timeout_s: float) -> bool:
+        """End the thread once all is done, and `last`; False: it is stuck, and is left behind."""
+        with self._news:
+            self._work.append(last)
+            self._ending = True
+            self._news.notify_all()
+        self._thread.join(timeout_s)
+        return not self._thread.is_alive()
+
+    def _run(self) -> None:
+        while (work := self._next()) is not None:
+            try:
+                work()
+            except Exception as error:
+                self.error = self.error or error
+
+    def _next(self) -> Callable[[], None] | None:
+        with self._news:
+            self._busy = False
+            self._news.notify_all()
+            self._news.wait_for(lambda: self._work or self._ending)
+            self._busy = bool(self._work)
+            return self._work.popleft() if self._work else None
+
+
+class BackgroundView:
+    """A view drawn by a thread. Of rows only the newest wait; events wait in their order.
+
+    lost: why nothing is shown any more; stuck: what shows it took nothing until the end.
+    """
+
+    def __init__(self, view: View, most: int = MOST_SHOWN) -> None:
+        self._view = LastingView(view)
+        self._worker = Worker(most)
+        self._rows: tuple[float, Sequence[Row]] | None = None
+        self._dropped_events = self._dropped_rows = 0
+        self.stuck = False
+
+    @property
+    def lost(self) -> Exception | None:
+        """The error that ended it; None: it still shows."""
+        return self._view.lost or self._worker.error
+
+    def event(self, time_s: float, text: str) -> None:
+        """As `View`."""
+        self._say_what_was_dropped(time_s)
+        if not self._worker.do(lambda: self._view.event(time_s, text)):
+            self._dropped_events += 1
+
+    def rows(self, time_s: float, rows: Sequence[Row]) -> None:
+        """As `View`."""
+        self._say_what_was_dropped(time_s)
+        waiting, self._rows = self._rows is not None, (time_s, rows)
+        self._dropped_rows += waiting
+        if not waiting and not self._worker.do(self._show_newest):
+            self._rows = None
+            self._dropped_rows += 1
+
+    def ring(self) -> None:
+        """Ring the terminal's bell."""
+        self._worker.do(ring)
+
+    def settle(self, timeout_s: float = LAST_WORDS_S) -> None:
+        """Give it time to show what waits."""
+        self._worker.settle(timeout_s)
+
+    def close(self) -> None:
+        """As `View`."""
+        self.stuck = not self._worker.end(self._view.close, LAST_WORDS_S)
+
+    def _show_newest(self) -> None:
+        newest, self._rows = self._rows, None
+        if newest is not None:
+            self._view.rows(*newest)
+
+    def _say_what_was_dropped(self, time_s: float) -> None:
+        if self._rows is not None or not self._worker.has_room:
+            return
+        events, rows = self._dropped_events, self._dropped_rows
+        self._dropped_rows = 0
+        if not events and rows < ROWS_WORTH_A_WORD:
+            return
+        self._dropped_events = 0
+        text = (
+            f"nothing could be shown for a while (a stopped terminal, an unread pipe?): {events} "
+            f"events and {rows} updates of the table were left out; flying went on"
+        )
+        self._worker.do(lambda: self._view.event(time_s, text))
+
+
+class BackgroundLog:
+    """A log written by a thread. `say` is called by the caller of `tell`, never by the thread."""
+
+    def __init__(self, open_log: Callable[[Callable[[str], None]], FollowLog]) -> None:
+        self._said: deque[str] = deque()
+        self._log = open_log(self._said.append)
+        self._worker = Worker(MOST_LOGGED)
+        self._dropped = 0
+        self.stuck = False
+
+    def frame(self, unix_s: float, frame: bytes) -> None:
+        """As `FollowLog`."""
+        self._do(lambda: self._log.frame(unix_s, frame))
+
+    def rows(self, unix_s: float, rows: Sequence[Row], tracks: Sequence[Track]) -> None:
+        """As `FollowLog`."""
+        self._do(lambda: self._log.rows(unix_s, rows, tracks))
+
+    def tell(self, say: Callable[[str], None]) -> None:
+        """Say what the log has had to say since the last time."""
+        while self._said:
+            say(self._said.popleft())
+        if self._dropped and self._worker.has_room:
+            say(f"log: {self._dropped} frames and rows are missing: the disk took nothing")
+            self._dropped = 0
+
+    def close(self) -> None:
+        """As `FollowLog`."""
+        self.stuck = not self._worker.end(self._log.close, LAST_WORDS_S)
+        if self._worker.error is not None:
+            raise self._worker.error
+
+    def _do(self, write: Callable[[], None]) -> None:
+        self._dropped += not self._worker.do(write)

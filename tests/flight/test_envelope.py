@@ -1,0 +1,331 @@
+import math
+from dataclasses import replace
+from itertools import combinations
+
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from echowing.flight.envelope import (
+    LEAST_M,
+    OTHERS_MPS2,
+    RETREAT_MOST_MPS,
+    SURE_SIGMAS,
+    Answer,
+    Other,
+    certain_distance_m,
+    closing_limit_mps,
+    is_in_the_way,
+    keep_apart,
+)
+from echowing.geo import Ned
+
+ANSWER = Answer()
+EPS_MPS = 1e-4
+
+angles = st.floats(-math.pi, math.pi)
+distances = st.floats(0.05, 30.0)
+speeds = st.floats(0.0, 6.0)
+
+
+def level(bearing_rad: float, length: float) -> Ned:
+    return length * math.cos(bearing_rad), length * math.sin(bearing_rad), 0.0
+
+
+velocities = st.builds(level, angles, speeds)
+others = st.builds(
+    Other,
+    name=st.just("another"),
+    from_it_m=st.builds(level, angles, distances),
+    velocity_mps=velocities,
+    sigma_m=st.floats(0.0, 1.2),
+    age_s=st.floats(0.0, 1.5),
+    in_the_way=st.booleans(),
+)
+always = settings(max_examples=150, deadline=None, derandomize=True)
+
+
+def leaving_mps(flown: Ned, other: Other) -> float:
+    """How fast the horizontal distance to another grows."""
+    north, east, _ = other.from_it_m
+    gained = flown[0] - other.velocity_mps[0], flown[1] - other.velocity_mps[1]
+    return (gained[0] * north + gained[1] * east) / math.hypot(north, east)
+
+
+def limit_mps(other: Other) -> float:
+    return closing_limit_mps(certain_distance_m(other), ANSWER)
+
+
+# ---- the two figures -----
+
+
+def test_what_is_not_known_is_against_us() -> None:
+    other = Other("leader", (3.0, 0.0, 4.0), (0.0, 0.0, 0.0), sigma_m=0.4, age_s=0.8)
+
+    least_m = 5.0 - SURE_SIGMAS * 0.4 - 0.5 * OTHERS_MPS2 * 0.8**2
+    assert certain_distance_m(other) == pytest.approx(least_m)
+    assert certain_distance_m(replace(other, age_s=1.0)) < least_m
+    assert certain_distance_m(replace(other, sigma_m=0.5)) < least_m
+
+
+@pytest.mark.parametrize("certain_m", [1.0, 1.2, 2.0, 5.0, 20.0])
+@pytest.mark.parametrize("answer", [Answer(), Answer(0.3, 4.0), Answer(1.2, 1.0)])
+def test_a_vehicle_at_the_limit_stops_in_time(certain_m: float, answer: Answer) -> None:
+    """Dead time at that speed, then braking: it stands exactly at the least distance."""
+    speed_mps = closing_limit_mps(certain_m, answer)
+    way_m = speed_mps * answer.dead_s + speed_mps**2 / (2.0 * answer.decel_mps2)
+
+    assert certain_m - way_m == pytest.approx(LEAST_M, abs=1e-6)
+
+
+def test_nearer_than_the_least_distance_it_is_left() -> None:
+    assert closing_limit_mps(0.5, ANSWER) == pytest.approx(-0.75)
+    assert closing_limit_mps(-30.0, ANSWER) == -RETREAT_MOST_MPS
+    assert closing_limit_mps(1.0, ANSWER) == pytest.approx(0.0, abs=1e-9)
+
+
+@given(near_m=st.floats(-5.0, 30.0), more_m=st.floats(0.0, 5.0))
+@always
+def test_more_room_never_means_less_speed(near_m: float, more_m: float) -> None:
+    assert closing_limit_mps(near_m + more_m, ANSWER) >= closing_limit_mps(near_m, ANSWER)
+
+
+# ---- what is flown -----
+
+
+@given(wanted=velocities, other=others)
+@always
+def test_nobody_is_closed_on_faster_than_the_limit(wanted: Ned, other: Other) -> None:
+    flown, _ = keep_apart(wanted, [other], ANSWER)
+
+    assert -leaving_mps(flown, other) <= limit_mps(other) + EPS_MPS
+
+
+@given(wanted=velocities, first=others, second=others)
+@always
+def test_nor_either_of_two_that_are_not_on_opposite_sides(
+    wanted: Ned, first: Other, second: Other
+) -> None:
+    """A velocity that keeps both limits exists then, and is found."""
+    bearings = [math.atan2(one.from_it_m[1], one.from_it_m[0]) for one in (first, second)]
+    assume(abs(math.remainder(bearings[0] - bearings[1], math.tau)) < math.radians(120.0))
+    flown, _ = keep_apart(wanted, [first, second], ANSWER)
+
+    for other in (first, second):
+        # Corrections one after the other come near the corner of two limits, not onto it.
+        assert -leaving_mps(flown, other) <= limit_mps(other) + 0.3
+
+
+@given(wanted=velocities, other=others)
+@always
+def test_a_short_distance_is_never_shortened(wanted: Ned, other: Other) -> None:
+    assume(certain_distance_m(other) < LEAST_M)
+    flown, _ = keep_apart(wanted, [other], ANSWER)
+
+    assert leaving_mps(flown, other) > -EPS_MPS
+
+
+@given(wanted=velocities, about=st.lists(others, min_size=2, max_size=4))
+@always
+def test_among_several_it_leaves_no_less_than_standing_still(
+    wanted: Ned, about: list[Other]
+) -> None:
+    """Of the distances that are short, a second later."""
+    assume(min(map(certain_distance_m, about)) < LEAST_M)
+    flown, _ = keep_apart(wanted, about, ANSWER)
+
+    def left_m(velocity: Ned) -> float:
+        return min(
+            math.dist(
+                (velocity[0], velocity[1]),
+                (
+                    other.velocity_mps[0] - other.from_it_m[0],
+                    other.velocity_mps[1] - other.from_it_m[1],
+                ),
+            )
+            - (math.hypot(*other.from_it_m) - certain_distance_m(other))
+            for other in about
+        )
+
+    kept = all(-leaving_mps(flown, other) <= limit_mps(other) + 0.06 for other in about)
+    assert kept or left_m(flown) >= left_m((0.0, 0.0, 0.0)) - EPS_MPS
+
+
+@given(wanted=velocities, about=st.lists(others, max_size=4))
+@always
+def test_a_plan_that_keeps_the_limits_is_flown_as_it_is(wanted: Ned, about: list[Other]) -> None:
+    fits = all(-leaving_mps(wanted, other) <= limit_mps(other) for other in about)
+    flown, whose = keep_apart(wanted, about, ANSWER)
+
+    assert (whose is None) is fits
+    if fits:
+        assert flown == wanted
+
+
+@given(wanted=velocities, other=others, turn_rad=angles)
+@always
+def test_all_directions_are_alike(wanted: Ned, other: Other, turn_rad: float) -> None:
+    def turned(vector: Ned) -> Ned:
+        cos, sin = math.cos(turn_rad), math.sin(turn_rad)
+        return vector[0] * cos - vector[1] * sin, vector[0] * sin + vector[1] * cos, vector[2]
+
+    flown, _ = keep_apart(wanted, [other], ANSWER)
+    again = replace(
+        other, from_it_m=turned(other.from_it_m), velocity_mps=turned(other.velocity_mps)
+    )
+    assert keep_apart(turned(wanted), [again], ANSWER)[0] == pytest.approx(turned(flown), abs=1e-5)
+
+
+def test_past_a_vehicle_the_plan_is_bent_not_stopped() -> None:
+    """A leader 2 m ahead, the plan 60 degrees to its side: what leads aside is flown in full."""
+    leader = Other("the leader", (-2.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0)
+
+    flown, whose = keep_apart((2.0, 3.5, 0.5), [leader], ANSWER)
+
+    assert whose is leader
+    assert flown[1:] == (3.5, 0.5)
+    assert flown[0] == pytest.approx(closing_limit_mps(2.0, ANSWER), abs=1e-5)
+
+
+def test_a_leader_that_flies_back_is_backed_away_from() -> None:
+    leader = Other("the leader", (-1.2, 0.0, 0.0), (-2.0, 0.0, 0.0), 0.0, 0.0)
+
+    flown, _ = keep_apart((0.0, 0.0, 0.0), [leader], ANSWER)
+
+    assert flown[0] == pytest.approx(-2.0 + closing_limit_mps(1.2, ANSWER), abs=1e-5)
+
+
+def test_the_worst_of_several_is_named() -> None:
+    near = Other("follower 3", (-1.1, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0)
+    far = Other("the leader", (-3.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0)
+
+    assert keep_apart((4.0, 0.0, 0.0), [far, near], ANSWER)[1] is near
+
+
+def test_between_two_that_come_from_both_sides_it_goes_aside() -> None:
+    """Back from the one is towards the other: across is what leaves most."""
+    from_north = Other("a", (-1.0, 0.0, 0.0), (-2.0, 0.0, 0.0), 0.0, 0.0)
+    from_south = Other("b", (1.0, 0.0, 0.0), (2.0, 0.0, 0.0), 0.0, 0.0)
+
+    flown, _ = keep_apart((0.0, 0.0, 0.0), [from_north, from_south], ANSWER)
+
+    assert abs(flown[1]) > 0.9
+    assert abs(flown[0]) < 0.5
+
+
+# ---- two vehicles, closed loop -----
+
+
+class Flyer:
+    """A vehicle in a plane that flies at what it is told, 0.2 s and 2.5 m/s2 later."""
+
+    def __init__(self, place_m: tuple[float, float], goal_m: tuple[float, float]) -> None:
+        self.place_m, self.goal_m = place_m, goal_m
+        self.velocity: Ned = (0.0, 0.0, 0.0)
+        self.told: Ned = (0.0, 0.0, 0.0)
+
+    def wanted(self) -> Ned:
+        north, east = self.goal_m[0] - self.place_m[0], self.goal_m[1] - self.place_m[1]
+        far_m = math.hypot(north, east)
+        pace = min(1.0, 2.0 / max(far_m, 1e-6))
+        return pace * north, pace * east, 0.0
+
+    def step(self, seconds: float) -> None:
+        north, east, _ = (told - now for told, now in zip(self.told, self.velocity, strict=True))
+        share = min(1.0, 2.5 * seconds / max(math.hypot(north, east), 1e-6))
+        self.velocity = (
+            self.velocity[0] + share * north,
+            self.velocity[1] + share * east,
+            0.0,
+        )
+        self.place_m = (
+            self.place_m[0] + self.velocity[0] * seconds,
+            self.place_m[1] + self.velocity[1] * seconds,
+        )
+
+
+def seen(other: Flyer, by: Flyer) -> Other:
+    from_it = by.place_m[0] - other.place_m[0], by.place_m[1] - other.place_m[1], 0.0
+    to_goal = by.goal_m[0] - by.place_m[0], by.goal_m[1] - by.place_m[1], 0.0
+    in_the_way = is_in_the_way((-from_it[0], -from_it[1], 0.0), to_goal)
+    return Other("the other", from_it, other.velocity, 0.3, 0.2, in_the_way)
+
+
+def fly(flyers: list[Flyer], seconds: float) -> float:
+    """All of them for so long; returns how near two of them came."""
+    nearest_m = math.inf
+    for _ in range(round(seconds / 0.05)):
+        for one in flyers:
+            others = [seen(other, one) for other in flyers if other is not one]
+            one.told = keep_apart(one.wanted(), others, ANSWER)[0]
+        for one in flyers:
+            one.step(0.05)
+        pairs = combinations(flyers, 2)
+        nearest_m = min(nearest_m, *(math.dist(a.place_m, b.place_m) for a, b in pairs))
+    return nearest_m
+
+
+def off_goal_m(one: Flyer) -> float:
+    return math.dist(one.place_m, one.goal_m)
+
+
+@pytest.mark.parametrize("aside_m", [0.0, 0.001, -0.001, 0.3, -0.3, 1.0, -1.0])
+@pytest.mark.parametrize("start_m", [4.0, 8.0, 12.0])
+def test_two_head_on_pass_each_other(start_m: float, aside_m: float) -> None:
+    """Each where the other wants to be: neither waits for ever, and they stay apart.
+
+    12 m at 2 m/s and the way round take 10 s; 20 s are enough for all.
+    """
+    here, there = (0.0, 0.0), (start_m, aside_m)
+    one, two = Flyer(here, there), Flyer(there, here)
+
+    nearest_m = fly([one, two], 20.0)
+
+    assert max(off_goal_m(one), off_goal_m(two)) < 0.3
+    assert nearest_m > LEAST_M
+
+
+@pytest.mark.parametrize("count", [3, 4])
+def test_several_that_cross_in_one_place_pass_each_other(count: int) -> None:
+    """On a circle, each to the opposite side."""
+    places = [level(math.tau * number / count, 8.0)[:2] for number in range(count)]
+    flyers = [Flyer(place, (-place[0], -place[1])) for place in places]
+
+    nearest_m = fly(flyers, 60.0)
+
+    assert max(map(off_goal_m, flyers)) < 0.3
+    assert nearest_m > LEAST_M
+
+
+def test_one_that_stands_in_the_way_is_flown_round() -> None:
+    one, two = Flyer((0.0, 0.0), (8.0, 0.0)), Flyer((4.0, 0.0), (4.0, 0.0))
+
+    nearest_m = fly([one, two], 30.0)
+
+    assert off_goal_m(one) < 0.3
+    assert nearest_m > LEAST_M
+
+
+@pytest.mark.parametrize(
+    ("to_it", "to_goal", "in_the_way"),
+    [
+        ((4.0, 0.0, 0.0), (8.0, 0.0, 0.0), True),
+        ((4.0, 2.0, 0.0), (8.0, 0.0, 0.0), True),
+        ((4.0, 0.0, 0.0), (1.0, 0.0, 0.0), False),  # it is beyond the goal
+        ((-4.0, 0.0, 0.0), (8.0, 0.0, 0.0), False),  # it is behind
+        ((4.0, 0.0, 0.0), (0.0, 0.0, 0.0), False),  # nowhere to go
+    ],
+)
+def test_in_the_way_is_what_lies_before_the_goal(
+    to_it: Ned, to_goal: Ned, in_the_way: bool
+) -> None:
+    assert is_in_the_way(to_it, to_goal) is in_the_way
+
+
+def test_what_is_beyond_the_goal_is_not_flown_round() -> None:
+    """A leader, or a follower in the next slot: what is too fast towards it is slowed, no more."""
+    leader = Other("the leader", (-2.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.3, 0.2)
+
+    flown, _ = keep_apart((3.0, 0.0, 0.0), [leader], ANSWER)
+
+    assert flown[1] == 0.0

@@ -1,0 +1,165 @@
+import math
+import random
+
+import pytest
+
+from echowing.flight.alignment import History, Report
+from echowing.flight.estimate import (
+    CLOCK_WINDOW_S,
+    LONGEST_CARRY_S,
+    SONAR_AGE_S,
+    Estimate,
+    SenderClock,
+    carried_on,
+    place_then,
+)
+from echowing.geo import GlobalPosition, displace, ned_between
+from echowing.guidance import Horizontal, LeaderFix
+
+START = GlobalPosition(39.34, -86.03, 260.0)
+
+
+def test_the_least_delayed_message_sets_a_senders_clock() -> None:
+    chance, clock = random.Random(1), SenderClock()
+    for number in range(150):
+        stamp_s = number * 0.1
+        delay_s = 0.05 + (0.0 if number == 40 else chance.uniform(0.02, 0.5))
+        ours_s = clock.to_ours(stamp_s, 1000.0 + stamp_s + delay_s, 0.05)
+
+    assert ours_s == pytest.approx(1000.0 + stamp_s, abs=1e-6)
+
+
+def test_before_the_best_message_it_is_late_by_the_best_so_far() -> None:
+    clock = SenderClock()
+
+    assert clock.to_ours(0.0, 100.4, 0.1) == pytest.approx(100.3)
+    assert clock.to_ours(0.1, 100.3, 0.1) == pytest.approx(100.2)
+    assert clock.to_ours(0.2, 100.8, 0.1) == pytest.approx(100.3)
+
+
+def test_a_clock_that_drifts_is_followed() -> None:
+    """A way that has grown longer counts once the shorter one is out of the window."""
+    clock = SenderClock()
+    for number in range(400):
+        stamp_s = number * 0.1
+        delay_s = 0.1 if stamp_s < 10.0 else 0.3
+        ahead_s = clock.to_ours(stamp_s, stamp_s + delay_s, 0.0) - stamp_s
+        expected_s = 0.1 if stamp_s < 10.0 + CLOCK_WINDOW_S - 0.15 else 0.3
+        assert ahead_s == pytest.approx(expected_s), stamp_s
+
+
+def test_a_sender_that_starts_anew_begins_anew() -> None:
+    clock = SenderClock()
+    clock.to_ours(500.0, 1000.0, 0.0)
+
+    assert clock.to_ours(1.0, 1010.0, 0.0) == pytest.approx(1010.0)
+    assert clock.to_ours(2.0, 1011.0, 0.0) == pytest.approx(1011.0)
+
+
+def test_a_message_out_of_order_is_no_new_start() -> None:
+    clock = SenderClock()
+    clock.to_ours(500.0, 1000.0, 0.0)
+
+    assert clock.to_ours(499.0, 1000.5, 0.0) == pytest.approx(999.0)
+
+
+def listening(lean_mps2: float = 0.0) -> tuple[Estimate, History]:
+    """A follower 3 m south of its leader, both known from 0 to 10 s."""
+    estimate, leader = Estimate(), History()
+    for number in range(41):
+        time_s = number * 0.25
+        leader.add(Report(time_s, displace(START, (3.0, 0.0, 0.0)), (0.0, 0.0), 0.0))
+        gained: Horizontal = (lean_mps2 * time_s, 0.0)
+        estimate.reported(Report(time_s, START, gained, 0.0))
+    return estimate, leader
+
+
+def test_two_readings_alike_are_the_leader() -> None:
+    estimate, leader = listening()
+
+    estimate.heard(9.0, 2.8, 0.2)
+    estimate.learn(leader)
+    assert estimate.offset.unheard_s(10.0) == math.inf
+
+    estimate.heard(9.1, 2.8, 0.2)
+    estimate.learn(leader)
+    assert estimate.offset.unheard_s(10.0) == pytest.approx(0.9 + SONAR_AGE_S)
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [
+        ((9.0, 1.1), (9.1, 2.8)),  # one wild reading
+        ((8.5, 2.8), (9.1, 2.8)),  # too long ago to confirm anything
+        ((9.0, 7.65), (9.1, 2.8)),  # nothing, then something
+        ((9.0, -1.0), (9.1, -1.0)),
+    ],
+)
+def test_a_reading_alone_is_not(first: tuple[float, float], second: tuple[float, float]) -> None:
+    estimate, leader = listening()
+    before = (estimate.offset.north_m, estimate.offset.sigma_m(0.0))
+
+    estimate.heard(*first, 0.2)
+    estimate.heard(*second, 0.2)
+    estimate.learn(leader)
+
+    assert (estimate.offset.north_m, estimate.offset.sigma_m(0.0)) == before
+
+
+def hear_nothing(estimate: Estimate, leader: History) -> None:
+    for number in range(60):
+        estimate.heard(2.0 + number * 0.1, 7.65, 0.2)
+    estimate.learn(leader)
+
+
+def test_silence_of_a_level_follower_counts_and_of_a_leaning_one_not() -> None:
+    """2.5 m/s2 lean a copter by 14 degrees: its sonar may look past a leader straight ahead."""
+    level, leader = listening()
+    leaning, _ = listening(lean_mps2=2.5)
+    known_m = level.offset.sigma_m(math.pi / 2)
+
+    hear_nothing(level, leader)
+    hear_nothing(leaning, leader)
+
+    assert level.offset.sigma_m(math.pi / 2) > known_m + 0.05
+    assert leaning.offset.sigma_m(math.pi / 2) == known_m
+
+
+def test_the_inset_is_added_to_the_range() -> None:
+    """Receivers say 3.0 m; the sonar's 2.6 m from face to legs are 2.8 m: 0.2 m between them."""
+    with_inset, leader = listening()
+    without, _ = listening()
+    for number in range(80):
+        with_inset.heard(1.0 + number * 0.1, 2.8, 0.2)
+        without.heard(1.0 + number * 0.1, 2.8, 0.0)
+    with_inset.learn(leader)
+    without.learn(leader)
+
+    assert without.offset.north_m - with_inset.offset.north_m == pytest.approx(0.2, abs=0.05)
+
+
+def test_a_leader_is_moved_by_what_was_learnt_and_back_when_it_is_forgotten() -> None:
+    estimate, leader = listening()
+    for number in range(80):
+        estimate.heard(1.0 + number * 0.1, 2.0, 0.2)  # 0.8 m nearer than receivers say
+    estimate.learn(leader)
+    believed = displace(START, (3.0, 0.0, 0.0))
+
+    north_m, _, _ = ned_between(START, estimate.as_seen(believed))
+    assert north_m == pytest.approx(2.2, abs=0.25)
+
+    estimate.forget()
+    assert ned_between(START, estimate.as_seen(believed)) == pytest.approx(
+        (3.0, 0.0, 0.0), abs=0.01
+    )
+
+
+def test_a_report_is_carried_on_so_far_and_no_further() -> None:
+    fix = LeaderFix(10.0, START, (2.0, 0.0, 0.0), 0.0)
+
+    for to_s, north_m in ((10.5, 1.0), (9.0, 0.0), (60.0, 2.0 * LONGEST_CARRY_S)):
+        assert ned_between(START, carried_on(fix, to_s).position)[0] == pytest.approx(
+            north_m, abs=1e-3
+        )
+        carried = place_then(START, (2.0, 0.0, 0.0), to_s - 10.0)
+        assert ned_between(START, carried)[0] == pytest.approx(north_m, abs=1e-3)

@@ -1,0 +1,265 @@
+"""The SITL suite's own parts that need no ArduCopter: what they compute has to be right, too."""
+
+import math
+import os
+import random
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ..sitl import loopback, truth
+from ..sitl.drift import METRES_PER_DEGREE, Drift
+from ..sitl.names import SPEED, Version
+from ..sitl.relay import Link, Queue
+from ..sitl.table import Entry, Figures, agrees, lines
+from ..sitl.vehicle import ORIGIN, State
+
+REPOSITORY = Path(__file__).parents[2]
+
+
+# ---- names and versions ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("packed", "line", "generation"),
+    [
+        (0x04_08_00_00, "4.8", "4.8"),
+        (0x04_06_03_FF, "4.6", "4.6"),
+        (0x04_05_07_FF, "4.5", "4.5"),
+        (0x04_09_00_40, "4.9", "4.8"),  # the nearest that the simulator has
+    ],
+)
+def test_a_version_as_the_autopilot_says_it(packed: int, line: str, generation: str) -> None:
+    version = Version.unpack(packed)
+    assert (version.line, version.generation) == (line, generation)
+
+
+def test_speed_goes_by_either_name_in_its_unit() -> None:
+    assert SPEED == {"WP_SPD": 1.0, "WPNAV_SPEED": 100.0}
+
+
+# ---- drift -------------------------------------------------------------------------------------
+
+
+def test_drift_has_the_deviation_and_the_memory_of_its_model() -> None:
+    drift = Drift(0.8, 60.0, random.Random(4))
+    north_m = []
+    for _ in range(60_000):
+        drift.step(0.5)
+        north_m.append(drift.north_m)
+    values = np.array(north_m)
+    later = round(60.0 / 0.5)
+    memory = np.corrcoef(values[:-later], values[later:])[0, 1]
+    # 500 times constants: the deviation is known to 1/sqrt(500) or so, the memory likewise.
+    assert values.std() == pytest.approx(0.8, rel=0.1)
+    assert memory == pytest.approx(math.exp(-1.0), abs=0.1)
+
+
+def test_drift_in_degrees_is_the_same_length_north_and_east() -> None:
+    drift = Drift(0.0, 60.0, random.Random(1))
+    drift.north_m = drift.east_m = 10.0
+    north_deg, east_deg = drift.degrees(60.0)
+    assert north_deg * METRES_PER_DEGREE == pytest.approx(10.0)
+    assert east_deg == pytest.approx(2.0 * north_deg)  # cos 60 degrees
+
+
+# ---- the late link -----------------------------------------------------------------------------
+
+
+def test_bytes_arrive_late_and_in_order() -> None:
+    queue = Queue(0.46)
+    queue.put(1.0, b"one ")
+    queue.put(1.1, b"two")
+    assert queue.take(1.45) == b""
+    assert queue.due_s() == pytest.approx(1.46)
+    assert queue.take(1.46) == b"one "
+    assert queue.take(2.0) == b"two"
+    assert queue.due_s() is None
+
+
+@pytest.fixture
+def ends() -> Iterator[tuple[Link, socket.socket, socket.socket]]:
+    """A link, its tool's end and its vehicle's."""
+    with socket.create_server(("127.0.0.1", 0)) as vehicle:
+        link = Link(vehicle.getsockname()[1], 0.0)
+        with socket.create_connection(("127.0.0.1", link.port)) as tool:
+            accepted, _ = vehicle.accept()
+            with accepted:
+                for end in (tool, accepted):
+                    end.settimeout(10.0)
+                yield link, tool, accepted
+        link.close()
+
+
+def test_a_link_carries_both_ways(ends: tuple[Link, socket.socket, socket.socket]) -> None:
+    _, tool, vehicle = ends
+    tool.sendall(b"up")
+    assert vehicle.recv(10) == b"up"
+    vehicle.sendall(b"down")
+    assert tool.recv(10) == b"down"
+
+
+def test_a_cut_link_loses_what_is_sent_and_stays_connected(
+    ends: tuple[Link, socket.socket, socket.socket],
+) -> None:
+    link, tool, vehicle = ends
+    link.cut.set()
+    tool.sendall(b"lost")
+    vehicle.settimeout(0.3)
+    with pytest.raises(TimeoutError):
+        vehicle.recv(10)
+    link.cut.clear()
+    vehicle.settimeout(10.0)
+    tool.sendall(b"heard")
+    assert vehicle.recv(10) == b"heard"
+
+
+# ---- truth -------------------------------------------------------------------------------------
+
+
+def _track(north_m: list[float], rate_hz: float = 10.0, later_s: float = 0.0) -> list[State]:
+    return [
+        State(
+            number / rate_hz + later_s,
+            ORIGIN.lat_deg + metres / METRES_PER_DEGREE,
+            ORIGIN.lon_deg,
+            ORIGIN.alt_m,
+            (0.0, 0.0, 0.0),
+            0.0,
+            0.0,
+            0.0,
+        )
+        for number, metres in enumerate(north_m)
+    ]
+
+
+def test_separation_is_measured_at_the_same_moment() -> None:
+    """Both fly at 2 m/s, 3 m apart; the follower is heard half a period later."""
+    leader = _track([3.0 + 0.2 * k for k in range(101)])
+    follower = _track([0.2 * k + 0.1 for k in range(101)], later_s=0.05)
+    flown = truth.figures(leader, follower, 1.0, 9.0, 3.0)
+    # A degree of latitude is not quite the mean one at 47 degrees north: 0.1 %.
+    assert flown.mean_separation_m == pytest.approx(3.0, abs=0.01)
+    assert flown.mean_abs_error_m < 0.01
+
+
+def test_the_least_separation_of_a_part_is_of_that_part_only() -> None:
+    leader = _track([3.0] * 50 + [1.0] * 51)
+    follower = _track([0.0] * 101)
+    assert truth.figures(leader, follower, 0.0, 4.5, 3.0).min_separation_m > 2.9
+    assert truth.figures(leader, follower, 0.0, 9.0, 3.0).min_separation_m == pytest.approx(
+        1.0, abs=0.01
+    )
+
+
+def test_a_gap_in_what_was_heard_is_found() -> None:
+    track = [*_track([0.0] * 10), *_track([0.0] * 10, later_s=1.4)]
+    assert truth.longest_gap_s(track, 0.0) == pytest.approx(0.5)
+    assert truth.longest_gap_s(track, 1.4) == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(
+    ("angles_deg", "body"),
+    [
+        ((0.0, 0.0, 90.0), (0.0, -1.0, 0.0)),  # nose east: north is to the left
+        ((0.0, 30.0, 0.0), (math.cos(math.pi / 6), 0.0, 0.5)),  # nose up: ahead is below the axis
+        ((90.0, 0.0, 90.0), (0.0, 0.0, 1.0)),  # nose east, lying on the right side
+    ],
+)
+def test_north_in_the_body_frame(
+    angles_deg: tuple[float, float, float], body: tuple[float, float, float]
+) -> None:
+    roll, pitch, yaw = map(math.radians, angles_deg)
+    vector = truth.body_frame(np.array([1.0, 0.0, 0.0]), roll, pitch, yaw)
+    assert vector == pytest.approx(body, abs=1e-9)
+
+
+# ---- the table ---------------------------------------------------------------------------------
+
+
+def test_the_table_has_the_simulators_figures_beside() -> None:
+    flown, simulated = Figures(3.5, 0.5, 0.6, 2.2), Figures(3.47, 0.5, 0.54, 2.3)
+    text = lines([Entry("4.8", "rectangle", flown, simulated), Entry("4.6", "wall", Figures())])
+    assert [cell.strip() for cell in text[2].split("|")[1:-1]] == [
+        *("4.8", "rectangle", "3.50", "0.50", "0.60", "2.20", "3.47", "0.50", "0.54", "2.30", ""),
+    ]
+    assert len({len(line) for line in text}) == 1
+
+
+@pytest.mark.parametrize(
+    ("flown", "simulated", "fine"),
+    [(0.59, 0.50, True), (0.61, 0.50, False), (1.14, 1.0, True), (1.16, 1.0, False)],
+)
+def test_within_a_distance_or_a_share(flown: float, simulated: float, fine: bool) -> None:
+    assert agrees(flown, simulated, within_m=0.10, within_share=0.15) is fine
+
+
+# ---- loopback only -----------------------------------------------------------------------------
+
+
+def test_addresses_as_the_kernel_writes_them() -> None:
+    assert loopback.address_from("0100007F:1680") == "127.0.0.1:5760"
+    assert loopback.address_from("00000000:157D") == "0.0.0.0:5501"
+    assert loopback.address_from(f"{'0' * 24}01000000:0050") == "::1:80"
+
+
+def test_a_process_that_listens_on_loopback_is_let_be() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        address = f"127.0.0.1:{server.getsockname()[1]}"
+        assert address in loopback.require(os.getpid())
+
+
+def test_an_open_port_is_refused_where_there_is_a_network(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(loopback, "reachable_interfaces", lambda: ["eth0"])
+    monkeypatch.setattr(loopback, "listening", lambda pid: ["0.0.0.0:5760", "127.0.0.1:5762"])
+    with pytest.raises(loopback.NotOnLoopbackError, match=r"0\.0\.0\.0:5760.*eth0"):
+        loopback.require(os.getpid())
+
+
+def test_the_suite_leaves_the_network_or_says_why_it_cannot() -> None:
+    """Not every system lets its users: then nothing may be started."""
+    program = (
+        "from tests.sitl import loopback\n"
+        "try:\n"
+        "    loopback.enter()\n"
+        "    print('alone', loopback.reachable_interfaces())\n"
+        "except loopback.NotOnLoopbackError as error:\n"
+        "    print('refused', error)\n"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", program], cwd=REPOSITORY, capture_output=True, text=True, check=True
+    )
+    alone = ended.stdout == "alone []\n"
+    assert alone or "let users make namespaces" in ended.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        ([], "no ArduCopter binary was given"),
+        (["/no/such/arducopter"], "/no/such/arducopter: not a program that can be run"),
+        (["README.md"], "README.md: not a program that can be run"),
+    ],
+)
+def test_what_was_given_wrong_is_said(arguments: list[str], complaint: str) -> None:
+    ended = subprocess.run(
+        [sys.executable, "-m", "tests.sitl", *arguments],
+        cwd=REPOSITORY,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ended.returncode == 2
+    assert ended.stderr.startswith(complaint)
+    assert "make test-sitl" in ended.stderr
+
+
+def test_flights_are_not_collected_with_the_other_tests() -> None:
+    folder = REPOSITORY / "tests" / "sitl"
+    assert not list(folder.glob("test_*.py"))
+    assert not (folder / "conftest.py").exists()

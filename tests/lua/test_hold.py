@@ -1,0 +1,395 @@
+"""Points that carry a velocity: the applet moves them along the beam to the wanted distance."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from tests.lua.conftest import MakeRig, Rig
+
+HIGH, LOW = 3, 2
+HOLDING, BACKING_OFF, TOO_CLOSE = 7, 6, 3
+SPD_MAX, SPD_LOST = 5.0, 3.0
+FLOOR_MPS = pytest.approx(0.2)
+LEADER_MPS = 2.0
+
+
+@dataclass(frozen=True)
+class Target:
+    """A target with a velocity that the applet gave: from where the vehicle is."""
+
+    north_m: float
+    east_m: float
+    down_m: float
+    north_mps: float
+    east_mps: float
+    yaw_rad: float
+
+
+def newest(r: Rig) -> Target:
+    kind, values = r.vehicle.targets[-1]
+    assert kind == "posvel"
+    assert r.vehicle.position is not None
+    north_m, east_m, down_m, north_mps, east_mps, _, yaw_rad = (float(v or 0.0) for v in values)
+    here = r.vehicle.position
+    return Target(north_m - here[0], east_m - here[1], down_m, north_mps, east_mps, yaw_rad)
+
+
+def led(
+    r: Rig, range_m: float, ahead_m: float, seconds: float = 2.0, *, mps: float = LEADER_MPS
+) -> Rig:
+    """Behind a leader of the same speed, with points that carry it, eight a second."""
+    r.vehicle.velocity = (LEADER_MPS, 0.0, 0.0)
+    r.range(range_m)
+    r.raw_every_ms = 100
+    stream(r, ahead_m, seconds, mps)
+    return r
+
+
+def stream(r: Rig, ahead_m: float, seconds: float, mps: float = LEADER_MPS) -> None:
+    for _ in range(round(seconds / 0.12)):
+        r.send_target(ahead_m, mps)
+        r.run(0.12)
+
+
+# ---- where the point goes -----
+
+
+@pytest.mark.parametrize("range_m", [2.2, 2.9, 3.0, 3.4])
+@pytest.mark.parametrize("ahead_m", [-0.3, 0.0, 0.3, 2.0])
+def test_a_point_is_moved_to_the_wanted_distance(
+    rig: MakeRig, range_m: float, ahead_m: float
+) -> None:
+    r = led(rig(LAW=2), range_m, ahead_m)
+
+    assert newest(r).north_m == pytest.approx(range_m - 3.0, abs=0.03)
+    assert newest(r).north_mps == pytest.approx(LEADER_MPS, abs=0.05)  # the leader's
+    assert r.state == HOLDING
+    assert r.speed_mps == SPD_MAX  # the limit caps the correction, and does not hinder it
+    assert "holding the distance" in r.texts
+
+
+def test_the_inset_of_the_sonar_counts_in_the_distance(rig: MakeRig) -> None:
+    """2.9 m from the sonar's face are 3.1 m from centre to centre, 0.1 m too far."""
+    r = led(rig(LAW=2, INSET=0.2), 2.9, 0.0)
+
+    assert newest(r).north_m == pytest.approx(0.1, abs=0.03)
+    assert r.vehicle.named["ECHO_RNG"][-1] == pytest.approx(3.1, abs=0.011)
+
+
+def test_the_inset_is_added_once_to_averages_and_to_single_readings(rig: MakeRig) -> None:
+    averages = rig(LAW=2, INSET=0.3).range(2.5)
+    averages.vehicle.velocity = (LEADER_MPS, 0.0, 0.0)
+    stream(averages, 0.0, 2.0)  # no single readings: the averages have to do
+    singles = led(rig(LAW=2, INSET=0.3), 2.5, 0.0)
+
+    assert newest(averages).north_m == pytest.approx(-0.2, abs=0.03)
+    assert newest(singles).north_m == pytest.approx(-0.2, abs=0.03)
+
+
+def test_the_detection_limit_stays_the_sonars(rig: MakeRig) -> None:
+    """ECHO_DETECT 4.5 is a range of the sonar: 4.4 m is a target, though 4.6 m off."""
+    r = led(rig(LAW=2, INSET=0.2), 4.4, 1.0)
+    assert r.state == HOLDING
+    assert newest(r).north_m == pytest.approx(1.6, abs=0.05)
+
+
+def test_little_further_towards_the_leader_than_the_point(rig: MakeRig) -> None:
+    """The sonar wants it 1.4 m ahead, the ground tool 2 m back: 1 m from that, and no faster."""
+    r = led(rig(LAW=2), 4.4, -2.0, mps=1.0)
+
+    assert newest(r).north_m == pytest.approx(-1.0, abs=0.13)  # the point moves on in 0.12 s
+    assert newest(r).north_mps == pytest.approx(1.0, abs=0.01)
+
+
+def test_five_metres_back_from_the_point_and_no_more(rig: MakeRig) -> None:
+    """The sonar wants it 1.2 m back, the ground tool 6 m ahead."""
+    r = led(rig(LAW=2), 1.8, 6.0, mps=1.5)
+
+    assert newest(r).north_m == pytest.approx(1.0, abs=0.2)
+    assert newest(r).north_mps == pytest.approx(1.5, abs=0.01)
+
+
+def test_along_the_beam_and_not_across_it(rig: MakeRig) -> None:
+    r = rig(LAW=2)
+    r.vehicle.yaw = math.pi / 2  # facing east
+    r.vehicle.velocity = (0.0, LEADER_MPS, 0.0)
+    r.raw_every_ms = 100
+    r.range(3.5)
+    for _ in range(16):
+        r.send_target(0.4, 0.3, aside_m=0.1, aside_mps=LEADER_MPS)
+        r.run(0.12)
+
+    target = newest(r)
+    assert target.east_m == pytest.approx(0.5, abs=0.03)
+    assert target.north_m == pytest.approx(0.4, abs=0.05)
+    assert target.north_mps == pytest.approx(0.3, abs=0.01)
+    assert target.east_mps == pytest.approx(LEADER_MPS, abs=0.05)
+
+
+def test_the_point_moves_on_between_two_messages(rig: MakeRig) -> None:
+    """Half a second after the newest point, at 2 m/s, its part across the beam is 1 m on."""
+    r = led(rig(LAW=2), 3.0, 0.0)
+    r.send_target(0.0, LEADER_MPS, aside_mps=2.0)
+    r.run(0.06)
+    before_m = newest(r).east_m
+    r.run(0.5)
+
+    assert newest(r).east_m - before_m == pytest.approx(1.0, abs=0.11)
+
+
+@pytest.mark.parametrize(("height_m", "up_m"), [(10.0, 10.0), (10.0, 14.0), (13.5, 12.0)])
+def test_the_height_is_the_streams_above_home(rig: MakeRig, height_m: float, up_m: float) -> None:
+    """The estimator's origin need not be at home's height: 10 m below the origin of zero here."""
+    r = rig(LAW=2)
+    r.vehicle.height_m = height_m
+    led(r, 3.0, 0.0)
+    for _ in range(4):
+        r.send_target(0.0, LEADER_MPS, up_m=up_m)
+        r.run(0.12)
+
+    assert newest(r).down_m == pytest.approx(-10.0 - (up_m - height_m), abs=0.01)
+
+
+@pytest.mark.parametrize("yaw_rad", [None, 0.4, -2.0])
+def test_the_yaw_is_the_streams_or_the_one_it_has(rig: MakeRig, yaw_rad: float | None) -> None:
+    r = led(rig(LAW=2), 3.0, 0.0)
+    r.send_target(0.0, LEADER_MPS, yaw_rad=yaw_rad)
+    r.run(0.1)
+
+    assert newest(r).yaw_rad == pytest.approx(yaw_rad or 0.0, abs=1e-4)
+
+
+# ---- who is not held -----
+
+
+@pytest.mark.parametrize("law", [0, 1])
+def test_the_older_laws_move_no_points(rig: MakeRig, law: int) -> None:
+    r = led(rig(LAW=law), 2.5, 0.0)
+
+    assert r.vehicle.targets == []
+    assert r.speed_mps < 1.0  # the law's: too near
+    assert r.state != HOLDING
+
+
+def test_points_without_a_velocity_are_not_moved(rig: MakeRig) -> None:
+    r = rig(LAW=2).range(2.5)
+    r.vehicle.velocity = (LEADER_MPS, 0.0, 0.0)
+    r.raw_every_ms, r.stream_every_ms, r.ahead_m = 100, 120, 0.0
+    r.run(2.0)
+
+    assert r.vehicle.targets == []
+    assert r.speed_mps < LEADER_MPS
+    assert r.state != HOLDING
+
+
+def test_without_a_leader_the_points_are_flown_as_they_are(rig: MakeRig) -> None:
+    r = led(rig(LAW=2), 7.66, 0.0)
+    r.range(7.66, HIGH)
+    stream(r, 0.0, 2.0)
+
+    assert r.vehicle.targets == []
+    assert r.speed_mps == SPD_LOST
+    assert r.state != HOLDING
+
+
+@pytest.mark.parametrize("why", ["refused", "on the ground", "no position"])
+def test_a_target_that_is_not_taken_is_no_holding(rig: MakeRig, why: str) -> None:
+    """The guard keeps the distance then, as of points without a velocity."""
+    r = rig(LAW=2)
+    r.vehicle.takes_posvel = why != "refused"
+    r.vehicle.is_flying = why != "on the ground"
+    if why == "no position":
+        r.vehicle.position = None
+    led(r, 3.0, 0.0)
+    assert r.state != HOLDING
+    assert "holding the distance" not in r.texts
+
+    r.range(0.9)
+    stream(r, 0.0, 1.0)
+    assert r.state == TOO_CLOSE
+    assert r.speed_mps == FLOOR_MPS
+
+
+def test_out_of_range_low_without_a_track_is_too_close(rig: MakeRig) -> None:
+    r = rig(LAW=2).range(8.0, LOW)
+    r.vehicle.velocity = (0.0, 0.0, 0.0)
+    for _ in range(8):
+        r.send_target(0.0, 0.0)
+        r.run(0.12)
+
+    assert r.speed_mps == FLOOR_MPS
+
+
+# ---- a leader that comes nearer, or is lost -----
+
+
+class Loop:
+    """A vehicle that goes where it is told (1 m/s a metre and the point's velocity, 2.5 m/s2)."""
+
+    def __init__(self, r: Rig, leader_m: float) -> None:
+        self.rig, self.leader_m, self.leader_mps = r, leader_m, 0.0
+        self.place_m = self.mps = 0.0
+        self.point_m = 0.0
+        self.nearest_m = leader_m
+        r.vehicle.velocity = (0.0, 0.0, 0.0)
+        r.raw_every_ms = 100
+
+    def fly(self, seconds: float, reading_m: float | None = None) -> None:
+        """With the sonar's own reading, or one that is stuck."""
+        r = self.rig
+        for _ in range(round(seconds * 100)):
+            r.range(self.leader_m - self.place_m if reading_m is None else reading_m)
+            if r.vehicle.t_ms % 120 == 0:
+                r.send_target(self.point_m - self.place_m, self.leader_mps)
+            r.vehicle.position = (self.place_m, 0.0, -10.0)
+            r.step()
+            self._move(0.01)
+
+    def _move(self, seconds: float) -> None:
+        wanted_mps = 0.0
+        if self.rig.vehicle.targets:
+            _, values = self.rig.vehicle.targets[-1]
+            wanted_mps = float(values[0] or 0.0) - self.place_m + float(values[3] or 0.0)
+        change_mps = max(-2.5 * seconds, min(2.5 * seconds, wanted_mps - self.mps))
+        self.mps += change_mps
+        self.place_m += self.mps * seconds
+        self.leader_m += self.leader_mps * seconds
+        self.point_m += self.leader_mps * seconds
+        self.rig.vehicle.velocity = (self.mps, 0.0, 0.0)
+        self.nearest_m = min(self.nearest_m, self.leader_m - self.place_m)
+
+
+def test_a_leader_that_flies_back_is_flown_back_from_at_once(rig: MakeRig) -> None:
+    """2 m/s towards it from 3 m: it moves back 0.4 s later, and 2 m are left."""
+    loop = Loop(rig(LAW=2), 3.0)
+    loop.fly(3.0)
+    assert abs(loop.mps) < 0.05
+
+    loop.leader_mps, loop.point_m = -2.0, 0.0
+    loop.point_m = 1.5  # the ground tool does not know of it yet, and leads on
+    loop.fly(0.4)
+    assert newest(loop.rig).north_mps < -0.5
+    loop.fly(0.2)
+    assert loop.mps < -0.3
+    loop.fly(2.0)
+
+    assert loop.nearest_m > 1.8
+    assert loop.mps == pytest.approx(-2.0, abs=0.5)
+
+
+def test_backing_off_is_told(rig: MakeRig) -> None:
+    r = led(rig(LAW=2), 3.0, 0.0)
+    for number in range(20):
+        r.range(max(1.2, 3.0 - 0.15 * number))
+        stream(r, 0.0, 0.12)
+
+    assert "too close, backing off" in r.texts
+    assert r.speed_mps == SPD_MAX
+
+
+@pytest.mark.parametrize(("stuck_m", "most_m"), [(1.0, 5.0), (4.4, 1.0)])
+def test_a_stuck_sonar_does_not_run_away(rig: MakeRig, stuck_m: float, most_m: float) -> None:
+    """Whatever it does the sonar says the same: it ends so far from the streamed point."""
+    loop = Loop(rig(LAW=2), 3.0)
+    loop.fly(40.0, stuck_m)
+
+    assert abs(loop.place_m) == pytest.approx(most_m, abs=0.2)
+    assert abs(loop.mps) < 0.1
+
+
+def still_held_s(r: Rig, ahead_m: float) -> float:
+    """For how long the distance is held after the sonar has lost the leader."""
+    r.range(7.66, HIGH)
+    start_ms = r.vehicle.t_ms
+    while r.host.local_value("hold").active and r.vehicle.t_ms - start_ms < 6000:
+        if r.vehicle.t_ms % 120 == 0:
+            r.send_target(ahead_m, LEADER_MPS)
+        r.step()
+    return (r.vehicle.t_ms - start_ms) / 1000.0
+
+
+def test_a_leader_lost_while_near_is_carried_on(rig: MakeRig) -> None:
+    """2.5 s (BLIND_MS); one that is lost at its distance or further for 0.7 s."""
+    assert still_held_s(led(rig(LAW=2), 2.2, 0.0), 0.0) == pytest.approx(2.5, abs=0.2)
+    assert still_held_s(led(rig(LAW=2), 3.3, 0.0), 0.0) == pytest.approx(0.7, abs=0.2)
+
+
+def test_blind_the_more_cautious_of_track_and_point_is_flown(rig: MakeRig) -> None:
+    """Lost at 2.2 m: not to the 1 m ahead that is streamed, but 0.8 m back.
+
+    Nor is a point further back moved ahead.
+    """
+    ahead = led(rig(LAW=2), 2.2, 1.0)
+    ahead.range(7.66, HIGH)
+    stream(ahead, 1.0, 0.6)
+    assert newest(ahead).north_m == pytest.approx(-0.8, abs=0.1)
+
+    behind = led(rig(LAW=2), 2.2, -2.0)
+    behind.range(7.66, HIGH)
+    stream(behind, -2.0, 0.6)
+    assert newest(behind).north_m == pytest.approx(-2.0, abs=0.3)
+
+
+def test_one_wild_reading_moves_nothing(rig: MakeRig) -> None:
+    r = led(rig(LAW=2), 3.0, 0.0)
+    before = newest(r)
+    r.raw_every_ms = None
+    r.send_raw(1.1)
+    r.run(0.1)
+
+    assert newest(r).north_m == pytest.approx(before.north_m, abs=0.2)
+    assert newest(r).north_mps == pytest.approx(before.north_mps, abs=0.05)
+
+
+# ---- when points end, or change -----
+
+
+def test_the_watchdog_holds_when_the_stream_ends(rig: MakeRig) -> None:
+    r = led(rig(LAW=2), 3.0, 0.0)
+    r.run(1.3)
+
+    assert r.vehicle.targets[-1][0] == "position"
+    assert r.target_ahead_m() == pytest.approx(0.0, abs=0.01)
+    assert r.texts[-1] == "stream lost, holding here"
+    targets = len(r.vehicle.targets)
+    r.run(2.0)
+    assert len(r.vehicle.targets) == targets  # told once, it stays
+
+
+def test_nor_does_a_retreat_of_before_keep_the_watchdog_from_it(rig: MakeRig) -> None:
+    """The guard backed off from points without a velocity; then points with one were held."""
+    r = rig(LAW=2)
+    r.stream_every_ms, r.ahead_m, r.raw_every_ms = 120, 2.0, 50
+    r.range(3.0).run(2.0)
+    for number in range(120):
+        r.range(max(1.2, 2.5 - number * 0.01))
+        r.step()
+    assert r.state == BACKING_OFF
+    r.stream_every_ms = None
+    r.vehicle.velocity = (LEADER_MPS, 0.0, 0.0)
+    r.range(3.0)
+    stream(r, 0.0, 3.0)
+    assert r.state == HOLDING
+
+    r.range(7.66, HIGH).run(3.0)
+    assert "stream lost, holding here" in r.texts
+    assert r.vehicle.targets[-1][0] == "position"
+
+
+def test_points_without_a_velocity_again_end_it(rig: MakeRig) -> None:
+    r = led(rig(LAW=2), 2.5, 0.0)
+    assert r.state == HOLDING
+    r.send_target(0.0)
+    r.run(0.1)
+    targets = len(r.vehicle.targets)
+    for _ in range(10):
+        r.send_target(0.0)
+        r.run(0.12)
+
+    assert len(r.vehicle.targets) == targets
+    assert r.state != HOLDING
