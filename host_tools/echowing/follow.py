@@ -750,12 +750,19 @@ class FollowSession:
             "change, allowed for",
         )
 
-    def _believed_elsewhere(self) -> None:
+    def _believed_elsewhere(self, now_s: float) -> None:
         """The leader is believed in a new place that no sonar knows: nobody is flown there."""
         self._forget_offsets()
         jump_m = math.hypot(*self.leader.jump_m)
         for follower in self.followers.values():
             follower.latched = f"leader jumped by {jump_m:.1f} m, until it leaves Guided"
+            if follower.flown:
+                self.alert(follower.plan.system_id, f"holding, leader jumped by {jump_m:.1f} m")
+        self._say(
+            now_s,
+            f"leader's reports agree {jump_m:.1f} m away from where it was: nobody is flown there "
+            "until its pilot has left Guided and come back",
+        )
 
     def _note_own_jump(self, follower: FollowerState, report: Report) -> None:
         moved_m = None if self.engagement is None else follower.own_jump.reported(report)
@@ -817,7 +824,7 @@ class FollowSession:
         if self.leader.jumps > jumps and self.guard is None:
             self._forget_offsets()
         elif self.leader.jumps > jumps:
-            self._believed_elsewhere()
+            self._believed_elsewhere(now_s)
         if self.guard is not None:
             self._settle_leaders_jump(now_s)
             self._refuse_two_leaders(now_s)
