@@ -8,7 +8,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from echowing.follow import FollowerPlan, FollowSession
 from echowing.geo import GlobalPosition, displace, ned_between
 from echowing.guidance import GuidanceSettings, Slot
-from echowing.leader_track import AGREEING_REPORTS, CLOCKS_AGREE_S, VehicleClock
+from echowing.jumps import AGREEING_REPORTS
+from echowing.leader_track import CLOCKS_AGREE_S, VehicleClock
 from echowing.messages import TOOL_SYSTEM_ID
 
 LEADER, FOLLOWER = 1, 2
@@ -44,6 +45,7 @@ def heartbeat(mode: int = 4, *, armed: bool = True) -> Any:
 
 # Without what is learnt from the sonar, which has tests of its own below.
 PLAIN = GuidanceSettings(learn_offset=False)
+BY_POSITION = replace(PLAIN, feed_forward=False)
 
 
 def session(settings: GuidanceSettings = PLAIN) -> FollowSession:
@@ -68,20 +70,55 @@ def metres_from_here(target: Any) -> tuple[float, float]:
     return north, east
 
 
-def test_a_point_is_sent_behind_the_leader_at_the_planned_altitude() -> None:
+def test_a_point_with_a_velocity_is_sent_behind_the_leader_at_the_planned_altitude() -> None:
     follow = session()
+    follow.receive(from_vehicle(LEADER, position(1.0, HERE, (1.6, 0.0))), 1.0)
+
+    (target,) = targets(follow, 1.0)
+
+    # 3 m behind where the leader is when the point arrives: a quarter of a second at 1.6 m/s.
+    assert metres_from_here(target) == pytest.approx((-2.6, 0.0), abs=0.03)
+    assert (target.vx, target.vy, target.vz) == pytest.approx((1.6, 0.0, 0.0), abs=0.01)
+    assert target.alt == pytest.approx(12.0)
+    assert target.coordinate_frame == mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT
+    assert target.target_system == FOLLOWER
+    assert target.yaw == pytest.approx(0.0, abs=0.01)
+    assert not target.type_mask & mavlink.POSITION_TARGET_TYPEMASK_YAW_IGNORE
+    assert not target.type_mask & mavlink.POSITION_TARGET_TYPEMASK_VX_IGNORE
+    assert target.type_mask & mavlink.POSITION_TARGET_TYPEMASK_AX_IGNORE
+
+
+def test_a_point_without_a_velocity_runs_ahead() -> None:
+    follow = session(BY_POSITION)
     follow.receive(from_vehicle(LEADER, position(1.0, HERE, (2.0, 0.0))), 1.0)
 
     (target,) = targets(follow, 1.0)
 
     # 3 m behind, led by 2 m.
     assert metres_from_here(target) == pytest.approx((-1.0, 0.0), abs=0.03)
-    assert target.alt == pytest.approx(12.0)
-    assert target.coordinate_frame == mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT
-    assert target.target_system == FOLLOWER
-    assert target.yaw == pytest.approx(0.0, abs=0.01)
-    assert not target.type_mask & mavlink.POSITION_TARGET_TYPEMASK_YAW_IGNORE
     assert target.type_mask & mavlink.POSITION_TARGET_TYPEMASK_VX_IGNORE
+
+
+def test_a_leader_that_is_not_heard_is_approached_slowly() -> None:
+    """From 4 m behind where it should be: Guided makes 1.5 m/s of a point 1.5 m ahead."""
+    follow = session()
+    follow.receive(from_vehicle(FOLLOWER, position(0.9, displace(HERE, (-8.0, 0.0, 0.0)))), 0.9)
+    follow.receive(from_vehicle(LEADER, position(1.0, HERE)), 1.0)
+
+    assert metres_from_here(targets(follow, 1.0)[0])[0] == pytest.approx(-6.5, abs=0.03)
+
+
+def test_what_the_point_is_late_by_its_vehicle_is_carried_on_too() -> None:
+    """A follower as fast as its leader is where it was, as seen from it: no correction."""
+    follow = session()
+    place = displace(HERE, (-3.0, 0.0, 0.0))
+    follow.receive(from_vehicle(FOLLOWER, position(1.0, place, (2.0, 0.0))), 1.0)
+    follow.receive(from_vehicle(LEADER, position(1.0, HERE, (2.0, 0.0))), 1.0)
+
+    (target,) = targets(follow, 1.0)
+
+    assert metres_from_here(target) == pytest.approx((-2.5, 0.0), abs=0.03)
+    assert target.yaw == pytest.approx(0.0, abs=0.01)
 
 
 @pytest.mark.parametrize("beat", [heartbeat(5), heartbeat(4, armed=False)])
@@ -112,7 +149,7 @@ def test_a_place_that_is_nowhere_is_no_report(lat_deg: float, lon_deg: float) ->
 
 def test_an_unknown_heading_is_not_a_heading() -> None:
     """65535 is MAVLink's word for it, and 655 degrees would put the slot to the leader's side."""
-    follow = session(replace(PLAIN, slot_rate_rps=None))
+    follow = session(replace(BY_POSITION, slot_rate_rps=None))
     for boot_s, heading_cdeg in ((1.0, 9_000), (1.25, 65_535)):
         report = position(boot_s, HERE)
         report.hdg = heading_cdeg
@@ -156,7 +193,23 @@ def test_a_stale_leader_stops_the_follower_where_it_is() -> None:
     assert metres_from_here(held) == pytest.approx((-4.0, 0.0), abs=0.03)
     # The point stays where it was taken: it must not creep along with the vehicle.
     assert metres_from_here(still_held) == pytest.approx((-4.0, 0.0), abs=0.03)
-    assert held.type_mask & mavlink.POSITION_TARGET_TYPEMASK_YAW_IGNORE
+    # It goes on looking at where the leader is: that way it sees it come.
+    assert not held.type_mask & mavlink.POSITION_TARGET_TYPEMASK_YAW_IGNORE
+    assert held.yaw == pytest.approx(0.0, abs=0.01)
+    assert held.type_mask & mavlink.POSITION_TARGET_TYPEMASK_VX_IGNORE
+
+
+def test_a_hold_keeps_looking_at_a_leader_of_which_nothing_is_known_any_more() -> None:
+    follow = session()
+    beside = displace(HERE, (-2.0, -2.0, 0.0))
+    follow.receive(from_vehicle(FOLLOWER, position(0.9, beside)), 0.9)
+    follow.receive(from_vehicle(LEADER, position(1.0, HERE)), 1.0)
+    targets(follow, 1.1)
+
+    for now_s in (2.2, 4.0, 20.0):  # stale; then too old to be carried on
+        follow.receive(from_vehicle(FOLLOWER, position(now_s, beside)), now_s)
+        (held,) = targets(follow, now_s)
+        assert held.yaw == pytest.approx(math.radians(45.0), abs=0.02)
 
 
 def test_it_goes_on_when_the_leader_is_heard_again() -> None:
@@ -189,10 +242,15 @@ def test_a_leader_that_reboots_is_taken_on_its_new_clock() -> None:
     follow = session()
     follow.receive(from_vehicle(LEADER, position(500.0, HERE)), 500.0)
 
-    follow.receive(from_vehicle(LEADER, position(3.0, displace(HERE, (1.0, 0, 0)))), 504.0)
+    for quarter in range(AGREEING_REPORTS + 1):
+        assert follow.leader.fix is not None
+        assert follow.leader.fix.time_s == 500.0  # not on one report's word
+        late_s = quarter / 4.0
+        again = position(3.0 + late_s, displace(HERE, (1.0, 0, 0)))
+        follow.receive(from_vehicle(LEADER, again), 504.0 + late_s)
 
     assert follow.leader.fix is not None
-    assert follow.leader.fix.time_s == 504.0
+    assert follow.leader.fix.time_s == 506.0
 
 
 def test_a_jump_is_not_followed_and_stops_the_follower_after_a_second() -> None:
@@ -250,18 +308,35 @@ def test_an_answer_too_old_for_clocks_that_drift_is_forgotten() -> None:
     assert clock.to_ours(1.0, 99.0) == pytest.approx(11.1)
 
 
-def test_the_leaders_age_is_measured_through_timesync() -> None:
-    follow = session(replace(PLAIN, keep_behind=False))
-    # The leader booted with our clock; its answers take 0.46 s each way.
+def aged(settings: GuidanceSettings) -> FollowSession:
+    """The leader booted with our clock, and its answers and reports take 0.46 s each way."""
+    follow = session(settings)
+    # Only what was asked is an answer of ours.
+    follow.tick(5.0)
     answer = mavlink.MAVLink_timesync_message(round(5.46e9), round(5.0e9))
     follow.receive(from_vehicle(LEADER, answer), 5.92)
+    follow.receive(from_vehicle(FOLLOWER, position(6.4, displace(HERE, (-3.0, 0.0, 0.0)))), 6.4)
     follow.receive(from_vehicle(LEADER, position(6.0, HERE, (2.0, 0.0))), 6.46)
-
     assert follow.leader.fix is not None
     assert follow.leader.fix.time_s == pytest.approx(6.0)
-    (target,) = targets(follow, 6.46)
-    # 3 m behind, predicted 0.92 m on, led by 2 m.
+    return follow
+
+
+def test_the_leaders_age_is_measured_through_timesync() -> None:
+    """Predicted on over 0.46 s, and a quarter of a second more until the point arrives."""
+    (target,) = targets(aged(PLAIN), 6.46)
+    assert metres_from_here(target)[0] == pytest.approx(-3.0 + 2.0 * 0.71, abs=0.05)
+
+    # By position: 3 m behind, predicted 0.46 s on, led by 2 m.
+    (target,) = targets(aged(replace(BY_POSITION, keep_behind=False)), 6.46)
     assert metres_from_here(target)[0] == pytest.approx(-0.08, abs=0.05)
+
+
+def test_the_velocity_fades_as_the_leaders_report_grows_old() -> None:
+    """All of it up to half a second, none from one second on."""
+    speeds = {now_s: targets(aged(PLAIN), now_s)[0].vx for now_s in (6.48, 6.75, 6.99)}
+
+    assert speeds == pytest.approx({6.48: 2.0, 6.75: 1.0, 6.99: 0.04}, abs=0.02)
 
 
 def test_our_own_timesync_requests_coming_back_are_ignored() -> None:
@@ -305,8 +380,9 @@ def test_fifty_followers_each_get_their_own_point() -> None:
         assert math.isfinite(norths[plan.system_id])
 
 
-def sonar_reading(range_m: float) -> Any:
-    return mavlink.MAVLink_named_value_float_message(0, b"SNR_RAW", range_m)
+def sonar_reading(boot_s: float, range_m: float) -> Any:
+    """A single reading, dated by the co-processor's own clock."""
+    return mavlink.MAVLink_named_value_float_message(round(boot_s * 1e3), b"SNR_RAW", range_m)
 
 
 def listening_session(range_m: float) -> FollowSession:
@@ -316,7 +392,7 @@ def listening_session(range_m: float) -> FollowSession:
         t_s = 10.0 + number * 0.1
         follow.receive(from_vehicle(LEADER, position(t_s, HERE)), t_s)
         follow.receive(from_vehicle(FOLLOWER, position(t_s, FOLLOWER_AT)), t_s)
-        follow.receive(from_vehicle(FOLLOWER, sonar_reading(range_m)), t_s)
+        follow.receive(from_vehicle(FOLLOWER, sonar_reading(t_s, range_m)), t_s)
     return follow
 
 
@@ -328,16 +404,31 @@ def test_the_point_moves_by_the_receivers_disagreement_that_the_sonar_shows() ->
     assert metres_from_here(target) == pytest.approx((-4.0, 0.0), abs=0.15)
 
 
-@pytest.mark.parametrize("range_m", [7.66, 4.5, 0.0, math.nan])
-def test_what_is_no_target_teaches_nothing(range_m: float) -> None:
+@pytest.mark.parametrize("range_m", [0.0, math.nan])
+def test_what_is_no_reading_teaches_nothing(range_m: float) -> None:
     follow = listening_session(range_m)
 
-    assert follow.followers[FOLLOWER].offset.north_m == 0.0
+    assert follow.followers[FOLLOWER].estimate.offset.north_m == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("range_m", [7.66, 4.5])
+def test_silence_says_that_the_leader_is_not_where_it_should_be_heard(range_m: float) -> None:
+    """Receivers say 4 m straight ahead; heard it would be there: it is further off, or aside."""
+    offset = listening_session(range_m).followers[FOLLOWER].estimate.offset
+
+    assert offset.unheard_s(30.0) == math.inf
+    assert offset.north_m < -0.5
+    assert offset.sigma_m(math.pi / 2) > 1.13
 
 
 def test_an_unheard_leader_is_given_a_wider_berth() -> None:
     """Two receivers of 0.8 m disagree by 1.13 m: 1 m + 2.5 x 1.13 m = 3.83 m."""
-    (target,) = targets(listening_session(7.66), 30.0)
+    follow = session(GuidanceSettings())
+    for number in range(20):
+        t_s = 10.0 + number * 0.1
+        follow.receive(from_vehicle(LEADER, position(t_s, HERE)), t_s)
+        follow.receive(from_vehicle(FOLLOWER, position(t_s, FOLLOWER_AT)), t_s)
+    (target,) = targets(follow, 12.0)
 
     assert metres_from_here(target)[0] == pytest.approx(-3.83, abs=0.03)
 
@@ -349,29 +440,60 @@ def test_another_vehicles_echo_is_not_taken_for_the_leader() -> None:
         t_s = 10.0 + number * 0.1
         follow.receive(from_vehicle(LEADER, position(t_s, HERE)), t_s)
         follow.receive(from_vehicle(FOLLOWER, position(t_s, far_away)), t_s)
-        follow.receive(from_vehicle(FOLLOWER, sonar_reading(3.0)), t_s)
+        follow.receive(from_vehicle(FOLLOWER, sonar_reading(t_s, 3.0)), t_s)
 
-    assert follow.followers[FOLLOWER].offset.north_m == 0.0
-
-
-def test_a_single_wild_reading_teaches_nothing() -> None:
-    follow = listening_session(7.66)
-
-    for number, range_m in enumerate((1.0, 7.66, 3.9, 2.1)):
-        follow.receive(from_vehicle(FOLLOWER, sonar_reading(range_m)), 30.0 + number * 0.1)
-
-    assert follow.followers[FOLLOWER].offset.north_m == 0.0
+    offset = follow.followers[FOLLOWER].estimate.offset
+    assert math.hypot(offset.north_m, offset.east_m) < 0.1
+    assert offset.unheard_s(30.0) == math.inf
 
 
-def test_an_unheard_leader_within_hearing_is_looked_for_to_both_sides() -> None:
-    follow = listening_session(7.66)
+def go_on(follow: FollowSession, start_s: float, ranges_m: list[float]) -> None:
+    """Readings of a tenth of a second each, and the reports they wait for."""
+    for number, range_m in enumerate(ranges_m):
+        t_s = start_s + number * 0.1
+        follow.receive(from_vehicle(FOLLOWER, sonar_reading(t_s, range_m)), t_s)
+        follow.receive(from_vehicle(FOLLOWER, position(t_s, FOLLOWER_AT)), t_s)
+        follow.receive(from_vehicle(LEADER, position(t_s, HERE)), t_s)
 
-    yaws = [targets(follow, 30.0 + step * 0.125)[0].yaw for step in range(7)]
+
+def test_single_wild_readings_teach_nothing() -> None:
+    """Each unlike the one before it, and a leader that is heard all the time: nothing is silent."""
     follow = listening_session(2.8)
-    steady = [targets(follow, 30.0 + step * 0.125)[0].yaw for step in range(7)]
+    offset = follow.followers[FOLLOWER].estimate.offset
+    before_m = offset.north_m
 
-    assert max(yaws) - min(yaws) > 0.3
-    assert max(steady) - min(steady) < 0.02
+    go_on(follow, 30.0, [1.0, 7.66, 3.9, 2.1, 1.0, 3.7, 2.0])
+
+    assert offset.north_m == pytest.approx(before_m, abs=0.02)
+    assert offset.unheard_s(30.7) > 0.7
+
+
+def yaws_deg(follow: FollowSession, start_s: float) -> list[float]:
+    """Four seconds of them, the time of a sway there and back; as heard before."""
+    yaws = []
+    for step in range(40):
+        go_on(follow, start_s + step * 0.1, [2.8])
+        yaws.append(math.degrees(targets(follow, start_s + step * 0.1)[0].yaw))
+    return yaws
+
+
+def test_a_leader_heard_somewhere_in_the_beam_is_looked_at_from_side_to_side() -> None:
+    """The bearing is not sure to 7 degrees: where the beam's edge passes over it, it will be."""
+    yaws = yaws_deg(listening_session(2.8), 30.0)
+
+    assert max(yaws) > 7.0
+    assert min(yaws) < -7.0
+    assert max(map(abs, yaws)) <= 15.0
+
+
+def test_a_leader_that_is_lost_is_looked_for_where_it_most_likely_is() -> None:
+    """Not in the beam, though it should be: just beside it, on either side."""
+    follow = listening_session(2.8)
+    go_on(follow, 30.0, [7.66] * 60)
+
+    yaw_deg = math.degrees(targets(follow, 36.0)[0].yaw)
+
+    assert 20.0 < abs(yaw_deg) < 40.0
 
 
 def test_the_leaders_acceleration_is_taken_from_two_reports_and_limited() -> None:
@@ -387,7 +509,7 @@ def test_the_leaders_acceleration_is_taken_from_two_reports_and_limited() -> Non
 
 def test_a_leader_believed_in_a_new_place_is_given_the_wide_berth_again() -> None:
     follow = listening_session(2.8)
-    assert follow.followers[FOLLOWER].offset.north_m != 0.0
+    assert follow.followers[FOLLOWER].estimate.offset.north_m > 0.5
     away = displace(HERE, (15.0, 0.0, 0.0))
 
     for number in range(AGREEING_REPORTS + 2):
@@ -395,4 +517,4 @@ def test_a_leader_believed_in_a_new_place_is_given_the_wide_berth_again() -> Non
         follow.receive(from_vehicle(LEADER, position(t_s, away)), t_s)
 
     assert follow.leader.jumps == 1
-    assert follow.followers[FOLLOWER].offset.north_m == 0.0
+    assert follow.followers[FOLLOWER].estimate.offset.north_m == pytest.approx(0.0, abs=1e-6)

@@ -7,6 +7,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.errors import EchowingError
 from echowing.follow import FollowerPlan, FollowerState, FollowSession
+from echowing.flight.tow_bar import TowBar
 from echowing.geo import GlobalPosition, displace, ned_between
 from echowing.guard import (
     RATE_WINDOW_S,
@@ -64,11 +65,12 @@ class Field:
     climb_mps: float = 0.0
     late_s: float = 0.0
     home_m: dict[int, float] = field(default_factory=dict)
+    radius_m: float = 3.0
     silent: set[int] = field(default_factory=set)
     now_s: float = 0.0
 
     def __post_init__(self) -> None:
-        plans = [FollowerPlan(i, Slot(3.0 * (i - 1)), 10.0) for i in self.followers]
+        plans = [FollowerPlan(i, Slot(self.radius_m * (i - 1)), 10.0) for i in self.followers]
         self.session = FollowSession(
             LEADER,
             plans,
@@ -133,8 +135,12 @@ def read_back(point: Any, shift_m: float = 0.0) -> Any:
 
 
 def test_points_flow_while_nothing_is_wrong() -> None:
-    there = Field(Limits(max_distance_m=20.0, min_separation_m=1.5))
-    assert north_of(there.points()[0]) == pytest.approx(-3.0, abs=0.02)
+    """Two receivers of which no sonar knows more: 2.5 x 1.13 m more than 1.5 m are kept."""
+    there = Field(Limits(max_distance_m=20.0, min_separation_m=1.5), radius_m=6.0)
+    there.north_m[FOLLOWER] = -7.0
+    (point,) = there.points()
+    assert north_of(point) == pytest.approx(-6.0, abs=0.02)
+    assert (point.vx, point.vy) == (0.0, 0.0)
     assert there.state == "following"
 
 
@@ -188,36 +194,107 @@ def test_beyond_the_greatest_distance_it_holds_until_well_inside() -> None:
     there.north_m[FOLLOWER] = -19.0  # inside, but not by a tenth
     assert north_of(there.points()[-1]) == pytest.approx(-21.0, abs=0.02)
     there.north_m[FOLLOWER] = -17.0
-    assert north_of(there.points()[-1]) == pytest.approx(-3.0, abs=0.02)
+    # A leader that is not heard is approached 1.5 m at a time.
+    assert north_of(there.points()[-1]) == pytest.approx(-15.5, abs=0.02)
     assert there.events()[-1] == "follower 2: clear again, following"
 
 
-def test_too_near_to_the_leader_it_holds_at_its_altitude() -> None:
+def flown_mps(point: Any, here_m: float) -> tuple[float, float]:
+    """What Guided makes of a point with a velocity: 1 m/s a metre, and the velocity (N, E)."""
+    at = GlobalPosition(point.lat_int / 1e7, point.lon_int / 1e7, HERE.alt_m)
+    north, east, _ = ned_between(displace(HERE, (here_m, 0.0, 0.0)), at)
+    return north + point.vx, east + point.vy
+
+
+def test_too_near_to_the_leader_it_flies_away_from_it() -> None:
+    """1.2 m by receivers that may be 2.8 m off: as fast as it backs off at all."""
     there = Field(Limits(min_separation_m=1.5), height_m=7.0)
     there.fly(1.0)
     there.north_m[FOLLOWER] = -1.2
-    (held,) = there.points()
-    assert north_of(held) == pytest.approx(-1.2, abs=0.02)
-    # It was on its way up to 10 m: a stop is no reason to climb on.
-    assert held.alt == pytest.approx(7.0)
-    there.north_m[FOLLOWER] = -1.8  # clear by less than half a metre
-    assert north_of(there.points()[-1]) == pytest.approx(-1.2, abs=0.02)
-    there.north_m[FOLLOWER] = -2.1
-    assert north_of(there.points()[-1]) == pytest.approx(-3.0, abs=0.02)
+    (point,) = there.points()
+    assert flown_mps(point, -1.2) == pytest.approx((-3.0, 0.0), abs=0.02)
+    assert point.alt == 10.0
+    assert point.yaw == pytest.approx(0.0, abs=0.01)  # and looks at it
+    assert there.state == "gives way to the leader"
+    assert there.points(3.0)  # it is never left without a point
+    assert there.events().count("follower 2: gives way to the leader") == 1
+
+    there.north_m[FOLLOWER] = -8.0
+    assert flown_mps(there.points()[-1], -8.0)[0] > 1.0
+    assert there.state == "following"
 
 
-def test_two_followers_too_near_to_each_other_both_hold() -> None:
+def test_how_fast_it_closes_depends_on_the_room_that_is_certain() -> None:
+    """7 m less 2.83 m less 1.5 m, 0.6 s dead time, 2.5 m/s2: 2.4 m/s; the leader's 3 m/s more."""
+    there = Field(Limits(min_separation_m=1.5), radius_m=2.0)
+    there.fly(1.0)
+    there.north_m[FOLLOWER] = -5.0
+    there.speed_mps[FOLLOWER] = 0.0
+    (point,) = there.points()
+    room_m = 5.0 - 2.5 * math.sqrt(2.0) * 0.8 - 1.5
+    # What it closes is what stops within the room, a little less for the age of what is known.
+    limit_mps = math.sqrt(1.5**2 + 5.0 * room_m) - 1.5
+    assert limit_mps - 0.2 < flown_mps(point, -5.0)[0] <= limit_mps + 0.01
+
+
+def test_a_hold_gives_way_and_is_then_where_it_has_been_moved_to() -> None:
+    """A leader that flies back at a follower that was stopped: never a freeze in its way."""
+    there = Field(Limits(min_separation_m=1.5), radius_m=6.0)
+    there.north_m[FOLLOWER] = -7.0
+    there.fly(1.0)
+    there.tell(LEADER, heartbeat(flying=False))
+    (held, *_) = there.points(0.5)
+    assert north_of(held) == pytest.approx(-7.0, abs=0.02)
+
+    there.north_m[LEADER], there.speed_mps[LEADER] = -4.0, -2.0
+    point = there.points(0.5)[-1]
+    assert point.type_mask & mavlink.POSITION_TARGET_TYPEMASK_VX_IGNORE
+    assert north_of(point) < -9.0  # a point 2 m back and more, for that is Guided's 2 m/s
+    assert point.yaw == pytest.approx(0.0, abs=0.01)
+    assert there.state == "holding: leader is not known to fly"
+
+    there.north_m[FOLLOWER] = -11.0
+    there.points(0.25)
+    there.north_m[LEADER], there.speed_mps[LEADER] = 0.0, 0.0
+    point = there.points(4.0)[-1]  # it is believed to be gone after some reports
+    assert north_of(point) == pytest.approx(-11.0, abs=0.02)
+
+
+def test_two_followers_too_near_to_each_other_part() -> None:
     there = Field(
         Limits(min_separation_m=1.5),
         followers=(FOLLOWER, SECOND),
-        north_m={LEADER: 0.0, FOLLOWER: -4.0, SECOND: -5.0},
+        radius_m=8.0,
+        north_m={LEADER: 0.0, FOLLOWER: -11.0, SECOND: -12.0},
     )
     there.fly(1.0)
-    told = [text for text in there.events() if "nearer" in text]
+    points = {point.target_system: point for point in there.points()}
+    assert flown_mps(points[FOLLOWER], -11.0)[0] > 1.0
+    assert flown_mps(points[SECOND], -12.0)[0] < -2.0
+    told = [text for text in there.events() if "gives way" in text]
     assert told == [
-        "follower 2: nearer to follower 3 than 1.5 m, holding",
-        "follower 3: nearer to follower 2 than 1.5 m, holding",
+        "follower 2: gives way to follower 3",
+        "follower 3: gives way to follower 2",
     ]
+
+
+@pytest.mark.parametrize("system_id", [FOLLOWER, SECOND])
+def test_followers_on_each_others_side_pass_on_their_right(system_id: int) -> None:
+    """2 belongs 5 m behind the leader and 3 10 m; each is on the other's way."""
+    there = Field(
+        Limits(min_separation_m=1.5),
+        followers=(FOLLOWER, SECOND),
+        radius_m=5.0,
+        north_m={LEADER: 0.0, FOLLOWER: -9.5, SECOND: -5.5},
+    )
+    there.fly(1.0)
+    points = {point.target_system: point for point in there.points()}
+    place_m = there.north_m[system_id]
+    north_mps, east_mps = flown_mps(points[system_id], place_m)
+    forward = 1.0 if system_id == FOLLOWER else -1.0
+    # What is too fast towards the other is flown to the right of it.
+    assert east_mps * forward > 0.5
+    assert abs(north_mps) < 1.5
 
 
 def test_another_altitude_datum_is_corrected_and_said_once() -> None:
@@ -273,7 +350,9 @@ def test_homes_that_are_not_known_stop_it() -> None:
     limits = Limits(home_difference_m=5.0, leader_flies=False)
     guard = Guard(limits, LEADER, [FOLLOWER], lambda now_s, text: None)
     slot = Slot(3.0)
-    follower = FollowerState(FollowerPlan(FOLLOWER, slot), SlotGuide(slot, GuidanceSettings()))
+    follower = FollowerState(
+        FollowerPlan(FOLLOWER, slot), SlotGuide(slot, GuidanceSettings()), TowBar(slot)
+    )
     follower.position = displace(HERE, (-3.0, 0.0, 0.0))
     followers = {FOLLOWER: follower}
     assert guard.reason_to_stop(follower, HERE, followers, 0.0) == "homes are not known"
@@ -393,9 +472,9 @@ def test_an_unheard_follower_is_sent_nothing() -> None:
 
 def test_a_radio_that_holds_reports_back_is_as_good_as_silent() -> None:
     there = Field(Limits(), now_s=20.0)
-    there.fly(1.0)
+    there.fly(1.0 + TICK_S)
     # Its clock is ours, as a quick answer shows; from now on what comes is 3 s old.
-    there.tell(FOLLOWER, mavlink.MAVLink_timesync_message(round(21e9), round(21e9)))
+    there.tell(FOLLOWER, mavlink.MAVLink_timesync_message(*(round(there.now_s * 1e9),) * 2))
     there.fly(1.0)
     assert there.state == "following"
     there.late_s = 3.0
@@ -409,8 +488,8 @@ def test_a_radio_that_holds_reports_back_is_as_good_as_silent() -> None:
 
 def test_a_follower_that_reboots_is_taken_on_its_new_clock() -> None:
     there = Field(Limits(), now_s=20.0)
-    there.fly(1.0)
-    there.tell(FOLLOWER, mavlink.MAVLink_timesync_message(round(21e9), round(21e9)))
+    there.fly(1.0 + TICK_S)
+    there.tell(FOLLOWER, mavlink.MAVLink_timesync_message(*(round(there.now_s * 1e9),) * 2))
     there.fly(1.0)
     there.late_s = 20.0  # its time stamps begin anew
     there.fly(1.0)
@@ -476,7 +555,7 @@ def test_a_jumping_leader_is_told_of_once_and_stops_it() -> None:
 
 def test_a_leader_that_restarts_on_the_ground_stops_what_was_flown() -> None:
     there = Field(Limits(), now_s=20.0)
-    there.fly(1.0)
+    there.fly(1.0 + TICK_S)
     there.now_s = 0.5  # its clock begins anew, as its reports show
     there.tell(LEADER, heartbeat(flying=False))
     there.tell(LEADER, there.position(LEADER))
@@ -553,14 +632,12 @@ def test_a_mode_that_was_taken_is_not_asked_for_again_over_the_pilots_next() -> 
 @pytest.mark.parametrize("level", [False, True])
 def test_homes_that_are_told_apart_hide_nobody_who_is_too_near(level: bool) -> None:
     """What the receivers say of the homes is no height between vehicles on level ground."""
-    limits = Limits(home_difference_m=5.0, level_homes=level, min_separation_m=1.5)
+    limits = Limits(home_difference_m=5.0, level_homes=level, min_separation_m=1.0)
     there = Field(limits, home_m={FOLLOWER: 254.0})
+    there.north_m[FOLLOWER] = -3.5
     there.fly(1.0)
-    there.north_m[FOLLOWER] = -1.0
-    there.fly(TICK_S)
-    held = "holding: nearer to the leader than 1.5 m"
     # Where the homes are not level these two are really 4 m above each other.
-    assert there.state == (held if level else "following")
+    assert there.state == ("gives way to the leader" if level else "following")
 
 
 def test_the_end_stops_only_what_was_moved() -> None:

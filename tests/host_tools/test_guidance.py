@@ -17,7 +17,7 @@ from echowing.guidance import (
     lead_share,
     predicted,
     slot_offset_m,
-    sweep_rad,
+    sway_rad,
 )
 
 HERE = GlobalPosition(39.34, -86.03, 260.0)
@@ -246,12 +246,15 @@ def test_an_accelerating_leader_is_predicted_with_its_acceleration() -> None:
     assert now.velocity_ned_mps[0] == pytest.approx(1.0)
 
 
-def test_the_look_sweeps_to_both_sides_only_while_the_leader_is_unheard() -> None:
-    looks = [sweep_rad(10.0, t / 10.0) for t in range(60)]
+def test_the_nose_sways_to_both_sides_while_the_bearing_is_unsure() -> None:
+    looks = [sway_rad(math.radians(30.0), t / 10.0) for t in range(40)]
 
-    assert max(looks) == pytest.approx(math.radians(60.0), abs=0.02)
-    assert min(looks) == pytest.approx(-math.radians(60.0), abs=0.02)
-    assert sweep_rad(1.4, 3.3) == 0.0
+    assert max(looks) == pytest.approx(math.radians(15.0), abs=0.01)
+    assert min(looks) == pytest.approx(-math.radians(15.0), abs=0.01)
+    # A copter turns at 60 deg/s at the most and the sonar has to have time to hear.
+    assert max(abs(b - a) for a, b in itertools.pairwise(looks)) < math.radians(2.5)
+    assert max(sway_rad(math.radians(8.0), t / 10.0) for t in range(40)) < math.radians(11.0)
+    assert all(sway_rad(math.radians(6.0), t / 10.0) == 0.0 for t in range(40))
 
 
 def test_the_slot_is_further_out_where_the_caller_says_so() -> None:

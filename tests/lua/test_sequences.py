@@ -16,6 +16,9 @@ FLOOR_MPS, HARD_CLOSE_M = 0.2, 1.0
 DEFAULT_DETECT_M = 4.5
 LOW, GOOD = 2, 4
 SLACK = 1e-5  # 32-bit floats of metres a second
+FORWARD_M, BACK_M = 1.0, 5.0
+# A point is seen at the next update, 50 ms later: 3 m/s make 0.15 m; 1e-7 degrees are 0.01 m.
+HELD_SLACK_M = 0.17
 
 odd_numbers = st.sampled_from([math.nan, math.inf, -math.inf, -1.0, 0.0, 1e9])
 metres = st.floats(0.05, 8.0) | odd_numbers
@@ -29,8 +32,9 @@ actions = st.one_of(
     st.tuples(st.just("set"), st.just("is_armed"), st.sampled_from([True, True, False])),
     st.tuples(st.just("switch"), st.sampled_from([2, 2, 1, 0, None])),
     st.tuples(st.just("target"), st.floats(-8.0, 8.0), st.none() | st.floats(-3.0, 3.0)),
+    st.tuples(st.just("held"), st.floats(-8.0, 8.0), st.floats(-3.0, 3.0), st.floats(0.3, 4.4)),
     st.tuples(st.just("velocity"), st.floats(-4.0, 4.0) | odd_numbers),
-    st.tuples(st.just("place"), st.booleans()),
+    st.tuples(st.just("set"), st.just("place"), st.sampled_from([(39.34, -86.03, 260.0), None])),
     st.tuples(st.just("applet"), st.sampled_from(APPLET), applet_values),
     st.tuples(st.just("restart")),
     st.tuples(st.just("wait"), st.floats(0.05, 1.0)),
@@ -44,8 +48,9 @@ class Watch:
         self.r = r
         self.near_ms = -(10**6)  # when a reading last said "under 1 m"
         self.behind_ms = -(10**6)
+        self.streamed = (0.0, 0.0, 0)  # metres ahead, m/s, when (ms): the newest point
         self.heard = 0
-        self.tables: tuple[Any, Any, Any] | None = None
+        self.tables: tuple[Any, Any, Any, Any] | None = None
 
     def do(self, action: tuple[Any, ...]) -> None:
         r, vehicle = self.r, self.r.vehicle
@@ -62,13 +67,14 @@ class Watch:
             case ("switch", position):
                 vehicle.switches[300] = position
             case ("target", ahead_m, velocity_mps):
-                r.send_target(ahead_m, velocity_mps)
-                if ahead_m < 0.0:
-                    self.behind_ms = vehicle.t_ms
+                self.stream(ahead_m, velocity_mps)
+            case ("held", ahead_m, velocity_mps, range_m):
+                vehicle.ranges[0] = (GOOD, range_m)
+                for _ in range(5):
+                    self.stream(ahead_m, velocity_mps)
+                    self.wait(2)
             case ("velocity", north_mps):
                 vehicle.velocity = (north_mps, 0.0, 0.0)
-            case ("place", known):
-                vehicle.place = (39.34, -86.03, 260.0) if known else None
             case ("applet", name, value):
                 vehicle.parameters[f"ECHO_{name}"] = value
             case ("restart",):
@@ -77,6 +83,12 @@ class Watch:
             case ("wait", seconds):
                 self.wait(round(seconds * 20))
         self.wait(1)
+
+    def stream(self, ahead_m: float, velocity_mps: float | None) -> None:
+        self.r.send_target(ahead_m, velocity_mps)
+        self.streamed = ahead_m, velocity_mps or 0.0, self.r.vehicle.t_ms
+        if ahead_m < 0.0:
+            self.behind_ms = self.r.vehicle.t_ms
 
     def wait(self, updates: int) -> None:
         for _ in range(updates):
@@ -89,11 +101,13 @@ class Watch:
         assert r.host.error is None, r.host.error
         self.check_texts()
         if self.tables is None and r.host.local_value("control") is not None:
-            control, guard, limits = map(r.host.local_value, ("control", "guard", "C"))
-            self.tables = control, guard, limits
+            control, guard, hold, limits = map(
+                r.host.local_value, ("control", "guard", "hold", "C")
+            )
+            self.tables = control, guard, hold, limits
         if self.tables is None:  # restarted, and not yet run
             return
-        control, guard, limits = self.tables
+        control, guard, hold, limits = self.tables
         if not control.active:
             assert r.parameter_mps == pytest.approx(10.0)
             assert r.mirror_mps == 0.0
@@ -102,8 +116,24 @@ class Watch:
         assert FLOOR_MPS - SLACK <= low - SLACK <= r.speed_mps <= high + SLACK
         assert r.parameter_mps == pytest.approx(r.speed_mps, abs=SLACK)
         assert r.mirror_mps == pytest.approx(10.0)
-        if self.too_close() and not self.led_away(guard):
+        if hold.active:
+            self.check_held()
+        elif hold.is_wanted() and r.speed_mps == pytest.approx(
+            max(low, min(high, limits.SPD_LOST))
+        ):
+            pass  # nobody to hold on to: the limit of the correction alone
+        elif self.too_close() and not self.led_away(guard):
             assert r.speed_mps <= low + SLACK
+
+    def check_held(self) -> None:
+        """The point is moved so far and no further: 1 m towards the leader, 5 m away from it."""
+        vehicle = self.r.vehicle
+        kind, target = vehicle.targets[-1]
+        assert kind == "posvel"
+        ahead_m, mps, since_ms = self.streamed
+        ahead_m += mps * (vehicle.t_ms - since_ms) / 1000.0
+        moved_m = float(target[0] or 0.0) - ahead_m
+        assert -BACK_M - HELD_SLACK_M <= moved_m <= FORWARD_M + HELD_SLACK_M
 
     def check_texts(self) -> None:
         """No error of the applet's own, which it would survive and tell."""
