@@ -1,8 +1,8 @@
 """Bring the tables of README.md and sketch.yaml up to date with the firmware: tables.py [--check].
 
 Parameters come from src/core/parameter_table.h, wiring and profiles from src/board/boards, commands
-Parameters come from src/core/parameter_table.h, wiring and profiles from src/board/boards, commands
 from src/core/command_table.h. With --check nothing is written: the exit code is 1 if they differ.
+"""
 
 import re
 import sys

@@ -16,7 +16,6 @@ from typing import Any, Protocol
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.feed_forward import sonar_range_m
 from echowing.flight.alignment import History, Report
 from echowing.flight.envelope import Answer, Other, is_in_the_way, keep_apart
 from echowing.flight.estimate import (
@@ -51,6 +50,7 @@ from echowing.messages import (
     is_nonsense,
     message_interval,
     position_target,
+    sonar_range_m,
     tool_heartbeat,
 )
 from echowing.take_off import Lift, TakeOff, TakeOffs
@@ -69,7 +69,7 @@ AVERAGE_AGE_S = 0.225
 # A stop keeps the wanted altitude where it is this near (barometers wander), else its own.
 SAME_ALTITUDE_M = 1.0
 FOLLOWER_POSITION_HZ = 10.0
-DISTANCE_HZ, REPELLING_HZ = 5.0, 10.0
+DISTANCE_HZ = 5.0
 # The same is not said again sooner, however often it comes and goes.
 REMARK_GAP_S = 10.0
 
@@ -343,7 +343,7 @@ class FollowSession:
     def _kept_apart(
         self, follower: FollowerState, point: GlobalPosition, now_s: float
     ) -> GlobalPosition:
-        """The point that leaves everybody room (see `flight.envelope`), and its velocity with it."""
+        """The point that leaves everybody room (see `flight.envelope`); its velocity with it."""
         least_m = None if self.guard is None else self.guard.limits.min_separation_m
         here = self._follower_then(follower, now_s + self._way_s(follower))
         if least_m is None or here is None:
@@ -354,9 +354,9 @@ class FollowSession:
         self._give_way(follower, other, now_s)
         if other is None:
             return point
-        if follower.held_at is not None and follower.position is not None:
-            if distance_m(follower.held_at, follower.position) > MOVED_M:
-                follower.held_at = follower.position
+        held_at, place = follower.held_at, follower.position
+        if held_at is not None and place is not None and distance_m(held_at, place) > MOVED_M:
+            follower.held_at = place
         if follower.feed_mps is None:
             north, east = (mps / POSITION_GAIN_PER_S for mps in flown[:2])
             return displace(here, (north, east, here.alt_m - point.alt_m))
@@ -367,10 +367,10 @@ class FollowSession:
     def _give_way(self, follower: FollowerState, other: Other | None, now_s: float) -> None:
         """Note, and tell, for whose sake a follower is flown otherwise than planned."""
         name = None if other is None else other.name
-        if name is not None and name != follower.gives_way_to:
-            if now_s - follower.gave_way_at_s >= REMARK_GAP_S:
-                follower.gave_way_at_s = now_s
-                self._say(now_s, f"follower {follower.plan.system_id}: gives way to {name}")
+        new = name is not None and name != follower.gives_way_to
+        if new and now_s - follower.gave_way_at_s >= REMARK_GAP_S:
+            follower.gave_way_at_s = now_s
+            self._say(now_s, f"follower {follower.plan.system_id}: gives way to {name}")
         follower.gives_way_to = name
 
     def _others(self, follower: FollowerState, here: GlobalPosition, now_s: float) -> list[Other]:
@@ -725,7 +725,7 @@ class FollowSession:
         if self.guard is None:
             return []
         wanted = self.guard.read_back_requests(feed_forward=self.settings.feed_forward)
-        if self.settings.learn_offset and not self.settings.feed_forward:
+        if self.settings.learn_offset:
             distance = mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR
             wanted += [(system_id, distance, DISTANCE_HZ) for system_id in self.followers]
         return wanted
@@ -733,12 +733,9 @@ class FollowSession:
     def _wanted(self) -> list[tuple[int, int, float]]:
         """What each vehicle is to send: system id, message id, rate in Hz."""
         position = mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
-        distance = mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR
-        repelled = self.followers if self.settings.feed_forward else ()
         return [
             (self.leader_id, position, self._leader_rate_hz),
             *((system_id, position, FOLLOWER_POSITION_HZ) for system_id in self.followers),
-            *((system_id, distance, REPELLING_HZ) for system_id in repelled),
             *(self.guard.requests() if self.guard is not None else ()),
         ]
 
