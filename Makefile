@@ -51,8 +51,9 @@ core: setup ## the co-processor's core for this machine
 		-DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(BIN)/ninja >/dev/null
 	@$(BIN)/ninja -C build/host --quiet
 
-clean: ## remove what was built (not .venv)
-	rm -rf build out
+clean: ## remove what was built (not .venv, nor tools and cores that were downloaded)
+	rm -rf out build/arduino-home*/cache
+	@[ ! -d build ] || find build -mindepth 1 -maxdepth 1 ! -name tools ! -name 'arduino-home*' -exec rm -rf {} +
 
 -include firmware/firmware.mk
 -include hw/hw.mk

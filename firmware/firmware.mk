@@ -9,7 +9,14 @@ STM32_BOARDS := blackpill_f411 bluepill_f103 nucleo_f446
 FIRMWARE_SOURCES := $(shell find firmware/echowing -type f -not -path '*/src/mavlink/*')
 BUILD_TOOLS := firmware/tools/build.py host_tools/echowing/firmware.py
 
-.PHONY: arduino-cli firmware firmware-stm32 flash emulator emulated git-hash
+# The official STM32 core and its CMSIS, where they are installed somewhere else than arduino-cli and
+# the Arduino IDE install them (firmware/tools/stm32_home.sh).
+export ECHOWING_STM32_CORE ECHOWING_STM32_CMSIS
+# What the Mega's binary is run through in `make test`, and what only the STM32 boards do.
+STM32_TESTS := $(addprefix tests/firmware/,on_stm32.py test_emulator_faults.py test_emulator_scan.py \
+	test_emulator_link.py test_emulator_figures.py)
+
+.PHONY: arduino-cli firmware firmware-stm32 flash emulator emulated git-hash stm32-core test-stm32
 
 firmware: build/firmware/$(BOARD)/echowing.elf ## compile the sketch: BOARD=mega, blackpill_f411, bluepill_f103, nucleo_f446
 	@$(BIN)/python -m echowing.firmware $(BOARD)
@@ -17,8 +24,14 @@ firmware: build/firmware/$(BOARD)/echowing.elf ## compile the sketch: BOARD=mega
 firmware-stm32: $(STM32_BOARDS:%=build/firmware/%/echowing.elf) ## compile it for all STM32 boards (fetches their core)
 	@for board in $(STM32_BOARDS); do $(BIN)/python -m echowing.firmware $$board || exit 1; done
 
-flash: build/firmware/$(BOARD)/echowing.elf ## put it on a board: BOARD=mega PORT=/dev/ttyACM0
-	@$(BIN)/python firmware/tools/flash.py $(BOARD) $(PORT)
+flash: build/firmware/$(BOARD)/echowing.elf ## put it on a board: BOARD=mega PORT=/dev/ttyACM0, METHOD=dfu, serial, stlink
+	@$(BIN)/python firmware/tools/flash.py $(BOARD) $(if $(PORT),--port $(PORT)) $(if $(METHOD),--method $(METHOD))
+
+test-stm32: setup-test emulator stm32-core ## build for the STM32 boards with an installed core, and test these binaries
+	@for board in $(STM32_BOARDS); do \
+		$(MAKE) -s firmware BOARD=$$board && \
+		ECHOWING_BOARD=$$board $(BIN)/pytest -q -n 2 --dist loadfile $(STM32_TESTS) \
+			-m "not mega$$([ $$board = nucleo_f446 ] || echo ' and not usb')" || exit 1; done
 
 emulator: $(EMULATORS) ## the emulators that run the binaries
 
@@ -27,8 +40,11 @@ emulated: build/firmware/mega/echowing.elf $(EMULATORS)
 arduino-cli: $(ARDUINO_CLI) ## arduino-cli from its Go sources (once)
 
 build/firmware/%/echowing.elf: $(FIRMWARE_SOURCES) $(MAVLINK_HEADERS) $(BUILD_TOOLS) build/firmware/git-hash \
-		| setup $(ARDUINO_CLI) $(ARDUINO_HOME)
+		| setup $(ARDUINO_CLI) $(ARDUINO_HOME) $(if $(ECHOWING_STM32_CORE),stm32-core)
 	@$(BIN)/python firmware/tools/build.py $*
+
+stm32-core: | setup
+	@firmware/tools/stm32_home.sh build/arduino-home-stm32
 
 # Touched only when the commit changes, so that the binary can tell which it was made from.
 build/firmware/git-hash: git-hash

@@ -16,7 +16,7 @@ run_packages=(
   libunicorn-dev          # running the STM32 boards' binaries
 )
 test_packages=(
-  avrdude                 # flashing, tested against a fake programmer
+  avrdude stm32flash      # flashing, tested against fake boot loaders
   clang libclang-rt-dev   # sanitizers and fuzzing of the core
   doctest-dev             # unit tests of the core
   gcc-arm-none-eabi libnewlib-arm-none-eabi libstdc++-arm-none-eabi-newlib qemu-system-arm

@@ -29,6 +29,7 @@ local STATE = {
     OFF = 0, SEARCHING = 1, TRACKING = 2, TOO_CLOSE = 3, NO_SONAR = 4, STREAM_LOST = 5, BACKING_OFF = 6, HOLDING = 7,
 }
 
+local QUICK_MS = 20 -- pause between updates while the applet flies targets of its own
 local IDLE_MS = 200 -- pause before the next update while not in control
 local BLIND_MS = 2500 -- a target lost while too close is still there for so long: no speed without sonar yet
 local SPEED_FLOOR_MPS = 0.2 -- below, the autopilot saves its own floor over the pilot's value; 0 would be no limit
@@ -196,7 +197,7 @@ local PARAMETERS = {
       // @Units: s
       // @User: Advanced
     --]]
-    { 'TAU', 0.2, 0.1, 1.0 },
+    { 'TAU', 0.1, 0.05, 1.0 },
     --[[
       // @Param: ECHO_SPD_MIN
       // @DisplayName: Echowing lowest speed
@@ -373,6 +374,8 @@ do
         end
     end
 
+    -- Of a script that was restarted, what has not been saved goes back to its default as it is added again.
+    local left_in_mirror = param:get(PREFIX .. 'MIRROR')
     local taken = TEXT .. 'parameter table key ' .. TABLE_KEY .. ' is taken'
     assert(param:add_table(TABLE_KEY, PREFIX, #PARAMETERS), taken)
     for i, row in ipairs(PARAMETERS) do
@@ -383,6 +386,7 @@ do
     for i = 1, #names do read(i) end
     C.SPD_MAX = math.max(C.SPD_MAX, C.SPD_MIN)
     parameters.mirror = objects[#objects]
+    if left_in_mirror then parameters.mirror:set(left_in_mirror) end
 end
 
 -- The parts and their state -------------------------------------------------------------------------------------------
@@ -391,12 +395,12 @@ end
 local own = { mps = 0.0, accel_mps2 = 0.0, at_ms = nil } -- this vehicle's motion
 local track = { -- what the sonar reads (averages, single readings), and where the leader is by that, and how fast
     raw_m = nil, raw_ms = nil,
-    range_m = nil, leader_mps = 0.0, own_mps = 0.0, at_ms = 0, seen_ms = 0, readings = 0, spike_m = nil,
+    range_m = nil, leader_mps = 0.0, own_mps = 0.0, at_ms = 0, seen_ms = 0, readings = 0, spike_m = nil, spike_ms = 0,
 }
 local laws = { -- the range becomes a speed: the law's wish, and the same after the rate limit
     wish_mps = 0.0, speed_mps = 0.0, step_ms = 0, update_ms = 0, seen_ms = 0, data_ms = 0,
 }
-local hold = { active = false } -- moves points that carry a velocity along the beam
+local hold = { active = false, mps = 0.0, at_ms = nil } -- moves points that carry a velocity along the beam
 local guard = { too_close = false, evading = false, close_ms = 0 } -- keeps off the leader
 local stream = { -- the ground tool's guided points, and what happens when they end
     at_ms = nil, points = 0, holding = false, lat = nil, lng = nil, up_m = nil, north_mps = 0.0, east_mps = 0.0,
@@ -457,6 +461,7 @@ do
     -- A single reading this far from the prediction, or after so long without one, waits for a second one like it:
     -- readings 0.1 s apart differ by less even where both vehicles change their speed at 5 m/s2.
     local SPIKE_M, SPIKE_MS = 0.3, 300
+    local MOST_MPS = 5.0 -- two vehicles close no faster
     local TRUST_READINGS = 3 -- so many readings in agreement are a target
     local TRACK_GAP_MS = 700 -- after a gap this long the tracker starts again
 
@@ -526,13 +531,17 @@ do
         track.own_mps, track.at_ms = own.mps, t_ms
     end
 
-    -- A reading that was not foreseen counts only when the next one is like it: propellers make single wild ones. What
-    -- was known of the leader's speed stays.
+    -- A reading that was not foreseen counts only when the next one is like it: propellers make single wild ones. The two
+    -- tell range and rate anew.
     local function spike(range_m, t_ms)
-        if track.spike_m and math.abs(range_m - track.spike_m) < SPIKE_M then
-            track.range_m, track.seen_ms, track.spike_m = range_m, t_ms, nil
+        local dt_s = track.spike_m and (t_ms - track.spike_ms) * 0.001 or math.huge
+        local agrees = dt_s > 0.0 and dt_s < SPIKE_MS * 0.001 and math.abs(range_m - track.spike_m) < SPIKE_M + MOST_MPS * dt_s
+        if agrees then
+            track.range_m, track.seen_ms = range_m, t_ms
+            track.leader_mps = own.mps + (range_m - track.spike_m) / dt_s
+            track.spike_m = nil
         else
-            track.spike_m = range_m
+            track.spike_m, track.spike_ms = range_m, t_ms
         end
     end
 
@@ -789,6 +798,7 @@ do
     -- from it; more away from the leader. A sonar that is stuck then moves the vehicle no further.
     local FORWARD_M, BACK_M = 1.0, 5.0
     local UNSEEN_MS = 300
+    local GENTLE_MPS2, NEARER_M = 2.0, 0.7 -- 12 degrees of lean; 1 m/s for each metre
 
     -- Where the point belongs along the beam (metres ahead of here), and its speed there: at the wanted distance from
     -- the leader and as fast as the leader. ahead_m, mps: the same of the streamed point. While the sonar sees nothing,
@@ -803,6 +813,15 @@ do
         return wanted_m, track.leader_mps
     end
 
+    -- Towards the leader no faster than keeps it in the beam: a copter leans as it speeds up, and its sonar with it. Away
+    -- from it at once.
+    local function gently(t_ms, wanted_m, wanted_mps)
+        local from_mps = hold.active and hold.mps or own.mps
+        local most_mps = from_mps + GENTLE_MPS2 * math.min(t_ms - (hold.at_ms or t_ms), QUICK_MS * 5) * 0.001
+        hold.mps, hold.at_ms = math.min(wanted_mps, most_mps), t_ms
+        return math.min(wanted_m, NEARER_M), hold.mps
+    end
+
     -- Sends Guided the streamed point, moved along the beam. False: it was not taken, or there is none.
     local function move(t_ms)
         local here = vehicle:get_likely_flying() and ahrs:get_location()
@@ -813,7 +832,7 @@ do
         local yaw = yaw_rad(ahrs)
         local cos, sin = math.cos(yaw), math.sin(yaw)
         local ahead_m, mps = north_m * cos + east_m * sin, stream.north_mps * cos + stream.east_mps * sin
-        local wanted_m, wanted_mps = along_beam(ahead_m, mps, t_ms)
+        local wanted_m, wanted_mps = gently(t_ms, along_beam(ahead_m, mps, t_ms))
         local by_m, by_mps = wanted_m - ahead_m, wanted_mps - mps
         position:x(position:x() + north_m + by_m * cos)
         position:y(position:y() + east_m + by_m * sin)
@@ -1095,7 +1114,7 @@ end
 
 do
     local SWITCH_HIGH = 2
-    local ACTIVE_MS, QUICK_MS, REPAIR_MS = 50, 20, 1000 -- pause before the next update
+    local ACTIVE_MS, REPAIR_MS = 50, 1000 -- pause before the next update
 
     -- Milliseconds since the script started, a plain integer (wraps after 24 days).
     local boot = millis()

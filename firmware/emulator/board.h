@@ -94,6 +94,10 @@ int board_memory_get(const board_t* board, uint8_t* data, size_t size);
 /* Only of the STM32 boards: whether the program has jumped into the boot loader in ROM, and what
  * that would not have found there after a reset. Nothing runs then until the next power-on. */
 int board_in_rom(const board_t* board, char* complaint, size_t size);
+/* The watchdog's time-out as it is set now, us; 0: it does not run. */
+uint32_t board_watchdog_us(const board_t* board);
+/* Erasing a block of flash takes so long from now on. */
+void board_set_erase_us(board_t* board, uint32_t us);
 /* The crystal never starts again. */
 void board_break_crystal(board_t* board);
 /* The processor is so many times slower than the chip; everything else keeps its time. */

@@ -131,6 +131,7 @@ struct board {
   const chip_t* chip;
   uint32_t crystal_hz;
   int crystal_broken;
+  uint32_t erase_us;
   uc_engine* uc;
   uc_hook hooks[4];
   uint8_t* image; /* the flash, as the processor sees it */

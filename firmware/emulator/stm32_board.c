@@ -358,6 +358,7 @@ board_t* board_power_on(const char* elf, const char* chip, uint32_t hz, char* er
   board->chip = found;
   board->crystal_hz = hz;
   board->slowness = 1;
+  board->erase_us = found->erase_us;
   board->image = malloc(found->flash_size);
   memset(board->image, 0xff, found->flash_size);
   if (!core_create(board, error, error_size) || !load(board, elf, error, error_size)) {
@@ -485,6 +486,8 @@ void board_set_noise(board_t* board, uint32_t noise) {
 }
 
 void board_break_crystal(board_t* board) { board->crystal_broken = 1; }
+
+void board_set_erase_us(board_t* board, uint32_t us) { board->erase_us = us; }
 
 void board_set_slowness(board_t* board, uint32_t times) { board->slowness = times ? times : 1; }
 

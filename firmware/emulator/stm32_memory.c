@@ -97,7 +97,7 @@ static void start_erase(board_t* board) {
   if (!(flash->cr & ERASE) || !find_block(board, &offset, &size)) return;
   flash->erasing = offset;
   flash->erasing_size = size;
-  flash->busy_until = board->now + US(board->chip->erase_us);
+  flash->busy_until = board->now + US(board->erase_us);
   core_attend(board);
 }
 
@@ -192,6 +192,11 @@ static uint64_t count_time(const board_t* board) {
 uint64_t iwdg_due(const board_t* board) {
   const iwdg_t* iwdg = &board->iwdg;
   return iwdg->running ? iwdg->since + (iwdg->count + 1) * count_time(board) : NEVER;
+}
+
+uint32_t board_watchdog_us(const board_t* board) {
+  const iwdg_t* iwdg = &board->iwdg;
+  return iwdg->running ? (uint32_t)((iwdg->rlr + 1) * count_time(board) / US(1)) : 0;
 }
 
 static void count_from(board_t* board, uint32_t count) {

@@ -69,6 +69,8 @@ def command(board: str, sketch: Path, output: Path, home: Path | None) -> list[s
         *("--config-file", str((home or installed_home(board) or ARDUINO_HOME) / CONFIGURATION)),
         "compile",
         *(("--profile", board) if fetched else ("--fqbn", kind.fqbn)),
+        # Its options in build_opt.h change the whole core, and arduino-cli does not notice.
+        *(("--clean",) if kind.family == firmware.STM32 else ()),
         *("--warnings", "all"),
         *("--build-property", f"compiler.cpp.extra_flags={flags}"),
         # The linker refuses a program that reaches into the parameters' flash.

@@ -1,7 +1,11 @@
-"""Put the built firmware on a board: flash.py BOARD PORT.
+"""Put the built firmware on a board: flash.py BOARD [--method METHOD] [--port PORT].
 
-AVR boards through Debian's avrdude, which needs nothing else; the others through arduino-cli and
-the tools of their profile's core.
+A method is a tool and a way to the chip; the board's file says which it has, the usual one first:
+
+avrdude  the boot loader of an AVR board, on its serial port
+dfu      dfu-util and the STM32's boot loader in ROM, over USB
+serial   stm32flash and the same boot loader, over a serial adapter on USART1
+stlink   st-flash and an ST-LINK, on the board or beside it
 """
 
 import argparse
@@ -10,16 +14,102 @@ import shutil
 import stat
 import subprocess
 import sys
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
-from build import ARDUINO_CLI, ARDUINO_HOME, SKETCH
 from serial.tools import list_ports
 
 from echowing import firmware
 from echowing.errors import EchowingError
 
+FLASH_START = 0x08000000  # of every STM32
+
 # The Mega's bootloader speaks STK500v2 at 115200 baud after a reset by DTR: avrdude's "wiring".
-AVRDUDE_OPTIONS = {"mega": ("-p", "atmega2560", "-c", "wiring", "-b", "115200", "-D")}
+AVRDUDE_OPTIONS = ("-c", "wiring", "-b", "115200", "-D")
+
+
+def avrdude(board: firmware.Board, elf: Path, port: str) -> list[str]:
+    """The avrdude call."""
+    image = f"flash:w:{elf.with_suffix('.hex')}:i"
+    return ["avrdude", "-q", "-p", board.chip, *AVRDUDE_OPTIONS, "-P", port, "-U", image]
+
+
+def dfu(board: firmware.Board, elf: Path, port: str) -> list[str]:
+    """The dfu-util call: 0483:df11 is ST's boot loader. It erases only the sectors it writes."""
+    del board, port
+    place = f"{FLASH_START:#010x}:leave"
+    return ["dfu-util", "-d", "0483:df11", "-a", "0", "-s", place, "-D", str(image_of(elf))]
+
+
+def serial(board: firmware.Board, elf: Path, port: str) -> list[str]:
+    """The stm32flash call: without a length it would erase the parameters too."""
+    del board
+    image = image_of(elf)
+    place = f"{FLASH_START:#010x}:{image.stat().st_size}"
+    start = f"{FLASH_START:#010x}"
+    return ["stm32flash", "-b", "115200", "-S", place, "-v", "-w", str(image), "-g", start, port]
+
+
+def stlink(board: firmware.Board, elf: Path, port: str) -> list[str]:
+    """The st-flash call: it erases only the sectors it writes."""
+    del board, port
+    return ["st-flash", "--reset", "write", str(image_of(elf)), f"{FLASH_START:#010x}"]
+
+
+def image_of(elf: Path) -> Path:
+    """The binary as the flash holds it."""
+    image = elf.with_suffix(".bin")
+    if not image.is_file():
+        raise EchowingError(f"{image} is missing: build it again with `make firmware`")
+    return image
+
+
+@dataclass(frozen=True)
+class Method:
+    """A way to flash a board."""
+
+    command: Callable[[firmware.Board, Path, str], list[str]]
+    package: str
+    needs_port: bool
+    advice: str  # when the tool fails
+    # A line of the tool that says that everything is in the flash: what follows it is no failure.
+    done: str | None = None
+    # Lines that the tool always says, and that sound like trouble.
+    harmless: tuple[str, ...] = ()
+
+
+METHODS = {
+    "avrdude": Method(
+        avrdude,
+        "avrdude",
+        True,
+        "Does another program hold the port, and is the cable one that carries data?",
+    ),
+    "dfu": Method(
+        dfu,
+        "dfu-util",
+        False,
+        "Is the board in its boot loader (hold BOOT0, press and let go of NRST), does "
+        "`dfu-util -l` list it, and may you use it (sudo, or a udev rule for 0483:df11)?",
+        # After the order to leave, the chip is gone before dfu-util has asked it how it is.
+        done="File downloaded successfully",
+        harmless=("Invalid DFU suffix signature", "A valid DFU suffix will be required"),
+    ),
+    "serial": Method(
+        serial,
+        "stm32flash",
+        True,
+        "Is the adapter on USART1 (its TX to RX), BOOT0 high, and was the board reset then?",
+    ),
+    "stlink": Method(
+        stlink,
+        "stlink-tools",
+        False,
+        "Is the ST-LINK plugged in and wired (SWDIO, SWCLK, GND, 3V3), and does "
+        "`st-info --probe` list the chip?",
+    ),
+}
 
 
 def check_port(port: str | None) -> str:
@@ -43,52 +133,58 @@ def _ports_there() -> str:
     return f"Ports there now: {', '.join(ports) or 'none'}."
 
 
-def avrdude_command(board: str, port: str, image: Path) -> list[str]:
-    """The avrdude call for an AVR board."""
-    avrdude = shutil.which("avrdude")
-    if avrdude is None:
-        raise EchowingError("avrdude is missing: sudo apt install avrdude")
-    return [avrdude, "-q", *AVRDUDE_OPTIONS[board], "-P", port, "-U", f"flash:w:{image}:i"]
+def method_of(board: firmware.Board, name: str | None) -> Method:
+    """The method of that name, or the board's usual one."""
+    if name is None:
+        name = board.uploads[0]
+    if name not in board.uploads:
+        known = ", ".join(board.uploads)
+        raise EchowingError(f"a {board.name} is not flashed by {name!r}: METHOD is one of {known}")
+    return METHODS[name]
 
 
-def arduino_command(board: str, port: str, folder: Path) -> list[str]:
-    """The arduino-cli call for a board whose core brings its own upload tool."""
-    return [
-        str(ARDUINO_CLI),
-        *("--config-file", str(ARDUINO_HOME / "arduino-cli.yaml")),
-        "upload",
-        *("--profile", firmware.board(board).profile),
-        *("--port", port),
-        *("--input-dir", str(folder / "work")),
-        str(SKETCH),
-    ]
-
-
-def flash(board: str, port: str | None) -> None:
+def flash(board: str, port: str | None, method: str | None = None) -> None:
     """Flash one board."""
-    firmware.board(board)
+    kind = firmware.board(board)
+    how = method_of(kind, method)
     elf = firmware.elf_path(board)
     firmware.check_elf(elf, board)
-    port = check_port(port)
-    if board in AVRDUDE_OPTIONS:
-        command = avrdude_command(board, port, elf.with_suffix(".hex"))
-    else:
-        command = arduino_command(board, port, elf.parent)
-    if subprocess.run(command, check=False).returncode != 0:
-        raise EchowingError(
-            f"the {board} on {port} was not flashed (see above). Is it a {board}, does another "
-            "program hold the port, and is the cable one that carries data?"
-        )
+    command = how.command(kind, elf, check_port(port) if how.needs_port else "")
+    tool = shutil.which(command[0])
+    if tool is None:
+        raise EchowingError(f"{command[0]} is missing: sudo apt install {how.package}")
+    if not run_tool([tool, *command[1:]], how):
+        raise EchowingError(f"the {board} was not flashed (see above). {how.advice}")
+
+
+def run_tool(command: list[str], how: Method) -> bool:
+    """Run a tool, show what it says, and tell whether the board is flashed."""
+    done = False
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace"
+    ) as tool:
+        assert tool.stdout is not None
+        for line in tool.stdout:
+            done = done or (how.done is not None and how.done in line)
+            if is_worth_showing(line, how, done=done):
+                print(line, end="", flush=True)
+    return done or tool.returncode == 0
+
+
+def is_worth_showing(line: str, how: Method, *, done: bool) -> bool:
+    """Whether a tool's line is more than something that only sounds like trouble."""
+    return not (done and "rror" in line) and not any(words in line for words in how.harmless)
 
 
 def main() -> int:
     """Flash; 2 when it cannot be done."""
     parser = argparse.ArgumentParser(description="put the built firmware on a board")
     parser.add_argument("board")
-    parser.add_argument("port", nargs="?")
+    parser.add_argument("--port")
+    parser.add_argument("--method")
     arguments = parser.parse_args()
     try:
-        flash(arguments.board, arguments.port)
+        flash(arguments.board, arguments.port, arguments.method)
     except EchowingError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

@@ -12,6 +12,7 @@ from echowing.follow_log import FollowLog
 from echowing.follow_track import Track
 from echowing.follow_view import LastingView, View
 from echowing.panel import Row
+from echowing.terminal import ring
 
 # Lines of a view that wait: an hour of a quiet flight, half a minute of fifty talking vehicles.
 MOST_SHOWN = 500
@@ -114,6 +115,10 @@ class BackgroundView:
         if not waiting and not self._worker.do(self._show_newest):
             self._rows = None
             self._dropped_rows += 1
+
+    def ring(self) -> None:
+        """Ring the terminal's bell."""
+        self._worker.do(ring)
 
     def settle(self, timeout_s: float = LAST_WORDS_S) -> None:
         """Give it time to show what waits."""

@@ -16,6 +16,7 @@ from typing import Any, Protocol
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.engage import Engagement
 from echowing.flight.alignment import History, Report
 from echowing.flight.envelope import Answer, Other, is_in_the_way, keep_apart
 from echowing.flight.estimate import (
@@ -25,6 +26,7 @@ from echowing.flight.estimate import (
     place_then,
 )
 from echowing.flight.offset_grid import Wandering
+from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.flight.tow_bar import TowBar
 from echowing.geo import GlobalPosition, Ned, displace, distance_m, ned_between, wrap_angle_rad
 from echowing.guard import Guard, Limits, RateWatch, is_flying, mode_name
@@ -41,6 +43,7 @@ from echowing.guidance import (
     predicted,
     sway_rad,
 )
+from echowing.jumps import SAME_RANGE_M, UNCONFIRMED_S, OwnJump, RangeMemory
 from echowing.leader_track import LeaderTrack, VehicleClock, is_late
 from echowing.messages import (
     FORWARD,
@@ -51,6 +54,7 @@ from echowing.messages import (
     message_interval,
     position_target,
     sonar_range_m,
+    status_text,
     tool_heartbeat,
 )
 from echowing.take_off import Lift, TakeOff, TakeOffs
@@ -66,6 +70,9 @@ RAW_FRESH_S = 1.0
 # The co-processor averages over 0.45 s: its middle.
 AVERAGE_AGE_S = 0.225
 
+# Reports that agree on a leader's new place before the sonar is asked of it (0.5 s at 4 Hz), and
+# how long before the jump it has to have detected the leader.
+CONFIRMING_REPORTS, HEARD_S = 2, 3.0
 # A stop keeps the wanted altitude where it is this near (barometers wander), else its own.
 SAME_ALTITUDE_M = 1.0
 FOLLOWER_POSITION_HZ = 10.0
@@ -126,7 +133,7 @@ class FollowerState:
     it was put in Guided; sent_to: points might go to it at the last tick; position_at_s: when it
     was there, as far as TIMESYNC tells, else when the report came; feed_mps: the velocity to go
     with the point (north, east), None: none; yaw_rad: where it was last told to look; gives_way_to:
-    for whose sake it is not flown as planned.
+    for whose sake it is not flown as planned; latched: why it is held until it leaves Guided.
     """
 
     plan: FollowerPlan
@@ -134,6 +141,9 @@ class FollowerState:
     bar: TowBar
     clock: VehicleClock = field(default_factory=VehicleClock)
     estimate: Estimate = field(default_factory=Estimate)
+    ranges: RangeMemory = field(default_factory=RangeMemory)
+    own_jump: OwnJump = field(default_factory=OwnJump)
+    latched: str | None = None
     raw_at_s: float = -math.inf
     feed_mps: Horizontal | None = None
     yaw_rad: float | None = None
@@ -184,6 +194,7 @@ class FollowSession:
         limits: Limits | None = None,
         engaged: bool = True,
         take_off: TakeOff | None = None,
+        leaders_height: bool = False,
     ) -> None:
         plans = list(plans)
         longest_m = max((plan.slot.radius_m for plan in plans), default=None)
@@ -199,12 +210,19 @@ class FollowSession:
         self._leader_history = History()
         self.events: list[tuple[float, str]] = []
         self.engaged = engaged
+        self.leaders_height = leaders_height
         self.guard = None if limits is None else self._make_guard(limits)
+        self.engagement: Engagement | None = None
+        if limits is not None and limits.ready is not None:
+            self.engagement = Engagement(limits.ready, leader_id, self.followers, self._say)
         self.take_offs = None if take_off is None else TakeOffs(take_off, self.followers, self._say)
+        self.alerts = 0
+        """How much has been said that somebody should look up for."""
+        self._hud: list[tuple[int, Any]] = []
         self._stopping: str | None = None
         self._leader_rate_hz = leader_rate_hz
         self._rates = None if limits is None else RateWatch(self._wanted(), self._say)
-        self._leader_jumps = False
+        self._leader_jumps = self._two_leaders = False
         self._beat_at_s = -math.inf
         self._rates_at_s = -math.inf
         self._heard: set[int] = set()
@@ -221,6 +239,8 @@ class FollowSession:
             # What was asked before may have had no way to it: a listening port knows none.
             self._heard.add(system_id)
             self._rates_at_s = -math.inf
+        if self.engagement is not None:
+            self.engagement.receive(system_id, kind, message)
         if self._rates is not None:
             self._rates.received(system_id, message.get_msgId())
         if kind == "TIMESYNC":
@@ -233,9 +253,13 @@ class FollowSession:
     def tick(self, now_s: float) -> list[tuple[int, Any]]:
         """The messages to send now: guided points, time synchronisation, heartbeat, rates."""
         messages = self._housekeeping(now_s)
+        if self.engagement is not None:
+            self.engagement.prepare(self, now_s)
+            messages.extend(self.engagement.messages(now_s))
         if self.take_offs is not None:
             messages.extend(self._lift(self.take_offs, now_s))
         for system_id, follower in self.followers.items():
+            self._settle_own_jump(follower, now_s)
             point = self._point_for(follower, now_s)
             before, follower.sent_to = follower.sent_to, self.sends_to(follower, now_s)
             if follower.sent_to and not before and follower.held_at is not None:
@@ -244,6 +268,8 @@ class FollowSession:
                 point = self._kept_apart(follower, point, now_s)
                 messages.append((system_id, self._target(follower, point, now_s)))
                 self._sent(follower, point, now_s)
+        messages.extend(self._hud)
+        self._hud.clear()
         if self.guard is not None and (self.engaged or self.take_offs is not None):
             messages.extend(self.guard.messages(self.followers, now_s))
         return messages
@@ -271,7 +297,13 @@ class FollowSession:
             return False
         if self._stopping is not None and not follower.flown:
             return False
+        if self._stopping is None and not stopped_rising and not self._cleared(follower):
+            return False
         return self.guard is None or self.guard.lets(follower, now_s)
+
+    def _cleared(self, follower: FollowerState) -> bool:
+        """Whether all that has to be right before its first point is."""
+        return self.engagement is None or self.engagement.cleared(follower.plan.system_id)
 
     def _may_lead(self, follower: FollowerState) -> bool:
         """Whether points may go to one that flies in Guided: none while it takes off."""
@@ -297,6 +329,10 @@ class FollowSession:
                 return "stop switch"
             fix = self.leader.fix
             leader = None if fix is None else self.leader_for(follower, fix, now_s)
+            if self.engagement is not None and not follower.flying:
+                unready = self.engagement.objection_to_take_off(self, follower, now_s)
+                if unready is not None:
+                    return unready
             return self.guard.too_near(follower, leader, self.followers, now_s)
 
         messages = take_offs.messages(self.followers, objection, now_s)
@@ -448,7 +484,16 @@ class FollowSession:
         if self.guard is None:
             return None
         leader = self.leader_for(follower, fix, now_s)
-        return self.guard.reason_to_stop(follower, leader, self.followers, now_s)
+        stop = self.guard.reason_to_stop(follower, leader, self.followers, now_s)
+        return self._doubt(follower) or stop
+
+    def _doubt(self, follower: FollowerState) -> str | None:
+        """Why what is known of it, or of the leader, is not to be believed now."""
+        if follower.latched is not None or follower.own_jump.since_s is not None:
+            return follower.latched or "its position jumps"
+        if self.engagement is None or not self._cleared(follower):
+            return None
+        return self.engagement.reason_to_stop(self, follower)
 
     def leader_for(self, follower: FollowerState, fix: LeaderFix, now_s: float) -> GlobalPosition:
         """Where the leader is now, as this follower's receiver would have it."""
@@ -459,6 +504,7 @@ class FollowSession:
         again = "leader heard again" if follower.hold_reason == STALE else "clear again"
         self._release(follower)
         if self._moves(follower):
+            self.alert(follower.plan.system_id, f"{again}, following", mavlink.MAV_SEVERITY_NOTICE)
             self._say(now_s, f"follower {follower.plan.system_id}: {again}, following")
 
     def _release(self, follower: FollowerState) -> None:
@@ -468,7 +514,8 @@ class FollowSession:
 
     def _moves(self, follower: FollowerState) -> bool:
         """Whether it is ours to move, so that a stop is worth a word."""
-        return self.guard is None or (follower.in_guided and (self.engaged or follower.flown))
+        engaged = self.engaged and self._cleared(follower)
+        return self.guard is None or (follower.in_guided and (engaged or follower.flown))
 
     def _guide(self, follower: FollowerState, fix: LeaderFix, now_s: float) -> GuidedPoint:
         settings, unsure_m, least_m = self.settings, 0.0, 0.0
@@ -544,6 +591,25 @@ class FollowSession:
         shift_m = 0.0 if self.guard is None else self.guard.altitude_shift_m(plan.system_id)
         return plan.wanted_m + shift_m
 
+    def take_leaders_height(self, follower: FollowerState) -> None:
+        """Where no altitude was asked for: a follower flies as high as the leader does now."""
+        height_m = self._leaders_height_m()
+        if self.leaders_height and height_m is not None:
+            follower.plan.altitude_m = round(height_m, 1)
+
+    def height_wanted_m(self, follower: FollowerState) -> float | None:
+        """What it is to fly at above its own home; None: not known yet."""
+        if self.leaders_height and self._leaders_height_m() is None:
+            return None
+        return self._wanted_m(follower)
+
+    def _leaders_height_m(self) -> float | None:
+        """The leader's altitude above its home."""
+        home_m = None if self.guard is None else self.guard.home_m(self.leader_id)
+        if home_m is None or self.leader.fix is None:
+            return None
+        return self.leader.fix.position.alt_m - home_m
+
     def _line_rad(self, follower: FollowerState, now_s: float) -> float:
         """Bearing from the follower to the leader."""
         leader, here = self._leader_then(follower, now_s), self._follower_then(follower, now_s)
@@ -555,6 +621,7 @@ class FollowSession:
             follower.held_at = follower.position
             follower.held_altitude_m = self._altitude_to_keep(follower)
             if self._moves(follower):
+                self.alert(follower.plan.system_id, f"holding, {reason}")
                 self._say(now_s, f"follower {follower.plan.system_id}: {reason}, holding")
         follower.hold_reason = reason
         return follower.held_at
@@ -574,12 +641,20 @@ class FollowSession:
             return wanted_m
         return follower.altitude_m
 
+    def alert(
+        self, system_id: int, text: str, severity: int = mavlink.MAV_SEVERITY_WARNING
+    ) -> None:
+        """Tell a follower's pilot on his display, in the field only, and whoever looks here."""
+        if self.engagement is not None:
+            self.alerts += 1
+            self._hud.append((system_id, status_text(severity, f"Echowing: {text}")))
+
     def _say(self, now_s: float, text: str) -> None:
         self.events.append((now_s, text))
 
     def _timesync(self, system_id: int, message: Any, now_s: float) -> None:
         clock = self._clock(system_id)
-        if clock is not None and message.tc1 != 0:
+        if clock is not None and message.tc1 != 0 and clock.has_asked(message.ts1):
             clock.answered(message.ts1 / 1e9, message.tc1 / 1e9, now_s)
 
     def _clock(self, system_id: int) -> VehicleClock | None:
@@ -607,14 +682,14 @@ class FollowSession:
             follower.ground_speed_mps = math.hypot(message.vx, message.vy) / 100.0
             follower.climb_mps = -message.vz / 100.0
             follower.heading_rad = heading_of(message, follower.heading_rad)
-            follower.estimate.reported(
-                Report(
-                    follower.position_at_s,
-                    follower.position,
-                    follower.velocity_mps,
-                    follower.heading_rad,
-                )
+            report = Report(
+                follower.position_at_s,
+                follower.position,
+                follower.velocity_mps,
+                follower.heading_rad,
             )
+            self._note_own_jump(follower, report)
+            follower.estimate.reported(report)
         elif kind == "NAMED_VALUE_FLOAT" and message.name == SONAR_READING:
             self._raw_reading(follower, message, now_s)
         elif kind == "DISTANCE_SENSOR" and message.orientation == FORWARD:
@@ -635,6 +710,7 @@ class FollowSession:
         follower.raw_at_s = now_s
         way_s = self._way_s(follower)
         time_s = follower.estimate.sonar_clock.to_ours(message.time_boot_ms / 1e3, now_s, way_s)
+        self._remember_range(follower, time_s, message.value)
         follower.estimate.heard(time_s, message.value, self.settings.sonar_inset_m)
 
     def _distance(self, follower: FollowerState, message: Any, now_s: float) -> None:
@@ -642,7 +718,92 @@ class FollowSession:
         range_m = sonar_range_m(message)
         if range_m is not None and now_s - follower.raw_at_s > RAW_FRESH_S:
             time_s = now_s - self._way_s(follower) - AVERAGE_AGE_S
+            self._remember_range(follower, time_s, range_m)
             follower.estimate.heard(time_s, range_m, self.settings.sonar_inset_m)
+
+    @staticmethod
+    def _remember_range(follower: FollowerState, time_s: float, range_m: float) -> None:
+        if 0.0 < range_m < DETECTION_LIMIT_M:
+            follower.ranges.add(time_s, range_m)
+
+    # ---- jumps ----------------------------------------------------------------------------------
+
+    def _sonar_denies(self, follower: FollowerState, since_s: float) -> bool:
+        """Whether its sonar, which detected the leader, ranges it as before that moment."""
+        if not self.settings.learn_offset or follower.estimate.offset.unheard_s(since_s) > HEARD_S:
+            return False
+        return follower.ranges.unchanged(since_s)
+
+    def _settle_leaders_jump(self, now_s: float) -> None:
+        """A jump that the sonar denies is the receiver's: it goes into everybody's estimate."""
+        since_s = self.leader.jump_since_s
+        if since_s is None or self.leader.agreeing < CONFIRMING_REPORTS:
+            return
+        if not any(self._sonar_denies(one, since_s) for one in self.followers.values()):
+            return
+        moved_m = self.leader.believe_jump()
+        self._leader_history.clear()
+        for follower in self.followers.values():
+            follower.estimate.jumped(moved_m)
+        self._say(
+            now_s,
+            f"leader's receiver jumped by {math.hypot(*moved_m):.1f} m: the sonar's range did not "
+            "change, allowed for",
+        )
+
+    def _believed_elsewhere(self) -> None:
+        """The leader is believed in a new place that no sonar knows: nobody is flown there."""
+        self._forget_offsets()
+        jump_m = math.hypot(*self.leader.jump_m)
+        for follower in self.followers.values():
+            follower.latched = f"leader jumped by {jump_m:.1f} m, until it leaves Guided"
+
+    def _note_own_jump(self, follower: FollowerState, report: Report) -> None:
+        moved_m = None if self.engagement is None else follower.own_jump.reported(report)
+        if moved_m is None:
+            return
+        follower.estimate.history.clear()
+        if follower.held_at is not None:
+            # Where it stands has another name now.
+            follower.held_at = displace(follower.held_at, (*moved_m, 0.0))
+
+    def _settle_own_jump(self, follower: FollowerState, now_s: float) -> None:
+        jump = follower.own_jump
+        if jump.since_s is None:
+            return
+        moved_m = jump.moved_m
+        far_m = math.hypot(*moved_m)
+        denied = self._sonar_denies(follower, jump.since_s)
+        if not denied and now_s - jump.since_s < UNCONFIRMED_S:
+            return
+        jump.settled()
+        if not follower.in_guided or far_m < SAME_RANGE_M:
+            return
+        if denied:
+            follower.estimate.jumped((-moved_m[0], -moved_m[1]))
+            text = "the sonar's range did not change, allowed for"
+        else:
+            follower.latched = f"its position jumped by {far_m:.1f} m, until it leaves Guided"
+            text = "held until its pilot has left Guided and come back"
+        self._say(
+            now_s,
+            f"follower {follower.plan.system_id}: its receiver jumped by {far_m:.1f} m: {text}",
+        )
+
+    def _refuse_two_leaders(self, now_s: float) -> None:
+        """Two boot clocks in turn: two vehicles with the leader's id."""
+        if self._two_leaders or not self.leader.clocks.two_at_once(now_s):
+            return
+        self._two_leaders = True
+        text = (
+            f"system {self.leader_id}: two boot clocks at once: two vehicles with this id, or an "
+            "old recording on the link; give each vehicle a MAV_SYSID (SYSID_THISMAV) of its own"
+        )
+        self._say(now_s, text)
+        for follower in self.followers.values():
+            follower.latched = "two vehicles with the leader's id, until it leaves Guided"
+        if self.engagement is not None:
+            self.engagement.doubt(self.leader_id, "two vehicles with the leader's id", now_s)
 
     def _forget_offsets(self) -> None:
         """A leader believed in a new place: what was learnt of its receiver is void."""
@@ -654,8 +815,13 @@ class FollowSession:
         rejected, jumps = self.leader.rejected, self.leader.jumps
         before = self.leader.fix
         self.leader.receive(message, now_s)
-        if self.leader.jumps > jumps:
+        if self.leader.jumps > jumps and self.guard is None:
             self._forget_offsets()
+        elif self.leader.jumps > jumps:
+            self._believed_elsewhere()
+        if self.guard is not None:
+            self._settle_leaders_jump(now_s)
+            self._refuse_two_leaders(now_s)
         if self.leader.fix is not None and self.leader.fix is not before:
             self._note_leader(self.leader.fix)
         jumped = self.leader.rejected > rejected
@@ -681,6 +847,8 @@ class FollowSession:
         if in_guided is follower.in_guided:
             return
         follower.in_guided = in_guided
+        follower.latched = None
+        follower.own_jump.settled()
         # Whatever was held against it, and wherever it was held, was in another flight.
         climbs = self.lift_of(follower) in (Lift.CLIMBING, Lift.STOPPED)
         follower.flown = in_guided and climbs
@@ -691,6 +859,8 @@ class FollowSession:
                 left = "not flying any more"
             self._say(now_s, f"follower {follower.plan.system_id}: {left}, hands off")
         elif self.guard is not None:
+            if self.engagement is not None:
+                self.engagement.entered_guided(follower.plan.system_id)
             self.guard.entered_guided(follower.plan.system_id, now_s)
             deed = "taking off" if climbs else "following" if self.engaged else "only watched"
             self._say(now_s, f"follower {follower.plan.system_id}: in Guided, {deed}")
@@ -701,9 +871,8 @@ class FollowSession:
         for system_id in vehicles:
             clock = self._clock(system_id)
             if clock is not None and clock.due(now_s):
-                messages.append(
-                    (system_id, mavlink.MAVLink_timesync_message(0, round(now_s * 1e9)))
-                )
+                stamp_ns = clock.asks(now_s)
+                messages.append((system_id, mavlink.MAVLink_timesync_message(0, stamp_ns)))
         if now_s - self._beat_at_s >= HEARTBEAT_PERIOD_S:
             self._beat_at_s = now_s
             messages.extend((system_id, tool_heartbeat()) for system_id in vehicles)
@@ -725,6 +894,8 @@ class FollowSession:
         if self.guard is None:
             return []
         wanted = self.guard.read_back_requests(feed_forward=self.settings.feed_forward)
+        if self.engagement is not None:
+            wanted += self.engagement.requests()
         if self.settings.learn_offset:
             distance = mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR
             wanted += [(system_id, distance, DISTANCE_HZ) for system_id in self.followers]

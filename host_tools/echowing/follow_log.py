@@ -40,7 +40,8 @@ class FollowLog:
             self._table.flush()
         except OSError as error:
             raise EchowingError(
-                f"--log {folder}: cannot be written: {error.strerror}; give another folder"
+                f"--log {folder}: cannot be written: {error.strerror}; give another folder, "
+                "or --no-log"
             ) from error
 
     def frame(self, unix_s: float, frame: bytes) -> None:

@@ -76,7 +76,8 @@ def photograph(formation: Path) -> Photographer:
                 *("--leader", f"tcp:127.0.0.1:{PORT}@1"),
                 *("--follower", f"tcp:127.0.0.1:{PORT + 10}@2"),
                 *("--follower", f"tcp:127.0.0.1:{PORT + 20}@3"),
-                *("--formation", str(formation), "--engage", "--duration", str(LONGEST_S)),
+                *("--formation", str(formation), "--engage", "--no-log"),
+                *("--duration", str(LONGEST_S)),
             ]
         )
         FollowTool(options, photographer, stop).run()

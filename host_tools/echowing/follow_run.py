@@ -19,7 +19,7 @@ from echowing.guard import Limits
 from echowing.guidance import GuidanceSettings, Slot
 from echowing.links import Address, Link, wait
 from echowing.panel import Panel, left_as
-from echowing.seats import OpenLink, Seat, find_vehicles, known_id
+from echowing.seats import OpenLink, Seat, StrangerWatch, find_vehicles, known_id
 from echowing.signing import LinkSigning
 from echowing.stopping import StopRequest
 from echowing.take_off import TakeOff
@@ -27,6 +27,8 @@ from echowing.take_off import TakeOff
 ROWS_PERIOD_S = 0.1
 # A copter at 5 m/s stands within 5 s; the stop has to be seen for a second, over a slow link.
 STOPPING_S = 10.0
+# Until the leader's height is known, which is before anything is engaged.
+UNKNOWN_ALTITUDE_M = 10.0
 # This far behind, the points that were missed are not sent late.
 HOPELESS_S = 0.5
 # What another component of a vehicle, the co-processor, may say; all else is its autopilot's.
@@ -37,13 +39,14 @@ _COMPONENTS_SAY = {"DISTANCE_SENSOR", "NAMED_VALUE_FLOAT"}
 class FollowOptions:
     """What the operator has asked for; the first seat is the leader's.
 
-    make_guide: what leads a follower, where it is not its slot.
+    make_guide: what leads a follower, where it is not its slot; altitude_m: above the leader's
+    home, None: as high as the leader is when a follower is engaged.
     """
 
     seats: list[Seat]
     slots: list[Slot]
     settings: GuidanceSettings
-    altitude_m: float = 10.0
+    altitude_m: float | None = 10.0
     rate_hz: float = 8.0
     limits: Limits = field(default_factory=Limits)
     engage: bool = False
@@ -82,13 +85,14 @@ class FollowTool:
         self._make_link = make_link
         self._start_s = clock()
         self._start_unix_s = unix_clock()
+        self._strangers = StrangerWatch(options.seats)
         self._links: dict[str, OpenLink] = {}
         for seat in options.seats:
             if seat.address.text not in self._links:
                 self._links[seat.address.text] = self._link_of(seat)
         self._log: BackgroundLog | None = None
         self._next_tick_s = self._next_rows_s = 0.0
-        self._events_told = 0
+        self._events_told = self._alerts_told = 0
 
     def run(self) -> int:
         """Until the end is asked for; 0: every follower that was moved is known to stand.
@@ -101,6 +105,7 @@ class FollowTool:
                 link.link.open()
             if options.log is not None:
                 self._log = BackgroundLog(partial(FollowLog, options.log, self._start_unix_s))
+                self._say(f"log: {options.log}")
             if not find_vehicles(options.seats, self._links, self._now_s, self._over, self._say):
                 self._say("ended before all vehicles were heard; nothing was moved")
                 return self._unheard_code()
@@ -133,7 +138,7 @@ class FollowTool:
         options = self._options
         leader, *followers = options.seats
         plans = [
-            FollowerPlan(known_id(seat), slot, options.altitude_m)
+            FollowerPlan(known_id(seat), slot, options.altitude_m or UNKNOWN_ALTITUDE_M)
             for seat, slot in zip(followers, options.slots, strict=True)
         ]
         self._session = FollowSession(
@@ -144,6 +149,7 @@ class FollowTool:
             limits=options.limits,
             engaged=options.engage,
             take_off=options.take_off,
+            leaders_height=options.altitude_m is None,
         )
         if options.make_guide is not None:
             for follower in self._session.followers.values():
@@ -193,6 +199,9 @@ class FollowTool:
 
     def _take(self, link: OpenLink, message: Any, now_s: float) -> None:
         """Hand on what a vehicle of ours has said on its own link."""
+        doubt = self._strangers.heard(link.link.name, message)
+        if doubt is not None and self._session.engagement is not None:
+            self._session.engagement.doubt(*doubt, now_s)
         if self._ways.get(message.get_srcSystem()) is not link:
             return
         own = message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1
@@ -224,6 +233,9 @@ class FollowTool:
         for time_s, text in events[self._events_told :]:
             self._view.event(time_s, text)
         self._events_told = len(events)
+        if self._session.alerts > self._alerts_told:
+            self._alerts_told = self._session.alerts
+            self._view.ring()
         for system_id, text in self._panel.texts:
             self._say(f"system {system_id} warns: {text}")
         self._panel.texts.clear()

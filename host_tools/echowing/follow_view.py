@@ -205,7 +205,7 @@ def _style(state: str) -> str:
     """Green where all is well, yellow where it is stopped or on its way, red where nothing is."""
     if state == "following":
         return "green"
-    return "red" if state == "no points sent" else "yellow"
+    return "red" if state.startswith(("no points sent", "not engaged")) else "yellow"
 
 
 def _number(value: float | None, form: str = ".2f") -> str:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.engage import Readiness
 from echowing.geo import GlobalPosition, displace, distance_m, nearer_than, ned_between
 from echowing.switch import StopSwitch, Switches
 
@@ -78,7 +79,8 @@ class Limits:
     included; home_difference_m: between the altitudes of the leader's home and the follower's,
     from which each counts its own, up to this it is corrected; level_homes: both homes are known
     to be level, so that what they differ by is the receivers' error, and is not corrected;
-    leader_flies: the leader has to be armed and in the air.
+    leader_flies: the leader has to be armed and in the air; ready: what has to be right before the
+    first point, None: nothing is asked.
     """
 
     max_distance_m: float | None = None
@@ -87,10 +89,13 @@ class Limits:
     level_homes: bool = False
     leader_flies: bool = True
     switch: StopSwitch | None = None
+    ready: Readiness | None = None
 
 
 # The defaults of `echowing follow`, flown by the simulator too.
-FIELD_LIMITS = Limits(max_distance_m=100.0, min_separation_m=1.0, home_difference_m=5.0)
+FIELD_LIMITS = Limits(
+    max_distance_m=100.0, min_separation_m=1.0, home_difference_m=5.0, ready=Readiness()
+)
 
 
 @dataclass(slots=True)
@@ -153,7 +158,7 @@ class Guard:
             self._read_back_local(system_id, message, now_s)
         elif kind == "NAMED_VALUE_FLOAT" and message.name == APPLET_STATE:
             self._watches[system_id].applet_state = round(message.value)
-        elif kind == "PARAM_VALUE" and message.param_id == WATCHDOG:
+        elif kind == "PARAM_VALUE" and message.param_id == WATCHDOG and self.limits.ready is None:
             self._find_watchdog(system_id, message.param_value, now_s)
 
     def _find_watchdog(self, system_id: int, silence_s: float, now_s: float) -> None:
@@ -237,6 +242,15 @@ class Guard:
         if follower.position is None:
             return None
         return self._other_datum(follower, now_s) or self._too_far(follower, leader)
+
+    def home_m(self, system_id: int) -> float | None:
+        """Altitude of a vehicle's home above sea level, by its receiver; None: not known."""
+        return self._homes_m.get(system_id)
+
+    def home_above_leaders_m(self, system_id: int) -> float | None:
+        """How much higher than the leader's home a follower's is, by their receivers."""
+        own_m, leaders_m = self.home_m(system_id), self.home_m(self._leader_id)
+        return None if own_m is None or leaders_m is None else own_m - leaders_m
 
     def altitude_shift_m(self, system_id: int) -> float:
         """How much lower than the leader's home a follower's own is: added to its altitude."""
@@ -416,7 +430,7 @@ class Guard:
                 round_trip_s = follower.clock.round_trip_s
                 asked = self.switches.message(system_id, follower.mode_at_s, round_trip_s, now_s)
                 messages.extend([] if asked is None else [(system_id, asked)])
-            if self._asks_watchdog(system_id, watch, now_s):
+            if self.limits.ready is None and self._asks_watchdog(system_id, watch, now_s):
                 messages.append((system_id, _read_parameter(system_id, WATCHDOG)))
         return messages
 

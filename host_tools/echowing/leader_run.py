@@ -7,10 +7,12 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.background import BackgroundView
+from echowing.engage import EKF_HZ, GPS_HZ
+from echowing.errors import EchowingError
 from echowing.follow import RATE_REQUEST_PERIOD_S
 from echowing.follow_view import PlainView
 from echowing.guard import SWITCH_HZ, UNHEARD_S, RateWatch
-from echowing.links import Address, Link, wait
+from echowing.links import Address, Link, leads_back, wait
 from echowing.messages import HEARTBEAT_PERIOD_S, message_interval, tool_heartbeat
 from echowing.seats import POLL_S, OpenLink, Seat, find_vehicles, known_id
 from echowing.signing import LinkSigning
@@ -36,12 +38,15 @@ class LeaderTool:
         signing_key: bytes | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
+        _refuse_loop(seat.address, publish)
         self._seat = seat
         self._vehicle = _open_link(seat.address, signing_key, VEHICLE_LINK_ID)
         self._follow = _open_link(publish, signing_key, PUBLISHED_LINK_ID)
         self._wanted_hz = {
             mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: rate_hz,
             mavlink.MAVLINK_MSG_ID_RC_CHANNELS: SWITCH_HZ,
+            mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: EKF_HZ,
+            mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: GPS_HZ,
         }
         self._stop = stop
         self._clock = clock
@@ -133,3 +138,12 @@ class LeaderTool:
 
 def _open_link(address: Address, key: bytes | None, link_id: int) -> OpenLink:
     return OpenLink(Link(address, None if key is None else LinkSigning(key, link_id)))
+
+
+def _refuse_loop(vehicle: Address, publish: Address) -> None:
+    """What is published must not come in again as the vehicle's."""
+    if leads_back(vehicle, publish):
+        raise EchowingError(
+            f"--publish to {publish.host}:{publish.port} is where the vehicle is heard "
+            f"({vehicle.text}): all would go round and round; give another port"
+        )

@@ -1,27 +1,27 @@
 """Where the leader is, out of its reports: its clock against ours, late ones and jumps. Pure."""
 
 import math
+from collections import deque
 from typing import Any
 
-from echowing.geo import GlobalPosition, Ned, ned_between
-from echowing.guidance import LeaderFix
+from echowing.flight.alignment import Report
+from echowing.geo import GlobalPosition, Ned
+from echowing.guidance import Horizontal, LeaderFix
+from echowing.jumps import AGREEING_REPORTS, JUMP_M, BootClocks, beyond_movement_m
 from echowing.messages import heading_of
 
 # A vehicle's clock this far behind its newest report has begun anew: no radio holds one so long.
 REBOOT_MS = 10_000
-# A leader's report further than this from where the last one leads is a jump, not a movement:
-# twice what a hard reversal at 2 m/s can do between two reports.
-JUMP_M = 4.0
 # Accelerations beyond this are noise: a copter's default is 2.5 m/s2 (WP_ACC).
 MOST_MPS2 = 3.0
 # Two reports further apart than this say nothing of the acceleration now.
 LONGEST_GAP_S = 0.6
-# A new place is believed once this many reports in a row agree on it (2 s at 4 Hz).
-AGREEING_REPORTS = 8
 
 # How long a point takes there and back while no TIMESYNC answer has said.
 USUAL_ROUND_TRIP_S = 0.5
 TIMESYNC_PERIOD_S = 1.0
+# Questions that may still be answered: no radio holds one back for longer than half a minute.
+ANSWERS_AWAITED = 30
 # The quickest answer of so long sets the clock: crystals of 50 ppm drift 3 ms apart meanwhile.
 CLOCKS_AGREE_S = 60.0
 
@@ -38,6 +38,7 @@ class VehicleClock:
         self._best_at_s = -math.inf
         self._boot_at_s: float | None = None
         self._asked_at_s = -math.inf
+        self._asked_ns: deque[int] = deque(maxlen=ANSWERS_AWAITED)
 
     @property
     def known(self) -> bool:
@@ -55,6 +56,15 @@ class VehicleClock:
             return False
         self._asked_at_s = now_s
         return True
+
+    def asks(self, now_s: float) -> int:
+        """The stamp of a question sent now, nanoseconds."""
+        self._asked_ns.append(round(now_s * 1e9))
+        return self._asked_ns[-1]
+
+    def has_asked(self, stamp_ns: int) -> bool:
+        """Whether an answer with this stamp is to us: other tools ask on the same link."""
+        return stamp_ns in self._asked_ns
 
     def answered(self, asked_s: float, vehicle_boot_s: float, now_s: float) -> None:
         """Take one TIMESYNC answer: when it was asked, and the vehicle's clock in it."""
@@ -74,7 +84,7 @@ class VehicleClock:
         return min(received_s, self._boot_at_s + boot_s)
 
     def restarted(self) -> None:
-        """Forget everything: the vehicle has booted again."""
+        """Forget everything: the vehicle has booted again; late answers are of its former clock."""
         self.__init__()  # type: ignore[misc]
 
 
@@ -83,11 +93,16 @@ class LeaderTrack:
 
     def __init__(self) -> None:
         self.clock = VehicleClock()
+        self.clocks = BootClocks()
         self.fix: LeaderFix | None = None
         self.rejected = 0
         self._newest_boot_ms = -1
         self._candidate: LeaderFix | None = None
         self._agreeing = 0
+        self.jump_m: Horizontal = (0.0, 0.0)
+        """How far (north, east) the place that is looked at now, or the last one, is away."""
+        self.jump_since_s: float | None = None
+        """The last report before it; None: no place is looked at."""
         self.jumps = 0
         """How often the leader has turned up somewhere else and been believed there."""
 
@@ -96,8 +111,10 @@ class LeaderTrack:
         boot_ms = message.time_boot_ms
         if is_late(boot_ms, self._newest_boot_ms):
             return
+        if not self.clocks.is_believed(boot_ms / 1e3, now_s):
+            return
         if boot_ms < self._newest_boot_ms:
-            self._reboot()
+            self.clock.restarted()
         self._newest_boot_ms = boot_ms
         boot_s = boot_ms / 1000.0
         velocity = (message.vx / 100.0, message.vy / 100.0, message.vz / 100.0)
@@ -123,22 +140,32 @@ class LeaderTrack:
         north, east, down = (max(-MOST_MPS2, min(MOST_MPS2, one)) for one in change)
         return north, east, down
 
-    def _reboot(self) -> None:
-        self.clock.restarted()
-        self.fix = None
-
     def _believable(self, fix: LeaderFix) -> bool:
         if self.fix is None or not _jumps(self.fix, fix):
-            self._agreeing = 0
+            self._agreeing, self._candidate, self.jump_since_s = 0, None, None
             return True
         self.rejected += 1
         agrees = self._candidate is not None and not _jumps(self._candidate, fix)
         self._agreeing = self._agreeing + 1 if agrees else 0
+        if not agrees:
+            self.jump_m = beyond_movement_m(_report(self.fix), _report(fix))
+            self.jump_since_s = self.fix.time_s
         self._candidate = fix
         if self._agreeing < AGREEING_REPORTS:
             return False
         self.jumps += 1
+        self.jump_since_s = None
         return True
+
+    @property
+    def agreeing(self) -> int:
+        """How many reports in a row agree with the first of a new place."""
+        return self._agreeing
+
+    def believe_jump(self) -> Horizontal:
+        """Believe the new place now: it is known to be the receiver's. Returns the jump."""
+        self.fix, self._agreeing, self.jump_since_s = self._candidate, 0, None
+        return self.jump_m
 
 
 def is_late(boot_ms: int, newest_boot_ms: int) -> bool:
@@ -146,11 +173,10 @@ def is_late(boot_ms: int, newest_boot_ms: int) -> bool:
     return 0 <= newest_boot_ms - boot_ms <= REBOOT_MS
 
 
+def _report(fix: LeaderFix) -> Report:
+    return Report(fix.time_s, fix.position, fix.velocity_ned_mps[:2], fix.heading_rad)
+
+
 def _jumps(before: LeaderFix, after: LeaderFix) -> bool:
-    elapsed_s = after.time_s - before.time_s
-    north, east, _ = ned_between(before.position, after.position)
-    mean = [
-        (a + b) / 2.0 for a, b in zip(before.velocity_ned_mps, after.velocity_ned_mps, strict=True)
-    ]
-    off_m = math.hypot(north - mean[0] * elapsed_s, east - mean[1] * elapsed_s)
-    return off_m > JUMP_M * max(1.0, elapsed_s)
+    off_m = beyond_movement_m(_report(before), _report(after))
+    return math.hypot(*off_m) > JUMP_M * max(1.0, after.time_s - before.time_s)

@@ -17,7 +17,7 @@ from typing import Any, Protocol
 from echowing.errors import EchowingError
 from echowing.signing import LinkSigning, Parser, is_refused
 
-LOOPBACK = "127.0.0.1"
+LOOPBACK, EVERYWHERE = "127.0.0.1", "0.0.0.0"
 DEFAULT_BAUD = 57_600  # of telemetry radios and of ArduPilot's SERIAL1
 RETRY_S = 1.0
 # One datagram, or what a serial port can hold back.
@@ -46,9 +46,20 @@ class Address:
     port: int = 0
     baud: int = DEFAULT_BAUD
 
+    @property
+    def where(self) -> str:
+        """The connection string, and what it listens on."""
+        if self.kind == "udpin" and self.host == EVERYWHERE:
+            return f"{self.text} (listens on all addresses of this computer)"
+        if self.kind in ("udpin", "tcpin"):
+            return f"{self.text} (listens on {self.host})"
+        return self.text
+
 
 def parse_address(text: str, baud: int = DEFAULT_BAUD) -> Address:
-    """Read a connection string; listening is on loopback unless a host is given.
+    """Read a connection string; without a host `udpin` listens on all addresses, `tcpin` here only.
+
+    Vehicles on Wi-Fi send their datagrams to this computer's address.
 
     Raises EchowingError that says what to write.
     """
@@ -62,7 +73,8 @@ def parse_address(text: str, baud: int = DEFAULT_BAUD) -> Address:
         raise EchowingError(f"link {text!r}: the port is a number from 1 to 65535 ({_FORMS})")
     if not host and kind in ("udpout", "tcp"):
         raise EchowingError(f"link {text!r}: which host? Write {kind}:HOST:PORT")
-    return Address(text, kind, host or LOOPBACK, int(port))
+    here = EVERYWHERE if kind == "udpin" else LOOPBACK
+    return Address(text, kind, host or here, int(port))
 
 
 def _serial_address(text: str, baud: int) -> Address:
@@ -483,6 +495,28 @@ def _reason(error: Exception) -> str:
     if number == errno.ECONNREFUSED:
         return "nobody listens there"
     return getattr(error, "strerror", None) or str(error)
+
+
+def leads_back(link: Address, to: Address) -> bool:
+    """Whether datagrams sent `to` an address come in, or go out, at a link of ours too."""
+    if link.kind not in ("udpin", "udpout") or link.port != to.port:
+        return False
+    try:
+        if link.kind == "udpin" and link.host == EVERYWHERE:
+            return _is_here(to.host)
+        return _number_of(link.host) == _number_of(to.host)
+    except OSError:  # no such host, which shows when it is opened
+        return False
+
+
+def _is_here(host: str) -> bool:
+    """Whether an address is one of this computer's."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.bind((_number_of(host), 0))
+        except OSError:
+            return False
+    return True
 
 
 def wait(links: Iterable[Link], timeout_s: float) -> None:

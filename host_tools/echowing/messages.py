@@ -18,6 +18,8 @@ HEARTBEAT_PERIOD_S = 1.0
 
 FORWARD = mavlink.MAV_SENSOR_ROTATION_NONE
 
+STATUS_TEXT_BYTES = 50
+
 # GLOBAL_POSITION_INT: the ends of its degrees, and MAVLink's word for no heading.
 MOST_LAT_E7, MOST_LON_E7 = 900_000_000, 1_800_000_000
 UNKNOWN_HEADING = 65_535
@@ -101,6 +103,11 @@ def tool_heartbeat() -> Any:
         mavlink.MAV_STATE_ACTIVE,
         3,
     )
+
+
+def status_text(severity: int, text: str) -> Any:
+    """STATUSTEXT for the ground stations behind a vehicle, which passes it on to all its links."""
+    return mavlink.MAVLink_statustext_message(severity, text.encode()[:STATUS_TEXT_BYTES])
 
 
 def message_interval(system_id: int, message_id: int, period_us: int) -> Any:

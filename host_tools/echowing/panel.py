@@ -212,6 +212,13 @@ def state_of(session: FollowSession, follower: FollowerState, now_s: float) -> s
         return "only watched"
     if not follower.in_guided:
         return "hands off"
+    objection = (
+        None
+        if session.engagement is None
+        else session.engagement.objection(follower.plan.system_id)
+    )
+    if objection is not None:
+        return f"not engaged: {objection}"
     if not session.sends_to(follower, now_s):
         return "no points sent"
     return _led_state(session, follower)

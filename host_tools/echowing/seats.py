@@ -15,8 +15,9 @@ from echowing.messages import (
     tool_heartbeat,
 )
 
-# Heartbeats come once a second: after this long everybody on a link has been heard.
-LISTEN_S = 1.5
+# Heartbeats come once a second: after this long everybody on a link has been heard, even where
+# three in a row were lost.
+LISTEN_S = 4.0
 WAITING_PERIOD_S = 5.0
 POLL_S = 0.1
 
@@ -93,10 +94,7 @@ class VehicleFinder:
 
     def heard(self, link: str, message: Any, now_s: float) -> None:
         """Take any message of a link."""
-        if message.get_type() != "HEARTBEAT":
-            return
-        vehicle = message.autopilot != mavlink.MAV_AUTOPILOT_INVALID
-        if vehicle and message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1:
+        if _is_vehicle(message):
             self._heard.setdefault(link, {}).setdefault(message.get_srcSystem(), now_s)
 
     def decide(self, now_s: float) -> None:
@@ -134,10 +132,10 @@ class VehicleFinder:
     def _described(self, seat: Seat) -> str:
         """A missing vehicle; where it was named, also who is heard in its place."""
         if seat.system_id is None:
-            return f"{seat.role} on {seat.address.text}"
+            return f"{seat.role} on {seat.address.where}"
         others = sorted(self._heard.get(seat.address.text, {}))
         heard = f" (heard there: {', '.join(map(str, others))})" if others else ""
-        return f"{seat.role}, system {seat.system_id}, on {seat.address.text}{heard}"
+        return f"{seat.role}, system {seat.system_id}, on {seat.address.where}{heard}"
 
     def _open_seats(self) -> list[Seat]:
         return [seat for seat in self._seats if seat.system_id is None]
@@ -154,6 +152,39 @@ class VehicleFinder:
                 raise EchowingError(
                     f"{text} is given for several vehicles: say which is which, as {text}@1"
                 )
+
+
+class StrangerWatch:
+    """Goes on watching links on which a vehicle was not named: another one may turn up late. Pure.
+
+    Made before the seats are filled.
+    """
+
+    def __init__(self, seats: Sequence[Seat]) -> None:
+        self._seats = seats
+        self._unnamed = {seat.address.text: seat for seat in seats if seat.system_id is None}
+
+    def heard(self, link: str, message: Any) -> tuple[int, str] | None:
+        """Whose seat another vehicle may have been meant for, and what to do; None: nobody's."""
+        seat = self._unnamed.get(link)
+        stranger = message.get_srcSystem()
+        if seat is None or seat.system_id is None or not _is_vehicle(message):
+            return None
+        if stranger in {one.system_id for one in self._seats}:
+            return None
+        listed = ", ".join(map(str, sorted((seat.system_id, stranger))))
+        return seat.system_id, (
+            f"{link}: systems {listed} are heard there, and the {seat.role} was not named: end, "
+            f"and say which it is: {link}@{seat.system_id}"
+        )
+
+
+def _is_vehicle(message: Any) -> bool:
+    """Whether it is an autopilot's heartbeat."""
+    if message.get_type() != "HEARTBEAT":
+        return False
+    autopilot = message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1
+    return bool(autopilot and message.autopilot != mavlink.MAV_AUTOPILOT_INVALID)
 
 
 def find_vehicles(

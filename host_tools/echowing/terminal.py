@@ -15,6 +15,13 @@ def draws_live() -> bool:
     return sys.stdout.isatty() and os.environ.get("TERM", "").lower() not in _WITHOUT_CURSOR
 
 
+def ring() -> None:
+    """Ring the bell of the terminal, where there is one."""
+    if sys.stderr.isatty():
+        sys.stderr.write("\a")
+        sys.stderr.flush()
+
+
 def run_in_flight(run: Callable[[], int], stuck: Callable[[], bool]) -> int:
     """Run a tool that flies on this process's terminal, which then cannot stop it.
 

@@ -2,14 +2,17 @@
 
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
 from echowing import firmware
 
+from .bench import BOARD
+from .emulator_process import Emulator
 from .fake_programmer import FakeProgrammer
+from .fake_rom_loader import FakeRomLoader
 
 BUILD = firmware.REPOSITORY / "firmware" / "tools" / "build.py"
 
@@ -43,9 +46,39 @@ def mega_elf() -> Path:
     return elf
 
 
+@pytest.fixture(scope="session")
+def elf() -> Path:
+    """The firmware of the board under test (see bench.py): the Mega's, if nothing else is asked."""
+    path = firmware.elf_path(BOARD.name)
+    firmware.check_elf(path, BOARD.name)
+    return path
+
+
 @pytest.fixture
 def programmer() -> Iterator[FakeProgrammer]:
     """A Mega's bootloader on a pseudo-terminal."""
     fake = FakeProgrammer()
     yield fake
     fake.close()
+
+
+@pytest.fixture
+def rom_loader() -> Iterator[FakeRomLoader]:
+    """A Blue Pill's boot loader on a pseudo-terminal."""
+    fake = FakeRomLoader()
+    yield fake
+    fake.close()
+
+
+@pytest.fixture
+def start(mega_elf: Path) -> Iterator[Callable[..., Emulator]]:
+    """Starts emulators, and stops them after the test."""
+    started: list[Emulator] = []
+
+    def run(*options: str | Path) -> Emulator:
+        started.append(Emulator(*options))
+        return started[-1]
+
+    yield run
+    for emulator in started:
+        emulator.stop()

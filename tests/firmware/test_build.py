@@ -16,6 +16,7 @@ from echowing import firmware
 from echowing.errors import EchowingError
 
 from .fake_programmer import FakeProgrammer
+from .fake_rom_loader import FLASH_START, PAGE, FakeRomLoader
 
 TOOLS = firmware.REPOSITORY / "firmware" / "tools"
 Run = Callable[..., subprocess.CompletedProcess[str]]
@@ -255,9 +256,201 @@ class TestFlash:
         with pytest.raises(EchowingError, match="apt install avrdude"):
             flash.flash("mega", programmer.port)
 
+    def test_method_that_the_board_has_not(self, mega_elf: Path, flash: ModuleType) -> None:
+        with pytest.raises(EchowingError, match="a mega is not flashed by 'dfu': METHOD is one of"):
+            flash.flash("mega", None, "dfu")
+
     def test_nothing_built_yet(
         self, flash: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
     ) -> None:
         monkeypatch.setattr(firmware, "REPOSITORY", tmp_path)
         with pytest.raises(EchowingError, match="make firmware BOARD=mega"):
             flash.flash("mega", "/dev/null")
+
+
+IMAGE = bytes(range(256)) * 21 + b"not a whole page"
+
+
+@pytest.fixture
+def stm32_image(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    """A built firmware for each STM32 board, and a PATH with nothing else than what a test adds."""
+    header = bytearray(52)
+    header[:4] = b"\x7fELF"
+    header[18] = firmware.ELF_MACHINE_ARM
+    monkeypatch.setattr(firmware, "REPOSITORY", tmp_path)
+    for board in firmware.BOARDS.values():
+        elf = firmware.elf_path(board.name)
+        elf.parent.mkdir(parents=True)
+        elf.write_bytes(header)
+        elf.with_suffix(".bin").write_bytes(IMAGE)
+    tools = tmp_path / "tools"
+    tools.mkdir()
+    monkeypatch.setenv("PATH", f"{tools}:/usr/bin:/bin")
+    return tools
+
+
+def fake_tool(folder: Path, name: str, says: str, code: int = 0) -> Path:
+    """A program that notes its arguments, says something and ends; returns its notes."""
+    notes = folder / f"{name}.arguments"
+    (folder / f"{name}.says").write_text(says)
+    tool = folder / name
+    tool.write_text(f'#!/bin/sh\necho "$@" >{notes}\ncat {folder}/{name}.says\nexit {code}\n')
+    tool.chmod(0o755)
+    return notes
+
+
+# As dfu-util 0.11 speaks of a chip that has left at once when it was told to.
+DFU_UTIL_SAYS = """\
+dfu-util: Warning: Invalid DFU suffix signature
+dfu-util: A valid DFU suffix will be required in a future dfu-util release
+Opening DFU capable USB device...
+Download\t[=========================] 100%         5392 bytes
+Download done.
+File downloaded successfully
+Submitting leave request...
+dfu-util: Error during download get_status
+"""
+
+
+class TestFlashStm32:
+    def test_black_pill_by_dfu_needs_no_port(
+        self, stm32_image: Path, flash: ModuleType, capfd: pytest.CaptureFixture[str]
+    ) -> None:
+        notes = fake_tool(stm32_image, "dfu-util", DFU_UTIL_SAYS, code=74)
+        flash.flash("blackpill_f411", None)
+        image = firmware.elf_path("blackpill_f411").with_suffix(".bin")
+        assert notes.read_text() == f"-d 0483:df11 -a 0 -s 0x08000000:leave -D {image}\n"
+        said = capfd.readouterr()
+        assert "File downloaded successfully" in said.out
+        for trouble in ("rror", "arning", "suffix"):
+            assert trouble not in said.out + said.err
+
+    def test_dfu_that_fails_shows_why(
+        self, stm32_image: Path, flash: ModuleType, capfd: pytest.CaptureFixture[str]
+    ) -> None:
+        fake_tool(stm32_image, "dfu-util", "dfu-util: Error: No DFU capable USB device\n", code=74)
+        with pytest.raises(EchowingError, match="hold BOOT0, press and let go of NRST"):
+            flash.flash("blackpill_f411", None)
+        assert "No DFU capable USB device" in capfd.readouterr().out
+
+    @pytest.mark.parametrize("board", ["nucleo_f446", "bluepill_f103", "blackpill_f411"])
+    def test_st_link(self, stm32_image: Path, flash: ModuleType, board: str) -> None:
+        notes = fake_tool(stm32_image, "st-flash", "INFO common.c: Flash written and verified!\n")
+        flash.flash(board, None, "stlink")
+        image = firmware.elf_path(board).with_suffix(".bin")
+        assert notes.read_text() == f"--reset write {image} 0x08000000\n"
+
+    def test_nucleo_s_usual_way_is_its_st_link(self, stm32_image: Path, flash: ModuleType) -> None:
+        notes = fake_tool(stm32_image, "st-flash", "")
+        flash.flash("nucleo_f446", None)
+        assert notes.exists()
+
+    def test_st_link_that_fails(self, stm32_image: Path, flash: ModuleType) -> None:
+        fake_tool(stm32_image, "st-flash", "Failed to connect to target\n", code=1)
+        with pytest.raises(EchowingError, match="st-info --probe"):
+            flash.flash("nucleo_f446", None)
+
+    def test_blue_pill_s_boot_loader_gets_every_byte_and_keeps_the_parameters(
+        self, stm32_image: Path, flash: ModuleType, rom_loader: FakeRomLoader
+    ) -> None:
+        # Debian's stm32flash itself. A pseudo-terminal has no parity bit, the boot loader's has.
+        wrapper = stm32_image / "stm32flash"
+        wrapper.write_text('#!/bin/sh\nexec /usr/bin/stm32flash -m 8n1 "$@"\n')
+        wrapper.chmod(0o755)
+        flash.flash("bluepill_f103", rom_loader.port)
+        assert rom_loader.flash[: len(IMAGE)] == IMAGE
+        pages = -(-len(IMAGE) // PAGE)
+        assert rom_loader.erased_pages == list(range(pages))
+        assert set(rom_loader.flash[pages * PAGE :]) == {0x5A}
+        assert rom_loader.started_at == FLASH_START
+
+    def test_serial_boot_loader_needs_a_port(self, stm32_image: Path, flash: ModuleType) -> None:
+        with pytest.raises(EchowingError, match="which port"):
+            flash.flash("bluepill_f103", None)
+
+    @pytest.mark.parametrize(
+        ("board", "method", "package"),
+        [
+            ("blackpill_f411", None, "dfu-util"),
+            ("bluepill_f103", "stlink", "stlink-tools"),
+        ],
+    )
+    def test_missing_tool_names_the_package(
+        self,
+        stm32_image: Path,
+        flash: ModuleType,
+        monkeypatch: pytest.MonkeyPatch,
+        board: str,
+        method: str | None,
+        package: str,
+    ) -> None:
+        monkeypatch.setenv("PATH", str(stm32_image))
+        with pytest.raises(EchowingError, match=f"apt install {package}"):
+            flash.flash(board, None, method)
+
+    def test_every_way_of_every_board_is_known(self, flash: ModuleType) -> None:
+        for board in firmware.BOARDS.values():
+            assert set(board.uploads) <= set(flash.METHODS)
+
+
+class TestStm32Core:
+    """firmware/tools/stm32_home.sh, of whose core there is none here."""
+
+    def core(self, folder: Path, version: str = "2.12.0") -> Path:
+        folder.mkdir()
+        (folder / "boards.txt").write_text("")
+        (folder / "platform.txt").write_text(
+            f"version={version}\ncmsis_dir={{runtime.tools.CMSIS-6.2.0.path}}/CMSIS\n"
+        )
+        return folder
+
+    def cmsis(self, folder: Path) -> Path:
+        (folder / "CMSIS" / "Core" / "Include").mkdir(parents=True)
+        (folder / "CMSIS" / "Core" / "Include" / "core_cm4.h").write_text("")
+        return folder
+
+    def test_without_one_it_says_what_to_install(self, tmp_path: Path) -> None:
+        failed = run("make", "-s", "test-stm32", ECHOWING_STM32_CORE="/nowhere", HOME=str(tmp_path))
+        assert failed.returncode != 0
+        assert "no official STM32 core in /nowhere" in failed.stderr
+        assert "arduino-cli core install STMicroelectronics:stm32@2.12.0" in failed.stderr
+        assert "ECHOWING_STM32_CORE=/path/to/core" in failed.stderr
+
+    def test_another_version_is_refused(self, tmp_path: Path) -> None:
+        core = self.core(tmp_path / "core", "2.11.0")
+        failed = run(TOOLS / "stm32_home.sh", tmp_path / "h", ECHOWING_STM32_CORE=str(core))
+        assert failed.returncode == 1
+        assert "is 2.11.0; sketch.yaml pins 2.12.0" in failed.stderr
+
+    def test_missing_cmsis_is_named(self, tmp_path: Path) -> None:
+        core = self.core(tmp_path / "core")
+        failed = run(TOOLS / "stm32_home.sh", tmp_path / "h", ECHOWING_STM32_CORE=str(core))
+        assert failed.returncode == 1
+        assert "no CMSIS 6.2.0" in failed.stderr
+
+    def test_home_leads_to_core_and_compiler(self, tmp_path: Path) -> None:
+        laid = run(
+            TOOLS / "stm32_home.sh",
+            tmp_path / "h",
+            ECHOWING_STM32_CORE=str(self.core(tmp_path / "core")),
+            ECHOWING_STM32_CMSIS=str(self.cmsis(tmp_path / "cmsis")),
+        )
+        assert laid.returncode == 0, laid.stderr
+        assert "STM32 core 2.12.0" in laid.stdout
+        platform = tmp_path / "h" / "user" / "hardware" / "STMicroelectronics" / "stm32"
+        assert (platform / "boards.txt").samefile(tmp_path / "core" / "boards.txt")
+        local = (platform / "platform.local.txt").read_text()
+        assert f"cmsis_dir={tmp_path}/cmsis/CMSIS" in local
+        assert "toolchain_dir=/usr\n" in local
+
+
+def test_clean_keeps_what_was_downloaded(tmp_path: Path) -> None:
+    (tmp_path / "Makefile").write_text((firmware.REPOSITORY / "Makefile").read_text())
+    kept = ["tools/arduino-cli", "arduino-home/data/packages/core", "arduino-home-stm32/x.yaml"]
+    gone = ["firmware/mega/echowing.elf", "host/lib.so", "arduino-home/cache/y"]
+    for name in kept + gone:
+        (tmp_path / "build" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "build" / name).write_text("")
+    assert run("make", "-s", "-C", tmp_path, "clean").returncode == 0
+    assert all((tmp_path / "build" / name).exists() for name in kept)
+    assert not any((tmp_path / "build" / name).exists() for name in gone)

@@ -7,21 +7,23 @@ import pytest
 
 from echowing.sim.firmware_figures import FirmwareFigure, firmware_figures
 
+from .bench import BOARD
+
 SPEED = "emulated board, simulated per wall"  # this machine's business, not the firmware's
 
 
 @pytest.fixture(scope="module")
-def figures(mega_elf: Path) -> dict[str, FirmwareFigure]:
+def figures(elf: Path) -> dict[str, FirmwareFigure]:
     """All of them, by name."""
-    assert mega_elf.exists()
-    return {figure.what: figure for figure in firmware_figures()}
+    assert elf.exists()
+    return {figure.what: figure for figure in firmware_figures(BOARD.name)}
 
 
 @pytest.mark.parametrize(
     "what",
     [
-        "mega: flash",
-        "mega: static RAM",
+        f"{BOARD.name}: flash",
+        f"{BOARD.name}: static RAM",
         "power-on to first report",
         "reading to last byte of its report",
         "jitter of the reports",

@@ -1,11 +1,7 @@
 """`echowing emulator`: a process whose ports other programs open."""
 
-import re
-import signal
 import socket
-import subprocess
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,49 +14,7 @@ from echowing.sim.desk import Desk, Scene, leader_from
 from echowing.sim.wires import PtyWire, TcpServerWire, open_udp, open_wire
 
 from .bench import BenchSonar
-
-# Generous: a busy machine may take its time, a broken emulator takes for ever.
-PATIENCE_S = 60.0
-
-
-class Emulator:
-    """The process, and what it says."""
-
-    def __init__(self, *options: str | Path) -> None:
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "echowing.cli", "emulator", *map(str, options)],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-
-    def told(self, pattern: str) -> str:
-        """The first group of the next line that matches."""
-        assert self.process.stdout is not None
-        for line in self.process.stdout:
-            if found := re.search(pattern, line):
-                return found[1]
-        raise AssertionError(f"never said {pattern!r}: {self.stop()}")
-
-    def stop(self) -> str:
-        """Interrupt it as a user would; returns what it complained of."""
-        if self.process.poll() is None:
-            self.process.send_signal(signal.SIGINT)
-        return self.process.communicate(timeout=PATIENCE_S)[1]
-
-
-@pytest.fixture
-def start(mega_elf: Path) -> Iterator[Callable[..., Emulator]]:
-    """Starts emulators, and stops them after the test."""
-    started: list[Emulator] = []
-
-    def run(*options: str | Path) -> Emulator:
-        started.append(Emulator(*options))
-        return started[-1]
-
-    yield run
-    for emulator in started:
-        emulator.stop()
+from .emulator_process import PATIENCE_S, Emulator
 
 
 def report(link: Any, wanted: Callable[[Any], bool] = lambda _: True) -> Any:
@@ -115,11 +69,11 @@ class TestProcess:
         emulator.process.wait(timeout=PATIENCE_S)
         assert image.stat().st_size == 4096
 
-    def test_missing_binary_names_the_command(self, tmp_path: Path) -> None:
+    def test_a_binary_that_is_not_there_is_named(self, tmp_path: Path) -> None:
         emulator = Emulator("--elf", tmp_path / "none.elf")
         assert emulator.process.wait(timeout=PATIENCE_S) == 2
         complaint = emulator.stop()
-        assert "make firmware BOARD=mega" in complaint
+        assert "none.elf: no such file" in complaint
         assert "Traceback" not in complaint
 
     @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import pytest
 
 from echowing.sim.sonar import SERVO_SLEW_DPS, SERVO_US_PER_DEG
 
-from .bench import CONSOLE_PORT, Bench, BenchSonar
+from .bench import CONSOLE_PORT, IS_STM32, Bench, BenchSonar
 
 # Thesis Appendix A: pan and tilt pulses, us, in the order of the figure 8.
 TWELVE_POINTS = [
@@ -33,6 +33,8 @@ DWELL_S = 0.3
 FRAME_US = 20_000.0  # a new pulse is seen with the servo's next frame
 NO_TARGET_CM = 766
 UNTIL_TRACKING_S = 1.0
+# The STM32's core starts its clocks and copies its variables first, here at a quarter of its pace.
+CLOCK_BEGINS_MS = 20 if IS_STM32 else 0
 # The servos stand straight ahead until the first frame after the first turn.
 FIRST_FRAME_US = 2 * FRAME_US
 
@@ -60,17 +62,17 @@ def tracking(elf: Path, range_m: float = 2.0) -> Bench:
 
 
 @pytest.fixture(scope="module")
-def searched(mega_elf: Path) -> Bench:
+def searched(elf: Path) -> Bench:
     """Two rounds and a bit without a target."""
-    bench = Bench(mega_elf)
+    bench = Bench(elf)
     bench.run(2.2 * 12 * DWELL_S)
     return bench
 
 
 @pytest.fixture(scope="module")
-def reported(mega_elf: Path) -> Bench:
+def reported(elf: Path) -> Bench:
     """Ten seconds of tracking, autopilot armed."""
-    bench = Bench(mega_elf, BenchSonar(2.0), armed=True)
+    bench = Bench(elf, BenchSonar(2.0), armed=True)
     bench.run(11.0)
     return bench
 
@@ -101,9 +103,9 @@ class TestSearch:
         newest = searched.messages("DISTANCE_SENSOR")[-1].message
         assert newest.signal_quality == 1  # MAVLink: 1 is invalid, 0 unknown
 
-    def test_starts_where_the_target_was_last_seen(self, mega_elf: Path) -> None:
+    def test_starts_where_the_target_was_last_seen(self, elf: Path) -> None:
         # Seen while the gimbal stood at the lower right, 9 points after the start.
-        bench = Bench(mega_elf)
+        bench = Bench(elf)
         bench.sonar.range_m = lambda t_s: 2.0 if 2.85 < t_s < 3.5 else None
         bench.run(5.0)
         frozen = [aim for t_us, aim in aim_changes(bench) if t_us < 3.0e6][-1]
@@ -113,20 +115,20 @@ class TestSearch:
 
 
 class TestTrack:
-    def test_target_freezes_the_gimbal(self, mega_elf: Path) -> None:
-        bench = tracking(mega_elf)
+    def test_target_freezes_the_gimbal(self, elf: Path) -> None:
+        bench = tracking(elf)
         bench.run(3.0)
         assert [aim for _, aim in aim_changes(bench)] == [TWELVE_POINTS[0]]
 
     @pytest.mark.parametrize(("range_m", "frozen"), [(4.49, True), (4.50, False)])
-    def test_threshold_is_4_5_m(self, mega_elf: Path, range_m: float, frozen: bool) -> None:
-        bench = Bench(mega_elf, BenchSonar(range_m))
+    def test_threshold_is_4_5_m(self, elf: Path, range_m: float, frozen: bool) -> None:
+        bench = Bench(elf, BenchSonar(range_m))
         bench.run(1.5)
         assert (len(aim_changes(bench)) == 1) == frozen
         assert (bench.ranges_cm()[-1] == round(range_m * 100)) == frozen
 
-    def test_one_miss_is_forgiven(self, mega_elf: Path) -> None:
-        bench = tracking(mega_elf)
+    def test_one_miss_is_forgiven(self, elf: Path) -> None:
+        bench = tracking(elf)
         begun_us = bench.t_us
         misses = len(bench.sonar.triggers_us) + 2
         bench.sonar.range_m = lambda _: None if len(bench.sonar.triggers_us) == misses else 2.0
@@ -135,8 +137,8 @@ class TestTrack:
         assert len(aim_changes(bench)) == 1
         assert set(bench.ranges_cm(begun_us)) == {200}
 
-    def test_two_misses_in_a_row_start_a_search(self, mega_elf: Path) -> None:
-        bench = tracking(mega_elf)
+    def test_two_misses_in_a_row_start_a_search(self, elf: Path) -> None:
+        bench = tracking(elf)
         bench.sonar.range_m = None
         bench.run(1.0)
         assert len(aim_changes(bench)) >= 3
@@ -149,8 +151,8 @@ class TestTrack:
         )
         assert missed_us[1] <= lost.t_us < missed_us[2]
 
-    def test_miss_limit_is_a_parameter(self, mega_elf: Path) -> None:
-        bench = tracking(mega_elf)
+    def test_miss_limit_is_a_parameter(self, elf: Path) -> None:
+        bench = tracking(elf)
         assert bench.set_parameter("MISS_LIMIT", 4).param_value == 4
         begun_us = bench.t_us
         bench.sonar.range_m = None
@@ -163,8 +165,8 @@ class TestTrack:
         )
         assert missed_us[3] <= lost.t_us < missed_us[4]
 
-    def test_reports_the_mean_of_the_newest_0_45_s(self, mega_elf: Path) -> None:
-        bench = tracking(mega_elf, 3.0)
+    def test_reports_the_mean_of_the_newest_0_45_s(self, elf: Path) -> None:
+        bench = tracking(elf, 3.0)
         begun_us = bench.t_us
         bench.sonar.range_m = lambda t_s: 3.0 - 0.8 * (t_s - begun_us / 1e6)
         bench.run(2.0)
@@ -173,8 +175,8 @@ class TestTrack:
             heard = [cm for t_us, cm in readings if t_us < report.t_us][-5:]  # one in 100 ms
             assert report.message.current_distance == pytest.approx(sum(heard) / 5, abs=0.51)
 
-    def test_average_never_mixes_what_was_before_a_search(self, mega_elf: Path) -> None:
-        bench = tracking(mega_elf, 4.0)
+    def test_average_never_mixes_what_was_before_a_search(self, elf: Path) -> None:
+        bench = tracking(elf, 4.0)
         bench.sonar.range_m = None
         bench.run(0.4)
         begun_us = bench.t_us
@@ -183,8 +185,8 @@ class TestTrack:
         assert set(bench.ranges_cm(begun_us)) == {NO_TARGET_CM, 100}
 
     @pytest.mark.parametrize("wild_m", [0.3, 4.2])
-    def test_wild_reading_is_kept_out(self, mega_elf: Path, wild_m: float) -> None:
-        bench = tracking(mega_elf)
+    def test_wild_reading_is_kept_out(self, elf: Path, wild_m: float) -> None:
+        bench = tracking(elf)
         begun_us = bench.t_us
         chosen = len(bench.sonar.triggers_us) + 3
         bench.sonar.range_m = lambda _: wild_m if len(bench.sonar.triggers_us) == chosen else 2.0
@@ -192,8 +194,8 @@ class TestTrack:
         assert round(wild_m, 2) in [round(v, 2) for v in bench.named("SNR_RAW", begun_us)]
         assert set(bench.ranges_cm(begun_us)) == {200}
 
-    def test_newest_single_reading_travels_too(self, mega_elf: Path) -> None:
-        bench = tracking(mega_elf, 3.0)
+    def test_newest_single_reading_travels_too(self, elf: Path) -> None:
+        bench = tracking(elf, 3.0)
         begun_us = bench.t_us
         bench.sonar.range_m = lambda t_s: 3.0 - 0.8 * (t_s - begun_us / 1e6)
         bench.run(1.0)
@@ -204,32 +206,32 @@ class TestTrack:
 
 
 class TestWhenItScans:
-    def test_disarmed_it_looks_straight_ahead_and_goes_on_reporting(self, mega_elf: Path) -> None:
-        bench = Bench(mega_elf, armed=False)
+    def test_disarmed_it_looks_straight_ahead_and_goes_on_reporting(self, elf: Path) -> None:
+        bench = Bench(elf, armed=False)
         bench.run(1.5)
         begun_us = bench.t_us
         bench.run(1.5)
         assert {aim for _, aim in aim_changes(bench, begun_us)} == {CENTRE}
         assert len(bench.ranges_cm(begun_us)) >= 14  # each ping into the void takes 65 ms
 
-    def test_arming_starts_the_search(self, mega_elf: Path) -> None:
-        bench = Bench(mega_elf, armed=False)
+    def test_arming_starts_the_search(self, elf: Path) -> None:
+        bench = Bench(elf, armed=False)
         bench.run(1.5)
         bench.armed = True
         begun_us = bench.t_us
         bench.run(2.5)
         assert len(aim_changes(bench, begun_us)) >= 4
 
-    def test_without_an_autopilot_it_scans(self, mega_elf: Path) -> None:
-        bench = Bench(mega_elf, armed=False)
+    def test_without_an_autopilot_it_scans(self, elf: Path) -> None:
+        bench = Bench(elf, armed=False)
         bench.run(1.5)
         bench.armed = None  # heartbeats stop
         begun_us = bench.t_us
         bench.run(8.0)
         assert len(aim_changes(bench, begun_us)) >= 4
 
-    def test_bench_commands_scan_stop_and_aim(self, mega_elf: Path) -> None:
-        bench = Bench(mega_elf, armed=False)
+    def test_bench_commands_scan_stop_and_aim(self, elf: Path) -> None:
+        bench = Bench(elf, armed=False)
         bench.run(1.5)
         assert bench.command(31010, 1).result == 0  # scan
         begun_us = bench.t_us
@@ -243,8 +245,8 @@ class TestWhenItScans:
         bench.run(0.1)
         assert aim_changes(bench, bench.t_us - 50_000)[-1][1] == (1111, 1777)
 
-    def test_in_flight_the_bench_has_no_say(self, mega_elf: Path) -> None:
-        bench = Bench(mega_elf, armed=True)
+    def test_in_flight_the_bench_has_no_say(self, elf: Path) -> None:
+        bench = Bench(elf, armed=True)
         bench.run(1.5)
         assert bench.command(183, 1, 1111).result == 1  # temporarily rejected
 
@@ -266,7 +268,8 @@ class TestReport:
     def test_says_when_it_was_measured(self, reported: Bench) -> None:
         for report in reported.messages("DISTANCE_SENSOR", since_us=1e6):
             read_us = max(t_us for t_us, _ in reported.sonar.readings if t_us < report.t_us)
-            assert report.message.time_boot_ms == pytest.approx(read_us / 1e3, abs=5)
+            late_ms = read_us / 1e3 - report.message.time_boot_ms
+            assert -5 < late_ms < CLOCK_BEGINS_MS + 5
 
     def test_describes_the_sensor(self, reported: Bench) -> None:
         report = reported.messages("DISTANCE_SENSOR")[-1].message
@@ -275,8 +278,8 @@ class TestReport:
         assert report.signal_quality == 100
         assert report.horizontal_fov == report.vertical_fov == pytest.approx(math.radians(40))
 
-    def test_quaternion_is_where_the_gimbal_points(self, mega_elf: Path) -> None:
-        bench = Bench(mega_elf, armed=False)
+    def test_quaternion_is_where_the_gimbal_points(self, elf: Path) -> None:
+        bench = Bench(elf, armed=False)
         bench.run(1.5)
         pitch_deg, yaw_deg = 12.0, -7.0
         assert bench.command(1000, pitch_deg, yaw_deg).result == 0
@@ -293,8 +296,8 @@ class TestReport:
         assert beam == pytest.approx(expected, abs=1e-4)
 
     @pytest.mark.parametrize("rate_hz", [5, 10, 40])
-    def test_rate_is_settable(self, mega_elf: Path, rate_hz: int) -> None:
-        bench = tracking(mega_elf, 1.0)
+    def test_rate_is_settable(self, elf: Path, rate_hz: int) -> None:
+        bench = tracking(elf, 1.0)
         bench.set_parameter("SONAR_PERIOD", 25)
         assert bench.set_parameter("REPORT_RATE", rate_hz).param_value == rate_hz
         bench.run(0.5)
@@ -325,18 +328,18 @@ class TestReport:
         beat = beats[-1].message
         assert (beat.type, beat.autopilot, beat.system_status) == (18, 8, 4)
 
-    def test_two_flights_are_byte_identical(self, mega_elf: Path) -> None:
+    def test_two_flights_are_byte_identical(self, elf: Path) -> None:
         def fly() -> bytes:
-            bench = Bench(mega_elf, BenchSonar(2.0), noise=321)
+            bench = Bench(elf, BenchSonar(2.0), noise=321)
             bench.sonar.range_m = lambda t_s: 2.0 if t_s % 2 < 1 else None
             bench.run(4.0)
             return bytes(bench.raw)
 
         assert fly() == fly()
 
-    def test_the_seed_moves_the_pings_and_not_the_readings(self, mega_elf: Path) -> None:
+    def test_the_seed_moves_the_pings_and_not_the_readings(self, elf: Path) -> None:
         def pings(noise: int) -> list[int]:
-            bench = Bench(mega_elf, BenchSonar(2.0), noise=noise)
+            bench = Bench(elf, BenchSonar(2.0), noise=noise)
             bench.run(2.0)
             return bench.sonar.triggers_us
 

@@ -1,6 +1,7 @@
 """The emulated STM32 against its reference manual, by a bare-metal probe of our own."""
 
 import itertools
+import socket
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -12,6 +13,8 @@ from echowing.errors import EchowingError
 from echowing.sim.boards import emulated_board
 from echowing.sim.sonar import MaxSonar
 from echowing.sim.stm32 import Stm32Board
+
+from .emulator_process import PATIENCE_S, Emulator
 
 LINK, USB = 0, 1
 BOOTED_US = 5_000
@@ -239,6 +242,14 @@ class TestFlash:
         assert set(image[: size // 2]) == {0x75}  # neither the old nor erased
         assert set(image[size // 2 :]) == {0x20}
 
+    def test_erase_takes_as_long_as_it_is_told(self, board: Stm32Board) -> None:
+        board.set_erase_us(50_000)
+        begun_us = board.t_us
+        assert ask(board, "e", 60_000) == "82\r\n"
+        assert board.meters().restarts == 0
+        assert board.meters().longest_turn_us == pytest.approx(50_000, rel=0.05)
+        assert board.t_us < begun_us + 61_000
+
     def test_store_without_unlocking_is_told(self, board: Stm32Board) -> None:
         with pytest.raises(EchowingError, match=r"writes to flash at 0x080.* without leave"):
             ask(board, "X")
@@ -260,6 +271,7 @@ class TestResets:
         assert board.meters().restarts == 1
 
     def test_watchdog_restarts_a_hung_program(self, board: Stm32Board) -> None:
+        assert board.watchdog_us() == 120_000
         assert ask(board, "w", 119_000) == ""
         assert ask(board, "", 10_000) == "boot\r\n"
         assert ask(board, "q") == f"{self.PIN | self.POWER | self.WATCHDOG}\r\n"
@@ -348,6 +360,29 @@ class TestTime:
             return board.take_timed(LINK)
 
         assert run(100) == run(1000) == run(40_000)
+
+
+class TestProcess:
+    """`echowing emulator --board`, with the probe for a firmware."""
+
+    def test_talks_on_its_port(self, probe: Path, start: Callable[..., Emulator]) -> None:
+        emulator = start("--board", probe.parent.name, "--elf", probe, "--link", "tcpin:0")
+        port = int(emulator.told(r"autopilot port: tcp 127\.0\.0\.1:(\d+)"))
+        with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S) as link:
+            link.sendall(b"ACE")
+            heard = b""
+            while b"ACE" not in heard:
+                heard += link.recv(100)
+
+    def test_usb_is_there_or_said_to_be_absent(self, probe: Path) -> None:
+        name = probe.parent.name
+        emulator = Emulator("--board", name, "--elf", probe, "--usb", "pty", "--duration", "0.01")
+        if name == "nucleo_f446":
+            assert emulator.told("USB port: (/dev/.+)")
+            assert emulator.process.wait(timeout=PATIENCE_S) == 0
+        else:
+            assert emulator.process.wait(timeout=PATIENCE_S) == 2
+            assert f"the emulated {name} has no USB port" in emulator.stop()
 
 
 class TestBadInput:

@@ -1,5 +1,6 @@
 """Nothing that shows or logs holds up the loop that flies."""
 
+import io
 import os
 import pty
 import select
@@ -20,7 +21,7 @@ from echowing.background import BackgroundLog, BackgroundView, Worker
 from echowing.panel import Row
 
 DEADLINE_S = 30.0
-FOLLOW = [sys.executable, "-m", "echowing", "follow", "--json"]
+FOLLOW = [sys.executable, "-m", "echowing", "follow", "--json", "--no-log"]
 
 
 class StoppedScreen:
@@ -139,6 +140,17 @@ def test_an_error_of_the_work_is_kept_and_the_rest_is_done() -> None:
     assert worker.end(lambda: done.append(1), DEADLINE_S)
     assert done == [1]
     assert isinstance(worker.error, ZeroDivisionError)
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_the_bell_rings_on_a_terminal_only(terminal: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    screen, stderr = StoppedScreen(), io.StringIO()
+    monkeypatch.setattr(stderr, "isatty", lambda: terminal)
+    monkeypatch.setattr("sys.stderr", stderr)
+    view = BackgroundView(screen)
+    view.ring()
+    view.close()
+    assert stderr.getvalue() == ("\a" if terminal else "")
 
 
 # ---- the tool in a process of its own -----------------------------------------------------------

@@ -8,7 +8,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from echowing.follow import FollowerPlan, FollowSession
 from echowing.geo import GlobalPosition, displace, ned_between
 from echowing.guidance import GuidanceSettings, Slot
-from echowing.leader_track import AGREEING_REPORTS, CLOCKS_AGREE_S, VehicleClock
+from echowing.jumps import AGREEING_REPORTS
+from echowing.leader_track import CLOCKS_AGREE_S, VehicleClock
 from echowing.messages import FORWARD, TOOL_SYSTEM_ID, sonar_range_m
 
 LEADER, FOLLOWER = 1, 2
@@ -241,10 +242,15 @@ def test_a_leader_that_reboots_is_taken_on_its_new_clock() -> None:
     follow = session()
     follow.receive(from_vehicle(LEADER, position(500.0, HERE)), 500.0)
 
-    follow.receive(from_vehicle(LEADER, position(3.0, displace(HERE, (1.0, 0, 0)))), 504.0)
+    for quarter in range(AGREEING_REPORTS + 1):
+        assert follow.leader.fix is not None
+        assert follow.leader.fix.time_s == 500.0  # not on one report's word
+        late_s = quarter / 4.0
+        again = position(3.0 + late_s, displace(HERE, (1.0, 0, 0)))
+        follow.receive(from_vehicle(LEADER, again), 504.0 + late_s)
 
     assert follow.leader.fix is not None
-    assert follow.leader.fix.time_s == 504.0
+    assert follow.leader.fix.time_s == 506.0
 
 
 def test_a_jump_is_not_followed_and_stops_the_follower_after_a_second() -> None:
@@ -305,6 +311,8 @@ def test_an_answer_too_old_for_clocks_that_drift_is_forgotten() -> None:
 def aged(settings: GuidanceSettings) -> FollowSession:
     """The leader booted with our clock, and its answers and reports take 0.46 s each way."""
     follow = session(settings)
+    # Only what was asked is an answer of ours.
+    follow.tick(5.0)
     answer = mavlink.MAVLink_timesync_message(round(5.46e9), round(5.0e9))
     follow.receive(from_vehicle(LEADER, answer), 5.92)
     follow.receive(from_vehicle(FOLLOWER, position(6.4, displace(HERE, (-3.0, 0.0, 0.0)))), 6.4)

@@ -1,6 +1,7 @@
 import io
 import json
 import math
+import re
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -42,7 +43,10 @@ def beat(system_id: int, *, component: int = 1, autopilot: int = 3) -> Any:
 def test_the_only_vehicle_on_a_link_takes_its_seat() -> None:
     seats = [parse_seat("leader", "udpin:1"), parse_seat("follower", "udpin:2")]
     finder = VehicleFinder(seats)
-    assert finder.waiting() == "waiting for leader on udpin:1, follower on udpin:2"
+    everywhere = "(listens on all addresses of this computer)"
+    assert finder.waiting() == (
+        f"waiting for leader on udpin:1 {everywhere}, follower on udpin:2 {everywhere}"
+    )
     finder.heard("udpin:1", beat(11), 0.0)
     finder.heard("udpin:2", beat(12), 0.5)
     finder.heard("udpin:2", beat(245, component=190, autopilot=8), 0.5)  # a ground station
@@ -71,12 +75,13 @@ def test_a_vehicle_with_an_id_leaves_the_other_on_the_link() -> None:
 
 
 def test_a_vehicle_that_was_named_is_waited_for_too() -> None:
-    finder = VehicleFinder([parse_seat("leader", "udpin:1@7")])
-    assert finder.waiting() == "waiting for leader, system 7, on udpin:1"
-    finder.heard("udpin:1", beat(1), 0.0)
+    finder = VehicleFinder([parse_seat("leader", "udpin:10.0.0.2:1@7")])
+    where = "udpin:10.0.0.2:1 (listens on 10.0.0.2)"
+    assert finder.waiting() == f"waiting for leader, system 7, on {where}"
+    finder.heard("udpin:10.0.0.2:1", beat(1), 0.0)
     assert not finder.complete
-    assert finder.waiting() == "waiting for leader, system 7, on udpin:1 (heard there: 1)"
-    finder.heard("udpin:1", beat(7), 0.5)
+    assert finder.waiting() == f"waiting for leader, system 7, on {where} (heard there: 1)"
+    finder.heard("udpin:10.0.0.2:1", beat(7), 0.5)
     assert finder.complete
 
 
@@ -99,7 +104,20 @@ def test_a_slot_in_the_ground_or_out_of_sight_is_refused(step: str, tmp_path: Pa
     formation.write_text(f"[[slots]]\nradius_m = 4.0\naltitude_step_m = {step}\n", encoding="utf-8")
     ends = ["--leader", "udpin:1", "--follower", "udpin:2", "--formation", str(formation)]
     with pytest.raises(EchowingError, match=r"slot 1 would be flown at .* give 1 to 500"):
-        options_of(ends)
+        options_of([*ends, "--altitude", "10"])
+    if step in ("nan", "600.0"):  # whatever the leader's height
+        with pytest.raises(EchowingError, match=r"slot 1 would be flown at .* give 1 to 500"):
+            options_of(ends)
+
+
+def test_a_flight_is_logged_unless_told_otherwise() -> None:
+    ends = ["--leader", "udpin:1", "--follower", "udpin:2"]
+    log = options_of(ends).log
+    assert log is not None
+    assert log.parent == Path("out/flights")
+    assert re.fullmatch(r"\d{8}-\d{6}", log.name)
+    assert options_of([*ends, "--log", "here"]).log == Path("here")
+    assert options_of([*ends, "--no-log"]).log is None
 
 
 # ---- what is shown ----------------------------------------------------------------------------

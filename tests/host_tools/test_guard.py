@@ -472,9 +472,9 @@ def test_an_unheard_follower_is_sent_nothing() -> None:
 
 def test_a_radio_that_holds_reports_back_is_as_good_as_silent() -> None:
     there = Field(Limits(), now_s=20.0)
-    there.fly(1.0)
+    there.fly(1.0 + TICK_S)
     # Its clock is ours, as a quick answer shows; from now on what comes is 3 s old.
-    there.tell(FOLLOWER, mavlink.MAVLink_timesync_message(round(21e9), round(21e9)))
+    there.tell(FOLLOWER, mavlink.MAVLink_timesync_message(*(round(there.now_s * 1e9),) * 2))
     there.fly(1.0)
     assert there.state == "following"
     there.late_s = 3.0
@@ -488,8 +488,8 @@ def test_a_radio_that_holds_reports_back_is_as_good_as_silent() -> None:
 
 def test_a_follower_that_reboots_is_taken_on_its_new_clock() -> None:
     there = Field(Limits(), now_s=20.0)
-    there.fly(1.0)
-    there.tell(FOLLOWER, mavlink.MAVLink_timesync_message(round(21e9), round(21e9)))
+    there.fly(1.0 + TICK_S)
+    there.tell(FOLLOWER, mavlink.MAVLink_timesync_message(*(round(there.now_s * 1e9),) * 2))
     there.fly(1.0)
     there.late_s = 20.0  # its time stamps begin anew
     there.fly(1.0)
@@ -555,7 +555,7 @@ def test_a_jumping_leader_is_told_of_once_and_stops_it() -> None:
 
 def test_a_leader_that_restarts_on_the_ground_stops_what_was_flown() -> None:
     there = Field(Limits(), now_s=20.0)
-    there.fly(1.0)
+    there.fly(1.0 + TICK_S)
     there.now_s = 0.5  # its clock begins anew, as its reports show
     there.tell(LEADER, heartbeat(flying=False))
     there.tell(LEADER, there.position(LEADER))

@@ -6,12 +6,14 @@ import socket
 import time
 import tty
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.errors import EchowingError
+from echowing.leader_run import LeaderTool
 from echowing.links import (
     DEFAULT_BAUD,
     MOST_PEERS,
@@ -24,7 +26,9 @@ from echowing.links import (
     parse_address,
     wait,
 )
+from echowing.seats import parse_seat
 from echowing.signing import LinkSigning
+from echowing.stopping import StopRequest
 
 DEADLINE_S = 10.0
 
@@ -73,15 +77,15 @@ def sender() -> Iterator[socket.socket]:
 @pytest.mark.parametrize(
     ("text", "address"),
     [
-        ("udpin:14550", ("udpin", "127.0.0.1", 14550)),
-        ("udp:14550", ("udpin", "127.0.0.1", 14550)),
-        ("udpin:0.0.0.0:14550", ("udpin", "0.0.0.0", 14550)),
+        ("udpin:14550", ("udpin", "0.0.0.0", 14550)),
+        ("udp:14550", ("udpin", "0.0.0.0", 14550)),
+        ("udpin:127.0.0.1:14550", ("udpin", "127.0.0.1", 14550)),
         ("udpout:10.0.0.7:14550", ("udpout", "10.0.0.7", 14550)),
         ("tcp:localhost:5760", ("tcp", "localhost", 5760)),
         ("tcpin:5760", ("tcpin", "127.0.0.1", 5760)),
     ],
 )
-def test_connection_strings_listen_on_loopback_unless_told(
+def test_connection_strings_hear_vehicles_on_wifi_and_streams_only_here(
     text: str, address: tuple[str, str, int]
 ) -> None:
     assert parse_address(text) == Address(text, *address)
@@ -111,11 +115,11 @@ def test_other_connection_strings_are_refused(text: str, said: str) -> None:
 
 def test_datagrams_are_heard_and_answered(sender: socket.socket) -> None:
     port = free_port(socket.SOCK_DGRAM)
-    link = opened(f"udpin:{port}")
+    link = opened(f"udpin:127.0.0.1:{port}")
     sender.sendto(frame(system_id=7), ("127.0.0.1", port))
     (message,) = received(link)
     assert message.get_srcSystem() == 7
-    assert link.news == [f"link udpin:{port}: MAVLink heard"]
+    assert link.news == [f"link udpin:127.0.0.1:{port}: MAVLink heard"]
 
     link.send(frame(system_id=245), 0.0)
     assert sender.recv(100) == frame(system_id=245)
@@ -124,7 +128,7 @@ def test_datagrams_are_heard_and_answered(sender: socket.socket) -> None:
 
 def test_half_a_frame_does_not_swallow_the_next_datagram(sender: socket.socket) -> None:
     port = free_port(socket.SOCK_DGRAM)
-    link = opened(f"udpin:{port}")
+    link = opened(f"udpin:127.0.0.1:{port}")
     # It promises 255 bytes: without care the next dozen heartbeats would be taken for them.
     sender.sendto(b"\xfd\xff\x00\x00", ("127.0.0.1", port))
     sender.sendto(frame(system_id=9), ("127.0.0.1", port))
@@ -135,7 +139,7 @@ def test_half_a_frame_does_not_swallow_the_next_datagram(sender: socket.socket) 
 
 def test_noise_yields_no_message_and_no_answer(sender: socket.socket) -> None:
     port = free_port(socket.SOCK_DGRAM)
-    link = opened(f"udpin:{port}")
+    link = opened(f"udpin:127.0.0.1:{port}")
     chance = random.Random(3)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
         stranger.bind(("127.0.0.1", 0))
@@ -154,7 +158,7 @@ def test_noise_yields_no_message_and_no_answer(sender: socket.socket) -> None:
 
 def test_a_flood_leaves_the_caller_its_turn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Datagrams that come faster than they can be read: there is always one more."""
-    link = opened(f"udpin:{free_port(socket.SOCK_DGRAM)}")
+    link = opened(f"udpin:127.0.0.1:{free_port(socket.SOCK_DGRAM)}")
     monkeypatch.setattr(UdpListener, "read", lambda self: frame())
     assert len(link.receive(0.0)) == MOST_READS
     link.close()
@@ -162,7 +166,7 @@ def test_a_flood_leaves_the_caller_its_turn(monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_only_so_many_senders_are_answered(sender: socket.socket) -> None:
     port = free_port(socket.SOCK_DGRAM)
-    link = opened(f"udpin:{port}")
+    link = opened(f"udpin:127.0.0.1:{port}")
     sender.sendto(frame(), ("127.0.0.1", port))
     received(link)
     for _ in range(MOST_PEERS):
@@ -179,7 +183,7 @@ def test_only_so_many_senders_are_answered(sender: socket.socket) -> None:
 def test_a_formation_without_a_router_shares_one_port() -> None:
     """Fifty vehicles and their leader, each from a port of its own; all hear what is sent."""
     port = free_port(socket.SOCK_DGRAM)
-    link = opened(f"udpin:{port}")
+    link = opened(f"udpin:127.0.0.1:{port}")
     vehicles = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(51)]
     for system_id, vehicle in enumerate(vehicles, 1):
         vehicle.settimeout(DEADLINE_S)
@@ -194,7 +198,7 @@ def test_a_formation_without_a_router_shares_one_port() -> None:
 
 def test_who_has_not_been_heard_for_longest_is_forgotten_first(sender: socket.socket) -> None:
     port = free_port(socket.SOCK_DGRAM)
-    link = opened(f"udpin:{port}")
+    link = opened(f"udpin:127.0.0.1:{port}")
     for _ in range(MOST_PEERS):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as passer_by:
             for one in (sender, passer_by):
@@ -326,12 +330,12 @@ def test_a_missing_device_and_a_taken_port_say_so(sender: socket.socket) -> None
     with pytest.raises(EchowingError, match="no such device; is it plugged in"):
         opened("/dev/echowing-is-not-there")
     with pytest.raises(EchowingError, match="the port is taken"):
-        opened(f"udpin:{sender.getsockname()[1]}")
+        opened(f"udpin:127.0.0.1:{sender.getsockname()[1]}")
 
 
 def test_waiting_ends_when_something_comes(sender: socket.socket) -> None:
     port = free_port(socket.SOCK_DGRAM)
-    links = [opened(f"udpin:{port}"), Link(parse_address("tcp:127.0.0.1:1"))]
+    links = [opened(f"udpin:127.0.0.1:{port}"), Link(parse_address("tcp:127.0.0.1:1"))]
     sender.sendto(frame(), ("127.0.0.1", port))
     wait(links, DEADLINE_S)
     assert len(links[0].receive(0.0)) == 1
@@ -355,7 +359,7 @@ def test_a_link_with_a_key_believes_only_what_is_signed_and_says_so_once(
     sender: socket.socket,
 ) -> None:
     port = free_port(socket.SOCK_DGRAM)
-    link = Link(parse_address(f"udpin:{port}"), LinkSigning(KEY, 1))
+    link = Link(parse_address(f"udpin:127.0.0.1:{port}"), LinkSigning(KEY, 1))
     link.open()
     for now_s in (0.0, REFUSED_S - 0.1, REFUSED_S, 2 * REFUSED_S):
         assert link.news == []
@@ -376,7 +380,7 @@ def test_a_vehicle_with_an_old_clock_is_answered_so_that_it_learns_the_time(
     sender: socket.socket,
 ) -> None:
     port = free_port(socket.SOCK_DGRAM)
-    link = Link(parse_address(f"udpin:{port}"), LinkSigning(KEY, 1))
+    link = Link(parse_address(f"udpin:127.0.0.1:{port}"), LinkSigning(KEY, 1))
     link.open()
     day_old = signed_frame(KEY, time.time() - 86_400)
     sender.sendto(day_old, ("127.0.0.1", port))
@@ -385,3 +389,28 @@ def test_a_vehicle_with_an_old_clock_is_answered_so_that_it_learns_the_time(
     link.send(b"hello", time.monotonic())
     assert sender.recv(100) == b"hello"
     link.close()
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "publish", "loops"),
+    [
+        ("udpin:14550", "udpout:127.0.0.1:14550", True),
+        ("udpin:127.0.0.1:14550", "udpout:localhost:14550", True),
+        ("udpin:127.0.0.1:14550", "udpout:127.0.0.1:14550", True),
+        ("udpout:127.0.0.1:14550", "udpout:127.0.0.1:14550", True),
+        ("udpin:14550", "udpout:127.0.0.1:14600", False),
+        ("udpin:14550", "udpout:192.0.2.1:14550", False),  # of nobody (RFC 5737)
+        ("tcp:127.0.0.1:14550", "udpout:127.0.0.1:14550", False),
+    ],
+)
+def test_a_leader_is_not_published_to_where_it_is_heard(
+    vehicle: str, publish: str, loops: bool
+) -> None:
+    make = partial(
+        LeaderTool, parse_seat("leader", vehicle), parse_address(publish), 4.0, StopRequest()
+    )
+    if loops:
+        with pytest.raises(EchowingError, match="go round and round; give another port"):
+            make()
+    else:
+        make()

@@ -234,7 +234,7 @@ def test_no_dead_lock_without_a_speed_command() -> None:
 
 def test_the_approach_ends_at_the_first_moment_near_the_slot() -> None:
     # Wanted 3 m: 1.1 m too far is still on the way, 1.0 m is not; leaving again is flying.
-    coming = flight([9.0, 6.0, 4.1, 4.0, 3.0, 5.5])
+    coming = blind(flight([9.0, 6.0, 4.1, 4.0, 3.0, 5.5]))
     assert approach_s(coming) == pytest.approx(0.3)
     kept = metrics(coming, approach_s(coming))
     assert kept.mean_separation_m == pytest.approx((4.0 + 3.0 + 5.5) / 3.0)
@@ -243,6 +243,21 @@ def test_the_approach_ends_at_the_first_moment_near_the_slot() -> None:
     assert approach_s(flight([3.2, 3.0])) == 0.0
     # One that never comes is measured whole.
     assert approach_s(flight([9.0, 8.0])) == 0.0
+
+
+def blind(one: Flight) -> Flight:
+    """The same without a reading."""
+    return replace(one, sonar_m=np.full(len(one.time_s), NAN))
+
+
+def test_the_sonar_ends_the_approach_where_the_receivers_disagree() -> None:
+    # By positions the follower is 1.5 m off its slot all the time; the sonar knows better.
+    off = flight([4.5] * 8, right_m=1.5, period_s=0.5)
+    seen = replace(off, sonar_m=np.array([NAN, 3.1, 4.2, 3.9, 3.5, 3.1, 3.0, 3.0]))
+    assert approach_s(seen) == pytest.approx(1.5)  # not at the single echo before
+    # One reading is no proof, and what is not steady for a second is none.
+    single = replace(off, sonar_m=np.array([NAN, 3.2, NAN, 3.2, 3.2, NAN, 3.2, 3.2]))
+    assert approach_s(single) == 0.0
 
 
 def test_a_step_in_height_is_no_part_of_the_way_to_the_slot() -> None:

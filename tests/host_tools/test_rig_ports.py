@@ -169,7 +169,7 @@ class TestSockets:
             with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
                 free.bind(("127.0.0.1", 0))
                 port = free.getsockname()[1]
-            wire = open_wire(f"udpin:{port}")
+            wire = open_wire(f"udpin:127.0.0.1:{port}")
             board.sendto(b"range", ("127.0.0.1", port))
             assert wire.read(10.0) == b"range"
             wire.understood()
@@ -182,4 +182,4 @@ class TestSockets:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
             other.bind(("127.0.0.1", 0))
             with pytest.raises(EchowingError, match="the port is taken"):
-                open_wire(f"udpin:{other.getsockname()[1]}")
+                open_wire(f"udpin:127.0.0.1:{other.getsockname()[1]}")

@@ -109,6 +109,13 @@ def table(request: pytest.FixtureRequest) -> list[Entry]:
     return request.config.stash[TABLE]
 
 
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    """A suite that takes an hour says at once why a case has failed."""
+    crash = getattr(report.longrepr, "reprcrash", None)
+    if report.failed and crash is not None:
+        print(f"\n{report.nodeid}: {crash.message}", flush=True)
+
+
 def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
     entries = config.stash[TABLE]
     if not entries:

@@ -42,6 +42,7 @@ SIGNING_EPOCH_UNIX_S = 1_420_070_400
 SIGNING_LINK = 77  # no tool's
 ANSWER_S = 0.5  # then it is asked again
 PATIENCE_S = 30.0
+TEXTS_SHOWN = 12
 BOOT_S = 120.0  # until it can be armed, on a busy machine
 STREAMS_HZ = {
     mavlink.MAVLINK_MSG_ID_SIM_STATE: 50,
@@ -294,7 +295,8 @@ class Vehicle:
         while not fits():
             now_s = time.monotonic()
             if now_s > until_s:
-                pytest.fail(f"vehicle {self.system_id}: never {what}; it said: {self.said()}")
+                said = list(dict.fromkeys(self.said()))[-TEXTS_SHOWN:]
+                pytest.fail(f"vehicle {self.system_id}: never {what}; it said: {said}")
             if self._process.poll() is not None:
                 pytest.fail(f"vehicle {self.system_id} has ended: {self.console()}")
             if asking is not None and now_s >= ask_s:

@@ -258,7 +258,8 @@ class World:
         """The tool, engaged, with the first follower."""
         leader, follower = leader or self.link(LEADER), follower or self.link(FOLLOWER)
         ends = ("--leader", leader, "--follower", follower)
-        tool = Process("follow", *ends, "--engage", "--json", *more, under=under)
+        log = () if "--log" in more else ("--no-log",)
+        tool = Process("follow", *ends, "--engage", "--json", *log, *more, under=under)
         self._tools.append(tool)
         return tool
 
@@ -317,7 +318,7 @@ class Air:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             probe.bind(("127.0.0.1", 0))
             self._to = probe.getsockname()
-        self.tool = f"udpin:{self._to[1]}"
+        self.tool = f"udpin:127.0.0.1:{self._to[1]}"
         self.heard: list[Any] = []
         self.cut = threading.Event()
         self._ears = _parser()

@@ -210,7 +210,7 @@ def test_the_log_of_a_killed_tool_is_analysed_from_its_folder(
         last_s = [float(row["time_s"]) for row in csv.DictReader(file)][-1]
     assert last_s > json.loads(tool.lines[shown])["time_s"] - 0.3
 
-    assert main(["analyze", str(tmp_path), "--json"]) == 0
+    assert main(["analyze", str(tmp_path), "--settle", "0", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["samples"] > 20
     # In its last second the vehicles' own messages tell the same: at some 0.5 m/s a few tenths of a
     # second, of which the one log may hold more than the other, are a decimetre or two.

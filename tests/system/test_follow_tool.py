@@ -78,7 +78,7 @@ def test_a_relay_flies_midway_to_the_remote_vehicle(world: World) -> None:
     ends = ("--remote", world.link(LEADER), "--vehicle", world.link(FOLLOWER))
     tool = Process(
         *("relay", *ends, "--ground", f"{ground.lat_deg:.7f},{ground.lon_deg:.7f}"),
-        *("--altitude", "10", "--min-separation", "1.5", "--engage", "--json"),
+        *("--altitude", "10", "--min-separation", "1.5", "--engage", "--json", "--no-log"),
     )
     tool.row(lambda row: is_followed(row) and row["slot_error_m"] < 1.0 and row["separation_m"] > 7)
     tool.kill()
@@ -144,7 +144,7 @@ def test_in_two_halves_the_leader_is_published_and_cannot_be_moved(world: World)
     publisher.wait_for(lambda line: "published to" in line)
     tool = Process(
         *("follow", "--leader-from", f"udp:127.0.0.1:{port}", "--follower", world.link(FOLLOWER)),
-        *("--engage", "--json"),
+        *("--engage", "--json", "--no-log"),
     )
     # The age is measured through both halves: under half a second on one machine.
     tool.row(lambda row: in_slot(row) and row["leader_age_s"] < 0.5)
@@ -188,7 +188,7 @@ def _answers_to_a_stranger(port: int) -> list[Any]:
 
 def test_garbage_and_strangers_on_the_leaders_link_do_no_harm(world: World) -> None:
     bridge = DatagramBridge(world.port)
-    tool = world.follow(leader=f"udpin:{bridge.tool_port}@1")
+    tool = world.follow(leader=f"udpin:127.0.0.1:{bridge.tool_port}@1")
     there = tool.row(in_slot)
     rows = [json.loads(line) for line in tool.lines[: there + 1]]
     assert bridge.garbage > 50
@@ -296,7 +296,7 @@ def test_points_carry_a_velocity_where_a_sonar_is_heard(world: World) -> None:
 def test_without_a_sonar_no_velocity_is_sent(world: World) -> None:
     # The leader has no sonar: here it is the follower's turn.
     ends = ("--leader", world.link(SECOND), "--follower", world.link(LEADER))
-    tool = Process("follow", *ends, "--feed-forward", "--engage", "--json")
+    tool = Process("follow", *ends, "--feed-forward", "--engage", "--json", "--no-log")
     assert tool.exit_code() == 2
     assert "no forward DISTANCE_SENSOR of follower 1" in tool.lines[-1]
     assert not any("in Guided" in line for line in tool.lines)
@@ -331,7 +331,8 @@ def test_a_landed_follower_takes_off_once_its_pilot_has_armed_it() -> None:
 
 def test_without_engage_it_only_watches(world: World) -> None:
     tool = Process(
-        *("follow", "--leader", world.link(LEADER), "--follower", world.link(FOLLOWER), "--json")
+        *("follow", "--leader", world.link(LEADER), "--follower", world.link(FOLLOWER), "--json"),
+        "--no-log",
     )
     tool.row(lambda row: row["state"] == "only watched" and row["separation_m"] is not None)
     assert tool.end(signal.SIGINT) == 0
@@ -376,7 +377,7 @@ def test_a_time_that_ran_out_before_anybody_was_heard_is_no_success(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     ends = ["--leader", "tcp:127.0.0.1:9", "--follower", "tcp:127.0.0.1:10"]
-    assert main(["follow", *ends, "--duration", "0.3"]) == 1
+    assert main(["follow", *ends, "--duration", "0.3", "--no-log"]) == 1
     assert "ended before all vehicles were heard" in capsys.readouterr().out
 
 
@@ -408,6 +409,6 @@ def test_a_taken_port_is_said(capsys: pytest.CaptureFixture[str]) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", 0))
         port = taken.getsockname()[1]
-        where = f"udpin:{port}"
+        where = f"udpin:127.0.0.1:{port}"
         assert main(["follow", "--leader", where, "--follower", "udpin:14560"]) == 2
     assert "the port is taken" in capsys.readouterr().err

@@ -16,6 +16,7 @@ import numpy as np
 
 from echowing.analysis.flight import Flight, Floats
 from echowing.analysis.follow_table import read_table
+from echowing.analysis.metrics import APPROACHED_M
 from echowing.analysis.slots import slot_offsets
 from echowing.analysis.vehicle_log import Series, VehicleLog, read_vehicles
 from echowing.errors import EchowingError
@@ -137,6 +138,20 @@ def truth_separation(flight: Flight, path: Path, shift_s: float, settle_s: float
     begin_s, end_s = flight.time_s[0] + settle_s, flight.time_s[-1]
     inside = (time_s >= begin_s) & (time_s <= end_s) & np.isfinite(truth[:, 1])
     return np.asarray(truth[inside, 1])
+
+
+def truth_approach_s(flight: Flight, path: Path, shift_s: float) -> float | None:
+    """`approach_s` by the truth's own column slot_error_m; None: it has none, or never came near.
+
+    From the flight's beginning, which may be after the truth's.
+    """
+    try:
+        truth = _read_columns(path, ("unix_time_s", "slot_error_m"))
+    except EchowingError:
+        return None
+    time_s = truth[:, 0] - (flight.start_unix_s or 0.0) + shift_s - flight.time_s[0]
+    near = time_s[truth[:, 1] <= APPROACHED_M]
+    return max(0.0, float(near[0])) if len(near) else None
 
 
 def _clock_shift_s(flight: Flight, time_s: Floats, speed_mps: Floats) -> float:

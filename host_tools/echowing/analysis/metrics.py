@@ -21,6 +21,7 @@ from echowing.errors import EchowingError
 SIGHT_TOLERANCE_M = 2.0
 # The approach ends where a follower has first come this near to its slot.
 APPROACHED_M = 1.0
+STEADY_S = 1.0
 # One sweep of the figure 8 takes 3.6 s (thesis Appendix A: 12 points, 0.3 s each): after more
 # than five of them in vain the leader is gone.
 DEAD_LOCK_WINDOW_S = 20.0
@@ -79,13 +80,30 @@ def approach_s(flight: Flight) -> float:
     """How long the follower took until it was first near its slot; 0 where it never was.
 
     The one rule for simulated and for real flights: figures are about keeping a place, and the way
-    to it is as long as the start was far.
+    to it is as long as the start was far. Near is within `APPROACHED_M` of the slot by positions,
+    or of the wanted separation by the sonar for a second: two receivers that disagree by metres may
+    have the follower off its slot for the whole of a good flight.
     """
     if len(flight.time_s) == 0:
         return 0.0
     away_m = np.linalg.norm((flight.follower_ned_m - flight.slot_ned_m)[:, :2], axis=1)
-    near = np.flatnonzero(away_m <= APPROACHED_M)
-    return float(flight.time_s[near[0]] - flight.time_s[0]) if len(near) else 0.0
+    placed = flight.time_s[away_m <= APPROACHED_M][:1]
+    near_s = [*placed.tolist(), *_ranged_s(flight)]
+    return float(min(near_s) - flight.time_s[0]) if near_s else 0.0
+
+
+def _ranged_s(flight: Flight) -> list[float]:
+    """The first moment from which on the sonar has the leader near its place for a second.
+
+    Longer than any single echo of something else; empty where there is none.
+    """
+    ranged = np.abs(flight.sonar_m - flight.wanted_separation_m) <= APPROACHED_M
+    ends = np.searchsorted(flight.time_s, flight.time_s + STEADY_S, side="right")
+    for first in np.flatnonzero(ranged).tolist():
+        last = int(ends[first])
+        if last < len(ranged) and ranged[first:last].all():
+            return [float(flight.time_s[first])]
+    return []
 
 
 def by_sonar(flight: Flight, settle_s: float = 0.0) -> Metrics | None:

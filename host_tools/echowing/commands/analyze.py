@@ -124,7 +124,11 @@ class Measured:
 
 
 def _measured(flight: "Flight", args: argparse.Namespace) -> Measured:
-    from echowing.analysis.logs import compare_with_truth, truth_separation  # noqa: PLC0415
+    from echowing.analysis.logs import (  # noqa: PLC0415
+        compare_with_truth,
+        truth_approach_s,
+        truth_separation,
+    )
     from echowing.analysis.metrics import (  # noqa: PLC0415
         approach_s,
         by_sonar,
@@ -133,13 +137,16 @@ def _measured(flight: "Flight", args: argparse.Namespace) -> Measured:
     )
 
     settle_s = approach_s(flight) if args.settle is None else args.settle
-    figures = metrics(flight, settle_s)
     in_truth = comparison = None
     if args.truth is not None:
         comparison = compare_with_truth(flight, args.truth, match_clocks=True)
+        known_s = truth_approach_s(flight, args.truth, comparison.clock_shift_s)
+        if args.settle is None and known_s is not None:
+            settle_s = known_s
         known_m = truth_separation(flight, args.truth, comparison.clock_shift_s, settle_s)
         if len(known_m):
             in_truth = of_separation(known_m, flight.wanted_separation_m, settle_s)
+    figures = metrics(flight, settle_s)
     return Measured(flight, settle_s, figures, by_sonar(flight, settle_s), in_truth, comparison)
 
 

@@ -21,6 +21,9 @@ examples:
   echowing emulator --board blackpill_f411 --elf build/firmware/blackpill_f411/echowing.elf
 """
 
+# An STM32's processor at a quarter of its pace: one core of a usual machine then keeps up with it.
+_SLOWNESS = 4
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The verb's options."""
@@ -77,7 +80,11 @@ def run(args: argparse.Namespace) -> int:
         scene = Scene(args.range_cm, args.target, watched)
         stack.callback(scene.close)
         board = emulated_board(
-            scene.sensor, board=args.board, elf=args.elf, eeprom=_load(args.eeprom)
+            scene.sensor,
+            board=args.board,
+            elf=args.elf,
+            eeprom=_load(args.eeprom),
+            slowness=_SLOWNESS,
         )
         if args.usb and not board.has_port(USB_PORT):
             raise EchowingError(

@@ -2,6 +2,7 @@
 
 import argparse
 import math
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,6 +18,9 @@ if TYPE_CHECKING:
 
 # Above the leader's home: what can be flown, and what can still be seen from there.
 LEAST_ALTITUDE_M, MOST_ALTITUDE_M = 1.0, 500.0
+# Over a leader that is carried at a metre or two.
+CARRIED_ALTITUDE_M = 10.0
+LOG_FOLDER = Path("out/flights")
 
 EXAMPLES = """\
 examples:
@@ -24,7 +28,7 @@ examples:
       only watches; add --engage, and points go to followers that fly in Guided
   echowing follow --leader /dev/ttyUSB0 --follower /dev/ttyUSB1 --baud 57600 --radius 8 --engage
   echowing follow --leader udpin:14550@1 --follower udpin:14550@2 --follower udpin:14550@3 \\
-      --formation vee.toml --stop-switch 7:1700 --log out/flight-7 --engage
+      --formation vee.toml --stop-switch 7:1700 --log out/vee-7 --engage
       all vehicles on one link, told apart by system id; vee.toml:
           [[slots]]
           radius_m = 4.0
@@ -47,7 +51,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = EXAMPLES
     links = parser.add_argument_group(
         "vehicles",
-        "CONN: udpin:[HOST:]PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:[HOST:]PORT or a serial "
+        "CONN: udpin:PORT (on all addresses of this computer), udpin:HOST:PORT, "
+        "udpout:HOST:PORT, tcp:HOST:PORT, tcpin:[HOST:]PORT or a serial "
         "device; CONN@ID where several vehicles share a link",
     )
     leader = links.add_mutually_exclusive_group(required=True)
@@ -56,8 +61,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--leader-from",
         dest="leader",
         metavar="udp:[HOST:]PORT",
-        help="the leader as published by `echowing leader` on another computer; HOST: the address "
-        "to listen on, 0.0.0.0 for all",
+        help="the leader as published by `echowing leader` on another computer; HOST: the only "
+        "address to listen on",
     )
     links.add_argument("--follower", action="append", required=True, metavar="CONN")
     links.add_argument("--baud", type=int, default=DEFAULT_BAUD, help="of serial devices")
@@ -70,9 +75,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     place.add_argument(
         "--altitude",
         type=float,
-        default=10.0,
         metavar="M",
-        help="above the leader's home; followers' own homes are allowed for (see --level-homes)",
+        help="above the leader's home (as high as the leader is when a follower is engaged; with "
+        "--carried-leader 10); a follower that is more than 3 m away from that needs --altitude",
     )
     place.add_argument(
         "--lead-time",
@@ -103,9 +108,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "hexadecimal digits or a pass phrase. What a co-processor says itself nobody signs: ranges "
         "come by the autopilot's DISTANCE_SENSOR then, and the gimbal's state does not",
     )
-    parser.add_argument("--log", type=Path, metavar="DIR", help="write a .tlog and a CSV here")
+    add_log_arguments(parser)
     parser.add_argument("--duration", type=float, metavar="S", help="end after this long")
     parser.add_argument("--json", action="store_true", help="print JSON, an object a line")
+
+
+def add_log_arguments(parser: argparse.ArgumentParser) -> None:
+    """Where the flight is logged."""
+    log = parser.add_mutually_exclusive_group()
+    log.add_argument(
+        "--log",
+        type=Path,
+        metavar="DIR",
+        help=f"write a .tlog and a CSV here ({LOG_FOLDER}/DATE-TIME)",
+    )
+    log.add_argument("--no-log", action="store_true", help="write no log")
+
+
+def log_folder(args: argparse.Namespace) -> Path | None:
+    """The folder that was asked for, or one of this moment's; None: no log."""
+    if args.no_log:
+        return None
+    return args.log or LOG_FOLDER / time.strftime("%Y%m%d-%H%M%S")
 
 
 def _add_safety(safety: "argparse._ArgumentGroup") -> None:
@@ -148,10 +172,17 @@ def _add_safety(safety: "argparse._ArgumentGroup") -> None:
         help="stop where leader's and follower's homes differ more in altitude (5); up to this "
         "the follower's altitude is corrected by the difference",
     )
-    safety.add_argument(
+    homes = safety.add_mutually_exclusive_group()
+    homes.add_argument(
         "--level-homes",
         action="store_true",
         help="the homes are level: what they differ by is the receivers' error, correct nothing",
+    )
+    homes.add_argument(
+        "--correct-homes",
+        action="store_true",
+        help="the homes are not level: correct the altitude by what they differ by. Without either "
+        "nobody is engaged whose home differs by more than 1 m",
     )
     safety.add_argument(
         "--carried-leader",
@@ -181,6 +212,7 @@ def options_of(arguments: "Sequence[str]") -> "FollowOptions":
 
 
 def _options(args: argparse.Namespace) -> "FollowOptions":
+    from echowing.engage import Readiness  # noqa: PLC0415
     from echowing.follow_run import FollowOptions  # noqa: PLC0415
     from echowing.guard import Limits  # noqa: PLC0415
     from echowing.guidance import GuidanceSettings  # noqa: PLC0415
@@ -193,12 +225,14 @@ def _options(args: argparse.Namespace) -> "FollowOptions":
     seats = _seats(args)
     VehicleFinder(seats)  # refuses what could never be told apart
     slots = _slots(args)
-    _check_heights(slots, args.altitude)
+    altitude_m = CARRIED_ALTITUDE_M if args.carried_leader else None
+    altitude_m = altitude_m if args.altitude is None else args.altitude
+    _check_heights(slots, altitude_m)
     return FollowOptions(
         seats=seats,
         slots=slots,
         settings=GuidanceSettings(lead_time_s=args.lead_time, feed_forward=not args.position_only),
-        altitude_m=args.altitude,
+        altitude_m=altitude_m,
         rate_hz=args.rate,
         limits=Limits(
             max_distance_m=args.max_distance,
@@ -207,12 +241,16 @@ def _options(args: argparse.Namespace) -> "FollowOptions":
             level_homes=args.level_homes,
             leader_flies=not args.carried_leader,
             switch=switch,
+            ready=Readiness(
+                homes_told=args.level_homes or args.correct_homes,
+                height_told=args.altitude is not None,
+            ),
         ),
         engage=args.engage,
         take_off=_take_off(args),
         leader_rate_hz=args.leader_rate,
         duration_s=args.duration,
-        log=args.log,
+        log=log_folder(args),
         signing_key=read_key(args.signing_key_file),
     )
 
@@ -240,7 +278,11 @@ def _check_numbers(args: argparse.Namespace) -> None:
         "--lead-time": (args.lead_time, 0.0, 5.0),
         "--rate": (args.rate, 1.0, 20.0),
         "--leader-rate": (args.leader_rate, 1.0, 20.0),
-        "--altitude": (args.altitude, LEAST_ALTITUDE_M, MOST_ALTITUDE_M),
+        "--altitude": (
+            LEAST_ALTITUDE_M if args.altitude is None else args.altitude,
+            LEAST_ALTITUDE_M,
+            MOST_ALTITUDE_M,
+        ),
         "--max-distance": (args.max_distance, 5.0, 10_000.0),
         "--min-separation": (args.min_separation, 0.5, 1_000.0),
         "--home-difference": (args.home_difference, 0.0, 1_000.0),
@@ -252,10 +294,15 @@ def _check_numbers(args: argparse.Namespace) -> None:
             raise EchowingError(f"{option} {value:g}: give {least:g} to {most:g}")
 
 
-def _check_heights(slots: "Sequence[Slot]", altitude_m: float) -> None:
-    """Refuse a slot whose altitude step leads into the ground, or out of sight."""
+def _check_heights(slots: "Sequence[Slot]", altitude_m: float | None) -> None:
+    """Refuse a slot whose altitude step leads into the ground, or out of sight.
+
+    Without an altitude what no leader's height could make flyable; the rest is seen in the air.
+    """
     for number, slot in enumerate(slots, 1):
-        height_m = altitude_m + slot.altitude_step_m
+        height_m = slot.altitude_step_m + (altitude_m or 0.0)
+        if altitude_m is None and abs(height_m) < MOST_ALTITUDE_M - LEAST_ALTITUDE_M:
+            continue
         if not LEAST_ALTITUDE_M <= height_m <= MOST_ALTITUDE_M:
             raise EchowingError(
                 f"slot {number} would be flown at {height_m:g} m, --altitude and its "

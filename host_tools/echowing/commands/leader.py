@@ -9,7 +9,7 @@ EXAMPLES = """\
 examples:
   echowing leader --vehicle /dev/ttyUSB0 --publish udp:192.168.1.20:14600
       and on 192.168.1.20:
-  echowing follow --leader-from udp:0.0.0.0:14600 --follower /dev/ttyUSB0 --engage
+  echowing follow --leader-from udp:14600 --follower /dev/ttyUSB0 --engage
 Only questions for the leader's clock come back this way: nothing can move the leader.
 """
 
@@ -23,7 +23,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--vehicle",
         required=True,
         metavar="CONN",
-        help="udpin:[HOST:]PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:[HOST:]PORT or a serial "
+        help="udpin:PORT (on all addresses of this computer), udpin:HOST:PORT, "
+        "udpout:HOST:PORT, tcp:HOST:PORT, tcpin:[HOST:]PORT or a serial "
         "device; CONN@ID where several vehicles share the link",
     )
     parser.add_argument("--publish", required=True, metavar="udp:HOST:PORT")

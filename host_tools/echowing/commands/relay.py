@@ -3,7 +3,10 @@
 import argparse
 from pathlib import Path
 
+from echowing.commands.follow import add_log_arguments, log_folder
 from echowing.errors import EchowingError
+
+ALTITUDE_M = 30.0
 
 EXAMPLES = """\
 examples:
@@ -28,7 +31,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--ground", required=True, metavar="LAT,LON", help="the ground station")
     parser.add_argument(
-        "--altitude", type=float, default=30.0, metavar="M", help="above the relay's home (30)"
+        "--altitude",
+        type=float,
+        metavar="M",
+        help="above the relay's home (30); a relay that is more than 3 m away from that needs it",
     )
     parser.add_argument("--baud", type=int, default=DEFAULT_BAUD, help="of serial devices")
     parser.add_argument("--rate", type=float, default=4.0, metavar="HZ", help="of points (4)")
@@ -51,13 +57,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--signing-key-file", type=Path, metavar="FILE", help="as for `echowing follow`"
     )
-    parser.add_argument("--log", type=Path, metavar="DIR", help="write a .tlog and a CSV here")
+    add_log_arguments(parser)
     parser.add_argument("--duration", type=float, metavar="S", help="end after this long")
     parser.add_argument("--json", action="store_true", help="print JSON, an object a line")
 
 
 def run(args: argparse.Namespace) -> int:
     """Relay until told to end."""
+    from echowing.engage import Readiness  # noqa: PLC0415
     from echowing.follow_run import FollowOptions, FollowTool  # noqa: PLC0415
     from echowing.follow_view import open_view  # noqa: PLC0415
     from echowing.guard import Limits  # noqa: PLC0415
@@ -69,6 +76,8 @@ def run(args: argparse.Namespace) -> int:
     from echowing.switch import parse_stop_switch  # noqa: PLC0415
     from echowing.terminal import run_in_flight  # noqa: PLC0415
 
+    altitude_told = args.altitude is not None
+    args.altitude = args.altitude if altitude_told else ALTITUDE_M
     _check_numbers(args)
     ground = parse_ground(args.ground)
     options = FollowOptions(
@@ -84,11 +93,12 @@ def run(args: argparse.Namespace) -> int:
             max_distance_m=args.max_distance,
             min_separation_m=args.min_separation,
             leader_flies=False,
+            ready=Readiness(distance=False, sides=False, height_told=altitude_told),
             switch=None if args.stop_switch is None else parse_stop_switch(args.stop_switch),
         ),
         engage=args.engage,
         duration_s=args.duration,
-        log=args.log,
+        log=log_folder(args),
         signing_key=read_key(args.signing_key_file),
         make_guide=lambda: RelayGuide(ground),
     )

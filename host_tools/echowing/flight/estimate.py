@@ -56,6 +56,7 @@ class Estimate:
         self.sonar_clock = SenderClock()
         self._alignment = Alignment()
         self._before = (-math.inf, math.nan)
+        self._jumped_m = (0.0, 0.0)
 
     def reported(self, report: Report) -> None:
         """Take a report of the follower itself."""
@@ -76,19 +77,29 @@ class Estimate:
     def learn(self, leader: History) -> None:
         """Use the readings that both vehicles' reports have overtaken by now."""
         for one in self._alignment.due(leader, self.history):
+            north_m, east_m = one.believed_m
+            believed_m = north_m - self._jumped_m[0], east_m - self._jumped_m[1]
             if one.distance_m is not None:
-                self.offset.heard(one.time_s, one.distance_m, one.axis_rad, one.believed_m)
+                self.offset.heard(one.time_s, one.distance_m, one.axis_rad, believed_m)
             elif one.lean_rad < LEVEL_RAD:
-                self.offset.silent(one.time_s, one.axis_rad, one.believed_m)
+                self.offset.silent(one.time_s, one.axis_rad, believed_m)
 
     def forget(self) -> None:
         """A receiver has begun anew: what was learnt of it is void."""
         self.offset = OffsetGrid()
         self._alignment = Alignment()
+        self._jumped_m = (0.0, 0.0)
+
+    def jumped(self, moved_m: tuple[float, float]) -> None:
+        """The leader's receiver has jumped by (north, east), or the follower's by the opposite."""
+        self._jumped_m = self._jumped_m[0] + moved_m[0], self._jumped_m[1] + moved_m[1]
+        self._alignment = Alignment()
 
     def as_seen(self, leader: GlobalPosition) -> GlobalPosition:
         """The leader's place in the follower's receiver's frame."""
-        return displace(leader, (-self.offset.north_m, -self.offset.east_m, 0.0))
+        north_m = self.offset.north_m + self._jumped_m[0]
+        east_m = self.offset.east_m + self._jumped_m[1]
+        return displace(leader, (-north_m, -east_m, 0.0))
 
 
 def carried_on(leader: LeaderFix, to_s: float) -> LeaderFix:

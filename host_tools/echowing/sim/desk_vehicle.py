@@ -51,6 +51,8 @@ class DeskVehicle:
     auth: dict[int, str | None] = field(default_factory=dict)
     """Authorisation id -> reason of refusal, None: passed."""
     tables: dict[int, str] = field(default_factory=dict)
+    added: set[str] = field(default_factory=set)
+    """Script parameters that exist since the start."""
 
     def millis(self) -> int:
         return self.t_ms
@@ -86,8 +88,15 @@ class DeskVehicle:
         return True
 
     def parameter_add(self, key: int, index: int, name: str, default: float) -> bool:
+        """As AP_Param::add_param: a script that comes again finds what was saved, or the default.
+
+        A parameter that was there before any script is one that a pilot has saved.
+        """
         full = self.tables[key] + name
-        self.parameters.setdefault(full, self.saved.get(full, default))
+        if full not in self.added and full in self.parameters:
+            self.saved.setdefault(full, self.parameters[full])
+        self.added.add(full)
+        self.parameters[full] = self.saved.get(full, default)
         return True
 
     def rangefinder_orientations(self) -> Sequence[int]:

@@ -153,7 +153,7 @@ class _Measure(LiveView):
         super().rows(time_s, rows)
         now_s = time.perf_counter()
         if self._all_since_s is None and all(
-            row.state.startswith(("following", "holding")) for row in rows
+            row.state.startswith(("following", "holding", "gives way")) for row in rows
         ):
             self._all_since_s = now_s
         if self._all_since_s is None:
@@ -201,7 +201,7 @@ def _measured(followers: int, rate_hz: float, seconds: float, port: int, folder:
 
 
 def _options(followers: int, rate_hz: float, port: int, folder: Path) -> FollowOptions:
-    link = parse_address(f"udpin:{port}")
+    link = parse_address(f"udpin:127.0.0.1:{port}")
     roles = [("leader", LEADER_ID)]
     roles += [("follower", FIRST_FOLLOWER_ID + number) for number in range(followers)]
     return FollowOptions(

@@ -9,11 +9,10 @@ from typing import Any, NamedTuple
 from pymavlink.dialects.v20 import common as mavlink
 
 from echowing import firmware
-from echowing.sim.avr import AvrBoard
+from echowing.sim.boards import emulated_board
 from echowing.sim.coprocessor import AUTOPILOT_PORT, USB_PORT
 from echowing.sim.sonar import MaxSonar
 
-BOARD = "mega"
 # SYS_ID and COMP_ID as the firmware comes: it has not learned yet whose it is.
 DEVICE_SYSTEM, DEVICE_COMPONENT = 250, 191
 STEP_US = 5_000
@@ -49,9 +48,9 @@ class _Sonar(MaxSonar):
 class _Run:
     """A board at work: messages of the autopilot port, dated; pulses of the pan servo."""
 
-    def __init__(self) -> None:
+    def __init__(self, board: str) -> None:
         self.sonar = _Sonar()
-        self.board = AvrBoard(self.sonar, board=BOARD)
+        self.board = emulated_board(self.sonar, board=board)
         self.messages: list[tuple[float, Any]] = []
         self.widths_us: list[float] = []
         self._parser = mavlink.MAVLink(None)
@@ -82,13 +81,14 @@ class _Run:
         return [t for t, m in self.messages if m.get_type() == kind and t >= since_us]
 
 
-def firmware_figures() -> Iterator[FirmwareFigure]:
+def firmware_figures(board: str = "mega") -> Iterator[FirmwareFigure]:
     """Measure the binary that `make firmware` has built; EchowingError if there is none."""
-    used = firmware.size(firmware.elf_path(BOARD), BOARD)
-    kind = firmware.board(BOARD)
-    yield FirmwareFigure(f"{BOARD}: flash", used.flash, "bytes", f"under {kind.flash_limit}")
-    yield FirmwareFigure(f"{BOARD}: static RAM", used.ram, "bytes", f"under {kind.ram_limit}")
-    run = _Run()
+    used = firmware.size(firmware.elf_path(board), board)
+    kind = firmware.board(board)
+    flash, ram = kind.flash_limit or kind.flash, kind.ram_limit or kind.ram
+    yield FirmwareFigure(f"{board}: flash", used.flash, "bytes", f"under {flash}")
+    yield FirmwareFigure(f"{board}: static RAM", used.ram, "bytes", f"under {ram}")
+    run = _Run(board)
     started_s = time.perf_counter()
     yield from _reports(run)
     yield from _commands(run)

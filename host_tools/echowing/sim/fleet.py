@@ -40,6 +40,9 @@ RATES_HZ = {
 LEADER_RATES_HZ = {"heartbeat": 1.0, "position": 4.0}
 
 
+_PARAMETERS = {"ECHO_ENABLE": 1.0, "ECHO_LAW": 2.0, "ECHO_INSET": 0.2}
+
+
 class Point:
     """One vehicle: where it is (NED metres from `HERE`), how it moves, what it says when."""
 
@@ -81,7 +84,8 @@ class Point:
             self.target = GlobalPosition(message.lat_int / 1e7, message.lon_int / 1e7, at_m)
         elif kind == "PARAM_REQUEST_READ":
             name, real = message.param_id.encode(), mavlink.MAV_PARAM_TYPE_REAL32
-            return self._pack(mavlink.MAVLink_param_value_message(name, 3.0, real, 1, 0))
+            value = _PARAMETERS.get(message.param_id, 3.0)
+            return self._pack(mavlink.MAVLink_param_value_message(name, value, real, 1, 0))
         return b""
 
     def says(self, t_s: float) -> Iterator[bytes]:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from echowing.analysis.flight import Flight
+from echowing.engage import Readiness
 from echowing.follow import FollowerPlan, FollowSession
 from echowing.formation import turning_together
 from echowing.geo import GlobalPosition, Ned, displace, ned_between
@@ -274,8 +275,19 @@ class FormationFlight(FormationWorld):
 
 
 def _limits(scenario: Scenario) -> Limits:
-    """What the field flies with: the defaults of `echowing follow`."""
-    return replace(FIELD_LIMITS, leader_flies=scenario.leader.path not in ("walk", "track"))
+    """What the field flies with: the defaults of `echowing follow`.
+
+    What an operator would have been asked is answered here by the scenario.
+    """
+    told = Readiness(
+        applet=scenario.law != "none",
+        distance=False,
+        sides=False,
+        homes_told=True,
+        height_told=True,
+    )
+    leader_flies = scenario.leader.path not in ("walk", "track")
+    return replace(FIELD_LIMITS, leader_flies=leader_flies, ready=told)
 
 
 def speed_parameter_mps(autopilot: Autopilot) -> float | None:

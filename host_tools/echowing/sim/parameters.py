@@ -199,14 +199,20 @@ class Parameters:
         return True
 
     def add(self, key: int, index: int, name: str, default: float) -> bool:
-        """Add one parameter of a script (`name` without prefix); a saved value comes back."""
+        """Add one parameter of a script (`name` without prefix): its saved value, or the default.
+
+        So it is, too, for a script that is restarted (AP_Param::add_param): a value that was only
+        set is gone then.
+        """
         table = self._tables.get(key)
         if table is None or not 1 <= index <= table[1]:
             return False
         full = table[0] + name
         if len(full) > NAME_CHARACTERS:
             return False
-        if full not in self._values:
+        if full in self._values:
+            self._values[full] = float32(self.saved.get(full, default))
+        else:
             self._declare(full, "real32", default)
         return True
 

@@ -39,6 +39,14 @@ class Stm32Board(EmulatedBoard):
         """The crystal starts no more."""
         self._library.board_break_crystal(ctypes.c_void_p(self._board))
 
+    def watchdog_us(self) -> int:
+        """The watchdog's time-out as it is set now; 0 while it does not run."""
+        return int(self._library.board_watchdog_us(ctypes.c_void_p(self._board)))
+
+    def set_erase_us(self, span_us: int) -> None:
+        """How long erasing a block of flash takes; at first what is typical of the chip."""
+        self._library.board_set_erase_us(ctypes.c_void_p(self._board), ctypes.c_uint32(span_us))
+
     def boot_loader(self) -> str | None:
         """Once the program has jumped into the boot loader in ROM: what is not as after a reset.
 

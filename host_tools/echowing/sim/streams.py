@@ -18,6 +18,16 @@ from echowing.sim.rangefinder import NO_DATA, NOT_CONNECTED, MavlinkRangefinder
 START_UNIX_S = 1_767_225_600
 
 # A still thing to report: a healthy battery and receiver, so that no tool complains about them.
+_EKF_FLAGS = (
+    mavlink.EKF_ATTITUDE
+    | mavlink.EKF_VELOCITY_HORIZ
+    | mavlink.EKF_VELOCITY_VERT
+    | mavlink.EKF_POS_HORIZ_REL
+    | mavlink.EKF_POS_HORIZ_ABS
+    | mavlink.EKF_POS_VERT_ABS
+    | mavlink.EKF_PRED_POS_HORIZ_REL
+    | mavlink.EKF_PRED_POS_HORIZ_ABS
+)
 _VOLTAGE_MV, _CURRENT_CA, _REMAINING_PERCENT = 12_600, 1_000, 80
 _SATELLITES, _EPH_CM = 10, 121  # SITL's receiver: HDOP 1.21
 _RC_UNKNOWN_RSSI = 255
@@ -92,6 +102,7 @@ class Reports:
             mavlink.MAVLINK_MSG_ID_SYS_STATUS: self._sys_status,
             mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: self._system_time,
             mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: self._gps_raw_int,
+            mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: self._ekf_status_report,
             mavlink.MAVLINK_MSG_ID_ATTITUDE: self._attitude,
             mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: self._local_position_ned,
             mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: self._global_position_int,
@@ -179,6 +190,11 @@ class Reports:
             course,
             _SATELLITES,
         )
+
+    @staticmethod
+    def _ekf_status_report() -> Any:
+        """An estimator that has settled: all of what a GPS gives, none of what is for flow."""
+        return mavlink.MAVLink_ekf_status_report_message(_EKF_FLAGS, *(0.05,) * 5)
 
     def _attitude(self) -> Any:
         body = self._body
@@ -351,6 +367,7 @@ STREAMS: dict[str, tuple[int, ...]] = {
         mavlink.MAVLINK_MSG_ID_SYSTEM_TIME,
         mavlink.MAVLINK_MSG_ID_RANGEFINDER,
         mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR,
+        mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT,
     ),
 }
 # REQUEST_DATA_STREAM's numbers.

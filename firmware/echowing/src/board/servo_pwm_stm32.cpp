@@ -29,14 +29,15 @@ HardwareTimer& timer() {
 
 }  // namespace
 
+// The timer starts with no pulse in its first frame: the channels are connected one after the other
+// while it counts already, and a pulse would be cut. Widths are taken over with the next frame.
 void ServoPwm::begin(Aim aim) {
   timer().setMode(kPanChannel, TIMER_OUTPUT_COMPARE_PWM1, ECHOWING_PAN_OUTPUT);
   timer().setMode(kTiltChannel, TIMER_OUTPUT_COMPARE_PWM1, ECHOWING_TILT_OUTPUT);
   timer().setOverflow(kFrame_us, MICROSEC_FORMAT);
-  timer().setCaptureCompare(kPanChannel, aim.pan_us, MICROSEC_COMPARE_FORMAT);
-  timer().setCaptureCompare(kTiltChannel, aim.tilt_us, MICROSEC_COMPARE_FORMAT);
-  written_ = aim;
   timer().resume();
+  written_ = {};
+  write(aim);
 }
 
 void ServoPwm::write(Aim aim) {

@@ -1,0 +1,572 @@
+"""What has to be known and right before a follower is sent its first point. Pure.
+
+One table over all vehicles is shown first. What is wrong is said, with what to do; while it stays
+wrong no point goes to the follower that it concerns. Some of it stops a follower in flight too.
+"""
+
+import math
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from echowing.flight.sonar import DETECTION_LIMIT_M
+from echowing.geo import GlobalPosition, ned_between
+from echowing.guidance import MOVING_MPS, Horizontal, slot_offset_m
+
+if TYPE_CHECKING:
+    from echowing.follow import FollowerState, FollowSession
+
+Say = Callable[[float, str], None]
+
+# The applet's parameters that are looked at (lua/echowing.md).
+ENABLE, LAW, DIST, INSET, WATCHDOG = APPLET = (
+    "ECHO_ENABLE",
+    "ECHO_LAW",
+    "ECHO_DIST",
+    "ECHO_INSET",
+    "ECHO_STREAM_T",
+)
+ASK_PERIOD_S = 1.0
+# Where something is wrong the parameters are read again, as somebody may be setting them.
+READ_AGAIN_S = 5.0
+# What is not known is called wrong only after this long: three questions over a slow radio.
+PATIENCE_S = 4.0
+# The same is not said again sooner.
+SAY_AGAIN_S = 30.0
+# Asked for: rates in Hz.
+EKF_HZ, GPS_HZ, BATTERY_HZ = 1.0, 1.0, 0.5
+
+# The applet's distance and the slot's may differ by this: half a metre of a range of three.
+DISTANCE_M = 0.5
+INSET_M = 0.1
+# Two receivers on one field differ by a metre in height; more is asked, and a climb or descent of
+# more than the second is not begun untold.
+HOMES_M, HEIGHTS_M = 1.0, 3.0
+LOWEST_M = 1.0
+# Of a battery that is to carry it through a flight of minutes and home.
+LEAST_BATTERY_PERCENT = 20
+# A position that has not moved by the first while its velocities add up to the second is stuck.
+STAYS_M, FLOWN_M = 0.5, 2.0
+# Positions further apart in time say nothing of what was flown between.
+LONGEST_GAP_MS = 2_000
+_NUMBERS = re.compile(r"[-+]?\d+(\.\d+)?")
+_EKF_OFF = mavlink.EKF_CONST_POS_MODE | mavlink.EKF_UNINITIALIZED
+
+
+@dataclass(frozen=True, slots=True)
+class Readiness:
+    """Which checks are made beyond clocks, receivers, EKF, battery and switch.
+
+    applet: the applet runs, with its stream watchdog; distance: its distance and inset are the
+    tool's; sides: no follower's way to its slot crosses another's; homes_told: what homes that
+    differ by their receivers mean was said; height_told: so was the altitude to fly at.
+    """
+
+    applet: bool = True
+    distance: bool = True
+    sides: bool = True
+    homes_told: bool = False
+    height_told: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One cell of the table; `wrong`: what is wrong and what to do, empty where all is well."""
+
+    name: str
+    shown: str
+    wrong: str = ""
+
+
+@dataclass(slots=True)
+class StuckPosition:
+    """Whether a vehicle's position stays put while its own velocity says that it moves."""
+
+    stuck: bool = False
+    _from: Any = None
+    _before: Any = None
+    _flown_m: Horizontal = (0.0, 0.0)
+
+    def report(self, message: Any) -> None:
+        """Take a GLOBAL_POSITION_INT."""
+        before, self._before = self._before, message
+        gap_ms = 0 if before is None else message.time_boot_ms - before.time_boot_ms
+        if not 0 < gap_ms <= LONGEST_GAP_MS:
+            if gap_ms != 0 or self._from is None:
+                self._begin(message)
+            return
+        if math.dist(*(_flat_m(self._from, one) for one in (self._from, message))) > STAYS_M:
+            self._begin(message)
+            return
+        north_m, east_m = self._flown_m
+        share = gap_ms / 1e3 / 2.0 / 100.0  # the mean of two speeds in cm/s
+        self._flown_m = (
+            north_m + (before.vx + message.vx) * share,
+            east_m + (before.vy + message.vy) * share,
+        )
+        self.stuck = math.hypot(*self._flown_m) > FLOWN_M
+
+    def _begin(self, message: Any) -> None:
+        self._from, self._flown_m, self.stuck = message, (0.0, 0.0), False
+
+
+def _flat_m(origin: Any, there: Any) -> Horizontal:
+    places = (GlobalPosition(one.lat / 1e7, one.lon / 1e7, 0.0) for one in (origin, there))
+    north_m, east_m, _ = ned_between(*places)
+    return north_m, east_m
+
+
+@dataclass(slots=True)
+class Vehicle:
+    """What one vehicle has said of itself; None: nothing yet."""
+
+    fix_type: int | None = None
+    satellites: int | None = None
+    ekf_flags: int | None = None
+    battery_percent: int | None = None
+    voltage_mv: int | None = None
+    position: StuckPosition = field(default_factory=StuckPosition)
+    parameters: dict[str, float] = field(default_factory=dict)
+    asked_at_s: float = -math.inf
+
+    def receive(self, kind: str, message: Any) -> None:
+        """Take a message of this vehicle's autopilot."""
+        if kind == "GLOBAL_POSITION_INT":
+            self.position.report(message)
+        elif kind == "GPS_RAW_INT":
+            self.fix_type, self.satellites = message.fix_type, message.satellites_visible
+        elif kind == "EKF_STATUS_REPORT":
+            self.ekf_flags = message.flags
+        elif kind == "SYS_STATUS":
+            self.battery_percent, self.voltage_mv = (
+                message.battery_remaining,
+                message.voltage_battery,
+            )
+        elif kind == "PARAM_VALUE" and message.param_id in APPLET:
+            self.parameters[message.param_id] = message.param_value
+
+    @property
+    def fault(self) -> str | None:
+        """What makes its position worth nothing, as far as it has said; None: nothing."""
+        if self.fix_type is not None and self.fix_type < mavlink.GPS_FIX_TYPE_3D_FIX:
+            return "has no GPS fix"
+        if self.ekf_flags is not None and not _has_position(self.ekf_flags):
+            return "has an EKF without a position"
+        return "reports a position that stays put while it moves" if self.position.stuck else None
+
+
+def _has_position(flags: int) -> bool:
+    return bool(flags & mavlink.EKF_POS_HORIZ_ABS) and not flags & _EKF_OFF
+
+
+@dataclass(slots=True)
+class _Turn:
+    """A follower's way to being engaged, since it was put in Guided.
+
+    told: what was said of it, without its numbers, and when.
+    """
+
+    cleared: bool = False
+    told: dict[str, float] = field(default_factory=dict)
+    wrong: list[Finding] = field(default_factory=list)
+
+
+class Engagement:
+    """Judges the vehicles of one session; `say(now_s, text)` tells the operator."""
+
+    def __init__(
+        self, readiness: Readiness, leader_id: int, follower_ids: Iterable[int], say: Say
+    ) -> None:
+        self.readiness = readiness
+        self._leader_id = leader_id
+        self._turns = {system_id: _Turn() for system_id in follower_ids}
+        self._vehicles = {system_id: Vehicle() for system_id in (leader_id, *self._turns)}
+        self._say = say
+        self._since_s: float | None = None
+        self._table_shown = False
+        self._doubts: dict[int, str] = {}
+
+    # ---- what comes in, and what is asked -------------------------------------------------------
+
+    def receive(self, system_id: int, kind: str, message: Any) -> None:
+        """Take a message of the leader or of a follower."""
+        vehicle = self._vehicles.get(system_id)
+        if vehicle is not None:
+            vehicle.receive(kind, message)
+
+    def doubt(self, system_id: int, text: str, now_s: float) -> None:
+        """It is not known who this vehicle is (see `seats.StrangerWatch`): for good."""
+        if system_id not in self._doubts:
+            self._doubts[system_id] = text
+            self._say(now_s, text)
+
+    def requests(self) -> list[tuple[int, int, float]]:
+        """Messages wanted: system id, message id, rate in Hz."""
+        rates = {
+            mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: EKF_HZ,
+            mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: GPS_HZ,
+            mavlink.MAVLINK_MSG_ID_SYS_STATUS: BATTERY_HZ,
+        }
+        return [(system_id, *item) for system_id in self._vehicles for item in rates.items()]
+
+    def messages(self, now_s: float) -> list[tuple[int, Any]]:
+        """Questions for the applet's parameters."""
+        if not self.readiness.applet:
+            return []
+        asked = []
+        for system_id, turn in self._turns.items():
+            vehicle = self._vehicles[system_id]
+            missing = [name for name in APPLET if name not in vehicle.parameters]
+            doubted = any(finding.name in ("applet", "distance") for finding in turn.wrong)
+            period_s = ASK_PERIOD_S if missing else READ_AGAIN_S
+            if not (missing or doubted) or now_s - vehicle.asked_at_s < period_s:
+                continue
+            vehicle.asked_at_s = now_s
+            asked += [(system_id, _read_parameter(system_id, name)) for name in missing or APPLET]
+        return asked
+
+    def entered_guided(self, system_id: int) -> None:
+        """The pilot has put a follower in Guided: it is judged anew."""
+        self._turns[system_id] = _Turn()
+
+    # ---- what comes of it -----------------------------------------------------------------------
+
+    def prepare(self, session: "FollowSession", now_s: float) -> None:
+        """Once a tick, before any point: show the table, and judge who is not engaged yet."""
+        if self._since_s is None:
+            self._since_s = now_s
+        if not self._table_shown:
+            self._show_table(session, now_s)
+        for system_id, follower in session.followers.items():
+            turn = self._turns[system_id]
+            if turn.cleared:
+                continue
+            session.take_leaders_height(follower)
+            if self._table_shown and session.engaged and follower.in_guided:
+                self._judge(session, follower, turn, now_s)
+
+    def cleared(self, system_id: int) -> bool:
+        """Whether points may go to a follower: once they may, they may until it leaves Guided."""
+        return self._turns[system_id].cleared
+
+    def objection(self, system_id: int) -> str | None:
+        """What keeps a follower from being engaged, in a few words; None: nothing."""
+        turn = self._turns[system_id]
+        return None if turn.cleared or not turn.wrong else turn.wrong[0].wrong.partition(":")[0]
+
+    def _judge(
+        self, session: "FollowSession", follower: "FollowerState", turn: _Turn, now_s: float
+    ) -> None:
+        system_id = follower.plan.system_id
+        turn.wrong = [one for one in self.findings(session, follower, now_s) if one.wrong]
+        if turn.wrong:
+            for text in self._tell(system_id, turn, now_s):
+                session.alert(system_id, f"not engaged, {text}")
+            return
+        turn.cleared = True
+        if session.leaders_height:
+            self._say(
+                now_s,
+                f"follower {system_id}: flies {follower.plan.wanted_m:.1f} m above the leader's "
+                "home, by the leader's height now; --altitude chooses another",
+            )
+
+    def objection_to_take_off(
+        self, session: "FollowSession", follower: "FollowerState", now_s: float
+    ) -> str | None:
+        """The same of one on the ground, where heights and places say nothing yet."""
+        airborne = ("height", "side")
+        wrong = (
+            one.wrong
+            for one in self.findings(session, follower, now_s)
+            if one.wrong and one.name not in airborne
+        )
+        return next((text.partition(":")[0] for text in wrong), None)
+
+    def reason_to_stop(self, session: "FollowSession", follower: "FollowerState") -> str | None:
+        """Why a follower that is flown has to be held; None: nothing is known."""
+        system_id = follower.plan.system_id
+        for name, one, clock in (
+            ("leader", self._leader_id, session.leader.clock),
+            ("it", system_id, follower.clock),
+        ):
+            fault = self._vehicles[one].fault
+            if fault is not None:
+                return f"{name} {fault}"
+            if not clock.known:
+                return f"{name} has a clock that is not known"
+            if one in self._doubts:
+                return f"{name} may not be the vehicle that was meant"
+        return None
+
+    def _show_table(self, session: "FollowSession", now_s: float) -> None:
+        """Say the table once all is known or has had its time, and what is wrong in it."""
+        rows = [(f"leader {self._leader_id}", self.leader_findings(session, now_s))]
+        rows += [
+            (f"follower {system_id}", self.findings(session, follower, now_s, own=True))
+            for system_id, follower in session.followers.items()
+        ]
+        known = all(one.shown != "?" for _, findings in rows for one in findings)
+        if not known and not self._waited(now_s):
+            return
+        self._table_shown = True
+        for line in table(rows):
+            self._say(now_s, line)
+        for name, findings in rows:
+            for one in findings:
+                if one.wrong:
+                    self._say(now_s, f"{name}: {one.wrong}")
+
+    def _waited(self, now_s: float) -> bool:
+        return self._since_s is not None and now_s - self._since_s >= PATIENCE_S
+
+    def _tell(self, system_id: int, turn: _Turn, now_s: float) -> list[str]:
+        """Say what is wrong, each once for a while; what is only not known yet has its time.
+
+        Returns what was said, in short.
+        """
+        said = []
+        for one in turn.wrong:
+            text = _NUMBERS.sub("", one.wrong)
+            again = now_s - turn.told.get(text, -math.inf) >= SAY_AGAIN_S
+            if again and (self._waited(now_s) or one.shown != "?"):
+                turn.told[text] = now_s
+                self._say(now_s, f"follower {system_id}: not engaged, {one.wrong}")
+                said.append(one.wrong.partition(":")[0])
+        return said
+
+    # ---- the checks -----------------------------------------------------------------------------
+
+    def leader_findings(self, session: "FollowSession", now_s: float) -> list[Finding]:
+        """The leader's row of the table."""
+        system_id = self._leader_id
+        return [
+            _clock("leader", session.leader.clock),
+            *self._switch("leader", system_id, session, now_s),
+            *self._state("leader", system_id),
+            *self._stranger("leader", system_id),
+        ]
+
+    def findings(
+        self,
+        session: "FollowSession",
+        follower: "FollowerState",
+        now_s: float,
+        *,
+        own: bool = False,
+    ) -> list[Finding]:
+        """All that concerns a follower; `own`: its row of the table, without the leader's."""
+        system_id = follower.plan.system_id
+        return [
+            *([] if own else self.leader_findings(session, now_s)),
+            _clock("its", follower.clock),
+            *self._switch("its", system_id, session, now_s),
+            *self._applet(system_id, session, follower),
+            *self._homes(session, follower),
+            *self._height(session, follower),
+            *self._state("its", system_id),
+            *self._side(session, follower),
+            *self._stranger("it", system_id),
+        ]
+
+    def _switch(
+        self, whose: str, system_id: int, session: "FollowSession", now_s: float
+    ) -> list[Finding]:
+        shown = None if session.guard is None else session.guard.switches.shown(system_id, now_s)
+        if shown is None:
+            return []
+        whose = "the leader's" if whose == "leader" else whose
+        wrong = {
+            "not seen": f"{whose} stop switch is not seen: check its transmitter and the channel",
+            "on": f"{whose} stop switch is on: switch it off, then leave Guided and come back",
+            "was on": f"{whose} stop switch was on: leave Guided and come back",
+        }
+        return [Finding("switch", "?" if shown == "not seen" else shown, wrong.get(shown, ""))]
+
+    def _applet(
+        self, system_id: int, session: "FollowSession", follower: "FollowerState"
+    ) -> list[Finding]:
+        if not self.readiness.applet:
+            return []
+        known = self._vehicles[system_id].parameters
+        findings = [Finding("applet", *_applet_state(known))]
+        if self.readiness.distance and DIST in known and INSET in known:
+            distance = _distance(known, session, follower)
+            findings += [] if distance is None else [distance]
+        return findings
+
+    def _homes(self, session: "FollowSession", follower: "FollowerState") -> list[Finding]:
+        guard = session.guard
+        if guard is None or guard.limits.home_difference_m is None:
+            return []
+        higher_m = guard.home_above_leaders_m(follower.plan.system_id)
+        if higher_m is None:
+            return [Finding("home", "?", "homes are not known: no positions yet")]
+        wrong = ""
+        if abs(higher_m) > HOMES_M and not self.readiness.homes_told:
+            wrong = (
+                f"its home is {higher_m:+.1f} m from the leader's by their receivers: give "
+                "--level-homes where the ground is level (the difference is their error), "
+                "--correct-homes where it is not"
+            )
+        return [Finding("home", f"{higher_m:+.1f} m", wrong)]
+
+    def _height(self, session: "FollowSession", follower: "FollowerState") -> list[Finding]:
+        wanted_m, height_m = session.height_wanted_m(follower), follower.altitude_m
+        if wanted_m is None or height_m is None:
+            return [Finding("height", "?", "its height or the leader's is not known")]
+        wrong = ""
+        if wanted_m < LOWEST_M:
+            wrong = (
+                f"it would be flown at {wanted_m:.1f} m: fly the leader higher, or give --altitude"
+            )
+        elif abs(height_m - wanted_m) > HEIGHTS_M and not self.readiness.height_told:
+            wrong = (
+                f"it is {height_m:.1f} m up and would be flown to {wanted_m:.1f} m: fly it to "
+                f"within {HEIGHTS_M:g} m of that, or give --altitude"
+            )
+        return [Finding("height", f"{height_m:.1f} m", wrong)]
+
+    def _state(self, whose: str, system_id: int) -> list[Finding]:
+        vehicle = self._vehicles[system_id]
+        name = "the leader" if whose == "leader" else "it"
+        fix, ekf = vehicle.fix_type, vehicle.ekf_flags
+        fault = f"{name} {vehicle.fault}: wait, or land it" if vehicle.fault else ""
+        shown_gps = "?" if fix is None else f"{min(fix, 3)}D {vehicle.satellites}"
+        gps = fault or (
+            f"{name} does not report GPS_RAW_INT: check its link" if fix is None else ""
+        )
+        unheard = f"{name} does not report EKF_STATUS_REPORT: check its link"
+        shown_ekf = "?" if ekf is None else "ok" if _has_position(ekf) else "no position"
+        return [
+            Finding("GPS", shown_gps, gps),
+            Finding("EKF", shown_ekf, unheard if ekf is None else ""),
+            _battery(name, vehicle),
+        ]
+
+    def _side(self, session: "FollowSession", follower: "FollowerState") -> list[Finding]:
+        if not self.readiness.sides or len(session.followers) < 2:
+            return []
+        way = _way(session, follower)
+        for system_id, other in session.followers.items():
+            others_way = None if other is follower else _way(session, other)
+            if way is not None and others_way is not None and _cross(way, others_way):
+                wrong = (
+                    f"its way to its slot crosses follower {system_id}'s: change the order of "
+                    "--follower, or fly them to their own sides"
+                )
+                return [Finding("side", "crosses", wrong)]
+        return [Finding("side", "ok")]
+
+    def _stranger(self, name: str, system_id: int) -> list[Finding]:
+        text = self._doubts.get(system_id)
+        return [] if text is None else [Finding("who", "doubtful", text)]
+
+
+def table(rows: Iterable[tuple[str, Iterable[Finding]]]) -> list[str]:
+    """Lines of the table: a row per vehicle, `!` after what is wrong."""
+    listed = [(name, {one.name: one for one in findings}) for name, findings in rows]
+    names = list(dict.fromkeys(name for _, findings in listed for name in findings))
+    cells = [["before engaging", *names]]
+    for vehicle, findings in listed:
+        cells.append([vehicle, *(_cell(findings.get(name)) for name in names)])
+    widths = [max(len(row[column]) for row in cells) for column in range(len(names) + 1)]
+    return [
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in cells
+    ]
+
+
+def _cell(finding: Finding | None) -> str:
+    return "-" if finding is None else finding.shown + ("!" if finding.wrong else "")
+
+
+def _clock(whose: str, clock: Any) -> Finding:
+    if clock.known:
+        return Finding("clock", f"{clock.round_trip_s:.2f} s")
+    whose = "the leader's" if whose == "leader" else whose
+    return Finding("clock", "?", f"{whose} clock is not known: it does not answer TIMESYNC")
+
+
+def _applet_state(known: Mapping[str, float]) -> tuple[str, str]:
+    """Shown, and what is wrong, of the applet with these parameters."""
+    if ENABLE not in known or WATCHDOG not in known:
+        return "?", f"no applet ({WATCHDOG} does not answer): `echowing setup lua`, then `apply`"
+    if known[ENABLE] != 1.0:
+        return "off", f"its applet is off: param set {ENABLE} 1"
+    if not known[WATCHDOG] > 0.0:
+        return "no watchdog", f"its stream watchdog is off: param set {WATCHDOG} 1"
+    law = f"law {known[LAW]:.0f}, " if LAW in known else ""
+    return f"{law}{known[WATCHDOG]:.1f} s", ""
+
+
+def _distance(
+    known: Mapping[str, float], session: "FollowSession", follower: "FollowerState"
+) -> Finding | None:
+    """The applet's distance against the slot's, where the sonar reaches the leader from there."""
+    radius_m, inset_m = follower.plan.slot.radius_m, session.settings.sonar_inset_m
+    shown = f"{known[DIST]:.1f} m"
+    if not 0.0 < radius_m - inset_m < DETECTION_LIMIT_M:
+        return None
+    if abs(known[INSET] - inset_m) > INSET_M:
+        return Finding(
+            "distance",
+            shown,
+            f"its {INSET} is {known[INSET]:g} m and the tool's is {inset_m:g} m: param set {INSET} "
+            f"{inset_m:g}",
+        )
+    if abs(known[DIST] - radius_m) > DISTANCE_M:
+        return Finding(
+            "distance",
+            shown,
+            f"its {DIST} is {known[DIST]:g} m and its slot is {radius_m:g} m from the leader: "
+            f"param set {DIST} {radius_m:g}, or change --radius",
+        )
+    return Finding("distance", shown)
+
+
+def _battery(name: str, vehicle: Vehicle) -> Finding:
+    percent = vehicle.battery_percent
+    if percent is None:
+        return Finding("battery", "not told")
+    if percent < 0:  # MAVLink's word for not known
+        return Finding("battery", f"{(vehicle.voltage_mv or 0) / 1e3:.1f} V")
+    low = f"{name} has {percent} % of its battery left: land it and change the battery"
+    return Finding("battery", f"{percent} %", low if percent < LEAST_BATTERY_PERCENT else "")
+
+
+Way = tuple[Horizontal, Horizontal]
+
+
+def _way(session: "FollowSession", follower: "FollowerState") -> Way | None:
+    """A follower's straight way to its slot, (north, east) of the leader; None: not known."""
+    fix = session.leader.fix
+    if fix is None or follower.position is None or not follower.in_guided:
+        return None
+    north_mps, east_mps, _ = fix.velocity_ned_mps
+    moves = math.hypot(north_mps, east_mps) >= MOVING_MPS
+    course_rad = math.atan2(east_mps, north_mps) if moves else fix.heading_rad
+    north_m, east_m, _ = ned_between(fix.position, follower.position)
+    return (north_m, east_m), slot_offset_m(follower.plan.slot, course_rad)
+
+
+def _cross(one: Way, other: Way) -> bool:
+    """Whether two straight ways cross."""
+    return (
+        _side_of(*one, other[0]) * _side_of(*one, other[1]) < 0.0
+        and _side_of(*other, one[0]) * _side_of(*other, one[1]) < 0.0
+    )
+
+
+def _side_of(a: Horizontal, b: Horizontal, c: Horizontal) -> float:
+    """On which side of the line from a to b a point is."""
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+
+
+def _read_parameter(system_id: int, name: str) -> Any:
+    return mavlink.MAVLink_param_request_read_message(
+        system_id, mavlink.MAV_COMP_ID_AUTOPILOT1, name.encode(), -1
+    )

@@ -1,0 +1,129 @@
+"""A place or a clock that changes at once: what is believed of it. Pure.
+
+A receiver that jumps moves no vehicle. Where the sonar's range did not change meanwhile, the jump
+is the receiver's and goes into the estimate; else the follower holds until its pilot has left
+Guided and come back.
+"""
+
+import math
+import statistics
+from collections import deque
+
+from echowing.flight.alignment import Report
+from echowing.geo import ned_between
+from echowing.guidance import Horizontal
+
+# A vehicle's clock this far from the one believed has begun anew, or is another vehicle's: no
+# radio holds a report back for so long.
+REBOOT_S = 10.0
+# A new place, or a new clock, is believed once this many reports in a row agree (2 s at 4 Hz).
+AGREEING_REPORTS = 8
+# Reports that go from one clock to another and back so often, within so long, are of two vehicles.
+SWAPS, SWAPS_S = 3, 20.0
+# A report further than this from where the last one leads is a jump, not a movement: twice what a
+# hard reversal at 2 m/s can do between two reports.
+JUMP_M = 4.0
+
+# The range did not change where its middle differs by less than this; so many readings, over so
+# long, are asked for after the jump, and those of the last second before it.
+SAME_RANGE_M = 1.0
+LEAST_AFTER, LEAST_AFTER_S = 3, 0.5
+LEAST_BEFORE, BEFORE_S = 2, 1.0
+REMEMBERED_S = 6.0
+# Without a word of the sonar for so long a jump counts as one that it does not confirm.
+UNCONFIRMED_S = 2.0
+
+
+class BootClocks:
+    """Which boot clock a vehicle's reports carry."""
+
+    def __init__(self) -> None:
+        self._begun_s: float | None = None
+        self._other_s = math.nan
+        self._others = 0
+        self._swaps: deque[float] = deque(maxlen=SWAPS)
+
+    def is_believed(self, boot_s: float, now_s: float) -> bool:
+        """Whether a report's clock is the one believed; a new one is after many in a row."""
+        begun_s = now_s - boot_s
+        if self._begun_s is None or abs(begun_s - self._begun_s) <= REBOOT_S:
+            self._begun_s = begun_s if self._begun_s is None else min(begun_s, self._begun_s)
+            if self._others:
+                self._swaps.append(now_s)
+            self._others = 0
+            return True
+        same = abs(begun_s - self._other_s) <= REBOOT_S
+        self._others = self._others + 1 if same else 1
+        self._other_s = min(begun_s, self._other_s) if same else begun_s
+        if self._others <= AGREEING_REPORTS:
+            return False
+        self._begun_s, self._others = begun_s, 0
+        self._swaps.clear()
+        return True
+
+    def two_at_once(self, now_s: float) -> bool:
+        """Whether two clocks are heard in turn: two vehicles with one id."""
+        return len(self._swaps) == SWAPS and now_s - self._swaps[0] <= SWAPS_S
+
+
+class RangeMemory:
+    """The sonar's ranges of the last seconds."""
+
+    def __init__(self) -> None:
+        self._ranges: deque[tuple[float, float]] = deque()
+
+    def add(self, time_s: float, range_m: float) -> None:
+        """Take a range of a moment."""
+        self._ranges.append((time_s, range_m))
+        while self._ranges[0][0] < time_s - REMEMBERED_S:
+            self._ranges.popleft()
+
+    def unchanged(self, since_s: float) -> bool:
+        """Whether the range is what it was before a moment; False where not enough was heard."""
+        before = [m for t, m in self._ranges if since_s - BEFORE_S <= t <= since_s]
+        after = [(t, m) for t, m in self._ranges if t > since_s]
+        if len(before) < LEAST_BEFORE or len(after) < LEAST_AFTER:
+            return False
+        if after[-1][0] - since_s < LEAST_AFTER_S:
+            return False
+        now_m = statistics.median(m for _, m in after)
+        return abs(now_m - statistics.median(before)) < SAME_RANGE_M
+
+
+class OwnJump:
+    """The jumps of a follower's own receiver.
+
+    since_s: when one began that nothing is known of yet, None: there is none; moved_m: by how much,
+    (north, east).
+    """
+
+    def __init__(self) -> None:
+        self.since_s: float | None = None
+        self.moved_m: Horizontal = (0.0, 0.0)
+        self._before: Report | None = None
+
+    def reported(self, report: Report) -> Horizontal | None:
+        """Take a report; returns by how much it has jumped, None: it has not."""
+        before, self._before = self._before, report
+        if before is None or report.time_s <= before.time_s:
+            return None
+        off_m = beyond_movement_m(before, report)
+        if math.hypot(*off_m) <= JUMP_M * max(1.0, report.time_s - before.time_s):
+            return None
+        self.since_s = before.time_s if self.since_s is None else self.since_s
+        self.moved_m = self.moved_m[0] + off_m[0], self.moved_m[1] + off_m[1]
+        return off_m
+
+    def settled(self) -> None:
+        """It is known what the jump was."""
+        self.since_s, self.moved_m = None, (0.0, 0.0)
+
+
+def beyond_movement_m(before: Report, after: Report) -> Horizontal:
+    """How far a report is from where the one before leads, (north, east)."""
+    elapsed_s = after.time_s - before.time_s
+    north_m, east_m, _ = ned_between(before.position, after.position)
+    mean_n, mean_e = (
+        (a + b) / 2.0 for a, b in zip(before.velocity_mps, after.velocity_mps, strict=True)
+    )
+    return north_m - mean_n * elapsed_s, east_m - mean_e * elapsed_s

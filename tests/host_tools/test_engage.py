@@ -1,0 +1,287 @@
+"""Before anything moves: what has to be known and right, and what stops a follower later."""
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from echowing.engage import FLOWN_M, PATIENCE_S, READ_AGAIN_S, Readiness, StuckPosition
+from echowing.guard import Limits
+from echowing.guidance import Slot
+from echowing.seats import StrangerWatch, parse_seat
+from echowing.switch import StopSwitch
+
+from .yard import FOLLOWER, GUIDED, LEADER, LOITER, SECOND, TICK_S, Vehicle, Yard
+
+SOON_S = PATIENCE_S + 2.0
+
+
+def test_where_all_is_right_points_go_within_two_seconds_and_the_table_comes_first() -> None:
+    yard = Yard()
+    assert len(yard.fly(2.0)) > 4
+    assert yard.state() == "following"
+    head, leader, follower = yard.events()[1:4]
+    assert (
+        head.split()
+        == [
+            *("before", "engaging", "clock", "GPS", "EKF", "battery"),
+            *("applet", "distance", "home", "height", "side"),
+        ][: len(head.split())]
+    )
+    assert leader.startswith("leader 1 ")
+    assert "3D 10  ok   80 %" in leader
+    assert "law 2, 1.0 s  3.0 m     +0.0 m  10.0 m" in follower
+    assert not any("!" in line for line in (head, leader, follower))
+
+
+WRONG: dict[str, tuple[int, dict[str, Any], str]] = {
+    "leader's clock": (LEADER, {"says_clock": False}, "the leader's clock is not known"),
+    "its clock": (FOLLOWER, {"says_clock": False}, "its clock is not known"),
+    "leader's fix": (LEADER, {"fix_type": 1}, "the leader has no GPS fix"),
+    "its fix": (FOLLOWER, {"fix_type": 2}, "it has no GPS fix"),
+    "its EKF": (FOLLOWER, {"ekf_flags": 831 & ~16}, "it has an EKF without a position"),
+    "constant position": (FOLLOWER, {"ekf_flags": 831 | 128}, "it has an EKF without a position"),
+    "its battery": (FOLLOWER, {"battery_percent": 12}, "it has 12 % of its battery left"),
+    "no applet": (FOLLOWER, {"parameters": {}}, "no applet (ECHO_STREAM_T does not answer)"),
+    "home": (FOLLOWER, {"home_m": 251.5}, "its home is +1.5 m from the leader's"),
+    "height": (FOLLOWER, {"height_m": 14.0}, "it is 14.0 m up and would be flown to 10.0 m"),
+}
+
+
+@pytest.mark.parametrize("what", WRONG)
+def test_what_is_wrong_is_said_and_keeps_it_from_being_sent_points(what: str) -> None:
+    who, changes, said = WRONG[what]
+    yard = Yard()
+    yard.vehicles[who] = replace(yard.vehicles[who], **changes)
+    assert yard.fly(SOON_S) == []
+    assert yard.said(f"follower 2: not engaged, {said}")
+    assert yard.state().startswith("not engaged: ")
+    assert sum(f"not engaged, {said}" in text for text in yard.events()) == 1
+
+
+APPLET = {
+    "ECHO_ENABLE": (0.0, "its applet is off: param set ECHO_ENABLE 1"),
+    "ECHO_STREAM_T": (0.0, "its stream watchdog is off: param set ECHO_STREAM_T 1"),
+    "ECHO_INSET": (0.5, "its ECHO_INSET is 0.5 m and the tool's is 0.2 m"),
+    "ECHO_DIST": (4.0, "its ECHO_DIST is 4 m and its slot is 3 m from the leader"),
+}
+
+
+@pytest.mark.parametrize("name", APPLET)
+def test_an_applet_that_does_not_fit_is_said_and_read_again_until_it_does(name: str) -> None:
+    wrong, said = APPLET[name]
+    yard = Yard()
+    parameters = yard.vehicles[FOLLOWER].parameters
+    right, parameters[name] = parameters[name], wrong
+    assert yard.fly(SOON_S) == []
+    assert yard.said(said)
+    parameters[name] = right
+    assert yard.fly(READ_AGAIN_S + 1.0) != []
+
+
+def test_a_slot_out_of_the_sonars_reach_asks_for_no_distance() -> None:
+    yard = Yard(slots=[Slot(8.0)])
+    assert yard.fly(SOON_S) != []
+
+
+def test_what_was_told_is_not_asked() -> None:
+    yard = Yard(
+        vehicles={
+            LEADER: Vehicle((0.0, 0.0)),
+            FOLLOWER: Vehicle((-4.0, 0.0), home_m=251.5, height_m=14.0),
+        },
+        ready=Readiness(homes_told=True, height_told=True),
+    )
+    assert yard.fly(SOON_S) != []
+
+
+@pytest.mark.parametrize("who", [LEADER, FOLLOWER])
+def test_the_stop_switch_has_to_be_seen_and_off(who: int) -> None:
+    yard = Yard(limits=Limits(switch=StopSwitch(7, 1700)))
+
+    def hear(pulse_us: int) -> None:
+        for system_id in (LEADER, FOLLOWER):
+            pulses = [1100] * 18
+            pulses[6] = pulse_us if system_id == who else 1100
+            boot_ms = yard.vehicles[system_id].boot_ms(yard.now_s)
+            yard.tell(system_id, mavlink.MAVLink_rc_channels_message(boot_ms, 18, *pulses, 255))
+
+    whose = "the leader's" if who == LEADER else "its"
+    assert yard.fly(SOON_S) == []
+    assert yard.said("stop switch is not seen")
+    hear(1900)
+    assert yard.fly(1.0) == []
+    assert yard.said(f"follower 2: not engaged, {whose} stop switch is on")
+    hear(1100)
+    assert yard.fly(1.0) == []  # as the docstring says: until Guided is left
+    for mode in (LOITER, GUIDED):
+        yard.vehicles[FOLLOWER].mode = mode
+        yard.tell(FOLLOWER, yard.vehicles[FOLLOWER].heartbeat())
+    assert yard.fly(1.0) != []
+
+
+def test_old_data_is_held_where_the_clocks_are_known() -> None:
+    """What comes 3 s late is not flown as fresh; where no clock was known nobody is engaged."""
+    yard = Yard()
+    yard.fly(2.0)
+    yard.vehicles[LEADER].late_s = 3.0
+    yard.fly(4.0)
+    assert yard.state() == "holding: leader is stale"
+
+
+@pytest.mark.parametrize(
+    ("who", "change", "reason"),
+    [
+        (LEADER, {"fix_type": 1}, "leader has no GPS fix"),
+        (FOLLOWER, {"ekf_flags": 0}, "it has an EKF without a position"),
+    ],
+)
+def test_a_position_that_is_worth_nothing_stops_it_until_it_is_back(
+    who: int, change: dict[str, Any], reason: str
+) -> None:
+    yard = Yard()
+    yard.fly(2.0)
+    well = yard.vehicles[who]
+    yard.vehicles[who] = replace(well, **change)
+    yard.fly(1.0 + TICK_S)
+    assert yard.state() == f"holding: {reason}"
+    yard.vehicles[who] = well
+    yard.fly(1.0 + TICK_S)
+    assert yard.state() == "following"
+
+
+def test_a_leader_whose_position_stays_put_with_fresh_stamps_stops_it() -> None:
+    yard = Yard()
+    for vehicle in yard.vehicles.values():
+        vehicle.velocity_mps = (2.0, 0.0)
+    yard.fly(3.0)
+    assert yard.state() == "following"
+    yard.vehicles[LEADER].stuck = yard.vehicles[LEADER].position(yard.now_s)
+    yard.fly(FLOWN_M / 2.0 + 0.5)
+    assert yard.state() == "holding: leader reports a position that stays put while it moves"
+
+
+def test_a_hover_that_wanders_is_not_stuck_and_a_drift_that_adds_up_is() -> None:
+    hover, stuck = StuckPosition(), StuckPosition()
+    at = Vehicle((0.0, 0.0))
+    for step in range(400):
+        at.velocity_mps = (0.3 * math.sin(step / 5.0), 0.0)
+        hover.report(at.position(step / 10.0))
+        assert not hover.stuck
+        report = at.position(step / 10.0)
+        report.vx = 55
+        stuck.report(report)
+        assert stuck.stuck is (step >= 37)  # 0.55 m/s for 3.7 s is 2.03 m
+
+
+def test_followers_on_each_others_sides_are_refused() -> None:
+    vehicles = {
+        LEADER: Vehicle((0.0, 0.0)),
+        FOLLOWER: Vehicle((-6.0, 5.0)),
+        SECOND: Vehicle((-6.0, -5.0)),
+    }
+    left_and_right = [Slot(5.0, math.radians(-40.0)), Slot(5.0, math.radians(40.0))]
+    found = []
+    for slots in (left_and_right, left_and_right[::-1]):
+        yard = Yard(vehicles=dict(vehicles), slots=slots)
+        points = yard.fly(SOON_S)
+        found.append((bool(points), yard.said("its way to its slot crosses")))
+    assert sorted(found) == [(False, True), (True, False)]
+
+
+def test_without_an_altitude_it_flies_at_the_leaders_height_when_it_is_engaged() -> None:
+    vehicles = {
+        LEADER: Vehicle((0.0, 0.0), height_m=25.0),
+        FOLLOWER: Vehicle((-4.0, 0.0), height_m=23.0, home_m=250.4),
+    }
+    yard = Yard(vehicles=vehicles, leaders_height=True)
+    points = yard.fly(2.0)
+    # The leader's height, corrected by what the homes differ by.
+    assert points[-1].alt == pytest.approx(24.6, abs=0.05)
+    assert yard.said("follower 2: flies 25.0 m above the leader's home")
+    vehicles[LEADER].height_m = 20.0
+    assert yard.fly(2.0)[-1].alt == pytest.approx(24.6, abs=0.05)
+
+
+def test_a_leader_far_below_takes_nobody_down_without_a_word() -> None:
+    vehicles = {
+        LEADER: Vehicle((0.0, 0.0), height_m=10.0),
+        FOLLOWER: Vehicle((-4.0, 0.0), height_m=25.0),
+    }
+    yard = Yard(vehicles=vehicles, leaders_height=True)
+    assert yard.fly(SOON_S) == []
+    assert yard.said("it is 25.0 m up and would be flown to 10.0 m: fly it to within 3 m of that")
+
+
+def test_an_answer_to_another_tool_sets_no_clock() -> None:
+    yard = Yard()
+    yard.vehicles[LEADER].says_clock = False
+    yard.fly(1.0)
+    others_ns = round(yard.now_s * 1e9) - 1
+    yard.tell(LEADER, mavlink.MAVLink_timesync_message(round(101e9), others_ns))
+    assert not yard.session.leader.clock.known
+
+
+def test_only_watching_shows_the_table_and_what_would_be_wrong() -> None:
+    yard = Yard(engaged=False)
+    yard.vehicles[FOLLOWER].battery_percent = 5
+    assert yard.fly(SOON_S) == []
+    assert any(text.startswith("follower 2") and "5 %!" in text for text in yard.events())
+    assert yard.said("follower 2: it has 5 % of its battery left: land it")
+
+
+def beat_of(system_id: int) -> Any:
+    sender = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=1)
+    return mavlink.MAVLink(None).decode(bytearray(Vehicle((0.0, 0.0)).heartbeat().pack(sender)))
+
+
+def test_another_vehicle_that_turns_up_on_an_unnamed_link_is_refused_with_its_id() -> None:
+    seats = [parse_seat("leader", "udpin:1"), parse_seat("follower", "udpin:2@2")]
+    watch = StrangerWatch(seats)
+    seats[0].system_id = 1
+    assert watch.heard("udpin:1", beat_of(1)) is None
+    assert watch.heard("udpin:1", beat_of(2)) is None  # ours, forwarded
+    assert watch.heard("udpin:2", beat_of(9)) is None  # that one was named
+    found = watch.heard("udpin:1", beat_of(9))
+    assert found is not None
+    who, text = found
+    assert who == LEADER
+    assert "systems 1, 9 are heard there" in text
+    assert "udpin:1@1" in text
+
+
+def test_who_is_not_known_to_be_ours_is_not_engaged_and_is_held() -> None:
+    early, late = Yard(), Yard()
+    late.fly(2.0)
+    for yard in (early, late):
+        assert yard.session.engagement is not None
+        yard.session.engagement.doubt(LEADER, "systems 1, 9 are heard there", yard.now_s)
+    assert early.fly(SOON_S) == []
+    late.fly(1.0)
+    assert late.state() == "holding: leader may not be the vehicle that was meant"
+
+
+def test_the_pilots_display_shows_why_it_stands_and_the_bell_rings() -> None:
+    yard = Yard()
+    yard.fly(2.0)
+    yard.sent.clear()
+    yard.vehicles[LEADER].silent = True
+    yard.fly(2.0)
+    yard.vehicles[LEADER].silent = False
+    yard.fly(1.0)
+    texts = [(who, m.text) for who, m in yard.sent if m.get_type() == "STATUSTEXT"]
+    assert texts == [
+        (FOLLOWER, "Echowing: holding, leader is stale"),
+        (FOLLOWER, "Echowing: leader heard again, following"),
+    ]
+    assert yard.session.alerts == 2
+
+
+def test_what_keeps_it_from_being_engaged_is_on_the_display_too() -> None:
+    yard = Yard()
+    yard.vehicles[FOLLOWER].battery_percent = 5
+    yard.fly(SOON_S)
+    (text,) = [m.text for _, m in yard.sent if m.get_type() == "STATUSTEXT"]
+    assert text == "Echowing: not engaged, it has 5 % of its battery l"

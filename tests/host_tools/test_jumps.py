@@ -1,0 +1,187 @@
+"""Receivers that jump, clocks that begin anew, two vehicles with one id."""
+
+import math
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from echowing.geo import GlobalPosition, displace, ned_between
+from echowing.guidance import GuidanceSettings
+from echowing.jumps import AGREEING_REPORTS, UNCONFIRMED_S, BootClocks, RangeMemory
+
+from .yard import FOLLOWER, GUIDED, HERE, LEADER, LOITER, TICK_S, Vehicle, Yard
+
+JUMP_M = (12.0, 0.0, 0.0)
+COPROCESSOR = 191
+AT_LAST_S = AGREEING_REPORTS * TICK_S + 3.0
+
+
+class SonarYard(Yard):
+    """A leader and a follower that stand 3 m apart; a sonar, and receivers that may jump."""
+
+    def __init__(self, *, sonar: bool = True) -> None:
+        vehicles = {LEADER: Vehicle((0.0, 0.0)), FOLLOWER: Vehicle((-3.0, 0.0))}
+        super().__init__(vehicles=vehicles, settings=GuidanceSettings())
+        self.sonar = sonar
+        self.range_m = 2.8
+        self.off_m: dict[int, tuple[float, float, float]] = {}
+
+    def fly(self, seconds: float) -> list[Any]:
+        points = []
+        for _ in range(round(seconds / TICK_S)):
+            if self.sonar:
+                boot_ms = round((self.now_s + TICK_S) * 1e3)
+                reading = mavlink.MAVLink_named_value_float_message(
+                    boot_ms, b"SNR_RAW", self.range_m
+                )
+                self.tell(FOLLOWER, reading, COPROCESSOR)
+            points += super().fly(TICK_S)
+        return points
+
+    def jump(self, system_id: int, by_m: tuple[float, float, float]) -> None:
+        north_m, east_m = self.vehicles[system_id].at_m
+        self.vehicles[system_id].at_m = north_m + by_m[0], east_m + by_m[1]
+
+
+def off_m(points: list[Any], from_m: float) -> float:
+    """The furthest that any point is from a place so far north of `HERE`."""
+    origin = displace(HERE, (from_m, 0.0, 0.0))
+    places = (GlobalPosition(one.lat_int / 1e7, one.lon_int / 1e7, HERE.alt_m) for one in points)
+    return max(math.hypot(*ned_between(origin, place)[:2]) for place in places)
+
+
+def leave_and_come_back(yard: Yard) -> None:
+    for mode in (LOITER, GUIDED):
+        yard.vehicles[FOLLOWER].mode = mode
+        yard.tell(FOLLOWER, yard.vehicles[FOLLOWER].heartbeat())
+
+
+def test_a_leaders_jump_that_the_sonar_denies_moves_nobody_and_is_followed_on() -> None:
+    yard = SonarYard()
+    yard.fly(6.0)
+    assert yard.state() == "following"
+    yard.jump(LEADER, JUMP_M)
+    points = yard.fly(AT_LAST_S)
+    assert yard.said("leader's receiver jumped by 12.0 m: the sonar's range did not change")
+    assert yard.state() == "following"
+    assert off_m(points, -3.0) < 1.0
+    # Back again, the other way round.
+    yard.jump(LEADER, (-12.0, 0.0, 0.0))
+    assert off_m(yard.fly(AT_LAST_S), -3.0) < 1.0
+    assert yard.state() == "following"
+
+
+@pytest.mark.parametrize("changes", [False, True])
+def test_a_jump_that_no_sonar_denies_is_held_until_guided_is_left(changes: bool) -> None:
+    yard = SonarYard(sonar=changes)
+    yard.fly(6.0)
+    yard.jump(LEADER, JUMP_M)
+    yard.range_m = 4.2  # 1.4 m more than before: it has really moved
+    points = yard.fly(AT_LAST_S)
+    assert yard.state() == "holding: leader jumped by 12.0 m, until it leaves Guided"
+    assert off_m(points, -3.0) < 1.0
+    yard.fly(20.0)
+    assert yard.state().startswith("holding: leader jumped")
+    leave_and_come_back(yard)
+    yard.fly(2.0)
+    assert yard.state() == "following"
+
+
+def test_its_own_jump_that_the_sonar_denies_moves_nobody() -> None:
+    yard = SonarYard()
+    yard.fly(6.0)
+    yard.jump(FOLLOWER, JUMP_M)
+    first = yard.fly(TICK_S)
+    # Where it stands has another name: a point at the old one would fly it 12 m.
+    assert off_m(first, 9.0) < 1.0
+    assert yard.state() == "holding: its position jumps"
+    points = yard.fly(AT_LAST_S)
+    assert yard.said("follower 2: its receiver jumped by 12.0 m: the sonar's range did not change")
+    assert yard.state() == "following"
+    assert off_m(points, 9.0) < 1.0
+
+
+def test_its_own_jump_that_no_sonar_denies_is_held() -> None:
+    yard = SonarYard(sonar=False)
+    yard.fly(6.0)
+    yard.jump(FOLLOWER, JUMP_M)
+    points = yard.fly(UNCONFIRMED_S + 1.0)
+    assert yard.state() == "holding: its position jumped by 12.0 m, until it leaves Guided"
+    assert off_m(points, 9.0) < 1.0
+    leave_and_come_back(yard)
+    yard.fly(2.0)
+    assert yard.state() == "following"
+
+
+def test_a_hold_goes_along_with_its_own_jump() -> None:
+    yard = SonarYard(sonar=False)
+    yard.fly(3.0)
+    yard.vehicles[LEADER].silent = True
+    yard.fly(2.0)
+    assert yard.state() == "holding: leader is stale"
+    yard.jump(FOLLOWER, JUMP_M)
+    assert off_m(yard.fly(1.0), 9.0) < 1.0
+
+
+def test_a_leader_that_boots_again_is_held_for_first_and_followed_where_it_was() -> None:
+    yard = SonarYard()
+    yard.fly(6.0)
+    yard.vehicles[LEADER].boot_s = yard.now_s
+    yard.fly(AGREEING_REPORTS * TICK_S - TICK_S)
+    assert yard.session.leader.fix is not None
+    assert yard.now_s - yard.session.leader.fix.time_s > 0.7  # nothing of the new clock yet
+    yard.fly(3.0)
+    assert yard.state() == "following"
+    assert yard.session.leader.clock.known
+
+
+def test_a_leader_that_boots_again_elsewhere_is_not_flown_to() -> None:
+    yard = SonarYard(sonar=False)
+    yard.fly(6.0)
+    yard.vehicles[LEADER].boot_s = yard.now_s
+    yard.jump(LEADER, (57.0, 0.0, 0.0))
+    points = yard.fly(10.0)
+    assert yard.state().startswith("holding: leader jumped by 57")
+    assert off_m(points, -3.0) < 1.0
+
+
+def test_two_vehicles_with_the_leaders_id_are_said_and_refused() -> None:
+    yard = SonarYard(sonar=False)
+    yard.fly(6.0)
+    double = Vehicle((57.0, 0.0), boot_s=-5000.0)
+    points = []
+    for _ in range(40):
+        yard.tell(LEADER, double.position(yard.now_s))
+        points += yard.fly(TICK_S)
+    assert yard.said("system 1: two boot clocks at once: two vehicles with this id")
+    assert yard.state() == "holding: two vehicles with the leader's id, until it leaves Guided"
+    assert off_m(points, -3.0) < 1.0
+    leave_and_come_back(yard)
+    assert yard.fly(3.0) == []
+    assert yard.said("follower 2: not engaged, two vehicles with the leader's id")
+
+
+def test_a_clock_is_believed_after_many_reports_in_a_row() -> None:
+    clocks = BootClocks()
+    assert clocks.is_believed(1000.0, 10.0)
+    assert clocks.is_believed(1000.5, 20.0)  # held back for 9.5 s by a radio
+    believed = [clocks.is_believed(1.0 + step / 4, 21.0 + step / 4) for step in range(12)]
+    assert believed == [False] * AGREEING_REPORTS + [True] * 4
+    assert not clocks.two_at_once(24.0)
+
+
+def test_a_range_is_unchanged_only_where_enough_was_heard() -> None:
+    def memory(after_m: list[float], before_m: float = 2.8) -> RangeMemory:
+        ranges = RangeMemory()
+        for step in range(5):
+            ranges.add(9.2 + step / 5, before_m)
+        for step, range_m in enumerate(after_m, 1):
+            ranges.add(10.0 + step / 5, range_m)
+        return ranges
+
+    assert memory([2.8, 3.0, 2.9, 2.7]).unchanged(10.0)
+    assert memory([2.8, 0.4, 2.9, 2.7]).unchanged(10.0)  # a wild one
+    assert not memory([2.8, 3.0]).unchanged(10.0)
+    assert not memory([3.9, 4.0, 3.9, 4.1]).unchanged(10.0)
+    assert not RangeMemory().unchanged(10.0)
