@@ -17,17 +17,16 @@ from typing import Any, Protocol
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.engage import Engagement
-from echowing.feed_forward import sonar_range_m
 from echowing.flight.alignment import History, Report
 from echowing.flight.envelope import Answer, Other, is_in_the_way, keep_apart
 from echowing.flight.estimate import (
-    DETECTION_LIMIT_M,
     LONGEST_CARRY_S,
     Estimate,
     carried_on,
     place_then,
 )
 from echowing.flight.offset_grid import Wandering
+from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.flight.tow_bar import TowBar
 from echowing.geo import GlobalPosition, Ned, displace, distance_m, ned_between, wrap_angle_rad
 from echowing.guard import Guard, Limits, RateWatch, is_flying, mode_name
@@ -54,6 +53,7 @@ from echowing.messages import (
     is_nonsense,
     message_interval,
     position_target,
+    sonar_range_m,
     status_text,
     tool_heartbeat,
 )
@@ -76,7 +76,7 @@ CONFIRMING_REPORTS, HEARD_S = 2, 3.0
 # A stop keeps the wanted altitude where it is this near (barometers wander), else its own.
 SAME_ALTITUDE_M = 1.0
 FOLLOWER_POSITION_HZ = 10.0
-DISTANCE_HZ, REPELLING_HZ = 5.0, 10.0
+DISTANCE_HZ = 5.0
 # The same is not said again sooner, however often it comes and goes.
 REMARK_GAP_S = 10.0
 
@@ -750,12 +750,19 @@ class FollowSession:
             "change, allowed for",
         )
 
-    def _believed_elsewhere(self) -> None:
+    def _believed_elsewhere(self, now_s: float) -> None:
         """The leader is believed in a new place that no sonar knows: nobody is flown there."""
         self._forget_offsets()
         jump_m = math.hypot(*self.leader.jump_m)
         for follower in self.followers.values():
             follower.latched = f"leader jumped by {jump_m:.1f} m, until it leaves Guided"
+            if follower.flown:
+                self.alert(follower.plan.system_id, f"holding, leader jumped by {jump_m:.1f} m")
+        self._say(
+            now_s,
+            f"leader's reports agree {jump_m:.1f} m away from where it was: nobody is flown there "
+            "until its pilot has left Guided and come back",
+        )
 
     def _note_own_jump(self, follower: FollowerState, report: Report) -> None:
         moved_m = None if self.engagement is None else follower.own_jump.reported(report)
@@ -817,7 +824,7 @@ class FollowSession:
         if self.leader.jumps > jumps and self.guard is None:
             self._forget_offsets()
         elif self.leader.jumps > jumps:
-            self._believed_elsewhere()
+            self._believed_elsewhere(now_s)
         if self.guard is not None:
             self._settle_leaders_jump(now_s)
             self._refuse_two_leaders(now_s)
@@ -895,7 +902,7 @@ class FollowSession:
         wanted = self.guard.read_back_requests(feed_forward=self.settings.feed_forward)
         if self.engagement is not None:
             wanted += self.engagement.requests()
-        if self.settings.learn_offset and not self.settings.feed_forward:
+        if self.settings.learn_offset:
             distance = mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR
             wanted += [(system_id, distance, DISTANCE_HZ) for system_id in self.followers]
         return wanted
@@ -903,12 +910,9 @@ class FollowSession:
     def _wanted(self) -> list[tuple[int, int, float]]:
         """What each vehicle is to send: system id, message id, rate in Hz."""
         position = mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
-        distance = mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR
-        repelled = self.followers if self.settings.feed_forward else ()
         return [
             (self.leader_id, position, self._leader_rate_hz),
             *((system_id, position, FOLLOWER_POSITION_HZ) for system_id in self.followers),
-            *((system_id, distance, REPELLING_HZ) for system_id in repelled),
             *(self.guard.requests() if self.guard is not None else ()),
         ]
 
