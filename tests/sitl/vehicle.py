@@ -112,6 +112,7 @@ class Heard:
     clock: list[tuple[float, float]] = field(default_factory=list)  # ours, since its start, s
     utc: list[tuple[float, float]] = field(default_factory=list)  # ours, its receiver's UTC, s
     named: dict[str, float] = field(default_factory=dict)
+    parameters: dict[str, float] = field(default_factory=dict)
 
 
 class Vehicle:
@@ -242,7 +243,9 @@ class Vehicle:
         if message.get_srcComponent() != mavlink.MAV_COMP_ID_AUTOPILOT1:
             return
         self.heard.newest[kind] = message
-        if kind == "STATUSTEXT":
+        if kind == "PARAM_VALUE":
+            self.heard.parameters[message.param_id] = message.param_value
+        elif kind == "STATUSTEXT":
             self.heard.texts.append((now_s, message.text))
         elif kind == "SIM_STATE":
             self.heard.truth.append(_state(now_s, message))
@@ -391,13 +394,9 @@ class Vehicle:
     # ---- parameters ----------------------------------------------------------------------------
 
     def _find(self, names: Sequence[str]) -> tuple[str, float]:
-        found: dict[str, float] = {}
-
-        def fits() -> bool:
-            message = self.newest("PARAM_VALUE")
-            if message is not None and message.param_id in names:
-                found[message.param_id] = message.param_value
-            return bool(found)
+        known = self.heard.parameters
+        for name in names:
+            known.pop(name, None)
 
         def ask() -> None:
             for name in names:
@@ -405,9 +404,10 @@ class Vehicle:
                     mavlink.MAVLink_param_request_read_message(self.system_id, 1, name.encode(), -1)
                 )
 
-        self.heard.newest.pop("PARAM_VALUE", None)
-        self.until(f"told {' or '.join(names)}", fits, asking=ask)
-        return next(iter(found.items()))
+        self.until(
+            f"told {' or '.join(names)}", lambda: not known.keys().isdisjoint(names), asking=ask
+        )
+        return next((name, known[name]) for name in names if name in known)
 
     def get(self, names: Names | str) -> float:
         """A parameter in SI units; of several names the one that this version has."""
@@ -426,10 +426,7 @@ class Vehicle:
         )
 
         def fits() -> bool:
-            message = self.newest("PARAM_VALUE")
-            if message is None or message.param_id != name:
-                return False
-            return same(message.param_value, wanted)
+            return same(self.heard.parameters.get(name, math.nan), wanted)
 
         self.until(f"had {name} {wanted:g}", fits, asking=lambda: self.send(change))
 
