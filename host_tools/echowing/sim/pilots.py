@@ -1,4 +1,4 @@
-"""The followers' pilots of a simulated flight, as far as they have to do something. Deterministic."""
+"""The pilots of a simulated flight, as far as they have to do something. Deterministic."""
 
 from collections.abc import Callable
 
