@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.flight.estimate import DETECTION_LIMIT_M
+from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.geo import GlobalPosition, ned_between
 from echowing.guidance import MOVING_MPS, Horizontal, slot_offset_m
 

@@ -17,17 +17,16 @@ from typing import Any, Protocol
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.engage import Engagement
-from echowing.feed_forward import sonar_range_m
 from echowing.flight.alignment import History, Report
 from echowing.flight.envelope import Answer, Other, is_in_the_way, keep_apart
 from echowing.flight.estimate import (
-    DETECTION_LIMIT_M,
     LONGEST_CARRY_S,
     Estimate,
     carried_on,
     place_then,
 )
 from echowing.flight.offset_grid import Wandering
+from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.flight.tow_bar import TowBar
 from echowing.geo import GlobalPosition, Ned, displace, distance_m, ned_between, wrap_angle_rad
 from echowing.guard import Guard, Limits, RateWatch, is_flying, mode_name
@@ -54,6 +53,7 @@ from echowing.messages import (
     is_nonsense,
     message_interval,
     position_target,
+    sonar_range_m,
     status_text,
     tool_heartbeat,
 )
@@ -76,7 +76,7 @@ CONFIRMING_REPORTS, HEARD_S = 2, 3.0
 # A stop keeps the wanted altitude where it is this near (barometers wander), else its own.
 SAME_ALTITUDE_M = 1.0
 FOLLOWER_POSITION_HZ = 10.0
-DISTANCE_HZ, REPELLING_HZ = 5.0, 10.0
+DISTANCE_HZ = 5.0
 # The same is not said again sooner, however often it comes and goes.
 REMARK_GAP_S = 10.0
 
@@ -379,7 +379,7 @@ class FollowSession:
     def _kept_apart(
         self, follower: FollowerState, point: GlobalPosition, now_s: float
     ) -> GlobalPosition:
-        """The point that leaves everybody room (see `flight.envelope`), and its velocity with it."""
+        """The point that leaves everybody room (see `flight.envelope`), its velocity with it."""
         least_m = None if self.guard is None else self.guard.limits.min_separation_m
         here = self._follower_then(follower, now_s + self._way_s(follower))
         if least_m is None or here is None:
@@ -390,9 +390,8 @@ class FollowSession:
         self._give_way(follower, other, now_s)
         if other is None:
             return point
-        if follower.held_at is not None and follower.position is not None:
-            if distance_m(follower.held_at, follower.position) > MOVED_M:
-                follower.held_at = follower.position
+        if _moved_off(follower):
+            follower.held_at = follower.position
         if follower.feed_mps is None:
             north, east = (mps / POSITION_GAIN_PER_S for mps in flown[:2])
             return displace(here, (north, east, here.alt_m - point.alt_m))
@@ -403,10 +402,10 @@ class FollowSession:
     def _give_way(self, follower: FollowerState, other: Other | None, now_s: float) -> None:
         """Note, and tell, for whose sake a follower is flown otherwise than planned."""
         name = None if other is None else other.name
-        if name is not None and name != follower.gives_way_to:
-            if now_s - follower.gave_way_at_s >= REMARK_GAP_S:
-                follower.gave_way_at_s = now_s
-                self._say(now_s, f"follower {follower.plan.system_id}: gives way to {name}")
+        begins = name is not None and name != follower.gives_way_to
+        if begins and now_s - follower.gave_way_at_s >= REMARK_GAP_S:
+            follower.gave_way_at_s = now_s
+            self._say(now_s, f"follower {follower.plan.system_id}: gives way to {name}")
         follower.gives_way_to = name
 
     def _others(self, follower: FollowerState, here: GlobalPosition, now_s: float) -> list[Other]:
@@ -903,7 +902,7 @@ class FollowSession:
         wanted = self.guard.read_back_requests(feed_forward=self.settings.feed_forward)
         if self.engagement is not None:
             wanted += self.engagement.requests()
-        if self.settings.learn_offset and not self.settings.feed_forward:
+        if self.settings.learn_offset:
             distance = mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR
             wanted += [(system_id, distance, DISTANCE_HZ) for system_id in self.followers]
         return wanted
@@ -911,14 +910,18 @@ class FollowSession:
     def _wanted(self) -> list[tuple[int, int, float]]:
         """What each vehicle is to send: system id, message id, rate in Hz."""
         position = mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
-        distance = mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR
-        repelled = self.followers if self.settings.feed_forward else ()
         return [
             (self.leader_id, position, self._leader_rate_hz),
             *((system_id, position, FOLLOWER_POSITION_HZ) for system_id in self.followers),
-            *((system_id, distance, REPELLING_HZ) for system_id in repelled),
             *(self.guard.requests() if self.guard is not None else ()),
         ]
+
+
+def _moved_off(follower: FollowerState) -> bool:
+    """Whether one that is held has been moved away from its place."""
+    if follower.held_at is None or follower.position is None:
+        return False
+    return distance_m(follower.held_at, follower.position) > MOVED_M
 
 
 def _wanted_mps(here: GlobalPosition, point: GlobalPosition, feed_mps: Horizontal | None) -> Ned:

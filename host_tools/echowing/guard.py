@@ -333,19 +333,6 @@ class Guard:
             return place
         return place._replace(alt_m=place.alt_m - self._homes_m.get(system_id, 0.0))
 
-    def is_free(
-        self,
-        place: GlobalPosition,
-        follower: "FollowerState",
-        followers: Mapping[int, "FollowerState"],
-    ) -> bool:
-        """Whether no other follower is where this one would back off to."""
-        least_m = self.limits.min_separation_m or 0.0
-        return all(
-            other is follower or other.position is None or _apart_m(place, other.position) > least_m
-            for other in followers.values()
-        )
-
     def lets(self, follower: "FollowerState", now_s: float) -> bool:
         """Whether points may go to this follower at all: it is heard, and not handed back."""
         system_id = follower.plan.system_id

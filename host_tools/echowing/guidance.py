@@ -72,12 +72,13 @@ class GuidanceSettings:
     slot_rate_rps: how fast the slot may move round the leader (None: at once). At 3 m and
         30 deg/s the slot moves at 1.6 m/s, which a follower under its speed limit can follow
         without cutting through the circle.
-    learn_offset: learn from the sonar how far the two receivers disagree (`offset`), move the
+    learn_offset: learn from the sonar how far the two receivers disagree (`flight`), move the
         leader by it, and stand off by `standoff_sigmas` of what is not known of it, so that
         even then `clearance_m` is left.
     sonar_inset_m: how much less than the separation the sonar reads: its face is ahead of the
         follower's centre, the leader's reflecting legs are around its own. Measure yours.
-    feed_forward: points carry the leader's velocity, and no lead (see `feed_forward`).
+    feed_forward: points carry the slot's velocity, on a tow bar (`flight.tow_bar`), and no lead;
+        `predict`, `keep_behind`, `lead_time_s` and `slot_rate_rps` are of points without it.
     fresh_age_s, stale_age_s: the lead shrinks to nothing between these ages of the report;
         beyond the second the follower is stopped.
     """

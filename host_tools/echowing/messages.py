@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.flight.sonar import DETECTION_LIMIT_M
+
 if TYPE_CHECKING:
     from echowing.geo import GlobalPosition
     from echowing.guidance import Horizontal
@@ -82,6 +84,13 @@ def is_nonsense(kind: str, message: Any) -> bool:
 def heading_of(message: Any, before_rad: float) -> float:
     """The heading in a GLOBAL_POSITION_INT; the one before where it is not known."""
     return before_rad if message.hdg == UNKNOWN_HEADING else math.radians(message.hdg / 100.0)
+
+
+def sonar_range_m(message: Any) -> float | None:
+    """The range in a DISTANCE_SENSOR; None: the sonar hears no target."""
+    range_m = float(message.current_distance) / 100.0
+    nothing = range_m >= min(DETECTION_LIMIT_M, message.max_distance / 100.0)
+    return None if nothing else range_m
 
 
 def tool_heartbeat() -> Any:

@@ -7,12 +7,11 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.feed_forward import sonar_range_m
 from echowing.follow import FollowerState, FollowSession
 from echowing.geo import distance_m, ned_between
 from echowing.guard import UNHEARD_S, is_flying, mode_name
 from echowing.guidance import is_stale
-from echowing.messages import FORWARD, is_nonsense
+from echowing.messages import FORWARD, is_nonsense, sonar_range_m
 from echowing.take_off import Lift
 
 LIFT_STATES: dict[Lift | None, str] = {

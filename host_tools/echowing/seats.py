@@ -7,14 +7,11 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.errors import EchowingError
-from echowing.follow import REPELLING_HZ
 from echowing.links import DEFAULT_BAUD, Address, Link, parse_address, wait
 from echowing.messages import (
-    FORWARD,
     HEARTBEAT_PERIOD_S,
     TOOL_COMPONENT_ID,
     TOOL_SYSTEM_ID,
-    message_interval,
     tool_heartbeat,
 )
 
@@ -23,12 +20,6 @@ from echowing.messages import (
 LISTEN_S = 4.0
 WAITING_PERIOD_S = 5.0
 POLL_S = 0.1
-# A vehicle answers at once where it has a sonar; slow radios lose a request or two.
-SONAR_WAIT_S = 8.0
-_SONAR = (
-    "nothing would keep such points off the leader. Check the co-processor, RNGFND1_TYPE 10, "
-    "RNGFND1_ORIENT 0, or fly without it"
-)
 
 Say = Callable[[str], None]
 
@@ -226,50 +217,6 @@ def find_vehicles(
                 finder.heard(text, message, clock())
         finder.decide(clock())
     return True
-
-
-def find_sonars(
-    seats: Sequence[Seat],
-    links: Mapping[str, OpenLink],
-    clock: Callable[[], float],
-    over: Callable[[], bool],
-    say: Say,
-) -> bool:
-    """Wait until each seat's vehicle sends a forward DISTANCE_SENSOR; False: `over` said so before.
-
-    Raises EchowingError where one sends none.
-    """
-    missing = {known_id(seat): seat for seat in seats}
-    end_s, ask_s = clock() + SONAR_WAIT_S, 0.0
-    say("waiting for the followers' DISTANCE_SENSOR")
-    while missing:
-        if over():
-            return False
-        now_s = clock()
-        if now_s > end_s:
-            listed = ", ".join(f"follower {system_id}" for system_id in missing)
-            raise EchowingError(f"--feed-forward: no forward DISTANCE_SENSOR of {listed}; {_SONAR}")
-        if now_s >= ask_s:
-            ask_s = now_s + HEARTBEAT_PERIOD_S
-            for system_id, seat in missing.items():
-                links[seat.address.text].send(tool_heartbeat(), now_s)
-                links[seat.address.text].send(_ask_distance(system_id), now_s)
-        wait([one.link for one in links.values()], POLL_S)
-        for text, link in links.items():
-            for message in link.receive(clock(), say):
-                seat_of = missing.get(message.get_srcSystem())
-                if seat_of is not None and seat_of.address.text == text and _is_sonar(message):
-                    del missing[message.get_srcSystem()]
-    return True
-
-
-def _ask_distance(system_id: int) -> Any:
-    period_us = round(1e6 / REPELLING_HZ)
-    return message_interval(system_id, mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR, period_us)
-
-
-def _is_sonar(message: Any) -> bool:
-    return bool(message.get_type() == "DISTANCE_SENSOR" and message.orientation == FORWARD)
 
 
 def known_id(seat: Seat) -> int:

@@ -1,6 +1,8 @@
 import math
+import tomllib
 from dataclasses import replace
 from itertools import combinations
+from pathlib import Path
 
 import pytest
 from hypothesis import assume, given, settings
@@ -76,6 +78,18 @@ def test_a_vehicle_at_the_limit_stops_in_time(certain_m: float, answer: Answer) 
     way_m = speed_mps * answer.dead_s + speed_mps**2 / (2.0 * answer.decel_mps2)
 
     assert certain_m - way_m == pytest.approx(LEAST_M, abs=1e-6)
+
+
+VECTORS = tomllib.loads((Path(__file__).parent / "envelope.toml").read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize("one", VECTORS["closing"])
+def test_the_limit_is_the_one_of_the_table(one: dict[str, float]) -> None:
+    answer = Answer(one["dead_s"], one["decel_mps2"])
+
+    assert closing_limit_mps(one["certain_m"], answer, one["least_m"]) == pytest.approx(
+        one["limit_mps"], abs=1e-4
+    )
 
 
 def test_nearer_than_the_least_distance_it_is_left() -> None:

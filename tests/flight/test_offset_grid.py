@@ -1,6 +1,6 @@
 import math
 import random
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import pytest
 
@@ -146,7 +146,7 @@ class Wanderer:
     """Two receivers' disagreement that wanders as the grid expects, with a follower behind."""
 
     random: random.Random
-    wandering: Wandering = Wandering()
+    wandering: Wandering = field(default_factory=Wandering)
 
     def __post_init__(self) -> None:
         sigma_m = self.wandering.sigma_m * math.sqrt(2.0)

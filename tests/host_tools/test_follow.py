@@ -10,7 +10,7 @@ from echowing.geo import GlobalPosition, displace, ned_between
 from echowing.guidance import GuidanceSettings, Slot
 from echowing.jumps import AGREEING_REPORTS
 from echowing.leader_track import CLOCKS_AGREE_S, VehicleClock
-from echowing.messages import TOOL_SYSTEM_ID
+from echowing.messages import FORWARD, TOOL_SYSTEM_ID, sonar_range_m
 
 LEADER, FOLLOWER = 1, 2
 HERE = GlobalPosition(39.34, -86.03, 260.0)
@@ -402,6 +402,41 @@ def test_the_point_moves_by_the_receivers_disagreement_that_the_sonar_shows() ->
 
     # To be at 3 m it has to go where its own receiver says 4 m.
     assert metres_from_here(target) == pytest.approx((-4.0, 0.0), abs=0.15)
+
+
+def average(range_m: float, orientation: int = FORWARD) -> Any:
+    return mavlink.MAVLink_distance_sensor_message(
+        0, 20, 765, round(range_m * 100.0), 0, 0, orientation, 0
+    )
+
+
+def offset_by_averages(orientation: int, raw_m: float | None) -> float:
+    """What 20 s of DISTANCE_SENSOR teach at 2.8 m; `raw_m`: single readings beside them."""
+    follow = session(GuidanceSettings())
+    for number in range(200):
+        t_s = 10.0 + number * 0.1
+        follow.receive(from_vehicle(LEADER, position(t_s, HERE)), t_s)
+        follow.receive(from_vehicle(FOLLOWER, position(t_s, FOLLOWER_AT)), t_s)
+        if raw_m is not None:
+            follow.receive(from_vehicle(FOLLOWER, sonar_reading(t_s, raw_m)), t_s)
+        follow.receive(from_vehicle(FOLLOWER, average(2.8, orientation)), t_s)
+    return follow.followers[FOLLOWER].estimate.offset.north_m
+
+
+def test_where_single_readings_do_not_come_the_average_has_to_do() -> None:
+    """A signed link drops what no autopilot has signed; DISTANCE_SENSOR is the autopilot's own."""
+    assert offset_by_averages(FORWARD, None) == pytest.approx(1.0, abs=0.1)
+    assert offset_by_averages(FORWARD, 3.8) == pytest.approx(0.0, abs=0.1)  # single ones win
+    down = mavlink.MAV_SENSOR_ROTATION_PITCH_270
+    assert offset_by_averages(down, None) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_distance_sensor_without_a_target_has_no_range() -> None:
+    assert sonar_range_m(average(2.85)) == pytest.approx(2.85)
+    assert sonar_range_m(average(4.5)) is None
+    assert sonar_range_m(average(7.65)) is None
+    short = mavlink.MAVLink_distance_sensor_message(0, 20, 300, 300, 0, 0, FORWARD, 0)
+    assert sonar_range_m(short) is None  # its own end
 
 
 @pytest.mark.parametrize("range_m", [0.0, math.nan])

@@ -57,7 +57,8 @@ def write(
 ) -> Path:
     """20 s of a leader flying north at 2 m/s; between `pilots` the followers are in Loiter."""
     plans = [FollowerPlan(one, Slot(radius_m, math.radians(angle_deg)), 10.0) for one in followers]
-    session = FollowSession(LEADER, plans, GuidanceSettings(learn_offset=False))
+    settings = GuidanceSettings(learn_offset=False, feed_forward=False)
+    session = FollowSession(LEADER, plans, settings)
     panel = Panel([LEADER, *followers])
     log = FollowLog(folder, START_UNIX_S, pytest.fail)
     for tick in range(200):

@@ -6,8 +6,8 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.errors import EchowingError
-from echowing.follow import FollowerPlan, FollowerState, FollowSession
 from echowing.flight.tow_bar import TowBar
+from echowing.follow import FollowerPlan, FollowerState, FollowSession
 from echowing.geo import GlobalPosition, displace, ned_between
 from echowing.guard import (
     RATE_WINDOW_S,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import pytest
@@ -93,9 +94,8 @@ def test_the_inset_is_added_once_to_averages_and_to_single_readings(rig: MakeRig
 
 def test_the_detection_limit_stays_the_sonars(rig: MakeRig) -> None:
     """ECHO_DETECT 4.5 is a range of the sonar: 4.4 m is a target, though 4.6 m off."""
-    r = led(rig(LAW=2, INSET=0.2), 4.4, 1.0)
-    assert r.state == HOLDING
-    assert newest(r).north_m == pytest.approx(1.6, abs=0.05)
+    assert led(rig(LAW=2, INSET=0.2), 4.4, 1.0).state == HOLDING
+    assert led(rig(LAW=2, INSET=0.2), 4.5, 1.0).state != HOLDING
 
 
 def test_little_further_towards_the_leader_than_the_point(rig: MakeRig) -> None:
@@ -107,11 +107,38 @@ def test_little_further_towards_the_leader_than_the_point(rig: MakeRig) -> None:
 
 
 def test_five_metres_back_from_the_point_and_no_more(rig: MakeRig) -> None:
-    """The sonar wants it 1.2 m back, the ground tool 6 m ahead."""
-    r = led(rig(LAW=2), 1.8, 6.0, mps=1.5)
+    """The sonar wants it 1.2 m back, the ground tool 5.3 m ahead."""
+    r = led(rig(LAW=2), 1.8, 5.3, mps=1.5)
 
-    assert newest(r).north_m == pytest.approx(1.0, abs=0.2)
+    assert newest(r).north_m == pytest.approx(0.3, abs=0.2)
     assert newest(r).north_mps == pytest.approx(1.5, abs=0.01)
+
+
+def test_towards_the_leader_gently_so_that_it_stays_in_the_beam(rig: MakeRig) -> None:
+    """A leader that flies off at 2 m/s: no more than 0.7 m ahead, and 2 m/s2 (12 degrees)."""
+    r = led(rig(LAW=2), 3.0, 0.0)
+    speeds = [newest(r).north_mps]
+    for number in range(12):
+        r.range(3.0 + 0.12 * (number + 1))  # 1.2 m/s faster than the follower
+        r.send_target(0.12 * number, 3.2)
+        r.run(0.1)
+        speeds.append(newest(r).north_mps)
+        assert newest(r).north_m <= 0.7 + 1e-3
+
+    # An update every 50 ms, and the observer's speed between them.
+    assert max(b - a for a, b in pairwise(speeds)) <= 0.2 + 0.05
+    assert speeds[-1] == pytest.approx(3.2, abs=0.3)
+
+
+def test_away_from_the_leader_at_once(rig: MakeRig) -> None:
+    r = led(rig(LAW=2), 3.0, 0.0)
+    before_mps = newest(r).north_mps
+    for number in range(4):
+        r.range(3.0 - 0.3 * (number + 1))  # 3 m/s towards it
+        stream(r, 0.0, 0.12)
+
+    assert newest(r).north_mps < before_mps - 1.5
+    assert newest(r).north_m < -0.9
 
 
 def test_along_the_beam_and_not_across_it(rig: MakeRig) -> None:

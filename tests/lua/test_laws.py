@@ -5,8 +5,10 @@ from __future__ import annotations
 import cmath
 import math
 import struct
+import tomllib
 from collections import deque
 from itertools import pairwise
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -32,6 +34,11 @@ FIGURE_28 = [
     (0.79, 300),
     (3.488, 400),
 ]
+
+
+VECTORS = tomllib.loads(
+    (Path(__file__).parents[1] / "flight" / "envelope.toml").read_text(encoding="utf-8")
+)
 
 
 def float32(value: float) -> float:
@@ -182,6 +189,15 @@ def test_without_a_rate_limit_a_step_is_whole(rig: MakeRig, applet: dict[str, fl
     changes(r, 3.0, 2.0)
     assert max(changes(r, 4.0, 0.6)) == 1.0
     assert min(changes(r, 2.6, 0.6)) == -1.0
+
+
+@pytest.mark.parametrize("one", VECTORS["closing"])
+def test_stops_by_the_rule_of_the_ground_tools_envelope(
+    rig: MakeRig, one: dict[str, float]
+) -> None:
+    r = rig(CLOSE=one["least_m"], DELAY=one["dead_s"], DECEL=one["decel_mps2"]).run(0.1)
+    stoppable_speed = r.host.local_value("stoppable_speed")
+    assert stoppable_speed(one["certain_m"]) == pytest.approx(one["limit_mps"], abs=1e-3)
 
 
 def test_wanted_distance_moves_the_bands(rig: MakeRig) -> None:

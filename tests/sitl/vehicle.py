@@ -23,6 +23,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from echowing.geo import GlobalPosition, Ned, displace
 from echowing.messages import command_long, message_interval, position_target
 from echowing.setup.settings import same
+from echowing.signing import SIGNING_EPOCH_UNIX_S, SIGNING_TICKS_PER_S, LinkSigning
 
 from . import loopback
 from .names import SPEED, SPEEDUP, Names, Version
@@ -37,8 +38,6 @@ COMPONENT = mavlink.MAV_COMP_ID_MISSIONPLANNER
 
 # SERIAL0, 1 and 2 of instance 0; ten more for each further instance.
 PORTS = (5760, 5762, 5763)
-# MAVLink counts the time of signatures from here: 2015-01-01, UTC.
-SIGNING_EPOCH_UNIX_S = 1_420_070_400
 SIGNING_LINK = 77  # no tool's
 ANSWER_S = 0.5  # then it is asked again
 PATIENCE_S = 30.0
@@ -139,6 +138,7 @@ class Vehicle:
         self.on_truth: Callable[[State], None] | None = None
         self._news = threading.Condition()
         self._packer = mavlink.MAVLink(None, srcSystem=GROUND_STATION, srcComponent=COMPONENT)
+        self._signing: LinkSigning | None = None
         self._sending = threading.Lock()
         self._socket: socket.socket | None = None
         self._tasks: dict[str, _Task] = {"beat": _Task(1.0, self._beat)}
@@ -275,6 +275,8 @@ class Vehicle:
     def send(self, message: Any) -> None:
         """Send a message; lost while it restarts."""
         with self._sending:
+            if self._signing is not None:
+                self._signing.keep_time()
             frame = bytes(message.pack(self._packer))
             self._packer.seq = (self._packer.seq + 1) % 256
             if self._socket is not None:
@@ -598,12 +600,10 @@ class Vehicle:
 
     def sign(self, key: bytes) -> None:
         """Have it sign and believe only what is signed, as its ground station from now on does."""
-        now = round((time.time() - SIGNING_EPOCH_UNIX_S) * 1e5)  # ten microseconds
+        now = round((time.time() - SIGNING_EPOCH_UNIX_S) * SIGNING_TICKS_PER_S)
         self.send(mavlink.MAVLink_setup_signing_message(self.system_id, 1, list(key), now))
-        with self._sending:
-            signing = self._packer.signing
-            signing.secret_key, signing.link_id = key, SIGNING_LINK
-            signing.timestamp, signing.sign_outgoing = now, True
+        self._signing = LinkSigning(key, SIGNING_LINK)
+        self._signing.apply(self._packer)
 
     def speed_up(self, factor: float) -> None:
         """How fast its time passes."""

@@ -52,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=10.0,
         metavar="M",
-        help="stop where the two are nearer by their receivers (10)",
+        help="what is to be certain of the distance between the two (10): the relay gives way",
     )
     parser.add_argument(
         "--signing-key-file", type=Path, metavar="FILE", help="as for `echowing follow`"

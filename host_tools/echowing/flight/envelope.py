@@ -3,13 +3,14 @@
 For each other vehicle near by: how far off it is for certain, whatever receivers, radios and that
 vehicle can do to what is known of it; and how fast it may then be closed on, if this vehicle is to
 stop in time. The velocity flown is the nearest to the plan's that closes on nobody faster; where
-that cannot be had, the one that leaves most room a second later. So a plan that leads past a vehicle
-is bent, one that leads at it is slowed, and a vehicle that comes too near is backed away from: never
-is standing still the answer to somebody who comes nearer. Two vehicles in each other's way would
-wait for each other: each passes the other on its own right, as ships do, and neither waits.
+that cannot be had, the one that leaves most room a second later. So a plan that leads past a
+vehicle is bent, one that leads at it is slowed, and a vehicle that comes too near is backed away
+from: never is standing still the answer to somebody who comes nearer. Two vehicles in each other's
+way would wait for each other: each passes the other on its own right, as ships do, and neither
+waits.
 
-The applet follows the same rule along its beam (`lua/echowing.lua`); `tests/flight/envelope.toml`
-holds for both.
+The applet stops by the same rule (`stoppable_speed` in `lua/echowing.lua`);
+`tests/flight/envelope.toml` holds for both.
 """
 
 import math

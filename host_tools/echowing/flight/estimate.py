@@ -1,17 +1,16 @@
-"""Where the leader is as seen by one follower: receivers, sonar, and the time between them. Pure."""
+"""Where the leader is, as seen by one follower: receivers, sonar, and their times. Pure."""
 
 import math
 from collections import deque
 
 from echowing.flight.alignment import Alignment, History, Report
 from echowing.flight.offset_grid import OffsetGrid
+from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.geo import GlobalPosition, Ned, displace, ned_between
-from echowing.guidance import LeaderFix
+from echowing.guidance import LeaderFix, predicted
 
 # Propellers make single wild readings: one counts when the one before it was like it.
 CONFIRM_S, CONFIRM_M = 0.3, 0.5
-# From where a range is no target (thesis 3.3.3: an X8 gives a consistent return out to 4.5 m).
-DETECTION_LIMIT_M = 4.5
 # Triggered, flown there and back at 343 m/s, read and packed: a range is this old when it is sent
 # (firmware/README.md: reading to wire 5 ms, and half of the 20 ms and the flight before it).
 SONAR_AGE_S = 0.03
@@ -105,8 +104,6 @@ class Estimate:
 
 def carried_on(leader: LeaderFix, to_s: float) -> LeaderFix:
     """The leader at a moment, from its newest report (see `guidance.predicted`)."""
-    from echowing.guidance import predicted
-
     return predicted(leader, min(LONGEST_CARRY_S, max(0.0, to_s - leader.time_s)))
 
 

@@ -35,7 +35,8 @@ LONGEST_STEP_S = 1.0
 class TowBar:
     """The slot of one follower behind its leader; holds the bar's bearing.
 
-    slot: its place; length_m: of the bar: the outermost slot's radius in a formation.
+    slot: its place, away from the leader; length_m: of the bar: the outermost slot's radius in a
+    formation.
     """
 
     def __init__(self, slot: Slot, length_m: float | None = None) -> None:

@@ -1,4 +1,4 @@
-"""The pilots of a simulated flight, as far as they have to do something. Deterministic."""
+"""The followers' pilots of a simulated flight, as far as they have to act. Deterministic."""
 
 from collections.abc import Callable
 
