@@ -341,7 +341,9 @@ def test_without_engage_it_only_watches(world: World) -> None:
     assert "was not moved" in tool.lines[-1]
 
 
-ENDS = ["follow", "--leader", "udpin:14550", "--follower", "udpin:14560"]
+# What is not refused, and should be, ends by itself and listens to nobody.
+LEADERS, FOLLOWERS = "udpin:127.0.0.1:14550", "udpin:127.0.0.1:14560"
+ENDS = ["follow", "--leader", LEADERS, "--follower", FOLLOWERS, "--duration", "0", "--no-log"]
 
 
 @pytest.mark.parametrize(
@@ -359,10 +361,10 @@ ENDS = ["follow", "--leader", "udpin:14550", "--follower", "udpin:14560"]
         (["--signing-key-file", "/nowhere"], "No such file"),
         (["--radius", "0.5"], "smallest is 1 m"),
         (["--angle", "120"], "ahead of the leader"),
-        (["--radius", "1.2"], "inside --min-separation"),
+        (["--radius", "1.0"], "inside --min-separation"),
         (["--follower", "udpin:14570"], "2 followers need --formation"),
         (["--formation", "/nowhere.toml"], "nowhere.toml: cannot be read: No such file"),
-        (["--follower", "udpin:14560"], "say which is which"),
+        (["--follower", FOLLOWERS], "say which is which"),
         (["--follower", "nonsense"], "no such kind"),
         (["--follower", "tcp:5760"], "which host"),
         (["--follower", "udpin:14570@300"], "system id from 1 to 255"),
