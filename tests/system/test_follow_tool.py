@@ -359,7 +359,7 @@ ENDS = ["follow", "--leader", "udpin:14550", "--follower", "udpin:14560"]
         (["--signing-key-file", "/nowhere"], "No such file"),
         (["--radius", "0.5"], "smallest is 1 m"),
         (["--angle", "120"], "ahead of the leader"),
-        (["--radius", "1.2"], "inside --min-separation"),
+        (["--radius", "1.0"], "inside --min-separation"),
         (["--follower", "udpin:14570"], "2 followers need --formation"),
         (["--formation", "/nowhere.toml"], "nowhere.toml: cannot be read: No such file"),
         (["--follower", "udpin:14560"], "say which is which"),
