@@ -535,8 +535,8 @@ do
     -- tell range and rate anew.
     local function spike(range_m, t_ms)
         local dt_s = track.spike_m and (t_ms - track.spike_ms) * 0.001 or math.huge
-        local agrees = dt_s > 0.0 and dt_s < SPIKE_MS * 0.001 and math.abs(range_m - track.spike_m) < SPIKE_M + MOST_MPS * dt_s
-        if agrees then
+        local alike = dt_s > 0.0 and dt_s < SPIKE_MS * 0.001
+        if alike and math.abs(range_m - track.spike_m) < SPIKE_M + MOST_MPS * dt_s then
             track.range_m, track.seen_ms = range_m, t_ms
             track.leader_mps = own.mps + (range_m - track.spike_m) / dt_s
             track.spike_m = nil

@@ -379,7 +379,7 @@ class FollowSession:
     def _kept_apart(
         self, follower: FollowerState, point: GlobalPosition, now_s: float
     ) -> GlobalPosition:
-        """The point that leaves everybody room (see `flight.envelope`); its velocity with it."""
+        """The point that leaves everybody room (see `flight.envelope`), its velocity with it."""
         least_m = None if self.guard is None else self.guard.limits.min_separation_m
         here = self._follower_then(follower, now_s + self._way_s(follower))
         if least_m is None or here is None:
@@ -390,9 +390,8 @@ class FollowSession:
         self._give_way(follower, other, now_s)
         if other is None:
             return point
-        held_at, place = follower.held_at, follower.position
-        if held_at is not None and place is not None and distance_m(held_at, place) > MOVED_M:
-            follower.held_at = place
+        if _moved_off(follower):
+            follower.held_at = follower.position
         if follower.feed_mps is None:
             north, east = (mps / POSITION_GAIN_PER_S for mps in flown[:2])
             return displace(here, (north, east, here.alt_m - point.alt_m))
@@ -403,8 +402,8 @@ class FollowSession:
     def _give_way(self, follower: FollowerState, other: Other | None, now_s: float) -> None:
         """Note, and tell, for whose sake a follower is flown otherwise than planned."""
         name = None if other is None else other.name
-        new = name is not None and name != follower.gives_way_to
-        if new and now_s - follower.gave_way_at_s >= REMARK_GAP_S:
+        begins = name is not None and name != follower.gives_way_to
+        if begins and now_s - follower.gave_way_at_s >= REMARK_GAP_S:
             follower.gave_way_at_s = now_s
             self._say(now_s, f"follower {follower.plan.system_id}: gives way to {name}")
         follower.gives_way_to = name
@@ -751,12 +750,19 @@ class FollowSession:
             "change, allowed for",
         )
 
-    def _believed_elsewhere(self) -> None:
+    def _believed_elsewhere(self, now_s: float) -> None:
         """The leader is believed in a new place that no sonar knows: nobody is flown there."""
         self._forget_offsets()
         jump_m = math.hypot(*self.leader.jump_m)
         for follower in self.followers.values():
             follower.latched = f"leader jumped by {jump_m:.1f} m, until it leaves Guided"
+            if follower.flown:
+                self.alert(follower.plan.system_id, f"holding, leader jumped by {jump_m:.1f} m")
+        self._say(
+            now_s,
+            f"leader's reports agree {jump_m:.1f} m away from where it was: nobody is flown there "
+            "until its pilot has left Guided and come back",
+        )
 
     def _note_own_jump(self, follower: FollowerState, report: Report) -> None:
         moved_m = None if self.engagement is None else follower.own_jump.reported(report)
@@ -818,7 +824,7 @@ class FollowSession:
         if self.leader.jumps > jumps and self.guard is None:
             self._forget_offsets()
         elif self.leader.jumps > jumps:
-            self._believed_elsewhere()
+            self._believed_elsewhere(now_s)
         if self.guard is not None:
             self._settle_leaders_jump(now_s)
             self._refuse_two_leaders(now_s)
@@ -909,6 +915,13 @@ class FollowSession:
             *((system_id, position, FOLLOWER_POSITION_HZ) for system_id in self.followers),
             *(self.guard.requests() if self.guard is not None else ()),
         ]
+
+
+def _moved_off(follower: FollowerState) -> bool:
+    """Whether one that is held has been moved away from its place."""
+    if follower.held_at is None or follower.position is None:
+        return False
+    return distance_m(follower.held_at, follower.position) > MOVED_M
 
 
 def _wanted_mps(here: GlobalPosition, point: GlobalPosition, feed_mps: Horizontal | None) -> Ned:

@@ -11,8 +11,11 @@ NO_TARGET_CM = 766
 STALE_US = 300_000
 ACTIVE, CRITICAL = 4, 5
 STORE_AFTER_S = 2.0
-# The Mega's bus gives up after 1 ms. The STM32's core counts whole milliseconds: two of them, which
-# may be three, and the recovery.
+# Freed at the first attempt. On the Mega by nine clocks and the one of the STOP; the STM32's core
+# makes twenty of its own when the bus is begun again and the data line is low.
+FREED_BY = (20, 0) if IS_STM32 else (10, 1)
+# The Mega's bus gives up after 1.2 ms. The core of the STM32 counts whole milliseconds, of which
+# three pass at most; then comes the recovery.
 HELD_BUS_TURN_US = 4_000 if IS_STM32 else 2_000
 MEMORY_BYTES = 2 * BOARD.slot or 4096  # the Mega's EEPROM
 STORED_S = 4.0  # the pause, and 3.3 ms for each of a hundred-odd bytes, with room
@@ -99,8 +102,7 @@ class TestSonarInTrouble:
         begun_us = bench.t_us
         bench.run(1.0)
         meters = bench.board.meters()
-        # Freed at the first attempt: nine clocks, and the one of the STOP.
-        assert (meters.bus_clocks, meters.bus_stops) == (10, 1)
+        assert (meters.bus_clocks, meters.bus_stops) == FREED_BY
         assert meters.longest_turn_us < HELD_BUS_TURN_US
         assert bench.ranges_cm(begun_us)[-1] == 200
         assert len(bench.ranges_cm(begun_us + 500_000)) >= 9

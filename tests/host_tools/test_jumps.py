@@ -9,6 +9,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from echowing.geo import GlobalPosition, displace, ned_between
 from echowing.guidance import GuidanceSettings
 from echowing.jumps import AGREEING_REPORTS, UNCONFIRMED_S, BootClocks, RangeMemory
+from echowing.sim.flight import FormationFlight
+from echowing.sim.scenario import load_scenario
 
 from .yard import FOLLOWER, GUIDED, HERE, LEADER, LOITER, TICK_S, Vehicle, Yard
 
@@ -80,6 +82,7 @@ def test_a_jump_that_no_sonar_denies_is_held_until_guided_is_left(changes: bool)
     yard.range_m = 4.2  # 1.4 m more than before: it has really moved
     points = yard.fly(AT_LAST_S)
     assert yard.state() == "holding: leader jumped by 12.0 m, until it leaves Guided"
+    assert yard.said("leader's reports agree 12.0 m away from where it was: nobody is flown there")
     assert off_m(points, -3.0) < 1.0
     yard.fly(20.0)
     assert yard.state().startswith("holding: leader jumped")
@@ -160,6 +163,27 @@ def test_two_vehicles_with_the_leaders_id_are_said_and_refused() -> None:
     leave_and_come_back(yard)
     assert yard.fly(3.0) == []
     assert yard.said("follower 2: not engaged, two vehicles with the leader's id")
+
+
+JUMP = """leader.script=[
+    {at_s=1.0, act="fly", velocity_ned_mps=[1.0, 0.0, 0.0]},
+    {at_s=20.0, act="gps_jump", jump_ned_m=[0.0, 12.0, 0.0]}]"""
+
+
+@pytest.mark.parametrize("learns", [True, False])
+def test_in_simulated_flight_the_sonar_denies_it_or_the_pilot_engages_it_again(
+    learns: bool,
+) -> None:
+    changes = [" ".join(JUMP.split()), f"guidance.learn_offset={str(learns).lower()}"]
+    flight = FormationFlight(load_scenario("hostile", [*changes, "duration_s=35"]), 1)
+    events = [text for _, text in flight.run().events]
+    if learns:
+        assert any("jumped by 12.0 m: the sonar's range did not change" in text for text in events)
+        assert not any("nobody is flown there" in text for text in events)
+        return
+    held = next(i for i, text in enumerate(events) if "nobody is flown there" in text)
+    left = events.index("follower 2: left Guided for LOITER, hands off", held)
+    assert "follower 2: in Guided, following" in events[left:]
 
 
 def test_a_clock_is_believed_after_many_reports_in_a_row() -> None:

@@ -50,6 +50,8 @@ def test_two_followers(start: Start, table: list[Entry], case_folder: Path) -> N
     file = case_folder / "vee.toml"
     file.write_text(FORMATION)
     formation.leader.upload(rectangle(formation), 10.0)
+    for vehicle in formation.everybody[1:]:
+        vehicle.set("ECHO_DIST", SLOT_RADIUS_M)
     formation.take_off()
     tool = formation.follow("--formation", str(file), radius_m=None)
     for vehicle in formation.everybody[1:]:

@@ -23,6 +23,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from echowing.geo import GlobalPosition, Ned, displace
 from echowing.messages import command_long, message_interval, position_target
 from echowing.setup.settings import same
+from echowing.signing import SIGNING_EPOCH_UNIX_S, SIGNING_TICKS_PER_S, LinkSigning
 
 from . import loopback
 from .names import SPEED, SPEEDUP, Names, Version
@@ -37,8 +38,6 @@ COMPONENT = mavlink.MAV_COMP_ID_MISSIONPLANNER
 
 # SERIAL0, 1 and 2 of instance 0; ten more for each further instance.
 PORTS = (5760, 5762, 5763)
-# MAVLink counts the time of signatures from here: 2015-01-01, UTC.
-SIGNING_EPOCH_UNIX_S = 1_420_070_400
 SIGNING_LINK = 77  # no tool's
 ANSWER_S = 0.5  # then it is asked again
 PATIENCE_S = 30.0
@@ -113,6 +112,7 @@ class Heard:
     clock: list[tuple[float, float]] = field(default_factory=list)  # ours, since its start, s
     utc: list[tuple[float, float]] = field(default_factory=list)  # ours, its receiver's UTC, s
     named: dict[str, float] = field(default_factory=dict)
+    parameters: dict[str, float] = field(default_factory=dict)
 
 
 class Vehicle:
@@ -139,6 +139,7 @@ class Vehicle:
         self.on_truth: Callable[[State], None] | None = None
         self._news = threading.Condition()
         self._packer = mavlink.MAVLink(None, srcSystem=GROUND_STATION, srcComponent=COMPONENT)
+        self._signing: LinkSigning | None = None
         self._sending = threading.Lock()
         self._socket: socket.socket | None = None
         self._tasks: dict[str, _Task] = {"beat": _Task(1.0, self._beat)}
@@ -242,7 +243,9 @@ class Vehicle:
         if message.get_srcComponent() != mavlink.MAV_COMP_ID_AUTOPILOT1:
             return
         self.heard.newest[kind] = message
-        if kind == "STATUSTEXT":
+        if kind == "PARAM_VALUE":
+            self.heard.parameters[message.param_id] = message.param_value
+        elif kind == "STATUSTEXT":
             self.heard.texts.append((now_s, message.text))
         elif kind == "SIM_STATE":
             self.heard.truth.append(_state(now_s, message))
@@ -275,6 +278,8 @@ class Vehicle:
     def send(self, message: Any) -> None:
         """Send a message; lost while it restarts."""
         with self._sending:
+            if self._signing is not None:
+                self._signing.keep_time()
             frame = bytes(message.pack(self._packer))
             self._packer.seq = (self._packer.seq + 1) % 256
             if self._socket is not None:
@@ -389,13 +394,9 @@ class Vehicle:
     # ---- parameters ----------------------------------------------------------------------------
 
     def _find(self, names: Sequence[str]) -> tuple[str, float]:
-        found: dict[str, float] = {}
-
-        def fits() -> bool:
-            message = self.newest("PARAM_VALUE")
-            if message is not None and message.param_id in names:
-                found[message.param_id] = message.param_value
-            return bool(found)
+        known = self.heard.parameters
+        for name in names:
+            known.pop(name, None)
 
         def ask() -> None:
             for name in names:
@@ -403,9 +404,10 @@ class Vehicle:
                     mavlink.MAVLink_param_request_read_message(self.system_id, 1, name.encode(), -1)
                 )
 
-        self.heard.newest.pop("PARAM_VALUE", None)
-        self.until(f"told {' or '.join(names)}", fits, asking=ask)
-        return next(iter(found.items()))
+        self.until(
+            f"told {' or '.join(names)}", lambda: not known.keys().isdisjoint(names), asking=ask
+        )
+        return next((name, known[name]) for name in names if name in known)
 
     def get(self, names: Names | str) -> float:
         """A parameter in SI units; of several names the one that this version has."""
@@ -424,10 +426,7 @@ class Vehicle:
         )
 
         def fits() -> bool:
-            message = self.newest("PARAM_VALUE")
-            if message is None or message.param_id != name:
-                return False
-            return same(message.param_value, wanted)
+            return same(self.heard.parameters.get(name, math.nan), wanted)
 
         self.until(f"had {name} {wanted:g}", fits, asking=lambda: self.send(change))
 
@@ -598,12 +597,10 @@ class Vehicle:
 
     def sign(self, key: bytes) -> None:
         """Have it sign and believe only what is signed, as its ground station from now on does."""
-        now = round((time.time() - SIGNING_EPOCH_UNIX_S) * 1e5)  # ten microseconds
+        now = round((time.time() - SIGNING_EPOCH_UNIX_S) * SIGNING_TICKS_PER_S)
         self.send(mavlink.MAVLink_setup_signing_message(self.system_id, 1, list(key), now))
-        with self._sending:
-            signing = self._packer.signing
-            signing.secret_key, signing.link_id = key, SIGNING_LINK
-            signing.timestamp, signing.sign_outgoing = now, True
+        self._signing = LinkSigning(key, SIGNING_LINK)
+        self._signing.apply(self._packer)
 
     def speed_up(self, factor: float) -> None:
         """How fast its time passes."""

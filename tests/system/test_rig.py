@@ -90,7 +90,7 @@ def rig(board: Board) -> Callable[..., Done]:
 class TestOnTheBoard:
     def test_info(self, rig: Callable[..., Done]) -> None:
         told = rig("info", "--json").json
-        assert (told["system_id"], told["component_id"]) == (1, 191)
+        assert (told["system_id"], told["component_id"]) == (250, 191)  # no vehicle learned yet
         assert told["version"] == "0.1.0"
         assert re.fullmatch("[0-9a-f]{8}", told["git_hash"])
         assert told["parameters"]["SONAR_ADDR"] == 112.0

@@ -1,4 +1,4 @@
-"""Where a follower's leader is: receivers, sonar, and the time between them. Pure."""
+"""Where the leader is, as seen by one follower: receivers, sonar, and their times. Pure."""
 
 import math
 from collections import deque

@@ -9,6 +9,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from echowing.guidance import MOVING_MPS, slot_offset_m
 from echowing.sim.autopilot import ORIGIN, Autopilot
 from echowing.sim.ground import GroundStation
 from echowing.sim.hangar import FIRST_FOLLOWER_ID, LEADER_ID, Hangar
+from echowing.sim.pilots import Pilot
 from echowing.sim.recorder import Recorder, Sample, write_truth
 from echowing.sim.scenario import Scenario
 from echowing.sim.sonar import (
@@ -142,6 +144,11 @@ class FormationFlight(FormationWorld):
         self.closest_m = math.inf
         self.phases: dict[str, float] = {}
         self.ground = self._make_ground()
+        states = self.ground.session.followers
+        self._pilots = [
+            Pilot(follower.autopilot, partial(states.__getitem__, FIRST_FOLLOWER_ID + index))
+            for index, follower in enumerate(self.followers)
+        ]
         self._course_rad = 0.0
         self._commanded_slot_m: list[float] = []
         self.recorders = [
@@ -163,6 +170,8 @@ class FormationFlight(FormationWorld):
         super().step()
         self.ground.links[LEADER_ID].down.silent = self.pilot.silent
         self.ground.step(self.t_s)
+        for pilot in self._pilots:
+            pilot.step(self.t_s)
         self._watch()
         if self._step % STEPS_PER_SAMPLE == 0:
             self._record()

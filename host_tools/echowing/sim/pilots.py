@@ -1,0 +1,35 @@
+"""The followers' pilots of a simulated flight, as far as they have to act. Deterministic."""
+
+from collections.abc import Callable
+
+from echowing.follow import FollowerState
+from echowing.sim.autopilot import Autopilot
+
+# He sees on his display why it stands, looks that all is clear, and takes his mode switch.
+LOOKS_S = 5.0
+# Long enough for two heartbeats, so that the ground sees that he has left Guided.
+AWAY_S = 2.5
+
+
+class Pilot:
+    """Engages one follower again, by leaving Guided and coming back, where it waits for that."""
+
+    def __init__(self, autopilot: Autopilot, state: Callable[[], FollowerState]) -> None:
+        self._autopilot = autopilot
+        self._state = state
+        self._since_s: float | None = None
+        self._away_since_s: float | None = None
+
+    def step(self, t_s: float) -> None:
+        """One moment of his attention."""
+        if self._away_since_s is not None:
+            if t_s - self._away_since_s >= AWAY_S:
+                self._autopilot.set_mode("GUIDED")
+                self._away_since_s = self._since_s = None
+        elif self._state().latched is None:
+            self._since_s = None
+        elif self._since_s is None:
+            self._since_s = t_s
+        elif t_s - self._since_s >= LOOKS_S:
+            self._autopilot.set_mode("LOITER")
+            self._away_since_s = t_s
