@@ -821,7 +821,7 @@ do
     local function along_beam(ahead_m, mps, t_ms)
         local wanted_m = track.range_m - C.DIST
         if t_ms - track.seen_ms > UNSEEN_MS then
-            return math.min(wanted_m, ahead_m), math.min(track.leader_mps, mps)
+            return math.max(math.min(wanted_m, ahead_m), ahead_m - BACK_M), math.min(track.leader_mps, mps)
         end
         if wanted_m > ahead_m + FORWARD_M then return ahead_m + FORWARD_M, math.min(mps, track.leader_mps) end
         if wanted_m < ahead_m - BACK_M then return ahead_m - BACK_M, mps end
