@@ -418,6 +418,7 @@ local control = { active = false, error = nil } -- takes control and hands back
 
 do
     local ACCEL_MS = 100 -- smooths the estimator's change of speed
+    local LEAN_S = 0.3 -- until it leans against its motion
 
     -- Own speed along the heading; 0 while the estimator has none.
     local function forward_speed()
@@ -441,15 +442,29 @@ do
         own.mps, own.at_ms = mps, t_ms
     end
 
-    -- Flies to a place so far straight back (0: stays here), at this height, looking where it looks now: Guided would
-    -- turn the nose, and with it the sonar, towards a target without a yaw. False: refused.
+    -- Guided would turn the nose, and with it the sonar, towards a target without a yaw. False: refused.
+    local function fly_to(position, north_m, east_m)
+        position:x(position:x() + north_m)
+        position:y(position:y() + east_m)
+        return vehicle:set_target_pos_NED(position, true, math.deg(yaw_rad(ahrs)), false, 0.0, false, false)
+    end
+
+    -- Flies to a place so far straight back, at this height, looking where it looks now.
     function own.fly_back(back_m)
         local position = ahrs:get_relative_position_NED_origin()
         if not position then return false end
         local yaw = yaw_rad(ahrs)
-        position:x(position:x() - back_m * math.cos(yaw))
-        position:y(position:y() - back_m * math.sin(yaw))
-        return vehicle:set_target_pos_NED(position, true, math.deg(yaw), false, 0.0, false, false)
+        return fly_to(position, -back_m * math.cos(yaw), -back_m * math.sin(yaw))
+    end
+
+    -- Stays where it comes to a stop: a place it has to come back to would take longer.
+    function own.stop()
+        local position, velocity = ahrs:get_relative_position_NED_origin(), ahrs:get_velocity_NED()
+        if not (position and velocity) then return false end
+        local north_mps, east_mps = velocity:x(), velocity:y()
+        local mps = math.sqrt(north_mps * north_mps + east_mps * east_mps)
+        local share = is_number(mps) and LEAN_S + mps / (2.0 * C.DECEL) or 0.0
+        return fly_to(position, share * north_mps, share * east_mps)
     end
 end
 
@@ -918,7 +933,7 @@ do
             return
         end
         if stream.holding then return end
-        stream.holding = vehicle:get_likely_flying() and own.fly_back(0.0)
+        stream.holding = vehicle:get_likely_flying() and own.stop()
     end
 end
 

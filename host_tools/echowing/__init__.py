@@ -1,3 +1,3 @@
 """Formation flight for small ArduPilot copters, held together by a cheap sonar."""
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"

@@ -98,7 +98,7 @@ class StuckPosition:
             if gap_ms != 0 or self._from is None:
                 self._begin(message)
             return
-        if math.dist(*(_flat_m(self._from, one) for one in (self._from, message))) > STAYS_M:
+        if math.hypot(*_flat_m(self._from, message)) > STAYS_M:
             self._begin(message)
             return
         north_m, east_m = self._flown_m

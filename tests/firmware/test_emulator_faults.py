@@ -14,8 +14,8 @@ STORE_AFTER_S = 2.0
 # Freed at the first attempt. On the Mega by nine clocks and the one of the STOP; the STM32's core
 # makes twenty of its own when the bus is begun again and the data line is low.
 FREED_BY = (20, 0) if IS_STM32 else (10, 1)
-# The Mega's bus gives up after 1.2 ms. The core of the STM32 counts whole milliseconds, of which three
-# pass at most; then comes the recovery.
+# The Mega's bus gives up after 1.2 ms. The core of the STM32 counts whole milliseconds, of which
+# three pass at most; then comes the recovery.
 HELD_BUS_TURN_US = 4_000 if IS_STM32 else 2_000
 MEMORY_BYTES = 2 * BOARD.slot or 4096  # the Mega's EEPROM
 STORED_S = 4.0  # the pause, and 3.3 ms for each of a hundred-odd bytes, with room

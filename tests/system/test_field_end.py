@@ -125,7 +125,7 @@ def test_a_signal_before_anybody_is_heard(seed: int, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("seed", [3, 4, 5])
 def test_a_signal_while_searching_or_just_after(world: World, seed: int, tmp_path: Path) -> None:
-    """Without ids it listens for 1.5 s who is there, so that some moments lie after the search."""
+    """Without ids it listens for 4 s who is there, so that some moments lie after the search."""
     chance = random.Random(seed)
     tool = world.follow(
         *("--log", str(tmp_path)),
@@ -133,7 +133,7 @@ def test_a_signal_while_searching_or_just_after(world: World, seed: int, tmp_pat
         follower=world.link(FOLLOWER).partition("@")[0],
     )
     tool.event("MAVLink heard")
-    at_any_time(chance, 2.5)
+    at_any_time(chance, 5.5)
     assert tool.end(chance.choice(SIGNALS)) == 0
     last = tool.lines[-1]
     assert any(

@@ -101,6 +101,7 @@ def test_a_lost_leader_stops_the_follower_until_it_is_heard_again(world: World) 
     bridge.close()
 
 
+APPLET_HOLDS = 7  # ECHO_STATE (lua/echowing.md)
 HEARTBEAT = mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
 
 
@@ -285,21 +286,22 @@ def test_signed_links_carry_points_and_refuse_another_key(tmp_path: Path) -> Non
     close(world)
 
 
-def test_points_carry_a_velocity_where_a_sonar_is_heard(world: World) -> None:
-    tool = world.follow("--feed-forward")
-    fed = tool.event("points carry its velocity")
-    tool.row(in_slot, fed)
+def test_points_carry_a_velocity_that_the_applet_holds(world: World) -> None:
+    tool = world.follow()
+    tool.row(in_slot)
+    world.pilot.until(
+        lambda m: getattr(m, "name", "") == "ECHO_STATE" and m.value == APPLET_HOLDS, HEARTBEAT
+    )
     assert tool.end() == 0
     assert "stopped and stands, GUIDED" in tool.lines[-1]
 
 
-def test_without_a_sonar_no_velocity_is_sent(world: World) -> None:
-    # The leader has no sonar: here it is the follower's turn.
-    ends = ("--leader", world.link(SECOND), "--follower", world.link(LEADER))
-    tool = Process("follow", *ends, "--feed-forward", "--engage", "--json", "--no-log")
-    assert tool.exit_code() == 2
-    assert "no forward DISTANCE_SENSOR of follower 1" in tool.lines[-1]
-    assert not any("in Guided" in line for line in tool.lines)
+def test_points_without_a_velocity_are_left_to_the_applets_limit(world: World) -> None:
+    tool = world.follow("--position-only")
+    tool.row(in_slot)
+    said = world.pilot.until(lambda m: getattr(m, "name", "") == "ECHO_STATE", HEARTBEAT)
+    assert said.value != APPLET_HOLDS
+    assert tool.end() == 0
 
 
 def is_disarmed(message: Any) -> bool:
@@ -339,7 +341,9 @@ def test_without_engage_it_only_watches(world: World) -> None:
     assert "was not moved" in tool.lines[-1]
 
 
-ENDS = ["follow", "--leader", "udpin:14550", "--follower", "udpin:14560"]
+# What is not refused, and should be, ends by itself and listens to nobody.
+LEADERS, FOLLOWERS = "udpin:127.0.0.1:14550", "udpin:127.0.0.1:14560"
+ENDS = ["follow", "--leader", LEADERS, "--follower", FOLLOWERS, "--duration", "0", "--no-log"]
 
 
 @pytest.mark.parametrize(
@@ -357,10 +361,10 @@ ENDS = ["follow", "--leader", "udpin:14550", "--follower", "udpin:14560"]
         (["--signing-key-file", "/nowhere"], "No such file"),
         (["--radius", "0.5"], "smallest is 1 m"),
         (["--angle", "120"], "ahead of the leader"),
-        (["--radius", "1.2"], "inside --min-separation"),
+        (["--radius", "1.0"], "inside --min-separation"),
         (["--follower", "udpin:14570"], "2 followers need --formation"),
         (["--formation", "/nowhere.toml"], "nowhere.toml: cannot be read: No such file"),
-        (["--follower", "udpin:14560"], "say which is which"),
+        (["--follower", FOLLOWERS], "say which is which"),
         (["--follower", "nonsense"], "no such kind"),
         (["--follower", "tcp:5760"], "which host"),
         (["--follower", "udpin:14570@300"], "system id from 1 to 255"),
