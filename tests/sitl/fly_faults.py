@@ -18,7 +18,7 @@ SPEED_MPS = 1.5
 SETTLE_S = 12.0
 AFTER_S = 10.0
 # ECHO_STATE. What comes and goes is not said again at once, so the state is watched.
-SEARCHING, TRACKING, HOLDING = 1.0, 2.0, 7.0
+SEARCHING, TRACKING, NO_SONAR, HOLDING = 1.0, 2.0, 4.0, 7.0
 
 
 def _following(formation: Formation) -> Tool:
@@ -78,7 +78,7 @@ def test_co_processor_unplugged_and_back(start: Start, table: list[Entry]) -> No
     follower, since = formation.follower, len(tool.lines)
     began_s = time.monotonic()
     formation.followers[0].unplug()
-    follower.until_said("ECHO: no sonar data", began_s)
+    follower.until("missed its sonar", lambda: follower.heard.named.get("ECHO_STATE") == NO_SONAR)
     tool.event("no sonar data", since)
     rest(began_s + 6.0 - time.monotonic())
     formation.followers[0].plug_in()
