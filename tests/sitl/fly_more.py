@@ -40,7 +40,7 @@ SLOT_RADIUS_M = 4.0
 FLIGHT_S, AFTER_S = 90.0, 5.0
 KEY = bytes(range(32))
 SIGNED_S = 20.0
-TRACKING = 2.0  # ECHO_STATE
+TRACKING = (2.0, 7.0)  # ECHO_STATE: tracking, holding the distance
 # Receivers that do not drift: what is left are the estimators, and clocks set alike to 0.02 s.
 LOGS_AGREE_M = 0.25
 
@@ -139,7 +139,7 @@ def test_a_signed_link(
     began_s = time.monotonic()
     formation.leader.fly((SPEED_MPS, 0.0, 0.0))
     tracking = formation.follower.heard.named
-    formation.follower.until("tracked", lambda: tracking.get("ECHO_STATE") == TRACKING)
+    formation.follower.until("tracked", lambda: tracking.get("ECHO_STATE") in TRACKING)
     rest(SIGNED_S)
     flown = formation.measured(began_s, time.monotonic())
     figures = Figures(flown.mean_separation_m, flown.mean_abs_error_m, flown.rmsd_m)

@@ -44,12 +44,14 @@ PATIENCE_S = 30.0
 TEXTS_SHOWN = 12
 BOOT_S = 120.0  # until it can be armed, on a busy machine
 STREAMS_HZ = {
-    mavlink.MAVLINK_MSG_ID_SIM_STATE: 50,
-    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: 5,
-    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 5,
-    mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: 2,
-    mavlink.MAVLINK_MSG_ID_SYS_STATUS: 2,
+    "SIM_STATE": 50,
+    "SYSTEM_TIME": 5,
+    "GLOBAL_POSITION_INT": 5,
+    "EKF_STATUS_REPORT": 2,
+    "SYS_STATUS": 2,
 }
+# A stream that does not come is asked for again.
+STREAM_LATE_S = 2.0
 # What a builder sets and calibrates before anything else, for the copter that SITL simulates. It
 # has two accelerometers; offsets of exactly 0 would count as not calibrated. Its compasses are off
 # by what is set here; battery, motors and yaw have the values of ArduPilot's own test vehicle.
@@ -107,6 +109,7 @@ class Heard:
     """What the ground station has heard."""
 
     newest: dict[str, Any] = field(default_factory=dict)
+    at_s: dict[str, float] = field(default_factory=dict)  # when, by our clock
     texts: list[tuple[float, str]] = field(default_factory=list)
     truth: list[State] = field(default_factory=list)
     clock: list[tuple[float, float]] = field(default_factory=list)  # ours, since its start, s
@@ -243,6 +246,7 @@ class Vehicle:
         if message.get_srcComponent() != mavlink.MAV_COMP_ID_AUTOPILOT1:
             return
         self.heard.newest[kind] = message
+        self.heard.at_s[kind] = now_s
         if kind == "PARAM_VALUE":
             self.heard.parameters[message.param_id] = message.param_value
         elif kind == "STATUSTEXT":
@@ -262,9 +266,10 @@ class Vehicle:
                 mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 0, 3
             )
         )
-        truth = self.heard.truth
-        if not truth or time.monotonic() - truth[-1].time_s > 1.0:
-            for message_id, rate_hz in STREAMS_HZ.items():
+        late_s = time.monotonic() - STREAM_LATE_S
+        for kind, rate_hz in STREAMS_HZ.items():
+            if self.heard.at_s.get(kind, -math.inf) < late_s:
+                message_id = getattr(mavlink, f"MAVLINK_MSG_ID_{kind}")
                 self.send(message_interval(self.system_id, message_id, 1_000_000 // rate_hz))
 
     def every(self, name: str, period_s: float, do: Callable[[], None]) -> None:
