@@ -517,12 +517,13 @@ class FollowSession:
         return self.guard is None or (follower.in_guided and (engaged or follower.flown))
 
     def _guide(self, follower: FollowerState, fix: LeaderFix, now_s: float) -> GuidedPoint:
-        settings, unsure_m, least_m = self.settings, 0.0, 0.0
+        settings, least_m = self.settings, 0.0
         if settings.learn_offset:
             offset = follower.estimate.offset
             offset.advance(now_s)
-            unsure_m = settings.standoff_sigmas * offset.sigma_m(self._line_rad(follower, now_s))
-            least_m = settings.clearance_m + unsure_m
+            line_rad = self._line_rad(follower, now_s)
+            unsure_m = settings.standoff_sigmas * offset.unproven_sigma_m(line_rad, now_s)
+            least_m = settings.clearance_m + unsure_m + offset.unproven_shift_m(line_rad, now_s)
         if settings.feed_forward:
             guided = self._towed(follower, fix, now_s, least_m)
         elif settings.learn_offset:

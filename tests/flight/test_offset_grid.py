@@ -213,3 +213,24 @@ def test_its_uncertainty_is_the_one_it_has() -> None:
 
 def test_cells_are_finer_than_what_is_to_be_found() -> None:
     assert CELL_M <= 0.2
+
+
+def test_silence_brings_nobody_nearer_than_receivers_alone_allow() -> None:
+    """A deaf sonar: the map makes the leader further off, which is no proof that it is."""
+    grid = OffsetGrid()
+    for number in range(60):
+        grid.silent(number * READING_S, NORTH, believed_of((0.0, 0.0), NORTH, 3.5))
+    now_s = 60 * READING_S
+
+    further_m = -grid.north_m
+    assert further_m > 0.3 and grid.sigma_m(NORTH) < PRIOR_M
+    stands_off_m = 2.5 * grid.unproven_sigma_m(NORTH, now_s) + grid.unproven_shift_m(NORTH, now_s)
+    assert stands_off_m - further_m >= 2.5 * PRIOR_M - 1e-6
+
+
+def test_a_reading_is_proof_for_as_long_as_receivers_keep_their_error() -> None:
+    grid = OffsetGrid()
+    end_s = listen(grid, (0.7, -0.9), NORTH, 0.0, 20)
+
+    assert grid.unproven_sigma_m(NORTH, end_s + 0.3) == pytest.approx(grid.sigma_m(NORTH), abs=0.1)
+    assert grid.unproven_sigma_m(NORTH, end_s + 600.0) == pytest.approx(PRIOR_M, abs=0.01)

@@ -72,6 +72,27 @@ class OffsetGrid:
         p_nn, p_ne, p_ee = self._covariance
         return math.sqrt(p_nn * cos * cos + 2.0 * p_ne * cos * sin + p_ee * sin * sin)
 
+    def unproven_sigma_m(self, direction_rad: float, now_s: float) -> float:
+        """As `sigma_m`, but no less than receivers may have wandered since the last reading.
+
+        Silence makes the map narrower where the leader is not. It is no proof of where it is: it
+        may as well come from a sonar that is deaf.
+        """
+        wandered_m = math.sqrt(self._prior_m2 * (1.0 - self._kept(now_s) ** 2))
+        return max(self.sigma_m(direction_rad), wandered_m)
+
+    def unproven_shift_m(self, direction_rad: float, now_s: float) -> float:
+        """How much further off along a bearing the leader is thought to be, for silence's sake.
+
+        The share of the mean that no reading stands for any more; never negative.
+        """
+        further_m = -self.north_m * math.cos(direction_rad) - self.east_m * math.sin(direction_rad)
+        return max(0.0, (1.0 - self._kept(now_s)) * further_m)
+
+    def _kept(self, now_s: float) -> float:
+        """The share that is left of what the last reading told; 0 before the first."""
+        return math.exp(-max(0.0, self.unheard_s(now_s)) / self._tau_s)
+
     def advance(self, now_s: float) -> None:
         """Let the map blur until `now_s`, and fade back to what receivers do."""
         if self._advanced_s is None:
