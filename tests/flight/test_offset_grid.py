@@ -223,7 +223,7 @@ def test_silence_brings_nobody_nearer_than_receivers_alone_allow() -> None:
     now_s = 60 * READING_S
 
     further_m = -grid.north_m
-    assert further_m > 0.3 and grid.sigma_m(NORTH) < PRIOR_M
+    assert further_m > 0.3
     stands_off_m = 2.5 * grid.unproven_sigma_m(NORTH, now_s) + grid.unproven_shift_m(NORTH, now_s)
     assert stands_off_m - further_m >= 2.5 * PRIOR_M - 1e-6
 
