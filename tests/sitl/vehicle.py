@@ -23,7 +23,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from echowing.geo import GlobalPosition, Ned, displace
 from echowing.messages import command_long, message_interval, position_target
 from echowing.setup.settings import same
-from echowing.signing import SIGNING_EPOCH_UNIX_S, SIGNING_TICKS_PER_S, LinkSigning
+from echowing.signing import SIGNING_EPOCH_UNIX_S, SIGNING_TICKS_PER_S, LinkSigning, Parser
 
 from . import loopback
 from .names import SPEED, SPEEDUP, Names, Version
@@ -143,6 +143,7 @@ class Vehicle:
         self._news = threading.Condition()
         self._packer = mavlink.MAVLink(None, srcSystem=GROUND_STATION, srcComponent=COMPONENT)
         self._signing: LinkSigning | None = None
+        self._parser = Parser(None)
         self._sending = threading.Lock()
         self._socket: socket.socket | None = None
         self._tasks: dict[str, _Task] = {"beat": _Task(1.0, self._beat)}
@@ -201,14 +202,13 @@ class Vehicle:
     # ---- the ground station's thread -----------------------------------------------------------
 
     def _run(self) -> None:
-        parser = _parser()
         while not self._done.is_set():
             if self._socket is None:
-                parser = _parser()
+                self._parser = Parser(self._signing)
                 self._connect()
                 continue
             if select.select([self._socket], [], [], 0.005)[0]:
-                self._receive(parser)
+                self._receive()
             now_s = time.monotonic()
             for task in list(self._tasks.values()):
                 if now_s >= task.due_s:
@@ -222,7 +222,7 @@ class Vehicle:
             opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self._socket = opened
 
-    def _receive(self, parser: Any) -> None:
+    def _receive(self) -> None:
         assert self._socket is not None
         try:
             data = self._socket.recv(65_536)
@@ -233,7 +233,7 @@ class Vehicle:
             self._socket = None
             return
         with self._news:
-            for message in parser.parse_buffer(data) or ():
+            for message in self._parser.parse_buffer(data) or ():
                 self._take(message)
             self._news.notify_all()
 
@@ -606,16 +606,12 @@ class Vehicle:
         self.send(mavlink.MAVLink_setup_signing_message(self.system_id, 1, list(key), now))
         self._signing = LinkSigning(key, SIGNING_LINK)
         self._signing.apply(self._packer)
+        # What it says moves our time on: after a restart its own is up to two minutes ahead.
+        self._parser = Parser(self._signing)
 
     def speed_up(self, factor: float) -> None:
         """How fast its time passes."""
         self.set(SPEEDUP, factor)
-
-
-def _parser() -> Any:
-    parser = mavlink.MAVLink(None)
-    parser.robust_parsing = True
-    return parser
 
 
 def _state(now_s: float, message: Any) -> State:
