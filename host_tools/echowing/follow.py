@@ -91,6 +91,8 @@ LONGEST_WAY_S = 1.0
 JOIN_MPS, HEARD_LATELY_S = 1.5, 1.5
 # Not heard for so long, the leader is looked for where it most likely is.
 LOST_S = 1.0
+# A stop begins once it leans against its motion; a follower that hardly moves stops where it is.
+LEAN_S, STANDS_MPS = 0.3, 0.3
 # A hold that had to give way is from then on where the vehicle has been moved to.
 MOVED_M = 0.5
 # Two receivers of which no sonar knows more.
@@ -263,7 +265,7 @@ class FollowSession:
             point = self._point_for(follower, now_s)
             before, follower.sent_to = follower.sent_to, self.sends_to(follower, now_s)
             if follower.sent_to and not before and follower.held_at is not None:
-                point = self._hold_anew(follower)
+                point = self._hold_anew(follower, now_s)
             if point is not None and follower.sent_to:
                 point = self._kept_apart(follower, point, now_s)
                 messages.append((system_id, self._target(follower, point, now_s)))
@@ -616,9 +618,9 @@ class FollowSession:
         return 0.0 if leader is None or here is None else bearing_rad(here, leader.position)
 
     def _hold(self, follower: FollowerState, reason: str, now_s: float) -> GlobalPosition | None:
-        """Stop where it is: a target at its own position, kept until there is no reason left."""
+        """Stop: a target where it comes to a stop, kept until there is no reason left."""
         if follower.held_at is None and follower.position is not None:
-            follower.held_at = follower.position
+            follower.held_at = self._stopping_place(follower, now_s)
             follower.held_altitude_m = self._altitude_to_keep(follower)
             if self._moves(follower):
                 self.alert(follower.plan.system_id, f"holding, {reason}")
@@ -626,9 +628,16 @@ class FollowSession:
         follower.hold_reason = reason
         return follower.held_at
 
-    def _hold_anew(self, follower: FollowerState) -> GlobalPosition | None:
+    def _stopping_place(self, follower: FollowerState, now_s: float) -> GlobalPosition | None:
+        """Where a follower comes to a stop: a place it has to come back to would take longer."""
+        mps = math.hypot(*follower.velocity_mps)
+        share_s = LEAN_S + mps / (2.0 * Answer().decel_mps2) if mps > STANDS_MPS else 0.0
+        then = self._follower_then(follower, now_s + self._way_s(follower) + share_s)
+        return then or follower.position
+
+    def _hold_anew(self, follower: FollowerState, now_s: float) -> GlobalPosition | None:
         """Stop where it is now: it was held while nothing went to it, and has moved since."""
-        follower.held_at = follower.position
+        follower.held_at = self._stopping_place(follower, now_s)
         follower.held_altitude_m = self._altitude_to_keep(follower)
         if self.guard is not None:
             self.guard.moving(follower.plan.system_id)
