@@ -417,7 +417,10 @@ class FollowSession:
         goal = here if follower.guided is None else follower.guided.slot
         others = []
         leader = self._leader_then(follower, arrives_s)
-        if leader is not None:
+        # Of a stale leader nothing is known but that it was there: to flee from all that it could
+        # have done since is no safer than to stand.
+        stale = is_stale(self._leader_age_s(now_s), self.settings)
+        if leader is not None and not stale:
             place = self._in_height(self.leader_id, leader.position)
             sigma_m = follower.estimate.offset.sigma_m(bearing_rad(here, leader.position))
             others.append(

@@ -7,6 +7,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.follow import FollowerPlan, FollowSession
 from echowing.geo import GlobalPosition, displace, ned_between
+from echowing.guard import Limits
 from echowing.guidance import GuidanceSettings, Slot
 from echowing.jumps import AGREEING_REPORTS
 from echowing.leader_track import CLOCKS_AGREE_S, VehicleClock
@@ -553,3 +554,19 @@ def test_a_leader_believed_in_a_new_place_is_given_the_wide_berth_again() -> Non
 
     assert follow.leader.jumps == 1
     assert follow.followers[FOLLOWER].estimate.offset.north_m == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_follower_that_is_stopped_by_a_stale_leader_stands_still() -> None:
+    """It does not flee from all that a leader could have done since it was last heard."""
+    plan = FollowerPlan(FOLLOWER, Slot(3.0), 12.0)
+    limits = Limits(min_separation_m=1.0, leader_flies=False)
+    follow = FollowSession(LEADER, [plan], PLAIN, limits=limits)
+    follow.receive(from_vehicle(FOLLOWER, heartbeat()), 0.0)
+    here = displace(HERE, (-2.5, 0.0, 0.0))
+    follow.receive(from_vehicle(LEADER, position(0.1, HERE)), 0.1)
+    for number in range(1, 20):
+        t_s = 0.1 * number
+        follow.receive(from_vehicle(FOLLOWER, position(t_s, here)), t_s)
+        sent = targets(follow, t_s)
+    north_m, east_m = metres_from_here(sent[-1])[:2]
+    assert (north_m, east_m) == pytest.approx((-2.5, 0.0), abs=0.1)
