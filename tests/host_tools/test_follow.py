@@ -564,7 +564,7 @@ def test_a_follower_that_is_stopped_by_a_stale_leader_stands_still() -> None:
     follow.receive(from_vehicle(FOLLOWER, heartbeat()), 0.0)
     here = displace(HERE, (-2.5, 0.0, 0.0))
     follow.receive(from_vehicle(LEADER, position(0.1, HERE)), 0.1)
-    for number in range(1, 20):
+    for number in range(1, 15):
         t_s = 0.1 * number
         follow.receive(from_vehicle(FOLLOWER, position(t_s, here)), t_s)
         sent = targets(follow, t_s)
