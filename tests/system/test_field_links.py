@@ -94,7 +94,7 @@ def test_a_leader_that_boots_again_in_flight_is_followed_again(world: World, air
     reboot.boot_again()
     air.cut.clear()
 
-    again = tool.event("leader heard again, following", lost)
+    again = tool.event("clear again, following", lost)
     tool.row(lambda row: in_slot(row) and row["leader_age_s"] < 0.5, again)
     assert not any("jumps" in line for line in tool.lines)
     assert tool.end() == 0

@@ -86,13 +86,14 @@ def test_the_default_law_stops_before_a_wall_and_the_thesis_law_is_flown_beside_
     assert flown("wall", 1, "law=thesis").closest_m < flown("wall", 1).closest_m
 
 
-def test_the_default_law_stops_from_higher_speeds_than_the_thesis_law() -> None:
+def test_the_default_law_stops_from_no_lower_speeds_than_the_thesis_law() -> None:
     ours_mps = highest_stopping_speed_mps(load_scenario("wall"), 1)
     thesis_mps = highest_stopping_speed_mps(load_scenario("wall", ["law=thesis"]), 1)
 
-    # 2 m/s is what the thesis flew at its wall.
-    assert ours_mps >= 2.0
-    assert thesis_mps < ours_mps
+    # 2 m/s is what the thesis flew at its wall. The guard stops the vehicle under every law, so that
+    # the thesis's may come as far; without it, 0.25 m/s was all.
+    assert ours_mps >= 2.5
+    assert thesis_mps <= ours_mps
 
 
 def test_a_sonar_that_sees_its_leader_most_of_the_time() -> None:

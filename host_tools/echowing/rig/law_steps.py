@@ -31,10 +31,14 @@ class Law:
 
     @classmethod
     def of(cls, parameters: Mapping[str, float]) -> "Law":
-        """From the applet's parameters by name; KeyError names one that is missing."""
-        names = ("DIST", "BAND_IN", "BAND_OUT", "DETECT", "STEP_SML", "STEP_BIG", "PERIOD")
+        """From the applet's parameters by name; KeyError names one that is missing.
+
+        As the board's range has them: ECHO_DIST is centre to centre, the range ECHO_INSET less.
+        """
+        distance_m = parameters["ECHO_DIST"] - parameters["ECHO_INSET"]
+        names = ("BAND_IN", "BAND_OUT", "DETECT", "STEP_SML", "STEP_BIG", "PERIOD")
         limits = ("SPD_MIN", "SPD_MAX")
-        return cls(*(parameters[f"ECHO_{name}"] for name in (*names, *limits)))
+        return cls(distance_m, *(parameters[f"ECHO_{name}"] for name in (*names, *limits)))
 
     def bands(self) -> tuple[Band, ...]:
         """Table 6 for these parameters, from far to near."""

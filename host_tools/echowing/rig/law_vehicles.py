@@ -15,7 +15,7 @@ from echowing.rig.ports import open_wire
 from echowing.rig.readings import named_value
 
 LAW_PARAMETERS = (
-    *("ECHO_LAW", "ECHO_DIST", "ECHO_BAND_IN", "ECHO_BAND_OUT", "ECHO_DETECT"),
+    *("ECHO_LAW", "ECHO_DIST", "ECHO_INSET", "ECHO_BAND_IN", "ECHO_BAND_OUT", "ECHO_DETECT"),
     *("ECHO_STEP_SML", "ECHO_STEP_BIG", "ECHO_PERIOD", "ECHO_SPD_MIN", "ECHO_SPD_MAX"),
 )
 ANSWER_S = 1.0

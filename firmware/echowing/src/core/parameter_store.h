@@ -50,6 +50,7 @@ class ParameterStore {
   uint16_t sequence_ = 0;
   uint16_t offset_ = 0;
   uint16_t crc_ = 0;
+  uint16_t read_crc_ = 0;
 };
 
 }  // namespace echowing
