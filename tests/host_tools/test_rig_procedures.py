@@ -657,7 +657,13 @@ def test_a_search_is_no_move_while_tracking() -> None:
     assert (hold.gimbal_moves, hold.moves_while_tracking) == (2, 1)
 
 
-LAW_0 = {"ECHO_LAW": 0.0, "ECHO_DIST": 3.0, "ECHO_BAND_IN": 0.05, "ECHO_BAND_OUT": 0.25} | {
+LAW_0 = {
+    "ECHO_LAW": 0.0,
+    "ECHO_DIST": 3.2,
+    "ECHO_INSET": 0.2,
+    "ECHO_BAND_IN": 0.05,
+    "ECHO_BAND_OUT": 0.25,
+} | {
     "ECHO_DETECT": 4.5,
     "ECHO_STEP_SML": 0.5,
     "ECHO_STEP_BIG": 1.0,
@@ -670,6 +676,7 @@ LAW_0 = {"ECHO_LAW": 0.0, "ECHO_DIST": 3.0, "ECHO_BAND_IN": 0.05, "ECHO_BAND_OUT
 def test_parameters_make_the_law() -> None:
     law = law_of(LAW_0)
     assert (law.period_s, law.least_mps) == (0.45, 0.2)
+    assert law.distance_m == pytest.approx(3.0)  # as the sonar reads it
     with pytest.raises(EchowingError, match="ECHO_LAW is 2"):
         law_of({**LAW_0, "ECHO_LAW": 2.0})
     with pytest.raises(EchowingError, match="no parameter ECHO_DIST"):

@@ -244,7 +244,7 @@ def test_an_update_stays_far_below_the_limits(rig: MakeRig, velocity_mps: float 
         if r.vehicle.t_ms > 500:  # the first run sets everything up
             worst = max(worst, r.host.instructions)
     assert 200 < worst < 1300
-    # Here pointers take 64 bits, on the autopilot half of that: this is about a quarter of its heap.
+    # Here pointers take 64 bits, on the autopilot half of that: about a quarter of its heap.
     assert r.host.heap_bytes() < 204800 * 0.45
 
 

@@ -90,8 +90,8 @@ def test_the_default_law_stops_from_no_lower_speeds_than_the_thesis_law() -> Non
     ours_mps = highest_stopping_speed_mps(load_scenario("wall"), 1)
     thesis_mps = highest_stopping_speed_mps(load_scenario("wall", ["law=thesis"]), 1)
 
-    # 2 m/s is what the thesis flew at its wall. The guard stops the vehicle under every law, so that
-    # the thesis's may come as far; without it, 0.25 m/s was all.
+    # 2 m/s is what the thesis flew at its wall. The guard stops the vehicle under every law, so
+    # that the thesis's may come as far; without it, 0.25 m/s was all.
     assert ours_mps >= 2.5
     assert thesis_mps <= ours_mps
 
