@@ -130,8 +130,8 @@ def movable() -> Iterator[Emulator]:
 
 @pytest.fixture(scope="module")
 def fixed() -> Iterator[Emulator]:
-    """A board that always hears something at 3 m."""
-    emulator = Emulator("--range-cm", "300")
+    """A board that always hears something at 2.8 m: 3 m from centre to centre."""
+    emulator = Emulator("--range-cm", "280")
     yield emulator
     emulator.stop()
 
@@ -309,7 +309,7 @@ def test_soak_counts_and_passes(fixed: Emulator, tmp_path: Path) -> None:
     assert done.result["verdict"] == "PASS", done.said
     rows = list(csv.DictReader((tmp_path / "soak.csv").open()))
     assert [float(row["end_s"]) for row in rows] == [0.5, 1.0, 1.5, 2.0]
-    assert float(rows[0]["range_m"]) == 3.0
+    assert float(rows[0]["range_m"]) == 2.8
 
 
 def test_soak_counts_a_reboot_and_fails(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ MONITOR_PERIODS = 3.0  # so long without a step is a speed that is held
 
 @dataclass(frozen=True)
 class Law:
-    """Law 0 with the applet's parameters, metres, seconds and m/s."""
+    """Law 0 with the applet's parameters, metres, seconds and m/s; distances as the board reads."""
 
     distance_m: float
     band_in_m: float
@@ -28,6 +28,7 @@ class Law:
     period_s: float
     least_mps: float
     most_mps: float
+    inset_m: float = 0.0
 
     @classmethod
     def of(cls, parameters: Mapping[str, float]) -> "Law":
@@ -38,7 +39,8 @@ class Law:
         distance_m = parameters["ECHO_DIST"] - parameters["ECHO_INSET"]
         names = ("BAND_IN", "BAND_OUT", "DETECT", "STEP_SML", "STEP_BIG", "PERIOD")
         limits = ("SPD_MIN", "SPD_MAX")
-        return cls(distance_m, *(parameters[f"ECHO_{name}"] for name in (*names, *limits)))
+        values = (parameters[f"ECHO_{name}"] for name in (*names, *limits))
+        return cls(distance_m, *values, parameters["ECHO_INSET"])
 
     def bands(self) -> tuple[Band, ...]:
         """Table 6 for these parameters, from far to near."""

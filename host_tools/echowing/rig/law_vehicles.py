@@ -230,7 +230,8 @@ class AutopilotVehicle:
         self._values[named[0]] = named[1]
         if named[0] != "ECHO_STATE" or self._law is None or len(self._values) < 3:
             return
-        range_m = self._values["ECHO_RNG"]  # 0: no target
+        # Centre to centre as the applet has it; 0: no target.
+        range_m = round(self._values["ECHO_RNG"] - self._law.inset_m, 4)
         in_range = 0.0 < range_m < self._law.detect_m
         speed_mps = round(self._values["ECHO_SPD"], 4)
         guarded = is_guarded(self._law, speed_mps)
