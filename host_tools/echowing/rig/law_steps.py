@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace, field
 
 from echowing.analysis.thesis import Band
 
@@ -40,7 +40,7 @@ class Law:
         names = ("BAND_IN", "BAND_OUT", "DETECT", "STEP_SML", "STEP_BIG", "PERIOD")
         limits = ("SPD_MIN", "SPD_MAX")
         values = (parameters[f"ECHO_{name}"] for name in (*names, *limits))
-        return cls(distance_m, *values, inset_m=parameters["ECHO_INSET"])
+        return replace(cls(distance_m, *values), inset_m=parameters["ECHO_INSET"])
 
     def bands(self) -> tuple[Band, ...]:
         """Table 6 for these parameters, from far to near."""
