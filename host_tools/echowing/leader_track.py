@@ -113,12 +113,16 @@ class LeaderTrack:
             return
         if not self.clocks.is_believed(boot_ms / 1e3, now_s):
             return
-        if boot_ms < self._newest_boot_ms:
+        restarted = boot_ms < self._newest_boot_ms
+        if restarted:
             self.clock.restarted()
         self._newest_boot_ms = boot_ms
         boot_s = boot_ms / 1000.0
         velocity = (message.vx / 100.0, message.vy / 100.0, message.vz / 100.0)
         time_s = self.clock.to_ours(boot_s, now_s)
+        if self.fix is not None and not restarted:
+            # A quicker TIMESYNC answer moves the clock: still a newer report is never an older one.
+            time_s = max(time_s, self.fix.time_s)
         fix = LeaderFix(
             time_s=time_s,
             position=GlobalPosition(message.lat / 1e7, message.lon / 1e7, message.alt / 1e3),

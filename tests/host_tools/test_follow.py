@@ -570,3 +570,13 @@ def test_a_follower_that_is_stopped_by_a_stale_leader_stands_still() -> None:
         sent = targets(follow, t_s)
     north_m, east_m = metres_from_here(sent[-1])[:2]
     assert (north_m, east_m) == pytest.approx((-2.5, 0.0), abs=0.1)
+
+
+def test_a_clock_that_is_set_anew_takes_no_report_back_in_time() -> None:
+    track = session().leader
+    track.receive(position(6.0, HERE), 6.9)  # no clock yet: as old as it came
+    track.clock.answered(6.95, 6.96, 6.97)  # it is 0.9 s older than it seemed
+    track.receive(position(6.25, HERE), 7.15)
+    assert track.fix is not None and track.fix.time_s == pytest.approx(6.9)
+    track.receive(position(7.25, HERE), 8.15)
+    assert track.fix.time_s == pytest.approx(7.25, abs=0.02)
