@@ -23,8 +23,8 @@ from echowing.geo import Ned
 LEAST_M = 1.0
 # So many standard deviations of what is not known are taken off: one in 160 is beyond.
 SURE_SIGMAS = 2.5
-# What the other can do meanwhile: ArduCopter's default acceleration and jerk.
-OTHERS_MPS2, OTHERS_MPS3 = 2.5, 5.0
+# What the other can do meanwhile: ArduCopter's default acceleration (WP_ACC).
+OTHERS_MPS2 = 2.5
 # Below LEAST_M, so fast away for each metre that is missing; and no faster than that.
 RETREAT_PER_S, RETREAT_MOST_MPS = 1.5, 3.0
 # A candidate is judged by what it leaves after so long, and there are so many round the compass.
@@ -35,21 +35,15 @@ ROUNDS = 4
 SAME_MPS = 1e-6
 
 
-# The applet sees a leader brake by its sonar, and its vehicle has begun to lean, after so long.
-SONAR_DEAD_S = 0.5
-STEP_S = 0.01
-
-
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """How a vehicle answers: dead time from order to motion, then deceleration and jerk.
+    """How a vehicle answers: dead time from order to motion, and its deceleration then.
 
-    The defaults are ArduCopter's own WP_ACC and PSC_JERK_NE.
+    The default deceleration is ArduCopter's own WP_ACC.
     """
 
     dead_s: float = 0.6
     decel_mps2: float = OTHERS_MPS2
-    jerk_mps3: float = OTHERS_MPS3
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,40 +82,6 @@ def closing_limit_mps(certain_m: float, answer: Answer, least_m: float = LEAST_M
         return max(-RETREAT_MOST_MPS, RETREAT_PER_S * room_m)
     lag_mps = answer.decel_mps2 * answer.dead_s
     return math.sqrt(lag_mps * lag_mps + 2.0 * answer.decel_mps2 * room_m) - lag_mps
-
-
-def reversal_loss_m(speed_mps: float, answer: Answer) -> float:
-    """How much nearer a leader comes that turns from this speed to the same speed backwards.
-
-    Its follower flies as fast behind it, sees it by its sonar, and does the same.
-    """
-    leader, follower = (
-        _Turn(speed_mps, OTHERS_MPS2, OTHERS_MPS3),
-        _Turn(speed_mps, answer.decel_mps2, answer.jerk_mps3),
-    )
-    gap_m, least_m, time_s = 0.0, 0.0, 0.0
-    while follower.speed_mps > -speed_mps:
-        leader.step()
-        if time_s >= SONAR_DEAD_S:
-            follower.step()
-        time_s += STEP_S
-        gap_m += (leader.speed_mps - follower.speed_mps) * STEP_S
-        least_m = min(least_m, gap_m)
-    return -least_m
-
-
-class _Turn:
-    """A speed that changes its sign as fast as acceleration and jerk allow."""
-
-    def __init__(self, speed_mps: float, most_mps2: float, jerk_mps3: float) -> None:
-        self.speed_mps = speed_mps
-        self._end_mps = -speed_mps
-        self._most_mps2, self._jerk_mps3 = most_mps2, jerk_mps3
-        self._mps2 = 0.0
-
-    def step(self) -> None:
-        self._mps2 = min(self._most_mps2, self._mps2 + self._jerk_mps3 * STEP_S)
-        self.speed_mps = max(self._end_mps, self.speed_mps - self._mps2 * STEP_S)
 
 
 def keep_apart(

@@ -6,7 +6,7 @@ from collections import deque
 from echowing.flight.alignment import Alignment, History, Report
 from echowing.flight.offset_grid import OffsetGrid
 from echowing.flight.sonar import DETECTION_LIMIT_M
-from echowing.geo import GlobalPosition, Ned, displace, ned_between
+from echowing.geo import GlobalPosition, Ned, displace
 from echowing.guidance import LeaderFix, predicted
 
 # Propellers make single wild readings: one counts when the one before it was like it.
@@ -112,9 +112,3 @@ def place_then(position: GlobalPosition, velocity_ned_mps: Ned, since_s: float) 
     since_s = min(LONGEST_CARRY_S, max(0.0, since_s))
     north, east, down = velocity_ned_mps
     return displace(position, (north * since_s, east * since_s, down * since_s))
-
-
-def between(follower: GlobalPosition, leader: GlobalPosition) -> Ned:
-    """From leader to follower, NED metres."""
-    north, east, down = ned_between(leader, follower)
-    return north, east, down
