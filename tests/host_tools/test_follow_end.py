@@ -3,7 +3,7 @@
 import math
 import os
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
@@ -38,9 +38,11 @@ class Clock:
 class VehicleLink(Link):
     """A link at whose other end an autopilot flies, in the tool's time."""
 
-    def __init__(self, address: Address, autopilot: Autopilot, copter: Copter) -> None:
+    def __init__(
+        self, address: Address, autopilot: Autopilot, copter: Copter, show: Callable[[], object]
+    ) -> None:
         super().__init__(address)
-        self._autopilot, self._copter = autopilot, copter
+        self._autopilot, self._copter, self._show = autopilot, copter, show
         self._stepped_s = 0.0
         self._ear = mavlink.MAVLink(None)
         self._always, self._other = os.pipe()
@@ -57,6 +59,7 @@ class VehicleLink(Link):
             self._stepped_s += STEP_S
             self._copter.step(STEP_S)
             self._autopilot.step(self._stepped_s)
+            self._show()
         return self._ear.parse_buffer(self._autopilot.transmit(TELEMETRY)) or []
 
     def send(self, frame: bytes, now_s: float) -> None:
@@ -106,7 +109,9 @@ class Flight:
         )
 
     def _make_link(self, address: Address, signing: LinkSigning | None) -> Link:
-        return VehicleLink(address, self.autopilots[address.port], self.copters[address.port])
+        """Flown time waits for what the screen's own thread has to show."""
+        autopilot, copter = self.autopilots[address.port], self.copters[address.port]
+        return VehicleLink(address, autopilot, copter, lambda: self.tool._view.settle())
 
     def speed_mps(self) -> float:
         return abs(self.copters[FOLLOWER].vn_mps)

@@ -126,7 +126,7 @@ class StepJudge:
     lost_changes: int = 0  # the speed changed with nothing in range, which law 0 does not
     sampled_s: float = 0.0  # longest time between two samples
     _quiet_since_s: float | None = None
-    _band: str | None = None
+    band: str | None = None  # where the newest range is; None: in none
 
     def __post_init__(self) -> None:
         self.records = {band.name: BandRecord(band) for band in self.law.bands()}
@@ -167,8 +167,8 @@ class StepJudge:
     def _note_stillness(self, sample: Sample) -> None:
         band = None if sample.range_m is None else self.law.band_at(sample.range_m)
         name = band.name if band else None
-        if band is None or name != self._band or self._quiet_since_s is None:
-            self._band, self._quiet_since_s = name, sample.t_s
+        if band is None or name != self.band or self._quiet_since_s is None:
+            self.band, self._quiet_since_s = name, sample.t_s
             return
         record, quiet_s = self.records[band.name], sample.t_s - self._quiet_since_s
         record.held_s = max(record.held_s, quiet_s)

@@ -24,6 +24,8 @@ examples:
 """
 
 HOLD_S = 5.0
+# A target that is not in its band after so many holds is not coming: as much to arrive as to stay.
+ARRIVAL_HOLDS = 2.0
 # Beyond the outer bands' edges by this: clear of the edge, and of the too-close guard (1.5 m).
 BEYOND_M = 0.6
 GIMBAL_MOVES = 3  # points of the figure 8 in one hold out of range: five seconds have sixteen
@@ -134,9 +136,21 @@ class ResponseMatrix:
         hold = Hold(band)
         self.holds.append(hold)
         self._gimbal.hold = hold
-        for message in bench.listen(f"holding, {band}", self._hold_s):
-            self._hear(message)
+        self._listen_while_held(bench, hold)
         self._gimbal.hold = None
+
+    def _listen_while_held(self, bench: Bench, hold: Hold) -> None:
+        """Time counts from when the range is in the band: a hand and a radio take a while."""
+        end_s = None
+        for message in bench.listen(f"holding, {hold.band}", ARRIVAL_HOLDS * self._hold_s):
+            self._hear(message)
+            if end_s is None and self.judge is not None and self.judge.band == self._law_band(hold):
+                end_s = bench.clock() + self._hold_s
+            if end_s is not None and bench.clock() >= end_s:
+                return
+
+    def _law_band(self, hold: Hold) -> str | None:
+        return None if hold.band == OUT_OF_RANGE else hold.band
 
     def _await_control(self, bench: Bench, vehicle: LawVehicle) -> None:
         """A real autopilot is armed by hand."""
