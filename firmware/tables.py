@@ -8,7 +8,7 @@ import re
 import sys
 from pathlib import Path
 
-from echowing import firmware
+from echowing.sim import firmware
 
 FIRMWARE = Path(__file__).resolve().parent
 README = FIRMWARE / "README.md"

@@ -14,8 +14,8 @@ import sys
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from echowing import firmware
 from echowing.errors import EchowingError
+from echowing.sim import firmware
 
 ARDUINO_CLI = firmware.REPOSITORY / "build" / "tools" / "arduino-cli"
 ARDUINO_HOME = firmware.REPOSITORY / "build" / "arduino-home"

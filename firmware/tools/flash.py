@@ -20,8 +20,8 @@ from pathlib import Path
 
 from serial.tools import list_ports
 
-from echowing import firmware
 from echowing.errors import EchowingError
+from echowing.sim import firmware
 
 FLASH_START = 0x08000000  # of every STM32
 

@@ -8,9 +8,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from echowing import search
 from echowing.analysis.thesis import TABLE_5, THESIS_GAIN_PERCENT
-from echowing.search import Aim, covered
+from echowing.rig import search
+from echowing.rig.search import Aim, covered
 from hwtools.facts import beam_half_angle_deg, read, scan_aims
 
 CURVE_STEP_DEG = 0.25  # good enough for a line

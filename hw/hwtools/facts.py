@@ -4,9 +4,9 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from echowing import firmware, search
-from echowing.search import Aim
-from echowing.sim import sonar
+from echowing.rig import search
+from echowing.rig.search import Aim
+from echowing.sim import firmware, sonar
 
 HW = Path(__file__).resolve().parents[1]
 ROOT = HW.parent

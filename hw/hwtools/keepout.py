@@ -14,7 +14,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from echowing.search import Aim
+from echowing.rig.search import Aim
 from hwtools import mount
 from hwtools.facts import beam_half_angle_deg, scan_aims
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from echowing import firmware
+from echowing.sim import firmware
 from echowing.sim.boards import emulated_board
 from echowing.sim.coprocessor import AUTOPILOT_PORT, USB_PORT
 from echowing.sim.emulated import Pin

@@ -12,8 +12,8 @@ from types import ModuleType
 
 import pytest
 
-from echowing import firmware
 from echowing.errors import EchowingError
+from echowing.sim import firmware
 
 from .fake_programmer import FakeProgrammer
 from .fake_rom_loader import FLASH_START, PAGE, FakeRomLoader

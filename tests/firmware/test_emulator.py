@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from echowing import firmware
 from echowing.errors import EchowingError
+from echowing.sim import firmware
 from echowing.sim.avr import AvrBoard
 from echowing.sim.sonar import MaxSonar
 

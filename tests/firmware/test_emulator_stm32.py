@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from echowing import firmware
 from echowing.errors import EchowingError
+from echowing.sim import firmware
 from echowing.sim.boards import emulated_board
 from echowing.sim.sonar import MaxSonar
 from echowing.sim.stm32 import Stm32Board

@@ -10,8 +10,8 @@ from echowing.flight.alignment import (
     History,
     Report,
 )
+from echowing.flight.guidance import Horizontal
 from echowing.geo import GlobalPosition, displace
-from echowing.guidance import Horizontal
 
 START = GlobalPosition(39.34, -86.03, 260.0)
 

@@ -13,8 +13,8 @@ from echowing.flight.estimate import (
     carried_on,
     place_then,
 )
+from echowing.flight.guidance import Horizontal, LeaderFix
 from echowing.geo import GlobalPosition, displace, ned_between
-from echowing.guidance import Horizontal, LeaderFix
 
 START = GlobalPosition(39.34, -86.03, 260.0)
 

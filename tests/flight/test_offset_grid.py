@@ -4,8 +4,8 @@ from dataclasses import dataclass, field
 
 import pytest
 
+from echowing.flight.guidance import Horizontal
 from echowing.flight.offset_grid import CELL_M, OffsetGrid, Wandering
-from echowing.guidance import Horizontal
 
 PRIOR_M = 0.8 * math.sqrt(2.0)
 NORTH, EAST = 0.0, math.pi / 2

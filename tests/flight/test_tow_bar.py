@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from echowing.flight.guidance import GuidedPoint, Horizontal, LeaderFix, Slot, bearing_rad
 from echowing.flight.tow_bar import FURTHEST_ROUND_RAD, TowBar
 from echowing.geo import GlobalPosition, displace, ned_between, wrap_angle_rad
-from echowing.guidance import GuidedPoint, Horizontal, LeaderFix, Slot, bearing_rad
 
 START = GlobalPosition(39.34, -86.03, 260.0)
 TICK_S = 0.125  # guided points at 8 Hz

@@ -5,9 +5,9 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.mavlink.signing import Parser
 from echowing.rig.board import Board, await_board
 from echowing.rig.ports import PortLostError
-from echowing.signing import Parser
 from echowing.sim.autopilot import Autopilot
 from echowing.sim.coprocessor import AUTOPILOT_PORT, USB_PORT, NativeCoprocessor
 from echowing.sim.copter import Copter

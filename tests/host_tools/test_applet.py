@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from echowing import applet
-from echowing.applet import applet_path, install_on_card
 from echowing.cli import main
 from echowing.errors import EchowingError
+from echowing.setup import applet
+from echowing.setup.applet import applet_path, install_on_card
 
 
 @pytest.fixture

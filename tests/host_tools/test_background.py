@@ -17,8 +17,8 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.background import BackgroundLog, BackgroundView, Worker
-from echowing.panel import Row
+from echowing.tool.background import BackgroundLog, BackgroundView, Worker
+from echowing.tool.panel import Row
 
 DEADLINE_S = 30.0
 FOLLOW = [sys.executable, "-m", "echowing", "follow", "--json", "--no-log"]
@@ -69,7 +69,7 @@ def test_a_stopped_screen_holds_up_nobody_and_what_was_left_out_is_said() -> Non
 def test_a_screen_that_stays_stopped_does_not_hold_up_the_end(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("echowing.background.LAST_WORDS_S", 0.01)
+    monkeypatch.setattr("echowing.tool.background.LAST_WORDS_S", 0.01)
     screen = StoppedScreen()
     view = BackgroundView(screen)
     view.event(0.0, "first")
@@ -111,7 +111,7 @@ class SlowDisk:
 def test_a_slow_disk_holds_up_nobody_and_what_is_missing_is_said(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("echowing.background.MOST_LOGGED", 10)
+    monkeypatch.setattr("echowing.tool.background.MOST_LOGGED", 10)
     disks: list[SlowDisk] = []
 
     def open_log(say: Any) -> Any:

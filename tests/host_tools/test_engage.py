@@ -7,11 +7,11 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.engage import FLOWN_M, PATIENCE_S, READ_AGAIN_S, Readiness, StuckPosition
-from echowing.guard import Limits
-from echowing.guidance import Slot
-from echowing.seats import StrangerWatch, parse_seat
-from echowing.switch import StopSwitch
+from echowing.flight.engage import FLOWN_M, PATIENCE_S, READ_AGAIN_S, Readiness, StuckPosition
+from echowing.flight.guard import Limits
+from echowing.flight.guidance import Slot
+from echowing.flight.switch import StopSwitch
+from echowing.mavlink.seats import StrangerWatch, parse_seat
 
 from .yard import FOLLOWER, GUIDED, LEADER, LOITER, SECOND, TICK_S, Vehicle, Yard
 

@@ -7,9 +7,9 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.cli import main
+from echowing.flight.guidance import Slot
 from echowing.geo import displace
-from echowing.guidance import Slot
-from echowing.messages import position_target
+from echowing.mavlink.messages import position_target
 from echowing.sim import field_figures
 from echowing.sim.field_figures import FieldFigure, Flown, fly
 from echowing.sim.fleet import HERE, RATES_HZ, STEP_S, Point, make_fleet

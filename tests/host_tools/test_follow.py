@@ -5,13 +5,13 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.follow import FollowerPlan, FollowSession
+from echowing.flight.guard import Limits
+from echowing.flight.guidance import GuidanceSettings, Slot
+from echowing.flight.jumps import AGREEING_REPORTS
+from echowing.flight.leader_track import CLOCKS_AGREE_S, VehicleClock
+from echowing.flight.session import FollowerPlan, FollowSession
 from echowing.geo import GlobalPosition, displace, ned_between
-from echowing.guard import Limits
-from echowing.guidance import GuidanceSettings, Slot
-from echowing.jumps import AGREEING_REPORTS
-from echowing.leader_track import CLOCKS_AGREE_S, VehicleClock
-from echowing.messages import FORWARD, TOOL_SYSTEM_ID, sonar_range_m
+from echowing.mavlink.messages import FORWARD, TOOL_SYSTEM_ID, sonar_range_m
 
 LEADER, FOLLOWER = 1, 2
 HERE = GlobalPosition(39.34, -86.03, 260.0)

@@ -9,14 +9,14 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.follow_run import FollowOptions, FollowTool
-from echowing.guidance import GuidanceSettings, Slot
-from echowing.links import Address, Link
-from echowing.seats import parse_seat
-from echowing.signing import LinkSigning
+from echowing.flight.guidance import GuidanceSettings, Slot
+from echowing.mavlink.links import Address, Link
+from echowing.mavlink.seats import parse_seat
+from echowing.mavlink.signing import LinkSigning
 from echowing.sim.autopilot import Autopilot
 from echowing.sim.copter import Copter
 from echowing.stopping import StopRequest, stop_on_signals
+from echowing.tool.run import FollowOptions, FollowTool
 
 LEADER, FOLLOWER = 1, 2
 STEP_S, GLANCE_S = 0.02, 0.005
@@ -111,7 +111,10 @@ class Flight:
     def _make_link(self, address: Address, signing: LinkSigning | None) -> Link:
         """Flown time waits for what the screen's own thread has to show."""
         autopilot, copter = self.autopilots[address.port], self.copters[address.port]
-        return VehicleLink(address, autopilot, copter, lambda: self.tool._view.settle())
+        return VehicleLink(address, autopilot, copter, self._shown)
+
+    def _shown(self) -> None:
+        self.tool._view.settle()
 
     def speed_mps(self) -> float:
         return abs(self.copters[FOLLOWER].vn_mps)

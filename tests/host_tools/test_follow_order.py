@@ -5,8 +5,8 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.follow import FollowerPlan, FollowSession
-from echowing.guidance import GuidanceSettings, Slot
+from echowing.flight.guidance import GuidanceSettings, Slot
+from echowing.flight.session import FollowerPlan, FollowSession
 
 LEADER, FOLLOWER = 1, 2
 MINUTE_MS = 60_000

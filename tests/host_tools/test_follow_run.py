@@ -13,15 +13,15 @@ from rich.console import Console
 
 from echowing.commands.follow import options_of
 from echowing.errors import EchowingError
-from echowing.follow import FollowerPlan, FollowSession
-from echowing.follow_log import FollowLog
-from echowing.follow_picture import SETTLED_S, Photographer, drawn
-from echowing.follow_track import Track
-from echowing.follow_view import PLAIN_PERIOD_S, JsonView, LiveView, PlainView, open_view
-from echowing.guidance import GuidanceSettings, Slot
-from echowing.panel import LINK_WINDOW_S, SONAR_FRESH_S, Panel, Row
-from echowing.seats import LISTEN_S, VehicleFinder, parse_seat
+from echowing.flight.guidance import GuidanceSettings, Slot
+from echowing.flight.session import FollowerPlan, FollowSession
+from echowing.mavlink.seats import LISTEN_S, VehicleFinder, parse_seat
 from echowing.stopping import StopRequest
+from echowing.tool.log import FollowLog
+from echowing.tool.panel import LINK_WINDOW_S, SONAR_FRESH_S, Panel, Row
+from echowing.tool.picture import SETTLED_S, Photographer, drawn
+from echowing.tool.track import Track
+from echowing.tool.view import PLAIN_PERIOD_S, JsonView, LiveView, PlainView, open_view
 
 LEADER, FOLLOWER = 1, 2
 

@@ -13,12 +13,12 @@ from echowing.analysis.logs import read_flights
 from echowing.analysis.metrics import metrics
 from echowing.cli import main
 from echowing.errors import EchowingError
-from echowing.follow import FollowerPlan, FollowSession
-from echowing.follow_log import FollowLog
-from echowing.follow_track import track
+from echowing.flight.guidance import GuidanceSettings, Slot
+from echowing.flight.session import FollowerPlan, FollowSession
 from echowing.geo import GlobalPosition, displace
-from echowing.guidance import GuidanceSettings, Slot
-from echowing.panel import Panel
+from echowing.tool.log import FollowLog
+from echowing.tool.panel import Panel
+from echowing.tool.track import track
 
 LEADER, FOLLOWER, SECOND = 1, 2, 3
 HERE = GlobalPosition(39.34, -86.03, 260.0)

@@ -3,8 +3,8 @@ import math
 import pytest
 
 from echowing.errors import EchowingError
-from echowing.formation import check_formation, slot_distance_m, turning_together
-from echowing.guidance import GRAY, GuidanceSettings, Slot
+from echowing.flight.formation import check_formation, slot_distance_m, turning_together
+from echowing.flight.guidance import GRAY, GuidanceSettings, Slot
 
 
 def test_slots_apart_are_accepted() -> None:

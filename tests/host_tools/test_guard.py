@@ -6,10 +6,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.errors import EchowingError
-from echowing.flight.tow_bar import TowBar
-from echowing.follow import FollowerPlan, FollowerState, FollowSession
-from echowing.geo import GlobalPosition, displace, ned_between
-from echowing.guard import (
+from echowing.flight.guard import (
     RATE_WINDOW_S,
     REFUSED_FOR_S,
     REMEMBERED_S,
@@ -22,9 +19,12 @@ from echowing.guard import (
     Limits,
     RateWatch,
 )
-from echowing.guidance import GuidanceSettings, Slot, SlotGuide
-from echowing.panel import Panel, left_as, state_of
-from echowing.switch import StopSwitch, parse_stop_switch
+from echowing.flight.guidance import GuidanceSettings, Slot, SlotGuide
+from echowing.flight.session import FollowerPlan, FollowerState, FollowSession
+from echowing.flight.switch import StopSwitch, parse_stop_switch
+from echowing.flight.tow_bar import TowBar
+from echowing.geo import GlobalPosition, displace, ned_between
+from echowing.tool.panel import Panel, left_as, state_of
 
 LEADER, FOLLOWER, SECOND = 1, 2, 3
 HERE = GlobalPosition(39.34, -86.03, 260.0)

@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from echowing.geo import GlobalPosition, Ned, displace, ned_between, wrap_angle_rad
-from echowing.guidance import (
+from echowing.flight.guidance import (
     GRAY,
     Course,
     GuidanceSettings,
@@ -19,6 +18,7 @@ from echowing.guidance import (
     slot_offset_m,
     sway_rad,
 )
+from echowing.geo import GlobalPosition, Ned, displace, ned_between, wrap_angle_rad
 
 HERE = GlobalPosition(39.34, -86.03, 260.0)
 COURSES_DEG = range(0, 360, 15)

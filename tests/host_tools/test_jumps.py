@@ -6,9 +6,9 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.flight.guidance import GuidanceSettings
+from echowing.flight.jumps import AGREEING_REPORTS, UNCONFIRMED_S, BootClocks, RangeMemory
 from echowing.geo import GlobalPosition, displace, ned_between
-from echowing.guidance import GuidanceSettings
-from echowing.jumps import AGREEING_REPORTS, UNCONFIRMED_S, BootClocks, RangeMemory
 from echowing.sim.flight import FormationFlight
 from echowing.sim.scenario import load_scenario
 

@@ -13,8 +13,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.errors import EchowingError
-from echowing.leader_run import LeaderTool
-from echowing.links import (
+from echowing.mavlink.links import (
     DEFAULT_BAUD,
     MOST_PEERS,
     MOST_READS,
@@ -26,9 +25,10 @@ from echowing.links import (
     parse_address,
     wait,
 )
-from echowing.seats import parse_seat
-from echowing.signing import LinkSigning
+from echowing.mavlink.seats import parse_seat
+from echowing.mavlink.signing import LinkSigning
 from echowing.stopping import StopRequest
+from echowing.tool.leader import LeaderTool
 
 DEADLINE_S = 10.0
 

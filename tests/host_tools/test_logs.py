@@ -15,7 +15,7 @@ from echowing.analysis.logs import compare_with_truth, read_flights
 from echowing.analysis.metrics import metrics
 from echowing.analysis.vehicle_log import DATAFLASH_TYPES, TLOG_TYPES, gps_to_unix_s, read_vehicles
 from echowing.errors import EchowingError
-from echowing.guidance import Slot
+from echowing.flight.guidance import Slot
 
 DATA = Path(__file__).parent / "data"
 COMBINATIONS = [(a, b) for a in ("tlog", "BIN") for b in ("tlog", "BIN")]

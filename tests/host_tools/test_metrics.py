@@ -20,7 +20,7 @@ from echowing.analysis.metrics import (
     position_error_m,
 )
 from echowing.errors import EchowingError
-from echowing.guidance import Slot, slot_offset_m
+from echowing.flight.guidance import Slot, slot_offset_m
 
 NAN = math.nan
 

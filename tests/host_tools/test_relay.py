@@ -2,9 +2,9 @@ import pytest
 
 from echowing.cli import main
 from echowing.errors import EchowingError
+from echowing.flight.guidance import LeaderFix
+from echowing.flight.relay import RelayGuide, parse_ground
 from echowing.geo import GlobalPosition, displace, ned_between
-from echowing.guidance import LeaderFix
-from echowing.relay import RelayGuide, parse_ground
 
 GROUND = GlobalPosition(39.34, -86.03, 250.0)
 

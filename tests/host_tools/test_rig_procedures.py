@@ -13,9 +13,9 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 from rich.console import Console
 
-from echowing import search
 from echowing.analysis.thesis import FIGURE_28, TABLE_6
 from echowing.errors import EchowingError
+from echowing.rig import search
 from echowing.rig.bench import (
     EXIT_INTERRUPTED,
     SETTLE_S,

@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from rich.console import Console
 from rich.text import Text
 
-from echowing import search
+from echowing.rig import search
 from echowing.rig.board import Board, ScanMode
 from echowing.rig.figure import COLUMNS, ROWS, direction, draw, points_at
 from echowing.rig.view import JsonView, LiveView, PlainView, bar, picture, snapshot

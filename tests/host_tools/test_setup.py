@@ -11,11 +11,11 @@ from typing import Any
 
 import pytest
 
-from echowing.applet import applet_parameters
 from echowing.cli import main
 from echowing.commands import setup
 from echowing.errors import EchowingError
 from echowing.paths import repository_root
+from echowing.setup.applet import applet_parameters
 from echowing.setup.apply import (
     Change,
     Saved,

@@ -12,13 +12,13 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing import applet
-from echowing.applet import applet_parameters, applet_path, install_over_link
 from echowing.errors import EchowingError
-from echowing.messages import TOOL_COMPONENT_ID, TOOL_SYSTEM_ID
-from echowing.seats import Say
-from echowing.setup import reading
+from echowing.mavlink.messages import TOOL_COMPONENT_ID, TOOL_SYSTEM_ID
+from echowing.mavlink.seats import Say
+from echowing.mavlink.signing import SETUP_LINK_ID, LinkSigning
+from echowing.setup import applet, reading
 from echowing.setup import vehicle as vehicle_module
+from echowing.setup.applet import applet_parameters, applet_path, install_over_link
 from echowing.setup.apply import Change, changes_for, load, save, write_all
 from echowing.setup.checks import Verdict, examine, exit_code
 from echowing.setup.ftp import FtpClient
@@ -27,7 +27,6 @@ from echowing.setup.reading import names_to_read, of_messages, read_out, read_pa
 from echowing.setup.readout import CardApplet
 from echowing.setup.restart import restart_autopilot
 from echowing.setup.vehicle import AUTOPILOT, SILENCE_S, Heard, Vehicle
-from echowing.signing import SETUP_LINK_ID, LinkSigning
 from echowing.sim.ground import TELEMETRY
 from echowing.sim.parameters import Generation
 from echowing.sim.parked import ParkedHangar, ParkedWorld, insert_cards

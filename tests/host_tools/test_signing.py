@@ -6,7 +6,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.errors import EchowingError
-from echowing.signing import (
+from echowing.mavlink.signing import (
     SIGNING_EPOCH_UNIX_S,
     SIGNING_TICKS_PER_S,
     LinkSigning,

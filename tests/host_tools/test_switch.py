@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.switch import MODE_PERIOD_S, SWITCH_FRESH_S, StopSwitch, Switches
+from echowing.flight.switch import MODE_PERIOD_S, SWITCH_FRESH_S, StopSwitch, Switches
 
 LEADER, FOLLOWER, SECOND = 1, 2, 3
 ON, OFF = 1900, 1100

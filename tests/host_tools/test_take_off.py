@@ -5,15 +5,15 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.follow import FollowerPlan, FollowSession
+from echowing.flight.guard import Limits
+from echowing.flight.guidance import GuidanceSettings, Slot
+from echowing.flight.session import FollowerPlan, FollowSession
+from echowing.flight.switch import StopSwitch
+from echowing.flight.take_off import STALE_S, WARNING_S, Lift, TakeOff
 from echowing.geo import ned_between
-from echowing.guard import Limits
-from echowing.guidance import GuidanceSettings, Slot
-from echowing.panel import left_as, state_of
 from echowing.sim.autopilot import ORIGIN, Autopilot
 from echowing.sim.copter import Copter
-from echowing.switch import StopSwitch
-from echowing.take_off import STALE_S, WARNING_S, Lift, TakeOff
+from echowing.tool.panel import left_as, state_of
 
 LEADER, FIRST, SECOND = 1, 2, 3
 TELEMETRY = "telemetry"

@@ -7,12 +7,12 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.engage import Readiness
-from echowing.follow import FollowerPlan, FollowSession
+from echowing.flight.engage import Readiness
+from echowing.flight.guard import Limits
+from echowing.flight.guidance import GuidanceSettings, Slot
+from echowing.flight.session import FollowerPlan, FollowSession
 from echowing.geo import GlobalPosition, displace
-from echowing.guard import Limits
-from echowing.guidance import GuidanceSettings, Slot
-from echowing.panel import state_of
+from echowing.tool.panel import state_of
 
 LEADER, FOLLOWER, SECOND = 1, 2, 3
 HERE = GlobalPosition(39.34, -86.03, 250.0)

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from echowing.analysis.thesis import THESIS_GAIN_PERCENT
-from echowing.search import Aim, covered, scan_pulses_us
+from echowing.rig.search import Aim, covered, scan_pulses_us
 from hwtools import coverage
 from hwtools.facts import scan_aims
 

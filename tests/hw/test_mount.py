@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from echowing.search import Aim
+from echowing.rig.search import Aim
 from hwtools import keepout, mount
 from hwtools.facts import beam_half_angle_deg
 

@@ -21,9 +21,9 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.geo import GlobalPosition, Ned, displace
-from echowing.messages import command_long, message_interval, position_target
+from echowing.mavlink.messages import command_long, message_interval, position_target
+from echowing.mavlink.signing import SIGNING_EPOCH_UNIX_S, SIGNING_TICKS_PER_S, LinkSigning, Parser
 from echowing.setup.settings import same
-from echowing.signing import SIGNING_EPOCH_UNIX_S, SIGNING_TICKS_PER_S, LinkSigning, Parser
 
 from . import loopback
 from .names import SPEED, SPEEDUP, Names, Version

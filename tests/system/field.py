@@ -20,7 +20,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.links import Link, parse_address
+from echowing.mavlink.links import Link, parse_address
 
 DEADLINE_S = 25.0
 LEADER, FOLLOWER, SECOND = 1, 2, 3

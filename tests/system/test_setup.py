@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from echowing.applet import applet_path
+from echowing.setup.applet import applet_path
 from echowing.setup.apply import load
 
 from .field import FOLLOWER, Process, free_ports

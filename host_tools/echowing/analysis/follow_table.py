@@ -12,7 +12,7 @@ import pymap3d
 from echowing.analysis.flight import Flight, Floats
 from echowing.analysis.slots import slot_offsets
 from echowing.errors import EchowingError
-from echowing.guidance import Slot
+from echowing.flight.guidance import Slot
 
 SHORTEST_ROWS = 10  # a second at 10 Hz; less is no flight
 FOLLOWING = "following"

@@ -20,7 +20,7 @@ from echowing.analysis.metrics import APPROACHED_M
 from echowing.analysis.slots import slot_offsets
 from echowing.analysis.vehicle_log import Series, VehicleLog, read_vehicles
 from echowing.errors import EchowingError
-from echowing.guidance import Slot
+from echowing.flight.guidance import Slot
 
 TABLE, LOGS = ".csv", (".tlog", ".bin")
 CLOCK_HZ = 10.0

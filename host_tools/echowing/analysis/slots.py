@@ -5,8 +5,8 @@ import math
 import numpy as np
 
 from echowing.analysis.flight import Floats
+from echowing.flight.guidance import Course, LeaderFix, Slot, slot_offset_m
 from echowing.geo import GlobalPosition
-from echowing.guidance import Course, LeaderFix, Slot, slot_offset_m
 
 
 def slot_offsets(slot: Slot, velocity: Floats, yaw: Floats) -> Floats:

@@ -18,7 +18,7 @@ import numpy as np
 
 from echowing.analysis.flight import Floats
 from echowing.errors import EchowingError
-from echowing.leader_track import VehicleClock
+from echowing.flight.leader_track import VehicleClock
 
 FORWARD = 0  # MAV_SENSOR_ROTATION_NONE, the sonar's mounting
 COPTER_GUIDED = 4  # ArduCopter's mode numbers

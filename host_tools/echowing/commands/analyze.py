@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from echowing.analysis.logs import TruthComparison
     from echowing.analysis.metrics import Metrics
     from echowing.analysis.tables import Result
-    from echowing.guidance import Slot
+    from echowing.flight.guidance import Slot
 
 EXAMPLES = """\
 examples:
@@ -155,7 +155,7 @@ def _slot(args: argparse.Namespace) -> "Slot | None":
     import math  # noqa: PLC0415 (imported when it is used)
 
     from echowing.analysis.logs import DEFAULT_SLOT  # noqa: PLC0415
-    from echowing.guidance import Slot  # noqa: PLC0415
+    from echowing.flight.guidance import Slot  # noqa: PLC0415
 
     if args.radius is None and args.angle is None:
         return None

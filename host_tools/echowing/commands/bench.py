@@ -184,8 +184,8 @@ def _flight_speed(scenario: str, duration_s: int, what: str, goal: str) -> Figur
 
 
 def _guidance_time(points: int = 5000) -> Figure:
+    from echowing.flight.guidance import GuidanceSettings, LeaderFix, Slot, SlotGuide  # noqa: PLC0415
     from echowing.geo import GlobalPosition, displace  # noqa: PLC0415
-    from echowing.guidance import GuidanceSettings, LeaderFix, Slot, SlotGuide  # noqa: PLC0415
 
     here = GlobalPosition(39.34, -86.03, 260.0)
     follower = displace(here, (-3.0, 0.5, 0.0))

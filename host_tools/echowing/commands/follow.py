@@ -11,10 +11,10 @@ from echowing.errors import EchowingError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from echowing.follow_run import FollowOptions
-    from echowing.guidance import Slot
-    from echowing.seats import Seat
-    from echowing.take_off import TakeOff
+    from echowing.flight.guidance import Slot
+    from echowing.flight.take_off import TakeOff
+    from echowing.mavlink.seats import Seat
+    from echowing.tool.run import FollowOptions
 
 # Above the leader's home: what can be flown, and what can still be seen from there.
 LEAST_ALTITUDE_M, MOST_ALTITUDE_M = 1.0, 500.0
@@ -46,7 +46,7 @@ The pilot takes over by any change of mode; points go on when he puts the vehicl
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The verb's options."""
-    from echowing.links import DEFAULT_BAUD  # noqa: PLC0415 (imported when the verb is used)
+    from echowing.mavlink.links import DEFAULT_BAUD  # noqa: PLC0415 (imported when the verb is used)
 
     parser.epilog = EXAMPLES
     links = parser.add_argument_group(
@@ -193,10 +193,10 @@ def _add_safety(safety: "argparse._ArgumentGroup") -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Follow until told to end."""
-    from echowing.follow_run import FollowTool  # noqa: PLC0415
-    from echowing.follow_view import open_view  # noqa: PLC0415
     from echowing.stopping import stop_on_signals  # noqa: PLC0415
     from echowing.terminal import run_in_flight  # noqa: PLC0415
+    from echowing.tool.run import FollowTool  # noqa: PLC0415
+    from echowing.tool.view import open_view  # noqa: PLC0415
 
     options = _options(args)
     with stop_on_signals() as stop:
@@ -212,13 +212,13 @@ def options_of(arguments: "Sequence[str]") -> "FollowOptions":
 
 
 def _options(args: argparse.Namespace) -> "FollowOptions":
-    from echowing.engage import Readiness  # noqa: PLC0415
-    from echowing.follow_run import FollowOptions  # noqa: PLC0415
-    from echowing.guard import Limits  # noqa: PLC0415
-    from echowing.guidance import GuidanceSettings  # noqa: PLC0415
-    from echowing.seats import VehicleFinder  # noqa: PLC0415
-    from echowing.signing import read_key  # noqa: PLC0415
-    from echowing.switch import parse_stop_switch  # noqa: PLC0415
+    from echowing.flight.engage import Readiness  # noqa: PLC0415
+    from echowing.flight.guard import Limits  # noqa: PLC0415
+    from echowing.flight.guidance import GuidanceSettings  # noqa: PLC0415
+    from echowing.flight.switch import parse_stop_switch  # noqa: PLC0415
+    from echowing.mavlink.seats import VehicleFinder  # noqa: PLC0415
+    from echowing.mavlink.signing import read_key  # noqa: PLC0415
+    from echowing.tool.run import FollowOptions  # noqa: PLC0415
 
     _check_numbers(args)
     switch = None if args.stop_switch is None else parse_stop_switch(args.stop_switch)
@@ -256,7 +256,7 @@ def _options(args: argparse.Namespace) -> "FollowOptions":
 
 
 def _take_off(args: argparse.Namespace) -> "TakeOff | None":
-    from echowing.take_off import ARRIVED_M, NEXT_SHARE, TakeOff  # noqa: PLC0415
+    from echowing.flight.take_off import ARRIVED_M, NEXT_SHARE, TakeOff  # noqa: PLC0415
 
     altitude_m, next_at_m = args.take_off, args.next_at
     if altitude_m is None:
@@ -311,7 +311,7 @@ def _check_heights(slots: "Sequence[Slot]", altitude_m: float | None) -> None:
 
 
 def _seats(args: argparse.Namespace) -> "list[Seat]":
-    from echowing.seats import parse_seat  # noqa: PLC0415
+    from echowing.mavlink.seats import parse_seat  # noqa: PLC0415
 
     leader = parse_seat("leader", args.leader, args.baud)
     return [leader, *(parse_seat("follower", text, args.baud) for text in args.follower)]
@@ -319,8 +319,8 @@ def _seats(args: argparse.Namespace) -> "list[Seat]":
 
 def _slots(args: argparse.Namespace) -> "list[Slot]":
     """A checked slot for each follower."""
-    from echowing.formation import check_formation  # noqa: PLC0415
-    from echowing.guidance import Slot  # noqa: PLC0415
+    from echowing.flight.formation import check_formation  # noqa: PLC0415
+    from echowing.flight.guidance import Slot  # noqa: PLC0415
 
     followers = len(args.follower)
     if args.formation is not None:
@@ -350,7 +350,7 @@ def _load_formation(path: Path) -> "list[Slot]":
 
     from pydantic import ValidationError  # noqa: PLC0415
 
-    from echowing.formation import check_formation  # noqa: PLC0415
+    from echowing.flight.formation import check_formation  # noqa: PLC0415
     from echowing.sim.scenario import FormationSection  # noqa: PLC0415
 
     try:

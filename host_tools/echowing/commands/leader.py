@@ -16,7 +16,7 @@ Only questions for the leader's clock come back this way: nothing can move the l
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The verb's options."""
-    from echowing.links import DEFAULT_BAUD  # noqa: PLC0415 (imported when the verb is used)
+    from echowing.mavlink.links import DEFAULT_BAUD  # noqa: PLC0415 (imported when the verb is used)
 
     parser.epilog = EXAMPLES
     parser.add_argument(
@@ -40,12 +40,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Publish until told to end."""
-    from echowing.leader_run import LeaderTool  # noqa: PLC0415
-    from echowing.links import parse_address  # noqa: PLC0415
-    from echowing.seats import parse_seat  # noqa: PLC0415
-    from echowing.signing import read_key  # noqa: PLC0415
+    from echowing.mavlink.links import parse_address  # noqa: PLC0415
+    from echowing.mavlink.seats import parse_seat  # noqa: PLC0415
+    from echowing.mavlink.signing import read_key  # noqa: PLC0415
     from echowing.stopping import stop_on_signals  # noqa: PLC0415
     from echowing.terminal import run_in_flight  # noqa: PLC0415
+    from echowing.tool.leader import LeaderTool  # noqa: PLC0415
 
     if not 1.0 <= args.rate <= 20.0:
         raise EchowingError(f"--rate {args.rate:g}: give 1 to 20")

@@ -19,7 +19,7 @@ takes over by any change of mode.
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The verb's options."""
-    from echowing.links import DEFAULT_BAUD  # noqa: PLC0415 (imported when the verb is used)
+    from echowing.mavlink.links import DEFAULT_BAUD  # noqa: PLC0415 (imported when the verb is used)
 
     parser.epilog = EXAMPLES
     parser.add_argument("--remote", required=True, metavar="CONN", help="the remote vehicle")
@@ -64,17 +64,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Relay until told to end."""
-    from echowing.engage import Readiness  # noqa: PLC0415
-    from echowing.follow_run import FollowOptions, FollowTool  # noqa: PLC0415
-    from echowing.follow_view import open_view  # noqa: PLC0415
-    from echowing.guard import Limits  # noqa: PLC0415
-    from echowing.guidance import Slot  # noqa: PLC0415
-    from echowing.relay import RELAY_SETTINGS, RelayGuide, parse_ground  # noqa: PLC0415
-    from echowing.seats import parse_seat  # noqa: PLC0415
-    from echowing.signing import read_key  # noqa: PLC0415
+    from echowing.flight.engage import Readiness  # noqa: PLC0415
+    from echowing.flight.guard import Limits  # noqa: PLC0415
+    from echowing.flight.guidance import Slot  # noqa: PLC0415
+    from echowing.flight.relay import RELAY_SETTINGS, RelayGuide, parse_ground  # noqa: PLC0415
+    from echowing.flight.switch import parse_stop_switch  # noqa: PLC0415
+    from echowing.mavlink.seats import parse_seat  # noqa: PLC0415
+    from echowing.mavlink.signing import read_key  # noqa: PLC0415
     from echowing.stopping import stop_on_signals  # noqa: PLC0415
-    from echowing.switch import parse_stop_switch  # noqa: PLC0415
     from echowing.terminal import run_in_flight  # noqa: PLC0415
+    from echowing.tool.run import FollowOptions, FollowTool  # noqa: PLC0415
+    from echowing.tool.view import open_view  # noqa: PLC0415
 
     altitude_told = args.altitude is not None
     args.altitude = args.altitude if altitude_told else ALTITUDE_M

@@ -85,7 +85,7 @@ def _add_vehicle(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_link(parser: argparse.ArgumentParser) -> None:
-    from echowing.links import DEFAULT_BAUD  # noqa: PLC0415 (imported when the verb is used)
+    from echowing.mavlink.links import DEFAULT_BAUD  # noqa: PLC0415 (imported when the verb is used)
 
     parser.add_argument("--baud", type=int, default=DEFAULT_BAUD, help="of a serial device")
     parser.add_argument(
@@ -271,7 +271,7 @@ def _lua(args: argparse.Namespace) -> int:
 
 def _lua_on_card(mount: Path) -> int:
     """Copy, verify, and say what is left to do."""
-    from echowing.applet import applet_path, checksum, install_on_card  # noqa: PLC0415
+    from echowing.setup.applet import applet_path, checksum, install_on_card  # noqa: PLC0415
 
     target = install_on_card(mount)
     print(f"{target}: written and verified, checksum {checksum(applet_path().read_bytes()):08x}")
@@ -280,9 +280,9 @@ def _lua_on_card(mount: Path) -> int:
 
 
 def _lua_over_link(args: argparse.Namespace) -> int:
-    from echowing.applet import applet_path, install_over_link  # noqa: PLC0415
-    from echowing.ftp_format import ardupilot_crc32  # noqa: PLC0415
+    from echowing.setup.applet import applet_path, install_over_link  # noqa: PLC0415
     from echowing.setup.ftp import FtpClient  # noqa: PLC0415
+    from echowing.setup.ftp_format import ardupilot_crc32  # noqa: PLC0415
 
     with _vehicle(args.connect, args) as vehicle:
         vehicle.refuse_armed("scripts are replaced")

@@ -86,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
     seeds = _seeds(args.seed)
     scenario = _scenario(args)
     if args.serve is not None:
-        from echowing.signing import read_key  # noqa: PLC0415
+        from echowing.mavlink.signing import read_key  # noqa: PLC0415
         from echowing.sim.serve_flight import serve  # noqa: PLC0415
 
         key = read_key(args.signing_key_file)

@@ -10,8 +10,8 @@ import math
 from collections import deque
 from dataclasses import dataclass
 
+from echowing.flight.guidance import Horizontal
 from echowing.geo import GlobalPosition, ned_between, wrap_angle_rad
-from echowing.guidance import Horizontal
 
 # A reading that no report of both vehicles has overtaken for so long is dropped.
 LONGEST_WAIT_S = 3.0

@@ -4,10 +4,10 @@ import math
 from collections import deque
 
 from echowing.flight.alignment import Alignment, History, Report
+from echowing.flight.guidance import LeaderFix, predicted
 from echowing.flight.offset_grid import OffsetGrid
 from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.geo import GlobalPosition, Ned, displace
-from echowing.guidance import LeaderFix, predicted
 
 # Propellers make single wild readings: one counts when the one before it was like it.
 CONFIRM_S, CONFIRM_M = 0.3, 0.5

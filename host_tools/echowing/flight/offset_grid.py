@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from echowing.guidance import Horizontal
+from echowing.flight.guidance import Horizontal
 
 # Of the map: four standard deviations of the difference to each side, in cells as wide as the beam
 # is unsharp at 1 m.

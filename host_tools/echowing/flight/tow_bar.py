@@ -11,8 +11,7 @@ it turns as one body.
 import math
 from dataclasses import replace
 
-from echowing.geo import GlobalPosition, displace, wrap_angle_rad
-from echowing.guidance import (
+from echowing.flight.guidance import (
     GuidedPoint,
     Horizontal,
     LeaderFix,
@@ -21,6 +20,7 @@ from echowing.guidance import (
     slot_offset_m,
     turned_towards,
 )
+from echowing.geo import GlobalPosition, displace, wrap_angle_rad
 
 # Slower, the course is noise and the bar does not turn (thesis Appendix C takes 0.25 m/s for the
 # course itself; the bar turns in proportion to the speed, which fades the noise by itself).

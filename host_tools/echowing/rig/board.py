@@ -11,7 +11,7 @@ from typing import Any, Self
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.errors import EchowingError
-from echowing.messages import TOOL_COMPONENT_ID, TOOL_SYSTEM_ID, command_long
+from echowing.mavlink.messages import TOOL_COMPONENT_ID, TOOL_SYSTEM_ID, command_long
 from echowing.rig.messages import TELLING_PARAMETER, Frames, Roster, Source, is_telling, source_of
 from echowing.rig.ports import USB_BAUD, Wire, find_port, open_wire
 from echowing.rig.state import UNKNOWN, BoardState, Version

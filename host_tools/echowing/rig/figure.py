@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 from rich.text import Text
 
-from echowing.search import Aim, aims, parameter_defaults, scan_pulses_us
+from echowing.rig.search import Aim, aims, parameter_defaults, scan_pulses_us
 
 COLUMNS, ROWS = 34, 7
 MARGIN = 2  # half a label stands out at either side

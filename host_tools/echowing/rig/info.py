@@ -9,7 +9,7 @@ from rich.table import Table
 from echowing.rig.board import Board, open_board
 from echowing.rig.options import print_json
 from echowing.rig.ports import usb_devices
-from echowing.search import parameter_defaults
+from echowing.rig.search import parameter_defaults
 
 EXAMPLES = """\
 examples:

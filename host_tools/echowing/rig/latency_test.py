@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from echowing.analysis import plots
 from echowing.analysis.tables import Grid, Row
-from echowing.messages import command_long
+from echowing.mavlink.messages import command_long
 from echowing.rig.bench import Bench, add_bench_arguments, perform, positive, whole
 from echowing.rig.readings import average_m, named_value, percentile
 from echowing.rig.result import Check, Result

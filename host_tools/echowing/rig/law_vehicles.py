@@ -7,7 +7,7 @@ from typing import Any, Protocol
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.errors import EchowingError
-from echowing.messages import TOOL_COMPONENT_ID, TOOL_SYSTEM_ID
+from echowing.mavlink.messages import TOOL_COMPONENT_ID, TOOL_SYSTEM_ID
 from echowing.paths import lua_folder
 from echowing.rig.law_steps import Law, Sample
 from echowing.rig.messages import Frames, source_of

@@ -9,7 +9,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.signing import Parser
+from echowing.mavlink.signing import Parser
 
 # Sender of a message: system id and component id.
 Source = tuple[int, int]

@@ -11,7 +11,7 @@ from echowing.rig.board import Board, open_board
 from echowing.rig.info import parameter_table
 from echowing.rig.options import add_common_options, print_json
 from echowing.rig.parameter_file import read_parameters, write_parameters
-from echowing.search import parameter_defaults
+from echowing.rig.search import parameter_defaults
 
 EXAMPLES = """\
 examples:

@@ -10,7 +10,7 @@ import serial
 from serial.tools import list_ports
 
 from echowing.errors import EchowingError
-from echowing.links import Address, UdpListener, open_transport, parse_address
+from echowing.mavlink.links import Address, UdpListener, open_transport, parse_address
 
 START_AGAIN = ". Plug it in and start again"
 USB_BAUD = 115_200  # of the firmware's USB port; boards with USB of their own ignore it

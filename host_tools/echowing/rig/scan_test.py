@@ -12,7 +12,7 @@ from echowing.errors import EchowingError
 from echowing.rig.bench import Bench, add_bench_arguments, perform, positive, whole
 from echowing.rig.readings import TRACKING, named_value, spread
 from echowing.rig.result import Check, Result
-from echowing.search import Aim, aims, covered, scan_pulses_us
+from echowing.rig.search import Aim, aims, covered, scan_pulses_us
 
 EXAMPLES = """\
 examples:

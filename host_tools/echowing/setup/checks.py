@@ -10,7 +10,7 @@ from enum import Enum
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.messages import TOOL_SYSTEM_ID
+from echowing.mavlink.messages import TOOL_SYSTEM_ID
 from echowing.setup.readout import CardApplet, Readout, Role
 from echowing.setup.settings import (
     BAUD_115200,

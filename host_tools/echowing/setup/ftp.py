@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from echowing.errors import EchowingError
-from echowing.ftp_format import DATA_BYTES, SEQUENCES, Fault, Op, Packet, next_sequence
+from echowing.setup.ftp_format import DATA_BYTES, SEQUENCES, Fault, Op, Packet, next_sequence
 
 # A frame of this fits a telemetry radio's packet of 252 bytes, signed: 12 of MAVLink's header
 # and checksum, 3 of the target, 12 of the file transfer's header, 13 of the signature.

@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 
-from echowing.applet import CARD_SCRIPTS, install_over_link, scripts_folder
 from echowing.errors import EchowingError
+from echowing.setup.applet import CARD_SCRIPTS, install_over_link, scripts_folder
 from echowing.setup.apply import (
     Change,
     Outcome,

@@ -7,13 +7,13 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.applet import APPLET, CARD_FOLDERS, applet_parameters, applet_path
 from echowing.errors import EchowingError
-from echowing.follow import GUIDED_MODE
-from echowing.ftp_format import ardupilot_crc32
-from echowing.messages import FORWARD, command_long
+from echowing.flight.session import GUIDED_MODE
+from echowing.mavlink.messages import FORWARD, command_long
+from echowing.setup.applet import APPLET, CARD_FOLDERS, applet_parameters, applet_path
 from echowing.setup.checks import RC_CHANNELS, SERIAL_PORTS, ports_at_115200, signing_option
 from echowing.setup.ftp import FtpClient, FtpRefusedError, NoAnswerError
+from echowing.setup.ftp_format import ardupilot_crc32
 from echowing.setup.readout import CardApplet, Readout, Reports
 from echowing.setup.settings import PROXIMITY_SENSORS
 from echowing.setup.vehicle import AUTOPILOT, POLL_S, Heard, Name, Vehicle

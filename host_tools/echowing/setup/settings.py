@@ -7,7 +7,7 @@ pilot's (see `checks`).
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
-from echowing.applet import applet_parameters
+from echowing.setup.applet import applet_parameters
 from echowing.setup.readout import Readout
 
 # ---- what is expected, and where that stands ---------------------------------------------------

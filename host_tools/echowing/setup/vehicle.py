@@ -15,16 +15,16 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.errors import EchowingError
-from echowing.links import DEFAULT_BAUD, Link, wait
-from echowing.messages import (
+from echowing.mavlink.links import DEFAULT_BAUD, Link, wait
+from echowing.mavlink.messages import (
     HEARTBEAT_PERIOD_S,
     TOOL_COMPONENT_ID,
     TOOL_SYSTEM_ID,
     command_long,
     tool_heartbeat,
 )
-from echowing.seats import OpenLink, Say, find_vehicles, known_id, parse_seat
-from echowing.signing import SETUP_LINK_ID, LinkSigning, read_key
+from echowing.mavlink.seats import OpenLink, Say, find_vehicles, known_id, parse_seat
+from echowing.mavlink.signing import SETUP_LINK_ID, LinkSigning, read_key
 
 AUTOPILOT = mavlink.MAV_COMP_ID_AUTOPILOT1
 FIND_TIMEOUT_S = 15.0

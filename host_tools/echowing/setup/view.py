@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from echowing.applet import PARAMETER_PREFIX
+from echowing.setup.applet import PARAMETER_PREFIX
 from echowing.setup.apply import Change
 from echowing.setup.checks import Finding, Verdict, examine, exit_code, judge
 from echowing.setup.readout import CardApplet, Readout, Role

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from echowing import firmware
+from echowing.sim import firmware
 from echowing.sim.avr import AvrBoard
 from echowing.sim.coprocessor import SonarBus
 from echowing.sim.emulated import EmulatedBoard

@@ -11,8 +11,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any, ClassVar
 
-from echowing import firmware
 from echowing.errors import EchowingError
+from echowing.sim import firmware
 from echowing.sim.coprocessor import SonarBus
 
 EMULATORS = firmware.REPOSITORY / "build" / "emulator"

@@ -24,17 +24,17 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from rich.console import Console
 
 from echowing.errors import EchowingError
-from echowing.follow_run import FollowOptions, FollowTool
-from echowing.follow_view import LiveView
-from echowing.guard import Limits
-from echowing.guidance import GuidanceSettings
-from echowing.links import Address, Link, parse_address
-from echowing.panel import Row
-from echowing.seats import Seat
-from echowing.signing import LinkSigning
+from echowing.flight.guard import Limits
+from echowing.flight.guidance import GuidanceSettings
+from echowing.mavlink.links import Address, Link, parse_address
+from echowing.mavlink.seats import Seat
+from echowing.mavlink.signing import LinkSigning
 from echowing.sim.fleet import FIRST_FOLLOWER_ID, HEIGHT_M, LEADER_ID
 from echowing.sim.scenario import load_scenario
 from echowing.stopping import StopRequest
+from echowing.tool.panel import Row
+from echowing.tool.run import FollowOptions, FollowTool
+from echowing.tool.view import LiveView
 
 MANY = 50
 SETTLE_S = 3.0

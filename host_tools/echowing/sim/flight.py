@@ -14,12 +14,12 @@ from pathlib import Path
 from typing import Any
 
 from echowing.analysis.flight import Flight
-from echowing.engage import Readiness
-from echowing.follow import FollowerPlan, FollowSession
-from echowing.formation import turning_together
+from echowing.flight.engage import Readiness
+from echowing.flight.formation import turning_together
+from echowing.flight.guard import FIELD_LIMITS, Limits
+from echowing.flight.guidance import MOVING_MPS, slot_offset_m
+from echowing.flight.session import FollowerPlan, FollowSession
 from echowing.geo import GlobalPosition, Ned, displace, ned_between
-from echowing.guard import FIELD_LIMITS, Limits
-from echowing.guidance import MOVING_MPS, slot_offset_m
 from echowing.sim.autopilot import ORIGIN, Autopilot
 from echowing.sim.ground import GroundStation
 from echowing.sim.hangar import FIRST_FOLLOWER_ID, LEADER_ID, Hangar

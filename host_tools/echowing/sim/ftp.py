@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
-from echowing.ftp_format import DATA_BYTES, Fault, Op, Packet, ardupilot_crc32, next_sequence
+from echowing.setup.ftp_format import DATA_BYTES, Fault, Op, Packet, ardupilot_crc32, next_sequence
 
 SESSIONS = 5  # AP_MAVLINK_FTP_MAX_SESSIONS
 # GCS_FTP.cpp: a silent session may be taken over after the first, and is closed after the second.

@@ -7,8 +7,8 @@ from typing import Any, BinaryIO
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.follow import FollowSession
-from echowing.messages import TOOL_COMPONENT_ID, TOOL_SYSTEM_ID
+from echowing.flight.session import FollowSession
+from echowing.mavlink.messages import TOOL_COMPONENT_ID, TOOL_SYSTEM_ID
 from echowing.sim.autopilot import Autopilot
 from echowing.sim.radio import Radio
 from echowing.sim.streams import START_UNIX_S

@@ -8,7 +8,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.signing import NEEDS_NO_SIGNATURE, SIGNING_EPOCH_UNIX_S, SIGNING_TICKS_PER_S
+from echowing.mavlink.signing import NEEDS_NO_SIGNATURE, SIGNING_EPOCH_UNIX_S, SIGNING_TICKS_PER_S
 
 _NOT_FORWARDED = {
     mavlink.MAVLINK_MSG_ID_RADIO,

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from echowing.analysis.flight import Flight, Floats
+from echowing.flight.guidance import Slot, slot_offset_m
 from echowing.geo import Ned
-from echowing.guidance import Slot, slot_offset_m
 from echowing.sim.streams import START_UNIX_S
 
 TRUTH_COLUMNS = (

@@ -11,8 +11,8 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from echowing.errors import EchowingError
-from echowing.formation import DEFAULT_SLOT_SEPARATION_M, check_formation
-from echowing.guidance import GRAY, GuidanceSettings, Slot
+from echowing.flight.formation import DEFAULT_SLOT_SEPARATION_M, check_formation
+from echowing.flight.guidance import GRAY, GuidanceSettings, Slot
 from echowing.sim.parameters import Generation
 from echowing.sim.radio import RadioSettings
 
@@ -95,7 +95,7 @@ class FormationSection(_Section):
 
 
 class GuidanceSection(_Section):
-    """How guided points are made; see `echowing.guidance.GuidanceSettings`."""
+    """How guided points are made; see `echowing.flight.guidance.GuidanceSettings`."""
 
     rate_hz: Annotated[float, Field(gt=0.0, le=20.0)] = 8.0
     telemetry_hz: Annotated[float, Field(gt=0.0, le=50.0)] = 4.0

@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.analysis.flight import Flight
 from echowing.geo import displace
-from echowing.messages import TOOL_COMPONENT_ID, TOOL_SYSTEM_ID, position_target
+from echowing.mavlink.messages import TOOL_COMPONENT_ID, TOOL_SYSTEM_ID, position_target
 from echowing.sim.autopilot import ORIGIN
 from echowing.sim.flight import STEP_S, STEP_US, STEPS_PER_SAMPLE, speed_parameter_mps
 from echowing.sim.ground import Telemetry

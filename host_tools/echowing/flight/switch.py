@@ -11,8 +11,8 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.errors import EchowingError
-from echowing.leader_track import REBOOT_MS
-from echowing.messages import command_long
+from echowing.flight.leader_track import REBOOT_MS
+from echowing.mavlink.messages import command_long
 
 # Modes that a stop switch may choose. STABILIZE is none: a low throttle stick drops the vehicle.
 SWITCH_MODES = {

@@ -10,8 +10,8 @@ import statistics
 from collections import deque
 
 from echowing.flight.alignment import Report
+from echowing.flight.guidance import Horizontal
 from echowing.geo import ned_between
-from echowing.guidance import Horizontal
 
 # A vehicle's clock this far from the one believed has begun anew, or is another vehicle's: no
 # radio holds a report back for so long.

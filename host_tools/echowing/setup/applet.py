@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from echowing.errors import EchowingError
-from echowing.ftp_format import ardupilot_crc32
 from echowing.paths import lua_folder
 from echowing.setup.ftp import FtpClient, FtpRefusedError, Progress
+from echowing.setup.ftp_format import ardupilot_crc32
 
 APPLET = "echowing.lua"
 # Where ArduPilot looks for scripts on its card (AP_Scripting, SCRIPTING_DIRECTORY).

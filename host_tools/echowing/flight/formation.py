@@ -6,7 +6,7 @@ from dataclasses import replace
 from itertools import combinations
 
 from echowing.errors import EchowingError
-from echowing.guidance import GuidanceSettings, Slot, slot_offset_m
+from echowing.flight.guidance import GuidanceSettings, Slot, slot_offset_m
 
 # Two X8s are 0.5 m across (thesis Table 3) and each GPS may be a metre or two out.
 DEFAULT_SLOT_SEPARATION_M = 2.0

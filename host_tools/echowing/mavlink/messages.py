@@ -8,8 +8,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from echowing.flight.sonar import DETECTION_LIMIT_M
 
 if TYPE_CHECKING:
+    from echowing.flight.guidance import Horizontal
     from echowing.geo import GlobalPosition
-    from echowing.guidance import Horizontal
 
 # Not 255: a helper that beats as the pilot's ground station would mask its fail-safe.
 TOOL_SYSTEM_ID = 245

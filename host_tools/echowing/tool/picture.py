@@ -1,4 +1,4 @@
-"""The README's picture of the live table: `python -m echowing.follow_picture FILE.svg`.
+"""The README's picture of the live table: `python -m echowing.tool.picture FILE.svg`.
 
 Two simulated vehicles follow a third in real time, led by the real tool; what its view shows once
 both are in their places is the picture.
@@ -15,10 +15,10 @@ from pathlib import Path
 from rich.console import Console
 
 from echowing.commands import follow as verb
-from echowing.follow_run import FollowTool
-from echowing.follow_view import EVENTS_SHOWN, scene
-from echowing.panel import Row
 from echowing.stopping import StopRequest
+from echowing.tool.panel import Row
+from echowing.tool.run import FollowTool
+from echowing.tool.view import EVENTS_SHOWN, scene
 
 PORT = 5760  # as in the README
 WIDTH_CHARACTERS = 104

@@ -16,8 +16,8 @@ from typing import Any, Protocol
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.engage import Engagement
 from echowing.flight.alignment import History, Report
+from echowing.flight.engage import Engagement
 from echowing.flight.envelope import Answer, Other, is_in_the_way, keep_apart
 from echowing.flight.estimate import (
     LONGEST_CARRY_S,
@@ -25,12 +25,8 @@ from echowing.flight.estimate import (
     carried_on,
     place_then,
 )
-from echowing.flight.offset_grid import Wandering
-from echowing.flight.sonar import DETECTION_LIMIT_M
-from echowing.flight.tow_bar import TowBar
-from echowing.geo import GlobalPosition, Ned, displace, distance_m, ned_between, wrap_angle_rad
-from echowing.guard import Guard, Limits, RateWatch, is_flying, mode_name
-from echowing.guidance import (
+from echowing.flight.guard import Guard, Limits, RateWatch, is_flying, mode_name
+from echowing.flight.guidance import (
     GuidanceSettings,
     GuidedPoint,
     Horizontal,
@@ -43,9 +39,14 @@ from echowing.guidance import (
     predicted,
     sway_rad,
 )
-from echowing.jumps import SAME_RANGE_M, UNCONFIRMED_S, OwnJump, RangeMemory
-from echowing.leader_track import LeaderTrack, VehicleClock, is_late
-from echowing.messages import (
+from echowing.flight.jumps import SAME_RANGE_M, UNCONFIRMED_S, OwnJump, RangeMemory
+from echowing.flight.leader_track import LeaderTrack, VehicleClock, is_late
+from echowing.flight.offset_grid import Wandering
+from echowing.flight.sonar import DETECTION_LIMIT_M
+from echowing.flight.take_off import Lift, TakeOff, TakeOffs
+from echowing.flight.tow_bar import TowBar
+from echowing.geo import GlobalPosition, Ned, displace, distance_m, ned_between, wrap_angle_rad
+from echowing.mavlink.messages import (
     FORWARD,
     HEARTBEAT_PERIOD_S,
     TOOL_SYSTEM_ID,
@@ -57,7 +58,6 @@ from echowing.messages import (
     status_text,
     tool_heartbeat,
 )
-from echowing.take_off import Lift, TakeOff, TakeOffs
 
 GUIDED_MODE = 4
 STALE = "leader is stale"

@@ -4,10 +4,10 @@ import math
 from dataclasses import dataclass, fields
 from typing import Any
 
-from echowing.follow import FollowerState, FollowSession
+from echowing.flight.guidance import LeaderFix, is_stale, predicted
+from echowing.flight.session import FollowerState, FollowSession
 from echowing.geo import GlobalPosition
-from echowing.guidance import LeaderFix, is_stale, predicted
-from echowing.panel import Panel
+from echowing.tool.panel import Panel
 
 PAN, TILT = "SNR_PAN", "SNR_TILT"
 

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.messages import command_long
+from echowing.mavlink.messages import command_long
 
 if TYPE_CHECKING:
-    from echowing.follow import FollowerState
+    from echowing.flight.session import FollowerState
 
 Say = Callable[[float, str], None]
 

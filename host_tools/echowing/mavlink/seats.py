@@ -7,8 +7,8 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.errors import EchowingError
-from echowing.links import DEFAULT_BAUD, Address, Link, parse_address, wait
-from echowing.messages import (
+from echowing.mavlink.links import DEFAULT_BAUD, Address, Link, parse_address, wait
+from echowing.mavlink.messages import (
     HEARTBEAT_PERIOD_S,
     TOOL_COMPONENT_ID,
     TOOL_SYSTEM_ID,

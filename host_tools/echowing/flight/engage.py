@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.flight.guidance import MOVING_MPS, Horizontal, slot_offset_m
 from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.geo import GlobalPosition, ned_between
-from echowing.guidance import MOVING_MPS, Horizontal, slot_offset_m
 
 if TYPE_CHECKING:
-    from echowing.follow import FollowerState, FollowSession
+    from echowing.flight.session import FollowerState, FollowSession
 
 Say = Callable[[float, str], None]
 

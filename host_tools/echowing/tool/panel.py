@@ -7,12 +7,12 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.follow import FollowerState, FollowSession
+from echowing.flight.guard import UNHEARD_S, is_flying, mode_name
+from echowing.flight.guidance import is_stale
+from echowing.flight.session import FollowerState, FollowSession
+from echowing.flight.take_off import Lift
 from echowing.geo import distance_m, ned_between
-from echowing.guard import UNHEARD_S, is_flying, mode_name
-from echowing.guidance import is_stale
-from echowing.messages import FORWARD, is_nonsense, sonar_range_m
-from echowing.take_off import Lift
+from echowing.mavlink.messages import FORWARD, is_nonsense, sonar_range_m
 
 LIFT_STATES: dict[Lift | None, str] = {
     Lift.WAITING: "waiting to take off",

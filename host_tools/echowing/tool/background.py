@@ -8,11 +8,11 @@ import threading
 from collections import deque
 from collections.abc import Callable, Sequence
 
-from echowing.follow_log import FollowLog
-from echowing.follow_track import Track
-from echowing.follow_view import LastingView, View
-from echowing.panel import Row
 from echowing.terminal import ring
+from echowing.tool.log import FollowLog
+from echowing.tool.panel import Row
+from echowing.tool.track import Track
+from echowing.tool.view import LastingView, View
 
 # Lines of a view that wait: an hour of a quiet flight, half a minute of fifty talking vehicles.
 MOST_SHOWN = 500

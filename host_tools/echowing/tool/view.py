@@ -13,8 +13,8 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from echowing.panel import Row
 from echowing.terminal import draws_live
+from echowing.tool.panel import Row
 
 PLAIN_PERIOD_S = 5.0
 JSON_PERIOD_S = 1.0

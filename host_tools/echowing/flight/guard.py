@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.engage import Readiness
+from echowing.flight.engage import Readiness
+from echowing.flight.switch import StopSwitch, Switches
 from echowing.geo import GlobalPosition, displace, distance_m, nearer_than, ned_between
-from echowing.switch import StopSwitch, Switches
 
 if TYPE_CHECKING:
-    from echowing.follow import FollowerState
+    from echowing.flight.session import FollowerState
 
 Say = Callable[[float, str], None]
 

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import BinaryIO, TextIO
 
 from echowing.errors import EchowingError
-from echowing.follow_track import Track
-from echowing.panel import Row
+from echowing.tool.panel import Row
+from echowing.tool.track import Track
 
 Say = Callable[[str], None]
 

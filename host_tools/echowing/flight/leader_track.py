@@ -5,10 +5,10 @@ from collections import deque
 from typing import Any
 
 from echowing.flight.alignment import Report
+from echowing.flight.guidance import Horizontal, LeaderFix
+from echowing.flight.jumps import AGREEING_REPORTS, JUMP_M, BootClocks, beyond_movement_m
 from echowing.geo import GlobalPosition, Ned
-from echowing.guidance import Horizontal, LeaderFix
-from echowing.jumps import AGREEING_REPORTS, JUMP_M, BootClocks, beyond_movement_m
-from echowing.messages import heading_of
+from echowing.mavlink.messages import heading_of
 
 # A vehicle's clock this far behind its newest report has begun anew: no radio holds one so long.
 REBOOT_MS = 10_000

@@ -9,20 +9,20 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.background import BackgroundLog, BackgroundView
-from echowing.follow import FollowerPlan, FollowSession, Guide
-from echowing.follow_log import FollowLog
-from echowing.follow_track import Track, track
-from echowing.follow_view import View
-from echowing.formation import turning_together
-from echowing.guard import Limits
-from echowing.guidance import GuidanceSettings, Slot
-from echowing.links import Address, Link, wait
-from echowing.panel import Panel, left_as
-from echowing.seats import OpenLink, Seat, StrangerWatch, find_vehicles, known_id
-from echowing.signing import LinkSigning
+from echowing.flight.formation import turning_together
+from echowing.flight.guard import Limits
+from echowing.flight.guidance import GuidanceSettings, Slot
+from echowing.flight.session import FollowerPlan, FollowSession, Guide
+from echowing.flight.take_off import TakeOff
+from echowing.mavlink.links import Address, Link, wait
+from echowing.mavlink.seats import OpenLink, Seat, StrangerWatch, find_vehicles, known_id
+from echowing.mavlink.signing import LinkSigning
 from echowing.stopping import StopRequest
-from echowing.take_off import TakeOff
+from echowing.tool.background import BackgroundLog, BackgroundView
+from echowing.tool.log import FollowLog
+from echowing.tool.panel import Panel, left_as
+from echowing.tool.track import Track, track
+from echowing.tool.view import View
 
 ROWS_PERIOD_S = 0.1
 # A copter at 5 m/s stands within 5 s; the stop has to be seen for a second, over a slow link.

@@ -6,17 +6,17 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.background import BackgroundView
-from echowing.engage import EKF_HZ, GPS_HZ
 from echowing.errors import EchowingError
-from echowing.follow import RATE_REQUEST_PERIOD_S
-from echowing.follow_view import PlainView
-from echowing.guard import SWITCH_HZ, UNHEARD_S, RateWatch
-from echowing.links import Address, Link, leads_back, wait
-from echowing.messages import HEARTBEAT_PERIOD_S, message_interval, tool_heartbeat
-from echowing.seats import POLL_S, OpenLink, Seat, find_vehicles, known_id
-from echowing.signing import LinkSigning
+from echowing.flight.engage import EKF_HZ, GPS_HZ
+from echowing.flight.guard import SWITCH_HZ, UNHEARD_S, RateWatch
+from echowing.flight.session import RATE_REQUEST_PERIOD_S
+from echowing.mavlink.links import Address, Link, leads_back, wait
+from echowing.mavlink.messages import HEARTBEAT_PERIOD_S, message_interval, tool_heartbeat
+from echowing.mavlink.seats import POLL_S, OpenLink, Seat, find_vehicles, known_id
+from echowing.mavlink.signing import LinkSigning
 from echowing.stopping import StopRequest
+from echowing.tool.background import BackgroundView
+from echowing.tool.view import PlainView
 
 # Not those of a `follow` that asks through us: two senders on one link id refuse each other.
 VEHICLE_LINK_ID, PUBLISHED_LINK_ID = 101, 102

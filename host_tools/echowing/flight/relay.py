@@ -4,9 +4,9 @@ After thesis Appendix D; flown by the same follow session as a formation, with t
 """
 
 from echowing.errors import EchowingError
-from echowing.follow import Guide
+from echowing.flight.guidance import GuidanceSettings, GuidedPoint, LeaderFix, predicted
+from echowing.flight.session import Guide
 from echowing.geo import GlobalPosition, relay_pos
-from echowing.guidance import GuidanceSettings, GuidedPoint, LeaderFix, predicted
 
 # Nothing here looks at the remote vehicle with a sonar, and nothing runs ahead of it.
 RELAY_SETTINGS = GuidanceSettings(

@@ -15,7 +15,7 @@ from functools import cache
 from typing import Any, Protocol
 
 from echowing.errors import EchowingError
-from echowing.signing import LinkSigning, Parser, is_refused
+from echowing.mavlink.signing import LinkSigning, Parser, is_refused
 
 LOOPBACK, EVERYWHERE = "127.0.0.1", "0.0.0.0"
 DEFAULT_BAUD = 57_600  # of telemetry radios and of ArduPilot's SERIAL1

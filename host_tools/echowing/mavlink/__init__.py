@@ -1,0 +1,1 @@
+"""MAVLink: links, who is who on them, signing, and the messages as this product uses them."""
