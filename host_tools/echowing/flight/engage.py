@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.flight.guidance import MOVING_MPS, Horizontal, slot_offset_m
+from echowing.flight.handling import least_slot_m
 from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.geo import GlobalPosition, ned_between
 
@@ -47,6 +48,8 @@ INSET_M = 0.1
 # more than the second is not begun untold.
 HOMES_M, HEIGHTS_M = 1.0, 3.0
 LOWEST_M = 1.0
+# At this speed a leader may turn round without harm to anybody: the thesis's leader flew it.
+TURNS_MPS = 2.0
 # Of a battery that is to carry it through a flight of minutes and home.
 LEAST_BATTERY_PERCENT = 20
 # A position that has not moved by the first while its velocities add up to the second is stuck.
@@ -62,12 +65,14 @@ class Readiness:
     """Which checks are made beyond clocks, receivers, EKF, battery and switch.
 
     applet: the applet runs, with its stream watchdog; distance: its distance and inset are the
-    tool's; sides: no follower's way to its slot crosses another's; homes_told: what homes that
+    tool's; reversal: its slot is far enough away for the leader to turn round; sides: no follower's
+    way to its slot crosses another's; homes_told: what homes that
     differ by their receivers mean was said; height_told: so was the altitude to fly at.
     """
 
     applet: bool = True
     distance: bool = True
+    reversal: bool = True
     sides: bool = True
     homes_told: bool = False
     height_told: bool = False
@@ -213,10 +218,18 @@ class Engagement:
         }
         return [(system_id, *item) for system_id in self._vehicles for item in rates.items()]
 
-    def messages(self, now_s: float) -> list[tuple[int, Any]]:
-        """Questions for the applet's parameters."""
-        if not self.readiness.applet:
-            return []
+    def messages(
+        self, followers: Mapping[int, "FollowerState"], now_s: float
+    ) -> list[tuple[int, Any]]:
+        """Questions for the parameters of applet and autopilot."""
+        asked = [
+            (system_id, _read_parameter(system_id, name))
+            for system_id, follower in followers.items()
+            for name in follower.handling.asks(now_s)
+        ]
+        return asked + (self._questions_to_applets(now_s) if self.readiness.applet else [])
+
+    def _questions_to_applets(self, now_s: float) -> list[tuple[int, Any]]:
         asked = []
         for system_id, turn in self._turns.items():
             vehicle = self._vehicles[system_id]
@@ -366,6 +379,7 @@ class Engagement:
             _clock("its", follower.clock),
             *self._switch("its", system_id, session, now_s),
             *self._applet(system_id, session, follower),
+            *self._reversal(follower),
             *self._homes(session, follower),
             *self._height(session, follower),
             *self._state("its", system_id),
@@ -398,6 +412,23 @@ class Engagement:
             distance = _distance(known, session, follower)
             findings += [] if distance is None else [distance]
         return findings
+
+    def _reversal(self, follower: "FollowerState") -> list[Finding]:
+        """The least distance at which it survives that the leader turns round."""
+        if not self.readiness.reversal:
+            return []
+        handling, radius_m = follower.handling, follower.plan.slot.radius_m
+        if not handling.known:
+            return [Finding("least", "?", "its acceleration and jerk are not known (WP_ACC)")]
+        least_m = least_slot_m(TURNS_MPS, handling.answer)
+        wrong = ""
+        if radius_m < least_m:
+            wrong = (
+                f"its slot is {radius_m:g} m from the leader, and {least_m:.1f} m is the least at "
+                f"which it gets away from a leader that turns round at {TURNS_MPS:g} m/s: "
+                f"`echowing setup apply` (WP_ACC, PSC_JERK_NE), or a larger --radius"
+            )
+        return [Finding("least", f"{least_m:.1f} m", wrong)]
 
     def _homes(self, session: "FollowSession", follower: "FollowerState") -> list[Finding]:
         guard = session.guard
