@@ -14,7 +14,8 @@ from rich.console import Console
 from echowing.commands.follow import options_of
 from echowing.errors import EchowingError
 from echowing.flight.guidance import GuidanceSettings, Slot
-from echowing.flight.session import FollowerPlan, FollowSession
+from echowing.flight.session import FollowSession
+from echowing.flight.state import FollowerPlan
 from echowing.mavlink.seats import LISTEN_S, VehicleFinder, parse_seat
 from echowing.stopping import StopRequest
 from echowing.tool.log import FollowLog
@@ -225,7 +226,7 @@ def test_the_live_view_shows_a_row_a_vehicle_and_the_last_events() -> None:
     output = io.StringIO()
     view = LiveView(Console(file=output, force_terminal=True, width=200, **XTERM))
     view.rows(1.0, [row(), row(system_id=3, sonar_m=None)])
-    view.event(1.0, "follower 3: left Guided for LOITER, hands off")
+    view.event(1.0, "follower 3: left Guided for LOITER, pilot has control")
     view.close()
     shown = output.getvalue()
     for text in ("3.21", "+0.21", "3.05", "1.9", "97", "left Guided for LOITER"):

@@ -57,7 +57,7 @@ def test_pilot_changes_the_mode_and_comes_back(start: Start, table: list[Entry])
     follower, since, began_s = formation.follower, len(tool.lines), time.monotonic()
     assert abs(follower.get(SPEED) - PILOTS_SPEED_MPS) > SAME_MPS  # the applet's, meanwhile
     follower.set_mode(LOITER)
-    tool.event("left Guided for LOITER, hands off", since)
+    tool.event("left Guided for LOITER, pilot has control", since)
     follower.until_said("ECHO: handed back", began_s)
     _has_his_speed(follower)
     rest(5.0)

@@ -17,7 +17,8 @@ from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.geo import GlobalPosition, ned_between
 
 if TYPE_CHECKING:
-    from echowing.flight.session import FollowerState, FollowSession
+    from echowing.flight.session import FollowSession
+    from echowing.flight.state import FollowerState
 
 Say = Callable[[float, str], None]
 
@@ -244,7 +245,7 @@ class Engagement:
             turn = self._turns[system_id]
             if turn.cleared:
                 continue
-            session.take_leaders_height(follower)
+            session.heights.take_leaders(follower)
             if self._table_shown and session.engaged and follower.in_guided:
                 self._judge(session, follower, turn, now_s)
 
@@ -267,7 +268,7 @@ class Engagement:
                 session.alert(system_id, f"not engaged, {text}")
             return
         turn.cleared = True
-        if session.leaders_height:
+        if session.heights.leaders:
             self._say(
                 now_s,
                 f"follower {system_id}: flies {follower.plan.wanted_m:.1f} m above the leader's "
@@ -415,7 +416,7 @@ class Engagement:
         return [Finding("home", f"{higher_m:+.1f} m", wrong)]
 
     def _height(self, session: "FollowSession", follower: "FollowerState") -> list[Finding]:
-        wanted_m, height_m = session.height_wanted_m(follower), follower.altitude_m
+        wanted_m, height_m = session.heights.wanted_m(follower), follower.altitude_m
         if wanted_m is None or height_m is None:
             return [Finding("height", "?", "its height or the leader's is not known")]
         wrong = ""

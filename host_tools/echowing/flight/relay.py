@@ -5,7 +5,7 @@ After thesis Appendix D; flown by the same follow session as a formation, with t
 
 from echowing.errors import EchowingError
 from echowing.flight.guidance import GuidanceSettings, GuidedPoint, LeaderFix, predicted
-from echowing.flight.session import Guide
+from echowing.flight.state import Guide
 from echowing.geo import GlobalPosition, relay_pos
 
 # Nothing here looks at the remote vehicle with a sonar, and nothing runs ahead of it.

@@ -18,7 +18,8 @@ from echowing.flight.engage import Readiness
 from echowing.flight.formation import turning_together
 from echowing.flight.guard import FIELD_LIMITS, Limits
 from echowing.flight.guidance import MOVING_MPS, slot_offset_m
-from echowing.flight.session import FollowerPlan, FollowSession
+from echowing.flight.session import FollowSession
+from echowing.flight.state import FollowerPlan
 from echowing.geo import GlobalPosition, Ned, displace, ned_between
 from echowing.sim.autopilot import ORIGIN, Autopilot
 from echowing.sim.ground import GroundStation

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from echowing.flight.session import FollowerState
+from echowing.flight.state import FollowerState
 from echowing.sim.autopilot import Autopilot
 
 # He sees on his display why it stands, looks that all is clear, and takes his mode switch.

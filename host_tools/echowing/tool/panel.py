@@ -9,7 +9,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.flight.guard import UNHEARD_S, is_flying, mode_name
 from echowing.flight.guidance import is_stale
-from echowing.flight.session import FollowerState, FollowSession
+from echowing.flight.session import FollowSession
+from echowing.flight.state import FollowerState
 from echowing.flight.take_off import Lift
 from echowing.geo import distance_m, ned_between
 from echowing.mavlink.messages import FORWARD, is_nonsense, sonar_range_m
@@ -211,7 +212,7 @@ def state_of(session: FollowSession, follower: FollowerState, now_s: float) -> s
     if not session.engaged and follower.held_at is None:
         return "only watched"
     if not follower.in_guided:
-        return "hands off"
+        return "pilot has control"
     objection = (
         None
         if session.engagement is None

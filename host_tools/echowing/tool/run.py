@@ -12,7 +12,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from echowing.flight.formation import turning_together
 from echowing.flight.guard import Limits
 from echowing.flight.guidance import GuidanceSettings, Slot
-from echowing.flight.session import FollowerPlan, FollowSession, Guide
+from echowing.flight.session import FollowSession
+from echowing.flight.state import FollowerPlan, Guide
 from echowing.flight.take_off import TakeOff
 from echowing.mavlink.links import Address, Link, wait
 from echowing.mavlink.seats import OpenLink, Seat, StrangerWatch, find_vehicles, known_id

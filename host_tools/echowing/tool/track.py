@@ -5,7 +5,8 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from echowing.flight.guidance import LeaderFix, is_stale, predicted
-from echowing.flight.session import FollowerState, FollowSession
+from echowing.flight.session import FollowSession
+from echowing.flight.state import FollowerState
 from echowing.geo import GlobalPosition
 from echowing.tool.panel import Panel
 
