@@ -210,6 +210,7 @@ def test_the_table_has_the_simulators_figures_beside() -> None:
         *("4.8", "rectangle", "3.50", "0.50", "0.60", "2.20", "3.47", "0.50", "0.54", "2.30", ""),
     ]
     assert len({len(line) for line in text}) == 1
+    assert {line.count("|") for line in text} == {12}  # more would be cells of Markdown
 
 
 @pytest.mark.parametrize(
