@@ -83,8 +83,11 @@ def test_stop_switch(start: Start, table: list[Entry]) -> None:
     back = len(tool.lines)
     formation.leader.fly((0.0, 0.0, 0.0))
     follower.override({3: MIDDLE_US, SWITCH: LOW_US})
-    # What stops by the switch stays stopped until its pilot puts it in Guided anew.
+    # What stops by the switch stays stopped until its pilot, who sees the switch off in `follow`,
+    # puts it in Guided anew.
+    tool.row(lambda row: row["switch"] != "on", back)
     follower.set_mode(LOITER)
+    tool.event("left Guided for LOITER, hands off", back)
     follower.set_mode(GUIDED)
     tool.event("in Guided, following", back)
     formation.until_in_slot()
