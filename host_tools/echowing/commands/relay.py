@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from echowing.commands.follow import add_log_arguments, log_folder
+from echowing.commands.follow import add_log_arguments, fly, log_folder
 from echowing.errors import EchowingError
 
 ALTITUDE_M = 30.0
@@ -71,10 +71,7 @@ def run(args: argparse.Namespace) -> int:
     from echowing.flight.switch import parse_stop_switch  # noqa: PLC0415
     from echowing.mavlink.seats import parse_seat  # noqa: PLC0415
     from echowing.mavlink.signing import read_key  # noqa: PLC0415
-    from echowing.stopping import stop_on_signals  # noqa: PLC0415
-    from echowing.terminal import run_in_flight  # noqa: PLC0415
-    from echowing.tool.run import FollowOptions, FollowTool  # noqa: PLC0415
-    from echowing.tool.view import open_view  # noqa: PLC0415
+    from echowing.tool.run import FollowOptions  # noqa: PLC0415
 
     altitude_told = args.altitude is not None
     args.altitude = args.altitude if altitude_told else ALTITUDE_M
@@ -102,9 +99,7 @@ def run(args: argparse.Namespace) -> int:
         signing_key=read_key(args.signing_key_file),
         make_guide=lambda: RelayGuide(ground),
     )
-    with stop_on_signals() as stop:
-        tool = FollowTool(options, open_view(as_json=args.json), stop)
-        return run_in_flight(tool.run, lambda: tool.stuck)
+    return fly(options, as_json=args.json)
 
 
 def _check_numbers(args: argparse.Namespace) -> None:

@@ -33,6 +33,9 @@ class View(Protocol):
     def rows(self, time_s: float, rows: Sequence[Row]) -> None:
         """How it stands; called at 10 Hz."""
 
+    def keys(self, text: str) -> None:
+        """What keys do now."""
+
     def close(self) -> None:
         """The end."""
 
@@ -54,6 +57,10 @@ class LastingView:
     def rows(self, time_s: float, rows: Sequence[Row]) -> None:
         """As `View`."""
         self._try(lambda: self._view.rows(time_s, rows))
+
+    def keys(self, text: str) -> None:
+        """As `View`."""
+        self._try(lambda: self._view.keys(text))
 
     def close(self) -> None:
         """As `View`."""
@@ -96,6 +103,9 @@ class PlainView:
         for row in rows:
             self.event(time_s, plain_row(row))
 
+    def keys(self, text: str) -> None:
+        """As `View`; nobody looks here for them."""
+
     def close(self) -> None:
         """As `View`."""
 
@@ -118,6 +128,9 @@ class JsonView:
         for row in rows:
             print(json.dumps(row.as_dict()), flush=True)
 
+    def keys(self, text: str) -> None:
+        """As `View`; nobody looks here for them."""
+
     def close(self) -> None:
         """As `View`."""
 
@@ -128,6 +141,7 @@ class LiveView:
     def __init__(self, console: Console | None = None) -> None:
         self._events: deque[str] = deque(maxlen=EVENTS_SHOWN)
         self._rows: Sequence[Row] = ()
+        self._keys = ""
         self._next_s = 0.0
         # Drawn between points, not by a thread of its own that would hold them up.
         self._live = Live(console=console, auto_refresh=False, transient=False)
@@ -146,18 +160,26 @@ class LiveView:
             self._next_s = time_s + max(1.0 / TABLE_HZ, len(rows) / ROWS_PER_S)
             self._update()
 
+    def keys(self, text: str) -> None:
+        """As `View`: the last line, drawn at once, for somebody has pressed one."""
+        self._keys = text
+        self._update()
+
     def _update(self) -> None:
-        self._live.update(scene(self._rows, self._events), refresh=True)
+        self._live.update(scene(self._rows, self._events, self._keys), refresh=True)
 
     def close(self) -> None:
         """As `View`: the table stays, the last events under it."""
+        self._keys = ""
         self._update()
         self._live.stop()
 
 
-def scene(rows: Sequence[Row], events: Iterable[str]) -> RenderableType:
-    """The whole view: the table, once there is one, and events."""
+def scene(rows: Sequence[Row], events: Iterable[str], keys: str = "") -> RenderableType:
+    """The whole view: the table, once there is one, events, and what keys do."""
     text = Text("\n".join(events))
+    if keys:
+        text.append(f"\n{keys}", style="reverse" if "?" in keys else "dim")
     return Group(table(rows), text) if rows else text
 
 
