@@ -14,6 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from echowing.terminal import draws_live
+from echowing.tool.health import health, in_words, its_health, leaders_health
 from echowing.tool.panel import Row
 
 PLAIN_PERIOD_S = 5.0
@@ -100,6 +101,8 @@ class PlainView:
         if time_s < self._next_s:
             return
         self._next_s = time_s + PLAIN_PERIOD_S
+        if rows:
+            self.event(time_s, plain_leader(rows[0]))
         for row in rows:
             self.event(time_s, plain_row(row))
 
@@ -180,7 +183,7 @@ def scene(rows: Sequence[Row], events: Iterable[str], keys: str = "") -> Rendera
     text = Text("\n".join(events))
     if keys:
         text.append(f"\n{keys}", style="reverse" if "?" in keys else "dim")
-    return Group(table(rows), text) if rows else text
+    return Group(table(rows), health(rows), text) if rows else text
 
 
 def table(rows: Sequence[Row]) -> Table:
@@ -201,9 +204,6 @@ def table(rows: Sequence[Row]) -> Table:
     shown.add_column("gimbal")
     for head in ("age\ns", "speed\nm/s", "limit\nm/s", "height\nm", "link\n%"):
         shown.add_column(head, justify="right")
-    switches = any(row.switch is not None for row in rows)
-    if switches:
-        shown.add_column("switch")
     for row in rows:
         shown.add_row(
             str(row.system_id),
@@ -218,7 +218,6 @@ def table(rows: Sequence[Row]) -> Table:
             _number(row.command_mps, ".1f"),
             _number(row.altitude_m, ".1f"),
             _number(row.link_percent, ".0f"),
-            *([row.switch or "-"] if switches else []),
         )
     return shown
 
@@ -242,8 +241,13 @@ def plain_row(row: Row) -> str:
         f"sonar {_shown(row.sonar_m, 'm')}, {_shown(row.speed_mps, 'm/s', '.1f')} "
         f"of {_shown(row.command_mps, 'm/s', '.1f')}, {_shown(row.altitude_m, 'm', '.1f')} up, "
         f"leader {_shown(row.leader_age_s, 's')} old, link {_shown(row.link_percent, '%', '.0f')}"
-        + ("" if row.switch is None else f", stop switch {row.switch}")
+        + "".join(f", {text}" for text, _ in in_words(its_health(row)))
     )
+
+
+def plain_leader(row: Row) -> str:
+    """The leader in one line."""
+    return "leader: " + ", ".join(text for text, _ in in_words(leaders_health(row)))
 
 
 def _shown(value: float | None, unit: str, form: str = ".2f") -> str:
