@@ -17,6 +17,7 @@ from echowing.flight.orders import Orders
 from echowing.flight.session import FollowerPlan, FollowSession, Guide
 from echowing.flight.take_off import TakeOff
 from echowing.mavlink.links import Address, Link, wait
+from echowing.mavlink.messages import status_text
 from echowing.mavlink.seats import OpenLink, Seat, StrangerWatch, find_vehicles, known_id
 from echowing.mavlink.signing import LinkSigning
 from echowing.stopping import StopRequest
@@ -36,6 +37,7 @@ RESTORING_S = 6.0
 UNKNOWN_ALTITUDE_M = 10.0
 # This far behind, the points that were missed are not sent late.
 HOPELESS_S = 0.5
+TAKE_OVER = "Echowing: not known to stand, TAKE OVER"
 # What another component of a vehicle, the co-processor, may say; all else is its autopilot's.
 _COMPONENTS_SAY = {"DISTANCE_SENSOR", "NAMED_VALUE_FLOAT"}
 
@@ -123,7 +125,7 @@ class FollowTool:
                 self._fly()
             except Exception as error:
                 # A fault of ours is no reason to leave them flying.
-                self._say(f"fault of this tool, stopping: {error!r}")
+                self._warn(f"fault of this tool, stopping: {error!r}")
                 self._end()
                 raise
             return self._end()
@@ -140,6 +142,11 @@ class FollowTool:
 
     def _say(self, text: str) -> None:
         self._view.event(self._now_s(), text)
+
+    def _warn(self, text: str) -> None:
+        """Say what somebody should look up for."""
+        self._say(text)
+        self._view.ring()
 
     # ---- before ---------------------------------------------------------------------------------
 
@@ -249,7 +256,7 @@ class FollowTool:
 
     def _tell(self) -> None:
         if self._log is not None:
-            self._log.tell(self._say)
+            self._log.tell(self._warn)
         events = self._session.events
         for time_s, text in events[self._events_told :]:
             self._view.event(time_s, text)
@@ -258,7 +265,7 @@ class FollowTool:
             self._alerts_told = self._session.alerts
             self._view.ring()
         for system_id, text in self._panel.texts:
-            self._say(f"system {system_id} warns: {text}")
+            self._warn(f"system {system_id} warns: {text}")
         self._panel.texts.clear()
 
     # ---- the end --------------------------------------------------------------------------------
@@ -281,9 +288,17 @@ class FollowTool:
         for follower in session.followers.values():
             text, well = left_as(session, follower, now_s)
             safe = safe and well
-            self._say(f"follower {follower.plan.system_id}: {text}")
+            self._tell_how_left(follower.plan.system_id, text, well=well, now_s=now_s)
         self._view.settle()
         return 0 if safe and self._view.lost is None else 1
+
+    def _tell_how_left(self, system_id: int, text: str, *, well: bool, now_s: float) -> None:
+        """Say how a follower was left; where a hand is needed its pilot's display says so too."""
+        tell = self._say if well else self._warn
+        tell(f"follower {system_id}: {text}")
+        if not well:
+            take_over = status_text(mavlink.MAV_SEVERITY_CRITICAL, TAKE_OVER)
+            self._write(now_s, self._ways[system_id].send(take_over, now_s))
 
     def _put_back(self, asked: int) -> bool:
         """Put ECHO_DIST back where keys have changed it; returns whether that is confirmed."""
@@ -295,8 +310,9 @@ class FollowTool:
         while not build_up.restored and self._now_s() < until_s and self._stop.count <= asked:
             self._turn()
         left = build_up.left()
-        for text, _ in left:
-            self._say(text)
+        for text, well in left:
+            tell = self._say if well else self._warn
+            tell(text)
         return all(well for _, well in left)
 
     def _close(self) -> None:
