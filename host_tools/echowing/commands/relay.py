@@ -34,7 +34,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--altitude",
         type=float,
         metavar="M",
-        help="above the relay's home (30); a relay that is more than 3 m away from that needs it",
+        help="above the relay's home (30); a relay that is more than 3 m away from that needs it. "
+        "Choose it 5 m or more off the height at which the remote vehicle flies and comes back "
+        "(RTL_ALT): the tool warns where it is not",
     )
     parser.add_argument("--baud", type=int, default=DEFAULT_BAUD, help="of serial devices")
     parser.add_argument("--rate", type=float, default=4.0, metavar="HZ", help="of points (4)")
@@ -52,7 +54,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=10.0,
         metavar="M",
-        help="what is to be certain of the distance between the two (10): the relay gives way",
+        help="what is to be certain of the distance between the two (10): the relay gives way. It "
+        "flies this and 5 m beside the line to the remote vehicle, so that one that comes back "
+        "along it does not fly through the relay",
     )
     parser.add_argument(
         "--signing-key-file", type=Path, metavar="FILE", help="as for `echowing follow`"
@@ -67,7 +71,13 @@ def run(args: argparse.Namespace) -> int:
     from echowing.flight.engage import Readiness  # noqa: PLC0415
     from echowing.flight.guard import Limits  # noqa: PLC0415
     from echowing.flight.guidance import Slot  # noqa: PLC0415
-    from echowing.flight.relay import RELAY_SETTINGS, RelayGuide, parse_ground  # noqa: PLC0415
+    from echowing.flight.relay import (  # noqa: PLC0415
+        BESIDE_M,
+        HEIGHTS_APART_M,
+        RELAY_SETTINGS,
+        RelayGuide,
+        parse_ground,
+    )
     from echowing.flight.switch import parse_stop_switch  # noqa: PLC0415
     from echowing.mavlink.seats import parse_seat  # noqa: PLC0415
     from echowing.mavlink.signing import read_key  # noqa: PLC0415
@@ -90,14 +100,19 @@ def run(args: argparse.Namespace) -> int:
             max_distance_m=args.max_distance,
             min_separation_m=args.min_separation,
             leader_flies=False,
-            ready=Readiness(distance=False, sides=False, height_told=altitude_told),
+            ready=Readiness(
+                distance=False,
+                sides=False,
+                height_told=altitude_told,
+                apart_m=HEIGHTS_APART_M,
+            ),
             switch=None if args.stop_switch is None else parse_stop_switch(args.stop_switch),
         ),
         engage=args.engage,
         duration_s=args.duration,
         log=log_folder(args),
         signing_key=read_key(args.signing_key_file),
-        make_guide=lambda: RelayGuide(ground),
+        make_guide=lambda: RelayGuide(ground, args.min_separation + BESIDE_M),
     )
     return fly(options, as_json=args.json)
 
