@@ -51,14 +51,12 @@ The pilot takes over by any change of mode; points go on when he puts the vehicl
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The verb's options."""
-    from echowing.mavlink.links import DEFAULT_BAUD  # noqa: PLC0415 (imported when the verb is used)
+    from echowing.mavlink.links import CONN, DEFAULT_BAUD  # noqa: PLC0415 (imported when the verb is used)
 
     parser.epilog = EXAMPLES
     links = parser.add_argument_group(
         "vehicles",
-        "CONN: udpin:PORT (on all addresses of this computer), udpin:HOST:PORT, "
-        "udpout:HOST:PORT, tcp:HOST:PORT, tcpin:[HOST:]PORT or a serial "
-        "device; CONN@ID where several vehicles share a link",
+        f"CONN: {CONN}; CONN@ID where several vehicles share a link",
     )
     leader = links.add_mutually_exclusive_group(required=True)
     leader.add_argument("--leader", metavar="CONN")

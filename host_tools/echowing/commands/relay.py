@@ -19,7 +19,7 @@ takes over by any change of mode.
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The verb's options."""
-    from echowing.mavlink.links import DEFAULT_BAUD  # noqa: PLC0415 (imported when the verb is used)
+    from echowing.mavlink.links import CONN, DEFAULT_BAUD  # noqa: PLC0415 (imported when the verb is used)
 
     parser.epilog = EXAMPLES
     parser.add_argument("--remote", required=True, metavar="CONN", help="the remote vehicle")
@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--vehicle",
         required=True,
         metavar="CONN",
-        help="the relay; CONN as for `echowing follow`, CONN@ID on a shared link",
+        help=f"the relay; CONN: {CONN}; CONN@ID on a shared link",
     )
     parser.add_argument("--ground", required=True, metavar="LAT,LON", help="the ground station")
     parser.add_argument(
