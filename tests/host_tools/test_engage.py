@@ -83,33 +83,33 @@ def test_an_applet_that_does_not_fit_is_said_and_read_again_until_it_does(name: 
 
 
 def test_limits_too_slow_for_a_leader_that_turns_round_are_refused() -> None:
-    """ArduCopter's own defaults: 4.5 m at 2 m/s. A slot of 5 m may have them."""
+    """ArduCopter's own defaults: 4.6 m at 2 m/s. A slot of 5 m may have them."""
     slow = {"WP_ACC": 2.5, "PSC_JERK_NE": 5.0}
     yard = Yard()
     yard.vehicles[FOLLOWER].parameters.update(slow)
     assert yard.fly(SOON_S) == []
-    assert yard.said("its slot is 3 m from the leader, and 4.5 m is the least")
+    assert yard.said("its slot is 3 m from the leader, and 4.6 m is the least")
     far = Yard(slots=[Slot(5.0)])
     far.vehicles[FOLLOWER].parameters.update(slow)
     assert far.fly(SOON_S) != []
 
 
 def test_a_slot_opens_for_a_leader_too_fast_to_turn_round_from_it() -> None:
-    """With the limits of 3 m/s2 and 10 m/s3: 2.4 m at 1 m/s, 3.6 m at 2 m/s."""
-    yard = Yard(ready=Readiness(reversal=False))
+    """With the limits of 3 m/s2 and 10 m/s3: 2.5 m at 1 m/s, 4.6 m at 3 m/s."""
+    yard = Yard(slots=[Slot(3.8)])
     yard.vehicles[FOLLOWER].parameters.update({"WP_ACC": 3.0, "PSC_JERK_NE": 10.0})
     follower = yard.session.followers[FOLLOWER]
     yard.vehicles[LEADER].velocity_mps = 1.0, 0.0
     yard.fly(2.0)
-    assert follower.reversal_m == pytest.approx(2.43, abs=0.01)
+    assert follower.reversal_m == pytest.approx(2.46, abs=0.02)
     assert not yard.said("slot opens")
-    yard.vehicles[LEADER].velocity_mps = 2.0, 0.0
+    yard.vehicles[LEADER].velocity_mps = 3.0, 0.0
     yard.fly(1.0)
     guided, leader = follower.guided, yard.session.leader.fix
     assert guided is not None
     assert leader is not None
-    assert distance_m(guided.slot, guided.leader) == pytest.approx(3.59, abs=0.02)
-    assert sum("slot opens to 3.6 m, leader at 2.0 m/s" in text for text in yard.events()) == 1
+    assert distance_m(guided.slot, guided.leader) == pytest.approx(4.56, abs=0.02)
+    assert sum("slot opens to 4.6 m, leader at 3.0 m/s" in text for text in yard.events()) == 1
 
 
 def test_limits_that_are_not_told_are_not_guessed() -> None:

@@ -199,6 +199,11 @@ def row(**changes: Any) -> Row:
     return Row(**{**known, **changes})
 
 
+LEADERS = {
+    **{"leader_mode": "GUIDED", "leader_altitude_m": 12.3, "leader_gps": "3D 14"},
+    **{"leader_battery_percent": 77.0, "leader_battery_v": 11.9, "leader_clock_s": 0.05},
+}
+
 # Rich draws by the terminal it is told of, and not by the one that the tests run in.
 XTERM: dict[str, Any] = {"_environ": {"TERM": "xterm"}}
 
@@ -279,13 +284,14 @@ def test_plain_lines_come_now_and_then_and_events_at_once(
 ) -> None:
     view = PlainView()
     for tenth in range(round(2 * PLAIN_PERIOD_S * 10)):
-        view.rows(tenth / 10, [row(link_percent=None)])
+        view.rows(tenth / 10, [row(link_percent=None, **LEADERS)])
     view.event(10.0, "stands")
     lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == 3
-    assert "separation 3.21 m (+0.21 m)" in lines[0]
-    assert "link -" in lines[0]
-    assert lines[2].endswith("stands")
+    assert len(lines) == 5
+    assert "leader: GUIDED, 12.3 m up, GPS 3D 14, battery 77 % 11.9 V" in lines[0]
+    assert "separation 3.21 m (+0.21 m)" in lines[1]
+    assert "link -, GPS not known, battery not known, clock not known" in lines[1]
+    assert lines[4].endswith("stands")
 
 
 def test_json_lines_are_objects(capsys: pytest.CaptureFixture[str]) -> None:

@@ -31,6 +31,8 @@ ENABLE, LAW, DIST, INSET, WATCHDOG = APPLET = (
     "ECHO_INSET",
     "ECHO_STREAM_T",
 )
+# How high a vehicle comes back: in m (later 4.7 on), in cm.
+RTL_M, RTL_CM = RTL = ("RTL_ALT_M", "RTL_ALT")
 ASK_PERIOD_S = 1.0
 # Where something is wrong the parameters are read again, as somebody may be setting them.
 READ_AGAIN_S = 5.0
@@ -66,8 +68,9 @@ class Readiness:
 
     applet: the applet runs, with its stream watchdog; distance: its distance and inset are the
     tool's; reversal: its slot is far enough away for the leader to turn round; sides: no follower's
-    way to its slot crosses another's; homes_told: what homes that
-    differ by their receivers mean was said; height_told: so was the altitude to fly at.
+    way to its slot crosses another's; homes_told: what homes that differ by their receivers mean
+    was said; height_told: so was the altitude to fly at; apart_m: warn where the leader comes back
+    (RTL) less than this above or below a follower, None: no.
     """
 
     applet: bool = True
@@ -76,15 +79,21 @@ class Readiness:
     sides: bool = True
     homes_told: bool = False
     height_told: bool = False
+    apart_m: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One cell of the table; `wrong`: what is wrong and what to do, empty where all is well."""
+    """One cell of the table.
+
+    wrong: what is wrong and what to do, empty where all is well; note: what to know, though it
+    keeps nobody from being engaged.
+    """
 
     name: str
     shown: str
     wrong: str = ""
+    note: str = ""
 
 
 @dataclass(slots=True)
@@ -151,8 +160,15 @@ class Vehicle:
                 message.battery_remaining,
                 message.voltage_battery,
             )
-        elif kind == "PARAM_VALUE" and message.param_id in APPLET:
+        elif kind == "PARAM_VALUE" and message.param_id in (*APPLET, *RTL):
             self.parameters[message.param_id] = message.param_value
+
+    @property
+    def rtl_m(self) -> float | None:
+        """How high above its home it comes back at the least; None: not known."""
+        if RTL_M in self.parameters:
+            return self.parameters[RTL_M]
+        return self.parameters[RTL_CM] / 100.0 if RTL_CM in self.parameters else None
 
     @property
     def fault(self) -> str | None:
@@ -172,10 +188,12 @@ def _has_position(flags: int) -> bool:
 class _Turn:
     """A follower's way to being engaged, since it was put in Guided.
 
-    told: what was said of it, without its numbers, and when.
+    told: what was said of it, without its numbers, and when; level: the leader would come back at
+    its height, which was said.
     """
 
     cleared: bool = False
+    level: bool = False
     told: dict[str, float] = field(default_factory=dict)
     wrong: list[Finding] = field(default_factory=list)
 
@@ -221,8 +239,8 @@ class Engagement:
     def messages(
         self, followers: Mapping[int, "FollowerState"], now_s: float
     ) -> list[tuple[int, Any]]:
-        """Questions for the parameters of applet and autopilot."""
-        asked = [
+        """Questions for the parameters of applets and autopilots."""
+        asked = self._ask_rtl(now_s) + [
             (system_id, _read_parameter(system_id, name))
             for system_id, follower in followers.items()
             for name in follower.handling.asks(now_s)
@@ -242,6 +260,16 @@ class Engagement:
             asked += [(system_id, _read_parameter(system_id, name)) for name in missing or APPLET]
         return asked
 
+    def _ask_rtl(self, now_s: float) -> list[tuple[int, Any]]:
+        leader = self._vehicles[self._leader_id]
+        if self.readiness.apart_m is None or leader.rtl_m is not None:
+            return []
+        period_s = READ_AGAIN_S if self._table_shown else ASK_PERIOD_S
+        if now_s - leader.asked_at_s < period_s:
+            return []
+        leader.asked_at_s = now_s
+        return [(self._leader_id, _read_parameter(self._leader_id, name)) for name in RTL]
+
     def entered_guided(self, system_id: int) -> None:
         """The pilot has put a follower in Guided: it is judged anew."""
         self._turns[system_id] = _Turn()
@@ -256,6 +284,7 @@ class Engagement:
             self._show_table(session, now_s)
         for system_id, follower in session.followers.items():
             turn = self._turns[system_id]
+            self._warn_of_return(session, follower, turn, now_s)
             if turn.cleared:
                 continue
             session.heights.take_leaders(follower)
@@ -334,6 +363,17 @@ class Engagement:
                 if one.wrong:
                     self._say(now_s, f"{name}: {one.wrong}")
 
+    def _warn_of_return(
+        self, session: "FollowSession", follower: "FollowerState", turn: _Turn, now_s: float
+    ) -> None:
+        """Say it when a leader would come back at this follower's height."""
+        note = "".join(one.note for one in self._return(session, follower))
+        if note and not turn.level and self._table_shown:
+            system_id = follower.plan.system_id
+            self._say(now_s, f"follower {system_id}: {note}")
+            session.alert(system_id, note)
+        turn.level = bool(note) and self._table_shown
+
     def _waited(self, now_s: float) -> bool:
         return self._since_s is not None and now_s - self._since_s >= PATIENCE_S
 
@@ -383,6 +423,7 @@ class Engagement:
             *self._homes(session, follower),
             *self._height(session, follower),
             *self._state("its", system_id),
+            *self._return(session, follower),
             *self._side(session, follower),
             *self._stranger("it", system_id),
         ]
@@ -461,6 +502,31 @@ class Engagement:
                 f"within {HEIGHTS_M:g} m of that, or give --altitude"
             )
         return [Finding("height", f"{height_m:.1f} m", wrong)]
+
+    def _return(self, session: "FollowSession", follower: "FollowerState") -> list[Finding]:
+        """How high the leader comes back, against this follower's height."""
+        least_m = self.readiness.apart_m
+        if least_m is None:
+            return []
+        rtl_m = self._vehicles[self._leader_id].rtl_m
+        fix, guard = session.leader.fix, session.guard
+        higher_m = None if guard is None else guard.home_above_leaders_m(follower.plan.system_id)
+        home_m = None if guard is None else guard.home_m(self._leader_id)
+        wanted_m = session.heights.wanted_m(follower)
+        if rtl_m is None:
+            note = f"how high the leader comes back is not known ({RTL_M} does not answer)"
+            return [Finding("RTL", "?", note=note)]
+        if fix is None or home_m is None or higher_m is None or wanted_m is None:
+            return [Finding("RTL", "?")]
+        back_m = max(rtl_m, fix.position.alt_m - home_m)
+        above_m = back_m - wanted_m - higher_m
+        note = ""
+        if abs(above_m) < least_m:
+            note = (
+                f"the leader comes back at {back_m:.1f} m, {abs(above_m):.1f} m "
+                f"{'above' if above_m > 0.0 else 'below'} it: fly {least_m:g} m apart (--altitude)"
+            )
+        return [Finding("RTL", f"{back_m:.1f} m", note=note)]
 
     def _state(self, whose: str, system_id: int) -> list[Finding]:
         vehicle = self._vehicles[system_id]

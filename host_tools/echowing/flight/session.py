@@ -220,7 +220,7 @@ class FollowSession:
             return follower.held_at
         if fix is None:
             return None
-        if self.engagement is not None:
+        if self.engagement is not None and self.engagement.readiness.reversal:
             self._allow_for_reversal(follower, fix, now_s)
         if follower.held_at is not None:
             self._let_go(follower, now_s)

@@ -34,6 +34,11 @@ REFUSED_S = 3.0
 
 _STILL_CONNECTING = {errno.EINPROGRESS, errno.EALREADY, errno.EWOULDBLOCK}
 _FORMS = "udpin:[HOST:]PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:[HOST:]PORT or a serial device"
+CONN = (
+    "udpin:PORT (on all addresses of this computer), udpin:HOST:PORT, udpout:HOST:PORT, "
+    "tcp:HOST:PORT, tcpin:[HOST:]PORT or a serial device"
+)
+"""What a connection is, for every verb's help."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,9 +75,9 @@ def parse_address(text: str, baud: int = DEFAULT_BAUD) -> Address:
         return _serial_address(text, baud)
     host, _, port = rest.rpartition(":")
     if not port.isdecimal() or not 1 <= int(port) <= 65_535:
-        raise EchowingError(f"link {text!r}: the port is a number from 1 to 65535 ({_FORMS})")
+        raise EchowingError(f"connection {text!r}: the port is a number from 1 to 65535 ({_FORMS})")
     if not host and kind in ("udpout", "tcp"):
-        raise EchowingError(f"link {text!r}: which host? Write {kind}:HOST:PORT")
+        raise EchowingError(f"connection {text!r}: which host? Write {kind}:HOST:PORT")
     here = EVERYWHERE if kind == "udpin" else LOOPBACK
     return Address(text, kind, host or here, int(port))
 
@@ -80,9 +85,9 @@ def parse_address(text: str, baud: int = DEFAULT_BAUD) -> Address:
 def _serial_address(text: str, baud: int) -> Address:
     device, comma, own_baud = text.partition(",")
     if not device.startswith("/") and not device.upper().startswith("COM"):
-        raise EchowingError(f"link {text!r}: no such kind; write {_FORMS}")
+        raise EchowingError(f"connection {text!r}: no such kind; write {_FORMS}")
     if comma and not own_baud.isdecimal():
-        raise EchowingError(f"link {text!r}: the baud rate after the comma is a number")
+        raise EchowingError(f"connection {text!r}: the baud rate after the comma is a number")
     return Address(text, "serial", device, baud=int(own_baud) if comma else baud)
 
 

@@ -57,6 +57,9 @@ class Photographer:
             self.taken = list(rows)
             self._stop.count += 1
 
+    def keys(self, text: str) -> None:
+        """As `View`; there are none."""
+
     def close(self) -> None:
         """As `View`."""
 
