@@ -36,6 +36,8 @@ examples:
           [[slots]]
           radius_m = 4.0
           angle_deg = -40.0
+  echowing follow --leader udpin:14550 --follower udpin:14560 --web
+      only watches, and shows it in the browser too; --web-address 0.0.0.0 for a phone
   echowing follow --leader udpin:14550 --follower udpin:14560 --take-off 10 --engage
       takes off first: each pilot arms his vehicle in Guided, on the ground; the tool never arms
   echowing follow --leader udpin:14550 --follower udpin:14560 \\
@@ -47,6 +49,7 @@ The pilot takes over by any change of mode; points go on when he puts the vehicl
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The verb's options."""
     from echowing.mavlink.links import DEFAULT_BAUD  # noqa: PLC0415 (imported when the verb is used)
+    from echowing.web.options import add_web_arguments  # noqa: PLC0415
 
     parser.epilog = EXAMPLES
     links = parser.add_argument_group(
@@ -109,6 +112,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "come by the autopilot's DISTANCE_SENSOR then, and the gimbal's state does not",
     )
     add_log_arguments(parser)
+    add_web_arguments(parser)
     parser.add_argument("--duration", type=float, metavar="S", help="end after this long")
     parser.add_argument("--json", action="store_true", help="print JSON, an object a line")
 
@@ -197,10 +201,11 @@ def run(args: argparse.Namespace) -> int:
     from echowing.terminal import run_in_flight  # noqa: PLC0415
     from echowing.tool.run import FollowTool  # noqa: PLC0415
     from echowing.tool.view import open_view  # noqa: PLC0415
+    from echowing.web.open import page_of  # noqa: PLC0415
 
     options = _options(args)
-    with stop_on_signals() as stop:
-        tool = FollowTool(options, open_view(as_json=args.json), stop)
+    with stop_on_signals() as stop, page_of(args, "follow") as page:
+        tool = FollowTool(options, open_view(as_json=args.json), stop, page=page)
         return run_in_flight(tool.run, lambda: tool.stuck)
 
 
