@@ -54,10 +54,10 @@ def test_the_leader_is_where_the_follower_has_learnt_it_to_be() -> None:
 
 @pytest.mark.parametrize(
     ("range_m", "heading_rad"),
-    [(None, NORTH), (0.5, NORTH), (3.0, SOUTH), (DETECTION_LIMIT_M + 0.1, NORTH)],
+    [(None, NORTH), (0.5, NORTH), (3.0, SOUTH)],
 )
 def test_a_range_that_fits_nobody_is_of_nobody(range_m: float | None, heading_rad: float) -> None:
-    """Nothing, the ground at half a metre, a vehicle behind, a range that is no target."""
+    """Nothing, the ground at half a metre, a vehicle behind."""
     leader = at(LEADER, 0.0)
     follower = at(2, -3.0, heading_rad=heading_rad, range_m=range_m)
     assert ranged(follower, [leader, follower], LEADER) is None
@@ -141,14 +141,16 @@ def test_a_follower_that_sees_nobody_any_more_is_named_and_told_of_when_it_does_
         "follower 2 does not see anybody any more: no range of a vehicle, and none within 4.5 m "
         "of it"
     )
+    assert cohesion.health.lost == (2,)
     assert fly(cohesion, near, 20, 30) == ["follower 2 sees a vehicle again"]
+    assert not cohesion.health.lost
 
 
 def test_one_that_never_saw_anybody_is_no_news() -> None:
     """Eight metres behind the leader no sonar reaches anybody, and that is how it is flown."""
     cohesion = Cohesion(LEADER)
     assert fly(cohesion, [at(1, 0.0), at(2, -8.0)], 0, 30) == []
-    assert cohesion.health.alone == (2,)
+    assert (cohesion.health.alone, cohesion.health.lost) == ((2,), ())
 
 
 def test_a_range_counts_for_a_while() -> None:

@@ -19,7 +19,7 @@ apart are always joined by their leader only. What is worth a word is the change
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import networkx as nx
@@ -48,7 +48,7 @@ class Member:
 
     at_ned_m: by its own receiver, about an origin that all share; None: never heard; age_s: of that
     report; heading_rad: of its nose (of the sonar's axis where that is known); range_m: distance
-    between centres by its sonar now, None: none, or nothing in reach. leader_ned_m: where it takes
+    between centres by its sonar now, None: no target in its reach. leader_ned_m: where it takes
     the leader to be, in its own receiver's frame; None: where the leader reports itself.
     """
 
@@ -77,19 +77,21 @@ class Cut:
 class Health:
     """How the formation holds together.
 
-    ranges: (who, whom); near: pairs; cuts: articulation points; alone: followers that see nobody.
+    ranges: (who, whom); near: pairs; cuts: articulation points; alone: followers that see nobody;
+    lost: those of them that have seen somebody before.
     """
 
     ranges: tuple[tuple[int, int], ...] = ()
     near: tuple[tuple[int, int], ...] = ()
     cuts: tuple[Cut, ...] = ()
     alone: tuple[int, ...] = ()
+    lost: tuple[int, ...] = ()
 
 
 def ranged(member: Member, others: Iterable[Member], leader_id: int) -> int | None:
     """Which vehicle a member's sonar measures now; None: none that it fits."""
     here = member.at_ned_m
-    if here is None or member.range_m is None or member.range_m > DETECTION_LIMIT_M:
+    if here is None or member.range_m is None:
         return None
     fits = [
         (abs(math.dist(here, there) - member.range_m), system_id)
@@ -211,7 +213,10 @@ class Cohesion:
         }
         self._near = near_pairs(members, self._near)
         self.health = assess(members, self.leader_id, fresh, self._near)
-        return [*self._say_cuts(now_s), *self._say_alone(members, now_s)]
+        said = [*self._say_cuts(now_s), *self._say_alone(members, now_s)]
+        lost = tuple(one for one, change in sorted(self._alone.items()) if change.counts)
+        self.health = replace(self.health, lost=lost)
+        return said
 
     def _say_cuts(self, now_s: float) -> Iterator[str]:
         cuts = {cut.system_id: cut for cut in self.health.cuts}

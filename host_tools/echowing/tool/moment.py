@@ -9,7 +9,7 @@ import pymap3d
 
 from echowing.flight.estimate import LONGEST_CARRY_S
 from echowing.flight.health import Health, Member
-from echowing.flight.sonar import pan_rad
+from echowing.flight.sonar import DETECTION_LIMIT_M, pan_rad
 from echowing.geo import GlobalPosition, Ned
 from echowing.tool.panel import Row
 from echowing.tool.track import Track
@@ -101,12 +101,17 @@ def members(moment: Moment, where: Places, inset_m: float) -> list[Member]:
             at_ned_m,
             _age(row.age_s),
             math.radians(track.heading_deg) + (pan_rad(track.pan_us) if track.pan_us else 0.0),
-            None if row.sonar_m is None else row.sonar_m + inset_m,
+            _apart_m(row.sonar_m, inset_m),
             seen_leader(track, where.leader),
         )
         for row, track, at_ned_m in zip(moment.rows, moment.tracks, where.followers, strict=True)
     ]
     return [leader, *followers]
+
+
+def _apart_m(sonar_m: float | None, inset_m: float) -> float | None:
+    """The distance between centres that a range stands for."""
+    return None if sonar_m is None or sonar_m >= DETECTION_LIMIT_M else sonar_m + inset_m
 
 
 def seen_leader(track: Track, leader: Ned | None) -> Ned | None:

@@ -104,6 +104,9 @@ def _of_battery(name: str, system_id: int, percent: float | None) -> Iterator[Al
 
 
 def _of_health(health: Health) -> Iterator[Alarm]:
-    seen = health.ranges or health.near
-    for system_id in health.alone if seen else ():
-        yield Alarm(Level.LOOK, system_id, f"Follower {system_id} sees nobody: {ALONE_MEANS}")
+    if len(health.lost) == 1:
+        text = f"Follower {health.lost[0]} sees nobody any more: {ALONE_MEANS}"
+        yield Alarm(Level.LOOK, health.lost[0], text)
+    elif health.lost:
+        listed = ", ".join(map(str, health.lost))
+        yield Alarm(Level.LOOK, health.lost[0], f"Followers {listed} see nobody any more")

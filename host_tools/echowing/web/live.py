@@ -47,7 +47,7 @@ class LiveFeed:
         self.error: Exception | None = None
         # Of the server's thread alone:
         self._origin: GlobalPosition | None = None
-        self._frame, self._frames = "", 0
+        self._frame, self._frames, self._watched = "", 0, 0
         self._past: deque[Json] = deque(maxlen=round(PAST_S / GLANCE_S))
         self._news = asyncio.Event()
 
@@ -92,15 +92,22 @@ class LiveFeed:
 
     def _take(self, moment: Moment) -> None:
         self._origin = self._origin or moment.origin
+        due = not self._past or moment.time_s - self._past[-1]["t"] >= GLANCE_S
+        if not due and not self._watched:
+            return
         frame = snapshot(moment, self._origin or GlobalPosition(0.0, 0.0, 0.0))
-        if not self._past or moment.time_s - self._past[-1]["t"] >= GLANCE_S:
+        if due:
             self._past.append(glance(frame))
         self._frame = encoded({"kind": "frame", **frame})
         self._frames += 1
 
     async def attend(self, browser: Socket) -> None:
         """As `Feed`."""
-        await until_gone(browser, self._serve(browser))
+        self._watched += 1
+        try:
+            await until_gone(browser, self._serve(browser))
+        finally:
+            self._watched -= 1
 
     async def _serve(self, browser: Socket) -> None:
         await browser.send_str(encoded({**self._hello, "past": list(self._past)}))
@@ -137,9 +144,9 @@ class LivePage:
         self._lost_told = True
         return f"the page shows nothing any more ({error!r}); flying goes on"
 
-    def close(self) -> None:
-        """End it."""
-        self._server.close()
+    def close(self) -> bool:
+        """End it; False: it is stuck, and is left behind."""
+        return self._server.close()
 
 
 def told(events: Any) -> Json:

@@ -142,8 +142,17 @@ class PageServer:
         return browser
 
     async def _send_away(self, app: web.Application) -> None:
-        for browser in list(self._browsers):
-            await browser.close(code=WSCloseCode.GOING_AWAY, message=b"the tool ends")
+        """Say goodbye; a browser that reads nothing does not take it."""
+        code, words = WSCloseCode.GOING_AWAY, b"the tool ends"
+        goodbyes = [
+            asyncio.ensure_future(browser.close(code=code, message=words))
+            for browser in self._browsers
+        ]
+        if not goodbyes:
+            return
+        _, stuck = await asyncio.wait(goodbyes, timeout=END_S / 4.0)
+        for goodbye in stuck:
+            goodbye.cancel()
 
 
 def _bound(address: PageAddress) -> socket.socket:

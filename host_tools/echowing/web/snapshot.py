@@ -3,8 +3,6 @@
 import math
 from typing import Any
 
-import numpy as np
-
 from echowing.flight.envelope import SURE_SIGMAS
 from echowing.flight.health import Health
 from echowing.flight.offset_grid import BEAM_HALF_RAD
@@ -131,10 +129,13 @@ def _seen(track: Track, leader: Ned | None) -> Json | None:
 
 def ellipse(nn_m2: float, ne_m2: float, ee_m2: float) -> tuple[float, float, float]:
     """Half axes and the longer one's bearing (0 to 180 deg), `SURE_SIGMAS` standard deviations."""
-    variances, axes = np.linalg.eigh(np.array([[nn_m2, ne_m2], [ne_m2, ee_m2]]))
-    minor_m, major_m = (SURE_SIGMAS * math.sqrt(max(0.0, one)) for one in variances.tolist())
-    north, east = axes[:, 1].tolist()
-    return major_m, minor_m, math.degrees(math.atan2(east, north)) % 180.0
+    middle_m2, half_m2 = (nn_m2 + ee_m2) / 2.0, (nn_m2 - ee_m2) / 2.0
+    reach_m2 = math.hypot(half_m2, ne_m2)
+    major_m, minor_m = (
+        SURE_SIGMAS * math.sqrt(max(0.0, one))
+        for one in (middle_m2 + reach_m2, middle_m2 - reach_m2)
+    )
+    return major_m, minor_m, math.degrees(math.atan2(ne_m2, half_m2) / 2.0) % 180.0
 
 
 def _health(health: Health) -> Json:

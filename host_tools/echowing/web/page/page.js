@@ -139,8 +139,8 @@ function showStatus() {
   }
   status.className = LEVELS[now.level];
   put(byId("headline"), now.alarms.length ? now.alarms[0].text : now.headline);
-  const rest = now.alarms.slice(1, 5).map(alarm => alarm.text);
-  if (now.alarms.length > 5) rest.push(`and ${now.alarms.length - 5} more`);
+  const rest = now.alarms.slice(1, 4).map(alarm => alarm.text);
+  if (now.alarms.length > 4) rest.push(`and ${now.alarms.length - 4} more`);
   if (rest.join("|") !== [...list.children].map(item => item.textContent).join("|")) {
     list.replaceChildren(...rest.map(text => element("li", text)));
   }
@@ -152,6 +152,7 @@ function showVehicles() {
   put(byId("clock"), clockText(now.t));
   const vehicles = [...(now.leader ? [now.leader] : []), ...now.followers];
   for (const one of vehicles) showVehicle(one, one === now.leader);
+  byId("vehicles").classList.toggle("many", now.followers.length > MOST_LINES);
   const known = new Set(vehicles.map(one => String(one.id)));
   for (const card of [...byId("vehicles").children]) {
     if (!known.has(card.dataset.id)) card.remove();
@@ -188,7 +189,8 @@ function showVehicle(one, leads) {
   say("sonar", one.sonar.state ? `${range}, ${one.sonar.state}` : range);
   say("limit", number(one.limit, 1, " m/s"));
   say("height", `${number(one.height, 1)} of ${number(one.wanted_height, 1, " m")}`);
-  say("switch", one.switch || "–");
+  say("switch", one.switch || "");
+  card.querySelector(".switch").hidden = !one.switch;
 }
 
 function cardOf(id, leads) {
@@ -314,6 +316,7 @@ function drawTop(box) {
     box.width / 2 + (east - view.centre[1]) * scale,
     box.height / 2 - (north - view.centre[0]) * scale,
   ];
+  drawn.t = model.frame.t;
   drawn.metresPerPixel = 1 / scale;
   drawn.top = {};
   drawn.slots = {};
