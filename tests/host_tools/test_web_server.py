@@ -32,12 +32,8 @@ def page() -> Iterator[LivePage]:
     made.close()
 
 
-def port_of(page: LivePage) -> int:
-    return int(page.url.rsplit(":", 1)[1].rstrip("/"))
-
-
 def asked(page: LivePage, path: str, method: str = "GET", **headers: str) -> tuple[int, Any, str]:
-    line = http.client.HTTPConnection(HERE, port_of(page), timeout=DEADLINE_S)
+    line = http.client.HTTPConnection(HERE, page.port, timeout=DEADLINE_S)
     line.putrequest(method, path, skip_host="Host" in headers)
     for name, value in headers.items():
         line.putheader(name, value)
@@ -80,9 +76,9 @@ def test_who_is_let_in(served_on: str, host: str | None, origin: str | None, let
 
 @pytest.mark.parametrize("path", [*ASSETS, "/live", "/nowhere"])
 def test_a_foreign_host_or_origin_gets_nothing(page: LivePage, path: str) -> None:
-    own = f"127.0.0.1:{port_of(page)}"
+    own = f"127.0.0.1:{page.port}"
     for headers in (
-        {"Host": f"evil.example:{port_of(page)}"},
+        {"Host": f"evil.example:{page.port}"},
         {"Host": own, "Origin": "http://evil.example"},
     ):
         status, _, body = asked(page, path, **headers)
@@ -107,7 +103,7 @@ def test_nothing_can_be_asked_of_it(page: LivePage, method: str) -> None:
 
 def test_a_taken_port_is_said(page: LivePage) -> None:
     with pytest.raises(EchowingError, match=r"127.0.0.1 cannot be listened on: .*--web 8018"):
-        LivePage(PageAddress(HERE, port_of(page)), "follow")
+        LivePage(PageAddress(HERE, page.port), "follow")
 
 
 @pytest.mark.parametrize(
@@ -199,7 +195,7 @@ class DeadBrowser:
 def test_a_browser_that_reads_nothing_holds_up_nobody(page: LivePage) -> None:
     """Fifty vehicles, to a browser that reads and one that does not; the caller never waits."""
     frames, fifty = 120, many(0.0)
-    dead = DeadBrowser(port_of(page))
+    dead = DeadBrowser(page.port)
     longest_s = 0.0
 
     async def watch(browser: Any) -> None:
@@ -229,7 +225,7 @@ def test_a_browser_that_reads_nothing_holds_up_nobody(page: LivePage) -> None:
 
 
 def test_the_end_does_not_wait_for_a_dead_browser(page: LivePage) -> None:
-    dead, fifty = DeadBrowser(port_of(page)), many(0.0)
+    dead, fifty = DeadBrowser(page.port), many(0.0)
 
     async def watch(browser: Any) -> None:
         for number in range(60):
@@ -242,7 +238,7 @@ def test_the_end_does_not_wait_for_a_dead_browser(page: LivePage) -> None:
 
 
 def test_too_many_browsers_are_sent_away(page: LivePage) -> None:
-    port = port_of(page)
+    port = page.port
     taken = [DeadBrowser(port) for _ in range(MOST_BROWSERS)]
     line = http.client.HTTPConnection(HERE, port, timeout=DEADLINE_S)
     line.request("GET", "/live")

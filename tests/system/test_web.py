@@ -2,7 +2,6 @@
 
 import csv
 import math
-import re
 import signal
 import socket
 from collections.abc import Iterator
@@ -202,7 +201,7 @@ def test_fifty_vehicles_are_all_drawn(live: LivePage, browser: Browser) -> None:
 
 
 def test_a_foreign_site_gets_neither_page_nor_stream(live: LivePage, browser: Browser) -> None:
-    port = re.findall(r":(\d+)/", live.url)[0]
+    port = live.port
     sight = Sight(browser)
     answer = sight.page.goto(f"http://{FOREIGN_NAME}:{port}/")
     assert answer is not None

@@ -134,7 +134,7 @@ class LivePage:
         self.event = self._feed.event
         self.show = self._feed.show
         self.said = self._server.address.said
-        self.url = self._server.address.url
+        self.url, self.port = self._server.address.url, self._server.address.port
 
     def lost(self) -> str | None:
         """Why nothing is shown any more, once."""
