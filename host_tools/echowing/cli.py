@@ -18,6 +18,7 @@ VERBS = {
     "leader": "publish a real leader's telemetry to a follow on another computer",
     "follow": "guide real followers behind a real leader",
     "relay": "keep a vehicle midway to a remote one",
+    "replay": "show a recorded flight in the browser",
     "analyze": "measure a flown formation from its logs",
     "calibrate": "replay recorded flights through the copter model",
     "setup": "make a vehicle ready: the applet, its parameters, a check before flight",

@@ -10,11 +10,13 @@ from echowing.sim.ground import TELEMETRY
 from echowing.sim.guided import SubMode
 from echowing.sim.hangar import Hangar
 from echowing.sim.modes import GUIDED
+from echowing.sim.page import WorldOnPage
 from echowing.sim.parked import ParkedHangar, ParkedWorld, insert_cards
 from echowing.sim.scenario import FormationSection, Scenario
 from echowing.sim.serve import Endpoint, Server
 from echowing.sim.vehicles import LeaderPilot, SimFollower, SimVehicle
 from echowing.stopping import stop_on_signals
+from echowing.tool.run import Page
 
 # Ports of one vehicle, as SITL lays them out: the next vehicle 10 on, a second link 2 on.
 VEHICLE_PORTS = 10
@@ -70,6 +72,7 @@ def serve(
     *,
     parked: bool = False,
     cards: Path | None = None,
+    page: Page | None = None,
 ) -> int:
     """Fly `scenario` in real time until Ctrl-C or SIGTERM; returns the exit code.
 
@@ -78,7 +81,8 @@ def serve(
 
     The leader's telemetry is on TCP `port` of this machine, each follower's 10 further on, and a
     second link of each vehicle, for the pilot's own ground station, 2 above its first. With a key
-    the telemetry is signed; the second link stays unsigned, as a vehicle's USB does.
+    the telemetry is signed; the second link stays unsigned, as a vehicle's USB does. `page` shows
+    the truth in a browser.
     Raises EchowingError for a port or a folder that cannot be had.
     """
     if scenario.kind != "formation":
@@ -87,12 +91,15 @@ def serve(
     world = _world(scenario, seed, parked=parked)
     if cards is not None:
         insert_cards(world.followers, cards)
-    with closing(Server(lambda t_s: world.step())) as server, stop_on_signals() as stop:
+    step = world.step if page is None else WorldOnPage(world, page).step
+    with closing(Server(lambda t_s: step())) as server, stop_on_signals() as stop:
         _connect(server, world, port)
         if signing_key is not None:
             for vehicle in (world.leader, *world.followers):
                 vehicle.autopilot.sign_link(TELEMETRY, signing_key)
         _say_how_to_go_on(scenario, port, parked=parked, signed=signing_key is not None)
+        if page is not None:
+            print(page.said, flush=True)
         server.run(stop)
     print("stopped", flush=True)
     return 0

@@ -10,18 +10,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from echowing.analysis.thesis import TABLE_5
+from echowing.flight.sonar import PAN_CENTRE_US, SERVO_US_PER_DEG, TILT_CENTRE_US
 from echowing.geo import Ned
 
 # The beam of an MB1202 for a copter-sized target; the thesis gives none. Twenty degrees is what
 # the ArduCopter SITL formation flights were flown with.
 BEAM_HALF_ANGLE_DEG = 20.0
-# Usual for hobby servos (1000 us over about 90-100 degrees); the thesis gives none.
-SERVO_US_PER_DEG = 10.0
 # 0.12 s for 60 degrees: an ordinary micro servo at 5 V.
 SERVO_SLEW_DPS = 500.0
-# Gimbal straight ahead (thesis Appendix A, channels 6 and 7).
-PAN_CENTRE_US = 1380.0
-TILT_CENTRE_US = 1400.0
 
 STOCK_X8_RANGE_M = TABLE_5["MB1202"].stock_m
 FOIL_X8_RANGE_M = TABLE_5["MB1202"].foil_m

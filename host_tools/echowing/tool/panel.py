@@ -35,6 +35,7 @@ LINK_WINDOW_S = 5.0
 # receivers make of it by more than a beam's width and a GPS can explain, for so long.
 MISMATCH_M = 2.0
 MISMATCH_S = 2.0
+UNKNOWN_MV = 0xFFFF  # of SYS_STATUS
 MOST_LOST = 50  # in a row; more is a restart or another sender, not a gap
 
 
@@ -104,6 +105,19 @@ class Row:
         }
 
 
+@dataclass(frozen=True, slots=True)
+class Supply:
+    """What a vehicle says of itself beside its flight; None: not said.
+
+    mode: as in `Row`; link_percent: frames that arrive.
+    """
+
+    mode: str
+    link_percent: float | None
+    battery_percent: int | None
+    battery_v: float | None
+
+
 @dataclass(slots=True)
 class _Quality:
     """Share of a vehicle's frames that arrive, by their sequence numbers."""
@@ -133,6 +147,8 @@ class _Readings:
 
     quality: _Quality = field(default_factory=_Quality)
     mode: str = "?"
+    battery_percent: int | None = None
+    battery_v: float | None = None
     sonar_m: float | None = None
     sonar_at_s: float = -math.inf
     named: dict[str, tuple[float, float]] = field(default_factory=dict)
@@ -177,12 +193,21 @@ class Panel:
         if kind == "HEARTBEAT":
             mode = mode_name(message.custom_mode)
             readings.mode = mode if is_flying(message) else f"{mode}, not flying"
+        elif kind == "SYS_STATUS":
+            percent, mv = message.battery_remaining, message.voltage_battery
+            readings.battery_percent = percent if percent >= 0 else None
+            readings.battery_v = mv / 1e3 if mv != UNKNOWN_MV else None
         elif kind == "STATUSTEXT" and message.severity <= mavlink.MAV_SEVERITY_WARNING:
             self.texts.append((message.get_srcSystem(), message.text))
 
     def newest(self, system_id: int, name: str, now_s: float) -> float | None:
         """A vehicle's newest named float, None when there is none of late."""
         return self._readings[system_id].newest(name, now_s)
+
+    def supply(self, system_id: int) -> Supply:
+        """A vehicle's mode, link and battery, the leader's too."""
+        one = self._readings[system_id]
+        return Supply(one.mode, one.quality.percent, one.battery_percent, one.battery_v)
 
     def rows(self, session: FollowSession, now_s: float) -> list[Row]:
         """A row a follower."""
