@@ -39,6 +39,7 @@ from echowing.sim.vehicles import LeaderPilot, MakeCoprocessor, SimFollower
 STEP_S = 0.02
 STEP_US = 20_000
 STEPS_PER_SAMPLE = 5  # 10 Hz
+SAMPLE_S = STEP_S * STEPS_PER_SAMPLE
 SWITCH_PULSE_US = 1700  # as README's example of a stop switch
 # Nothing further away than this can matter to a sonar that reports up to 7.65 m.
 HEARING_M = 9.0
@@ -160,12 +161,19 @@ class FormationFlight(FormationWorld):
             Recorder(scenario.name, slot, scenario.law, seed) for slot in scenario.slots()
         ]
 
-    def run(self, progress: Progress | None = None) -> FlightResult:
-        """Fly it all. `progress` is told the simulated seconds flown, once a second."""
+    def run(
+        self, progress: Progress | None = None, after_step: Callable[[], None] | None = None
+    ) -> FlightResult:
+        """Fly it all. `progress` is told the simulated seconds flown, once a second.
+
+        `after_step` is called after each step, for whoever watches.
+        """
         started_s = time.perf_counter()
         steps = round(self.scenario.duration_s / STEP_S)
         while self._step < steps:
             self.step()
+            if after_step is not None:
+                after_step()
             if progress is not None and self._step % 50 == 0:
                 progress(self.t_s)
         return self._result(time.perf_counter() - started_s)

@@ -52,8 +52,13 @@ def message_id(frame: bytes) -> int:
     return int.from_bytes(frame[7:10], "little")
 
 
+# What passes on a link ("sent" to the vehicle, "delivered" to it, "arrived" from it), when, and the
+# frame.
+Tap = Callable[[str, float, bytes], None]
+
+
 class Telemetry:
-    """One vehicle's radio link, both ways, and its .tlog."""
+    """One vehicle's radio link, both ways, and its .tlog. A `tap` is shown what passes."""
 
     def __init__(
         self, autopilot: Autopilot, down: Radio, up: Radio, log: BinaryIO | None = None
@@ -61,6 +66,7 @@ class Telemetry:
         self.autopilot = autopilot
         self.down = down
         self.up = up
+        self.tap: Tap | None = None
         self._log = log
         autopilot.add_link(TELEMETRY)
 
@@ -73,17 +79,24 @@ class Telemetry:
         arrived = self.down.receive(t_s)
         for frame in arrived:
             self._record(t_s, frame)
+            self._show("arrived", t_s, frame)
         return arrived
 
     def deliver(self, t_s: float) -> None:
         """Hand the vehicle what has reached it."""
         for packet in self.up.receive(t_s):
+            self._show("delivered", t_s, packet)
             self.autopilot.receive(TELEMETRY, packet)
 
     def send(self, t_s: float, frame: bytes) -> None:
         """Send a frame from the ground."""
         self._record(t_s, frame)
+        self._show("sent", t_s, frame)
         self.up.send(t_s, frame)
+
+    def _show(self, what: str, t_s: float, frame: bytes) -> None:
+        if self.tap is not None:
+            self.tap(what, t_s, frame)
 
     def _record(self, t_s: float, frame: bytes) -> None:
         if self._log is not None:

@@ -286,7 +286,7 @@ def load_scenario(name_or_path: str, changes: Iterable[str] = ()) -> Scenario:
     for change in changes:
         _apply(table, change)
     table.setdefault("name", name)
-    return _validated(table, source)
+    return scenario_of(table, source)
 
 
 def _read(name_or_path: str) -> tuple[str, str, str]:
@@ -322,7 +322,8 @@ def _apply(table: dict[str, Any], change: str) -> None:
     table[last] = value
 
 
-def _validated(table: Mapping[str, Any], source: str) -> Scenario:
+def scenario_of(table: Mapping[str, Any], source: str) -> Scenario:
+    """A scenario from what its file says; EchowingError names the source and the key."""
     try:
         scenario = Scenario.model_validate(table)
     except ValidationError as error:
