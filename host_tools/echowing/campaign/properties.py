@@ -13,8 +13,15 @@ import numpy as np
 from echowing.analysis.metrics import approach_s, metrics
 from echowing.campaign.promises import broken_promises
 from echowing.campaign.record import Bools, FlightRecord
-from echowing.flight.envelope import OTHERS_MPS2, RETREAT_MOST_MPS, Answer
+from echowing.flight.envelope import (
+    OTHERS_MPS2,
+    RETREAT_MOST_MPS,
+    SURE_SIGMAS,
+    Answer,
+    closing_limit_mps,
+)
 from echowing.flight.guard import LOWEST_M
+from echowing.flight.session import UNRANGED_SIGMA_M
 from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.sim.flight import SAMPLE_S
 from echowing.sim.modes import GUIDED
@@ -26,8 +33,13 @@ STOPS_WITHIN_S = 2.0
 # A held copter follows its receiver's wandering and the gusts: measured on a hovering leader, at
 # most 0.23 m/s in calm and 0.1 m/s more for each 4 m/s of wind; twice that is motion.
 STANDS_MPS, STANDS_PER_WIND = 0.5, 0.05
-# A vehicle that goes away from another nearer than this is making room, whatever is stale.
-MAKING_ROOM_M = 1.0
+# A vehicle that goes away from another nearer than this is making room, whatever is stale: between
+# followers what the envelope keeps where no sonar ranges, and of the leader its slot; and half a
+# metre to begin with.
+BETWEEN_FOLLOWERS_M = LEAST_M + SURE_SIGMAS * UNRANGED_SIGMA_M
+MAKING_ROOM_M = 0.5
+# In wind: a vehicle that leans so far has nothing left to brake with (30 degrees are all it has).
+ALL_LEAN_RAD, BLOWN_WIND_MPS, BLOWN_S = math.radians(28.5), 4.0, 3.0
 # From a change of the mode to the pilot's value: the applet's period and the handing back.
 HANDED_BACK_S = 0.5
 # ArduCopter's Guided flies a velocity on for so long (GUID_TIMEOUT).
@@ -64,9 +76,10 @@ def separation(record: FlightRecord) -> list[Broken]:
         if bound_m < LEAST_M:
             continue
         name = "the leader" if a == 0 else f"follower {a + 1}"
+        blown = _blown(record, sample, a) or _blown(record, sample, b)
         broken.append(
             Broken(
-                "separation",
+                BLOWN if blown else "separation",
                 float(record.time_s[sample]),
                 b + 1,
                 float(least_m[sample]),
@@ -76,12 +89,21 @@ def separation(record: FlightRecord) -> list[Broken]:
     return sorted(broken, key=lambda one: one.value)
 
 
+def _blown(record: FlightRecord, sample: int, vehicle: int) -> bool:
+    """Whether the wind had just taken all the lean that a vehicle has."""
+    if record.scenario.wind.speed_mps < BLOWN_WIND_MPS:
+        return False
+    first = max(0, sample - round(BLOWN_S / SAMPLE_S))
+    return bool((record.lean_rad[first : sample + 1, vehicle] >= ALL_LEAN_RAD).any())
+
+
 def retreat_bound_m(record: FlightRecord, sample: int, follower: int) -> float:
     """What a perfect retreat would have left of the distance to the leader; `follower`: its index.
 
     The leader's own approach is what it flew towards the follower's place, sample by sample, in the
-    while before `sample` in which it did; the retreat begins once a report of that approach, or the
-    sonar's second reading of it, has had the time to act, and is no faster than the core's.
+    while before `sample` in which it did. The follower began it closing no faster than could be
+    stopped within the promise; its retreat begins once a report of the approach, or the sonar's
+    second reading of it, has had the time to act, and is no faster than the core's.
     """
     apart = record.position_ned_m[:, follower] - record.position_ned_m[:, 0]
     distance_m = np.linalg.norm(apart, axis=1)
@@ -95,7 +117,8 @@ def retreat_bound_m(record: FlightRecord, sample: int, follower: int) -> float:
     if first == sample:
         return math.inf  # the leader did not fly at it
     known = _known_from(record, first, follower) + round(Answer().dead_s / SAMPLE_S)
-    left_m, away_mps = float(distance_m[first]), float(own[first])
+    left_m = float(distance_m[first])
+    away_mps = max(float(own[first]), -closing_limit_mps(left_m, Answer(), LEAST_M))
     bound_m = left_m
     for at in range(first, sample):
         if at >= known:
@@ -174,7 +197,7 @@ def _making_room(record: FlightRecord, vehicle: int) -> Bools:
         apart = record.position_ned_m[:, vehicle] - record.position_ned_m[:, other]
         distance_m = np.linalg.norm(apart, axis=1)
         leaves = np.sum(record.velocity_ned_mps[:, vehicle] * apart, axis=1) > 0.0
-        near_m = MAKING_ROOM_M + (slot.radius_m if other == 0 else 2.0 * LEAST_M)
+        near_m = MAKING_ROOM_M + (slot.radius_m if other == 0 else BETWEEN_FOLLOWERS_M)
         room |= leaves & (distance_m < near_m)
     return room
 
@@ -292,6 +315,9 @@ def nothing_wrong(record: FlightRecord) -> bool:
         and scenario.airframe == type(scenario.airframe)()
     )
 
+
+# The separation broken while the wind had taken all lean: counted apart, as no law can help it.
+BLOWN = "separation, blown"
 
 # In the order of the report.
 PROPERTIES: dict[str, Property] = {

@@ -48,7 +48,7 @@ class Point:
 class FlightRecord:
     """One flight, n samples at 10 Hz, v vehicles (the leader first), f = v - 1 followers.
 
-    position_ned_m, velocity_ned_mps: true, (n, v, 3). height_m: above its home by its own estimate,
+    position_ned_m, velocity_ned_mps: true, (n, v, 3). lean_rad: off upright, (n, v). height_m: above its home by its own estimate,
     (n, v). mode, flying: the autopilot's, (n, v). least_m: the least true distance of each pair
     since the sample before, (n, p), pairs as in `pairs`, indices of vehicles from 0. leader_age_s:
     age of the newest position of the leader that has reached the tool, (n,). stream_age_s: since a
@@ -62,6 +62,7 @@ class FlightRecord:
     scenario: Scenario
     seed: int
     time_s: Floats
+    lean_rad: Floats
     position_ned_m: Floats
     velocity_ned_mps: Floats
     height_m: Floats
@@ -175,6 +176,7 @@ class Observer:
         row("time_s", t_s)
         row("position", [vehicle.position_ned_m for vehicle in vehicles])
         row("velocity", [vehicle.velocity_ned_mps for vehicle in vehicles])
+        row("lean", [math.hypot(one.body.roll_rad, one.body.pitch_rad) for one in vehicles])
         row("height", [vehicle.autopilot.height_above_home_m() for vehicle in vehicles])
         row("mode", [vehicle.autopilot.modes.mode for vehicle in vehicles])
         row("flying", [vehicle.autopilot.modes.flying for vehicle in vehicles])
@@ -220,6 +222,7 @@ class Observer:
             scenario=result.scenario,
             seed=result.seed,
             time_s=np.array(rows["time_s"], dtype=float),
+            lean_rad=np.array(rows["lean"], dtype=float),
             position_ned_m=np.array(rows["position"], dtype=float),
             velocity_ned_mps=np.array(rows["velocity"], dtype=float),
             height_m=np.array(rows["height"], dtype=float),

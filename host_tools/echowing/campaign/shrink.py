@@ -8,7 +8,7 @@ import copy
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from echowing.campaign.fly import fly_and_judge
+from echowing.campaign.fly import LOGS, fly_and_judge
 from echowing.campaign.properties import Broken
 from echowing.errors import EchowingError
 from echowing.sim.fault_section import LEADER
@@ -48,7 +48,7 @@ def breaks(property_name: str, seed: int) -> Fails:
             scenario = scenario_of(table, "shrunk")
         except EchowingError:
             return None
-        broken = fly_and_judge(scenario, seed, logs=property_name == "logs readable").broken
+        broken = fly_and_judge(scenario, seed, logs=property_name == LOGS).broken
         return next((one for one in broken if one.name == property_name), None)
 
     return fails
