@@ -48,8 +48,9 @@ class Point:
 class FlightRecord:
     """One flight, n samples at 10 Hz, v vehicles (the leader first), f = v - 1 followers.
 
-    position_ned_m, velocity_ned_mps: true, (n, v, 3). lean_rad: off upright, (n, v). height_m: above its home by its own estimate,
-    (n, v). mode, flying: the autopilot's, (n, v). least_m: the least true distance of each pair
+    position_ned_m, velocity_ned_mps: true, (n, v, 3). lean_rad: off upright, (n, v). height_m:
+    above its home by its own estimate, (n, v). mode, flying: the autopilot's, (n, v). least_m: the
+    least true distance of each pair
     since the sample before, (n, p), pairs as in `pairs`, indices of vehicles from 0. leader_age_s:
     age of the newest position of the leader that has reached the tool, (n,). stream_age_s: since a
     point last reached the follower, (n, f). speed_mps: its speed parameter, (n, f), m/s. applet:
