@@ -87,6 +87,8 @@ def serve(
     """
     if scenario.kind != "formation":
         raise EchowingError(f"--serve: scenario {scenario.name} has no leader and followers")
+    if scenario.fault:
+        raise EchowingError(f"--serve: the faults of {scenario.name} are flown without it only")
     _check_ports(port, 1 + len(scenario.slots()))
     world = _world(scenario, seed, parked=parked)
     if cards is not None:

@@ -24,7 +24,6 @@ LIFT_STATES: dict[Lift | None, str] = {
 # The applet's and the co-processor's named floats (lua/echowing.md, firmware's DeviceState).
 SPEED_LIMIT, GIMBAL_STATE = "ECHO_SPD", "SNR_STATE"
 FIXES = {0: "none", 1: "none", 2: "2D"}  # of GPS_FIX_TYPE; all others are 3D and better
-UNKNOWN_MV = 65_535
 GIMBAL = {0: "starting", 1: "searching", 2: "tracking", 3: "sonar fault"}
 SONAR_FRESH_S = 0.5  # ArduPilot's own limit for a MAVLink rangefinder
 NAMED_FRESH_S = 2.0
@@ -105,19 +104,6 @@ class Row:
         }
 
 
-@dataclass(frozen=True, slots=True)
-class Supply:
-    """What a vehicle says of itself beside its flight; None: not said.
-
-    mode: as in `Row`; link_percent: frames that arrive.
-    """
-
-    mode: str
-    link_percent: float | None
-    battery_percent: int | None
-    battery_v: float | None
-
-
 @dataclass(slots=True)
 class _Quality:
     """Share of a vehicle's frames that arrive, by their sequence numbers."""
@@ -147,8 +133,6 @@ class _Readings:
 
     quality: _Quality = field(default_factory=_Quality)
     mode: str = "?"
-    battery_percent: int | None = None
-    battery_v: float | None = None
     sonar_m: float | None = None
     sonar_at_s: float = -math.inf
     named: dict[str, tuple[float, float]] = field(default_factory=dict)
@@ -193,10 +177,6 @@ class Panel:
         if kind == "HEARTBEAT":
             mode = mode_name(message.custom_mode)
             readings.mode = mode if is_flying(message) else f"{mode}, not flying"
-        elif kind == "SYS_STATUS":
-            percent, mv = message.battery_remaining, message.voltage_battery
-            readings.battery_percent = percent if percent >= 0 else None
-            readings.battery_v = mv / 1e3 if mv != UNKNOWN_MV else None
         elif kind == "STATUSTEXT" and message.severity <= mavlink.MAV_SEVERITY_WARNING:
             self.texts.append((message.get_srcSystem(), message.text))
 
@@ -204,10 +184,9 @@ class Panel:
         """A vehicle's newest named float, None when there is none of late."""
         return self._readings[system_id].newest(name, now_s)
 
-    def supply(self, system_id: int) -> Supply:
-        """A vehicle's mode, link and battery, the leader's too."""
-        one = self._readings[system_id]
-        return Supply(one.mode, one.quality.percent, one.battery_percent, one.battery_v)
+    def link_percent(self, system_id: int) -> float | None:
+        """The share of a vehicle's frames that arrive, the leader's too."""
+        return self._readings[system_id].quality.percent
 
     def rows(self, session: FollowSession, now_s: float) -> list[Row]:
         """A row a follower."""
