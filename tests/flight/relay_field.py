@@ -11,7 +11,8 @@ from echowing.flight.engage import Readiness
 from echowing.flight.guard import Limits
 from echowing.flight.guidance import Slot
 from echowing.flight.relay import BESIDE_M, RELAY_SETTINGS, RelayGuide
-from echowing.flight.session import FollowerPlan, FollowSession
+from echowing.flight.session import FollowSession
+from echowing.flight.state import FollowerPlan
 from echowing.geo import GlobalPosition, Ned, displace, ned_between
 from echowing.sim.copter import Copter
 
@@ -70,7 +71,9 @@ class RelayField:
                 max_distance_m=5_000.0,
                 min_separation_m=min_separation_m,
                 leader_flies=False,
-                ready=Readiness(distance=False, sides=False, height_told=True, apart_m=apart_m),
+                ready=Readiness(
+                    distance=False, reversal=False, sides=False, height_told=True, apart_m=apart_m
+                ),
             ),
         )
         follower = self.session.followers[RELAY]

@@ -245,7 +245,7 @@ def test_engaging_by_key_sends_points_and_a_hold_ends_by_the_same_key() -> None:
     field.orders.engage(field.now_s)
     field.fly(1.0)
     assert field.state() == "following"
-    texts = [m.text for _, m in field.sent if m.get_type() == "STATUSTEXT"]
+    texts = [m.text for who, m in field.sent if who == FOLLOWER and m.get_type() == "STATUSTEXT"]
     assert texts == [
         "Echowing: engaged by its operator",
         f"Echowing: holding, {HELD}",

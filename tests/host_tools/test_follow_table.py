@@ -14,7 +14,8 @@ from echowing.analysis.metrics import metrics
 from echowing.cli import main
 from echowing.errors import EchowingError
 from echowing.flight.guidance import GuidanceSettings, Slot
-from echowing.flight.session import FollowerPlan, FollowSession
+from echowing.flight.session import FollowSession
+from echowing.flight.state import FollowerPlan
 from echowing.geo import GlobalPosition, displace
 from echowing.tool.log import FollowLog
 from echowing.tool.panel import Panel

@@ -4,6 +4,7 @@ import argparse
 import math
 import sys
 import time
+from contextlib import nullcontext
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,11 +13,12 @@ from echowing.errors import EchowingError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from contextlib import AbstractContextManager
 
     from echowing.flight.guidance import Slot
     from echowing.flight.take_off import TakeOff
     from echowing.mavlink.seats import Seat
-    from echowing.tool.run import FollowOptions
+    from echowing.tool.run import FollowOptions, Page
 
 RADIUS_M = 3.0
 # Above the leader's home: what can be flown, and what can still be seen from there.
@@ -39,6 +41,8 @@ examples:
           [[slots]]
           radius_m = 4.0
           angle_deg = -40.0
+  echowing follow --leader udpin:14550 --follower udpin:14560 --web
+      only watches, and shows it in the browser too; --web-address 0.0.0.0 for a phone
   echowing follow --leader udpin:14550 --follower udpin:14560 --take-off 10 --engage
       takes off first: each pilot arms his vehicle in Guided, on the ground; the tool never arms
   echowing follow --leader udpin:14550 --follower udpin:14560 \\
@@ -52,6 +56,7 @@ The pilot takes over by any change of mode; points go on when he puts the vehicl
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The verb's options."""
     from echowing.mavlink.links import CONN, DEFAULT_BAUD  # noqa: PLC0415 (imported when the verb is used)
+    from echowing.web.options import add_web_arguments  # noqa: PLC0415
 
     parser.epilog = EXAMPLES
     links = parser.add_argument_group(
@@ -120,6 +125,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "come by the autopilot's DISTANCE_SENSOR then, and the gimbal's state does not",
     )
     add_log_arguments(parser)
+    add_web_arguments(parser)
     parser.add_argument("--duration", type=float, metavar="S", help="end after this long")
     parser.add_argument("--json", action="store_true", help="print JSON, an object a line")
 
@@ -204,10 +210,17 @@ def _add_safety(safety: "argparse._ArgumentGroup") -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Follow until told to end."""
-    return fly(_options(args), as_json=args.json)
+    from echowing.web.open import page_of  # noqa: PLC0415
+
+    return fly(_options(args), as_json=args.json, page=page_of(args, "follow"))
 
 
-def fly(options: "FollowOptions", *, as_json: bool) -> int:
+def fly(
+    options: "FollowOptions",
+    *,
+    as_json: bool,
+    page: "AbstractContextManager[Page | None] | None" = None,
+) -> int:
     """Fly what was asked for, with keys where somebody sees what they do; returns the exit code."""
     from echowing.stopping import stop_on_signals  # noqa: PLC0415
     from echowing.terminal import Keyboard, run_in_flight  # noqa: PLC0415
@@ -219,9 +232,10 @@ def fly(options: "FollowOptions", *, as_json: bool) -> int:
     if options.build_up and not seen:
         raise EchowingError("--build-up goes by keys: run it on a terminal, without --json")
     keyboard = pressed if seen else None
-    with stop_on_signals() as stop:
+    with stop_on_signals() as stop, page or nullcontext() as shown:
         keys = None if keyboard is None else keyboard.read
-        tool = FollowTool(options, open_view(as_json=as_json), stop, keys=keys)
+        view = open_view(as_json=as_json)
+        tool = FollowTool(options, view, stop, keys=keys, page=shown)
         return run_in_flight(tool.run, lambda: tool.stuck, keyboard)
 
 

@@ -102,6 +102,7 @@ def run(args: argparse.Namespace) -> int:
             leader_flies=False,
             ready=Readiness(
                 distance=False,
+                reversal=False,
                 sides=False,
                 height_told=altitude_told,
                 apart_m=HEIGHTS_APART_M,

@@ -17,7 +17,8 @@ from echowing.flight.engage import DIST
 from echowing.flight.guidance import Slot, SlotGuide
 
 if TYPE_CHECKING:
-    from echowing.flight.session import FollowerState, FollowSession
+    from echowing.flight.session import FollowSession
+    from echowing.flight.state import FollowerState
 
 # Of the outermost slot: its follower trails it by half a metre (Guided flies 1 m/s for each metre
 # that it is off), and 8 m are closed in 6 s to 5 m.

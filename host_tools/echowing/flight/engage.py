@@ -13,11 +13,13 @@ from typing import TYPE_CHECKING, Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.flight.guidance import MOVING_MPS, Horizontal, slot_offset_m
+from echowing.flight.handling import least_slot_m
 from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.geo import GlobalPosition, ned_between
 
 if TYPE_CHECKING:
-    from echowing.flight.session import FollowerState, FollowSession
+    from echowing.flight.session import FollowSession
+    from echowing.flight.state import FollowerState
 
 Say = Callable[[float, str], None]
 
@@ -48,6 +50,8 @@ INSET_M = 0.1
 # more than the second is not begun untold.
 HOMES_M, HEIGHTS_M = 1.0, 3.0
 LOWEST_M = 1.0
+# At this speed a leader may turn round without harm to anybody: the thesis's leader flew it.
+TURNS_MPS = 2.0
 # Of a battery that is to carry it through a flight of minutes and home.
 LEAST_BATTERY_PERCENT = 20
 # What ArduPilot asks of a receiver before arming (GPS_HDOP_GOOD, EK3_GPS_CHECK), and from where on
@@ -68,13 +72,15 @@ class Readiness:
     """Which checks are made beyond clocks, receivers, EKF, battery and switch.
 
     applet: the applet runs, with its stream watchdog; distance: its distance and inset are the
-    tool's; sides: no follower's way to its slot crosses another's; homes_told: what homes that
-    differ by their receivers mean was said; height_told: so was the altitude to fly at; apart_m:
-    warn where the leader comes back (RTL) less than this above or below a follower, None: no.
+    tool's; reversal: its slot is far enough away for the leader to turn round; sides: no follower's
+    way to its slot crosses another's; homes_told: what homes that differ by their receivers mean
+    was said; height_told: so was the altitude to fly at; apart_m: warn where the leader comes back
+    (RTL) less than this above or below a follower, None: no.
     """
 
     applet: bool = True
     distance: bool = True
+    reversal: bool = True
     sides: bool = True
     homes_told: bool = False
     height_told: bool = False
@@ -251,11 +257,19 @@ class Engagement:
         }
         return [(system_id, *item) for system_id in self._vehicles for item in rates.items()]
 
-    def messages(self, now_s: float) -> list[tuple[int, Any]]:
-        """Questions for the applet's parameters, and for the leader's RTL altitude."""
-        asked = self._ask_rtl(now_s)
-        if not self.readiness.applet:
-            return asked
+    def messages(
+        self, followers: Mapping[int, "FollowerState"], now_s: float
+    ) -> list[tuple[int, Any]]:
+        """Questions for the parameters of applets and autopilots."""
+        asked = self._ask_rtl(now_s) + [
+            (system_id, _read_parameter(system_id, name))
+            for system_id, follower in followers.items()
+            for name in follower.handling.asks(now_s)
+        ]
+        return asked + (self._questions_to_applets(now_s) if self.readiness.applet else [])
+
+    def _questions_to_applets(self, now_s: float) -> list[tuple[int, Any]]:
+        asked = []
         for system_id, turn in self._turns.items():
             vehicle = self._vehicles[system_id]
             missing = [name for name in APPLET if name not in vehicle.parameters]
@@ -294,7 +308,7 @@ class Engagement:
             self._warn_of_return(session, follower, turn, now_s)
             if turn.cleared:
                 continue
-            session.take_leaders_height(follower)
+            session.heights.take_leaders(follower)
             if self._table_shown and session.engaged and follower.in_guided:
                 self._judge(session, follower, turn, now_s)
 
@@ -317,7 +331,7 @@ class Engagement:
                 session.alert(system_id, f"not engaged, {text}")
             return
         turn.cleared = True
-        if session.leaders_height:
+        if session.heights.leaders:
             self._say(
                 now_s,
                 f"follower {system_id}: flies {follower.plan.wanted_m:.1f} m above the leader's "
@@ -426,6 +440,7 @@ class Engagement:
             _clock("its", follower.clock),
             *self._switch("its", system_id, session, now_s),
             *self._applet(system_id, session, follower),
+            *self._reversal(follower),
             *self._homes(session, follower),
             *self._height(session, follower),
             *self._state("its", system_id),
@@ -460,6 +475,23 @@ class Engagement:
             findings += [] if distance is None else [distance]
         return findings
 
+    def _reversal(self, follower: "FollowerState") -> list[Finding]:
+        """The least distance at which it survives that the leader turns round."""
+        if not self.readiness.reversal:
+            return []
+        handling, radius_m = follower.handling, follower.plan.slot.radius_m
+        if not handling.known:
+            return [Finding("least", "?", "its acceleration and jerk are not known (WP_ACC)")]
+        least_m = least_slot_m(TURNS_MPS, handling.answer)
+        wrong = ""
+        if radius_m < least_m:
+            wrong = (
+                f"its slot is {radius_m:g} m from the leader, and {least_m:.1f} m is the least at "
+                f"which it gets away from a leader that turns round at {TURNS_MPS:g} m/s: "
+                f"`echowing setup apply` (WP_ACC, PSC_JERK_NE), or a larger --radius"
+            )
+        return [Finding("least", f"{least_m:.1f} m", wrong)]
+
     def _homes(self, session: "FollowSession", follower: "FollowerState") -> list[Finding]:
         guard = session.guard
         if guard is None or guard.limits.home_difference_m is None:
@@ -477,7 +509,7 @@ class Engagement:
         return [Finding("home", f"{higher_m:+.1f} m", wrong)]
 
     def _height(self, session: "FollowSession", follower: "FollowerState") -> list[Finding]:
-        wanted_m, height_m = session.height_wanted_m(follower), follower.altitude_m
+        wanted_m, height_m = session.heights.wanted_m(follower), follower.altitude_m
         if wanted_m is None or height_m is None:
             return [Finding("height", "?", "its height or the leader's is not known")]
         wrong = ""
@@ -501,7 +533,7 @@ class Engagement:
         fix, guard = session.leader.fix, session.guard
         higher_m = None if guard is None else guard.home_above_leaders_m(follower.plan.system_id)
         home_m = None if guard is None else guard.home_m(self._leader_id)
-        wanted_m = session.height_wanted_m(follower)
+        wanted_m = session.heights.wanted_m(follower)
         if rtl_m is None:
             note = f"how high the leader comes back is not known ({RTL_M} does not answer)"
             return [Finding("RTL", "?", note=note)]

@@ -13,7 +13,7 @@ from echowing.flight.guidance import (
     LeaderFix,
     predicted,
 )
-from echowing.flight.session import Guide
+from echowing.flight.state import Guide
 from echowing.geo import GlobalPosition, displace, ned_between, relay_pos
 
 # Nothing here looks at the remote vehicle with a sonar, and nothing runs ahead of it.

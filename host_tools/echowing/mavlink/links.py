@@ -31,6 +31,12 @@ MOST_PEERS = 64
 # A vehicle learns the time from our signatures within a second or two; one whose frames are
 # refused for longer has another key, or none.
 REFUSED_S = 3.0
+# A vehicle sends its heartbeat each second.
+SILENT_S = 3.0
+TAKEN = (
+    "nothing comes; a vehicle's TCP port often takes one tool at a time, "
+    "so see whether another is connected there"
+)
 
 _STILL_CONNECTING = {errno.EINPROGRESS, errno.EALREADY, errno.EWOULDBLOCK}
 _FORMS = "udpin:[HOST:]PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:[HOST:]PORT or a serial device"
@@ -369,7 +375,7 @@ class Link:
         self.connected = False
         self._transport: Transport | None = None
         self._parser = Parser(signing)
-        self._try_at_s = 0.0
+        self._try_at_s = self._opened_at_s = 0.0
         self._complaint = ""
         self._refused_since_s: float | None = None
         self._refusal_told = False
@@ -396,7 +402,7 @@ class Link:
         return None if self._transport is None else self._transport.fileno()
 
     def receive(self, now_s: float) -> list[Any]:
-        """The messages that have come; tries to connect where there is no connection."""
+        """The messages that have arrived; tries to connect where there is no connection."""
         if self._transport is None and not self._connect(now_s):
             return []
         messages: list[Any] = []
@@ -409,6 +415,8 @@ class Link:
             self._lost(error, now_s)
         if messages and not self.connected:
             self._heard()
+        elif self.address.kind == "tcp" and not self.connected:
+            self._complain_of_silence(now_s)
         return messages
 
     def send(self, frame: bytes, now_s: float) -> None:
@@ -435,7 +443,15 @@ class Link:
         except (OSError, OverflowError, ValueError) as error:
             self._complain(error)
         self._parser = Parser(self.signing)
+        self._opened_at_s = now_s
         return self._transport is not None
+
+    def _complain_of_silence(self, now_s: float) -> None:
+        """Say once that a vehicle that should send each second sends nothing."""
+        silent = self._transport is not None and now_s - self._opened_at_s >= SILENT_S
+        if silent and self._complaint != TAKEN:
+            self._complaint = TAKEN
+            self.news.append(f"link {self.name}: {TAKEN}")
 
     def _heard(self) -> None:
         self.connected = True
@@ -449,8 +465,11 @@ class Link:
         self._try_at_s = now_s + RETRY_S
 
     def _complain(self, error: Exception) -> None:
-        """Say why there is no connection, once a reason."""
+        """Say why there is no connection, once per reason."""
         reason = _reason(error)
+        hung_up = getattr(error, "errno", None) == errno.ECONNRESET
+        if hung_up and self.address.kind == "tcp" and not self.connected:
+            reason = TAKEN
         if self.connected or reason != self._complaint:
             self._complaint = reason
             self.news.append(f"link {self.name}: {reason}; trying again every {RETRY_S:g} s")

@@ -172,6 +172,10 @@ class BackgroundLog:
         """As `FollowLog`."""
         self._do(lambda: self._log.rows(unix_s, rows, tracks))
 
+    def event(self, unix_s: float, text: str) -> None:
+        """As `FollowLog`."""
+        self._do(lambda: self._log.event(unix_s, text))
+
     def tell(self, say: Callable[[str], None]) -> None:
         """Say what the log has had to say since the last time."""
         while self._said:

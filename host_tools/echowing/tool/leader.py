@@ -8,8 +8,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.errors import EchowingError
 from echowing.flight.engage import BATTERY_HZ, EKF_HZ, GPS_HZ
-from echowing.flight.guard import SWITCH_HZ, UNHEARD_S, RateWatch
-from echowing.flight.session import RATE_REQUEST_PERIOD_S
+from echowing.flight.guard import SWITCH_HZ, UNHEARD_S
+from echowing.flight.requests import RATE_REQUEST_PERIOD_S, RateWatch
 from echowing.mavlink.links import Address, Link, leads_back, wait
 from echowing.mavlink.messages import HEARTBEAT_PERIOD_S, message_interval, tool_heartbeat
 from echowing.mavlink.seats import POLL_S, OpenLink, Seat, find_vehicles, known_id

@@ -10,7 +10,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from echowing.flight.guard import UNHEARD_S, is_flying, mode_name
 from echowing.flight.guidance import is_stale
 from echowing.flight.leader_track import VehicleClock
-from echowing.flight.session import FollowerState, FollowSession
+from echowing.flight.session import FollowSession
+from echowing.flight.state import FollowerState
 from echowing.flight.take_off import Lift
 from echowing.geo import distance_m, ned_between
 from echowing.mavlink.messages import FORWARD, is_nonsense, sonar_range_m
@@ -23,7 +24,6 @@ LIFT_STATES: dict[Lift | None, str] = {
 # The applet's and the co-processor's named floats (lua/echowing.md, firmware's DeviceState).
 SPEED_LIMIT, GIMBAL_STATE = "ECHO_SPD", "SNR_STATE"
 FIXES = {0: "none", 1: "none", 2: "2D"}  # of GPS_FIX_TYPE; all others are 3D and better
-UNKNOWN_MV = 65_535
 GIMBAL = {0: "starting", 1: "searching", 2: "tracking", 3: "sonar fault"}
 SONAR_FRESH_S = 0.5  # ArduPilot's own limit for a MAVLink rangefinder
 NAMED_FRESH_S = 2.0
@@ -34,6 +34,7 @@ LINK_WINDOW_S = 5.0
 # receivers make of it by more than a beam's width and a GPS can explain, for so long.
 MISMATCH_M = 2.0
 MISMATCH_S = 2.0
+UNKNOWN_MV = 0xFFFF  # of SYS_STATUS
 MOST_LOST = 50  # in a row; more is a restart or another sender, not a gap
 
 
@@ -183,6 +184,10 @@ class Panel:
         """A vehicle's newest named float, None when there is none of late."""
         return self._readings[system_id].newest(name, now_s)
 
+    def link_percent(self, system_id: int) -> float | None:
+        """The share of a vehicle's frames that arrive, the leader's too."""
+        return self._readings[system_id].quality.percent
+
     def rows(self, session: FollowSession, now_s: float) -> list[Row]:
         """A row a follower."""
         return [self._row(session, follower, now_s) for follower in session.followers.values()]
@@ -281,7 +286,7 @@ def state_of(session: FollowSession, follower: FollowerState, now_s: float) -> s
     if not session.engaged and follower.held_at is None:
         return "only watched"
     if not follower.in_guided:
-        return "hands off"
+        return "pilot has control"
     objection = (
         None
         if session.engagement is None

@@ -21,7 +21,7 @@ from echowing.tool.run import FollowTool
 from echowing.tool.view import EVENTS_SHOWN, scene
 
 PORT = 5760  # as in the README
-WIDTH_CHARACTERS = 104
+WIDTH_CHARACTERS = 80
 IN_PLACE_M = 0.6
 # So long both have to be in place, so that the links have been counted and the lines have settled.
 SETTLED_S = 8.0

@@ -2,10 +2,10 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -13,8 +13,10 @@ from echowing.flight.build_up import BuildUp
 from echowing.flight.formation import turning_together
 from echowing.flight.guard import Limits
 from echowing.flight.guidance import GuidanceSettings, Slot
+from echowing.flight.health import Cohesion
 from echowing.flight.orders import Orders
-from echowing.flight.session import FollowerPlan, FollowSession, Guide
+from echowing.flight.session import FollowSession
+from echowing.flight.state import FollowerPlan, Guide
 from echowing.flight.take_off import TakeOff
 from echowing.mavlink.links import Address, Link, wait
 from echowing.mavlink.messages import status_text
@@ -24,11 +26,14 @@ from echowing.stopping import StopRequest
 from echowing.tool.background import BackgroundLog, BackgroundView
 from echowing.tool.keys import KeyDesk
 from echowing.tool.log import FollowLog
+from echowing.tool.moment import Moment, members, places
 from echowing.tool.panel import Panel, left_as
 from echowing.tool.track import Track, track
 from echowing.tool.view import View
 
 ROWS_PERIOD_S = 0.1
+# Changes of the formation's health count after 2 s; judging fifty followers takes milliseconds.
+HEALTH_PERIOD_S = 1.0
 # A copter at 5 m/s stands within 5 s; the stop has to be seen for a second, over a slow link.
 STOPPING_S = 10.0
 # Five questions for a parameter, a second apart, over a slow radio.
@@ -70,11 +75,27 @@ def _is_no_point(addressed: tuple[int, Any]) -> bool:
     return bool(addressed[1].get_msgId() != mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT)
 
 
+class Page(Protocol):
+    """Where a flight is shown beside the terminal; nothing here makes the caller wait."""
+
+    said: str
+
+    def event(self, time_s: float, text: str) -> None:
+        """Something has happened."""
+
+    def show(self, moment: Moment) -> None:
+        """How it stands; called at 10 Hz."""
+
+    def lost(self) -> str | None:
+        """Why it shows nothing any more; said once."""
+
+
 class FollowTool:
     """Finds the vehicles, flies the followers, and leaves them standing.
 
     `clock` is monotonic seconds and `unix_clock` UTC; `make_link` opens what points go through;
-    `keys` returns what was pressed since the last time, at once; None: nobody can press any.
+    `keys` returns what was pressed since the last time, at once; None: nobody can press any. `page`
+    shows the flight in a browser.
     """
 
     def __init__(
@@ -87,9 +108,11 @@ class FollowTool:
         unix_clock: Callable[[], float] = time.time,
         make_link: Callable[[Address, LinkSigning | None], Link] = Link,
         keys: Callable[[], bytes] | None = None,
+        page: Page | None = None,
     ) -> None:
         self._options = options
         self._keys = keys
+        self._page = page
         self._view = BackgroundView(view)
         self._stop = stop
         self._clock = clock
@@ -102,7 +125,7 @@ class FollowTool:
             if seat.address.text not in self._links:
                 self._links[seat.address.text] = self._link_of(seat)
         self._log: BackgroundLog | None = None
-        self._next_tick_s = self._next_rows_s = 0.0
+        self._next_tick_s = self._next_rows_s = self._next_health_s = 0.0
         self._events_told = self._alerts_told = 0
 
     def run(self) -> int:
@@ -117,6 +140,8 @@ class FollowTool:
             if options.log is not None:
                 self._log = BackgroundLog(partial(FollowLog, options.log, self._start_unix_s))
                 self._say(f"log: {options.log}")
+            if self._page is not None:
+                self._say(self._page.said)
             if not find_vehicles(options.seats, self._links, self._now_s, self._over, self._say):
                 self._say("ended before all vehicles were heard; nothing was moved")
                 return self._unheard_code()
@@ -141,7 +166,14 @@ class FollowTool:
         return self._clock() - self._start_s
 
     def _say(self, text: str) -> None:
-        self._view.event(self._now_s(), text)
+        self._event(self._now_s(), text)
+
+    def _event(self, time_s: float, text: str) -> None:
+        self._view.event(time_s, text)
+        if self._page is not None:
+            self._page.event(time_s, text)
+        if self._log is not None:
+            self._log.event(self._start_unix_s + time_s, text)
 
     def _warn(self, text: str) -> None:
         """Say what somebody should look up for."""
@@ -174,6 +206,7 @@ class FollowTool:
         self._orders = Orders(self._session, build_up)
         self._desk = KeyDesk(self._orders, self._view.event)
         self._panel = Panel([known_id(seat) for seat in options.seats])
+        self._cohesion = Cohesion(known_id(leader))
         self._ways = {known_id(seat): self._links[seat.address.text] for seat in options.seats}
         listed = ", ".join(f"{seat.role} is system {seat.system_id}" for seat in options.seats)
         self._say(listed)
@@ -247,8 +280,28 @@ class FollowTool:
         self._tell()
         rows = self._panel.rows(self._session, now_s)
         self._view.rows(now_s, rows)
+        judge = now_s >= self._next_health_s
+        if self._log is None and self._page is None and not judge:
+            return
+        moment = Moment(now_s, rows, self._tracks(now_s), self._cohesion.health)
         if self._log is not None:
-            self._log.rows(self._start_unix_s + now_s, rows, self._tracks(now_s))
+            self._log.rows(self._start_unix_s + now_s, rows, moment.tracks)
+        if judge:
+            self._next_health_s = now_s + HEALTH_PERIOD_S
+            moment = self._judged(moment)
+        if self._page is not None:
+            self._page.show(moment)
+
+    def _judged(self, moment: Moment) -> Moment:
+        """The moment with the formation's health, of which changes are said."""
+        origin = moment.origin
+        if origin is None:
+            return moment
+        inset_m = self._session.settings.sonar_inset_m
+        vehicles = members(moment, places(moment, origin), inset_m)
+        for text in self._cohesion.update(vehicles, moment.time_s):
+            self._event(moment.time_s, text)
+        return replace(moment, health=self._cohesion.health)
 
     def _tracks(self, now_s: float) -> list[Track]:
         followers = self._session.followers.values()
@@ -259,7 +312,9 @@ class FollowTool:
             self._log.tell(self._warn)
         events = self._session.events
         for time_s, text in events[self._events_told :]:
-            self._view.event(time_s, text)
+            self._event(time_s, text)
+        if self._page is not None and (lost := self._page.lost()) is not None:
+            self._view.event(self._now_s(), lost)
         self._events_told = len(events)
         if self._session.alerts > self._alerts_told:
             self._alerts_told = self._session.alerts

@@ -7,15 +7,14 @@ from collections.abc import Callable, Iterable, Sequence
 from io import TextIOWrapper
 from typing import Protocol
 
-from rich.box import SIMPLE_HEAD
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
-from rich.table import Table
 from rich.text import Text
 
 from echowing.terminal import draws_live
 from echowing.tool.health import health, in_words, its_health, leaders_health
 from echowing.tool.panel import Row
+from echowing.tool.table import FollowerTable
 
 PLAIN_PERIOD_S = 5.0
 JSON_PERIOD_S = 1.0
@@ -183,54 +182,7 @@ def scene(rows: Sequence[Row], events: Iterable[str], keys: str = "") -> Rendera
     text = Text("\n".join(events))
     if keys:
         text.append(f"\n{keys}", style="reverse" if "?" in keys else "dim")
-    return Group(table(rows), health(rows), text) if rows else text
-
-
-def table(rows: Sequence[Row]) -> Table:
-    """The rows as a table; over it how fresh the leader is, which they share."""
-    leader = rows[0]
-    shown = Table(
-        title=f"leader: {_shown(leader.leader_speed_mps, 'm/s', '.1f')}, "
-        f"heard {_shown(leader.leader_age_s, 's')} ago",
-        title_justify="left",
-        title_style="bold",
-        box=SIMPLE_HEAD,
-        pad_edge=False,
-    )
-    for head in ("", "state", "mode"):
-        shown.add_column(head)
-    for head in ("separation\nm", "error\nm", "sonar\nm"):
-        shown.add_column(head, justify="right")
-    shown.add_column("gimbal")
-    for head in ("age\ns", "speed\nm/s", "limit\nm/s", "height\nm", "link\n%"):
-        shown.add_column(head, justify="right")
-    for row in rows:
-        shown.add_row(
-            str(row.system_id),
-            Text(row.state, style=_style(row.state)),
-            row.mode,
-            _number(row.separation_m),
-            _number(row.error_m, "+.2f"),
-            _number(row.sonar_m),
-            row.gimbal or "-",
-            _number(row.age_s),
-            _number(row.speed_mps, ".1f"),
-            _number(row.command_mps, ".1f"),
-            _number(row.altitude_m, ".1f"),
-            _number(row.link_percent, ".0f"),
-        )
-    return shown
-
-
-def _style(state: str) -> str:
-    """Green where all is well, yellow where it is stopped or on its way, red where nothing is."""
-    if state == "following":
-        return "green"
-    return "red" if state.startswith(("no points sent", "not engaged")) else "yellow"
-
-
-def _number(value: float | None, form: str = ".2f") -> str:
-    return "-" if value is None else f"{value:{form}}"
+    return Group(FollowerTable(rows), health(rows), text) if rows else text
 
 
 def plain_row(row: Row) -> str:
