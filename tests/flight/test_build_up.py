@@ -187,6 +187,9 @@ def test_the_applets_distance_is_put_back_at_the_end() -> None:
     field.orders.nearer(field.now_s)
     field.fly(8.0)
     assert field.distance() == 5.0
+    # Who ends the tool by force has to put it back himself.
+    told = "follower 2: ECHO_DIST was 3.5 and is put back at the end"
+    assert field.events().count(told) == 1
     field.build_up.restore()
     field.fly(1.0)
     assert field.distance() == 3.5

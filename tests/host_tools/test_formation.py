@@ -14,7 +14,7 @@ from echowing.flight.formation import (
     turning_together,
 )
 from echowing.flight.guidance import GRAY, GuidanceSettings, Slot
-from echowing.flight.session import UNRANGED_SIGMA_M
+from echowing.flight.spacing import UNRANGED_SIGMA_M
 
 
 def test_slots_apart_are_accepted() -> None:

@@ -199,11 +199,13 @@ class BuildUp:
         """Once a tick: move the slots; returns what to send."""
         elapsed_s = 0.0 if self._at_s is None else now_s - self._at_s
         self._at_s = now_s
-        messages = [
-            (system_id, message)
-            for system_id, distance in self.distances.items()
-            for message in distance.messages(system_id, now_s)
-        ]
+        messages = []
+        for system_id, distance in self.distances.items():
+            untouched = not distance.is_ours
+            messages += [(system_id, one) for one in distance.messages(system_id, now_s)]
+            if untouched and distance.is_ours:
+                text = f"{DIST} was {distance.before_m:g} and is put back at the end"
+                _say(session, now_s, f"follower {system_id}: {text}")
         self._judge(session, now_s)
         if not self._waits and self.radius_m != self.target_m:
             step_m = SLOT_MPS / self._spread * min(elapsed_s, LONGEST_STEP_S)
