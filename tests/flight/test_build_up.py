@@ -159,6 +159,20 @@ def test_what_asks_for_nearer_is_refused_while_somebody_holds_or_is_under_way() 
     assert field.orders.objection_to_nearer(field.now_s) == "still on the way to 5 m"
 
 
+def test_nearer_than_a_leader_that_turns_round_allows_is_refused_as_before_engaging() -> None:
+    field = Field((8.0, 5.0, 3.0))
+    parameters = field.vehicles[FOLLOWER].parameters
+    parameters["WP_ACC"], parameters["PSC_JERK_NE"] = 2.5, 5.0  # ArduCopter's defaults: 4.6 m
+    field.fly(3.0)
+    field.orders.nearer(field.now_s)
+    field.fly(8.0)
+    assert field.radii[-1] == 5.0
+    field.orders.nearer(field.now_s)
+    field.fly(2.0)
+    assert field.radii[-1] == 5.0
+    assert field.said("not nearer: follower 2: its slot is 3 m from the leader, and 4.6 m is the")
+
+
 def test_a_formation_keeps_its_shape() -> None:
     slots = (Slot(8.0, math.radians(40.0)), Slot(12.0, math.radians(-40.0), 1.0))
     vehicles = {

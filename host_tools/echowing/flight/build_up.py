@@ -166,6 +166,17 @@ class BuildUp:
         for follower in led:
             if follower.held_at is not None:
                 return f"follower {follower.plan.system_id} holds: {follower.hold_reason}"
+        return self._too_near(session, self.nearer_m)
+
+    def _too_near(self, session: "FollowSession", radius_m: float) -> str | None:
+        """Whose slot would be nearer than is survived, and why: as before engaging."""
+        if session.engagement is None:
+            return None
+        slots = scaled(self._slots, radius_m)
+        for follower, slot in zip(session.followers.values(), slots, strict=True):
+            text = session.engagement.objection_to_radius(follower, slot.radius_m)
+            if text is not None:
+                return f"follower {follower.plan.system_id}: {text}"
         return None
 
     def nearer(self, session: "FollowSession") -> None:

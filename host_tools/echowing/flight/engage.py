@@ -440,7 +440,7 @@ class Engagement:
             _clock("its", follower.clock),
             *self._switch("its", system_id, session, now_s),
             *self._applet(system_id, session, follower),
-            *self._reversal(follower),
+            *self._reversal(follower, follower.plan.slot.radius_m),
             *self._homes(session, follower),
             *self._height(session, follower),
             *self._state("its", system_id),
@@ -475,11 +475,15 @@ class Engagement:
             findings += [] if distance is None else [distance]
         return findings
 
-    def _reversal(self, follower: "FollowerState") -> list[Finding]:
+    def objection_to_radius(self, follower: "FollowerState", radius_m: float) -> str | None:
+        """Why its slot may not be so near to the leader; None: it may."""
+        return next((one.wrong for one in self._reversal(follower, radius_m) if one.wrong), None)
+
+    def _reversal(self, follower: "FollowerState", radius_m: float) -> list[Finding]:
         """The least distance at which it survives that the leader turns round."""
         if not self.readiness.reversal:
             return []
-        handling, radius_m = follower.handling, follower.plan.slot.radius_m
+        handling = follower.handling
         if not handling.known:
             return [Finding("least", "?", "its acceleration and jerk are not known (WP_ACC)")]
         least_m = least_slot_m(TURNS_MPS, handling.answer)

@@ -8,7 +8,7 @@ from itertools import combinations
 from echowing.errors import EchowingError
 from echowing.flight.envelope import SURE_SIGMAS
 from echowing.flight.guidance import GuidanceSettings, Slot, slot_offset_m
-from echowing.flight.offset_grid import Wandering
+from echowing.flight.spacing import UNRANGED_SIGMA_M
 
 # Two X8s are 0.5 m across (thesis Table 3) and each GPS may be a metre or two out.
 DEFAULT_SLOT_SEPARATION_M = 2.0
@@ -33,8 +33,7 @@ def receivers_demand_m(least_m: float) -> float:
     least_m: what is to be certain between them. Nearer, each would give way to the other, and
     neither would ever be in its slot.
     """
-    sigma_m = math.sqrt(2.0) * Wandering().sigma_m
-    return least_m + SURE_SIGMAS * sigma_m + 2.0 * IN_SLOT_M
+    return least_m + SURE_SIGMAS * UNRANGED_SIGMA_M + 2.0 * IN_SLOT_M
 
 
 def check_formation(slots: Sequence[Slot], separation_m: float = DEFAULT_SLOT_SEPARATION_M) -> None:
