@@ -30,7 +30,7 @@ class Field(Yard):
         super().__init__(slots=slots, **yard)
         self.build_up = BuildUp(radii_m, slots)
         self.orders = Orders(self.session, self.build_up)
-        self.deaf = False
+        self.deaf = self.forgets = False
         self.radii: list[float] = []
 
     def fly(self, seconds: float) -> list[Any]:
@@ -49,7 +49,8 @@ class Field(Yard):
             self.sent.append((system_id, message))
             if self.deaf:
                 return
-            vehicle.parameters[DIST] = message.param_value
+            if not self.forgets:
+                vehicle.parameters[DIST] = message.param_value
             real = mavlink.MAV_PARAM_TYPE_REAL32
             answers = [
                 mavlink.MAVLink_param_value_message(DIST.encode(), message.param_value, real, 1, 0)
@@ -136,6 +137,16 @@ def test_an_applet_that_does_not_confirm_keeps_everybody_out() -> None:
     assert set(field.radii) == {8.0}
     assert field.said("follower 2: ECHO_DIST 5 is not confirmed")
     assert field.said("the radius stays 8 m")
+
+
+def test_an_applet_that_says_yes_and_keeps_its_own_keeps_everybody_out() -> None:
+    field = Field()
+    field.fly(3.0)
+    field.forgets = True
+    field.orders.nearer(field.now_s)
+    field.fly(TRIES * ASK_PERIOD_S + 2.0)
+    assert set(field.radii) == {8.0}
+    assert field.said("follower 2: ECHO_DIST 5 is not confirmed")
 
 
 def test_what_asks_for_nearer_is_refused_while_somebody_holds_or_is_under_way() -> None:

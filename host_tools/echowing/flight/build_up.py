@@ -78,7 +78,9 @@ class AppletDistance:
         self._heard_m = value
         if _same(value, self.wanted_m):
             self._agreeing += 1
-        elif self.is_set and self.written_m is not None and not _same(value, self.written_m):
+        elif not self.is_set:
+            self._agreeing = 0
+        elif self.written_m is not None and not _same(value, self.written_m):
             self.before_m = self.written_m = None  # somebody else has set it: it is his now
 
     def messages(self, system_id: int, now_s: float) -> list[Any]:
