@@ -66,6 +66,18 @@ def test_several_vehicles_on_a_link_have_to_be_told_apart() -> None:
         finder.decide(LISTEN_S)
 
 
+def test_a_seat_without_an_id_waits_for_one_whose_heartbeats_are_lost() -> None:
+    """Three lost in a row: after 1.5 s another vehicle would have had its seat."""
+    finder = VehicleFinder([parse_seat("leader", "udpin:1")])
+    for beat_s in (0.0, 1.0, 2.0, 3.0):
+        finder.heard("udpin:1", beat(11), beat_s)
+        finder.decide(beat_s + 0.9)
+        assert not finder.complete
+    finder.heard("udpin:1", beat(7), 3.95)
+    with pytest.raises(EchowingError, match="systems 7, 11 are heard there"):
+        finder.decide(4.0)
+
+
 def test_a_vehicle_with_an_id_leaves_the_other_on_the_link() -> None:
     seats = [parse_seat("leader", "udpin:1@11"), parse_seat("follower", "udpin:1")]
     finder = VehicleFinder(seats)

@@ -414,3 +414,22 @@ def test_a_leader_is_not_published_to_where_it_is_heard(
             make()
     else:
         make()
+
+
+def test_of_a_published_leader_all_is_asked_for_that_follow_shows(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    seat = parse_seat("leader", "udpin:14550@1")
+    tool = LeaderTool(seat, parse_address("udpout:127.0.0.1:14600"), 4.0, StopRequest())
+    sent: list[bytes] = []
+    monkeypatch.setattr(tool._vehicle.link, "send", lambda frame, _: sent.append(frame))
+    tool._begin()
+    tool._ask(0.0)
+    heard = [mavlink.MAVLink(None).decode(bytearray(frame)) for frame in sent]
+    asked = {
+        mavlink.mavlink_map[round(one.param1)].msgname
+        for one in heard
+        if one.get_type() == "COMMAND_LONG"
+    }
+    flown = {"GLOBAL_POSITION_INT", "RC_CHANNELS", "EKF_STATUS_REPORT"}
+    assert asked == flown | {"GPS_RAW_INT", "SYS_STATUS"}

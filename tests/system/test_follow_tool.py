@@ -36,7 +36,7 @@ from .field import (
 def test_two_followers_fly_a_formation_file(world: World, tmp_path: Path) -> None:
     formation = tmp_path / "two.toml"
     formation.write_text(
-        "[[slots]]\nradius_m = 3.0\n[[slots]]\nradius_m = 6.0\nangle_deg = 40.0\n",
+        "[[slots]]\nradius_m = 3.0\n[[slots]]\nradius_m = 6.0\nangle_deg = 60.0\n",
         encoding="utf-8",
     )
     tool = world.follow("--follower", world.link(SECOND), "--formation", str(formation))
@@ -391,7 +391,7 @@ def test_a_formation_file_of_another_size_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     formation = tmp_path / "two.toml"
-    formation.write_text("[[slots]]\nradius_m = 3.0\n[[slots]]\nradius_m = 6.0\n", encoding="utf-8")
+    formation.write_text("[[slots]]\nradius_m = 3.0\n[[slots]]\nradius_m = 8.0\n", encoding="utf-8")
     assert main([*ENDS, "--formation", str(formation)]) == 2
     assert "2 slots for 1 followers" in capsys.readouterr().err
 

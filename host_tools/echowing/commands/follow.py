@@ -382,7 +382,7 @@ def _slots(args: argparse.Namespace, radii_m: tuple[float, ...]) -> "list[Slot]"
 
     followers = len(args.follower)
     if args.formation is not None:
-        slots, apart_m = _load_formation(args.formation)
+        slots, apart_m = _load_formation(args.formation, args.min_separation)
         if len(slots) != followers:
             raise EchowingError(
                 f"--formation {args.formation}: {len(slots)} slots for {followers} followers"
@@ -404,16 +404,17 @@ def _slots(args: argparse.Namespace, radii_m: tuple[float, ...]) -> "list[Slot]"
     return scaled(slots, radii_m[0]) if radii_m else slots
 
 
-def _load_formation(path: Path) -> "tuple[list[Slot], float]":
+def _load_formation(path: Path, least_m: float) -> "tuple[list[Slot], float]":
     """Slots of a TOML file with [[slots]], and how far apart they have to be.
 
-    The same keys as in a scenario's formation.
+    The same keys as in a scenario's formation; where it does not say how far apart, so far as the
+    followers' receivers demand for `least_m`.
     """
     import tomllib  # noqa: PLC0415
 
     from pydantic import ValidationError  # noqa: PLC0415
 
-    from echowing.flight.formation import check_formation  # noqa: PLC0415
+    from echowing.flight.formation import check_formation, receivers_demand_m  # noqa: PLC0415
     from echowing.sim.scenario import FormationSection  # noqa: PLC0415
 
     try:
@@ -428,8 +429,10 @@ def _load_formation(path: Path) -> "tuple[list[Slot], float]":
         key = ".".join(str(part) for part in first["loc"])
         raise EchowingError(f"--formation {path}: {key}: {first['msg']}") from error
     slots = [section.slot() for section in formation.slots]
+    told = "slot_separation_m" in formation.model_fields_set
+    apart_m = formation.slot_separation_m if told else receivers_demand_m(least_m)
     try:
-        check_formation(slots, formation.slot_separation_m)
+        check_formation(slots, apart_m)
     except EchowingError as error:
         raise EchowingError(f"--formation {path}: {error}") from error
-    return slots, formation.slot_separation_m
+    return slots, apart_m
