@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from echowing.flight.health import (
-    FURTHER_SHARE,
+    FURTHER_M,
     HEARD_S,
     LASTS_S,
     RANGED_S,
@@ -70,7 +70,7 @@ def test_near_is_within_a_sonars_reach_and_a_little_further_once_it_was() -> Non
     pair = frozenset((1, 2))
     assert near_pairs([at(1, 0.0), at(2, -limit_m + 0.1)]) == {pair}
     assert near_pairs(apart, [pair]) == {pair}
-    assert near_pairs([at(1, 0.0), at(2, -limit_m * FURTHER_SHARE - 0.1)], [pair]) == set()
+    assert near_pairs([at(1, 0.0), at(2, -limit_m - FURTHER_M - 0.1)], [pair]) == set()
 
 
 def test_one_that_is_not_heard_is_near_nobody() -> None:
@@ -151,6 +151,15 @@ def test_one_that_never_saw_anybody_is_no_news() -> None:
     cohesion = Cohesion(LEADER)
     assert fly(cohesion, [at(1, 0.0), at(2, -8.0)], 0, 30) == []
     assert (cohesion.health.alone, cohesion.health.lost) == ((2,), ())
+
+
+def test_one_whose_slot_is_out_of_sight_is_no_news() -> None:
+    """It has passed near another on its way there."""
+    cohesion = Cohesion(LEADER)
+    near, there = [at(1, 0.0), at(2, -3.0)], [at(1, 0.0), replace(at(2, -8.0), apart=True)]
+    assert fly(cohesion, near, 0, 5) == []
+    assert fly(cohesion, there, 5, 30) == []
+    assert cohesion.health.lost == ()
 
 
 def test_a_range_counts_for_a_while() -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from echowing.flight.envelope import SURE_SIGMAS
 from echowing.flight.health import Cut, Health
-from echowing.tool.moment import Moment
+from echowing.tool.moment import Moment, apart_by_plan
 from echowing.web.alarms import Level, alarms, headline
 from echowing.web.options import PageAddress
 from echowing.web.snapshot import ellipse, glance, snapshot
@@ -126,7 +126,7 @@ def test_the_worst_comes_first() -> None:
 def test_a_follower_that_sees_nobody_any_more_is_wrong_and_a_wide_formation_is_not() -> None:
     assert alarms(moment(health=Health(alone=(FOLLOWER,)))) == []
     (alarm,) = alarms(moment(health=Health(alone=(FOLLOWER,), lost=(FOLLOWER,))))
-    assert alarm.text.startswith("Follower 2 sees nobody any more")
+    assert alarm.text == "Follower 2 sees nobody any more"
     (alarm,) = alarms(moment(health=Health(lost=(2, 3))))
     assert alarm.text == "Followers 2, 3 see nobody any more"
 
@@ -138,6 +138,18 @@ def test_an_articulation_point_is_marked_and_is_no_alarm() -> None:
     assert frame["health"]["cuts"] == [{"id": LEADER, "parts": ((2,), (3,))}]
     # A pair that is ranged is drawn once.
     assert frame["health"]["edges"] == [[2, 1, "ranges"], [3, 1, "ranges"]]
+
+
+def test_slots_out_of_sight_are_known_by_the_plan() -> None:
+    """At 8 m behind the leader one is apart, unless another's slot is near it."""
+    wide = track(wanted_radius_m=8.0)
+    beside = track(wanted_radius_m=8.0, wanted_angle_deg=20.0)  # 2.8 m off
+    above = track(wanted_radius_m=3.0, wanted_step_m=4.0)  # 5 m from the leader
+    assert apart_by_plan([wide]) == [True]
+    assert apart_by_plan([wide, track()]) == [True, False]
+    assert apart_by_plan([wide, beside]) == [False, False]
+    assert apart_by_plan([above]) == [True]
+    assert apart_by_plan([]) == []
 
 
 # ---- where it is ------------------------------------------------------------------------------

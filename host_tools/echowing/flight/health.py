@@ -14,7 +14,9 @@ A vehicle is an *articulation point* (S. K. Lee and J. McLurkin, "Distributed co
 control for swarm robots with boundary information and network sensing", IROS 2014; thesis chapter
 2) when its loss would leave parts that do not see each other. A follower without any edge sees
 nobody. Neither is a fault by itself: at a radius of 8 m nobody sees anybody, and two followers far
-apart are always joined by their leader only. What is worth a word is the change.
+apart are always joined by their leader only. What is worth a word is the change: that a vehicle
+becomes an articulation point, or that a follower whose slot is within somebody's reach has seen
+somebody and now sees nobody.
 """
 
 import math
@@ -24,14 +26,15 @@ from itertools import combinations
 
 import networkx as nx
 
+from echowing.flight.offset_grid import Wandering
 from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.geo import Ned, wrap_angle_rad
 
 RANGED_S = 2.0
 # As `guard.UNHEARD_S`: one that was not heard for so long gets no points.
 HEARD_S = 2.0
-# Where two have been near they are so until a little further apart: receivers wander.
-FURTHER_SHARE = 1.1
+# Where two have been near they are so until as much further apart as two receivers wander.
+FURTHER_M = math.sqrt(2.0) * Wandering().sigma_m
 # A range is of the vehicle that it fits best. Worse than this (a GPS and a beam's width, as
 # `panel.MISMATCH_M`), or further off the nose (beam 20 deg, and the two receivers' errors at 3 m),
 # it is of something else.
@@ -49,7 +52,8 @@ class Member:
     at_ned_m: by its own receiver, about an origin that all share; None: never heard; age_s: of that
     report; heading_rad: of its nose (of the sonar's axis where that is known); range_m: distance
     between centres by its sonar now, None: no target in its reach. leader_ned_m: where it takes
-    the leader to be, in its own receiver's frame; None: where the leader reports itself.
+    the leader to be, in its own receiver's frame; None: where the leader reports itself. apart:
+    whether its slot is out of everybody's sight, so that it is to see nobody.
     """
 
     system_id: int
@@ -58,6 +62,7 @@ class Member:
     heading_rad: float = 0.0
     range_m: float | None = None
     leader_ned_m: Ned | None = None
+    apart: bool = False
 
     @property
     def heard(self) -> bool:
@@ -78,7 +83,7 @@ class Health:
     """How the formation holds together.
 
     ranges: (who, whom); near: pairs; cuts: articulation points; alone: followers that see nobody;
-    lost: those of them that have seen somebody before.
+    lost: those of them that have seen somebody before, and are not apart by plan.
     """
 
     ranges: tuple[tuple[int, int], ...] = ()
@@ -126,7 +131,7 @@ def near_pairs(members: Sequence[Member], before: Iterable[Pair] = ()) -> set[Pa
         if a.at_ned_m is not None and b.at_ned_m is not None
         for pair in (frozenset((a.system_id, b.system_id)),)
         if math.dist(a.at_ned_m, b.at_ned_m)
-        <= DETECTION_LIMIT_M * (FURTHER_SHARE if pair in before else 1.0)
+        <= DETECTION_LIMIT_M + (FURTHER_M if pair in before else 0.0)
     }
 
 
@@ -228,7 +233,7 @@ class Cohesion:
 
     def _say_alone(self, members: Sequence[Member], now_s: float) -> Iterator[str]:
         """A follower is lost once it has seen somebody; at a wide radius none ever does."""
-        alone = set(self.health.alone)
+        alone = set(self.health.alone) - {one.system_id for one in members if one.apart}
         for member in members:
             system_id = member.system_id
             change = self._alone.get(system_id)

@@ -7,7 +7,7 @@ from enum import IntEnum
 from echowing.flight.engage import LEAST_BATTERY_PERCENT
 from echowing.flight.guard import UNHEARD_S
 from echowing.flight.guidance import GuidanceSettings
-from echowing.flight.health import ALONE_MEANS, Health
+from echowing.flight.health import Health
 from echowing.tool.moment import Moment
 from echowing.tool.panel import GIMBAL, Row
 from echowing.tool.track import Track
@@ -105,8 +105,7 @@ def _of_battery(name: str, system_id: int, percent: float | None) -> Iterator[Al
 
 def _of_health(health: Health) -> Iterator[Alarm]:
     if len(health.lost) == 1:
-        text = f"Follower {health.lost[0]} sees nobody any more: {ALONE_MEANS}"
-        yield Alarm(Level.LOOK, health.lost[0], text)
+        yield Alarm(Level.LOOK, health.lost[0], f"Follower {health.lost[0]} sees nobody any more")
     elif health.lost:
         listed = ", ".join(map(str, health.lost))
         yield Alarm(Level.LOOK, health.lost[0], f"Followers {listed} see nobody any more")

@@ -168,8 +168,7 @@ function showVehicle(one, leads) {
   const card = cardOf(one.id, leads);
   const say = (field, text) => put(card.querySelector(`[data-field="${field}"]`), text);
   const level = Math.max(0, ...model.frame.alarms.filter(a => a.id === one.id).map(a => a.level));
-  const idle = !leads && level === 0 && one.state !== "following";
-  card.className = [leads ? "leader" : "follower", LEVELS[level], idle ? "idle" : ""].join(" ");
+  card.className = [leads ? "leader" : "follower", LEVELS[level]].join(" ");
   say("name", leads ? `Leader ${one.id}` : `Follower ${one.id}`);
   say("mode", one.mode);
   say("speed", number(one.speed, 1, " m/s"));
@@ -182,13 +181,15 @@ function showVehicle(one, leads) {
     return;
   }
   say("state", one.state);
+  const idle = one.level === 0 && one.state !== "following";
+  card.querySelector('[data-field="state"]').className = idle ? "idle" : LEVELS[one.level];
   say("separation", number(one.separation, 2, " m"));
   const error = one.error === null ? "" : `${signed(one.error, 2)} m of ${number(one.wanted, 2)} m`;
   say("wanted", error);
   const range = number(one.sonar.range, 2, " m");
   say("sonar", one.sonar.state ? `${range}, ${one.sonar.state}` : range);
   say("limit", number(one.limit, 1, " m/s"));
-  say("height", `${number(one.height, 1)} of ${number(one.wanted_height, 1, " m")}`);
+  say("height", `${number(one.height, 1)} / ${number(one.wanted_height, 1, " m")}`);
   say("switch", one.switch || "");
   card.querySelector(".switch").hidden = !one.switch;
 }
