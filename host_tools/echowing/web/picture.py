@@ -20,10 +20,10 @@ from echowing.tool.picture import LONGEST_S, PORT, SETTLED_S
 from echowing.web.options import LOOPBACK
 
 PAGE_PORT = 8019
-FORMATION = "[[slots]]\nradius_m = 3.0\n[[slots]]\nradius_m = 4.0\nangle_deg = 60.0\n"
+FORMATION = "[[slots]]\nradius_m = 3.0\n[[slots]]\nradius_m = 3.0\nangle_deg = 75.0\n"
 WORLD = (
     *("echowing", "--set", "leader.speed_mps=1.5"),
-    *("--set", "formation.slots=[{radius_m=3.0},{radius_m=4.0, angle_deg=60.0}]"),
+    *("--set", "formation.slots=[{radius_m=3.0},{radius_m=3.0, angle_deg=75.0}]"),
 )
 # Width, height and pixels per CSS pixel; the phone's picture ends below the first vehicle.
 SIZES = {"web.png": (1280, 940, 1), "web-phone.png": (390, 844, 2)}
