@@ -87,6 +87,7 @@ def test_nothing_wrong() -> None:
     assert alarms(moment()) == []
     assert headline(moment()) == "1 of 1 following"
     assert headline(moment(state="only watched")) == "Only watching"
+    assert headline(moment(state="")) == "1 follower"
 
 
 @pytest.mark.parametrize(
@@ -97,7 +98,7 @@ def test_nothing_wrong() -> None:
         ({"age_s": 4.0}, Level.ACT, "Follower 2 is not heard for 4 s"),
         ({"state": "holding: stop switch"}, Level.LOOK, "Follower 2: holding: stop switch"),
         ({"state": "no points sent"}, Level.ACT, "Follower 2: no points sent"),
-        ({"separation_m": 1.4}, Level.ACT, "Follower 2 is 1.4 m from the leader, not 3.0 m"),
+        ({"separation_m": 1.4}, Level.ACT, "Follower 2 is 1.4 m from the leader (wanted 3.0 m)"),
         ({"gimbal": "sonar fault"}, Level.LOOK, "Follower 2: its sonar has a fault"),
     ],
 )

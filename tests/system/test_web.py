@@ -77,6 +77,7 @@ def test_what_is_drawn_is_what_was_flown_and_it_comes_back_after_a_restart(
         sample = sight.until(f"({SAMPLE})()")
         samples[sample["frame"]["t"]] = sample
     assert "in Guided, following" in sight.text("events")
+    sight.until(f"{FRAME}.health.edges.some(edge => edge.join() === '2,1,ranges')")
     assert tool.end(signal.SIGTERM) == 0
     (table,) = tmp_path.glob("*.csv")
     flown = {float(row["time_s"]): row for row in csv.DictReader(table.open(encoding="utf-8"))}

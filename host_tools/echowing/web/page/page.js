@@ -389,23 +389,29 @@ function drawSeen(pen, one, at, scale) {
 }
 
 function drawCone(pen, one, at, scale) {
-  if (!one.at || one.sonar.bearing === null) return;
+  const aimed = one.sonar.bearing !== null;  // else a range is drawn about the nose, dashed
+  if (!one.at || (!aimed && one.sonar.range === null)) return;
   const [x, y] = at(one.at), { half_deg: half, reach_m: reach } = model.hello;
-  const from = rad(one.sonar.bearing - half - 90), to = rad(one.sonar.bearing + half - 90);
-  pen.beginPath();
-  pen.moveTo(x, y);
-  pen.arc(x, y, reach * scale, from, to);
-  pen.closePath();
-  pen.globalAlpha = 0.16;
-  pen.fillStyle = SONAR;
-  pen.fill();
-  pen.globalAlpha = 1;
+  const axis = aimed ? one.sonar.bearing : one.heading;
+  const from = rad(axis - half - 90), to = rad(axis + half - 90);
+  if (aimed) {
+    pen.beginPath();
+    pen.moveTo(x, y);
+    pen.arc(x, y, reach * scale, from, to);
+    pen.closePath();
+    pen.globalAlpha = 0.16;
+    pen.fillStyle = SONAR;
+    pen.fill();
+    pen.globalAlpha = 1;
+  }
   if (one.sonar.range === null) return;
   pen.beginPath();
   pen.arc(x, y, one.sonar.range * scale, from, to);
   pen.strokeStyle = SONAR;
   pen.lineWidth = 3.5;
+  pen.setLineDash(aimed ? [] : [5, 4]);
   pen.stroke();
+  pen.setLineDash([]);
 }
 
 function drawEdges(pen, at) {
