@@ -237,6 +237,21 @@ def test_the_end_does_not_wait_for_a_dead_browser(page: LivePage) -> None:
     dead.line.close()
 
 
+@pytest.mark.parametrize("noise", [b"\x00\xff" * 50, b"GET / HTTP/9.9\r\n\r\n", b"GET "])
+def test_noise_is_nothing_for_the_terminal(
+    noise: bytes, page: LivePage, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """A word on stderr would tear the operator's live table."""
+    with socket.create_connection((HERE, page.port), DEADLINE_S) as line:
+        line.sendall(noise)
+        line.shutdown(socket.SHUT_WR)
+        while line.recv(4096):
+            pass
+    assert asked(page, "/")[0] == 200
+    assert page.lost() is None
+    assert capfd.readouterr() == ("", "")
+
+
 def test_too_many_browsers_are_sent_away(page: LivePage) -> None:
     port = page.port
     taken = [DeadBrowser(port) for _ in range(MOST_BROWSERS)]

@@ -150,6 +150,7 @@ def test_slots_out_of_sight_are_known_by_the_plan() -> None:
     assert apart_by_plan([wide, track()]) == [True, False]
     assert apart_by_plan([wide, beside]) == [False, False]
     assert apart_by_plan([above]) == [True]
+    assert apart_by_plan([track(wanted_radius_m=0.0)]) == [True]  # a relay
     assert apart_by_plan([]) == []
 
 

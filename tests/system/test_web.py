@@ -148,6 +148,9 @@ def test_what_is_wrong_is_big_and_plain_on_a_phone(live: LivePage, browser: Brow
     assert sight.reads(_SIZE) >= 1.25 * small
     # All of it fits the width of a phone.
     assert sight.reads("document.documentElement.scrollWidth") <= PHONE[0]
+    # And when the tool says nothing any more, though it is connected.
+    sight.until("document.getElementById('status').className === 'lost'")
+    assert sight.text("headline") == "No data from the tool: what you see is old"
     assert sight.errors == []
     sight.close()
 

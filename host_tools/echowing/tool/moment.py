@@ -120,7 +120,12 @@ def apart_by_plan(tracks: Sequence[Track]) -> list[bool]:
     places_m = np.vstack([np.zeros(3), np.column_stack([north, east, down])])
     apart_m = np.linalg.norm(places_m[:, np.newaxis] - places_m, axis=2)
     np.fill_diagonal(apart_m, math.inf)
-    return [bool(one) for one in (apart_m.min(axis=1) > DETECTION_LIMIT_M)[1:]]
+    alone = apart_m.min(axis=1) > DETECTION_LIMIT_M
+    # A relay has no slot, and comes near nobody.
+    return [
+        bool(one) or track.wanted_radius_m == 0.0
+        for one, track in zip(alone[1:], tracks, strict=True)
+    ]
 
 
 def _slot(track: Track) -> Slot:

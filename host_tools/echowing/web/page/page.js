@@ -41,18 +41,15 @@ function take(message) {
 }
 
 function hello(message) {
-  if (model.hello && model.hello.run !== message.run) {
-    model.events = [];
-    byId("events").replaceChildren();
-    byId("vehicles").replaceChildren();
-  }
+  const otherFlight = !model.hello || model.hello.run !== message.run;
   model.hello = message;
   model.connected = true;
   model.heardAt = performance.now();
-  model.past = message.past;
-  model.frame = null;
-  model.events = [];
-  byId("events").replaceChildren();
+  past(message);
+  if (otherFlight) {
+    model.frame = null;
+    byId("vehicles").replaceChildren();
+  }
   view.centre = view.span = null;
   byId("source").textContent = message.title || { follow: "live", sim: "simulated: the truth" }[message.source];
   showReplay(message.replay);
@@ -134,11 +131,13 @@ function showStatus() {
     const lost = model.connected ? "No data from the tool" : "No connection to the tool";
     const text = silent && now ? `${lost}: what you see is old` : silent ? lost : "Waiting for the vehicles";
     put(byId("headline"), text);
+    document.title = `${text} – Echowing`;
     list.replaceChildren();
     return;
   }
   status.className = LEVELS[now.level];
   put(byId("headline"), now.alarms.length ? now.alarms[0].text : now.headline);
+  document.title = `${byId("headline").textContent} – Echowing`;
   const rest = now.alarms.slice(1, 4).map(alarm => alarm.text);
   if (now.alarms.length > 4) rest.push(`and ${now.alarms.length - 4} more`);
   if (rest.join("|") !== [...list.children].map(item => item.textContent).join("|")) {
