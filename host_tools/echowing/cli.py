@@ -14,6 +14,7 @@ from echowing.stopping import ignore_signals
 # `add_arguments(parser)` and `run(args) -> exit code`.
 VERBS = {
     "sim": "fly a simulated formation",
+    "campaign": "fly thousands of drawn flights with faults",
     "demo": "fly every scenario and write the report",
     "leader": "publish a real leader's telemetry to a follow on another computer",
     "follow": "guide real followers behind a real leader",

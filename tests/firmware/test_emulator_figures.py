@@ -43,7 +43,7 @@ def test_figure_is_within_its_limit(figures: dict[str, FirmwareFigure], what: st
         assert figure.value > limit
     elif found[1] == "under":
         assert figure.value < limit
-        # An STM32's timer counts whole microseconds: its pulses are exact. All else takes something.
+        # An STM32 timer counts whole microseconds: its pulses are exact. All else takes time.
         assert figure.value > 0 or what == "error of the servo pulses"
     else:
         assert figure.value == limit

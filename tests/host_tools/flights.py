@@ -35,6 +35,9 @@ def row(system_id: int = FOLLOWER, **changes: Any) -> Row:
         link_percent=100.0,
         north_offset_m=0.0,
         east_offset_m=0.0,
+        battery_percent=80.0,
+        leader_mode="AUTO",
+        leader_battery_percent=70.0,
     )
     return replace(well, **changes)
 
@@ -70,7 +73,6 @@ def track(
         pan_us=STRAIGHT_US,
         tilt_us=1400.0,
         leader_id=LEADER,
-        leader_mode="AUTO",
         leader_height_m=10.0,
         wanted_height_m=10.0,
         seen_north_m=0.5,
@@ -78,8 +80,6 @@ def track(
         seen_nn_m2=0.04,
         seen_ne_m2=0.0,
         seen_ee_m2=0.16,
-        battery_percent=80,
-        leader_battery_percent=70,
     )
     return replace(well, **changes)
 

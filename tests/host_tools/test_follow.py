@@ -9,7 +9,8 @@ from echowing.flight.guard import Limits
 from echowing.flight.guidance import GuidanceSettings, Slot
 from echowing.flight.jumps import AGREEING_REPORTS
 from echowing.flight.leader_track import CLOCKS_AGREE_S, VehicleClock
-from echowing.flight.session import FollowerPlan, FollowSession
+from echowing.flight.session import FollowSession
+from echowing.flight.state import FollowerPlan
 from echowing.geo import GlobalPosition, displace, ned_between
 from echowing.mavlink.messages import FORWARD, TOOL_SYSTEM_ID, sonar_range_m
 
@@ -131,7 +132,7 @@ def test_a_follower_that_is_not_armed_in_guided_is_left_alone(beat: Any) -> None
     follow.receive(from_vehicle(FOLLOWER, beat), 1.1)
 
     assert targets(follow, 1.2) == []
-    assert any("hands off" in text for _, text in follow.events)
+    assert any("pilot has control" in text for _, text in follow.events)
 
 
 @pytest.mark.parametrize(

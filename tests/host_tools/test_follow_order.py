@@ -6,7 +6,8 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.flight.guidance import GuidanceSettings, Slot
-from echowing.flight.session import FollowerPlan, FollowSession
+from echowing.flight.session import FollowSession
+from echowing.flight.state import FollowerPlan
 
 LEADER, FOLLOWER = 1, 2
 MINUTE_MS = 60_000

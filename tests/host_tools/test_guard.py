@@ -7,7 +7,6 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.errors import EchowingError
 from echowing.flight.guard import (
-    RATE_WINDOW_S,
     REFUSED_FOR_S,
     REMEMBERED_S,
     REMIND_S,
@@ -17,10 +16,11 @@ from echowing.flight.guard import (
     WATCHDOG_ASKS,
     Guard,
     Limits,
-    RateWatch,
 )
 from echowing.flight.guidance import GuidanceSettings, Slot, SlotGuide
-from echowing.flight.session import FollowerPlan, FollowerState, FollowSession
+from echowing.flight.requests import RATE_WINDOW_S, RateWatch
+from echowing.flight.session import FollowSession
+from echowing.flight.state import FollowerPlan, FollowerState
 from echowing.flight.switch import StopSwitch, parse_stop_switch
 from echowing.flight.tow_bar import TowBar
 from echowing.geo import GlobalPosition, displace, ned_between
@@ -505,7 +505,7 @@ def test_the_stop_switch_stops_and_hands_back() -> None:
     there.fly(STILL_FOR_S + 2 * TICK_S)
     assert there.events()[-2:] == [
         "follower 2: stands",
-        "follower 2: hands off, by the stop switch",
+        "follower 2: pilot has control, by the stop switch",
     ]
     assert there.points(1.0) == []
 

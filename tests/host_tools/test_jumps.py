@@ -182,7 +182,7 @@ def test_in_simulated_flight_the_sonar_denies_it_or_the_pilot_engages_it_again(
         assert not any("nobody is flown there" in text for text in events)
         return
     held = next(i for i, text in enumerate(events) if "nobody is flown there" in text)
-    left = events.index("follower 2: left Guided for LOITER, hands off", held)
+    left = events.index("follower 2: left Guided for LOITER, pilot has control", held)
     assert "follower 2: in Guided, following" in events[left:]
 
 

@@ -12,8 +12,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from echowing.sim import flight
+from echowing.sim.gps import ESTIMATE_LAG_S
+from echowing.sim.hangar import Hangar
+from echowing.sim.scenario import Scenario
+
 from ..sitl import loopback, truth
-from ..sitl.drift import METRES_PER_DEGREE, Drift
+from ..sitl.drift import METRES_PER_DEGREE, STEP_S, Drift
 from ..sitl.names import SPEED, Version
 from ..sitl.relay import Link, Queue
 from ..sitl.table import Entry, Figures, agrees, lines
@@ -47,17 +52,33 @@ def test_speed_goes_by_either_name_in_its_unit() -> None:
 
 
 def test_drift_has_the_deviation_and_the_memory_of_its_model() -> None:
-    drift = Drift(0.8, 60.0, random.Random(4))
+    drift = Drift(0.8, 6.0, random.Random(4))
     north_m = []
-    for _ in range(60_000):
+    for _ in range(6_000):
         drift.step(0.5)
         north_m.append(drift.north_m)
     values = np.array(north_m)
-    later = round(60.0 / 0.5)
+    later = round(6.0 / 0.5)
     memory = np.corrcoef(values[:-later], values[later:])[0, 1]
     # 500 times constants: the deviation is known to 1/sqrt(500) or so, the memory likewise.
     assert values.std() == pytest.approx(0.8, rel=0.1)
     assert memory == pytest.approx(math.exp(-1.0), abs=0.1)
+
+
+def test_drift_is_that_of_the_simulators_receiver() -> None:
+    assert flight.STEP_S == STEP_S
+    hangar = Hangar(Scenario(title="a seed"), 2)
+    simulated = hangar.leader().drift
+    settings = hangar.scenario.gps
+    drift = Drift.of_receiver(settings.sigma_m, settings.tau_s, 2, "leader")
+    # The simulator's has the autopilot's filter behind it.
+    north_m, east_m = drift.north_m, drift.east_m
+    blend = 1.0 - math.exp(-STEP_S / ESTIMATE_LAG_S)
+    for _ in range(500):
+        drift.step(STEP_S)
+        north_m += blend * (drift.north_m - north_m)
+        east_m += blend * (drift.east_m - east_m)
+        assert simulated.step(STEP_S)[:2] == pytest.approx((north_m, east_m))
 
 
 def test_drift_in_degrees_is_the_same_length_north_and_east() -> None:
@@ -189,6 +210,7 @@ def test_the_table_has_the_simulators_figures_beside() -> None:
         *("4.8", "rectangle", "3.50", "0.50", "0.60", "2.20", "3.47", "0.50", "0.54", "2.30", ""),
     ]
     assert len({len(line) for line in text}) == 1
+    assert {line.count("|") for line in text} == {12}  # more would be cells of Markdown
 
 
 @pytest.mark.parametrize(

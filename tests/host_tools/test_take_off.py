@@ -7,7 +7,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.flight.guard import Limits
 from echowing.flight.guidance import GuidanceSettings, Slot
-from echowing.flight.session import FollowerPlan, FollowSession
+from echowing.flight.session import FollowSession
+from echowing.flight.state import FollowerPlan
 from echowing.flight.switch import StopSwitch
 from echowing.flight.take_off import STALE_S, WARNING_S, Lift, TakeOff
 from echowing.geo import ned_between

@@ -112,10 +112,10 @@ def test_what_is_wrong_is_said_plainly(changes: dict[str, Any], level: Level, wo
     [("battery_percent", "Follower 2"), ("leader_battery_percent", "The leader")],
 )
 def test_an_empty_battery(share: str, wrong: str) -> None:
-    low = Moment(0.0, [row()], [track(**{share: 19})])
+    low = Moment(0.0, [row(2, **{share: 19.0})], [track()])
     (alarm,) = alarms(low)
     assert alarm.text == f"{wrong} has 19 % of its battery left"
-    assert alarms(Moment(0.0, [row()], [track(**{share: 20})])) == []
+    assert alarms(Moment(0.0, [row(2, **{share: 20.0})], [track()])) == []
 
 
 def test_the_worst_comes_first() -> None:

@@ -10,7 +10,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from echowing.flight.engage import Readiness
 from echowing.flight.guard import Limits
 from echowing.flight.guidance import GuidanceSettings, Slot
-from echowing.flight.session import FollowerPlan, FollowSession
+from echowing.flight.session import FollowSession
+from echowing.flight.state import FollowerPlan
 from echowing.geo import GlobalPosition, displace
 from echowing.tool.panel import state_of
 
@@ -51,6 +52,8 @@ class Vehicle:
             "ECHO_DIST": 3.0,
             "ECHO_INSET": 0.2,
             "ECHO_STREAM_T": 1.0,
+            "WP_ACC": 5.0,
+            "PSC_JERK_NE": 20.0,
         }
     )
 

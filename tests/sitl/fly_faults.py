@@ -59,11 +59,12 @@ def _again(tool: Tool, since: int) -> None:
 
 def test_sonar_hears_nothing_for_8_s(start: Start, table: list[Entry]) -> None:
     formation = start()
-    _following(formation)
+    tool = _following(formation)
     follower, feeder = formation.follower, formation.followers[0].feeder
-    began_s, scene = time.monotonic(), feeder.scene
+    since, began_s, scene = len(tool.lines), time.monotonic(), feeder.scene
     feeder.scene = silence
     follower.until("searched", lambda: follower.heard.named.get("ECHO_STATE") == SEARCHING)
+    tool.row(lambda row: row["gimbal"] == "searching" and row["sonar_m"] is None, since)
     rest(began_s + 8.0 - time.monotonic())
     heard_s = time.monotonic()
     feeder.scene = scene

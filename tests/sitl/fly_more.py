@@ -97,10 +97,14 @@ def test_analyze_agrees_with_the_truth(start: Start, table: list[Entry]) -> None
     rest(AFTER_S)
     assert tool.end() == 0
     flown = formation.measured(began_s, time.monotonic())
-    binaries = [str(_bin(formation, who)) for who in ("leader", f"follower-{FOLLOWER}")]
+    binaries = [
+        str(_newest(formation, f"{who}/logs", "*.BIN"))
+        for who in ("leader", f"follower-{FOLLOWER}")
+    ]
     logs = {
         "BIN logs": (binaries, began_s - formation.armed_s),
-        "follow's log": ([str(formation.folder / "log")], began_s - opened_s),
+        "follow's table": ([str(formation.folder / "log")], began_s - opened_s),
+        "follow's tlog": ([str(_newest(formation, "log", "*.tlog"))], began_s - opened_s),
     }
     for name, (files, before_s) in logs.items():
         options = ("--radius", f"{RADIUS_M:g}", "--settle", f"{before_s:.1f}", "--json")
@@ -171,5 +175,5 @@ def _sign(kit: Kit, folder: Path, signed: tuple[str, str]) -> tuple[str, bool]:
         board.close()
 
 
-def _bin(formation: Formation, who: str) -> Path:
-    return max((formation.folder / who / "logs").glob("*.BIN"))
+def _newest(formation: Formation, folder: str, pattern: str) -> Path:
+    return max((formation.folder / folder).glob(pattern))

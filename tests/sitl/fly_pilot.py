@@ -57,7 +57,7 @@ def test_pilot_changes_the_mode_and_comes_back(start: Start, table: list[Entry])
     follower, since, began_s = formation.follower, len(tool.lines), time.monotonic()
     assert abs(follower.get(SPEED) - PILOTS_SPEED_MPS) > SAME_MPS  # the applet's, meanwhile
     follower.set_mode(LOITER)
-    tool.event("left Guided for LOITER, hands off", since)
+    tool.event("left Guided for LOITER, pilot has control", since)
     follower.until_said("ECHO: handed back", began_s)
     _has_his_speed(follower)
     rest(5.0)
@@ -83,8 +83,11 @@ def test_stop_switch(start: Start, table: list[Entry]) -> None:
     back = len(tool.lines)
     formation.leader.fly((0.0, 0.0, 0.0))
     follower.override({3: MIDDLE_US, SWITCH: LOW_US})
-    # What stops by the switch stays stopped until its pilot puts it in Guided anew.
+    # What stops by the switch stays stopped until its pilot, who sees the switch off in `follow`,
+    # puts it in Guided anew.
+    tool.row(lambda row: row["switch"] != "on", back)
     follower.set_mode(LOITER)
+    tool.event("left Guided for LOITER, pilot has control", back)
     follower.set_mode(GUIDED)
     tool.event("in Guided, following", back)
     formation.until_in_slot()

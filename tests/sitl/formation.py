@@ -3,7 +3,6 @@
 import contextlib
 import itertools
 import math
-import random
 import shutil
 import time
 from collections.abc import Iterator, Sequence
@@ -85,7 +84,7 @@ def prepare(binary: Path, folder: Path) -> Preparation:
         Feeder(follower, port_told(emulator), silence)
         follower.until_heard()
         where = follower.link()
-        lua = run("setup", "lua", "--connect", where, "--folder", "scripts")
+        lua = run("setup", "lua", "--vehicle", where, "--folder", "scripts")
         kept = ("--save", str(folder / "old.params.json"))
         wiring = ("--vehicle", where, "--serial", SERIAL)
         applied = run("setup", "apply", *wiring, "--yes", "--restart", *kept)
@@ -122,9 +121,11 @@ class Follower:
 class Formation:
     """A leader and its followers, started, their receivers drifting.
 
-    latency_s: of the leader's link, each way. drifting: whether the receivers wander. same_clock:
-    the receivers tell the same time of day, which counts where logs are laid side by side. key:
-    all sign with it, by the time of day, so they start at its pace.
+    seed: of the receivers' offsets, those of the built-in simulator. latency_s: of the leader's
+    link, each way. drifting: whether the receivers have offsets. wandering: whether these change
+    from the start, or only from `let_wander` on. same_clock: the receivers tell the same time of
+    day, which counts where logs are laid side by side. key: all sign with it, by the time of day,
+    so they start at its pace.
     """
 
     def __init__(
@@ -136,11 +137,12 @@ class Formation:
         followers: int = 1,
         latency_s: float = LEADER_LATENCY_S,
         drifting: bool = True,
+        wandering: bool = True,
         same_clock: bool = False,
         key: bytes | None = None,
     ) -> None:
         self.kit, self.folder, self._key = kit, folder, key
-        self._rng = random.Random(seed)
+        self._seed, self._wandering = seed, wandering
         self._stack = contextlib.ExitStack()
         self._tools: list[Tool] = []
         self.armed_s = math.nan
@@ -176,12 +178,17 @@ class Formation:
         self._stack.callback(vehicle.close)
         return vehicle
 
-    def _let_drift(self, vehicle: Vehicle) -> None:
-        drift = Drift(SIGMA_M, TAU_S, random.Random(self._rng.random()))
+    def let_wander(self) -> None:
+        """From now on the receivers' offsets change."""
+        self._wandering = True
+
+    def _let_drift(self, vehicle: Vehicle, name: str) -> None:
+        drift = Drift.of_receiver(SIGMA_M, TAU_S, self._seed, name)
         north, east = vehicle.name_of(DRIFT_NORTH), vehicle.name_of(DRIFT_EAST)
 
         def wander() -> None:
-            drift.step(DRIFT_PERIOD_S)
+            if self._wandering:
+                drift.step(DRIFT_PERIOD_S)
             north_deg, east_deg = drift.degrees(ORIGIN.lat_deg)
             vehicle.put(north, north_deg)
             vehicle.put(east, east_deg)
@@ -225,8 +232,10 @@ class Formation:
             vehicle.until_heard()
             if self._key is not None:
                 vehicle.sign(self._key)
-            if drifting:
-                self._let_drift(vehicle)
+        if drifting:
+            self._let_drift(self.leader, "leader")
+            for number, vehicle in enumerate(self._of_followers()):
+                self._let_drift(vehicle, f"follower {number}")
         for vehicle in self.everybody:
             vehicle.until_positioned()
         for vehicle in self.everybody:

@@ -26,8 +26,8 @@ class Entry:
 
 
 HEAD = (
-    *("version", "case", "mean", "mean |e|", "RMSD", "least"),
-    *("sim mean", "sim |e|", "sim RMSD", "sim least", "remark"),
+    *("version", "case", "mean", "error", "RMSD", "least"),
+    *("sim mean", "sim error", "sim RMSD", "sim least", "remark"),
 )
 UNITS = 4  # columns of metres in each half
 

@@ -115,6 +115,7 @@ class Heard:
     clock: list[tuple[float, float]] = field(default_factory=list)  # ours, since its start, s
     utc: list[tuple[float, float]] = field(default_factory=list)  # ours, its receiver's UTC, s
     named: dict[str, float] = field(default_factory=dict)
+    components: set[int] = field(default_factory=set)  # who speaks under its system id
     parameters: dict[str, float] = field(default_factory=dict)
 
 
@@ -241,6 +242,7 @@ class Vehicle:
         if message.get_srcSystem() != self.system_id or message.get_msgId() < 0:
             return
         now_s, kind = time.monotonic(), message.get_type()
+        self.heard.components.add(message.get_srcComponent())
         if kind == "NAMED_VALUE_FLOAT":
             self.heard.named[message.name] = message.value
         if message.get_srcComponent() != mavlink.MAV_COMP_ID_AUTOPILOT1:

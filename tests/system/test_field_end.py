@@ -63,7 +63,7 @@ def test_the_stop_switch_stops_and_lets_go(world: World, transmitter: Transmitte
 
     transmitter.pulse_us = 1800
     stop = tool.event("follower 2: stop switch, holding", there)
-    off = tool.event("follower 2: hands off, by the stop switch", stop)
+    off = tool.event("follower 2: pilot has control, by the stop switch", stop)
     world.pilot.until_still()
     transmitter.pulse_us = 1000
     # It does not begin again by itself: two rows a second apart.
@@ -81,7 +81,7 @@ def test_the_stop_switch_may_choose_a_mode(world: World, transmitter: Transmitte
     tool = world.follow("--stop-switch", "7:1700:BRAKE", follower=transmitter.link)
     there = tool.row(is_followed)
     transmitter.pulse_us = 1800
-    tool.event("follower 2: left Guided for BRAKE, hands off", there)
+    tool.event("follower 2: left Guided for BRAKE, pilot has control", there)
     asking = mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
     world.pilot.until(lambda m: mode_of(m) == mavlink.COPTER_MODE_BRAKE, asking)
     world.pilot.until_still()

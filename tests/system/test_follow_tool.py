@@ -53,10 +53,12 @@ def test_an_engagement_the_pilot_and_the_end(world: World, tmp_path: Path) -> No
     there = tool.row(in_slot)
 
     world.pilot.set_mode(mavlink.COPTER_MODE_LOITER)
-    left = tool.event("left Guided for LOITER, hands off", there)
+    left = tool.event("left Guided for LOITER, pilot has control", there)
     # Two rows a second apart: nobody forces it back.
-    once = tool.row(lambda row: row["state"] == "hands off" and row["mode"] == "LOITER", left)
-    tool.row(lambda row: row["state"] == "hands off" and row["mode"] == "LOITER", once + 1)
+    once = tool.row(
+        lambda row: row["state"] == "pilot has control" and row["mode"] == "LOITER", left
+    )
+    tool.row(lambda row: row["state"] == "pilot has control" and row["mode"] == "LOITER", once + 1)
     world.pilot.set_mode(mavlink.COPTER_MODE_GUIDED)
     again = tool.event("in Guided, following", left)
     tool.row(is_followed, again)

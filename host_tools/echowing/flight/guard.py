@@ -18,7 +18,7 @@ from echowing.flight.switch import StopSwitch, Switches
 from echowing.geo import GlobalPosition, displace, distance_m, nearer_than, ned_between
 
 if TYPE_CHECKING:
-    from echowing.flight.session import FollowerState
+    from echowing.flight.state import FollowerState
 
 Say = Callable[[float, str], None]
 
@@ -60,9 +60,8 @@ WATCHDOG_PERIOD_S = 2.0
 
 READ_BACK_HZ = 4.0
 SWITCH_HZ = 4.0
-# Rates are judged over this long; so much of what was asked for will do.
-RATE_WINDOW_S = 8.0
-RATE_SHARE = 0.6
+# A target that is not read back for so long since the first point is missed.
+READ_BACK_S = 8.0
 
 
 def mode_name(number: int) -> str:
@@ -123,15 +122,23 @@ class _Watch:
 
 
 class Guard:
-    """Watches the vehicles of one session; `say(now_s, text)` tells the operator."""
+    """Watches the vehicles of one session.
+
+    say(now_s, text) is for the operator, alert(system_id, text) for a follower's pilot.
+    """
 
     def __init__(
-        self, limits: Limits, leader_id: int, follower_ids: Iterable[int], say: Say
+        self,
+        limits: Limits,
+        leader_id: int,
+        follower_ids: Iterable[int],
+        say: Say,
+        alert: Callable[[int, str], None] = lambda system_id, text: None,
     ) -> None:
         self.limits = limits
         self._leader_id = leader_id
         self._watches = {system_id: _Watch() for system_id in follower_ids}
-        self._say = say
+        self._say, self._alert = say, alert
         self._leader_flies: bool | None = None
         self._homes_m: dict[int, float] = {}
         self._shifts_told_m: dict[int, float] = {}
@@ -366,7 +373,7 @@ class Guard:
         watch.sent.append((now_s, point))
         if watch.led_since_s is None:
             watch.led_since_s = now_s
-        if watch.read_back or watch.unread_told or now_s - watch.led_since_s < RATE_WINDOW_S:
+        if watch.read_back or watch.unread_told or now_s - watch.led_since_s < READ_BACK_S:
             return
         watch.unread_told = True
         self._say(
@@ -398,16 +405,16 @@ class Guard:
             self._say(now_s, f"follower {system_id}: stands")
             if self.switched(system_id):
                 watch.released = True
-                self._say(now_s, f"follower {system_id}: hands off, by the stop switch")
+                self._say(now_s, f"follower {system_id}: pilot has control, by the stop switch")
 
     def _remind(self, system_id: int, watch: _Watch, speed_mps: float, now_s: float) -> None:
         watch.still_since_s = None
         watch.verified = False
         if watch.told_at_s is not None and now_s - watch.told_at_s >= REMIND_S:
             watch.told_at_s = now_s
-            self._say(
-                now_s, f"follower {system_id}: still moves at {speed_mps:.1f} m/s, stopped again"
-            )
+            text = f"still moves at {speed_mps:.1f} m/s, stopped again"
+            self._alert(system_id, text)
+            self._say(now_s, f"follower {system_id}: {text}")
 
     def switched(self, system_id: int) -> bool:
         """Whether the pilot's stop switch, or the leader's, has stopped it."""
@@ -466,45 +473,6 @@ class Guard:
             kinds.append(mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED)
             kinds.append(mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED)
         return [(system_id, kind, READ_BACK_HZ) for system_id in self._watches for kind in kinds]
-
-
-class RateWatch:
-    """Whether the messages that were asked for come as often as asked."""
-
-    def __init__(self, wanted: Iterable[tuple[int, int, float]], say: Say) -> None:
-        self._wanted_hz = {(system_id, kind): rate_hz for system_id, kind, rate_hz in wanted}
-        self._counts = dict.fromkeys(self._wanted_hz, 0)
-        self._short: set[tuple[int, int]] = set()
-        self._since_s: float | None = None
-        self._say = say
-
-    def received(self, system_id: int, message_id: int) -> None:
-        """Count a message."""
-        key = (system_id, message_id)
-        if key in self._counts:
-            self._counts[key] += 1
-
-    def check(self, now_s: float) -> None:
-        """Say which messages have begun to come too seldom, and which are well again."""
-        if self._since_s is None:
-            self._since_s = now_s
-        elapsed_s = now_s - self._since_s
-        if elapsed_s < RATE_WINDOW_S:
-            return
-        for key, count in self._counts.items():
-            self._judge(key, count / elapsed_s, now_s)
-            self._counts[key] = 0
-        self._since_s = now_s
-
-    def _judge(self, key: tuple[int, int], rate_hz: float, now_s: float) -> None:
-        short = rate_hz < RATE_SHARE * self._wanted_hz[key]
-        if short is (key in self._short):
-            return
-        self._short.symmetric_difference_update({key})
-        name = mavlink.mavlink_map[key[1]].msgname
-        wish = f"{self._wanted_hz[key]:g} Hz asked for"
-        advice = ": check the radio and the stream rates" if short else ": well again"
-        self._say(now_s, f"system {key[0]}: {name} comes at {rate_hz:.1f} Hz, {wish}{advice}")
 
 
 def is_flying(heartbeat: Any) -> bool:

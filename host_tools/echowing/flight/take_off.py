@@ -17,7 +17,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from echowing.mavlink.messages import command_long
 
 if TYPE_CHECKING:
-    from echowing.flight.session import FollowerState
+    from echowing.flight.state import FollowerState
 
 Say = Callable[[float, str], None]
 

@@ -8,7 +8,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.errors import EchowingError
-from echowing.flight.session import GUIDED_MODE
+from echowing.flight.state import GUIDED_MODE
 from echowing.mavlink.messages import FORWARD, command_long
 from echowing.setup.applet import APPLET, CARD_FOLDERS, applet_parameters, applet_path
 from echowing.setup.checks import RC_CHANNELS, SERIAL_PORTS, ports_at_115200, signing_option

@@ -93,6 +93,7 @@ def _row(world: FormationWorld, follower: SimFollower) -> Row:
         link_percent=None,
         north_offset_m=0.0,
         east_offset_m=0.0,
+        leader_mode=_mode(leader),
     )
 
 
@@ -129,7 +130,6 @@ def _track(
         pan_us=follower.coprocessor.pan_us,
         tilt_us=follower.coprocessor.tilt_us,
         leader_id=leader.autopilot.system_id,
-        leader_mode=_mode(leader),
         leader_height_m=-leader.position_ned_m[2],
         wanted_height_m=-leader.position_ned_m[2] + step_m,
     )

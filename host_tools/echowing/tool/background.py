@@ -94,6 +94,7 @@ class BackgroundView:
         self._worker = Worker(most)
         self._rows: tuple[float, Sequence[Row]] | None = None
         self._dropped_events = self._dropped_rows = 0
+        self._keys = ""
         self.stuck = False
 
     @property
@@ -115,6 +116,11 @@ class BackgroundView:
         if not waiting and not self._worker.do(self._show_newest):
             self._rows = None
             self._dropped_rows += 1
+
+    def keys(self, text: str) -> None:
+        """As `View`; only what is new is shown."""
+        if text != self._keys and self._worker.do(lambda: self._view.keys(text)):
+            self._keys = text
 
     def ring(self) -> None:
         """Ring the terminal's bell."""

@@ -5,7 +5,8 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from echowing.flight.guidance import LeaderFix, is_stale, predicted
-from echowing.flight.session import FollowerState, FollowSession
+from echowing.flight.session import FollowSession
+from echowing.flight.state import FollowerState
 from echowing.geo import GlobalPosition, ned_between
 from echowing.tool.panel import Panel
 
@@ -22,8 +23,7 @@ class Track:
     of them, the learnt offset and the lead included; yaw_deg: where it was to look. pan_us,
     tilt_us: the gimbal's pulses. leader_height_m: above the leader's home, wanted_height_m: of
     this follower above its own. seen_*: from the leader's place by its own receiver to where this
-    follower takes it to be, metres, with the covariance of that, square metres. battery_*: as
-    the vehicle says.
+    follower takes it to be, metres, with the covariance of that, square metres.
     """
 
     wanted_radius_m: float
@@ -49,7 +49,6 @@ class Track:
     pan_us: float | None
     tilt_us: float | None
     leader_id: int | None = None
-    leader_mode: str | None = None
     leader_link_percent: float | None = None
     leader_height_m: float | None = None
     wanted_height_m: float | None = None
@@ -58,10 +57,6 @@ class Track:
     seen_nn_m2: float | None = None
     seen_ne_m2: float | None = None
     seen_ee_m2: float | None = None
-    battery_percent: float | None = None
-    battery_v: float | None = None
-    leader_battery_percent: float | None = None
-    leader_battery_v: float | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Its fields by name: degrees of position as MAVLink carries them, else thousandths."""
@@ -111,32 +106,20 @@ def track(session: FollowSession, follower: FollowerState, panel: Panel, now_s: 
         yaw_deg=_degrees(None if guided is None else guided.yaw_rad),
         pan_us=panel.newest(system_id, PAN, now_s),
         tilt_us=panel.newest(system_id, TILT, now_s),
-        wanted_height_m=session.height_wanted_m(follower),
+        wanted_height_m=session.heights.wanted_m(follower),
         **_of_leader(session, panel),
         **_seen(session, follower, leader, now_s),
-        **_battery(panel, system_id),
     )
 
 
 def _of_leader(session: FollowSession, panel: Panel) -> dict[str, Any]:
     """What the leader says of itself."""
-    supply = panel.supply(session.leader_id)
     fix = session.leader.fix
     home_m = None if session.guard is None else session.guard.home_m(session.leader_id)
     return {
         "leader_id": session.leader_id,
-        "leader_mode": supply.mode,
-        "leader_link_percent": supply.link_percent,
+        "leader_link_percent": panel.link_percent(session.leader_id),
         "leader_height_m": None if fix is None or home_m is None else fix.position.alt_m - home_m,
-        **_battery(panel, session.leader_id, "leader_"),
-    }
-
-
-def _battery(panel: Panel, system_id: int, prefix: str = "") -> dict[str, Any]:
-    supply = panel.supply(system_id)
-    return {
-        f"{prefix}battery_percent": supply.battery_percent,
-        f"{prefix}battery_v": supply.battery_v,
     }
 
 

@@ -57,14 +57,14 @@ def headline(moment: Moment) -> str:
 def _of_leader(moment: Moment) -> Iterator[Alarm]:
     if not moment.rows:
         return
-    row, track = moment.rows[0], moment.tracks[0]
+    row = moment.rows[0]
     if row.leader_age_s is None:
         yield Alarm(Level.ACT, moment.leader_id, "The leader was not heard yet")
     elif row.leader_age_s > STALE_S:
         yield Alarm(
             Level.ACT, moment.leader_id, f"The leader is not heard for {row.leader_age_s:.1f} s"
         )
-    yield from _of_battery("The leader", moment.leader_id, track.leader_battery_percent)
+    yield from _of_battery("The leader", moment.leader_id, row.leader_battery_percent)
 
 
 def _of_followers(rows: Sequence[Row], tracks: Sequence[Track]) -> Iterator[Alarm]:
@@ -74,7 +74,7 @@ def _of_followers(rows: Sequence[Row], tracks: Sequence[Track]) -> Iterator[Alar
         yield from _of_distance(name, row, track)
         if row.gimbal == SONAR_FAULT:
             yield Alarm(Level.LOOK, row.system_id, f"{name}: its sonar has a fault")
-        yield from _of_battery(name, row.system_id, track.battery_percent)
+        yield from _of_battery(name, row.system_id, row.battery_percent)
 
 
 def _of_state(name: str, row: Row) -> Iterator[Alarm]:

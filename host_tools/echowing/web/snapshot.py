@@ -62,11 +62,11 @@ def _leader(moment: Moment, at_ned_m: Ned | None) -> Json | None:
         "height": _number(track.leader_height_m),
         "velocity": _pair(track.leader_north_mps, track.leader_east_mps),
         "heading": _number(track.leader_heading_deg, 1),
-        "mode": track.leader_mode or "?",
+        "mode": row.leader_mode or "?",
         "speed": _number(row.leader_speed_mps),
         "age": _number(row.leader_age_s),
         "link": _number(track.leader_link_percent, 0),
-        "battery": _battery(track.leader_battery_percent, track.leader_battery_v),
+        "battery": _battery(row.leader_battery_percent, row.leader_battery_v),
     }
 
 
@@ -100,7 +100,7 @@ def _follower(row: Row, track: Track, where: tuple[Ned | None, ...]) -> Json:
         "limit": _number(row.command_mps),
         "age": _number(row.age_s),
         "link": _number(row.link_percent, 0),
-        "battery": _battery(track.battery_percent, track.battery_v),
+        "battery": _battery(row.battery_percent, row.battery_v),
         "switch": row.switch,
     }
 

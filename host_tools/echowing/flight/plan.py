@@ -1,0 +1,83 @@
+"""The plan: where a follower is to be, how fast, and where it looks. Pure."""
+
+import math
+from dataclasses import replace
+
+from echowing.flight.guidance import GuidedPoint, LeaderFix, bearing_rad, lead_share, sway_rad
+from echowing.flight.state import FollowerState, Known
+from echowing.geo import GlobalPosition, displace, distance_m, ned_between, wrap_angle_rad
+
+# Guided's answer to a place off its own: 1 m/s for each metre (PSC_NE_POS_P).
+POSITION_GAIN_PER_S = 1.0
+# A leader that the sonar does not hear is approached no faster than this, for a copter stops from
+# it within the beam's reach less what receivers are off.
+JOIN_MPS, HEARD_LATELY_S = 1.5, 1.5
+# Not heard for so long, the leader is looked for where it most likely is.
+LOST_S = 1.0
+
+
+def planned(known: Known, follower: FollowerState, fix: LeaderFix, now_s: float) -> GuidedPoint:
+    """The slot and what leads to it, from the newest report of the leader.
+
+    Position and velocity: the slot on its bar when the point reaches the vehicle. Position alone:
+    a point ahead of the slot.
+    """
+    settings, least_m = known.settings, follower.reversal_m
+    if settings.learn_offset:
+        least_m = max(least_m, _least_radius_m(known, follower, now_s))
+    if settings.feed_forward:
+        guided = _towed(known, follower, fix, now_s, least_m)
+        guided = replace(guided, point=_joined_slowly(follower, guided.point, now_s))
+    elif settings.learn_offset:
+        seen = replace(fix, position=follower.estimate.as_seen(fix.position))
+        guided = follower.guide.update(seen, now_s, follower.position, least_m)
+    else:
+        return follower.guide.update(fix, now_s, follower.position)
+    return _looking_around(follower, guided, now_s)
+
+
+def _least_radius_m(known: Known, follower: FollowerState, now_s: float) -> float:
+    """How near the leader a slot may be, with what the sonar has not yet proven."""
+    settings, offset = known.settings, follower.estimate.offset
+    offset.advance(now_s)
+    line_rad = known.bearing_of_leader(follower, now_s) or 0.0
+    unsure_m = settings.standoff_sigmas * offset.unproven_sigma_m(line_rad, now_s)
+    return settings.clearance_m + unsure_m + offset.unproven_shift_m(line_rad, now_s)
+
+
+def _towed(
+    known: Known, follower: FollowerState, fix: LeaderFix, now_s: float, least_m: float
+) -> GuidedPoint:
+    """The slot on its bar; its velocity fades as the leader's report grows old."""
+    arrives_s = now_s + follower.way_s
+    leader = known.leader_then(follower, arrives_s) or fix
+    guided = follower.bar.update(leader, arrives_s, follower.then(arrives_s), least_m)
+    age_s = max(0.0, now_s - fix.time_s)
+    share = lead_share(age_s, known.settings)
+    north, east = guided.velocity_mps
+    return replace(guided, age_s=age_s, velocity_mps=(share * north, share * east))
+
+
+def _joined_slowly(follower: FollowerState, point: GlobalPosition, now_s: float) -> GlobalPosition:
+    """The point, no further off than makes a fast approach to a leader that is not heard."""
+    here = follower.on_arrival(now_s)
+    if here is None or follower.estimate.offset.unheard_s(now_s) < HEARD_LATELY_S:
+        return point
+    north, east, down = ned_between(here, point)
+    share = min(1.0, JOIN_MPS / POSITION_GAIN_PER_S / max(math.hypot(north, east), 1e-6))
+    return displace(here, (share * north, share * east, down))
+
+
+def _looking_around(follower: FollowerState, guided: GuidedPoint, now_s: float) -> GuidedPoint:
+    """Turn the nose to where the leader most likely is, or to both sides to learn where."""
+    offset, here = follower.estimate.offset, follower.position
+    if guided.yaw_rad is None or here is None:
+        return guided
+    if offset.unheard_s(now_s) > LOST_S:
+        north, east = offset.most_likely_m
+        leader = displace(guided.leader, (offset.north_m - north, offset.east_m - east, 0.0))
+        return replace(guided, yaw_rad=bearing_rad(here, leader))
+    across_m = offset.sigma_m(guided.yaw_rad + math.pi / 2.0)
+    unsure_rad = across_m / max(1.0, distance_m(here, guided.leader))
+    off_rad = sway_rad(unsure_rad, now_s)
+    return replace(guided, yaw_rad=wrap_angle_rad(guided.yaw_rad + off_rad))

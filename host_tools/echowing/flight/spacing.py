@@ -1,0 +1,139 @@
+"""The envelope's place in a tick: who is about a follower, and what it may be commanded. Pure."""
+
+import math
+from collections.abc import Callable
+
+from echowing.flight.envelope import Other, is_in_the_way, keep_apart
+from echowing.flight.guard import Guard
+from echowing.flight.guidance import Horizontal, bearing_rad
+from echowing.flight.offset_grid import Wandering
+from echowing.flight.plan import POSITION_GAIN_PER_S
+from echowing.flight.state import FollowerState, Known
+from echowing.geo import GlobalPosition, Ned, displace, distance_m, ned_between
+
+# Guided corrects a place off its own no faster than this.
+CORRECTION_MOST_MPS = 5.0
+# A hold that had to give way is from then on where the vehicle has been moved to.
+MOVED_M = 0.5
+# The same is not said again sooner, however often it comes and goes.
+REMARK_GAP_S = 10.0
+# Two receivers of which no sonar knows more.
+UNRANGED_SIGMA_M = math.sqrt(2.0) * Wandering().sigma_m
+
+
+class Spacing:
+    """Keeps the followers of one session `min_separation_m` from everybody, where that is set.
+
+    gives_way(system_id, name, now_s): for whose sake a follower is flown otherwise than planned.
+    """
+
+    def __init__(
+        self, known: Known, guard: Guard | None, gives_way: Callable[[int, str, float], None]
+    ) -> None:
+        self._known, self._guard, self._gives_way = known, guard, gives_way
+        self._least_m = None if guard is None else guard.limits.min_separation_m
+
+    def kept_apart(
+        self, follower: FollowerState, point: GlobalPosition, now_s: float
+    ) -> GlobalPosition:
+        """The point that leaves everybody room (see `flight.envelope`), its velocity with it."""
+        here = follower.on_arrival(now_s)
+        if self._least_m is None or here is None:
+            return point
+        wanted = _wanted_mps(here, point, follower.feed_mps)
+        others = self._others(follower, here, now_s)
+        flown, other = keep_apart(wanted, others, follower.handling.answer, self._least_m)
+        self._give_way(follower, other, now_s)
+        if other is None:
+            return point
+        if _moved_off(follower):
+            follower.held_at = follower.position
+        if follower.feed_mps is None:
+            north, east = (mps / POSITION_GAIN_PER_S for mps in flown[:2])
+            return displace(here, (north, east, here.alt_m - point.alt_m))
+        north, east = follower.feed_mps
+        follower.feed_mps = north + flown[0] - wanted[0], east + flown[1] - wanted[1]
+        return point
+
+    def _give_way(self, follower: FollowerState, other: Other | None, now_s: float) -> None:
+        """Note, and say, for whose sake a follower is flown otherwise than planned."""
+        name = None if other is None else other.name
+        long_ago = now_s - follower.gave_way_at_s >= REMARK_GAP_S
+        if name is not None and name != follower.gives_way_to and long_ago:
+            follower.gave_way_at_s = now_s
+            self._gives_way(follower.plan.system_id, name, now_s)
+        follower.gives_way_to = name
+
+    def _others(self, follower: FollowerState, here: GlobalPosition, now_s: float) -> list[Other]:
+        """The vehicles about a follower that is `here` when the order reaches it."""
+        arrives_s = now_s + follower.way_s
+        leader = self._leader(follower, here, now_s, arrives_s)
+        others = [] if leader is None else [leader]
+        for other in self._known.followers.values():
+            there = None if other is follower else other.then(arrives_s)
+            if there is not None:
+                others.append(self._other(follower, here, other, there, arrives_s))
+        return others
+
+    def _leader(
+        self, follower: FollowerState, here: GlobalPosition, now_s: float, arrives_s: float
+    ) -> Other | None:
+        known = self._known
+        leader = known.leader_then(follower, arrives_s)
+        # Of a stale leader nothing is known but that it was there: to flee from all that it could
+        # have done since is no safer than to stand.
+        if leader is None or known.leader_is_stale(now_s):
+            return None
+        return Other(
+            "the leader",
+            self._between_m(known.leader_id, leader.position, follower, here),
+            leader.velocity_ned_mps,
+            follower.estimate.offset.sigma_m(bearing_rad(here, leader.position)),
+            known.leader_age_s(arrives_s),
+        )
+
+    def _other(
+        self,
+        follower: FollowerState,
+        here: GlobalPosition,
+        other: FollowerState,
+        there: GlobalPosition,
+        arrives_s: float,
+    ) -> Other:
+        system_id = other.plan.system_id
+        goal = here if follower.guided is None else follower.guided.slot
+        return Other(
+            f"follower {system_id}",
+            self._between_m(system_id, there, follower, here),
+            (*other.velocity_mps, -other.climb_mps),
+            UNRANGED_SIGMA_M,
+            arrives_s - other.position_at_s,
+            is_in_the_way(ned_between(here, there), ned_between(here, goal)),
+        )
+
+    def _between_m(
+        self, system_id: int, there: GlobalPosition, follower: FollowerState, here: GlobalPosition
+    ) -> Ned:
+        """From another vehicle to here, heights by whatever is known of their homes."""
+        if self._guard is None:
+            return ned_between(there, here)
+        mine = self._guard.in_height(follower.plan.system_id, here)
+        return ned_between(self._guard.in_height(system_id, there), mine)
+
+
+def _moved_off(follower: FollowerState) -> bool:
+    """Whether one that is held has been moved away from its place."""
+    if follower.held_at is None or follower.position is None:
+        return False
+    return distance_m(follower.held_at, follower.position) > MOVED_M
+
+
+def _wanted_mps(here: GlobalPosition, point: GlobalPosition, feed_mps: Horizontal | None) -> Ned:
+    """The velocity with which Guided answers a point, and its velocity, from here."""
+    north, east, _ = ned_between(here, point)
+    pace = POSITION_GAIN_PER_S
+    far_m = math.hypot(north, east)
+    if far_m * pace > CORRECTION_MOST_MPS:
+        pace = CORRECTION_MOST_MPS / far_m
+    feed_north, feed_east = feed_mps or (0.0, 0.0)
+    return feed_north + pace * north, feed_east + pace * east, 0.0

@@ -1,0 +1,239 @@
+"""What is known of the vehicles, every value with its time. Pure.
+
+The first step of a tick: messages come in here, and every later step reads from here.
+"""
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol
+
+from echowing.flight.alignment import History, Report
+from echowing.flight.estimate import LONGEST_CARRY_S, Estimate, carried_on, place_then
+from echowing.flight.guidance import (
+    GuidanceSettings,
+    GuidedPoint,
+    Horizontal,
+    LeaderFix,
+    Slot,
+    SlotGuide,
+    bearing_rad,
+    is_stale,
+    predicted,
+)
+from echowing.flight.handling import Handling
+from echowing.flight.jumps import OwnJump, RangeMemory
+from echowing.flight.leader_track import LeaderTrack, VehicleClock, is_late
+from echowing.flight.sonar import DETECTION_LIMIT_M
+from echowing.flight.tow_bar import TowBar
+from echowing.geo import GlobalPosition
+from echowing.mavlink.messages import FORWARD, heading_of, sonar_range_m
+
+GUIDED_MODE = 4
+
+# The co-processor's newest single reading (firmware/README.md). Where it has not come for so long
+# (a signed link refuses it, as no autopilot signs it), DISTANCE_SENSOR stands in.
+SONAR_READING = "SNR_RAW"
+RAW_FRESH_S = 1.0
+# The co-processor averages over 0.45 s: its middle.
+AVERAGE_AGE_S = 0.225
+# A longer way to the vehicle than this is not led over: the leader may have turned by then.
+LONGEST_WAY_S = 1.0
+
+Say = Callable[[float, str], None]
+
+
+@dataclass(slots=True)
+class FollowerPlan:
+    """One follower: its system id, its slot, its altitude above its home."""
+
+    system_id: int
+    slot: Slot
+    altitude_m: float = 10.0
+
+    @property
+    def wanted_m(self) -> float:
+        """Its altitude above its home, the slot's step included."""
+        return self.altitude_m + self.slot.altitude_step_m
+
+
+class Guide(Protocol):
+    """Where a follower is to be: a `SlotGuide`, or anything that answers like one."""
+
+    def update(
+        self,
+        fix: LeaderFix,
+        now_s: float,
+        follower: GlobalPosition | None = None,
+        least_radius_m: float = 0.0,
+    ) -> GuidedPoint:
+        """The guided point at `now_s` from the newest report of the leader."""
+
+
+@dataclass(slots=True)
+class FollowerState:
+    """What is known and wanted of one follower.
+
+    held_at, held_altitude_m, hold_reason: where, how high above its home and why it was stopped;
+    in_guided: flies in Guided; flown: it was put in the air, or a point has gone to it, by us since
+    it was put in Guided; sent_to: points might go to it at the last tick; position_at_s: when it
+    was there, as far as TIMESYNC tells, else when the report came; feed_mps: the velocity to go
+    with the point (north, east), None: none; yaw_rad: where it was last told to look; gives_way_to:
+    for whose sake it is not flown as planned; latched: why it is held until it leaves Guided;
+    reversal_m: the nearest slot from which it gets away should the leader turn round now; opens: it
+    was said that the slot opens for that.
+    """
+
+    plan: FollowerPlan
+    guide: Guide
+    bar: TowBar
+    clock: VehicleClock = field(default_factory=VehicleClock)
+    estimate: Estimate = field(default_factory=Estimate)
+    ranges: RangeMemory = field(default_factory=RangeMemory)
+    own_jump: OwnJump = field(default_factory=OwnJump)
+    handling: Handling = field(default_factory=Handling)
+    latched: str | None = None
+    reversal_m: float = 0.0
+    opens: bool = False
+    raw_at_s: float = -math.inf
+    feed_mps: Horizontal | None = None
+    yaw_rad: float | None = None
+    gives_way_to: str | None = None
+    gave_way_at_s: float = -math.inf
+    position: GlobalPosition | None = None
+    newest_boot_ms: int = -1
+    position_at_s: float = -math.inf
+    altitude_m: float | None = None
+    velocity_mps: Horizontal = (0.0, 0.0)
+    ground_speed_mps: float = 0.0
+    climb_mps: float = 0.0
+    heading_rad: float = 0.0
+    mode: int | None = None
+    mode_at_s: float = -math.inf
+    armed: bool = False
+    flying: bool = False
+    in_guided: bool = False
+    flown: bool = False
+    sent_to: bool = False
+    held_at: GlobalPosition | None = None
+    held_altitude_m: float | None = None
+    hold_reason: str | None = None
+    guided: GuidedPoint | None = None
+
+    @property
+    def guided_mode(self) -> bool:
+        """Whether it is in Guided, in the air or not."""
+        return self.mode == GUIDED_MODE
+
+    @property
+    def way_s(self) -> float:
+        """How long a point takes to its vehicle."""
+        return min(LONGEST_WAY_S, self.clock.round_trip_s / 2.0)
+
+    def then(self, at_s: float) -> GlobalPosition | None:
+        """Where it is at a moment; None: not known."""
+        since_s = at_s - self.position_at_s
+        if self.position is None or since_s > LONGEST_CARRY_S:
+            return None
+        return place_then(self.position, (*self.velocity_mps, -self.climb_mps), since_s)
+
+    def on_arrival(self, now_s: float) -> GlobalPosition | None:
+        """Where it is when what is sent now reaches it."""
+        return self.then(now_s + self.way_s)
+
+    def reported(self, message: Any, now_s: float) -> Report | None:
+        """Take its GLOBAL_POSITION_INT; None: an older one has overtaken it."""
+        if is_late(message.time_boot_ms, self.newest_boot_ms):
+            return None
+        if message.time_boot_ms < self.newest_boot_ms:
+            self.clock.restarted()
+            self.estimate.history.clear()
+        self.newest_boot_ms = message.time_boot_ms
+        self.position = GlobalPosition(message.lat / 1e7, message.lon / 1e7, message.alt / 1e3)
+        self.position_at_s = self.clock.to_ours(message.time_boot_ms / 1e3, now_s)
+        self.altitude_m = message.relative_alt / 1e3
+        self.velocity_mps = message.vx / 100.0, message.vy / 100.0
+        self.ground_speed_mps = math.hypot(message.vx, message.vy) / 100.0
+        self.climb_mps = -message.vz / 100.0
+        self.heading_rad = heading_of(message, self.heading_rad)
+        return Report(self.position_at_s, self.position, self.velocity_mps, self.heading_rad)
+
+    def ranged(self, kind: str, message: Any, now_s: float, inset_m: float) -> None:
+        """Take a message that may be its sonar's; single readings count before averages."""
+        if kind == "NAMED_VALUE_FLOAT" and message.name == SONAR_READING:
+            self.raw_at_s = now_s
+            stamp_s = message.time_boot_ms / 1e3
+            time_s = self.estimate.sonar_clock.to_ours(stamp_s, now_s, self.way_s)
+            self._take_range(time_s, message.value, inset_m)
+        elif kind == "DISTANCE_SENSOR" and message.orientation == FORWARD:
+            range_m = sonar_range_m(message)
+            if range_m is not None and now_s - self.raw_at_s > RAW_FRESH_S:
+                self._take_range(now_s - self.way_s - AVERAGE_AGE_S, range_m, inset_m)
+
+    def _take_range(self, time_s: float, range_m: float, inset_m: float) -> None:
+        if 0.0 < range_m < DETECTION_LIMIT_M:
+            self.ranges.add(time_s, range_m)
+        self.estimate.heard(time_s, range_m, inset_m)
+
+
+class Known:
+    """The leader and its followers as they are known now."""
+
+    def __init__(
+        self, leader_id: int, plans: Iterable[FollowerPlan], settings: GuidanceSettings
+    ) -> None:
+        plans = list(plans)
+        longest_m = max((plan.slot.radius_m for plan in plans), default=None)
+        self.leader_id = leader_id
+        self.settings = settings
+        self.leader = LeaderTrack()
+        self.leader_history = History()
+        self.followers = {
+            plan.system_id: FollowerState(
+                plan, SlotGuide(plan.slot, settings), TowBar(plan.slot, longest_m)
+            )
+            for plan in plans
+        }
+
+    def clock(self, system_id: int) -> VehicleClock | None:
+        """The clock of one of these vehicles; None: of a stranger."""
+        if system_id == self.leader_id:
+            return self.leader.clock
+        follower = self.followers.get(system_id)
+        return follower.clock if follower else None
+
+    def leader_age_s(self, at_s: float) -> float:
+        """How old the newest report of the leader is at a moment."""
+        return math.inf if self.leader.fix is None else max(0.0, at_s - self.leader.fix.time_s)
+
+    def leader_is_stale(self, now_s: float) -> bool:
+        """Whether it is so old that nobody may be led by it."""
+        return is_stale(self.leader_age_s(now_s), self.settings)
+
+    def leader_then(self, follower: FollowerState, at_s: float) -> LeaderFix | None:
+        """The leader at a moment, in this follower's frame; None: nothing is known of it."""
+        fix = self.leader.fix
+        if fix is None or self.leader_age_s(at_s) > LONGEST_CARRY_S:
+            return None
+        if self.settings.learn_offset:
+            fix = replace(fix, position=follower.estimate.as_seen(fix.position))
+        return carried_on(fix, at_s)
+
+    def leader_for(self, follower: FollowerState, fix: LeaderFix, now_s: float) -> GlobalPosition:
+        """Where the leader is now, as this follower's receiver would have it."""
+        now = predicted(fix, max(0.0, now_s - fix.time_s)).position
+        return follower.estimate.as_seen(now) if self.settings.learn_offset else now
+
+    def bearing_of_leader(self, follower: FollowerState, now_s: float) -> float | None:
+        """Bearing from a follower to the leader; None: one of them is not known."""
+        leader, here = self.leader_then(follower, now_s), follower.then(now_s)
+        return None if leader is None or here is None else bearing_rad(here, leader.position)
+
+    def note_leader(self, fix: LeaderFix) -> None:
+        """Keep a new report of the leader, and let every estimate learn from it."""
+        self.leader_history.add(
+            Report(fix.time_s, fix.position, fix.velocity_ned_mps[:2], fix.heading_rad)
+        )
+        if self.settings.learn_offset:
+            for follower in self.followers.values():
+                follower.estimate.learn(self.leader_history)

@@ -1,0 +1,150 @@
+"""Which positions are believed: receivers that jump, and two vehicles with one id. Pure.
+
+A jump that the sonar denies is the receiver's and goes into the estimate; one that nobody can deny
+is not flown: the follower holds until its pilot has left Guided and come back.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from echowing.flight.alignment import Report
+from echowing.flight.jumps import SAME_RANGE_M, UNCONFIRMED_S
+from echowing.flight.state import FollowerState, Known, Say
+from echowing.geo import displace
+
+# Reports that agree on a leader's new place before the sonar is asked of it (0.5 s at 4 Hz), and
+# how long before the jump it has to have detected the leader.
+CONFIRMING_REPORTS, HEARD_S = 2, 3.0
+
+
+class Trust:
+    """Takes positions into what is known, where they can be believed.
+
+    doubt(system_id, text, now_s) refuses a vehicle for good; alert(system_id, text) goes to a
+    follower's pilot; strict: in the field. A simulated ground station without limits believes a
+    leader's new place as soon as its reports agree.
+    """
+
+    def __init__(
+        self,
+        known: Known,
+        say: Say,
+        alert: Callable[[int, str], None],
+        doubt: Callable[[int, str, float], None] | None,
+        *,
+        strict: bool,
+    ) -> None:
+        self._known, self._say, self._alert, self._doubt = known, say, alert, doubt
+        self._strict = strict
+        self._leader_jumps = self._two_leaders = False
+
+    def leader_reported(self, message: Any, now_s: float) -> None:
+        """Take the leader's GLOBAL_POSITION_INT."""
+        leader = self._known.leader
+        rejected, jumps, before = leader.rejected, leader.jumps, leader.fix
+        leader.receive(message, now_s)
+        if leader.jumps > jumps:
+            self._believed_elsewhere(now_s)
+        if self._strict:
+            self._settle_leaders_jump(now_s)
+            self._refuse_two_leaders(now_s)
+        if leader.fix is not None and leader.fix is not before:
+            self._known.note_leader(leader.fix)
+        jumped = leader.rejected > rejected
+        if self._strict and jumped and not self._leader_jumps:
+            self._say(now_s, "leader jumps: not believed until its reports agree again")
+        self._leader_jumps = jumped
+
+    def follower_reported(self, follower: FollowerState, report: Report) -> None:
+        """Take a follower's own report."""
+        moved_m = None if self._doubt is None else follower.own_jump.reported(report)
+        if moved_m is not None:
+            follower.estimate.history.clear()
+            if follower.held_at is not None:
+                # Where it stands has another name now.
+                follower.held_at = displace(follower.held_at, (*moved_m, 0.0))
+        follower.estimate.reported(report)
+
+    def settle(self, follower: FollowerState, now_s: float) -> None:
+        """Decide on a follower's own jump once the sonar has had time to deny it."""
+        jump = follower.own_jump
+        if jump.since_s is None:
+            return
+        moved_m = jump.moved_m
+        far_m = math.hypot(*moved_m)
+        denied = self._sonar_denies(follower, jump.since_s)
+        if not denied and now_s - jump.since_s < UNCONFIRMED_S:
+            return
+        jump.settled()
+        if not follower.in_guided or far_m < SAME_RANGE_M:
+            return
+        if denied:
+            follower.estimate.jumped((-moved_m[0], -moved_m[1]))
+            text = "the sonar's range did not change, allowed for"
+        else:
+            follower.latched = f"its position jumped by {far_m:.1f} m, until it leaves Guided"
+            text = "held until its pilot has left Guided and come back"
+        self._say(
+            now_s,
+            f"follower {follower.plan.system_id}: its receiver jumped by {far_m:.1f} m: {text}",
+        )
+
+    def _sonar_denies(self, follower: FollowerState, since_s: float) -> bool:
+        """Whether its sonar, which detected the leader, ranges it as before that moment."""
+        learns = self._known.settings.learn_offset
+        if not learns or follower.estimate.offset.unheard_s(since_s) > HEARD_S:
+            return False
+        return follower.ranges.unchanged(since_s)
+
+    def _settle_leaders_jump(self, now_s: float) -> None:
+        """A jump that the sonar denies is the receiver's: it goes into everybody's estimate."""
+        leader, followers = self._known.leader, self._known.followers.values()
+        since_s = leader.jump_since_s
+        if since_s is None or leader.agreeing < CONFIRMING_REPORTS:
+            return
+        if not any(self._sonar_denies(one, since_s) for one in followers):
+            return
+        moved_m = leader.believe_jump()
+        self._known.leader_history.clear()
+        for follower in followers:
+            follower.estimate.jumped(moved_m)
+        self._say(
+            now_s,
+            f"leader's receiver jumped by {math.hypot(*moved_m):.1f} m: the sonar's range did not "
+            "change, allowed for",
+        )
+
+    def _believed_elsewhere(self, now_s: float) -> None:
+        """The leader is believed in a new place that no sonar knows: nobody is flown there."""
+        self._known.leader_history.clear()
+        for follower in self._known.followers.values():
+            follower.estimate.forget()
+        if not self._strict:
+            return
+        jump_m = math.hypot(*self._known.leader.jump_m)
+        for system_id, follower in self._known.followers.items():
+            follower.latched = f"leader jumped by {jump_m:.1f} m, until it leaves Guided"
+            if follower.flown:
+                self._alert(system_id, f"holding, leader jumped by {jump_m:.1f} m")
+        self._say(
+            now_s,
+            f"leader's reports agree {jump_m:.1f} m away from where it was: nobody is flown there "
+            "until its pilot has left Guided and come back",
+        )
+
+    def _refuse_two_leaders(self, now_s: float) -> None:
+        """Two boot clocks in turn: two vehicles with the leader's id."""
+        leader_id = self._known.leader_id
+        if self._two_leaders or not self._known.leader.clocks.two_at_once(now_s):
+            return
+        self._two_leaders = True
+        text = (
+            f"system {leader_id}: two boot clocks at once: two vehicles with this id, or an old "
+            "recording on the link; give each vehicle a MAV_SYSID (SYSID_THISMAV) of its own"
+        )
+        self._say(now_s, text)
+        for follower in self._known.followers.values():
+            follower.latched = "two vehicles with the leader's id, until it leaves Guided"
+        if self._doubt is not None:
+            self._doubt(leader_id, "two vehicles with the leader's id", now_s)
