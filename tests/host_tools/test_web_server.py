@@ -17,7 +17,7 @@ from echowing.errors import EchowingError
 from echowing.web.guests import refusal
 from echowing.web.live import MOST_EVENTS, LivePage
 from echowing.web.options import PageAddress
-from echowing.web.server import ASSETS, MOST_BROWSERS
+from echowing.web.server import ASSETS, MOST_BROWSERS, SILENT, PageServer
 
 from .flights import many, moment
 
@@ -237,19 +237,31 @@ def test_the_end_does_not_wait_for_a_dead_browser(page: LivePage) -> None:
     dead.line.close()
 
 
-@pytest.mark.parametrize("noise", [b"\x00\xff" * 50, b"GET / HTTP/9.9\r\n\r\n", b"GET "])
-def test_noise_is_nothing_for_the_terminal(
-    noise: bytes, page: LivePage, capfd: pytest.CaptureFixture[str]
+class FaultyFeed:
+    """Fails with every browser."""
+
+    def begin(self, loop: asyncio.AbstractEventLoop) -> None:
+        pass
+
+    async def attend(self, browser: Any) -> None:
+        raise ValueError("a fault of ours")
+
+
+def test_a_fault_with_one_browser_is_nothing_for_the_terminal(
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
-    """A word on stderr would tear the operator's live table."""
-    with socket.create_connection((HERE, page.port), DEADLINE_S) as line:
-        line.sendall(noise)
-        line.shutdown(socket.SHUT_WR)
-        while line.recv(4096):
+    """A traceback on stderr would tear the operator's live table."""
+    server = PageServer(PageAddress(HERE, 0), FaultyFeed())
+    for _ in range(2):  # and the next browser is served as before
+        dead = DeadBrowser(server.address.port)
+        while dead.line.recv(4096):
             pass
-    assert asked(page, "/")[0] == 200
-    assert page.lost() is None
-    assert capfd.readouterr() == ("", "")
+        dead.line.close()
+    assert server.close()
+    assert server.error is None
+    # All goes to a log of ours that leads nowhere (pytest listens at every one).
+    assert {record.name for record in caplog.records} == {SILENT.name}
+    assert not SILENT.propagate
 
 
 def test_too_many_browsers_are_sent_away(page: LivePage) -> None:

@@ -39,9 +39,9 @@ MOST_HEARD = 1024
 SEND_BUFFER = 65_536
 START_S, END_S = 10.0, 2.0
 # What browsers send wrong is nothing for the operator's terminal.
-_SILENT = logging.getLogger("echowing.page")
-_SILENT.addHandler(logging.NullHandler())
-_SILENT.propagate = False
+SILENT = logging.getLogger("echowing.page")
+SILENT.addHandler(logging.NullHandler())
+SILENT.propagate = False
 
 Socket = web.WebSocketResponse
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
@@ -87,7 +87,7 @@ class PageServer:
     # ---- in its thread --------------------------------------------------------------------------
 
     def _run(self) -> None:
-        self._loop.set_exception_handler(lambda loop, context: _SILENT.error("%s", context))
+        self._loop.set_exception_handler(lambda loop, context: SILENT.error("%s", context))
         try:
             self._loop.run_until_complete(self._serve())
         except Exception as error:
@@ -102,7 +102,7 @@ class PageServer:
         for path, (name, kind) in ASSETS.items():
             app.router.add_get(path, self._asset(name, kind))
         app.on_shutdown.append(self._send_away)
-        runner = web.AppRunner(app, access_log=None, logger=_SILENT, shutdown_timeout=END_S / 4.0)
+        runner = web.AppRunner(app, access_log=None, logger=SILENT, shutdown_timeout=END_S / 4.0)
         await runner.setup()
         try:
             await web.SockSite(runner, self._socket).start()
