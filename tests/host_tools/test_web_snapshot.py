@@ -75,8 +75,8 @@ def test_what_is_not_known_is_null_and_everything_is_json() -> None:
 def test_a_glance_is_enough_for_tracks_and_plots() -> None:
     small = glance(snapshot(moment(7.0), HERE))
     assert small["t"] == 7.0
-    ((system_id, at, height, separation, sonar),) = small["followers"]
-    assert (system_id, height, separation, sonar) == (FOLLOWER, 10.0, 3.0, 2.8)
+    ((system_id, at, height, separation, sonar, wanted),) = small["followers"]
+    assert (system_id, height, separation, sonar, wanted) == (FOLLOWER, 10.0, 3.0, 2.8, 3.0)
     assert at == pytest.approx([-3.0, 0.0], abs=0.002)
 
 

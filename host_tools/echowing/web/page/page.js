@@ -7,6 +7,8 @@ const GLANCE_S = 0.5;
 const SILENT_MS = 3000;
 const AGAIN_MS = 1000;
 const MOST_EVENTS = 300;
+// Columns of a glance's followers after id, place and height.
+const SEPARATION = 3, RANGE = 4, WANTED = 5;
 // Of more followers than this only errors are drawn: their wanted distances differ.
 const MOST_LINES = 6;
 const INK = "#16202e", QUIET = "#5b6779", RULE = "#e3e8ef", SONAR = "#0f766e", CUT = "#7e22ce";
@@ -88,7 +90,8 @@ function glance(one) {
   return {
     t: one.t,
     leader: leader && [leader.id, leader.at, leader.height],
-    followers: one.followers.map(f => [f.id, f.at, f.height, f.separation, f.sonar.range]),
+    followers: one.followers.map(
+      f => [f.id, f.at, f.height, f.separation, f.sonar.range, f.wanted]),
   };
 }
 
@@ -174,6 +177,9 @@ function showVehicle(one, leads) {
   say("age", number(one.age, 2, " s"));
   say("link", number(one.link, 0, " %"));
   say("battery", one.battery || "–");
+  say("gps", one.gps || "–");
+  say("switch", one.switch || "");
+  card.querySelector(".switch").hidden = !one.switch;
   say("note", noteOf(one.id));
   if (leads) {
     say("height", number(one.height, 1, " m"));
@@ -189,8 +195,6 @@ function showVehicle(one, leads) {
   say("sonar", one.sonar.state ? `${range}, ${one.sonar.state}` : range);
   say("limit", number(one.limit, 1, " m/s"));
   say("height", `${number(one.height, 1)} / ${number(one.wanted_height, 1, " m")}`);
-  say("switch", one.switch || "");
-  card.querySelector(".switch").hidden = !one.switch;
 }
 
 function cardOf(id, leads) {
@@ -496,11 +500,9 @@ function drawSeparation(box) {
     ? "Separation from the leader, last minute" : "Error of the separation, last minute");
   put(byId("separation-legend"), few
     ? "line: by receivers; dots: sonar; dashed: wanted" : "separation less what is wanted, by receivers");
-  const wanted = new Map(now.followers.map(one => [one.id, one.wanted]));
-  const shift = id => few ? 0 : wanted.get(id) ?? 0;
-  const all = model.past.flatMap(one => one.followers
-    .filter(f => f[3] !== null && wanted.has(f[0])).map(f => f[3] - shift(f[0])));
-  if (few) all.push(...[...wanted.values()].filter(value => value !== null));
+  const shown = f => f[SEPARATION] === null ? null : f[SEPARATION] - (few ? 0 : f[WANTED] ?? 0);
+  const all = model.past.flatMap(one => one.followers.flatMap(f => [shown(f), few ? f[WANTED] : null]))
+    .filter(value => value !== null);
   const low = few ? Math.max(0, Math.floor(Math.min(...all, 3) - 1)) : Math.floor(Math.min(...all, -1));
   const high = Math.ceil(Math.max(...all, few ? 4 : 1) + (few ? 0.5 : 0));
   const { pen } = box, { left, bottom, y } = axes(box, low, high, "m", 0);
@@ -516,9 +518,11 @@ function drawSeparation(box) {
   if (!few) stroke(pen, [[left, y(0)], [box.width, y(0)]], INK, 1.5);
   for (const one of now.followers) {
     const colour = colourOf(one.id);
-    if (few && one.wanted !== null) stroke(pen, [[left, y(one.wanted)], [box.width, y(one.wanted)]], colour, 1.5, [6, 4]);
-    for (const part of unbroken(one.id, 3)) {
-      stroke(pen, part.map(([t, value]) => [x(t), y(value - shift(one.id))]), colour, few ? 2 : 1);
+    for (const part of few ? unbroken(one.id, f => f[WANTED]) : []) {
+      stroke(pen, part.map(([t, value]) => [x(t), y(value)]), colour, 1.5, [6, 4]);
+    }
+    for (const part of unbroken(one.id, shown)) {
+      stroke(pen, part.map(([t, value]) => [x(t), y(value)]), colour, few ? 2 : 1);
     }
     if (few) dots(pen, one.id, x, y, colour);
   }
@@ -526,11 +530,12 @@ function drawSeparation(box) {
 }
 
 // A follower's line, broken where nothing is known.
-function unbroken(id, column) {
+function unbroken(id, valueOf) {
   const parts = [[]];
   for (const glance of model.past) {
     const own = glance.followers.find(one => one[0] === id);
-    if (own && own[column] !== null) parts.at(-1).push([glance.t, own[column]]);
+    const value = own ? valueOf(own) : null;
+    if (value !== null) parts.at(-1).push([glance.t, value]);
     else if (parts.at(-1).length) parts.push([]);
   }
   return parts.filter(part => part.length > 1);
@@ -540,9 +545,9 @@ function dots(pen, id, x, y, colour) {
   pen.fillStyle = colour;
   for (const glance of model.past) {
     const own = glance.followers.find(one => one[0] === id);
-    if (own && own[4] !== null) {
+    if (own && own[RANGE] !== null) {
       pen.beginPath();
-      pen.arc(x(glance.t), y(own[4]), 2, 0, 7);
+      pen.arc(x(glance.t), y(own[RANGE]), 2, 0, 7);
       pen.fill();
     }
   }
