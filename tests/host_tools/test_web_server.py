@@ -60,6 +60,8 @@ def asked(page: LivePage, path: str, method: str = "GET", **headers: str) -> tup
         (HERE, "", None, False),
         (HERE, None, None, False),
         (HERE, "[:::", None, False),
+        (HERE, "127.0.0.1:8017; script-src *", None, False),
+        (HERE, "evil.example@127.0.0.1", None, False),
         (HERE, "127.0.0.1:8017", "http://evil.example", False),
         (HERE, "127.0.0.1:8017", "http://127.0.0.1:9000", False),  # another tool's page
         (HERE, "127.0.0.1:8017", "https://127.0.0.1:8017", False),

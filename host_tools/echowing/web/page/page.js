@@ -300,16 +300,14 @@ function fitted(box) {
 }
 
 function follow(box) {
-  const wanted = fitted(box);
-  const off = view.centre
-    && Math.hypot(wanted.centre[0] - view.centre[0], wanted.centre[1] - view.centre[1]);
-  if (!view.centre || off > wanted.span) {
-    view.centre = wanted.centre;
-    view.span = wanted.span;
-  }
-  const ease = 0.15;
-  view.centre = view.centre.map((old, axis) => old + ease * (wanted.centre[axis] - old));
-  view.span += ease * (wanted.span - view.span);
+  const wanted = fitted(box), ease = 0.15, furthest = 0.1 * wanted.span;
+  if (!view.centre) [view.centre, view.span] = [wanted.centre, wanted.span];
+  view.centre = view.centre.map((old, axis) => {
+    const off = wanted.centre[axis] - old;
+    // However few frames come, and however fast a replay goes, they are in the picture.
+    return Math.abs(off) > furthest ? wanted.centre[axis] - Math.sign(off) * furthest : old + ease * off;
+  });
+  view.span = Math.max(view.span + ease * (wanted.span - view.span), 0.8 * wanted.span);
   return box.height / (view.span * view.zoom);
 }
 
@@ -564,8 +562,9 @@ function drawSide(box) {
     ...known.map(one => one.wanted_height).filter(one => one !== null && one !== undefined)];
   const middle = (Math.min(...heights) + Math.max(...heights)) / 2;
   const half = Math.max(3, (Math.max(...heights) - Math.min(...heights)) / 2 + 1.5);
-  const low = Math.max(Math.floor(middle - half), Math.min(0, Math.floor(Math.min(...heights))));
-  const { pen } = box, { left, y } = axes(box, low, Math.ceil(middle + half), "m", 0);
+  const { pen } = box;
+  const { left, bottom, y } = axes(box, Math.floor(middle - half), Math.ceil(middle + half), "m", 0);
+  if (y(0) <= bottom) stroke(pen, [[left, y(0)], [box.width, y(0)]], QUIET, 2);  // the ground
   const spots = known.map(one => along(one.at));
   const centre = (Math.min(...spots) + Math.max(...spots)) / 2;
   const span = Math.max(8, 1.35 * (Math.max(...spots) - Math.min(...spots)));
