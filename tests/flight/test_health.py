@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 
 import pytest
 
@@ -10,6 +11,7 @@ from echowing.flight.health import (
     HEARD_S,
     LASTS_S,
     RANGED_S,
+    REMARK_GAP_S,
     Cohesion,
     Member,
     assess,
@@ -130,6 +132,19 @@ def test_a_moment_of_an_articulation_point_is_no_news() -> None:
     opened = [*square[:3], at(4, -4.0, 8.0)]
     said = [cohesion.update(square if s % 2 else opened, float(s)) for s in range(40)]
     assert said == [[]] * 40
+
+
+def test_what_comes_and_goes_is_not_said_each_time() -> None:
+    cohesion = Cohesion(LEADER)
+    square = [at(1, 0.0), at(2, -4.0), at(3, -4.0, 4.0), at(4, 0.0, 4.0)]
+    opened = [*square[:3], at(4, -4.0, 8.0)]
+    said = []
+    for second in range(90):
+        members = opened if second // 5 % 2 else square
+        said += [(second, text) for text in cohesion.update(members, float(second))]
+    times_s = [second for second, text in said if text.startswith("follower 2:")]
+    assert len(times_s) == 3
+    assert all(b - a >= REMARK_GAP_S for a, b in pairwise(times_s))
 
 
 def test_a_follower_that_sees_nobody_any_more_is_named_and_told_of_when_it_does_again() -> None:

@@ -39,8 +39,9 @@ FURTHER_M = math.sqrt(2.0) * Wandering().sigma_m
 # `panel.MISMATCH_M`), or further off the nose (beam 20 deg, and the two receivers' errors at 3 m),
 # it is of something else.
 FIT_M, AHEAD_RAD = 2.0, math.radians(50.0)
-# A change counts when it has lasted so long, and is not said again sooner.
-LASTS_S, REMARK_GAP_S = 2.0, 10.0
+# A change counts when it has lasted so long, and is not said again sooner: nobody has to act on it
+# at once, and what comes and goes is no news.
+LASTS_S, REMARK_GAP_S = 2.0, 30.0
 
 Pair = frozenset[int]
 
@@ -99,12 +100,12 @@ def ranged(member: Member, others: Iterable[Member], leader_id: int) -> int | No
     if here is None or member.range_m is None:
         return None
     fits = [
-        (abs(math.dist(here, there) - member.range_m), system_id)
+        (off_m, system_id)
         for system_id, there in _around(member, others, leader_id)
-        if _is_ahead(here, member.heading_rad, there)
+        if (off_m := abs(math.dist(here, there) - member.range_m)) <= FIT_M
+        and _is_ahead(here, member.heading_rad, there)
     ]
-    off_m, system_id = min(fits, default=(math.inf, -1))
-    return system_id if off_m <= FIT_M else None
+    return min(fits)[1] if fits else None
 
 
 def _around(member: Member, others: Iterable[Member], leader_id: int) -> Iterator[tuple[int, Ned]]:
@@ -124,15 +125,13 @@ def _is_ahead(here: Ned, heading_rad: float, there: Ned) -> bool:
 def near_pairs(members: Sequence[Member], before: Iterable[Pair] = ()) -> set[Pair]:
     """Pairs within reach of a sonar; those of `before` until a little further apart."""
     before = set(before)
-    heard = [member for member in members if member.heard]
-    return {
-        pair
-        for a, b in combinations(heard, 2)
-        if a.at_ned_m is not None and b.at_ned_m is not None
-        for pair in (frozenset((a.system_id, b.system_id)),)
-        if math.dist(a.at_ned_m, b.at_ned_m)
-        <= DETECTION_LIMIT_M + (FURTHER_M if pair in before else 0.0)
-    }
+    heard = [(one.system_id, one.at_ned_m) for one in members if one.heard and one.at_ned_m]
+    close = (
+        (frozenset((a, b)), apart_m)
+        for (a, there_a), (b, there_b) in combinations(heard, 2)
+        if (apart_m := math.dist(there_a, there_b)) <= DETECTION_LIMIT_M + FURTHER_M
+    )
+    return {pair for pair, apart_m in close if apart_m <= DETECTION_LIMIT_M or pair in before}
 
 
 def assess(
@@ -153,19 +152,23 @@ def assess(
     graph.add_nodes_from(member.system_id for member in members)
     graph.add_edges_from(ranges.items())
     graph.add_edges_from((min(pair), max(pair)) for pair in pairs)
+    alone = tuple(one for one in sorted(graph) if one != leader_id and not graph.degree(one))
     return Health(
         ranges=tuple(sorted(ranges.items())),
         near=tuple(sorted((min(pair), max(pair)) for pair in pairs)),
         cuts=tuple(_cuts(graph)),
-        alone=tuple(one for one in sorted(graph) if one != leader_id and not graph.degree(one)),
+        alone=alone,
     )
 
 
 def _cuts(graph: "nx.Graph[int]") -> Iterator[Cut]:
     for system_id in sorted(nx.articulation_points(graph)):
-        mates = nx.node_connected_component(graph, system_id) - {system_id}
-        parts = [tuple(sorted(part)) for part in nx.connected_components(graph.subgraph(mates))]
-        yield Cut(system_id, tuple(sorted(parts, key=lambda part: (-len(part), part))))
+        mates = list(graph[system_id])
+        graph.remove_node(system_id)
+        parts = [tuple(sorted(part)) for part in nx.connected_components(graph)]
+        graph.add_edges_from((system_id, mate) for mate in mates)
+        left = [part for part in parts if not set(part).isdisjoint(mates)]
+        yield Cut(system_id, tuple(sorted(left, key=lambda part: (-len(part), part))))
 
 
 @dataclass(slots=True)
