@@ -77,18 +77,20 @@ def test_what_is_drawn_is_what_was_flown_and_it_comes_back_after_a_restart(
         sample = sight.until(f"({SAMPLE})()")
         samples[sample["frame"]["t"]] = sample
     assert "in Guided, following" in sight.text("events")
-    sight.until(f"{FRAME}.health.edges.some(edge => edge.join() === '2,1,ranges')")
     assert tool.end(signal.SIGTERM) == 0
     (table,) = tmp_path.glob("*.csv")
     flown = {float(row["time_s"]): row for row in csv.DictReader(table.open(encoding="utf-8"))}
     for time_s, sample in samples.items():
         agrees(sample, flown[time_s])
 
-    sight.until("document.body.classList.contains('lost')")
+    run = sight.reads("window.echowing.model.hello.run")
+    sight.until("document.body.classList.contains('lost') && !window.echowing.model.connected")
+    sight.until("document.getElementById('headline').innerText.startsWith('No connection')")
     assert sight.text("headline") == "No connection to the tool: what you see is old"
     world.follow(*web)
-    sight.until(f"!document.body.classList.contains('lost') && {FRAME} && {FRAME}.t < 60")
+    sight.until(f"window.echowing.model.hello.run !== '{run}' && {FRAME}")
     sight.until(f"{FRAME}.followers[0].state === 'following'")
+    assert not sight.reads("document.body.classList.contains('lost')")
     assert sight.errors == []
     assert sight.asked == {f"{HERE}:{port}"}
     sight.close()
