@@ -90,7 +90,7 @@ def test_what_is_drawn_is_what_was_flown_and_it_comes_back_after_a_restart(
     world.follow(*web)
     sight.until(f"window.echowing.model.hello.run !== '{run}' && {FRAME}")
     sight.until(f"{FRAME}.followers[0].state === 'following'")
-    assert not sight.reads("document.body.classList.contains('lost')")
+    sight.until("!document.body.classList.contains('lost')")
     assert sight.errors == []
     assert sight.asked == {f"{HERE}:{port}"}
     sight.close()
