@@ -8,7 +8,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.errors import EchowingError
 from echowing.mavlink.messages import TOOL_COMPONENT_ID, TOOL_SYSTEM_ID
-from echowing.paths import lua_folder
+from echowing.paths import shipped
 from echowing.rig.law_steps import Law, Sample
 from echowing.rig.messages import Frames, source_of
 from echowing.rig.ports import open_wire
@@ -89,7 +89,7 @@ class BuiltInVehicle:
         }
         self._autopilot = Autopilot(self._copter, system_id=system_id, parameters=parameters)
         self._autopilot.add_link("board")
-        self._autopilot.load_script(lua_folder() / "echowing.lua")
+        self._autopilot.load_script(shipped("echowing.lua"))
         self._start_s: float | None = None
         self._steps = 0
         while self._steps * self.STEP_S < self.BEGIN_S:
