@@ -46,7 +46,8 @@ The pilot takes over by any change of mode; points go on when he puts the vehicl
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The verb's options."""
-    from echowing.mavlink.links import DEFAULT_BAUD  # noqa: PLC0415 (imported when the verb is used)
+    from echowing.flight.guidance import GuidanceSettings  # noqa: PLC0415 (when the verb is used)
+    from echowing.mavlink.links import DEFAULT_BAUD  # noqa: PLC0415
 
     parser.epilog = EXAMPLES
     links = parser.add_argument_group(
@@ -82,7 +83,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     place.add_argument(
         "--lead-time",
         type=float,
-        default=1.4,
+        default=GuidanceSettings().lead_time_s,
         metavar="S",
         help="with --position-only: how far points run ahead; a copter trails them by about 1.4 s",
     )
