@@ -432,7 +432,7 @@ def test_one_whose_heartbeats_are_lost_may_be_armed(
     until_s = desk.t_s + SILENCE_S + 1.0
     while desk.t_s < until_s:
         assert "SCR_ENABLE" in desk.vehicle.read(["SCR_ENABLE"])
-    with pytest.raises(EchowingError, match="heartbeats are not heard, so it may be armed"):
+    with pytest.raises(EchowingError, match="heartbeats do not arrive, so it may be armed"):
         desk.vehicle.refuse_armed("parameters are written")
 
 

@@ -113,7 +113,7 @@ def test_followers_link_lost_for_4_s(start: Start, table: list[Entry]) -> None:
     tool.event("no points sent", since)
     back = len(tool.lines)
     formation.follower_links[0].cut.clear()
-    tool.event("heard again", back)
+    tool.event("reports again", back)
     _again(tool, back)
     rest(AFTER_S)
     _enter(table, formation, "follower's link lost for 4 s", began_s, stood_s)

@@ -29,7 +29,7 @@ examples:
   echowing follow --leader /dev/ttyUSB0 --follower /dev/ttyUSB1 --baud 57600 --radius 8 --engage
   echowing follow --leader udpin:14550@1 --follower udpin:14550@2 --follower udpin:14550@3 \\
       --formation vee.toml --stop-switch 7:1700 --log out/vee-7 --engage
-      all vehicles on one link, told apart by system id; vee.toml:
+      all vehicles on one link, each with a system id of its own; vee.toml:
           [[slots]]
           radius_m = 4.0
           angle_deg = 40.0

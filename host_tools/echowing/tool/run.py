@@ -107,7 +107,7 @@ class FollowTool:
                 self._log = BackgroundLog(partial(FollowLog, options.log, self._start_unix_s))
                 self._say(f"log: {options.log}")
             if not find_vehicles(options.seats, self._links, self._now_s, self._over, self._say):
-                self._say("ended before all vehicles were heard; nothing was moved")
+                self._say("ended before all vehicles had reported; nothing was moved")
                 return self._unheard_code()
             self._make_session()
             try:

@@ -12,7 +12,7 @@ from rich.live import Live
 from rich.text import Text
 
 from echowing.terminal import draws_live
-from echowing.tool.panel import Row
+from echowing.tool.panel import NO_MODE, Row
 from echowing.tool.table import FollowerTable
 
 PLAIN_PERIOD_S = 5.0
@@ -162,6 +162,8 @@ def scene(rows: Sequence[Row], events: Iterable[str]) -> RenderableType:
 
 def plain_row(row: Row) -> str:
     """The same in one line."""
+    if row.mode == NO_MODE:
+        return f"follower {row.system_id}: no report yet"
     return (
         f"follower {row.system_id}: {row.state}, {row.mode}, "
         f"separation {_shown(row.separation_m, 'm')} ({_shown(row.error_m, 'm', '+.2f')}), "
