@@ -414,7 +414,7 @@ def test_a_value_that_the_vehicle_will_not_have_is_told(make_desk: MakeDesk) -> 
 def test_a_link_that_goes_one_way_only_is_told(make_desk: MakeDesk) -> None:
     desk = make_desk()
     desk.autopilot.receive = lambda link, data: None  # type: ignore[method-assign]
-    with pytest.raises(EchowingError, match="is heard but answers nothing"):
+    with pytest.raises(EchowingError, match="reports but answers nothing"):
         read_out(desk.vehicle)
 
 
