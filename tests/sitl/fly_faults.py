@@ -137,5 +137,5 @@ def test_follow_is_ended(start: Start, table: list[Entry], signal_number: int) -
     began_s = time.monotonic()
     assert tool.end(signal_number) == 0
     assert formation.follower.speed_mps < 0.5
-    assert any("stands" in text for text in tool.events()[-4:])
+    assert any(": stopped, " in text for text in tool.events()[-4:])
     _enter(table, formation, f"follow is ended by signal {signal_number}", began_s)

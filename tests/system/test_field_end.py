@@ -136,7 +136,7 @@ def test_a_signal_while_searching_or_just_after(world: World, seed: int, tmp_pat
     at_any_time(chance, 5.5)
     assert tool.end(chance.choice(SIGNALS)) == 0
     last = tool.lines[-1]
-    assert any(end in last for end in ("nothing was moved", "was not moved", "stopped, GUIDED"))
+    assert any(end in last for end in ("nothing was moved", "was not moved", ": stopped, GUIDED"))
     assert_readable(tmp_path)
     world.pilot.until_still()
 
@@ -148,7 +148,7 @@ def test_a_signal_while_following(world: World, seed: int, tmp_path: Path) -> No
     tool.row(is_followed)
     at_any_time(chance, 1.5)
     assert tool.end(chance.choice(SIGNALS)) == 0
-    assert "stopped, GUIDED" in tool.lines[-1]
+    assert ": stopped, GUIDED" in tool.lines[-1]
     world.pilot.until_still()
     assert_readable(tmp_path)
 
@@ -168,7 +168,7 @@ def test_a_second_signal_while_stopping(world: World, seed: int, tmp_path: Path)
         assert (code == 1) is ("not confirmed stopped" in tool.lines[-1])
     else:
         assert code == 0
-        assert "stopped, GUIDED" in tool.lines[-1]
+        assert ": stopped, GUIDED" in tool.lines[-1]
     world.pilot.until_still()
     assert_readable(tmp_path)
 
@@ -183,7 +183,7 @@ def test_what_fits_on_a_full_disk_can_be_read_and_the_end_is_clean(
     full = tool.event("cannot be written")
     tool.row(is_followed, full)
     assert tool.end() == 0
-    assert "stopped, GUIDED" in tool.lines[-1]
+    assert ": stopped, GUIDED" in tool.lines[-1]
     assert not any("Traceback" in line for line in tool.lines)
     assert sum("cannot be written" in line for line in tool.lines) == 1
     (table,) = tmp_path.glob("*.csv")

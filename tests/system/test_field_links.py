@@ -124,7 +124,7 @@ def test_doubled_and_reordered_telemetry_never_goes_back_in_time(
     tool.row(in_slot, tool.row(in_slot, there + 1) + 1)
     assert tool.end() == 0
     assert not any("jumps" in line for line in tool.lines)
-    assert "stopped, GUIDED" in tool.lines[-1]
+    assert ": stopped, GUIDED" in tool.lines[-1]
 
     (table,) = tmp_path.glob("*.csv")
     rows = [row for row in csv.DictReader(table.open(encoding="utf-8")) if row["leader_age_s"]]

@@ -43,7 +43,7 @@ def test_two_followers_fly_a_formation_file(world: World, tmp_path: Path) -> Non
     tool.row(lambda row: row["system_id"] == FOLLOWER and in_slot(row))
     tool.row(lambda row: row["system_id"] == SECOND and in_slot(row))
     assert tool.end(signal.SIGINT) == 0
-    assert sum("stopped" in line for line in tool.lines) == 2
+    assert sum(": stopped, GUIDED" in line for line in tool.lines) == 2
 
 
 def test_an_engagement_the_pilot_and_the_end(world: World, tmp_path: Path) -> None:
@@ -62,7 +62,7 @@ def test_an_engagement_the_pilot_and_the_end(world: World, tmp_path: Path) -> No
     tool.row(is_followed, again)
 
     assert tool.end(signal.SIGTERM) == 0
-    assert "stopped, GUIDED" in tool.lines[-1]
+    assert ": stopped, GUIDED" in tool.lines[-1]
     world.pilot.until_still()
     (tlog,) = tmp_path.glob("*.tlog")
     assert {vehicle.system_id for vehicle in read_vehicles(tlog)} == {LEADER, FOLLOWER}
@@ -283,7 +283,7 @@ def test_signed_links_carry_points_and_refuse_another_key(tmp_path: Path) -> Non
     )
     tool.row(lambda row: in_slot(row) and row["leader_age_s"] < 0.5)
     assert tool.end() == 0
-    assert "stopped, GUIDED" in tool.lines[-1]
+    assert ": stopped, GUIDED" in tool.lines[-1]
     assert publisher.end() == 0
     close(world)
 
@@ -295,7 +295,7 @@ def test_points_carry_a_velocity_that_the_applet_holds(world: World) -> None:
         lambda m: getattr(m, "name", "") == "ECHO_STATE" and m.value == APPLET_HOLDS, HEARTBEAT
     )
     assert tool.end() == 0
-    assert "stopped, GUIDED" in tool.lines[-1]
+    assert ": stopped, GUIDED" in tool.lines[-1]
 
 
 def test_points_without_a_velocity_are_left_to_the_applets_limit(world: World) -> None:
