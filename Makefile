@@ -5,7 +5,7 @@
 BIN := .venv/bin
 export PATH := $(CURDIR)/$(BIN):$(PATH)
 
-.PHONY: help demo test test-sitl bench monitor fuzz lint format setup setup-test core clean
+.PHONY: help demo test test-sitl bench monitor fuzz lint format pages setup setup-test core clean
 
 help: ## list the targets
 	@grep -hE '^[a-z0-9-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z0-9-]+):.*## /\1\t/' | expand -t 16
@@ -34,6 +34,9 @@ lint: setup-test ## formatters and linters, nothing is changed
 	$(BIN)/mypy
 	luacheck -q --config lua/.luacheckrc lua host_tools/echowing/sim/lua_prelude.lua
 	$(BIN)/clang-format --dry-run --Werror $$(git ls-files 'firmware/*.cpp' 'firmware/*.hpp' 'firmware/*.h' 'firmware/*.c' 'firmware/*.ino')
+
+pages: setup ## write the pages that are made from the code
+	$(BIN)/python -m echowing.sim.scenario_page host_tools/SCENARIOS.md
 
 format: setup-test ## let the formatters have their way
 	$(BIN)/ruff format .

@@ -306,7 +306,7 @@ def test_another_vehicle_that_turns_up_on_an_unnamed_link_is_refused_with_its_id
     assert found is not None
     who, text = found
     assert who == LEADER
-    assert "systems 1, 9 are heard there" in text
+    assert "systems 1, 9 are on it" in text
     assert "udpin:1@1" in text
 
 
@@ -315,7 +315,7 @@ def test_who_is_not_known_to_be_ours_is_not_engaged_and_is_held() -> None:
     late.fly(2.0)
     for yard in (early, late):
         assert yard.session.engagement is not None
-        yard.session.engagement.doubt(LEADER, "systems 1, 9 are heard there", yard.now_s)
+        yard.session.engagement.doubt(LEADER, "systems 1, 9 are on it", yard.now_s)
     assert early.fly(SOON_S) == []
     late.fly(1.0)
     assert late.state() == "holding: leader may not be the vehicle that was meant"

@@ -152,7 +152,7 @@ def test_where_all_is_well_it_is_led_and_left_standing() -> None:
     assert flight.tool.run() == 0
     assert flight.copters[FOLLOWER].north_m > 15.0
     assert flight.speed_mps() < 0.3
-    assert "stopped and stands" in screen.texts[-1]
+    assert ": stopped, " in screen.texts[-1]
 
 
 @pytest.mark.parametrize("error", [BrokenPipeError(32, "Broken pipe"), OSError(5, "I/O error")])
@@ -173,7 +173,7 @@ def test_a_fault_of_ours_stops_the_follower_before_it_is_shown(
     with pytest.raises(ZeroDivisionError):
         flight.tool.run()
     assert flight.speed_mps() < 0.3
-    assert "stopped and stands" in screen.texts[-1]
+    assert ": stopped, " in screen.texts[-1]
 
 
 class Once:

@@ -119,7 +119,7 @@ def test_datagrams_are_heard_and_answered(sender: socket.socket) -> None:
     sender.sendto(frame(system_id=7), ("127.0.0.1", port))
     (message,) = received(link)
     assert message.get_srcSystem() == 7
-    assert link.news == [f"link udpin:127.0.0.1:{port}: MAVLink heard"]
+    assert link.news == [f"link udpin:127.0.0.1:{port}: MAVLink received"]
 
     link.send(frame(system_id=245), 0.0)
     assert sender.recv(100) == frame(system_id=245)
@@ -261,7 +261,7 @@ def test_tcp_waits_for_a_listener_and_comes_back_to_the_next() -> None:
     assert (
         link.news
         == [
-            *(f"{told}MAVLink heard", f"{told}closed by the other end; trying again every 1 s"),
+            *(f"{told}MAVLink received", f"{told}closed by the other end; trying again every 1 s"),
         ]
         * 2
     )

@@ -123,7 +123,7 @@ def _print_laws(table: "list[LawRow]") -> None:
     console = Console() if sys.stdout.isatty() else Console(width=110)
     console.print(shown)
     console.print(
-        f"Metres; {DURATION_S:g} s a flight, hostile 200 s. Safe: over 1.0 m in every run, 0.5 m "
+        f"Metres; {DURATION_S:g} s per flight, hostile 200 s. Safe: over 1.0 m in every run, 0.5 m "
         "from a leader that flies at its follower; for all: hostile too.\n"
         f"Lowest RMSD of the safe ones: {best_law(table) or 'none is safe'}.",
         highlight=False,

@@ -34,7 +34,7 @@ examples:
   echowing follow --leader /dev/ttyUSB0 --follower /dev/ttyUSB1 --baud 57600 --radius 8 --engage
   echowing follow --leader udpin:14550@1 --follower udpin:14550@2 --follower udpin:14550@3 \\
       --formation vee.toml --stop-switch 7:1700 --log out/vee-7 --engage
-      all vehicles on one link, told apart by system id; vee.toml:
+      all vehicles on one link, each with a system id of its own; vee.toml:
           [[slots]]
           radius_m = 4.0
           angle_deg = 40.0
@@ -55,7 +55,8 @@ The pilot takes over by any change of mode; points go on when he puts the vehicl
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The verb's options."""
-    from echowing.mavlink.links import CONN, DEFAULT_BAUD  # noqa: PLC0415 (imported when the verb is used)
+    from echowing.flight.guidance import GuidanceSettings  # noqa: PLC0415 (when the verb is used)
+    from echowing.mavlink.links import CONN, DEFAULT_BAUD  # noqa: PLC0415
     from echowing.web.options import add_web_arguments  # noqa: PLC0415
 
     parser.epilog = EXAMPLES
@@ -98,7 +99,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     place.add_argument(
         "--lead-time",
         type=float,
-        default=1.4,
+        default=GuidanceSettings().lead_time_s,
         metavar="S",
         help="with --position-only: how far points run ahead; a copter trails them by about 1.4 s",
     )

@@ -655,7 +655,7 @@ def _distance(
 def _battery(name: str, vehicle: Vehicle) -> Finding:
     percent = vehicle.battery_percent
     if percent is None:
-        return Finding("battery", "not told")
+        return Finding("battery", "not reported")
     if percent < 0:  # MAVLink's word for not known
         return Finding("battery", f"{(vehicle.voltage_mv or 0) / 1e3:.1f} V")
     low = f"{name} has {percent} % of its battery left: land it and change the battery"

@@ -143,7 +143,7 @@ class FollowTool:
             if self._page is not None:
                 self._say(self._page.said)
             if not find_vehicles(options.seats, self._links, self._now_s, self._over, self._say):
-                self._say("ended before all vehicles were heard; nothing was moved")
+                self._say("ended before all vehicles had reported; nothing was moved")
                 return self._unheard_code()
             self._make_session()
             try:

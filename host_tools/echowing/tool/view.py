@@ -15,7 +15,7 @@ from rich.text import Text
 
 from echowing.terminal import draws_live
 from echowing.tool.health import health, in_words, its_health, leaders_health
-from echowing.tool.panel import Row
+from echowing.tool.panel import NO_MODE, Row
 from echowing.tool.table import FollowerTable
 
 PLAIN_PERIOD_S = 5.0
@@ -215,6 +215,8 @@ def _above(rows: Sequence[Row], keys: str) -> list[RenderableType]:
 
 def plain_row(row: Row) -> str:
     """The same in one line."""
+    if row.mode == NO_MODE:
+        return f"follower {row.system_id}: no report yet"
     return (
         f"follower {row.system_id}: {row.state}, {row.mode}, "
         f"separation {_shown(row.separation_m, 'm')} ({_shown(row.error_m, 'm', '+.2f')}), "
