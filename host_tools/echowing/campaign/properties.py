@@ -40,6 +40,8 @@ BETWEEN_FOLLOWERS_M = LEAST_M + SURE_SIGMAS * UNRANGED_SIGMA_M
 MAKING_ROOM_M = 0.5
 # In wind: a vehicle that leans so far has nothing left to brake with (30 degrees are all it has).
 ALL_LEAN_RAD, BLOWN_WIND_MPS, BLOWN_S = math.radians(28.5), 4.0, 3.0
+# A reading this near to the leader's distance is the leader's.
+RANGES_IT_M = 0.5
 # From a change of the mode to the pilot's value: the applet's period and the handing back.
 HANDED_BACK_S = 0.5
 # ArduCopter's Guided flies a velocity on for so long (GUID_TIMEOUT).
@@ -134,13 +136,20 @@ def _known_from(record: FlightRecord, first: int, follower: int) -> int:
     for at in range(first, len(record.time_s)):
         reported = record.tool[at] and record.time_s[at] - record.leader_age_s[at] >= began_s
         taken = record.stream_age_s[at, follower - 1] < 1.0
-        ranged = (
-            record.applet[at, follower - 1]
-            and np.isfinite(record.sonar_m[max(first, at - 1) : at + 1, follower - 1]).all()
+        twice = _ranges_the_leader(record, at, follower) and _ranges_the_leader(
+            record, at - 1, follower
         )
-        if (reported and taken) or (ranged and at > first):
+        ranged = at > first and record.applet[at, follower - 1] and twice
+        if (reported and taken) or ranged:
             return at
     return len(record.time_s)
+
+
+def _ranges_the_leader(record: FlightRecord, at: int, follower: int) -> bool:
+    """Whether the sonar's newest reading is the leader's, and no other vehicle's."""
+    apart = record.position_ned_m[at, follower] - record.position_ned_m[at, 0]
+    reads_m = float(np.linalg.norm(apart)) - record.scenario.guidance.sonar_inset_m
+    return bool(abs(record.sonar_m[at, follower - 1] - reads_m) < RANGES_IT_M)
 
 
 def stopped(record: FlightRecord) -> list[Broken]:
