@@ -42,6 +42,8 @@ MAKING_ROOM_M = 0.5
 ALL_LEAN_RAD, BLOWN_WIND_MPS, BLOWN_S = math.radians(28.5), 4.0, 3.0
 # A reading this near to the leader's distance is the leader's.
 RANGES_IT_M = 0.5
+# So many samples before two vehicles were nearest the leader may have passed already.
+PASSES = 10
 # From a change of the mode to the pilot's value: the applet's period and the handing back.
 HANDED_BACK_S = 0.5
 # ArduCopter's Guided flies a velocity on for so long (GUID_TIMEOUT).
@@ -113,16 +115,20 @@ def retreat_bound_m(record: FlightRecord, sample: int, follower: int) -> float:
     own = np.sum(record.velocity_ned_mps[:, follower] * apart, axis=1) / np.maximum(
         distance_m, 1e-6
     )
-    first = sample
+    # It may have passed already when the two were nearest.
+    last = next(
+        (at for at in range(sample, max(0, sample - PASSES), -1) if towards[at] > STANDS_MPS), None
+    )
+    if last is None:
+        return math.inf  # the leader did not fly at it
+    first = last
     while first > 0 and towards[first - 1] > STANDS_MPS:
         first -= 1
-    if first == sample:
-        return math.inf  # the leader did not fly at it
     known = _known_from(record, first, follower) + round(Answer().dead_s / SAMPLE_S)
     left_m = float(distance_m[first])
     away_mps = max(float(own[first]), -closing_limit_mps(left_m, Answer(), LEAST_M))
     bound_m = left_m
-    for at in range(first, sample):
+    for at in range(first, last + 1):
         if at >= known:
             away_mps = min(RETREAT_MOST_MPS, away_mps + OTHERS_MPS2 * SAMPLE_S)
         left_m += (away_mps - float(towards[at])) * SAMPLE_S

@@ -6,7 +6,7 @@ Dask hands out the work, notices a worker that dies, and gives what it had to an
 import signal
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from queue import Empty, Queue
 from typing import Any, TypeVar
 
@@ -22,6 +22,7 @@ AHEAD = 3
 # A call whose worker dies is given to another so many times; then it is the call that kills them.
 MOST_DEATHS = 3
 CONNECT_S = 10.0
+RESTART_S = 20.0
 POLL_S = 0.2
 
 
@@ -58,7 +59,6 @@ def _local(workers: int) -> Iterator[Client]:
         "distributed.scheduler.allowed-failures": MOST_DEATHS - 1,
         "distributed.admin.log-format": "%(message)s",
         "logging": {"distributed": "critical"},
-        "distributed.worker.daemon": False,
     }
     with config.set(options), _ctrl_c_is_ours():
         cluster = LocalCluster(
@@ -66,11 +66,16 @@ def _local(workers: int) -> Iterator[Client]:
             threads_per_worker=1,
             processes=True,
             host="127.0.0.1",
-            dashboard_address=None,
+            dashboard_address="127.0.0.1:0",
             silence_logs=50,
         )
     with config.set(options), cluster, Client(cluster, set_as_default=False) as client:
-        yield client
+        try:
+            yield client
+        finally:
+            # A cluster that is closed while a dead worker is being started anew never ends.
+            with suppress(TimeoutError):
+                client.wait_for_workers(workers, timeout=RESTART_S)
 
 
 @contextmanager
@@ -98,7 +103,6 @@ def done_by_workers(
     What a call raises is raised here; WorkersDied is given back as the result.
     """
     done: Queue[tuple[Key, Future]] = Queue()
-    given = client.scatter(shared, broadcast=True, hash=False)
     waiting = iter(keys)
     under_way: dict[Key, Future] = {}
 
@@ -108,7 +112,7 @@ def done_by_workers(
             key = next(waiting, None)
             if key is None:
                 return
-            future = client.submit(call, given, key, pure=False, retries=0)
+            future = client.submit(call, shared, key, pure=False)
             under_way[key] = future
             future.add_done_callback(lambda future, key=key: done.put((key, future)))
 
