@@ -173,7 +173,7 @@ def stopped(record: FlightRecord) -> list[Broken]:
         speed_mps = float(record.speed_over_ground_mps[at, number + 1])
         broken.append(
             Broken(
-                "stopped",
+                BLOWN_ON if _blown(record, at, number + 1) else "stopped",
                 float(record.time_s[at]),
                 number + 2,
                 speed_mps,
@@ -331,8 +331,8 @@ def nothing_wrong(record: FlightRecord) -> bool:
     )
 
 
-# The separation broken while the wind had taken all lean: counted apart, as no law can help it.
-BLOWN = "separation, blown"
+# The same while the wind had taken all lean: counted apart, as no law can help it.
+BLOWN, BLOWN_ON = "separation, blown", "stopped, blown"
 
 # In the order of the report.
 PROPERTIES: dict[str, Property] = {

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from echowing.campaign.draw import Description, draw, flight_seed
 from echowing.campaign.files import FINDS, scenario_text
 from echowing.campaign.fly import CRASHED, LOGS, Row, fly_and_judge, fly_one
-from echowing.campaign.properties import BLOWN, PROPERTIES, Broken
+from echowing.campaign.properties import BLOWN, BLOWN_ON, PROPERTIES, Broken
 from echowing.campaign.shrink import breaks, shrink, table_of
 from echowing.campaign.story import write_story
 from echowing.campaign.workers import WorkersDied, done_by_workers
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 # Of each property so many finds are shrunk, the worst ones: a hundred of one cause show no more.
 SHRUNK_EACH = 5
-ORDER = [*PROPERTIES, BLOWN, LOGS, CRASHED]
+ORDER = [*PROPERTIES, BLOWN, BLOWN_ON, LOGS, CRASHED]
 
 Stop = Callable[[], bool]
 OnRow = Callable[[Row], None]
@@ -109,7 +109,7 @@ def shrink_all(
 
 
 def _find_path(folder: Path, name: str, index: int) -> Path:
-    return folder / f"{name.replace(' ', '-')}-{index}.toml"
+    return folder / f"{name.replace(',', '').replace(' ', '-')}-{index}.toml"
 
 
 def _shrink(work: tuple[Description, int], key: tuple[str, int]) -> str:
