@@ -7,8 +7,7 @@ import subprocess
 import sys
 import time
 import tomllib
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +16,12 @@ import pytest
 from pyarrow import parquet
 
 from echowing.campaign.draw import draw, flight_seed, load_description, parse_description
-from echowing.campaign.files import FINDS, ROWS, Folder
+from echowing.campaign.files import ROWS, Folder
 from echowing.campaign.fly import fly_one
-from echowing.campaign.properties import Broken
+from echowing.campaign.properties import Broken, judge
 from echowing.campaign.record import fly_recorded
 from echowing.campaign.report import write_report
-from echowing.campaign.run import finds_of
+from echowing.campaign.run import finds_of, shrunk_file, write_find_page
 from echowing.campaign.shrink import shrink, table_of
 from echowing.campaign.workers import WorkersDied, connected, done_by_workers
 from echowing.cli import main
@@ -44,12 +43,6 @@ share = 0.5
 kind = "outage"
 vehicle = "leader"
 at_s = { uniform = [1.0, 3.0] }
-"""
-# Followers that start on one spot, so that every flight breaks its promise.
-BROKEN = """
-[flight]
-duration_s = 3.0
-[flight.formation_is_ours]
 """
 
 
@@ -392,48 +385,48 @@ def test_what_does_not_fail_is_not_shrunk() -> None:
         shrink({"title": "t"}, needs("sonar_dead"))
 
 
-@contextmanager
-def _finds(folder: Path) -> Iterator[Path]:
-    yield folder / "out" / FINDS
-
-
 def test_a_find_is_a_file_that_flies_again_to_the_same_bytes(tmp_path: Path) -> None:
-    """Two followers that cross without the applet's knowledge break the promise quickly."""
+    """A stale leader behind which the tool is told to fly on for a minute: it does not stop."""
     text = """
 [flight]
-duration_s = 8.0
-[flight.leader]
-start_s = 1000.0
+duration_s = 20.0
+[flight.guidance]
+stale_age_s = 60.0
+fresh_age_s = 59.0
+[flight.applet]
+ECHO_STREAM_T = 0.0
 [formation]
-radius_m = 2.5
+radius_m = 3.0
 [[fault]]
 share = 1.0
-kind = "gps_jump"
-vehicle = "follower"
-at_s = 1.0
-jump_ned_m = [-9.0, 0.0, 0.0]
+kind = "tool_killed"
+at_s = 12.0
 [[fault]]
 share = 1.0
-kind = "sonar_dead"
+kind = "late_echoes"
 vehicle = "follower"
-[[fault]]
-share = 1.0
-kind = "narrow_beam"
-vehicle = "follower"
-half_angle_deg = 15.0
+range_m = 9.0
 """
-    (tmp_path / "jump.toml").write_text(text, encoding="utf-8")
-    command = ["campaign", str(tmp_path / "jump.toml"), "--out", str(tmp_path / "out")]
-    code = main([*command, "--flights", "1", "--workers", "1", "--json"])
-    files = sorted((tmp_path / "out" / FINDS).glob("*.toml"))
-    assert code == (1 if files else 0)
-    for path in files:
-        seed = int(path.read_text(encoding="utf-8").partition("--seed ")[2].split()[0])
-        scenario = load_scenario(str(path))
-        record, again = fly_recorded(scenario, seed), fly(scenario, seed)
-        assert np.array_equal(record.flights[0].follower_ned_m, again.flights[0].follower_ned_m)
-        assert "What happened when" in path.with_suffix(".html").read_text(encoding="utf-8")
-        assert tomllib.loads(path.read_text(encoding="utf-8"))["title"].startswith("Find: ")
+    (tmp_path / "deaf.toml").write_text(text, encoding="utf-8")
+    description = load_description(str(tmp_path / "deaf.toml"))
+    work = ((description, 1), ("stopped", 0))
+    folder = tmp_path / "finds"
+    folder.mkdir()
+    path = folder / "stopped-0.toml"
+    path.write_text(shrunk_file(*work), encoding="utf-8")
+    write_find_page(path, "stopped")
+
+    text = path.read_text(encoding="utf-8")
+    seed = int(text.partition("--seed ")[2].split()[0])
+    scenario = load_scenario(str(path))
+    assert [fault.kind for fault in scenario.fault] == ["tool_killed"]
+    record, again = fly_recorded(scenario, seed), fly(scenario, seed)
+    assert np.array_equal(record.flights[0].follower_ned_m, again.flights[0].follower_ned_m)
+    assert [one.name for one in judge(record)] == ["stopped"]
+    assert tomllib.loads(text)["title"].startswith("Find: follower 2 moves at")
+    page = path.with_suffix(".html").read_text(encoding="utf-8")
+    assert "BROKEN, stopped" in page
+    assert "fault begins: tool killed" in page
 
 
 def test_a_drawn_flight_written_as_a_file_is_the_same_flight() -> None:

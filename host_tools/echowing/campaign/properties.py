@@ -50,6 +50,8 @@ HANDED_BACK_S = 0.5
 GUIDED_TIMEOUT_S = 3.0
 # A leader heard and ranged, with nothing wrong: README's mean error is 0.12 m over ten flights.
 MEAN_ERROR_M = 0.5
+# A mean over less than this after the approach says little.
+JUDGED_S = 20.0
 # Where nothing is wrong, this is not: what README's headline was flown with.
 CALM_SPEED_MPS, CALM_LOSS, CALM_LATENCY_S = 2.0, 0.05, 0.5
 
@@ -300,7 +302,10 @@ def mean_error(record: FlightRecord) -> list[Broken]:
         inset_m = record.scenario.guidance.sonar_inset_m
         if slot.radius_m - inset_m >= DETECTION_LIMIT_M or slot.altitude_step_m != 0.0:
             continue
-        value = metrics(flight, approach_s(flight)).mean_abs_error_m
+        approached_s = approach_s(flight)
+        if record.time_s[-1] - approached_s < JUDGED_S:
+            continue
+        value = metrics(flight, approached_s).mean_abs_error_m
         if value > MEAN_ERROR_M:
             broken.append(
                 Broken(

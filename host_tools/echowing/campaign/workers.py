@@ -122,17 +122,21 @@ def done_by_workers(
             key, future = done.get(timeout=POLL_S)
         except Empty:
             continue
-        if under_way.pop(key, None) is None:
+        try:
+            result = _result(future)
+        except TimeoutError:  # done, and lost with its worker: it is being done again
+            done.put((key, future))
             continue
-        yield key, _result(future)
+        del under_way[key]
+        yield key, result
         hand_out()
     client.cancel(list(under_way.values()))
 
 
 def _result(future: Future) -> Any:
-    error = future.exception()
+    error = future.exception(timeout=POLL_S)
     if isinstance(error, KilledWorker):
         return WorkersDied()
     if error is not None:
         raise error
-    return future.result()
+    return future.result(timeout=POLL_S)
