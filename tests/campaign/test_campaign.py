@@ -386,47 +386,44 @@ def test_what_does_not_fail_is_not_shrunk() -> None:
 
 
 def test_a_find_is_a_file_that_flies_again_to_the_same_bytes(tmp_path: Path) -> None:
-    """A stale leader behind which the tool is told to fly on for a minute: it does not stop."""
+    """A height that jumps down by 12 m of 10: for a second it is below two, by its own word."""
     text = """
 [flight]
-duration_s = 20.0
-[flight.guidance]
-stale_age_s = 60.0
-fresh_age_s = 59.0
-[flight.applet]
-ECHO_STREAM_T = 0.0
+duration_s = 12.0
 [formation]
 radius_m = 3.0
 [[fault]]
 share = 1.0
-kind = "tool_killed"
-at_s = 12.0
+kind = "gps_jump"
+vehicle = "follower"
+at_s = 6.0
+jump_ned_m = [0.0, 0.0, 12.0]
 [[fault]]
 share = 1.0
 kind = "late_echoes"
 vehicle = "follower"
 range_m = 9.0
 """
-    (tmp_path / "deaf.toml").write_text(text, encoding="utf-8")
-    description = load_description(str(tmp_path / "deaf.toml"))
-    work = ((description, 1), ("stopped", 0))
+    (tmp_path / "jump.toml").write_text(text, encoding="utf-8")
+    description = load_description(str(tmp_path / "jump.toml"))
+    work = ((description, 1), ("not too low", 0))
     folder = tmp_path / "finds"
     folder.mkdir()
-    path = folder / "stopped-0.toml"
+    path = folder / "not-too-low-0.toml"
     path.write_text(shrunk_file(*work), encoding="utf-8")
-    write_find_page(path, "stopped")
+    write_find_page(path, "not too low")
 
     text = path.read_text(encoding="utf-8")
     seed = int(text.partition("--seed ")[2].split()[0])
     scenario = load_scenario(str(path))
-    assert [fault.kind for fault in scenario.fault] == ["tool_killed"]
+    assert [fault.kind for fault in scenario.fault] == ["gps_jump"]
     record, again = fly_recorded(scenario, seed), fly(scenario, seed)
     assert np.array_equal(record.flights[0].follower_ned_m, again.flights[0].follower_ned_m)
-    assert [one.name for one in judge(record)] == ["stopped"]
-    assert tomllib.loads(text)["title"].startswith("Find: follower 2 moves at")
+    assert [one.name for one in judge(record)] == ["not too low"]
+    assert tomllib.loads(text)["title"].startswith("Find: follower 2 was led to")
     page = path.with_suffix(".html").read_text(encoding="utf-8")
-    assert "BROKEN, stopped" in page
-    assert "fault begins: tool killed" in page
+    assert "BROKEN, not too low" in page
+    assert "fault begins: follower 2: gps jump" in page
 
 
 def test_a_drawn_flight_written_as_a_file_is_the_same_flight() -> None:

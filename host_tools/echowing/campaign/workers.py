@@ -5,6 +5,7 @@ Dask hands out the work, notices a worker that dies, and gives what it had to an
 
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from queue import Empty, Queue
@@ -122,21 +123,20 @@ def done_by_workers(
             key, future = done.get(timeout=POLL_S)
         except Empty:
             continue
-        try:
-            result = _result(future)
-        except TimeoutError:  # done, and lost with its worker: it is being done again
+        if not future.done():  # it was, and was lost with its worker: it is being done again
+            time.sleep(POLL_S)
             done.put((key, future))
             continue
         del under_way[key]
-        yield key, result
+        yield key, _result(future)
         hand_out()
     client.cancel(list(under_way.values()))
 
 
 def _result(future: Future) -> Any:
-    error = future.exception(timeout=POLL_S)
+    error = future.exception()
     if isinstance(error, KilledWorker):
         return WorkersDied()
     if error is not None:
         raise error
-    return future.result(timeout=POLL_S)
+    return future.result()
