@@ -143,25 +143,33 @@ def test_an_unknown_description_and_a_missing_file_are_named(tmp_path: Path) -> 
 # ---- workers ------------------------------------------------------------------------------------
 
 
-def slow_square(folder: str, number: int) -> int:
-    """Notes who works on what; the first try of number 5 kills its worker."""
-    time.sleep(0.05)
-    marker = Path(folder) / f"tried-{number}"
-    if number == 5 and not marker.exists():
-        marker.touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return number * number
+def slow_square() -> Callable[[str, int], int]:
+    """A call that goes to the workers whole: they cannot import a test."""
+
+    def call(folder: str, number: int) -> int:
+        """The first try of number 5 kills its worker."""
+        time.sleep(0.05)
+        marker = Path(folder) / f"tried-{number}"
+        if number == 5 and not marker.exists():
+            marker.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return number * number
+
+    return call
 
 
-def always_dies(_: None, number: int) -> int:
-    if number == 1:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return number
+def always_dies() -> Callable[[None, int], int]:
+    def call(_: None, number: int) -> int:
+        if number == 1:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return number
+
+    return call
 
 
 def test_a_worker_that_is_killed_loses_no_call_and_counts_none_twice(tmp_path: Path) -> None:
     with connected(2, None) as client:
-        done = list(done_by_workers(client, slow_square, str(tmp_path), range(20)))
+        done = list(done_by_workers(client, slow_square(), str(tmp_path), range(20)))
 
     assert (tmp_path / "tried-5").exists()
     assert sorted(done) == [(number, number * number) for number in range(20)]
@@ -169,7 +177,7 @@ def test_a_worker_that_is_killed_loses_no_call_and_counts_none_twice(tmp_path: P
 
 def test_a_call_that_kills_every_worker_is_told_and_the_others_are_done() -> None:
     with connected(1, None) as client:
-        done = dict(done_by_workers(client, always_dies, None, range(4)))
+        done = dict(done_by_workers(client, always_dies(), None, range(4)))
 
     assert isinstance(done.pop(1), WorkersDied)
     assert done == {0: 0, 2: 2, 3: 3}
@@ -179,7 +187,7 @@ def test_stopping_ends_soon_and_keeps_what_is_done(tmp_path: Path) -> None:
     done: list[int] = []
     with connected(1, None) as client:
         work = done_by_workers(
-            client, slow_square, str(tmp_path), range(1000, 2000), lambda: len(done) >= 5
+            client, slow_square(), str(tmp_path), range(1000, 2000), lambda: len(done) >= 5
         )
         for key, _ in work:
             done.append(key)

@@ -24,6 +24,8 @@ AHEAD = 3
 MOST_DEATHS = 3
 CONNECT_S = 10.0
 RESTART_S = 20.0
+# A dead worker is back within seconds; on a busy machine within a minute.
+NO_WORKERS_S = 180.0
 POLL_S = 0.2
 
 
@@ -49,7 +51,7 @@ def connected(workers: int, scheduler: str | None) -> Iterator[Client]:
             "`dask scheduler`, and its workers with `dask worker`"
         ) from error
     with client:
-        if not client.scheduler_info()["workers"]:
+        if not client.nthreads():
             raise EchowingError(f"--scheduler {scheduler}: has no workers: start `dask worker`")
         yield client
 
@@ -108,7 +110,7 @@ def done_by_workers(
     under_way: dict[Key, Future] = {}
 
     def hand_out() -> None:
-        most = AHEAD * max(1, len(client.scheduler_info()["workers"]))
+        most = AHEAD * max(1, len(client.nthreads()))
         while len(under_way) < most:
             key = next(waiting, None)
             if key is None:
@@ -118,10 +120,18 @@ def done_by_workers(
             future.add_done_callback(lambda future, key=key: done.put((key, future)))
 
     hand_out()
+    seen_s = time.monotonic()
     while under_way and not stop():
         try:
             key, future = done.get(timeout=POLL_S)
         except Empty:
+            if client.nthreads():
+                seen_s = time.monotonic()
+            elif time.monotonic() - seen_s > NO_WORKERS_S:
+                raise EchowingError(
+                    f"no worker is left since {NO_WORKERS_S:g} s: start workers, then go on with "
+                    "--resume"
+                ) from None
             continue
         if not future.done():  # it was, and was lost with its worker: it is being done again
             time.sleep(POLL_S)
