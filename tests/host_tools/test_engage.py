@@ -333,8 +333,8 @@ def test_the_pilots_display_shows_why_it_stands_and_the_bell_rings() -> None:
     assert texts == [
         (FOLLOWER, "Echowing: holding, leader is stale"),
         (LEADER, "Echowing: 2 holding, leader is stale"),
-        (FOLLOWER, "Echowing: leader heard again, following"),
-        (LEADER, "Echowing: 2 leader heard again, following"),
+        (FOLLOWER, "Echowing: leader reports again, following"),
+        (LEADER, "Echowing: 2 leader reports again, following"),
     ]
     assert yard.session.alerts == 2
 

@@ -97,7 +97,7 @@ def test_leaders_link_lost_for_5_s(start: Start, table: list[Entry]) -> None:
     rest(began_s + 5.0 - time.monotonic())
     back = len(tool.lines)
     formation.leader_link.cut.clear()
-    tool.event("leader heard again, following", back)
+    tool.event("leader reports again, following", back)
     _again(tool, back)
     rest(AFTER_S)
     _enter(table, formation, "leader's link lost for 5 s", began_s, stood_s)

@@ -97,7 +97,7 @@ def test_a_lost_leader_stops_the_follower_until_it_is_heard_again(world: World) 
     tool.event("follower 2: has stopped", lost)
     world.pilot.until_still()
     bridge.cut.clear()
-    tool.event("leader heard again, following", lost)
+    tool.event("leader reports again, following", lost)
 
     tool.kill()
     bridge.close()
