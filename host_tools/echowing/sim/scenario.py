@@ -260,7 +260,7 @@ class FollowerSection(Section):
     """Which ArduCopter flies them."""
     speed_mps: Positive = 5.0
     """`WP_SPD` (before 4.7 `WPNAV_SPEED`)."""
-    parameters: dict[str, float] = {}
+    parameters: dict[str, float] = Field(default={})
     """Parameters of the autopilots by name."""
 
     def autopilot_generation(self) -> Generation:
@@ -317,9 +317,9 @@ class Scenario(Section):
     """How points are made."""
     follower: FollowerSection = FollowerSection()
     """The followers' autopilots."""
-    applet: dict[str, float] = {}
+    applet: dict[str, float] = Field(default={})
     """Parameters of the applet by name, `ECHO_…`."""
-    coprocessor: dict[str, float] = {}
+    coprocessor: dict[str, float] = Field(default={})
     """Parameters of the co-processor by name."""
     gps: GpsSection = GpsSection()
     """The receivers."""
