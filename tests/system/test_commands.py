@@ -172,7 +172,7 @@ def test_interrupted_flights_say_so_and_leave_readable_logs(tmp_path: Path) -> N
         assert flying.poll() is None
     flying.send_signal(2)
 
-    _, said = flying.communicate(timeout=30)
+    _, said = flying.communicate(timeout=120)
 
     assert flying.returncode == 130
     assert "interrupted" in said

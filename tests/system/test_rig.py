@@ -18,7 +18,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 # Generous: a busy machine may take its time, a broken tool takes for ever.
-PATIENCE_S = 60.0
+PATIENCE_S = 120.0
 RANGE_CM = 321
 
 
