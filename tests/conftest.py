@@ -1,6 +1,12 @@
-"""What all tests share: the order in which they begin."""
+"""What all tests share: the order in which they begin, and Ctrl-C."""
+
+import signal
 
 import pytest
+
+# A shell starts what it puts in the background with Ctrl-C ignored, and its children inherit that.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
