@@ -4,6 +4,9 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
+pytestmark = pytest.mark.seconds(40)
 FUZZ = Path(__file__).resolve().parent / "fuzz"
 
 

@@ -17,6 +17,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+pytestmark = pytest.mark.seconds(50)
 # Generous: a busy machine may take its time, a broken tool takes for ever.
 PATIENCE_S = 120.0
 RANGE_CM = 321

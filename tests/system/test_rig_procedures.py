@@ -26,6 +26,7 @@ from echowing.sim.autopilot import Autopilot
 from echowing.sim.copter import Copter
 from echowing.sim.serve import Server
 
+pytestmark = pytest.mark.seconds(90)
 PATIENCE_S = 120.0
 # The sonar's face is 0.1 m ahead of the follower's centre, the leader's legs 0.1 m nearer than its
 # own: told at 3.2 m, it is heard at 3.0 m (sim/sonar.py).
