@@ -39,7 +39,7 @@ def ned_between(origin: GlobalPosition, point: GlobalPosition) -> Ned:
 
 @lru_cache(maxsize=256)
 def _ecef_m(place: GlobalPosition) -> tuple[float, float, float]:
-    """Earth-centred metres. A place is asked for again and again: of home, of every other vehicle."""
+    """Earth-centred metres; kept, as home and the other vehicles are asked for again and again."""
     x, y, z = pymap3d.geodetic2ecef(*place, _WGS84)
     return float(x), float(y), float(z)
 
