@@ -26,7 +26,7 @@ RANGE_SIGMA_M = 0.15
 BEAM_HALF_RAD, EDGE_RAD = math.radians(20.0), math.radians(3.0)
 # Silence says only that the leader is not where every beam would reach: sonars and targets differ,
 # and half the beam was enough to lead a follower to 0.6 m of a leader that it looked past.
-SILENT_HALF_RAD = math.radians(9.0)
+SILENT_HALF_RAD = math.radians(14.0)
 # A reading is of something else (wild, another vehicle, the ground) this often.
 WRONG_SHARE = 0.03
 # A leader in the beam and no further than this is heard this often, as long as nobody leans.

@@ -15,6 +15,8 @@ from echowing.geo import GlobalPosition, Ned, displace, distance_m, ned_between
 CORRECTION_MOST_MPS = 5.0
 # A hold that had to give way is from then on where the vehicle has been moved to.
 MOVED_M = 0.5
+# A sonar that has detected the leader within this (readings are used a second late) is sure of it.
+HEARD_S = 3.0
 # The same is not said again sooner, however often it comes and goes.
 REMARK_GAP_S = 10.0
 # Two receivers of which no sonar knows more.
@@ -57,6 +59,10 @@ class Spacing:
         follower.feed_mps = north + flown[0] - wanted[0], east + flown[1] - wanted[1]
         return point
 
+    @staticmethod
+    def _is_heard(follower: FollowerState, now_s: float) -> bool:
+        return follower.estimate.offset.unheard_s(now_s) < HEARD_S
+
     def _switched(self, follower: FollowerState) -> bool:
         """Whether its pilot's stop switch has stopped it: then nothing of ours moves it."""
         return self._guard is not None and self._guard.switched(follower.plan.system_id)
@@ -98,7 +104,9 @@ class Spacing:
             leader.velocity_ned_mps,
             follower.estimate.offset.sigma_m(bearing_rad(here, leader.position)),
             known.leader_age_s(arrives_s),
-            brakes_mps2=OTHERS_MPS2,
+            # Not heard, it is kept so much further away for the receivers' sake that it could not be
+            # found were its braking added to that.
+            brakes_mps2=OTHERS_MPS2 if self._is_heard(follower, now_s) else 0.0,
         )
 
     def _other(
