@@ -23,6 +23,9 @@ test_packages=(
   graphviz openscad xvfb xauth fonts-liberation  # wiring pictures and the gimbal mount
   lua-check               # the applet's style
 )
+# A browser for the live page's tests: Debian's package. Ubuntu's is a snap, for which see below.
+id_of_system=$(. /etc/os-release 2>/dev/null && printf '%s' "$ID" || true)
+[ "$id_of_system" = ubuntu ] || test_packages+=(chromium)
 
 say() { printf 'setup: %s\n' "$*"; }
 fail() { say "$*" >&2; exit 1; }
@@ -82,5 +85,13 @@ fi
 say "installing Python packages into .venv ($extras)"
 .venv/bin/pip install -q --disable-pip-version-check -e ".[$extras]"
 lua_is_32_bit || fail "lupa was not built with 32-bit Lua numbers; remove .venv and run again"
+if [ "$group" = test ] && [ "$id_of_system" = ubuntu ]; then
+  say "installing Chromium for the live page's tests"
+  if [ "$(id -u)" = 0 ] || sudo -n true 2>/dev/null; then
+    .venv/bin/playwright install --with-deps chromium >/dev/null
+  else
+    .venv/bin/playwright install chromium >/dev/null
+  fi
+fi
 printf '%s' "$wanted" >"$stamp"
 say "done"

@@ -14,10 +14,12 @@ from echowing.stopping import ignore_signals
 # `add_arguments(parser)` and `run(args) -> exit code`.
 VERBS = {
     "sim": "fly a simulated formation",
+    "campaign": "fly thousands of drawn flights with faults",
     "demo": "fly every scenario and write the report",
     "leader": "publish a real leader's telemetry to a follow on another computer",
     "follow": "guide real followers behind a real leader",
     "relay": "keep a vehicle midway to a remote one",
+    "replay": "show a recorded flight in the browser",
     "analyze": "measure a flown formation from its logs",
     "calibrate": "replay recorded flights through the copter model",
     "setup": "make a vehicle ready: the applet, its parameters, a check before flight",

@@ -4,9 +4,12 @@ import math
 from typing import NamedTuple
 
 import pymap3d
-from pymap3d import rcurve, vincenty
+from pymap3d import Ellipsoid, rcurve, vincenty
 
 Ned = tuple[float, float, float]
+
+# pymap3d's default, made once: by default it is made anew in every call.
+_WGS84 = Ellipsoid.from_name("wgs84")
 
 # Within this distance, and outside the polar caps, the radii of curvature at the start
 # place a point to better than 1 cm; beyond it the exact conversion is used (40 times slower).
@@ -28,7 +31,7 @@ class GlobalPosition(NamedTuple):
 
 def ned_between(origin: GlobalPosition, point: GlobalPosition) -> Ned:
     """Local NED metres from `origin` to `point`; works across the antimeridian."""
-    north, east, down = pymap3d.geodetic2ned(*point, *origin)
+    north, east, down = pymap3d.geodetic2ned(*point, *origin, _WGS84)
     return float(north), float(east), float(down)
 
 
@@ -40,10 +43,10 @@ def displace(origin: GlobalPosition, ned_m: Ned) -> GlobalPosition:
     north_m, east_m, down_m = ned_m
     near = abs(north_m) < LOCAL_RADIUS_M and abs(east_m) < LOCAL_RADIUS_M
     if not near or abs(origin.lat_deg) > POLAR_LATITUDE_DEG:
-        lat, lon, alt = pymap3d.ned2geodetic(north_m, east_m, down_m, *origin)
+        lat, lon, alt = pymap3d.ned2geodetic(north_m, east_m, down_m, *origin, _WGS84)
         return GlobalPosition(float(lat), float(lon), float(alt))
-    meridian_m = float(rcurve.meridian(origin.lat_deg)) + origin.alt_m
-    transverse_m = float(rcurve.transverse(origin.lat_deg)) + origin.alt_m
+    meridian_m = float(rcurve.meridian(origin.lat_deg, _WGS84)) + origin.alt_m
+    transverse_m = float(rcurve.transverse(origin.lat_deg, _WGS84)) + origin.alt_m
     lat_deg = origin.lat_deg + math.degrees(north_m / meridian_m)
     lon_deg = origin.lon_deg + math.degrees(
         east_m / (transverse_m * math.cos(math.radians(lat_deg)))

@@ -4,6 +4,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+from echowing.flight.sonar import SERVO_US_PER_DEG
 from echowing.rig import search
 from echowing.rig.search import Aim
 from echowing.sim import firmware, sonar
@@ -68,7 +69,7 @@ def scan_aims() -> list[Aim]:
     """Return the search's points as directions; pulses grow to the right and upwards."""
     normal = search.parameter_defaults()
     centre_us = (normal["PAN_MIDDLE"], normal["TILT_MIDDLE"])
-    scales = (sonar.SERVO_US_PER_DEG, sonar.SERVO_US_PER_DEG)
+    scales = (SERVO_US_PER_DEG, SERVO_US_PER_DEG)
     return search.aims(search.scan_pulses_us(), centre_us, scales)
 
 

@@ -10,9 +10,9 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from echowing.errors import EchowingError
+from echowing.flight.sonar import PAN_CENTRE_US, TILT_CENTRE_US
 from echowing.sim.avr import AvrCoprocessor
 from echowing.sim.coprocessor import AUTOPILOT_PORT, Coprocessor, NativeCoprocessor
-from echowing.sim.sonar import PAN_CENTRE_US, TILT_CENTRE_US
 
 from .bench import BenchSonar
 

@@ -39,6 +39,9 @@ class StoppedScreen:
     def rows(self, time_s: float, rows: Sequence[Row]) -> None:
         self.event(time_s, f"rows of {time_s:g} s")
 
+    def keys(self, text: str) -> None:
+        self.event(0.0, text)
+
     def close(self) -> None:
         self.shown.append("closed")
 

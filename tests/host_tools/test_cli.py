@@ -7,6 +7,7 @@ import pytest
 
 from echowing import __version__
 from echowing.cli import VERBS, main
+from echowing.mavlink.links import CONN
 from echowing.paths import repository_root
 
 
@@ -114,3 +115,23 @@ def test_a_wrong_truth_is_told_before_any_figure(capsys: pytest.CaptureFixture[s
     said = capsys.readouterr()
     assert "needs the columns" in said.err
     assert said.out == ""
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["follow"],
+        ["leader"],
+        ["relay"],
+        ["rig"],
+        *(["setup", part] for part in ("check", "apply", "restore", "lua")),
+    ],
+)
+def test_a_connection_has_one_name_and_one_description(
+    words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        main([*words, "--help"])
+    told = " ".join(capsys.readouterr().out.split())
+    assert " CONN" in told
+    assert CONN in told.replace("- ", "-")

@@ -11,6 +11,7 @@ from echowing.flight.engage import FLOWN_M, PATIENCE_S, READ_AGAIN_S, Readiness,
 from echowing.flight.guard import Limits
 from echowing.flight.guidance import Slot
 from echowing.flight.switch import StopSwitch
+from echowing.geo import distance_m
 from echowing.mavlink.seats import StrangerWatch, parse_seat
 
 from .yard import FOLLOWER, GUIDED, LEADER, LOITER, SECOND, TICK_S, Vehicle, Yard
@@ -27,12 +28,12 @@ def test_where_all_is_right_points_go_within_two_seconds_and_the_table_comes_fir
         head.split()
         == [
             *("before", "engaging", "clock", "GPS", "EKF", "battery"),
-            *("applet", "distance", "home", "height", "side"),
+            *("applet", "distance", "least", "home", "height", "side"),
         ][: len(head.split())]
     )
     assert leader.startswith("leader 1 ")
     assert "3D 10  ok   80 %" in leader
-    assert "law 2, 1.0 s  3.0 m     +0.0 m  10.0 m" in follower
+    assert "law 2, 1.0 s  3.0 m     2.6 m  +0.0 m  10.0 m" in follower
     assert not any("!" in line for line in (head, leader, follower))
 
 
@@ -79,6 +80,51 @@ def test_an_applet_that_does_not_fit_is_said_and_read_again_until_it_does(name: 
     assert yard.said(said)
     parameters[name] = right
     assert yard.fly(READ_AGAIN_S + 1.0) != []
+
+
+def test_limits_too_slow_for_a_leader_that_turns_round_are_refused() -> None:
+    """ArduCopter's own defaults: 4.6 m at 2 m/s. A slot of 5 m may have them."""
+    slow = {"WP_ACC": 2.5, "PSC_JERK_NE": 5.0}
+    yard = Yard()
+    yard.vehicles[FOLLOWER].parameters.update(slow)
+    assert yard.fly(SOON_S) == []
+    assert yard.said("its slot is 3 m from the leader, and 4.6 m is the least")
+    far = Yard(slots=[Slot(5.0)])
+    far.vehicles[FOLLOWER].parameters.update(slow)
+    assert far.fly(SOON_S) != []
+
+
+def test_a_slot_opens_for_a_leader_too_fast_to_turn_round_from_it() -> None:
+    """With the limits of 3 m/s2 and 10 m/s3: 2.5 m at 1 m/s, 4.6 m at 3 m/s."""
+    yard = Yard(slots=[Slot(3.8)])
+    yard.vehicles[FOLLOWER].parameters.update({"WP_ACC": 3.0, "PSC_JERK_NE": 10.0})
+    follower = yard.session.followers[FOLLOWER]
+    yard.vehicles[LEADER].velocity_mps = 1.0, 0.0
+    yard.fly(2.0)
+    assert follower.reversal_m == pytest.approx(2.46, abs=0.02)
+    assert not yard.said("slot opens")
+    yard.vehicles[LEADER].velocity_mps = 3.0, 0.0
+    yard.fly(1.0)
+    guided, leader = follower.guided, yard.session.leader.fix
+    assert guided is not None
+    assert leader is not None
+    assert distance_m(guided.slot, guided.leader) == pytest.approx(4.56, abs=0.02)
+    assert sum("slot opens to 4.6 m, leader at 3.0 m/s" in text for text in yard.events()) == 1
+
+
+def test_limits_that_are_not_told_are_not_guessed() -> None:
+    yard = Yard()
+    del yard.vehicles[FOLLOWER].parameters["WP_ACC"]
+    assert yard.fly(SOON_S) == []
+    assert yard.said("its acceleration and jerk are not known")
+
+
+def test_the_limits_of_a_4_6_are_read_in_its_units() -> None:
+    yard = Yard()
+    parameters = yard.vehicles[FOLLOWER].parameters
+    parameters["WPNAV_ACCEL"] = 100.0 * parameters.pop("WP_ACC")
+    parameters["PSC_JERK_XY"] = parameters.pop("PSC_JERK_NE")
+    assert yard.fly(SOON_S) != []
 
 
 def test_a_slot_out_of_the_sonars_reach_asks_for_no_distance() -> None:
@@ -274,7 +320,9 @@ def test_the_pilots_display_shows_why_it_stands_and_the_bell_rings() -> None:
     texts = [(who, m.text) for who, m in yard.sent if m.get_type() == "STATUSTEXT"]
     assert texts == [
         (FOLLOWER, "Echowing: holding, leader is stale"),
+        (LEADER, "Echowing: 2 holding, leader is stale"),
         (FOLLOWER, "Echowing: leader heard again, following"),
+        (LEADER, "Echowing: 2 leader heard again, following"),
     ]
     assert yard.session.alerts == 2
 
@@ -283,5 +331,5 @@ def test_what_keeps_it_from_being_engaged_is_on_the_display_too() -> None:
     yard = Yard()
     yard.vehicles[FOLLOWER].battery_percent = 5
     yard.fly(SOON_S)
-    (text,) = [m.text for _, m in yard.sent if m.get_type() == "STATUSTEXT"]
+    (text,) = [m.text for who, m in yard.sent if who == FOLLOWER and m.get_type() == "STATUSTEXT"]
     assert text == "Echowing: not engaged, it has 5 % of its battery l"

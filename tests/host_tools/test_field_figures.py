@@ -90,6 +90,14 @@ def test_a_fleet_is_followed_and_every_turn_with_points_is_timed(
     assert 0.0 < flown.cpu_s < flown.wall_s
 
 
+def test_a_watched_fleet_is_seen_at_the_rate_of_its_rows(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One browser reads; another one, that reads nothing, is there all the time."""
+    monkeypatch.setattr(field_figures, "SETTLE_S", 0.0)
+    flown = fly(2, 10.0, 1.0, watched=True)
+    assert {points for _, points in flown.turns} == {2}
+    assert 0.0 < flown.frames_hz < 11.0
+
+
 def test_the_section_prints_figures_with_what_they_mean(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -16,6 +16,7 @@ from echowing.mavlink.signing import LinkSigning
 from echowing.sim.autopilot import Autopilot
 from echowing.sim.copter import Copter
 from echowing.stopping import StopRequest, stop_on_signals
+from echowing.tool.panel import Row
 from echowing.tool.run import FollowOptions, FollowTool
 
 LEADER, FOLLOWER = 1, 2
@@ -76,6 +77,8 @@ class Screen:
     def __init__(self, fails_at_s: float, error: Exception) -> None:
         self.fails_at_s, self.error = fails_at_s, error
         self.texts: list[str] = []
+        self.newest: list[Row] = []
+        self.line = ""
 
     def event(self, time_s: float, text: str) -> None:
         self.rows(time_s, [])
@@ -84,6 +87,10 @@ class Screen:
     def rows(self, time_s: float, rows: Any) -> None:
         if time_s >= self.fails_at_s:
             raise self.error
+        self.newest = list(rows) or self.newest
+
+    def keys(self, text: str) -> None:
+        self.line = text
 
     def close(self) -> None:
         if self.fails_at_s < NEVER_S:
@@ -93,7 +100,12 @@ class Screen:
 class Flight:
     """A leader that flies away at 2 m/s and a follower that is led after it by a `FollowTool`."""
 
-    def __init__(self, screen: Screen) -> None:
+    def __init__(
+        self,
+        screen: Screen,
+        keys: Callable[[], bytes] | None = None,
+        build_up: tuple[float, ...] = (),
+    ) -> None:
         starts = {LEADER: (0.0, 0.0, -10.0), FOLLOWER: (-5.0, 0.0, -10.0)}
         self.copters = {i: Copter(start, flying=True) for i, start in starts.items()}
         self.autopilots = {i: Autopilot(c, system_id=i) for i, c in self.copters.items()}
@@ -103,9 +115,16 @@ class Flight:
         self.copters[LEADER].guided_position((200.0, 0.0, -10.0))
         seats = [parse_seat("leader", "udpin:1@1"), parse_seat("follower", "udpin:2@2")]
         settings = GuidanceSettings(learn_offset=False)
-        options = FollowOptions(seats, [Slot(3.0)], settings, engage=True, duration_s=20.0)
+        options = FollowOptions(
+            seats,
+            [Slot(build_up[0] if build_up else 3.0)],
+            settings,
+            engage=keys is None,
+            duration_s=20.0,
+            build_up=build_up,
+        )
         self.tool = FollowTool(
-            options, screen, StopRequest(), clock=Clock(), make_link=self._make_link
+            options, screen, StopRequest(), clock=Clock(), make_link=self._make_link, keys=keys
         )
 
     def _make_link(self, address: Address, signing: LinkSigning | None) -> Link:

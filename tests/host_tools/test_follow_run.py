@@ -22,7 +22,7 @@ from echowing.tool.log import FollowLog
 from echowing.tool.panel import LINK_WINDOW_S, SONAR_FRESH_S, Panel, Row
 from echowing.tool.picture import SETTLED_S, Photographer, drawn
 from echowing.tool.track import Track
-from echowing.tool.view import PLAIN_PERIOD_S, JsonView, LiveView, PlainView, open_view
+from echowing.tool.view import PLAIN_PERIOD_S, JsonView, LiveView, PlainView, open_view, scene
 
 LEADER, FOLLOWER = 1, 2
 
@@ -199,6 +199,11 @@ def row(**changes: Any) -> Row:
     return Row(**{**known, **changes})
 
 
+LEADERS = {
+    **{"leader_mode": "GUIDED", "leader_altitude_m": 12.3, "leader_gps": "3D 14"},
+    **{"leader_battery_percent": 77.0, "leader_battery_v": 11.9, "leader_clock_s": 0.05},
+}
+
 # Rich draws by the terminal it is told of, and not by the one that the tests run in.
 XTERM: dict[str, Any] = {"_environ": {"TERM": "xterm"}}
 
@@ -231,7 +236,48 @@ def test_the_live_view_shows_a_row_a_vehicle_and_the_last_events() -> None:
     shown = output.getvalue()
     for text in ("3.21", "+0.21", "3.05", "1.9", "97", "left Guided for LOITER"):
         assert text in shown
-    assert "leader: 2.0 m/s, heard 0.24 s ago" in shown
+    assert "leader: 2.0 m/s, last report 0.24 s ago" in shown
+
+
+def lines_of(rows: list[Row], width: int) -> list[str]:
+    console = Console(file=io.StringIO(), force_terminal=True, width=width, **XTERM)
+    with console.capture() as shown:
+        console.print(scene(rows, []))
+    return re.sub(r"\x1b\[[0-9;]*m", "", shown.get()).splitlines()
+
+
+# The widest that each can be in the air, and more: a separation in another country.
+WIDE = row(
+    **{"system_id": 255, "state": "holding: the leader's telemetry is stale"},
+    **{"mode": "GUIDED_NOGPS, not flying", "separation_m": 123.46, "error_m": -120.46},
+    **{"sonar_m": 7.65, "gimbal": "sonar fault", "age_s": 61.234, "speed_mps": 12.3},
+    **{"command_mps": 12.5, "altitude_m": 4810.2, "link_percent": 100.0, "switch": "not seen"},
+)
+FAR = row(system_id=3, separation_m=8_765_432.1, error_m=-8_765_432.1, altitude_m=-3.2)
+
+
+@pytest.mark.parametrize(("width", "lines"), [(200, 1), (120, 1), (80, 1), (79, 2), (60, 2)])
+def test_the_table_fits_the_terminal_and_cuts_no_number(width: int, lines: int) -> None:
+    shown = lines_of([row(), WIDE, FAR], width)
+    assert all(len(line) <= width for line in shown)
+    assert "…" not in "".join(shown)
+    numbers = [line.split() for line in shown if re.search(r" (97|100)\s*$", line)]
+    usual, wide, far = ([word for word in words if word[-1].isdigit()] for words in numbers)
+    quiet = ["3.21", "+0.21", "3.05", "0.06", "2.0", "1.9", "10.0", "97"]
+    assert usual[-8:] == quiet
+    assert wide[-8:] == ["123.46", "-120.5", "7.65", "61.23", "12.3", "12.5", "4810.2", "100"]
+    assert far[-8:-6] == ["9e+06", "-9e+06"]
+    # The vehicle's id stands in the same line as its numbers, or in the one before.
+    assert (usual[0] == "2") is (lines == 1)
+    assert any(re.match(r"255 +holding", line) for line in shown)
+
+
+def test_reasons_stand_under_the_table_and_the_switch_in_the_lines_of_health() -> None:
+    shown = lines_of([row(switch="off"), WIDE], 80)
+    reason = shown.index("255: the leader's telemetry is stale, not flying")
+    assert shown[reason + 1].startswith("leader: ")
+    assert shown[reason + 2].endswith("switch off")
+    assert shown[reason + 3].endswith("switch not seen")
 
 
 def test_many_rows_and_events_are_drawn_seldom_and_the_last_of_them_at_the_end() -> None:
@@ -279,13 +325,14 @@ def test_plain_lines_come_now_and_then_and_events_at_once(
 ) -> None:
     view = PlainView()
     for tenth in range(round(2 * PLAIN_PERIOD_S * 10)):
-        view.rows(tenth / 10, [row(link_percent=None)])
+        view.rows(tenth / 10, [row(link_percent=None, **LEADERS)])
     view.event(10.0, "stands")
     lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == 3
-    assert "separation 3.21 m (+0.21 m)" in lines[0]
-    assert "link -" in lines[0]
-    assert lines[2].endswith("stands")
+    assert len(lines) == 5
+    assert "leader: GUIDED, 12.3 m up, GPS 3D 14, battery 77 % 11.9 V" in lines[0]
+    assert "separation 3.21 m (+0.21 m)" in lines[1]
+    assert "link -, GPS not known, battery not known, clock not known" in lines[1]
+    assert lines[4].endswith("stands")
 
 
 def test_json_lines_are_objects(capsys: pytest.CaptureFixture[str]) -> None:

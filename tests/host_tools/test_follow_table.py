@@ -55,8 +55,12 @@ def write(
     behind_m: Callable[[float], float] = lambda now_s: 3.5,
     pilots: tuple[float, float] = (math.inf, math.inf),
     followers: tuple[int, ...] = (FOLLOWER,),
+    changed: tuple[float, float] = (math.inf, 0.0),
 ) -> Path:
-    """20 s of a leader flying north at 2 m/s; between `pilots` the followers are in Loiter."""
+    """20 s of a leader flying north at 2 m/s; between `pilots` the followers are in Loiter.
+
+    changed: from when on the radius is another, and which.
+    """
     plans = [FollowerPlan(one, Slot(radius_m, math.radians(angle_deg)), 10.0) for one in followers]
     settings = GuidanceSettings(learn_offset=False, feed_forward=False)
     session = FollowSession(LEADER, plans, settings)
@@ -65,6 +69,9 @@ def write(
     for tick in range(200):
         now_s = tick * TICK_S
         mode = 5 if pilots[0] <= now_s < pilots[1] else 4
+        if now_s >= changed[0]:
+            for plan in plans:
+                plan.slot = Slot(changed[1])
         if tick % 5 == 0:  # the leader at 2 Hz: its reports are up to half a second old
             say(session, panel, LEADER, position(SPEED_MPS * now_s, now_s + 9.0), now_s)
         for one in followers:
@@ -114,6 +121,14 @@ def test_the_wanted_place_may_be_given_and_else_is_the_one_flown(tmp_path: Path)
     assert told.slot_ned_m[:, 1] == pytest.approx(4.0, abs=1e-6)
     (given,) = read_flights([table], slot=Slot(5.0))
     assert (given.wanted_separation_m, given.wanted_angle_rad) == (5.0, 0.0)
+
+
+def test_of_a_radius_that_was_changed_in_flight_the_longest_is_measured(tmp_path: Path) -> None:
+    (flight,) = read_flights([write(tmp_path, radius_m=8.0, changed=(6.0, 4.0))])
+    assert flight.wanted_separation_m == 4.0
+    assert flight.time_s[-1] == pytest.approx(13.9, abs=0.2)
+    assert flight.separation_m - flight.wanted_separation_m == pytest.approx(-0.5, abs=0.02)
+    assert flight.warnings == ("the radius was changed in flight; the 14 s at 4.0 m are used",)
 
 
 def test_a_folder_is_its_tables_and_each_follower_a_flight(tmp_path: Path) -> None:

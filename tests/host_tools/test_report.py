@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from echowing.analysis import plots
+from echowing.analysis.animation import FRAME_S, SPEED_UP, write_animation_svg
 from echowing.analysis.flight import Flight, Floats
 from echowing.analysis.picture import write_formation_svg
 from echowing.analysis.report import flight_label, write_report
@@ -231,3 +232,43 @@ def test_a_picture_longer_east_than_north_is_north_up(tmp_path: Path) -> None:
 def test_a_picture_of_nothing_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(EchowingError, match="no sample"):
         write_formation_svg(tmp_path / "f.svg", flight("x"), span_s=(900.0, 901.0))
+
+
+def moves(path: Path, parent: str, attribute: str) -> list[list[tuple[float, ...]]]:
+    """What each animation of `attribute` in elements called `parent` goes through."""
+    tree = ElementTree.parse(path)
+    name = "{http://www.w3.org/2000/svg}"
+    return [
+        [tuple(map(float, one.split(","))) for one in move.attrib["values"].split(";")]
+        for element in tree.iter(name + parent)
+        for move in element
+        if move.attrib.get("attributeName") == attribute
+    ]
+
+
+def test_the_animation_moves_both_as_they_flew_and_shows_when_the_sonar_was_blind(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "a.svg"
+    write_animation_svg(path, flight("<gap>", 4.6), (20.0, 40.0), "<gap>")
+    leader, follower = moves(path, "circle", "transform")
+    assert len(leader) == len(follower) == round(20.0 / FRAME_S) + 1
+    pixels = 2.0 * FRAME_S / 4.6  # in a frame, of the gap between the two
+    for (ax, ay), (bx, by), (cx, cy) in zip(leader, follower, leader[1:], strict=False):
+        gap = np.hypot(ax - bx, ay - by)
+        assert np.hypot(cx - ax, cy - ay) == pytest.approx(pixels * gap, abs=0.2)
+    (opacities,) = moves(path, "path", "fill-opacity")
+    # Blind from 30 s on, shown for half a second more.
+    assert [one for (one,) in opacities] == [0.35] * 21 + [0.08] * 20
+    text = path.read_text(encoding="utf-8")
+    assert f'dur="{20.0 / SPEED_UP:g}s"' in text
+    assert "&lt;gap&gt;" in text
+    assert "script" not in text
+
+
+def test_the_same_flight_gives_the_same_animation(tmp_path: Path) -> None:
+    for name in ("a.svg", "b.svg"):
+        write_animation_svg(tmp_path / name, flight("x"), (0.0, 30.0), "x")
+    assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()
+    with pytest.raises(EchowingError, match="no two samples"):
+        write_animation_svg(tmp_path / "c.svg", flight("x"), (900.0, 901.0), "x")

@@ -573,7 +573,7 @@ def test_where_nobody_answers_nothing_is_taken_for_granted(monkeypatch: pytest.M
         (["check", "--vehicle", "udpin:14550@300"], "after @ comes a system id"),
         (["restore", "missing.json", "--vehicle", "tcp:127.0.0.1:1"], "No such file"),
         (["lua", "--mount", "missing"], "no such folder"),
-        (["lua", "--connect", "nonsense"], "no such kind"),
+        (["lua", "--vehicle", "nonsense"], "no such kind"),
     ],
 )
 def test_bad_input_is_one_clear_line(
@@ -591,7 +591,7 @@ def test_bad_input_is_one_clear_line(
         ["check"],
         ["check", "--vehicle", "tcp:127.0.0.1:1", "--serial", "12"],
         ["lua"],
-        ["lua", "--mount", ".", "--connect", "tcp:127.0.0.1:1"],
+        ["lua", "--mount", ".", "--vehicle", "tcp:127.0.0.1:1"],
     ],
 )
 def test_missing_and_contradicting_options_are_refused(arguments: list[str]) -> None:

@@ -4,17 +4,16 @@ import statistics
 
 import pytest
 
+from echowing.flight.sonar import PAN_CENTRE_US, TILT_CENTRE_US
 from echowing.sim import sonar
 from echowing.sim.sonar import (
     BEAM_HALF_ANGLE_DEG,
     FOIL_X8_RANGE_M,
     GROUND,
     LEVER_ARM_M,
-    PAN_CENTRE_US,
     SPEED_OF_SOUND_MPS,
     STOCK_X8_RANGE_M,
     TARGET_RADIUS_M,
-    TILT_CENTRE_US,
     Ear,
     Gimbal,
     MaxSonar,

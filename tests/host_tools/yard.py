@@ -52,6 +52,8 @@ class Vehicle:
             "ECHO_DIST": 3.0,
             "ECHO_INSET": 0.2,
             "ECHO_STREAM_T": 1.0,
+            "WP_ACC": 5.0,
+            "PSC_JERK_NE": 20.0,
         }
     )
 

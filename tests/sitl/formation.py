@@ -84,7 +84,7 @@ def prepare(binary: Path, folder: Path) -> Preparation:
         Feeder(follower, port_told(emulator), silence)
         follower.until_heard()
         where = follower.link()
-        lua = run("setup", "lua", "--connect", where, "--folder", "scripts")
+        lua = run("setup", "lua", "--vehicle", where, "--folder", "scripts")
         kept = ("--save", str(folder / "old.params.json"))
         wiring = ("--vehicle", where, "--serial", SERIAL)
         applied = run("setup", "apply", *wiring, "--yes", "--restart", *kept)

@@ -29,8 +29,7 @@ class Served:
 
     def setup(self, part: str, *more: str) -> Process:
         """A part of `echowing setup`, not waited for."""
-        option = "--connect" if part == "lua" else "--vehicle"
-        return Process("setup", part, *more, option, self.link)
+        return Process("setup", part, *more, "--vehicle", self.link)
 
     def done(self, part: str, *more: str, code: int) -> str:
         """A part of `echowing setup`, ended with this exit code: what it said."""

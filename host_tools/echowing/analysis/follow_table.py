@@ -4,6 +4,8 @@ import csv
 import math
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
+from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +17,9 @@ from echowing.errors import EchowingError
 from echowing.flight.guidance import Slot
 
 SHORTEST_ROWS = 10  # a second at 10 Hz; less is no flight
-FOLLOWING = "following"
+FOLLOWING, RADIUS = "following", "wanted_radius_m"
 NUMBERS = (
-    *("unix_time_s", "age_s", "sonar_m", "command_mps", "wanted_radius_m", "wanted_angle_deg"),
+    *("unix_time_s", "age_s", "sonar_m", "command_mps", RADIUS, "wanted_angle_deg"),
     *("wanted_step_m", "leader_lat_deg", "leader_lon_deg", "leader_alt_m", "leader_north_mps"),
     *("leader_east_mps", "leader_heading_deg", "lat_deg", "lon_deg", "alt_m", "north_mps"),
     *("east_mps", "heading_deg", "pan_us", "tilt_us"),
@@ -76,7 +78,7 @@ def _flight(
     time_s, age_s = number["unix_time_s"], number["age_s"]
     origin = _origin(label, number)
     wanted = slot or Slot(
-        float(number["wanted_radius_m"][0]),
+        float(number[RADIUS][0]),
         math.radians(number["wanted_angle_deg"][0]),
         float(number["wanted_step_m"][0]),
     )
@@ -114,13 +116,23 @@ def _flown(label: str, rows: Sequence[Row]) -> tuple[Sequence[Row], list[str]]:
     led = [index for index, row in enumerate(rows) if str(row["state"]).startswith(FOLLOWING)]
     if not led:
         return rows, ["never followed; all of the log is used"]
-    flown = rows[led[0] : led[-1] + 1]
-    other = len(flown) - len(led)
+    flown, notes = _at_one_radius(rows[led[0] : led[-1] + 1])
+    other = sum(not str(row["state"]).startswith(FOLLOWING) for row in flown)
     if len(flown) < SHORTEST_ROWS:
         raise EchowingError(f"log {label}: followed for less than a second")
-    if not other:
-        return flown, []
-    return flown, [f"held or in its pilot's hands for {other / 10:.0f} s of the flight"]
+    if other:
+        notes.append(f"held or in its pilot's hands for {other / 10:.0f} s of the flight")
+    return flown, notes
+
+
+def _at_one_radius(rows: Sequence[Row]) -> tuple[Sequence[Row], list[str]]:
+    """The longest time without a change of the radius (`follow --build-up`), and a word of it."""
+    runs = [(radius, list(run)) for radius, run in groupby(rows, itemgetter(RADIUS))]
+    radius, longest = max(runs, key=lambda one: len(one[1]))
+    if len(runs) == 1:
+        return rows, []
+    note = f"the radius was changed in flight; the {len(longest) / 10:.0f} s at {radius} m are used"
+    return longest, [note]
 
 
 def _numbers(path: Path, rows: Sequence[Row], name: str) -> Floats:

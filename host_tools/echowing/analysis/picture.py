@@ -42,23 +42,24 @@ def write_formation_svg(
     known = np.flatnonzero(inside & np.isfinite(flight.separation_m))
     if len(known) == 0:
         raise EchowingError(f"picture of {flight.name!r}: no sample in it has both positions")
-    project, height_px = _projection(flight, known)
+    project, height_px = projection(flight, known)
     leader, follower = project(flight.leader_ned_m), project(flight.follower_ned_m)
     parts = [
-        _path(leader[known], LEADER_COLOUR),
-        _path(follower[known], FOLLOWER_COLOUR),
+        path_line(leader[known], LEADER_COLOUR),
+        path_line(follower[known], FOLLOWER_COLOUR),
         *_pairs(flight, leader, follower, known),
-        _heading(title or f"{flight.name}: wanted {flight.wanted_separation_m:g} m"),
-        _scale_bar(project, height_px),
-        _north_arrow(project, height_px),
+        heading(title or f"{flight.name}: wanted {flight.wanted_separation_m:g} m"),
+        scale_bar(project, height_px, "; distances in metres"),
+        north_arrow(project, height_px),
     ]
     try:
-        path.write_text(_document("\n".join(parts), height_px), encoding="utf-8")
+        path.write_text(document("\n".join(parts), height_px), encoding="utf-8")
     except OSError as error:
         raise EchowingError(f"picture {path}: cannot be written: {error.strerror}") from error
 
 
-def _projection(flight: Flight, known: Indices) -> tuple[Project, float]:
+def projection(flight: Flight, known: Indices) -> tuple[Project, float]:
+    """From metres to the picture, and the height of the picture in pixels."""
     both = np.vstack([flight.leader_ned_m[known, :2], flight.follower_ned_m[known, :2]])
     low, high = both.min(axis=0), both.max(axis=0)
     north_m, east_m = high - low
@@ -77,7 +78,7 @@ def _projection(flight: Flight, known: Indices) -> tuple[Project, float]:
     return project, float(up_m) * scale + top_px + EDGE_PX + HEAD_PX
 
 
-def _path(points: Floats, colour: str) -> str:
+def path_line(points: Floats, colour: str) -> str:
     """One line, thinned where it wiggles less than can be seen."""
     keep = np.union1d(thinned(points[:, 0], 600), thinned(points[:, 1], 600)).astype(int)
     text = " ".join(f"{x:.1f},{y:.1f}" for x, y in points[keep])
@@ -109,7 +110,8 @@ def _label_place(dx_px: float, dy_px: float) -> tuple[float, float]:
     return (20.0, 5.0) if abs(dy_px) > abs(dx_px) else (0.0, -11.0)
 
 
-def _heading(title: str) -> str:
+def heading(title: str) -> str:
+    """The title and who has which colour."""
     right = WIDTH_PX - EDGE_PX
     return (
         f'<text x="{EDGE_PX}" y="36" class="title">{html.escape(title)}</text>'
@@ -120,19 +122,20 @@ def _heading(title: str) -> str:
     )
 
 
-def _scale_bar(project: Project, height_px: float) -> str:
+def scale_bar(project: Project, height_px: float, note: str = "") -> str:
+    """How long some metres are, and a note beside it."""
     ends = project(np.array([[0.0, 0.0, 0.0], [SCALE_BAR_M, 0.0, 0.0]]))
     length_px = float(np.hypot(*(ends[1] - ends[0])))
     y = height_px - 26.0
     return (
         f'<line x1="{EDGE_PX}" y1="{y}" x2="{EDGE_PX + length_px:.1f}" y2="{y}" '
         'stroke="#253046" stroke-width="2"/>'
-        f'<text x="{EDGE_PX + length_px + 8:.1f}" y="{y + 5}">{SCALE_BAR_M:g} m; distances in '
-        "metres</text>"
+        f'<text x="{EDGE_PX + length_px + 8:.1f}" y="{y + 5}">{SCALE_BAR_M:g} m{note}</text>'
     )
 
 
-def _north_arrow(project: Project, height_px: float) -> str:
+def north_arrow(project: Project, height_px: float) -> str:
+    """Where north is."""
     ends = project(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]))
     dx, dy = (ends[1] - ends[0]) / np.hypot(*(ends[1] - ends[0]))
     x, y = WIDTH_PX - EDGE_PX - 8.0, height_px - 26.0
@@ -144,7 +147,8 @@ def _north_arrow(project: Project, height_px: float) -> str:
     )
 
 
-def _document(body: str, height_px: float) -> str:
+def document(body: str, height_px: float) -> str:
+    """The SVG file."""
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH_PX:.0f} {height_px:.0f}" '
         f'width="{WIDTH_PX:.0f}" height="{height_px:.0f}" '

@@ -37,16 +37,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--link",
         default="pty",
-        metavar="WHERE",
+        metavar="CONN",
         help="the autopilot port: tcp:HOST:PORT connects, tcpin:PORT listens, pty (default)",
     )
     parser.add_argument(
-        "--usb", metavar="WHERE", help="the USB port, likewise (default: nowhere; not of the Pills)"
+        "--usb", metavar="CONN", help="the USB port, likewise (default: nowhere; not of the Pills)"
     )
     seen = parser.add_mutually_exclusive_group()
     seen.add_argument("--range-cm", type=int, metavar="N", help="the sonar always reads this")
     seen.add_argument(
-        "--target", metavar="udp:PORT", help="the sonar hears the leader told in datagrams"
+        "--target", metavar="udp:PORT", help="the sonar hears the leader where datagrams say"
     )
     seen.add_argument(
         "--vehicles",

@@ -2,7 +2,10 @@
 
 import argparse
 import math
+import sys
 import time
+from contextlib import nullcontext
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,12 +13,14 @@ from echowing.errors import EchowingError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from contextlib import AbstractContextManager
 
     from echowing.flight.guidance import Slot
     from echowing.flight.take_off import TakeOff
     from echowing.mavlink.seats import Seat
-    from echowing.tool.run import FollowOptions
+    from echowing.tool.run import FollowOptions, Page
 
+RADIUS_M = 3.0
 # Above the leader's home: what can be flown, and what can still be seen from there.
 LEAST_ALTITUDE_M, MOST_ALTITUDE_M = 1.0, 500.0
 # Over a leader that is carried at a metre or two.
@@ -36,24 +41,27 @@ examples:
           [[slots]]
           radius_m = 4.0
           angle_deg = -40.0
+  echowing follow --leader udpin:14550 --follower udpin:14560 --web
+      only watches, and shows it in the browser too; --web-address 0.0.0.0 for a phone
   echowing follow --leader udpin:14550 --follower udpin:14560 --take-off 10 --engage
       takes off first: each pilot arms his vehicle in Guided, on the ground; the tool never arms
   echowing follow --leader udpin:14550 --follower udpin:14560 \\
       --signing-key-file field.key --engage
+  echowing follow --leader udpin:14550 --follower udpin:14560 --build-up 8,5,4,3
+      on a terminal keys engage, hold, come nearer and stop: host_tools/KEYS.md
 The pilot takes over by any change of mode; points go on when he puts the vehicle in Guided again.
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The verb's options."""
-    from echowing.mavlink.links import DEFAULT_BAUD  # noqa: PLC0415 (imported when the verb is used)
+    from echowing.mavlink.links import CONN, DEFAULT_BAUD  # noqa: PLC0415 (imported when the verb is used)
+    from echowing.web.options import add_web_arguments  # noqa: PLC0415
 
     parser.epilog = EXAMPLES
     links = parser.add_argument_group(
         "vehicles",
-        "CONN: udpin:PORT (on all addresses of this computer), udpin:HOST:PORT, "
-        "udpout:HOST:PORT, tcp:HOST:PORT, tcpin:[HOST:]PORT or a serial "
-        "device; CONN@ID where several vehicles share a link",
+        f"CONN: {CONN}; CONN@ID where several vehicles share a link",
     )
     leader = links.add_mutually_exclusive_group(required=True)
     leader.add_argument("--leader", metavar="CONN")
@@ -67,7 +75,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     links.add_argument("--follower", action="append", required=True, metavar="CONN")
     links.add_argument("--baud", type=int, default=DEFAULT_BAUD, help="of serial devices")
     place = parser.add_argument_group("formation")
-    place.add_argument("--radius", type=float, default=3.0, metavar="M", help="from the leader")
+    radius = place.add_mutually_exclusive_group()
+    radius.add_argument("--radius", type=float, metavar="M", help="from the leader (3)")
+    radius.add_argument(
+        "--build-up",
+        metavar="M,M,...",
+        help="radii to go through in flight, the widest first (8,5,4,3): keys n and b of the live "
+        "view go to the next and back. ECHO_DIST is set along and put back at the end. With "
+        "--formation the radius of its nearest slot",
+    )
     place.add_argument(
         "--angle", type=float, default=0.0, metavar="DEG", help="off its tail, counter-clockwise"
     )
@@ -109,6 +125,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "come by the autopilot's DISTANCE_SENSOR then, and the gimbal's state does not",
     )
     add_log_arguments(parser)
+    add_web_arguments(parser)
     parser.add_argument("--duration", type=float, metavar="S", help="end after this long")
     parser.add_argument("--json", action="store_true", help="print JSON, an object a line")
 
@@ -193,15 +210,33 @@ def _add_safety(safety: "argparse._ArgumentGroup") -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Follow until told to end."""
+    from echowing.web.open import page_of  # noqa: PLC0415
+
+    return fly(_options(args), as_json=args.json, page=page_of(args, "follow"))
+
+
+def fly(
+    options: "FollowOptions",
+    *,
+    as_json: bool,
+    page: "AbstractContextManager[Page | None] | None" = None,
+) -> int:
+    """Fly what was asked for, with keys where somebody sees what they do; returns the exit code."""
     from echowing.stopping import stop_on_signals  # noqa: PLC0415
-    from echowing.terminal import run_in_flight  # noqa: PLC0415
+    from echowing.terminal import Keyboard, run_in_flight  # noqa: PLC0415
     from echowing.tool.run import FollowTool  # noqa: PLC0415
     from echowing.tool.view import open_view  # noqa: PLC0415
 
-    options = _options(args)
-    with stop_on_signals() as stop:
-        tool = FollowTool(options, open_view(as_json=args.json), stop)
-        return run_in_flight(tool.run, lambda: tool.stuck)
+    pressed = Keyboard()
+    seen = pressed.is_there and sys.stdout.isatty() and not as_json
+    if options.build_up and not seen:
+        raise EchowingError("--build-up goes by keys: run it on a terminal, without --json")
+    keyboard = pressed if seen else None
+    with stop_on_signals() as stop, page or nullcontext() as shown:
+        keys = None if keyboard is None else keyboard.read
+        view = open_view(as_json=as_json)
+        tool = FollowTool(options, view, stop, keys=keys, page=shown)
+        return run_in_flight(tool.run, lambda: tool.stuck, keyboard)
 
 
 def options_of(arguments: "Sequence[str]") -> "FollowOptions":
@@ -224,7 +259,8 @@ def _options(args: argparse.Namespace) -> "FollowOptions":
     switch = None if args.stop_switch is None else parse_stop_switch(args.stop_switch)
     seats = _seats(args)
     VehicleFinder(seats)  # refuses what could never be told apart
-    slots = _slots(args)
+    radii_m = _build_up(args)
+    slots = _slots(args, radii_m)
     altitude_m = CARRIED_ALTITUDE_M if args.carried_leader else None
     altitude_m = altitude_m if args.altitude is None else args.altitude
     _check_heights(slots, altitude_m)
@@ -252,6 +288,7 @@ def _options(args: argparse.Namespace) -> "FollowOptions":
         duration_s=args.duration,
         log=log_folder(args),
         signing_key=read_key(args.signing_key_file),
+        build_up=radii_m,
     )
 
 
@@ -317,35 +354,61 @@ def _seats(args: argparse.Namespace) -> "list[Seat]":
     return [leader, *(parse_seat("follower", text, args.baud) for text in args.follower)]
 
 
-def _slots(args: argparse.Namespace) -> "list[Slot]":
-    """A checked slot for each follower."""
-    from echowing.flight.formation import check_formation  # noqa: PLC0415
+def _build_up(args: argparse.Namespace) -> tuple[float, ...]:
+    """The radii of --build-up, none without it."""
+    text = args.build_up
+    if text is None:
+        return ()
+    try:
+        radii_m = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        radii_m = ()
+    falling = all(one > after for one, after in pairwise(radii_m))
+    if len(radii_m) < 2 or not falling or not all(1.0 <= one <= 1_000.0 for one in radii_m):
+        raise EchowingError(
+            f"--build-up {text}: give two radii or more, each smaller than the last, as 8,5,4,3"
+        )
+    return radii_m
+
+
+def _slots(args: argparse.Namespace, radii_m: tuple[float, ...]) -> "list[Slot]":
+    """A checked slot for each follower; of a build-up at its widest."""
+    from echowing.flight.build_up import scaled  # noqa: PLC0415
+    from echowing.flight.formation import (  # noqa: PLC0415
+        DEFAULT_SLOT_SEPARATION_M,
+        check_formation,
+    )
     from echowing.flight.guidance import Slot  # noqa: PLC0415
 
     followers = len(args.follower)
     if args.formation is not None:
-        slots = _load_formation(args.formation)
+        slots, apart_m = _load_formation(args.formation)
         if len(slots) != followers:
             raise EchowingError(
                 f"--formation {args.formation}: {len(slots)} slots for {followers} followers"
             )
-        nearest_m = min(slot.radius_m for slot in slots)
     else:
         if followers > 1:
             raise EchowingError(f"{followers} followers need --formation FILE, a slot for each")
-        slots = [Slot(args.radius, math.radians(args.angle))]
+        radius_m = RADIUS_M if args.radius is None else args.radius
+        slots, apart_m = [Slot(radius_m, math.radians(args.angle))], DEFAULT_SLOT_SEPARATION_M
         check_formation(slots)
-        nearest_m = args.radius
+    for one_m in radii_m:
+        check_formation(scaled(slots, one_m), apart_m)
+    nearest_m = min(radii_m, default=min(slot.radius_m for slot in slots))
     if nearest_m <= args.min_separation:
         raise EchowingError(
             f"a slot {nearest_m:g} m from the leader is inside --min-separation "
             f"{args.min_separation:g} m; move it out, or the follower will never get there"
         )
-    return slots
+    return scaled(slots, radii_m[0]) if radii_m else slots
 
 
-def _load_formation(path: Path) -> "list[Slot]":
-    """Slots of a TOML file with [[slots]]; the same keys as in a scenario's formation."""
+def _load_formation(path: Path) -> "tuple[list[Slot], float]":
+    """Slots of a TOML file with [[slots]], and how far apart they have to be.
+
+    The same keys as in a scenario's formation.
+    """
     import tomllib  # noqa: PLC0415
 
     from pydantic import ValidationError  # noqa: PLC0415
@@ -369,4 +432,4 @@ def _load_formation(path: Path) -> "list[Slot]":
         check_formation(slots, formation.slot_separation_m)
     except EchowingError as error:
         raise EchowingError(f"--formation {path}: {error}") from error
-    return slots
+    return slots, formation.slot_separation_m

@@ -16,16 +16,14 @@ Only questions for the leader's clock come back this way: nothing can move the l
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The verb's options."""
-    from echowing.mavlink.links import DEFAULT_BAUD  # noqa: PLC0415 (imported when the verb is used)
+    from echowing.mavlink.links import CONN, DEFAULT_BAUD  # noqa: PLC0415 (imported when the verb is used)
 
     parser.epilog = EXAMPLES
     parser.add_argument(
         "--vehicle",
         required=True,
         metavar="CONN",
-        help="udpin:PORT (on all addresses of this computer), udpin:HOST:PORT, "
-        "udpout:HOST:PORT, tcp:HOST:PORT, tcpin:[HOST:]PORT or a serial "
-        "device; CONN@ID where several vehicles share the link",
+        help=f"{CONN}; CONN@ID where several vehicles share the link",
     )
     parser.add_argument("--publish", required=True, metavar="udp:HOST:PORT")
     parser.add_argument("--baud", type=int, default=DEFAULT_BAUD, help="of a serial device")

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from echowing.commands.follow import add_log_arguments, log_folder
+from echowing.commands.follow import add_log_arguments, fly, log_folder
 from echowing.errors import EchowingError
 
 ALTITUDE_M = 30.0
@@ -19,7 +19,7 @@ takes over by any change of mode.
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The verb's options."""
-    from echowing.mavlink.links import DEFAULT_BAUD  # noqa: PLC0415 (imported when the verb is used)
+    from echowing.mavlink.links import CONN, DEFAULT_BAUD  # noqa: PLC0415 (imported when the verb is used)
 
     parser.epilog = EXAMPLES
     parser.add_argument("--remote", required=True, metavar="CONN", help="the remote vehicle")
@@ -27,14 +27,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--vehicle",
         required=True,
         metavar="CONN",
-        help="the relay; CONN as for `echowing follow`, CONN@ID on a shared link",
+        help=f"the relay; CONN: {CONN}; CONN@ID on a shared link",
     )
     parser.add_argument("--ground", required=True, metavar="LAT,LON", help="the ground station")
     parser.add_argument(
         "--altitude",
         type=float,
         metavar="M",
-        help="above the relay's home (30); a relay that is more than 3 m away from that needs it",
+        help="above the relay's home (30); a relay that is more than 3 m away from that needs it. "
+        "Choose it 5 m or more off the height at which the remote vehicle flies and comes back "
+        "(RTL_ALT): the tool warns where it is not",
     )
     parser.add_argument("--baud", type=int, default=DEFAULT_BAUD, help="of serial devices")
     parser.add_argument("--rate", type=float, default=4.0, metavar="HZ", help="of points (4)")
@@ -52,7 +54,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=10.0,
         metavar="M",
-        help="what is to be certain of the distance between the two (10): the relay gives way",
+        help="what is to be certain of the distance between the two (10): the relay gives way. It "
+        "flies this and 5 m beside the line to the remote vehicle, so that one that comes back "
+        "along it does not fly through the relay",
     )
     parser.add_argument(
         "--signing-key-file", type=Path, metavar="FILE", help="as for `echowing follow`"
@@ -67,14 +71,17 @@ def run(args: argparse.Namespace) -> int:
     from echowing.flight.engage import Readiness  # noqa: PLC0415
     from echowing.flight.guard import Limits  # noqa: PLC0415
     from echowing.flight.guidance import Slot  # noqa: PLC0415
-    from echowing.flight.relay import RELAY_SETTINGS, RelayGuide, parse_ground  # noqa: PLC0415
+    from echowing.flight.relay import (  # noqa: PLC0415
+        BESIDE_M,
+        HEIGHTS_APART_M,
+        RELAY_SETTINGS,
+        RelayGuide,
+        parse_ground,
+    )
     from echowing.flight.switch import parse_stop_switch  # noqa: PLC0415
     from echowing.mavlink.seats import parse_seat  # noqa: PLC0415
     from echowing.mavlink.signing import read_key  # noqa: PLC0415
-    from echowing.stopping import stop_on_signals  # noqa: PLC0415
-    from echowing.terminal import run_in_flight  # noqa: PLC0415
-    from echowing.tool.run import FollowOptions, FollowTool  # noqa: PLC0415
-    from echowing.tool.view import open_view  # noqa: PLC0415
+    from echowing.tool.run import FollowOptions  # noqa: PLC0415
 
     altitude_told = args.altitude is not None
     args.altitude = args.altitude if altitude_told else ALTITUDE_M
@@ -93,18 +100,22 @@ def run(args: argparse.Namespace) -> int:
             max_distance_m=args.max_distance,
             min_separation_m=args.min_separation,
             leader_flies=False,
-            ready=Readiness(distance=False, sides=False, height_told=altitude_told),
+            ready=Readiness(
+                distance=False,
+                reversal=False,
+                sides=False,
+                height_told=altitude_told,
+                apart_m=HEIGHTS_APART_M,
+            ),
             switch=None if args.stop_switch is None else parse_stop_switch(args.stop_switch),
         ),
         engage=args.engage,
         duration_s=args.duration,
         log=log_folder(args),
         signing_key=read_key(args.signing_key_file),
-        make_guide=lambda: RelayGuide(ground),
+        make_guide=lambda: RelayGuide(ground, args.min_separation + BESIDE_M),
     )
-    with stop_on_signals() as stop:
-        tool = FollowTool(options, open_view(as_json=args.json), stop)
-        return run_in_flight(tool.run, lambda: tool.stuck)
+    return fly(options, as_json=args.json)
 
 
 def _check_numbers(args: argparse.Namespace) -> None:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 EXAMPLES = """\
 examples, in the order of a new vehicle:
-  echowing setup lua --connect /dev/ttyACM0              the applet, onto the autopilot's SD card
+  echowing setup lua --vehicle /dev/ttyACM0              the applet, onto the autopilot's SD card
   echowing setup apply --vehicle /dev/ttyACM0 --serial 2 --restart
   echowing setup check --vehicle /dev/ttyACM0 --serial 2
 and in the field, over the radio:
@@ -27,9 +27,9 @@ and in the field, over the radio:
 """
 LUA_EXAMPLES = """\
 examples:
-  echowing setup lua --connect /dev/ttyACM0              over USB, the card stays in the autopilot
-  echowing setup lua --connect udpin:14550@2             over a radio; lost packets are sent again
-  echowing setup lua --connect tcp:127.0.0.1:5760 --folder scripts     ArduPilot's SITL
+  echowing setup lua --vehicle /dev/ttyACM0              over USB, the card stays in the autopilot
+  echowing setup lua --vehicle udpin:14550@2             over a radio; lost packets are sent again
+  echowing setup lua --vehicle tcp:127.0.0.1:5760 --folder scripts     ArduPilot's SITL
   echowing setup lua --mount /media/$USER/PIXHAWK        the card in this computer
 """
 CHECK_EXAMPLES = """\
@@ -74,12 +74,13 @@ def _part(parts: "argparse._SubParsersAction[argparse.ArgumentParser]", name: st
 
 
 def _add_vehicle(parser: argparse.ArgumentParser) -> None:
+    from echowing.mavlink.links import CONN  # noqa: PLC0415 (imported when the verb is used)
+
     parser.add_argument(
         "--vehicle",
         required=True,
-        metavar="CONN[@ID]",
-        help="udpin:[HOST:]PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:[HOST:]PORT or a serial "
-        "device; @ID where several vehicles share the link",
+        metavar="CONN",
+        help=f"{CONN}; CONN@ID where several vehicles share the link",
     )
     _add_link(parser)
 
@@ -159,16 +160,23 @@ def _add_restore(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_lua(parser: argparse.ArgumentParser) -> None:
+    from echowing.mavlink.links import CONN  # noqa: PLC0415 (imported when the verb is used)
+
     parser.epilog = LUA_EXAMPLES
     way = parser.add_mutually_exclusive_group(required=True)
-    way.add_argument("--connect", metavar="CONN[@ID]", help="over MAVLink (MAVFTP), disarmed")
+    way.add_argument(
+        "--vehicle",
+        metavar="CONN",
+        help=f"over MAVLink (MAVFTP), disarmed; {CONN}; CONN@ID where several vehicles share the "
+        "link",
+    )
     way.add_argument(
         "--mount", type=Path, metavar="DIR", help="where the autopilot's SD card is mounted"
     )
     parser.add_argument(
         "--folder",
         default="APM/scripts",
-        help="with --connect: the scripts' folder on the vehicle (APM/scripts; scripts in SITL)",
+        help="with --vehicle: the scripts' folder on the vehicle (APM/scripts; scripts in SITL)",
     )
     _add_link(parser)
 
@@ -266,7 +274,7 @@ def agreed(question: str) -> bool:
 
 
 def _lua(args: argparse.Namespace) -> int:
-    return _lua_on_card(args.mount) if args.connect is None else _lua_over_link(args)
+    return _lua_on_card(args.mount) if args.vehicle is None else _lua_over_link(args)
 
 
 def _lua_on_card(mount: Path) -> int:
@@ -284,7 +292,7 @@ def _lua_over_link(args: argparse.Namespace) -> int:
     from echowing.setup.ftp import FtpClient  # noqa: PLC0415
     from echowing.setup.ftp_format import ardupilot_crc32  # noqa: PLC0415
 
-    with _vehicle(args.connect, args) as vehicle:
+    with _vehicle(args.vehicle, args) as vehicle:
         vehicle.refuse_armed("scripts are replaced")
         folder = args.folder.strip("/")
         with _progress_bar() as bar:

@@ -18,6 +18,7 @@ examples:
   echowing sim echowing --seed 3 --out out/mine
   echowing sim gray --seed 1-10 --json
   echowing sim my-flight.toml --law continuous --set gps.sigma_m=1.2
+  echowing sim --serve 5760 --web                        watch them in a browser
   echowing sim --serve 5760 --parked --card out/cards    vehicles to try `echowing setup` on
 """
 
@@ -25,6 +26,7 @@ examples:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The verb's options."""
     from echowing.sim.scenario import LAWS  # noqa: PLC0415 (imported when the verb is used)
+    from echowing.web.options import add_web_arguments  # noqa: PLC0415
 
     parser.epilog = EXAMPLES
     parser.add_argument(
@@ -77,6 +79,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "applet found there is the one that runs",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object a flight")
+    add_web_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -88,9 +91,17 @@ def run(args: argparse.Namespace) -> int:
     if args.serve is not None:
         from echowing.mavlink.signing import read_key  # noqa: PLC0415
         from echowing.sim.serve_flight import serve  # noqa: PLC0415
+        from echowing.web.open import page_of  # noqa: PLC0415
 
         key = read_key(args.signing_key_file)
-        return serve(scenario, seeds[0], args.serve, key, parked=args.parked, cards=args.card)
+        where = {"parked": args.parked, "cards": args.card}
+        with page_of(args, "sim") as page:
+            return serve(scenario, seeds[0], args.serve, key, **where, page=page)
+    if args.web is not None:
+        raise EchowingError(
+            "--web goes with --serve PORT; a flight that was written with --out is shown by "
+            "`echowing replay DIR`"
+        )
     if args.parked or args.card is not None:
         raise EchowingError("--parked and --card go with --serve PORT")
     flown = list(_fly_all(scenario, seeds, args))

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.flight.guidance import MOVING_MPS, Horizontal, slot_offset_m
+from echowing.flight.handling import least_slot_m
 from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.geo import GlobalPosition, ned_between
 
@@ -30,6 +31,8 @@ ENABLE, LAW, DIST, INSET, WATCHDOG = APPLET = (
     "ECHO_INSET",
     "ECHO_STREAM_T",
 )
+# How high a vehicle comes back: in m (later 4.7 on), in cm.
+RTL_M, RTL_CM = RTL = ("RTL_ALT_M", "RTL_ALT")
 ASK_PERIOD_S = 1.0
 # Where something is wrong the parameters are read again, as somebody may be setting them.
 READ_AGAIN_S = 5.0
@@ -47,6 +50,8 @@ INSET_M = 0.1
 # more than the second is not begun untold.
 HOMES_M, HEIGHTS_M = 1.0, 3.0
 LOWEST_M = 1.0
+# At this speed a leader may turn round without harm to anybody: the thesis's leader flew it.
+TURNS_MPS = 2.0
 # Of a battery that is to carry it through a flight of minutes and home.
 LEAST_BATTERY_PERCENT = 20
 # A position that has not moved by the first while its velocities add up to the second is stuck.
@@ -62,24 +67,33 @@ class Readiness:
     """Which checks are made beyond clocks, receivers, EKF, battery and switch.
 
     applet: the applet runs, with its stream watchdog; distance: its distance and inset are the
-    tool's; sides: no follower's way to its slot crosses another's; homes_told: what homes that
-    differ by their receivers mean was said; height_told: so was the altitude to fly at.
+    tool's; reversal: its slot is far enough away for the leader to turn round; sides: no follower's
+    way to its slot crosses another's; homes_told: what homes that differ by their receivers mean
+    was said; height_told: so was the altitude to fly at; apart_m: warn where the leader comes back
+    (RTL) less than this above or below a follower, None: no.
     """
 
     applet: bool = True
     distance: bool = True
+    reversal: bool = True
     sides: bool = True
     homes_told: bool = False
     height_told: bool = False
+    apart_m: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One cell of the table; `wrong`: what is wrong and what to do, empty where all is well."""
+    """One cell of the table.
+
+    wrong: what is wrong and what to do, empty where all is well; note: what to know, though it
+    keeps nobody from being engaged.
+    """
 
     name: str
     shown: str
     wrong: str = ""
+    note: str = ""
 
 
 @dataclass(slots=True)
@@ -146,8 +160,15 @@ class Vehicle:
                 message.battery_remaining,
                 message.voltage_battery,
             )
-        elif kind == "PARAM_VALUE" and message.param_id in APPLET:
+        elif kind == "PARAM_VALUE" and message.param_id in (*APPLET, *RTL):
             self.parameters[message.param_id] = message.param_value
+
+    @property
+    def rtl_m(self) -> float | None:
+        """How high above its home it comes back at the least; None: not known."""
+        if RTL_M in self.parameters:
+            return self.parameters[RTL_M]
+        return self.parameters[RTL_CM] / 100.0 if RTL_CM in self.parameters else None
 
     @property
     def fault(self) -> str | None:
@@ -167,10 +188,12 @@ def _has_position(flags: int) -> bool:
 class _Turn:
     """A follower's way to being engaged, since it was put in Guided.
 
-    told: what was said of it, without its numbers, and when.
+    told: what was said of it, without its numbers, and when; level: the leader would come back at
+    its height, which was said.
     """
 
     cleared: bool = False
+    level: bool = False
     told: dict[str, float] = field(default_factory=dict)
     wrong: list[Finding] = field(default_factory=list)
 
@@ -213,10 +236,18 @@ class Engagement:
         }
         return [(system_id, *item) for system_id in self._vehicles for item in rates.items()]
 
-    def messages(self, now_s: float) -> list[tuple[int, Any]]:
-        """Questions for the applet's parameters."""
-        if not self.readiness.applet:
-            return []
+    def messages(
+        self, followers: Mapping[int, "FollowerState"], now_s: float
+    ) -> list[tuple[int, Any]]:
+        """Questions for the parameters of applets and autopilots."""
+        asked = self._ask_rtl(now_s) + [
+            (system_id, _read_parameter(system_id, name))
+            for system_id, follower in followers.items()
+            for name in follower.handling.asks(now_s)
+        ]
+        return asked + (self._questions_to_applets(now_s) if self.readiness.applet else [])
+
+    def _questions_to_applets(self, now_s: float) -> list[tuple[int, Any]]:
         asked = []
         for system_id, turn in self._turns.items():
             vehicle = self._vehicles[system_id]
@@ -228,6 +259,16 @@ class Engagement:
             vehicle.asked_at_s = now_s
             asked += [(system_id, _read_parameter(system_id, name)) for name in missing or APPLET]
         return asked
+
+    def _ask_rtl(self, now_s: float) -> list[tuple[int, Any]]:
+        leader = self._vehicles[self._leader_id]
+        if self.readiness.apart_m is None or leader.rtl_m is not None:
+            return []
+        period_s = READ_AGAIN_S if self._table_shown else ASK_PERIOD_S
+        if now_s - leader.asked_at_s < period_s:
+            return []
+        leader.asked_at_s = now_s
+        return [(self._leader_id, _read_parameter(self._leader_id, name)) for name in RTL]
 
     def entered_guided(self, system_id: int) -> None:
         """The pilot has put a follower in Guided: it is judged anew."""
@@ -243,6 +284,7 @@ class Engagement:
             self._show_table(session, now_s)
         for system_id, follower in session.followers.items():
             turn = self._turns[system_id]
+            self._warn_of_return(session, follower, turn, now_s)
             if turn.cleared:
                 continue
             session.heights.take_leaders(follower)
@@ -321,6 +363,17 @@ class Engagement:
                 if one.wrong:
                     self._say(now_s, f"{name}: {one.wrong}")
 
+    def _warn_of_return(
+        self, session: "FollowSession", follower: "FollowerState", turn: _Turn, now_s: float
+    ) -> None:
+        """Say it when a leader would come back at this follower's height."""
+        note = "".join(one.note for one in self._return(session, follower))
+        if note and not turn.level and self._table_shown:
+            system_id = follower.plan.system_id
+            self._say(now_s, f"follower {system_id}: {note}")
+            session.alert(system_id, note)
+        turn.level = bool(note) and self._table_shown
+
     def _waited(self, now_s: float) -> bool:
         return self._since_s is not None and now_s - self._since_s >= PATIENCE_S
 
@@ -366,9 +419,11 @@ class Engagement:
             _clock("its", follower.clock),
             *self._switch("its", system_id, session, now_s),
             *self._applet(system_id, session, follower),
+            *self._reversal(follower),
             *self._homes(session, follower),
             *self._height(session, follower),
             *self._state("its", system_id),
+            *self._return(session, follower),
             *self._side(session, follower),
             *self._stranger("it", system_id),
         ]
@@ -398,6 +453,23 @@ class Engagement:
             distance = _distance(known, session, follower)
             findings += [] if distance is None else [distance]
         return findings
+
+    def _reversal(self, follower: "FollowerState") -> list[Finding]:
+        """The least distance at which it survives that the leader turns round."""
+        if not self.readiness.reversal:
+            return []
+        handling, radius_m = follower.handling, follower.plan.slot.radius_m
+        if not handling.known:
+            return [Finding("least", "?", "its acceleration and jerk are not known (WP_ACC)")]
+        least_m = least_slot_m(TURNS_MPS, handling.answer)
+        wrong = ""
+        if radius_m < least_m:
+            wrong = (
+                f"its slot is {radius_m:g} m from the leader, and {least_m:.1f} m is the least at "
+                f"which it gets away from a leader that turns round at {TURNS_MPS:g} m/s: "
+                f"`echowing setup apply` (WP_ACC, PSC_JERK_NE), or a larger --radius"
+            )
+        return [Finding("least", f"{least_m:.1f} m", wrong)]
 
     def _homes(self, session: "FollowSession", follower: "FollowerState") -> list[Finding]:
         guard = session.guard
@@ -430,6 +502,31 @@ class Engagement:
                 f"within {HEIGHTS_M:g} m of that, or give --altitude"
             )
         return [Finding("height", f"{height_m:.1f} m", wrong)]
+
+    def _return(self, session: "FollowSession", follower: "FollowerState") -> list[Finding]:
+        """How high the leader comes back, against this follower's height."""
+        least_m = self.readiness.apart_m
+        if least_m is None:
+            return []
+        rtl_m = self._vehicles[self._leader_id].rtl_m
+        fix, guard = session.leader.fix, session.guard
+        higher_m = None if guard is None else guard.home_above_leaders_m(follower.plan.system_id)
+        home_m = None if guard is None else guard.home_m(self._leader_id)
+        wanted_m = session.heights.wanted_m(follower)
+        if rtl_m is None:
+            note = f"how high the leader comes back is not known ({RTL_M} does not answer)"
+            return [Finding("RTL", "?", note=note)]
+        if fix is None or home_m is None or higher_m is None or wanted_m is None:
+            return [Finding("RTL", "?")]
+        back_m = max(rtl_m, fix.position.alt_m - home_m)
+        above_m = back_m - wanted_m - higher_m
+        note = ""
+        if abs(above_m) < least_m:
+            note = (
+                f"the leader comes back at {back_m:.1f} m, {abs(above_m):.1f} m "
+                f"{'above' if above_m > 0.0 else 'below'} it: fly {least_m:g} m apart (--altitude)"
+            )
+        return [Finding("RTL", f"{back_m:.1f} m", note=note)]
 
     def _state(self, whose: str, system_id: int) -> list[Finding]:
         vehicle = self._vehicles[system_id]

@@ -122,15 +122,23 @@ class _Watch:
 
 
 class Guard:
-    """Watches the vehicles of one session; `say(now_s, text)` tells the operator."""
+    """Watches the vehicles of one session.
+
+    say(now_s, text) is for the operator, alert(system_id, text) for a follower's pilot.
+    """
 
     def __init__(
-        self, limits: Limits, leader_id: int, follower_ids: Iterable[int], say: Say
+        self,
+        limits: Limits,
+        leader_id: int,
+        follower_ids: Iterable[int],
+        say: Say,
+        alert: Callable[[int, str], None] = lambda system_id, text: None,
     ) -> None:
         self.limits = limits
         self._leader_id = leader_id
         self._watches = {system_id: _Watch() for system_id in follower_ids}
-        self._say = say
+        self._say, self._alert = say, alert
         self._leader_flies: bool | None = None
         self._homes_m: dict[int, float] = {}
         self._shifts_told_m: dict[int, float] = {}
@@ -404,9 +412,9 @@ class Guard:
         watch.verified = False
         if watch.told_at_s is not None and now_s - watch.told_at_s >= REMIND_S:
             watch.told_at_s = now_s
-            self._say(
-                now_s, f"follower {system_id}: still moves at {speed_mps:.1f} m/s, stopped again"
-            )
+            text = f"still moves at {speed_mps:.1f} m/s, stopped again"
+            self._alert(system_id, text)
+            self._say(now_s, f"follower {system_id}: {text}")
 
     def switched(self, system_id: int) -> bool:
         """Whether the pilot's stop switch, or the leader's, has stopped it."""

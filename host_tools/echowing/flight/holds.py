@@ -2,7 +2,6 @@
 
 import math
 
-from echowing.flight.envelope import Answer
 from echowing.flight.guard import Guard
 from echowing.flight.heights import Heights
 from echowing.flight.state import FollowerState
@@ -46,5 +45,6 @@ class Holds:
 def _stopping_place(follower: FollowerState, now_s: float) -> GlobalPosition | None:
     """Where a follower comes to a stop: a place it has to come back to would take longer."""
     mps = math.hypot(*follower.velocity_mps)
-    share_s = LEAN_S + mps / (2.0 * Answer().decel_mps2) if mps > STANDS_MPS else 0.0
+    decel_mps2 = follower.handling.answer.decel_mps2
+    share_s = LEAN_S + mps / (2.0 * decel_mps2) if mps > STANDS_MPS else 0.0
     return follower.then(now_s + follower.way_s + share_s) or follower.position

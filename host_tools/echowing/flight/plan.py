@@ -22,9 +22,9 @@ def planned(known: Known, follower: FollowerState, fix: LeaderFix, now_s: float)
     Position and velocity: the slot on its bar when the point reaches the vehicle. Position alone:
     a point ahead of the slot.
     """
-    settings, least_m = known.settings, 0.0
+    settings, least_m = known.settings, follower.reversal_m
     if settings.learn_offset:
-        least_m = _least_radius_m(known, follower, now_s)
+        least_m = max(least_m, _least_radius_m(known, follower, now_s))
     if settings.feed_forward:
         guided = _towed(known, follower, fix, now_s, least_m)
         guided = replace(guided, point=_joined_slowly(follower, guided.point, now_s))

@@ -22,6 +22,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from echowing.flight.engage import Engagement
 from echowing.flight.guard import Guard, Limits, is_flying, mode_name
 from echowing.flight.guidance import GuidanceSettings, LeaderFix
+from echowing.flight.handling import least_slot_m
 from echowing.flight.heights import Heights
 from echowing.flight.holds import Holds
 from echowing.flight.leader_track import LeaderTrack
@@ -36,6 +37,8 @@ from echowing.mavlink.messages import TOOL_SYSTEM_ID, is_nonsense, position_targ
 
 STALE = "leader is stale"
 DISTANCE_HZ = 5.0
+# A slot that has opened for a fast leader has closed again when it is less by this.
+SLACK_M = 0.3
 
 
 class FollowSession:
@@ -67,7 +70,7 @@ class FollowSession:
         self.engaged = engaged
         self.guard = None
         if limits is not None:
-            self.guard = Guard(limits, leader_id, self.followers, self._say)
+            self.guard = Guard(limits, leader_id, self.followers, self._say, self.alert)
         self.engagement: Engagement | None = None
         if limits is not None and limits.ready is not None:
             self.engagement = Engagement(limits.ready, leader_id, self.followers, self._say)
@@ -81,7 +84,7 @@ class FollowSession:
         strict = self.guard is not None
         self._trust = Trust(self.known, self._say, self.alert, doubt, strict=strict)
         self._holds = Holds(self.heights, self.guard)
-        self._spacing = Spacing(self.known, self.guard, self._say)
+        self._spacing = Spacing(self.known, self.guard, self._gives_way)
         wanted = positions(self.known, leader_rate_hz)
         if self.guard is not None:
             wanted += self.guard.requests()
@@ -118,6 +121,8 @@ class FollowSession:
         self, follower: FollowerState, kind: str, message: Any, now_s: float
     ) -> None:
         follower.ranged(kind, message, now_s, self.settings.sonar_inset_m)
+        if kind == "PARAM_VALUE":
+            follower.handling.receive(message.param_id, message.param_value)
         if kind == "GLOBAL_POSITION_INT":
             report = follower.reported(message, now_s)
             if report is not None:
@@ -175,7 +180,7 @@ class FollowSession:
         messages = self._requests.messages(now_s)
         if self.engagement is not None:
             self.engagement.prepare(self, now_s)
-            messages.extend(self.engagement.messages(now_s))
+            messages.extend(self.engagement.messages(self.followers, now_s))
         if self.take_offs is not None:
             messages.extend(self._lift(self.take_offs, now_s))
         for follower in self.followers.values():
@@ -215,12 +220,30 @@ class FollowSession:
             return follower.held_at
         if fix is None:
             return None
+        if self.engagement is not None and self.engagement.readiness.reversal:
+            self._allow_for_reversal(follower, fix, now_s)
         if follower.held_at is not None:
             self._let_go(follower, now_s)
         follower.guided = planned(self.known, follower, fix, now_s)
         if self.settings.feed_forward:
             follower.feed_mps = follower.guided.velocity_mps
         return follower.guided.point
+
+    def _allow_for_reversal(self, follower: FollowerState, fix: LeaderFix, now_s: float) -> None:
+        """A slot is never nearer than where the leader may turn round at the speed it has."""
+        speed_mps = round(fix.speed_mps, 1)
+        radius_m = follower.plan.slot.radius_m
+        follower.reversal_m = least_slot_m(speed_mps, follower.handling.answer)
+        opens = follower.reversal_m > radius_m
+        if opens and not follower.opens:
+            text = f"slot opens to {follower.reversal_m:.1f} m, leader at {speed_mps:.1f} m/s"
+            self.alert(follower.plan.system_id, text, mavlink.MAV_SEVERITY_NOTICE)
+            self._say(
+                now_s,
+                f"follower {follower.plan.system_id}: {text}: the least from which it gets away "
+                "should the leader turn round",
+            )
+        follower.opens = opens or (follower.opens and follower.reversal_m > radius_m - SLACK_M)
 
     def _command(self, follower: FollowerState, point: GlobalPosition, now_s: float) -> Any:
         if follower.held_at is None:
@@ -359,10 +382,17 @@ class FollowSession:
     def alert(
         self, system_id: int, text: str, severity: int = mavlink.MAV_SEVERITY_WARNING
     ) -> None:
-        """Show a follower's pilot on his display, in the field only, and whoever looks here."""
+        """Show it to a follower's and the leader's pilot, and whoever looks here; in the field."""
         if self.engagement is not None:
             self.alerts += 1
             self._hud.append((system_id, status_text(severity, f"Echowing: {text}")))
+            # Who leads has to know whom he has lost.
+            told = f"Echowing: {system_id} {text}"
+            self._hud.append((self.leader_id, status_text(severity, told)))
+
+    def _gives_way(self, system_id: int, name: str, now_s: float) -> None:
+        self.alert(system_id, f"gives way to {name}", mavlink.MAV_SEVERITY_NOTICE)
+        self._say(now_s, f"follower {system_id}: gives way to {name}")
 
     def _say(self, now_s: float, text: str) -> None:
         self.events.append((now_s, text))

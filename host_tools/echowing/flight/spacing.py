@@ -1,13 +1,14 @@
 """The envelope's place in a tick: who is about a follower, and what it may be commanded. Pure."""
 
 import math
+from collections.abc import Callable
 
-from echowing.flight.envelope import Answer, Other, is_in_the_way, keep_apart
+from echowing.flight.envelope import Other, is_in_the_way, keep_apart
 from echowing.flight.guard import Guard
 from echowing.flight.guidance import Horizontal, bearing_rad
 from echowing.flight.offset_grid import Wandering
 from echowing.flight.plan import POSITION_GAIN_PER_S
-from echowing.flight.state import FollowerState, Known, Say
+from echowing.flight.state import FollowerState, Known
 from echowing.geo import GlobalPosition, Ned, displace, distance_m, ned_between
 
 # Guided corrects a place off its own no faster than this.
@@ -21,10 +22,15 @@ UNRANGED_SIGMA_M = math.sqrt(2.0) * Wandering().sigma_m
 
 
 class Spacing:
-    """Keeps the followers of one session `least_m` from everybody; None: nothing is kept."""
+    """Keeps the followers of one session `min_separation_m` from everybody, where that is set.
 
-    def __init__(self, known: Known, guard: Guard | None, say: Say) -> None:
-        self._known, self._guard, self._say = known, guard, say
+    gives_way(system_id, name, now_s): for whose sake a follower is flown otherwise than planned.
+    """
+
+    def __init__(
+        self, known: Known, guard: Guard | None, gives_way: Callable[[int, str, float], None]
+    ) -> None:
+        self._known, self._guard, self._gives_way = known, guard, gives_way
         self._least_m = None if guard is None else guard.limits.min_separation_m
 
     def kept_apart(
@@ -36,7 +42,7 @@ class Spacing:
             return point
         wanted = _wanted_mps(here, point, follower.feed_mps)
         others = self._others(follower, here, now_s)
-        flown, other = keep_apart(wanted, others, Answer(), self._least_m)
+        flown, other = keep_apart(wanted, others, follower.handling.answer, self._least_m)
         self._give_way(follower, other, now_s)
         if other is None:
             return point
@@ -52,10 +58,10 @@ class Spacing:
     def _give_way(self, follower: FollowerState, other: Other | None, now_s: float) -> None:
         """Note, and say, for whose sake a follower is flown otherwise than planned."""
         name = None if other is None else other.name
-        begins = name is not None and name != follower.gives_way_to
-        if begins and now_s - follower.gave_way_at_s >= REMARK_GAP_S:
+        long_ago = now_s - follower.gave_way_at_s >= REMARK_GAP_S
+        if name is not None and name != follower.gives_way_to and long_ago:
             follower.gave_way_at_s = now_s
-            self._say(now_s, f"follower {follower.plan.system_id}: gives way to {name}")
+            self._gives_way(follower.plan.system_id, name, now_s)
         follower.gives_way_to = name
 
     def _others(self, follower: FollowerState, here: GlobalPosition, now_s: float) -> list[Other]:

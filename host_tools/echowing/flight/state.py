@@ -21,6 +21,7 @@ from echowing.flight.guidance import (
     is_stale,
     predicted,
 )
+from echowing.flight.handling import Handling
 from echowing.flight.jumps import OwnJump, RangeMemory
 from echowing.flight.leader_track import LeaderTrack, VehicleClock, is_late
 from echowing.flight.sonar import DETECTION_LIMIT_M
@@ -78,7 +79,9 @@ class FollowerState:
     it was put in Guided; sent_to: points might go to it at the last tick; position_at_s: when it
     was there, as far as TIMESYNC tells, else when the report came; feed_mps: the velocity to go
     with the point (north, east), None: none; yaw_rad: where it was last told to look; gives_way_to:
-    for whose sake it is not flown as planned; latched: why it is held until it leaves Guided.
+    for whose sake it is not flown as planned; latched: why it is held until it leaves Guided;
+    reversal_m: the nearest slot from which it gets away should the leader turn round now; opens: it
+    was said that the slot opens for that.
     """
 
     plan: FollowerPlan
@@ -88,7 +91,10 @@ class FollowerState:
     estimate: Estimate = field(default_factory=Estimate)
     ranges: RangeMemory = field(default_factory=RangeMemory)
     own_jump: OwnJump = field(default_factory=OwnJump)
+    handling: Handling = field(default_factory=Handling)
     latched: str | None = None
+    reversal_m: float = 0.0
+    opens: bool = False
     raw_at_s: float = -math.inf
     feed_mps: Horizontal | None = None
     yaw_rad: float | None = None

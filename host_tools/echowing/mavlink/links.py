@@ -31,9 +31,20 @@ MOST_PEERS = 64
 # A vehicle learns the time from our signatures within a second or two; one whose frames are
 # refused for longer has another key, or none.
 REFUSED_S = 3.0
+# A vehicle sends its heartbeat each second.
+SILENT_S = 3.0
+TAKEN = (
+    "nothing comes; a vehicle's TCP port often takes one tool at a time, "
+    "so see whether another is connected there"
+)
 
 _STILL_CONNECTING = {errno.EINPROGRESS, errno.EALREADY, errno.EWOULDBLOCK}
 _FORMS = "udpin:[HOST:]PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:[HOST:]PORT or a serial device"
+CONN = (
+    "udpin:PORT (on all addresses of this computer), udpin:HOST:PORT, udpout:HOST:PORT, "
+    "tcp:HOST:PORT, tcpin:[HOST:]PORT or a serial device"
+)
+"""What a connection is, for every verb's help."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,9 +81,9 @@ def parse_address(text: str, baud: int = DEFAULT_BAUD) -> Address:
         return _serial_address(text, baud)
     host, _, port = rest.rpartition(":")
     if not port.isdecimal() or not 1 <= int(port) <= 65_535:
-        raise EchowingError(f"link {text!r}: the port is a number from 1 to 65535 ({_FORMS})")
+        raise EchowingError(f"connection {text!r}: the port is a number from 1 to 65535 ({_FORMS})")
     if not host and kind in ("udpout", "tcp"):
-        raise EchowingError(f"link {text!r}: which host? Write {kind}:HOST:PORT")
+        raise EchowingError(f"connection {text!r}: which host? Write {kind}:HOST:PORT")
     here = EVERYWHERE if kind == "udpin" else LOOPBACK
     return Address(text, kind, host or here, int(port))
 
@@ -80,9 +91,9 @@ def parse_address(text: str, baud: int = DEFAULT_BAUD) -> Address:
 def _serial_address(text: str, baud: int) -> Address:
     device, comma, own_baud = text.partition(",")
     if not device.startswith("/") and not device.upper().startswith("COM"):
-        raise EchowingError(f"link {text!r}: no such kind; write {_FORMS}")
+        raise EchowingError(f"connection {text!r}: no such kind; write {_FORMS}")
     if comma and not own_baud.isdecimal():
-        raise EchowingError(f"link {text!r}: the baud rate after the comma is a number")
+        raise EchowingError(f"connection {text!r}: the baud rate after the comma is a number")
     return Address(text, "serial", device, baud=int(own_baud) if comma else baud)
 
 
@@ -364,7 +375,7 @@ class Link:
         self.connected = False
         self._transport: Transport | None = None
         self._parser = Parser(signing)
-        self._try_at_s = 0.0
+        self._try_at_s = self._opened_at_s = 0.0
         self._complaint = ""
         self._refused_since_s: float | None = None
         self._refusal_told = False
@@ -391,7 +402,7 @@ class Link:
         return None if self._transport is None else self._transport.fileno()
 
     def receive(self, now_s: float) -> list[Any]:
-        """The messages that have come; tries to connect where there is no connection."""
+        """The messages that have arrived; tries to connect where there is no connection."""
         if self._transport is None and not self._connect(now_s):
             return []
         messages: list[Any] = []
@@ -404,6 +415,8 @@ class Link:
             self._lost(error, now_s)
         if messages and not self.connected:
             self._heard()
+        elif self.address.kind == "tcp" and not self.connected:
+            self._complain_of_silence(now_s)
         return messages
 
     def send(self, frame: bytes, now_s: float) -> None:
@@ -430,7 +443,15 @@ class Link:
         except (OSError, OverflowError, ValueError) as error:
             self._complain(error)
         self._parser = Parser(self.signing)
+        self._opened_at_s = now_s
         return self._transport is not None
+
+    def _complain_of_silence(self, now_s: float) -> None:
+        """Say once that a vehicle that should send each second sends nothing."""
+        silent = self._transport is not None and now_s - self._opened_at_s >= SILENT_S
+        if silent and self._complaint != TAKEN:
+            self._complaint = TAKEN
+            self.news.append(f"link {self.name}: {TAKEN}")
 
     def _heard(self) -> None:
         self.connected = True
@@ -444,8 +465,11 @@ class Link:
         self._try_at_s = now_s + RETRY_S
 
     def _complain(self, error: Exception) -> None:
-        """Say why there is no connection, once a reason."""
+        """Say why there is no connection, once per reason."""
         reason = _reason(error)
+        hung_up = getattr(error, "errno", None) == errno.ECONNRESET
+        if hung_up and self.address.kind == "tcp" and not self.connected:
+            reason = TAKEN
         if self.connected or reason != self._complaint:
             self._complaint = reason
             self.news.append(f"link {self.name}: {reason}; trying again every {RETRY_S:g} s")

@@ -4,6 +4,7 @@ import argparse
 import json
 from typing import Any
 
+from echowing.mavlink.links import CONN
 from echowing.rig.ports import USB_BAUD
 
 
@@ -13,8 +14,7 @@ def add_common_options(parser: argparse.ArgumentParser) -> None:
         "--port",
         metavar="CONN",
         default=argparse.SUPPRESS,
-        help="where the board is: a serial device, tcp:HOST:PORT, tcpin:[HOST:]PORT, "
-        "udpin:[HOST:]PORT or udpout:HOST:PORT (default: the only serial port on USB)",
+        help=f"where the board is: {CONN} (default: the only serial port on USB)",
     )
     parser.add_argument(
         "--baud",

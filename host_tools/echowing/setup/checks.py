@@ -289,7 +289,7 @@ def _applet(readout: Readout) -> Iterator[Finding]:
             Verdict.WRONG,
             error,
             "a script has failed, in the autopilot's own words; it refuses to arm",
-            "where it names echowing.lua: echowing setup lua --connect …; where another script, "
+            "where it names echowing.lua: echowing setup lua --vehicle …; where another script, "
             "take that off the card; where memory, SCR_HEAP_SIZE; then restart the autopilot",
         )
     elif enabled is None:
@@ -310,7 +310,7 @@ def _applet(readout: Readout) -> Iterator[Finding]:
 
 def _why_absent(readout: Readout) -> tuple[str, str, str]:
     """What is found, why, and what to do where there are no ECHO_ parameters."""
-    upload = "echowing setup lua --connect …, or echowing setup apply"
+    upload = "echowing setup lua --vehicle …, or echowing setup apply"
     if readout.parameters.get("SCR_ENABLE") == 0.0:
         why, fix = "scripts run only while SCR_ENABLE is 1", f"param set SCR_ENABLE 1; or {APPLY}"
         return "does not run: scripting is off", why, f"{fix}; then restart the autopilot"
@@ -332,7 +332,7 @@ def _applet_file(readout: Readout) -> Iterator[Finding]:
             Verdict.WRONG,
             "another version than this checkout's",
             "tools and applet belong together",
-            "echowing setup lua --connect …, or echowing setup apply",
+            "echowing setup lua --vehicle …, or echowing setup apply",
         )
 
 

@@ -117,6 +117,9 @@ class Autopilot:
         self.links: dict[str, SerialLink] = {}
         self.rc_us = list(_RC_US)
         self.dataflash: DataflashLog | None = None
+        self.texts: list[tuple[float, str]] = []
+        """What it has said, with the flight's time: for whoever judges a flight."""
+        self.named_floats: dict[str, float] = {}
         self.script: LuaHost | None = None
         self._script_path: Path | None = None
         self._files = FtpServer(None)
@@ -252,6 +255,15 @@ class Autopilot:
         """Put a script on the SD card and start it, unless SCR_ENABLE is 0."""
         self._script_path = path
         self._start_script(path)
+
+    def kill_script(self) -> None:
+        """The script that runs is gone, as scripting out of memory leaves it; nothing else is."""
+        self.script = None
+        self._inbox.clear()
+
+    def restart_scripting(self) -> None:
+        """Start the script on the card again, as the scripting engine's restart does."""
+        self._restart_scripting()
 
     def insert_card(self, card: Path, capacity_bytes: int | None = None) -> None:
         """Use a folder as SD card: files over MAVLink go there, and its Echowing applet runs.
@@ -639,6 +651,7 @@ class Autopilot:
 
     def send_text(self, severity: int, text: str) -> None:
         """STATUSTEXT on every link (kept for links where nobody has been heard yet), and MSG."""
+        self.texts.append((self._boot_s + self._t_s, text))
         for message in self._text_messages(severity, text):
             for port in self._ports.values():
                 port.held.append(message)
@@ -659,6 +672,7 @@ class Autopilot:
 
     def send_named_float(self, name: str, value: float) -> None:
         """NAMED_VALUE_FLOAT on the links where somebody has been heard."""
+        self.named_floats[name] = value
         message = mavlink.MAVLink_named_value_float_message(
             self.millis() & 0xFFFFFFFF, name[:10].encode(), value
         )

@@ -12,10 +12,11 @@ from typing import Any, ClassVar
 from pymavlink.dialects.v20 import common as mavlink
 
 from echowing.errors import EchowingError
+from echowing.flight.sonar import PAN_CENTRE_US, TILT_CENTRE_US
 from echowing.sim import firmware
 from echowing.sim.coprocessor import USB_PORT, SonarBus
 from echowing.sim.emulated import EMULATORS, EmulatedBoard
-from echowing.sim.sonar import PAN_CENTRE_US, TILT_CENTRE_US, MaxSonar
+from echowing.sim.sonar import MaxSonar
 
 _NOISE_STEPS = 1024
 

@@ -7,11 +7,10 @@ import time
 from collections.abc import Callable, Mapping
 
 from echowing.errors import EchowingError
+from echowing.flight.sonar import PAN_CENTRE_US, TILT_CENTRE_US
 from echowing.geo import Ned
 from echowing.sim.emulated import EmulatedBoard
 from echowing.sim.sonar import (
-    PAN_CENTRE_US,
-    TILT_CENTRE_US,
     Ear,
     Gimbal,
     MaxSonar,

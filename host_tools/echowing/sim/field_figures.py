@@ -15,7 +15,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from io import StringIO
 from pathlib import Path
 from typing import NamedTuple
@@ -35,6 +35,8 @@ from echowing.stopping import StopRequest
 from echowing.tool.panel import Row
 from echowing.tool.run import FollowOptions, FollowTool
 from echowing.tool.view import LiveView
+from echowing.web.live import LivePage
+from echowing.web.options import PageAddress
 
 MANY = 50
 SETTLE_S = 3.0
@@ -58,7 +60,7 @@ class FieldFigure(NamedTuple):
 
 
 def field_figures(seconds: float = 20.0) -> Iterator[FieldFigure]:
-    """Fly one follower at 20 Hz and fifty at 10 Hz, each so long; about a minute in all."""
+    """Fly one follower at 20 Hz, fifty at 10 Hz, and those with the page; 1.5 minutes in all."""
     alone = fly(1, 20.0, seconds)
     yield FieldFigure(
         "telemetry to wire, 1 follower, 99th percentile", 1e3 * alone.point_s(99), "ms", "under 1"
@@ -82,16 +84,41 @@ def field_figures(seconds: float = 20.0) -> Iterator[FieldFigure]:
     )
     yield FieldFigure(f"{name} asked for at 10 Hz: points to each", many.rate_hz, "Hz", "10")
     yield FieldFigure(f"{name} at 10 Hz: share of one core", 100.0 * many.share, "%", "under 100")
+    yield from _watched_figures(name, fly(MANY, 10.0, seconds, watched=True))
+
+
+def _watched_figures(name: str, flown: "Flown") -> Iterator[FieldFigure]:
+    """The same with the page in a browser that reads it all, and in one that reads nothing."""
+    name = f"{name} and the page"
+    yield FieldFigure(
+        f"{name}: telemetry to wire a point, 99th percentile",
+        1e3 * flown.point_s(99),
+        "ms",
+        "under 1",
+    )
+    yield FieldFigure(
+        f"{name}: until a turn's last point, 99th percentile",
+        1e3 * flown.turn_s(99),
+        "ms",
+        "under 100",
+    )
+    yield FieldFigure(f"{name}: points to each", flown.rate_hz, "Hz", "10")
+    yield FieldFigure(f"{name}: frames to the browser", flown.frames_hz, "Hz", "10")
+    yield FieldFigure(f"{name}: share of one core", 100.0 * flown.share, "%", "under 100")
 
 
 @dataclass(frozen=True)
 class Flown:
-    """What was measured: turns that sent points, how long each took and how many it sent."""
+    """What was measured: turns that sent points, how long each took and how many it sent.
+
+    frames_hz: of the page, to the browser that reads.
+    """
 
     turns: Sequence[tuple[float, int]]
     followers: int
     wall_s: float
     cpu_s: float
+    frames_hz: float = 0.0
 
     @property
     def rate_hz(self) -> float:
@@ -166,29 +193,47 @@ class _Measure(LiveView):
             self._stop.count += 1
 
 
-def fly(followers: int, rate_hz: float, seconds: float) -> Flown:
-    """Fly a fleet with the follow tool and measure it. Raises EchowingError where it will not."""
+def fly(followers: int, rate_hz: float, seconds: float, *, watched: bool = False) -> Flown:
+    """Fly a fleet with the follow tool and measure it. Raises EchowingError where it will not.
+
+    watched: with the page, in a browser that reads all of it and in one that reads nothing.
+    """
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     command = [sys.executable, "-m", "echowing.sim.fleet", str(port), str(followers)]
     with tempfile.TemporaryDirectory() as folder, subprocess.Popen(command) as fleet:
         try:
-            return _measured(followers, rate_hz, seconds, port, Path(folder))
+            options = _options(followers, rate_hz, port, Path(folder))
+            return _watched(options, seconds) if watched else _measured(options, seconds)
         finally:
             fleet.kill()
 
 
-def _measured(followers: int, rate_hz: float, seconds: float, port: int, folder: Path) -> Flown:
+def _watched(options: FollowOptions, seconds: float) -> Flown:
+    """With the page; who watches is a process of its own, as a browser is."""
+    page = LivePage(PageAddress(port=0), "follow")
+    command = [sys.executable, "-m", "echowing.sim.watcher", str(page.port)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as watcher:
+        try:
+            flown = _measured(options, seconds, page)
+            told, _ = watcher.communicate(b"", GIVE_UP_S)  # its input ends, and so it does
+        finally:
+            watcher.kill()
+            page.close()
+    return replace(flown, frames_hz=float(told))
+
+
+def _measured(options: FollowOptions, seconds: float, page: LivePage | None = None) -> Flown:
     links: list[_TimedLink] = []
 
     def timed(address: Address, signing: LinkSigning | None) -> Link:
         links.append(_TimedLink(address, signing))
         return links[-1]
 
-    stop = StopRequest()
+    stop, followers = StopRequest(), len(options.slots)
     view = _Measure(stop, seconds)
-    FollowTool(_options(followers, rate_hz, port, folder), view, stop, make_link=timed).run()
+    FollowTool(options, view, stop, make_link=timed, page=page).run()
     if view.begin is None or view.end is None:
         raise EchowingError(f"bench: {followers} followers were not all followed")
     (begin_s, begin_cpu_s), (end_s, end_cpu_s) = view.begin, view.end

@@ -11,7 +11,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from echowing.analysis.flight import Flight
 from echowing.flight.engage import Readiness
@@ -19,9 +18,11 @@ from echowing.flight.formation import turning_together
 from echowing.flight.guard import FIELD_LIMITS, Limits
 from echowing.flight.guidance import MOVING_MPS, slot_offset_m
 from echowing.flight.session import FollowSession
-from echowing.flight.state import FollowerPlan
-from echowing.geo import GlobalPosition, Ned, displace, ned_between
+from echowing.flight.state import FollowerPlan, FollowerState
+from echowing.flight.switch import StopSwitch
+from echowing.geo import Ned, ned_between
 from echowing.sim.autopilot import ORIGIN, Autopilot
+from echowing.sim.faults import SWITCH_CHANNEL, Faults
 from echowing.sim.ground import GroundStation
 from echowing.sim.hangar import FIRST_FOLLOWER_ID, LEADER_ID, Hangar
 from echowing.sim.pilots import Pilot
@@ -39,6 +40,8 @@ from echowing.sim.vehicles import LeaderPilot, MakeCoprocessor, SimFollower
 STEP_S = 0.02
 STEP_US = 20_000
 STEPS_PER_SAMPLE = 5  # 10 Hz
+SAMPLE_S = STEP_S * STEPS_PER_SAMPLE
+SWITCH_PULSE_US = 1700  # as README's example of a stop switch
 # Nothing further away than this can matter to a sonar that reports up to 7.65 m.
 HEARING_M = 9.0
 # Followers start this far outside their slots, as they would be flown up by hand.
@@ -97,7 +100,9 @@ class FormationWorld:
             vehicle.autopilot.step(t_s)
 
     def _make_follower(self, index: int) -> SimFollower:
-        slot = self.scenario.slots()[index]
+        slots = self.scenario.slots()
+        starts_at = self.scenario.formation.slots[index].starts_at
+        slot = slots[index if starts_at is None else starts_at - 1]
         slot = replace(slot, radius_m=slot.radius_m + JOIN_UP_M)
         body = self.leader.body
         north_m, east_m = slot_offset_m(slot, body.yaw_rad)
@@ -119,7 +124,8 @@ class FormationWorld:
             if other is not follower and _near(pose.position_ned_m, other.position_ned_m):
                 targets.append(Target(other.position_ned_m, STOCK_X8_RANGE_M))
                 others.append(other.pose())
-        return follower.ear.ping(t_s, pose, targets, (GROUND,), others)
+        targets += follower.reflector(pose)
+        return follower.heard(follower.ear.ping(t_s, pose, targets, (GROUND,), others))
 
 
 class FormationFlight(FormationWorld):
@@ -145,57 +151,71 @@ class FormationFlight(FormationWorld):
         self.closest_m = math.inf
         self.phases: dict[str, float] = {}
         self.ground = self._make_ground()
-        states = self.ground.session.followers
-        self._pilots = [
-            Pilot(follower.autopilot, partial(states.__getitem__, FIRST_FOLLOWER_ID + index))
+        self.pilots = [
+            Pilot(follower.autopilot, partial(self._state, FIRST_FOLLOWER_ID + index))
             for index, follower in enumerate(self.followers)
         ]
+        self.faults = Faults(scenario.fault, self)
         self._course_rad = 0.0
         self._commanded_slot_m: list[float] = []
         self.recorders = [
             Recorder(scenario.name, slot, scenario.law, seed) for slot in scenario.slots()
         ]
 
-    def run(self, progress: Progress | None = None) -> FlightResult:
-        """Fly it all. `progress` is told the simulated seconds flown, once a second."""
+    def run(
+        self, progress: Progress | None = None, after_step: Callable[[], None] | None = None
+    ) -> FlightResult:
+        """Fly it all. `progress` is told the simulated seconds flown, once a second.
+
+        `after_step` is called after each step, for whoever watches.
+        """
         started_s = time.perf_counter()
         steps = round(self.scenario.duration_s / STEP_S)
         while self._step < steps:
             self.step()
+            if after_step is not None:
+                after_step()
             if progress is not None and self._step % 50 == 0:
                 progress(self.t_s)
         return self._result(time.perf_counter() - started_s)
 
     def step(self) -> None:
         """One world step of 20 ms, and what the ground makes of it."""
+        self.faults.step(self.t_s)
         super().step()
         self.ground.links[LEADER_ID].down.silent = self.pilot.silent
         self.ground.step(self.t_s)
-        for pilot in self._pilots:
+        for pilot in self.pilots:
             pilot.step(self.t_s)
         self._watch()
         if self._step % STEPS_PER_SAMPLE == 0:
             self._record()
 
-    def _make_ground(self) -> GroundStation:
+    def _state(self, system_id: int) -> FollowerState:
+        return self.ground.session.followers[system_id]
+
+    def new_session(self) -> FollowSession:
+        """A session as the ground tool begins one."""
         scenario = self.scenario
         plans = [
             FollowerPlan(FIRST_FOLLOWER_ID + i, slot, scenario.leader.altitude_m)
             for i, slot in enumerate(scenario.slots())
         ]
-        session = FollowSession(
+        return FollowSession(
             LEADER_ID,
             plans,
             turning_together(scenario.slots(), scenario.guidance.settings()),
             leader_rate_hz=scenario.guidance.telemetry_hz,
             limits=None if scenario.guidance.gray else _limits(scenario),
         )
+
+    def _make_ground(self) -> GroundStation:
+        scenario = self.scenario
         links = {LEADER_ID: self._hangar.telemetry(self.leader, "leader", scenario.radio.leader)}
-        for plan, follower in zip(plans, self.followers, strict=True):
-            name = f"follower-{plan.system_id}"
-            links[plan.system_id] = self._hangar.telemetry(follower, name, scenario.radio.follower)
-        fault = self._north_south_fault if scenario.fault.north_south_offset else None
-        return GroundStation(session, links, scenario.guidance.rate_hz, fault)
+        for system_id, follower in enumerate(self.followers, FIRST_FOLLOWER_ID):
+            name = f"follower-{system_id}"
+            links[system_id] = self._hangar.telemetry(follower, name, scenario.radio.follower)
+        return GroundStation(self.new_session(), links, scenario.guidance.rate_hz)
 
     def _watch(self) -> None:
         """Keep the least distance between any two vehicles, and by part of the script."""
@@ -260,28 +280,10 @@ class FormationFlight(FormationWorld):
             closest_m=self.closest_m,
             phases=self.phases,
             commanded_slot_m=self._commanded_slot_m,
-            events=self.ground.session.events,
+            events=self.ground.events,
             simulated_s=self.t_s,
             wall_s=wall_s,
         )
-
-    def _north_south_fault(self, message: Any) -> Any:
-        """The thesis's frame fault (4.3.2.1): on north and south courses the slot is abeam.
-
-        The follower sat well behind the leader on east and west courses and beside it on north
-        and south ones; so here the point is turned about the leader by 90 degrees on those.
-        """
-        fix = self.ground.session.leader.fix
-        if message.get_type() != "SET_POSITION_TARGET_GLOBAL_INT" or fix is None:
-            return message
-        if abs(fix.velocity_ned_mps[0]) <= abs(fix.velocity_ned_mps[1]):
-            return message
-        centre = fix.position
-        point = GlobalPosition(message.lat_int / 1e7, message.lon_int / 1e7, centre.alt_m)
-        north_m, east_m, _ = ned_between(centre, point)
-        turned = displace(centre, (-east_m, north_m, 0.0))
-        message.lat_int, message.lon_int = round(turned.lat_deg * 1e7), round(turned.lon_deg * 1e7)
-        return message
 
 
 def _limits(scenario: Scenario) -> Limits:
@@ -297,7 +299,9 @@ def _limits(scenario: Scenario) -> Limits:
         height_told=True,
     )
     leader_flies = scenario.leader.path not in ("walk", "track")
-    return replace(FIELD_LIMITS, leader_flies=leader_flies, ready=told)
+    switched = any(fault.kind == "stop_switch" for fault in scenario.fault)
+    switch = StopSwitch(SWITCH_CHANNEL, SWITCH_PULSE_US) if switched else None
+    return replace(FIELD_LIMITS, leader_flies=leader_flies, ready=told, switch=switch)
 
 
 def speed_parameter_mps(autopilot: Autopilot) -> float | None:

@@ -33,8 +33,8 @@ _HEARD = {
 }
 _V2_MAGIC, _V2_HEADER, _V2_CHECKSUM, _V2_SIGNATURE = 0xFD, 10, 2, 13
 
-# Changes what is sent to a follower: a fault of the scenario.
-Fault = Callable[[Any], Any]
+# An operator's tool that ends waits so long for its followers to stand (tool/run.py).
+ENDING_S = 10.0
 
 
 def frames(data: bytes) -> Iterator[bytes]:
@@ -52,8 +52,13 @@ def message_id(frame: bytes) -> int:
     return int.from_bytes(frame[7:10], "little")
 
 
+# What passes on a link ("sent" to the vehicle, "delivered" to it, "arrived" from it), when, and the
+# frame.
+Tap = Callable[[str, float, bytes], None]
+
+
 class Telemetry:
-    """One vehicle's radio link, both ways, and its .tlog."""
+    """One vehicle's radio link, both ways, and its .tlog. A `tap` is shown what passes."""
 
     def __init__(
         self, autopilot: Autopilot, down: Radio, up: Radio, log: BinaryIO | None = None
@@ -61,6 +66,7 @@ class Telemetry:
         self.autopilot = autopilot
         self.down = down
         self.up = up
+        self.tap: Tap | None = None
         self._log = log
         autopilot.add_link(TELEMETRY)
 
@@ -73,17 +79,24 @@ class Telemetry:
         arrived = self.down.receive(t_s)
         for frame in arrived:
             self._record(t_s, frame)
+            self._show("arrived", t_s, frame)
         return arrived
 
     def deliver(self, t_s: float) -> None:
         """Hand the vehicle what has reached it."""
         for packet in self.up.receive(t_s):
+            self._show("delivered", t_s, packet)
             self.autopilot.receive(TELEMETRY, packet)
 
     def send(self, t_s: float, frame: bytes) -> None:
         """Send a frame from the ground."""
         self._record(t_s, frame)
+        self._show("sent", t_s, frame)
         self.up.send(t_s, frame)
+
+    def _show(self, what: str, t_s: float, frame: bytes) -> None:
+        if self.tap is not None:
+            self.tap(what, t_s, frame)
 
     def _record(self, t_s: float, frame: bytes) -> None:
         if self._log is not None:
@@ -102,39 +115,61 @@ def open_log(folder: Path | None, name: str) -> BinaryIO | None:
 
 
 class GroundStation:
-    """Runs a follow session over simulated radios."""
+    """Runs a follow session over simulated radios.
 
-    def __init__(
-        self,
-        session: FollowSession,
-        links: dict[int, Telemetry],
-        rate_hz: float,
-        fault: Fault | None = None,
-    ) -> None:
+    running: the tool is; `distort` changes what it sends, a fault; `events`: what it has said, and
+    what those before it have.
+    """
+
+    def __init__(self, session: FollowSession, links: dict[int, Telemetry], rate_hz: float) -> None:
         self.session = session
+        self.running = True
+        self.distort: Callable[[Any], Any] | None = None
+        self._ends_s: float | None = None
+        self._former_events: list[tuple[float, str]] = []
         self.links = links
         self._period_s = 1.0 / rate_hz
         self._due_s = 0.0
-        self._fault = fault
         self._heard = set(_HEARD)
         if session.settings.feed_forward:
             self._heard.add(mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR)
         self._mav = mavlink.MAVLink(None, srcSystem=TOOL_SYSTEM_ID, srcComponent=TOOL_COMPONENT_ID)
         self._mav.robust_parsing = True
 
+    @property
+    def events(self) -> list[tuple[float, str]]:
+        """All that was said on the ground, with its time."""
+        return self._former_events + self.session.events
+
+    def end(self, t_s: float) -> None:
+        """The operator ends the tool: it stops the followers, and then itself."""
+        self.session.stop("the tool ends")
+        self._ends_s = t_s + ENDING_S
+
+    def start(self, session: FollowSession) -> None:
+        """The operator starts the tool anew."""
+        self._former_events = self.events
+        self.session, self.running, self._ends_s = session, True, None
+
     def step(self, t_s: float) -> None:
         """Receive what has come, and send when it is time."""
         for link in self.links.values():
             link.deliver(t_s)
             for frame in link.collect(t_s):
-                if message_id(frame) in self._heard:
+                if self.running and message_id(frame) in self._heard:
                     self.session.receive(self._mav.decode(bytearray(frame)), t_s)
         if t_s >= self._due_s - 1e-9:
             self._due_s += self._period_s
-            self._send(t_s)
+            if self.running:
+                self._send(t_s)
+                self._end_once_all_stand(t_s)
+
+    def _end_once_all_stand(self, t_s: float) -> None:
+        if self._ends_s is not None and (self.session.stopped(t_s) or t_s >= self._ends_s):
+            self.running = False
 
     def _send(self, t_s: float) -> None:
         for system_id, message in self.session.tick(t_s):
-            wanted = self._fault(message) if self._fault else message
+            wanted = self.distort(message) if self.distort else message
             self.links[system_id].send(t_s, bytes(wanted.pack(self._mav)))
             self._mav.seq = (self._mav.seq + 1) % 256

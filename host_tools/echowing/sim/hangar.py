@@ -3,6 +3,7 @@
 import math
 import random
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -83,7 +84,7 @@ class Hangar:
         wind = self._wind(f"follower {index}", body)
         follower = SimFollower(
             body,
-            self._autopilot(body, FIRST_FOLLOWER_ID + index, self._parameters(speed_mps)),
+            self._autopilot(body, FIRST_FOLLOWER_ID + index, self._parameters(index, speed_mps)),
             drift,
             listen=listen,
             make_coprocessor=self._make_coprocessor,
@@ -103,7 +104,7 @@ class Hangar:
             log=open_log(self._out, name),
         )
 
-    def _parameters(self, speed_mps: float) -> dict[str, float]:
+    def _parameters(self, index: int, speed_mps: float) -> dict[str, float]:
         scenario = self.scenario
         modern = scenario.follower.autopilot_generation() in (Generation.V4_7, Generation.V4_8)
         speed = {"WP_SPD": speed_mps} if modern else {"WPNAV_SPEED": speed_mps * 100.0}
@@ -117,6 +118,8 @@ class Hangar:
         applet: dict[str, float] = {}
         if scenario.law != "none":
             applet = {"ECHO_ENABLE": 1.0, "ECHO_LAW": LAWS[scenario.law], **scenario.applet}
+            echo_dist_m = scenario.formation.slots[index].echo_dist_m
+            applet |= {} if echo_dist_m is None else {"ECHO_DIST": echo_dist_m}
         return {
             "RNGFND1_TYPE": 10.0,
             "RNGFND1_ORIENT": 0.0,
@@ -137,7 +140,22 @@ class Hangar:
         )
 
     def _tuning(self) -> Tuning:
-        return tuning_of(self.scenario.follower.autopilot_generation())
+        """ArduCopter's defaults on SITL's quad, with the scenario's airframe.
+
+        Of the drag the rotors' share goes with the root of the mass, the body's with the mass.
+        """
+        usual = tuning_of(self.scenario.follower.autopilot_generation())
+        frame = self.scenario.airframe
+        return replace(
+            usual,
+            drag_per_s=usual.drag_per_s * frame.drag / math.sqrt(frame.mass),
+            drag_per_m=usual.drag_per_m * frame.drag / frame.mass,
+            rate_s=usual.rate_s * frame.lag,
+            thrust_lag_s=usual.thrust_lag_s * frame.lag,
+            velocity_p=usual.velocity_p * frame.gain,
+            velocity_i=usual.velocity_i * frame.gain,
+            velocity_d=usual.velocity_d * frame.gain,
+        )
 
     def _native(self, bus: Any, system_id: int) -> NativeCoprocessor:
         parameters = board_parameters(system_id, self.scenario)

@@ -28,6 +28,9 @@ _NAMES = {number: name for name, number in MODES.items()}
 # Modes in which arming makes sense to the autopilot (Mode::allows_arming).
 _ARMABLE = {STABILIZE, ALT_HOLD, GUIDED, LOITER, POSHOLD}
 
+# Modes that need a position (Mode::requires_position): where it is lost, they end in Land.
+POSITIONED = {AUTO, GUIDED, LOITER, RTL, POSHOLD, BRAKE}
+
 # AP_Arming.h
 _CHECK_ALL = 1
 _CHECK_RANGEFINDER = 1 << 15
@@ -309,6 +312,11 @@ class FlightModes:
         if self.mode in (AUTO, RTL):
             self._arrive(t_s)
         self._watch_ground_station(t_s)
+
+    def ekf_failsafe(self) -> None:
+        """The estimator has no position left: land (FS_EKF_ACTION 1, ArduCopter/ekf_check.cpp)."""
+        self._say(mavlink.MAV_SEVERITY_CRITICAL, "EKF Failsafe: changed to LAND Mode")
+        self._enter(LAND)
 
     def _complain(self, t_s: float) -> None:
         if t_s - self._told_s < _PREARM_TEXT_PERIOD_S:

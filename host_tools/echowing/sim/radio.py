@@ -12,7 +12,8 @@ class RadioSettings:
 
     latency_s: from in to out; jitter_s: added, evenly spread from 0; loss: share of packets that
     never arrive; bandwidth_bytes_ps: what it carries (None: anything); reorder: share of packets
-    delayed by `reorder_s` more, so that later ones overtake them.
+    delayed by `reorder_s` more, so that later ones overtake them; duplicate: share that arrives
+    twice, the second time with the delay of another packet.
     """
 
     latency_s: float = 0.0
@@ -21,6 +22,7 @@ class RadioSettings:
     bandwidth_bytes_ps: float | None = None
     reorder: float = 0.0
     reorder_s: float = 0.3
+    duplicate: float = 0.0
 
 
 class Radio:
@@ -28,7 +30,8 @@ class Radio:
 
     def __init__(self, settings: RadioSettings, rng: random.Random) -> None:
         self.settings = settings
-        self.silent = False  # a fault: nothing gets through
+        self.silent = False  # the vehicle's radio is off: nothing gets through
+        self.outage = False  # a fault in between, with the same effect
         self._rng = rng
         self._flying: list[tuple[float, int, bytes]] = []
         self._number = count()
@@ -38,8 +41,14 @@ class Radio:
     def send(self, t_s: float, packet: bytes) -> None:
         """Put a packet in at `t_s`."""
         settings = self.settings
-        if self.silent or (settings.loss and self._rng.random() < settings.loss):
+        if self.silent or self.outage or (settings.loss and self._rng.random() < settings.loss):
             return
+        self._carry(t_s, packet)
+        if settings.duplicate and self._rng.random() < settings.duplicate:
+            self._carry(t_s, packet)
+
+    def _carry(self, t_s: float, packet: bytes) -> None:
+        settings = self.settings
         arrives_s = self._sent_at(t_s, len(packet)) + settings.latency_s
         if settings.jitter_s:
             arrives_s += self._rng.uniform(0.0, settings.jitter_s)

@@ -8,17 +8,15 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, Field, ValidationError, model_validator
 
 from echowing.errors import EchowingError
 from echowing.flight.formation import DEFAULT_SLOT_SEPARATION_M, check_formation
 from echowing.flight.guidance import GRAY, GuidanceSettings, Slot
+from echowing.sim.fault_section import LEADER_FAULTS, FaultSection, objection
 from echowing.sim.parameters import Generation
 from echowing.sim.radio import RadioSettings
-
-Share = Annotated[float, Field(ge=0.0, le=1.0)]
-Positive = Annotated[float, Field(gt=0.0)]
-NotNegative = Annotated[float, Field(ge=0.0)]
+from echowing.sim.section import NotNegative, Positive, Section, Share
 
 # The names of the speed laws, and the applet's number for each (lua/echowing.md).
 LAWS = {"thesis": 0, "bands": 1, "continuous": 2}
@@ -28,11 +26,7 @@ LeaderPath = Literal[
 LawName = Literal["none", "thesis", "bands", "continuous"]
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class LeaderEvent(_Section):
+class LeaderEvent(Section):
     """Something the leader does, from `at_s` on.
 
     auto: its mission; goto: Auto to `point_ned_m` at `speed_mps`, braking and turning as Auto does;
@@ -51,7 +45,7 @@ class LeaderEvent(_Section):
     jump_ned_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
-class LeaderSection(_Section):
+class LeaderSection(Section):
     """The leader's path: an Auto mission, a script, a walk, or a recorded track."""
 
     path: LeaderPath = "rectangle"
@@ -75,26 +69,32 @@ class LeaderSection(_Section):
         return self
 
 
-class SlotSection(_Section):
-    """One follower's place: radius, angle off the tail (counter-clockwise), altitude step."""
+class SlotSection(Section):
+    """One follower's place: radius, angle off the tail (counter-clockwise), altitude step.
+
+    echo_dist_m: its applet's ECHO_DIST, where it is not `[applet]`'s. starts_at: the number of the
+    slot (from 1) that it starts behind, where that is not its own.
+    """
 
     radius_m: Positive
     angle_deg: Annotated[float, Field(ge=-90.0, le=90.0)] = 0.0
     altitude_step_m: float = 0.0
+    echo_dist_m: Positive | None = None
+    starts_at: Annotated[int, Field(ge=1)] | None = None
 
     def slot(self) -> Slot:
         """The slot in radians."""
         return Slot(self.radius_m, math.radians(self.angle_deg), self.altitude_step_m)
 
 
-class FormationSection(_Section):
+class FormationSection(Section):
     """Who flies where."""
 
     slots: Annotated[tuple[SlotSection, ...], Field(min_length=1)] = (SlotSection(radius_m=3.0),)
     slot_separation_m: Positive = DEFAULT_SLOT_SEPARATION_M
 
 
-class GuidanceSection(_Section):
+class GuidanceSection(Section):
     """How guided points are made; see `echowing.flight.guidance.GuidanceSettings`."""
 
     rate_hz: Annotated[float, Field(gt=0.0, le=20.0)] = 8.0
@@ -133,7 +133,7 @@ class GuidanceSection(_Section):
         )
 
 
-class GpsSection(_Section):
+class GpsSection(Section):
     """Drift of the estimated position, first-order Gauss-Markov.
 
     `sigma_m`: each horizontal axis. `vertical_sigma_m`: the height. It is 0 because ArduCopter
@@ -148,7 +148,7 @@ class GpsSection(_Section):
     vertical_sigma_m: NotNegative = 0.0
 
 
-class WindSection(_Section):
+class WindSection(Section):
     """Wind that copters fly in; see `echowing.sim.wind.Wind`.
 
     `direction_deg` is where it comes from, as SIM_WIND_DIR. The default turbulence is what
@@ -160,7 +160,7 @@ class WindSection(_Section):
     turbulence: Share = 0.19
 
 
-class RadioSection(_Section):
+class RadioSection(Section):
     """One link, both ways alike."""
 
     latency_s: NotNegative = 0.0
@@ -169,42 +169,46 @@ class RadioSection(_Section):
     bandwidth_bytes_ps: Positive | None = None
     reorder: Share = 0.0
     reorder_s: NotNegative = 0.3
+    duplicate: Share = 0.0
 
     def settings(self) -> RadioSettings:
         """The same for the radio model."""
         return RadioSettings(**self.model_dump())
 
 
-class RadiosSection(_Section):
+class RadiosSection(Section):
     """The leader's link carries its telemetry 0.46 s late (thesis 4.2.3, measured by Gray)."""
 
     leader: RadioSection = RadioSection(latency_s=0.46)
     follower: RadioSection = RadioSection(latency_s=0.05)
 
 
-class FollowerSection(_Section):
+class FollowerSection(Section):
     """The followers' autopilots."""
 
     generation: Literal["4.5", "4.6", "4.7", "4.8"] = "4.8"
     speed_mps: Positive = 5.0
-    parameters: dict[str, float] = {}
+    parameters: dict[str, float] = Field(default_factory=dict)
 
     def autopilot_generation(self) -> Generation:
         """Which ArduCopter."""
         return Generation(self.generation)
 
 
-class FaultSection(_Section):
-    """Faults that live in the flight, never in the guidance.
+class AirframeSection(Section):
+    """How the vehicles differ from SITL's quad, as factors.
 
-    north_south_swap: the thesis's frame fault (4.3.2.1): the slot is turned by 90 degrees
-    while the leader flies north or south.
+    mass and drag: of the airframe. lag: of the time from a wanted lean to the lean, and of the
+    motors'. gain: of the velocity controller, PSC_NE_VEL_P, I and D.
     """
 
-    north_south_offset: bool = False
+    mass: Positive = 1.0
+    drag: Positive = 1.0
+    lag: Positive = 1.0
+    gain: Positive = 1.0
 
 
-class WallSection(_Section):
+class WallSection(Section):
     """A wall across the follower's way (thesis 4.2.2)."""
 
     distance_m: Positive = 20.0
@@ -213,7 +217,7 @@ class WallSection(_Section):
     altitude_m: Positive = 2.0
 
 
-class Scenario(_Section):
+class Scenario(Section):
     """One flight to be flown."""
 
     name: str = ""
@@ -227,12 +231,13 @@ class Scenario(_Section):
     formation: FormationSection = FormationSection()
     guidance: GuidanceSection = GuidanceSection()
     follower: FollowerSection = FollowerSection()
-    applet: dict[str, float] = {}
-    coprocessor: dict[str, float] = {}
+    applet: dict[str, float] = Field(default_factory=dict)
+    coprocessor: dict[str, float] = Field(default_factory=dict)
     gps: GpsSection = GpsSection()
     wind: WindSection = WindSection()
     radio: RadiosSection = RadiosSection()
-    fault: FaultSection = FaultSection()
+    airframe: AirframeSection = AirframeSection()
+    fault: tuple[FaultSection, ...] = ()
     wall: WallSection = WallSection()
 
     @model_validator(mode="after")
@@ -242,6 +247,19 @@ class Scenario(_Section):
                 f"duration_s ({self.duration_s:g}) must be more than settle_s ({self.settle_s:g}), "
                 "the seconds left out of the figures"
             )
+        wrong = objection(self.fault, len(self.formation.slots), self.duration_s)
+        if wrong is not None:
+            raise ValueError(wrong)
+        if self.fault and self.kind == "wall":
+            raise ValueError("a flight at a wall takes no faults")
+        carried = self.leader.path in ("walk", "track")
+        if carried and any(fault.kind in LEADER_FAULTS for fault in self.fault):
+            raise ValueError(
+                f"a leader on a {self.leader.path} does nothing else: remove its faults"
+            )
+        starts = [slot.starts_at or n for n, slot in enumerate(self.formation.slots, 1)]
+        if sorted(starts) != list(range(1, len(starts) + 1)):
+            raise ValueError("starts_at: two followers would start at one slot, or at none")
         return self
 
     def slots(self) -> list[Slot]:
@@ -268,7 +286,7 @@ def load_scenario(name_or_path: str, changes: Iterable[str] = ()) -> Scenario:
     for change in changes:
         _apply(table, change)
     table.setdefault("name", name)
-    return _validated(table, source)
+    return scenario_of(table, source)
 
 
 def _read(name_or_path: str) -> tuple[str, str, str]:
@@ -304,7 +322,8 @@ def _apply(table: dict[str, Any], change: str) -> None:
     table[last] = value
 
 
-def _validated(table: Mapping[str, Any], source: str) -> Scenario:
+def scenario_of(table: Mapping[str, Any], source: str) -> Scenario:
+    """A scenario from what its file says; EchowingError names the source and the key."""
     try:
         scenario = Scenario.model_validate(table)
     except ValidationError as error:

@@ -4,20 +4,47 @@ from contextlib import closing
 from pathlib import Path
 
 from echowing.errors import EchowingError
+from echowing.geo import Ned
 from echowing.sim.flight import FormationWorld
 from echowing.sim.ground import TELEMETRY
+from echowing.sim.guided import SubMode
 from echowing.sim.hangar import Hangar
+from echowing.sim.modes import GUIDED
+from echowing.sim.page import WorldOnPage
 from echowing.sim.parked import ParkedHangar, ParkedWorld, insert_cards
-from echowing.sim.scenario import Scenario
+from echowing.sim.scenario import FormationSection, Scenario
 from echowing.sim.serve import Endpoint, Server
-from echowing.sim.vehicles import LeaderPilot, SimVehicle
+from echowing.sim.vehicles import LeaderPilot, SimFollower, SimVehicle
 from echowing.stopping import stop_on_signals
+from echowing.tool.run import Page
 
 # Ports of one vehicle, as SITL lays them out: the next vehicle 10 on, a second link 2 on.
 VEHICLE_PORTS = 10
 PILOT_PORT = 2
 PILOT_LINK = "pilot"
 HIGHEST_PORT = 65_535
+LED = (SubMode.POSITION, SubMode.POSITION_VELOCITY)
+
+
+class WaitingPilot(LeaderPilot):
+    """The leader's pilot, who sets out when the first follower flies to points in Guided."""
+
+    def __init__(self, world: FormationWorld) -> None:
+        super().__init__(world.leader, world.scenario.leader)
+        self._followers = world.followers
+        self._since_s: float | None = None
+
+    def step(self, t_s: float, follower: Ned) -> None:
+        """As `LeaderPilot.step`, counted from when he set out."""
+        if self._since_s is None and any(map(_is_led, self._followers)):
+            self._since_s = t_s
+        if self._since_s is not None:
+            super().step(t_s - self._since_s, follower)
+
+
+def _is_led(follower: SimFollower) -> bool:
+    modes = follower.autopilot.modes
+    return modes.mode == GUIDED and modes.guided.sub_mode in LED
 
 
 class SilencedLeader:
@@ -45,6 +72,7 @@ def serve(
     *,
     parked: bool = False,
     cards: Path | None = None,
+    page: Page | None = None,
 ) -> int:
     """Fly `scenario` in real time until Ctrl-C or SIGTERM; returns the exit code.
 
@@ -53,20 +81,27 @@ def serve(
 
     The leader's telemetry is on TCP `port` of this machine, each follower's 10 further on, and a
     second link of each vehicle, for the pilot's own ground station, 2 above its first. With a key
-    the telemetry is signed; the second link stays unsigned, as a vehicle's USB does.
+    the telemetry is signed; the second link stays unsigned, as a vehicle's USB does. `page` shows
+    the truth in a browser.
     Raises EchowingError for a port or a folder that cannot be had.
     """
     if scenario.kind != "formation":
         raise EchowingError(f"--serve: scenario {scenario.name} has no leader and followers")
+    if scenario.fault:
+        raise EchowingError(f"--serve: the faults of {scenario.name} are flown without it only")
     _check_ports(port, 1 + len(scenario.slots()))
     world = _world(scenario, seed, parked=parked)
     if cards is not None:
         insert_cards(world.followers, cards)
-    with closing(Server(lambda t_s: world.step())) as server, stop_on_signals() as stop:
+    step = world.step if page is None else WorldOnPage(world, page).step
+    with closing(Server(lambda t_s: step())) as server, stop_on_signals() as stop:
         _connect(server, world, port)
         if signing_key is not None:
             for vehicle in (world.leader, *world.followers):
                 vehicle.autopilot.sign_link(TELEMETRY, signing_key)
+        _say_how_to_go_on(scenario, port, parked=parked, signed=signing_key is not None)
+        if page is not None:
+            print(page.said, flush=True)
         server.run(stop)
     print("stopped", flush=True)
     return 0
@@ -75,7 +110,9 @@ def serve(
 def _world(scenario: Scenario, seed: int, *, parked: bool) -> FormationWorld:
     if parked:
         return ParkedWorld(scenario, ParkedHangar(scenario, seed))
-    return FormationWorld(scenario, Hangar(scenario, seed))
+    world = FormationWorld(scenario, Hangar(scenario, seed))
+    world.pilot = WaitingPilot(world)
+    return world
 
 
 def _check_ports(port: int, vehicles: int) -> None:
@@ -101,3 +138,51 @@ def _connect(server: Server, world: FormationWorld, port: int) -> None:
             f"  (the pilot's own ground station: tcp:127.0.0.1:{here + PILOT_PORT})",
             flush=True,
         )
+
+
+def _say_how_to_go_on(scenario: Scenario, port: int, *, parked: bool, signed: bool) -> None:
+    """Print the commands for another terminal."""
+    followers = [f"tcp:127.0.0.1:{port + VEHICLE_PORTS * (1 + i)}" for i in _indices(scenario)]
+    key = " --signing-key-file FILE" if signed else ""
+    if parked:
+        print("Nothing is set up on them. In another terminal, for each follower:")
+        for follower in followers:
+            print(f"  echowing setup apply --vehicle {follower} --serial 2 --restart{key}")
+        print("", end="", flush=True)
+        return
+    ends = " ".join(f"--follower {follower}" for follower in followers)
+    leader = f"--leader tcp:127.0.0.1:{port}"
+    print("To fly the formation, in another terminal:")
+    print(f"  echowing follow {leader} {ends} {_places(scenario, port)}{key} --engage")
+    print("The leader sets out when the first follower is led. Ctrl-C ends it.", flush=True)
+
+
+def _indices(scenario: Scenario) -> range:
+    return range(len(scenario.formation.slots))
+
+
+def _places(scenario: Scenario, port: int) -> str:
+    """The options of `follow` that say where; several slots go into a file."""
+    slots = scenario.formation.slots
+    alone = slots[0]
+    if len(slots) == 1 and alone.altitude_step_m == 0.0:
+        angle = "" if alone.angle_deg == 0.0 else f" --angle {alone.angle_deg:g}"
+        return f"--radius {alone.radius_m:g}{angle}"
+    path = Path("out") / f"formation-{port}.toml"
+    try:
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(_as_toml(scenario.formation), encoding="utf-8")
+    except OSError as error:
+        raise EchowingError(f"{path}: cannot be written: {error.strerror}") from error
+    return f"--formation {path}"
+
+
+def _as_toml(formation: FormationSection) -> str:
+    lines = [f"slot_separation_m = {formation.slot_separation_m}"]
+    for slot in formation.slots:
+        lines += [
+            "",
+            "[[slots]]",
+            *(f"{key} = {value}" for key, value in slot.model_dump().items()),
+        ]
+    return "\n".join(lines) + "\n"

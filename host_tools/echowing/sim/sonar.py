@@ -10,18 +10,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from echowing.analysis.thesis import TABLE_5
+from echowing.flight.sonar import PAN_CENTRE_US, SERVO_US_PER_DEG, TILT_CENTRE_US
 from echowing.geo import Ned
 
 # The beam of an MB1202 for a copter-sized target; the thesis gives none. Twenty degrees is what
 # the ArduCopter SITL formation flights were flown with.
 BEAM_HALF_ANGLE_DEG = 20.0
-# Usual for hobby servos (1000 us over about 90-100 degrees); the thesis gives none.
-SERVO_US_PER_DEG = 10.0
 # 0.12 s for 60 degrees: an ordinary micro servo at 5 V.
 SERVO_SLEW_DPS = 500.0
-# Gimbal straight ahead (thesis Appendix A, channels 6 and 7).
-PAN_CENTRE_US = 1380.0
-TILT_CENTRE_US = 1400.0
 
 STOCK_X8_RANGE_M = TABLE_5["MB1202"].stock_m
 FOIL_X8_RANGE_M = TABLE_5["MB1202"].foil_m
@@ -51,15 +47,19 @@ REFUSED_ADDRESSES = (0, 80, 164, 170)
 # What a read gives before the first command: part information, not a distance.
 PART_INFORMATION = b"\x12\x02"
 
-_COS_HALF_ANGLE = math.cos(math.radians(BEAM_HALF_ANGLE_DEG))
+BEAM_HALF_ANGLE_RAD = math.radians(BEAM_HALF_ANGLE_DEG)
 
 
 @dataclass(slots=True)
 class Pose:
-    """Where a sonar is: its vehicle's centre (NED metres) and the unit vector it looks along."""
+    """Where a sonar is: its vehicle's centre (NED metres) and the unit vector it looks along.
+
+    beam_half_angle_rad: of its cone.
+    """
 
     position_ned_m: Ned
     axis_ned: Ned
+    beam_half_angle_rad: float = BEAM_HALF_ANGLE_RAD
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,9 +91,12 @@ class Gimbal:
     def __init__(self) -> None:
         self.pan_deg = 0.0
         self.tilt_deg = 0.0
+        self.jammed = False
 
     def step(self, dt_s: float, pan_us: float, tilt_us: float) -> None:
-        """Move for `dt_s` towards the pulses in force."""
+        """Move for `dt_s` towards the pulses in force, unless jammed."""
+        if self.jammed:
+            return
         most_deg = SERVO_SLEW_DPS * dt_s
         self.pan_deg = _approach(
             self.pan_deg, (pan_us - PAN_CENTRE_US) / SERVO_US_PER_DEG, most_deg
@@ -138,7 +141,7 @@ def target_range_m(pose: Pose, target: Target) -> float | None:
     # Within a body's own size the beam cannot miss it.
     if distance_m > TARGET_RADIUS_M:
         along_m = dx * ax + dy * ay + dz * az
-        if along_m < distance_m * _COS_HALF_ANGLE:
+        if along_m < distance_m * math.cos(pose.beam_half_angle_rad):
             return None
     return max(0.0, distance_m - TARGET_RADIUS_M)
 
@@ -156,7 +159,7 @@ def surface_range_m(pose: Pose, surface: Surface) -> float | None:
         return None
     ax, ay, az = pose.axis_ned
     facing = max(-1.0, min(1.0, -(ax * nx + ay * ny + az * nz)))
-    slant_rad = max(0.0, math.acos(facing) - math.radians(BEAM_HALF_ANGLE_DEG))
+    slant_rad = max(0.0, math.acos(facing) - pose.beam_half_angle_rad)
     if slant_rad >= math.pi / 2.0:
         return None
     range_m = height_m / math.cos(slant_rad)
@@ -228,9 +231,11 @@ def hears_tone(pose: Pose, other: Pose) -> bool:
     distance_m = math.sqrt(dx * dx + dy * dy + dz * dz)
     if not 0.0 < distance_m <= LONGEST_M:
         return False
-    limit_m = distance_m * _COS_HALF_ANGLE
+    limit_m = distance_m * math.cos(pose.beam_half_angle_rad)
+    others_limit_m = distance_m * math.cos(other.beam_half_angle_rad)
     (ax, ay, az), (bx, by, bz) = pose.axis_ned, other.axis_ned
-    return ax * dx + ay * dy + az * dz >= limit_m and -(bx * dx + by * dy + bz * dz) >= limit_m
+    faces_it = ax * dx + ay * dy + az * dz >= limit_m
+    return faces_it and -(bx * dx + by * dy + bz * dz) >= others_limit_m
 
 
 class MaxSonar:

@@ -28,6 +28,8 @@ _EKF_FLAGS = (
     | mavlink.EKF_PRED_POS_HORIZ_REL
     | mavlink.EKF_PRED_POS_HORIZ_ABS
 )
+# The same once the receiver is lost for good (AP_NavEKF3: constant position mode).
+_EKF_FLAGS_LOST = mavlink.EKF_ATTITUDE | mavlink.EKF_POS_VERT_ABS | mavlink.EKF_CONST_POS_MODE
 _VOLTAGE_MV, _CURRENT_CA, _REMAINING_PERCENT = 12_600, 1_000, 80
 _SATELLITES, _EPH_CM = 10, 121  # SITL's receiver: HDOP 1.21
 _RC_UNKNOWN_RSSI = 255
@@ -76,7 +78,8 @@ class Reports:
     """Builds each message of the vehicle's state as of now.
 
     `t_s` is the time since the autopilot started and `unix_s` the same as UTC; both are set before
-    use. A message that makes no sense now is None.
+    use. `has_fix`: of the receiver; `has_position`: of the estimator. A message that makes no sense
+    now is None.
     """
 
     def __init__(
@@ -90,6 +93,7 @@ class Reports:
     ) -> None:
         self.t_s = 0.0
         self.unix_s = float(START_UNIX_S)
+        self.has_fix = self.has_position = True
         self._body = body
         self._parameters = parameters
         self._places = places
@@ -180,7 +184,7 @@ class Reports:
         course = _heading_cdeg(math.atan2(body.ve_mps, body.vn_mps))
         return mavlink.MAVLink_gps_raw_int_message(
             int(self.t_s * 1e6 + 0.5),
-            mavlink.GPS_FIX_TYPE_3D_FIX,
+            mavlink.GPS_FIX_TYPE_3D_FIX if self.has_fix else mavlink.GPS_FIX_TYPE_NO_FIX,
             _e7(here.lat_deg),
             _e7(here.lon_deg),
             round(here.alt_m * 1e3),
@@ -188,13 +192,13 @@ class Reports:
             _EPH_CM,
             min(65534, round(math.hypot(body.vn_mps, body.ve_mps) * 100.0)),
             course,
-            _SATELLITES,
+            _SATELLITES if self.has_fix else 0,
         )
 
-    @staticmethod
-    def _ekf_status_report() -> Any:
+    def _ekf_status_report(self) -> Any:
         """An estimator that has settled: all of what a GPS gives, none of what is for flow."""
-        return mavlink.MAVLink_ekf_status_report_message(_EKF_FLAGS, *(0.05,) * 5)
+        flags = _EKF_FLAGS if self.has_position else _EKF_FLAGS_LOST
+        return mavlink.MAVLink_ekf_status_report_message(flags, *(0.05,) * 5)
 
     def _attitude(self) -> Any:
         body = self._body

@@ -12,7 +12,15 @@ from echowing.sim.copter import Copter
 from echowing.sim.gps import GpsDrift
 from echowing.sim.leader import TrackedBody, mission
 from echowing.sim.scenario import LeaderEvent, LeaderSection
-from echowing.sim.sonar import Ear, Gimbal, MaxSonar, Pose, body_to_ned
+from echowing.sim.sonar import (
+    BEAM_HALF_ANGLE_RAD,
+    Ear,
+    Gimbal,
+    MaxSonar,
+    Pose,
+    Target,
+    body_to_ned,
+)
 from echowing.sim.wind import Wind
 
 COPROCESSOR = "coprocessor"
@@ -54,8 +62,28 @@ class SimVehicle:
         self.body.step(dt_s)
 
 
+class _LaterBus:
+    """The sonar on the bus of a board that was switched on later than the flight began."""
+
+    def __init__(self, bus: SonarBus, since_us: int) -> None:
+        self._bus = bus
+        self._since_us = since_us
+
+    def write(self, t_us: int, address: int, data: bytes) -> bool:
+        """As `SonarBus.write`."""
+        return self._bus.write(self._since_us + t_us, address, data)
+
+    def read(self, t_us: int, address: int, count: int) -> bytes | None:
+        """As `SonarBus.read`."""
+        return self._bus.read(self._since_us + t_us, address, count)
+
+
 class SimFollower(SimVehicle):
-    """A follower: the vehicle, with gimbal, sonar and co-processor on it."""
+    """A follower: the vehicle, with gimbal, sonar and co-processor on it.
+
+    Faults: `hears` makes something else of what the sonar hears; `reflector_m`: so far ahead is
+    something loud; `beam_half_angle_rad`: the beam that it really has.
+    """
 
     def __init__(
         self,
@@ -71,7 +99,13 @@ class SimFollower(SimVehicle):
         super().__init__(body, autopilot, drift, wind)
         self.gimbal = Gimbal()
         self.ear = Ear(rng)
+        self.hears: Callable[[float | None], float | None] | None = None
+        self.reflector_m: float | None = None
+        self.beam_half_angle_rad = BEAM_HALF_ANGLE_RAD
         self.sensor = MaxSonar(lambda t_s: listen(self, t_s))
+        self._make_coprocessor = make_coprocessor
+        self._powered = True
+        self._powered_since_us = 0
         self.coprocessor = make_coprocessor(self.sensor, autopilot.system_id)
         autopilot.add_link(COPROCESSOR)
 
@@ -79,16 +113,41 @@ class SimFollower(SimVehicle):
         """Where the sonar is and looks, now."""
         body = self.body
         axis = body_to_ned(self.gimbal.axis_body(), body.roll_rad, body.pitch_rad, body.yaw_rad)
-        return Pose(self.position_ned_m, axis)
+        return Pose(self.position_ned_m, axis, self.beam_half_angle_rad)
+
+    def reflector(self, pose: Pose) -> list[Target]:
+        """What is loud ahead, if anything is."""
+        if self.reflector_m is None:
+            return []
+        (x, y, z), (ax, ay, az) = pose.position_ned_m, pose.axis_ned
+        far_m = self.reflector_m
+        return [Target((x + far_m * ax, y + far_m * ay, z + far_m * az), math.inf)]
+
+    def heard(self, range_m: float | None) -> float | None:
+        """What the sonar makes of an echo."""
+        return range_m if self.hears is None else self.hears(range_m)
+
+    def stop_coprocessor(self) -> None:
+        """Cut its supply: without pulses the servos stay where they are."""
+        self._powered = False
+
+    def start_coprocessor(self, t_s: float) -> None:
+        """Switch it on anew: it has forgotten all but its stored parameters."""
+        self._powered = True
+        self._powered_since_us = round(t_s * 1e6)
+        bus = _LaterBus(self.sensor, self._powered_since_us)
+        self.coprocessor = self._make_coprocessor(bus, self.autopilot.system_id)
 
     def run_coprocessor(self, t_us: int, dt_s: float) -> None:
         """The co-processor and the wire between it and the autopilot, one step on."""
         coprocessor = self.coprocessor
-        self.gimbal.step(dt_s, coprocessor.pan_us, coprocessor.tilt_us)
         down = self.autopilot.transmit(COPROCESSOR)
+        if not self._powered:
+            return
+        self.gimbal.step(dt_s, coprocessor.pan_us, coprocessor.tilt_us)
         if down:
             coprocessor.feed(AUTOPILOT_PORT, down)
-        coprocessor.run_until(t_us)
+        coprocessor.run_until(t_us - self._powered_since_us)
         up = coprocessor.take(AUTOPILOT_PORT)
         if up:
             self.autopilot.receive(COPROCESSOR, up)
@@ -113,6 +172,7 @@ class LeaderPilot:
         self._started = False
         self._still_since_s: float | None = None
         self.event: LeaderEvent | None = None
+        self._interrupting: LeaderEvent | None = None
         self.silent = False
         self._attack: Ned = (0.0, 0.0, 0.0)
 
@@ -120,7 +180,9 @@ class LeaderPilot:
         """Act at `t_s`; `follower` is where the first follower truly is (to be flown at)."""
         if self._plan.path in ("walk", "track"):
             return
-        if self._plan.path == "script":
+        if self._interrupting is not None:
+            self._go_on(self._interrupting)
+        elif self._plan.path == "script":
             self._act(t_s, follower)
         elif self._plan.path == "stop-and-go":
             self._next_leg(t_s)
@@ -148,11 +210,31 @@ class LeaderPilot:
         while self._script and t_s >= self._script[0].at_s:
             self.event = self._script.pop(0)
             self._begin(self.event, follower)
+        if self.event is not None:
+            self._go_on(self.event)
+
+    def _go_on(self, event: LeaderEvent) -> None:
         # A velocity target times out on the autopilot (GUID_TIMEOUT), so it is said again.
-        if self.event is not None and self.event.act in ("fly", "hold"):
-            self._fly(self.event.velocity_ned_mps, self.event.yaw_deg)
-        elif self.event is not None and self.event.act == "at_follower":
+        if event.act in ("fly", "hold"):
+            self._fly(event.velocity_ned_mps, event.yaw_deg)
+        elif event.act == "at_follower":
             self._fly(self._attack, math.degrees(math.atan2(self._attack[1], self._attack[0])))
+
+    def interrupt(self, event: LeaderEvent, follower: Ned) -> None:
+        """Leave the path for something else, until `resume`; `follower`: where the first is."""
+        self._interrupting = event
+        self._begin(event, follower)
+
+    def resume(self) -> None:
+        """Go on with the path: a mission from its first waypoint, a script with its last event."""
+        self._interrupting = None
+        if self._plan.path == "script":
+            if self.event is not None:
+                self._begin(self.event, self._leader.position_ned_m)
+        else:
+            self._started = False
+            self._still_since_s = None
+            self._legs = self._legs or mission(self._plan)
 
     def _begin(self, event: LeaderEvent, follower: Ned) -> None:
         leader = self._leader

@@ -14,6 +14,8 @@ from typing import Protocol
 from echowing.errors import EchowingError
 
 RETRY_S = 1.0
+# A tool that was started again connects before its former connection is seen to have ended.
+SECOND_WAITS_S = 0.5
 _CHUNK = 4096
 
 
@@ -136,7 +138,13 @@ class TcpClientWire(_TcpWire):
 
 
 class TcpServerWire(_TcpWire):
-    """Listens on this machine; one connection at a time, the next when it ends."""
+    """Listens on this machine; one connection at a time, the next when it ends.
+
+    Who comes while another is there is hung up on after a moment, so that he knows.
+    """
+
+    _second: socket.socket | None = None
+    _second_since_s = 0.0
 
     def __init__(self, port: int) -> None:
         self._listener = socket.socket()
@@ -155,7 +163,25 @@ class TcpServerWire(_TcpWire):
         """The port it listens on."""
         return f"tcp 127.0.0.1:{self.port} (listening)"
 
+    def exchange(self, data: bytes, now_s: float) -> bytes:
+        """As `Wire.exchange`."""
+        arrived = super().exchange(data, now_s)
+        if self.connected:
+            self._refuse_second(now_s)
+        return arrived
+
+    def _refuse_second(self, now_s: float) -> None:
+        if self._second is None:
+            self._second, self._second_since_s = self._accept(), now_s
+        elif now_s - self._second_since_s >= SECOND_WAITS_S:
+            self._second.close()
+            self._second = None
+
     def _connect(self, now_s: float) -> socket.socket | None:
+        second, self._second = self._second, None
+        return second or self._accept()
+
+    def _accept(self) -> socket.socket | None:
         try:
             return self._prepare(self._listener.accept()[0])
         except BlockingIOError:
@@ -164,6 +190,8 @@ class TcpServerWire(_TcpWire):
     def close(self) -> None:
         """As `Wire.close`."""
         super().close()
+        if self._second is not None:
+            self._second.close()
         self._listener.close()
 
 

@@ -94,6 +94,7 @@ class BackgroundView:
         self._worker = Worker(most)
         self._rows: tuple[float, Sequence[Row]] | None = None
         self._dropped_events = self._dropped_rows = 0
+        self._keys = ""
         self.stuck = False
 
     @property
@@ -115,6 +116,11 @@ class BackgroundView:
         if not waiting and not self._worker.do(self._show_newest):
             self._rows = None
             self._dropped_rows += 1
+
+    def keys(self, text: str) -> None:
+        """As `View`; only what is new is shown."""
+        if text != self._keys and self._worker.do(lambda: self._view.keys(text)):
+            self._keys = text
 
     def ring(self) -> None:
         """Ring the terminal's bell."""
@@ -165,6 +171,10 @@ class BackgroundLog:
     def rows(self, unix_s: float, rows: Sequence[Row], tracks: Sequence[Track]) -> None:
         """As `FollowLog`."""
         self._do(lambda: self._log.rows(unix_s, rows, tracks))
+
+    def event(self, unix_s: float, text: str) -> None:
+        """As `FollowLog`."""
+        self._do(lambda: self._log.event(unix_s, text))
 
     def tell(self, say: Callable[[str], None]) -> None:
         """Say what the log has had to say since the last time."""

@@ -7,7 +7,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.errors import EchowingError
-from echowing.flight.engage import EKF_HZ, GPS_HZ
+from echowing.flight.engage import BATTERY_HZ, EKF_HZ, GPS_HZ
 from echowing.flight.guard import SWITCH_HZ, UNHEARD_S
 from echowing.flight.requests import RATE_REQUEST_PERIOD_S, RateWatch
 from echowing.mavlink.links import Address, Link, leads_back, wait
@@ -47,6 +47,7 @@ class LeaderTool:
             mavlink.MAVLINK_MSG_ID_RC_CHANNELS: SWITCH_HZ,
             mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: EKF_HZ,
             mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: GPS_HZ,
+            mavlink.MAVLINK_MSG_ID_SYS_STATUS: BATTERY_HZ,
         }
         self._stop = stop
         self._clock = clock

@@ -1,4 +1,4 @@
-"""What `echowing follow` writes down: a .tlog of all frames and a CSV of all rows.
+"""What `echowing follow` writes down: a .tlog of all frames, a CSV of all rows, events as text.
 
 A log that cannot be begun is refused; one that cannot be gone on with is said once and given up:
 it never stops the flying.
@@ -29,11 +29,13 @@ class FollowLog:
         self._say = say
         self._tlog: BinaryIO | None = None
         self._table: TextIO | None = None
+        self._events: TextIO | None = None
         stamp = datetime.fromtimestamp(start_unix_s, UTC).strftime("%Y%m%d-%H%M%S")
         try:
             folder.mkdir(parents=True, exist_ok=True)
             self._tlog = (folder / f"follow-{stamp}.tlog").open("wb")
             self._table = (folder / f"follow-{stamp}.csv").open("w", newline="", encoding="utf-8")
+            self._events = (folder / f"follow-{stamp}.txt").open("w", encoding="utf-8")
             names = [column.name for kind in (Row, Track) for column in fields(kind)]
             self._writer = csv.DictWriter(self._table, ["unix_time_s", *names])
             self._writer.writeheader()
@@ -53,6 +55,16 @@ class FollowLog:
         except OSError as error:
             self._give_up(error)
 
+    def event(self, unix_s: float, text: str) -> None:
+        """Something that was said: a line, its UTC time in seconds first."""
+        if self._events is None:
+            return
+        try:
+            self._events.write(f"{unix_s:.3f} {' '.join(text.splitlines())}\n")
+            self._events.flush()
+        except OSError as error:
+            self._give_up(error)
+
     def rows(self, unix_s: float, rows: Sequence[Row], tracks: Sequence[Track]) -> None:
         """The rows of one moment; all that was written until now is on the disk after this."""
         if self._tlog is None or self._table is None:
@@ -69,7 +81,8 @@ class FollowLog:
 
     def close(self) -> None:
         """End the logs."""
-        files, self._tlog, self._table = (self._tlog, self._table), None, None
+        files = (self._tlog, self._table, self._events)
+        self._tlog = self._table = self._events = None
         for file in files:
             try:
                 if file is not None:

@@ -9,6 +9,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.flight.guard import UNHEARD_S, is_flying, mode_name
 from echowing.flight.guidance import is_stale
+from echowing.flight.leader_track import VehicleClock
 from echowing.flight.session import FollowSession
 from echowing.flight.state import FollowerState
 from echowing.flight.take_off import Lift
@@ -22,15 +23,35 @@ LIFT_STATES: dict[Lift | None, str] = {
 }
 # The applet's and the co-processor's named floats (lua/echowing.md, firmware's DeviceState).
 SPEED_LIMIT, GIMBAL_STATE = "ECHO_SPD", "SNR_STATE"
+FIXES = {0: "none", 1: "none", 2: "2D"}  # of GPS_FIX_TYPE; all others are 3D and better
 GIMBAL = {0: "starting", 1: "searching", 2: "tracking", 3: "sonar fault"}
 SONAR_FRESH_S = 0.5  # ArduPilot's own limit for a MAVLink rangefinder
 NAMED_FRESH_S = 2.0
+# Battery and GPS come at 0.5 and 1 Hz, the mode at 1 Hz: five of them missed.
+HEALTH_FRESH_S = 10.0
 LINK_WINDOW_S = 5.0
 # Another vehicle, the ground or another sonar is in the beam where the sonar is off what the
 # receivers make of it by more than a beam's width and a GPS can explain, for so long.
 MISMATCH_M = 2.0
 MISMATCH_S = 2.0
+UNKNOWN_MV = 0xFFFF  # of SYS_STATUS
 MOST_LOST = 50  # in a row; more is a restart or another sender, not a gap
+
+
+@dataclass(frozen=True, slots=True)
+class Health:
+    """What a pilot lands for, of one vehicle; None: not known, or not of late.
+
+    gps: kind of fix and satellites; clock_s: TIMESYNC's round trip; switch: its stop switch.
+    """
+
+    mode: str | None = None
+    altitude_m: float | None = None
+    gps: str | None = None
+    battery_percent: float | None = None
+    battery_v: float | None = None
+    clock_s: float | None = None
+    switch: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +61,8 @@ class Row:
     separation_m, error_m: from the leader by their receivers, heights included, and less the
     wanted radius, where there is one; slot_error_m: horizontally from the slot; leader_age_s:
     of the leader's report in use; age_s: of the follower's, both by their time stamps;
-    command_mps: the applet's limit; switch: its stop switch, where there is one.
+    command_mps: the applet's limit; switch: its stop switch, where there is one; gps to clock_s,
+    and the same of the leader: as in `Health`.
     """
 
     time_s: float
@@ -62,6 +84,17 @@ class Row:
     north_offset_m: float
     east_offset_m: float
     switch: str | None = None
+    gps: str | None = None
+    battery_percent: float | None = None
+    battery_v: float | None = None
+    clock_s: float | None = None
+    leader_mode: str | None = None
+    leader_altitude_m: float | None = None
+    leader_gps: str | None = None
+    leader_battery_percent: float | None = None
+    leader_battery_v: float | None = None
+    leader_clock_s: float | None = None
+    leader_switch: str | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Its fields by name, numbers to the millimetre."""
@@ -105,6 +138,10 @@ class _Readings:
     named: dict[str, tuple[float, float]] = field(default_factory=dict)
     odd_since_s: float | None = None
     odd_told: bool = False
+    beat_at_s: float = -math.inf
+    altitude_m: float | None = None
+    gps: tuple[float, str | None] = (-math.inf, None)
+    battery: tuple[float, float | None, float | None] = (-math.inf, None, None)
 
     def newest(self, name: str, now_s: float) -> float | None:
         at_s, value = self.named.get(name, (-math.inf, math.nan))
@@ -129,6 +166,7 @@ class Panel:
         if message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1:
             readings.quality.count(message.get_seq(), now_s)
             self._autopilot_says(readings, kind, message)
+            _note_health(readings, kind, message, now_s)
         if kind == "DISTANCE_SENSOR" and message.orientation == FORWARD:
             readings.sonar_m = sonar_range_m(message)
             readings.sonar_at_s = now_s
@@ -146,6 +184,10 @@ class Panel:
         """A vehicle's newest named float, None when there is none of late."""
         return self._readings[system_id].newest(name, now_s)
 
+    def link_percent(self, system_id: int) -> float | None:
+        """The share of a vehicle's frames that arrive, the leader's too."""
+        return self._readings[system_id].quality.percent
+
     def rows(self, session: FollowSession, now_s: float) -> list[Row]:
         """A row a follower."""
         return [self._row(session, follower, now_s) for follower in session.followers.values()]
@@ -157,6 +199,8 @@ class Panel:
         radius_m = follower.plan.slot.radius_m
         gimbal = readings.newest(GIMBAL_STATE, now_s)
         fresh = now_s - readings.sonar_at_s < SONAR_FRESH_S
+        its = self._health(session, follower.plan.system_id, follower.clock, now_s)
+        leaders = self._health(session, session.leader_id, session.leader.clock, now_s)
         sonar_m = readings.sonar_m if fresh else None
         self._compare(follower.plan.system_id, sonar_m, separation_m, now_s)
         return Row(
@@ -178,7 +222,37 @@ class Panel:
             link_percent=readings.quality.percent,
             north_offset_m=follower.estimate.offset.north_m,
             east_offset_m=follower.estimate.offset.east_m,
-            switch=_switch(session, follower, now_s),
+            switch=its.switch,
+            gps=its.gps,
+            battery_percent=its.battery_percent,
+            battery_v=its.battery_v,
+            clock_s=its.clock_s,
+            leader_mode=leaders.mode,
+            leader_altitude_m=leaders.altitude_m,
+            leader_gps=leaders.gps,
+            leader_battery_percent=leaders.battery_percent,
+            leader_battery_v=leaders.battery_v,
+            leader_clock_s=leaders.clock_s,
+            leader_switch=leaders.switch,
+        )
+
+    def _health(
+        self, session: FollowSession, system_id: int, clock: VehicleClock, now_s: float
+    ) -> Health:
+        readings = self._readings.get(system_id, _Readings())
+        gps_at_s, gps = readings.gps
+        battery_at_s, percent, volts = readings.battery
+        beats = now_s - readings.beat_at_s < HEALTH_FRESH_S
+        charged = now_s - battery_at_s < HEALTH_FRESH_S
+        guard = session.guard
+        return Health(
+            mode=readings.mode if beats else None,
+            altitude_m=readings.altitude_m,
+            gps=gps if now_s - gps_at_s < HEALTH_FRESH_S else None,
+            battery_percent=percent if charged else None,
+            battery_v=volts if charged else None,
+            clock_s=clock.round_trip_s if clock.known else None,
+            switch=None if guard is None else guard.switches.shown(system_id, now_s),
         )
 
     def _compare(
@@ -255,10 +329,18 @@ def _slot_error_m(follower: FollowerState) -> float | None:
     return math.hypot(north_m, east_m)
 
 
-def _switch(session: FollowSession, follower: FollowerState, now_s: float) -> str | None:
-    if session.guard is None:
-        return None
-    return session.guard.switches.shown(follower.plan.system_id, now_s)
+def _note_health(readings: _Readings, kind: str, message: Any, now_s: float) -> None:
+    if kind == "HEARTBEAT":
+        readings.beat_at_s = now_s
+    elif kind == "GLOBAL_POSITION_INT":
+        readings.altitude_m = message.relative_alt / 1e3
+    elif kind == "GPS_RAW_INT":
+        readings.gps = now_s, f"{FIXES.get(message.fix_type, '3D')} {message.satellites_visible}"
+    elif kind == "SYS_STATUS":
+        # MAVLink's words for not known: -1 % and 65535 mV.
+        percent = None if message.battery_remaining < 0 else float(message.battery_remaining)
+        volts = None if message.voltage_battery == UNKNOWN_MV else message.voltage_battery / 1e3
+        readings.battery = now_s, percent, volts
 
 
 def _finite(value: float) -> float | None:

@@ -21,7 +21,7 @@ from echowing.tool.run import FollowTool
 from echowing.tool.view import EVENTS_SHOWN, scene
 
 PORT = 5760  # as in the README
-WIDTH_CHARACTERS = 104
+WIDTH_CHARACTERS = 80
 IN_PLACE_M = 0.6
 # So long both have to be in place, so that the links have been counted and the lines have settled.
 SETTLED_S = 8.0
@@ -56,6 +56,9 @@ class Photographer:
         elif time_s - self._since_s >= SETTLED_S and not self.taken:
             self.taken = list(rows)
             self._stop.count += 1
+
+    def keys(self, text: str) -> None:
+        """As `View`; there are none."""
 
     def close(self) -> None:
         """As `View`."""

@@ -2,36 +2,47 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.flight.build_up import BuildUp
 from echowing.flight.formation import turning_together
 from echowing.flight.guard import Limits
 from echowing.flight.guidance import GuidanceSettings, Slot
+from echowing.flight.health import Cohesion
+from echowing.flight.orders import Orders
 from echowing.flight.session import FollowSession
 from echowing.flight.state import FollowerPlan, Guide
 from echowing.flight.take_off import TakeOff
 from echowing.mavlink.links import Address, Link, wait
+from echowing.mavlink.messages import status_text
 from echowing.mavlink.seats import OpenLink, Seat, StrangerWatch, find_vehicles, known_id
 from echowing.mavlink.signing import LinkSigning
 from echowing.stopping import StopRequest
 from echowing.tool.background import BackgroundLog, BackgroundView
+from echowing.tool.keys import KeyDesk
 from echowing.tool.log import FollowLog
+from echowing.tool.moment import Moment, members, places
 from echowing.tool.panel import Panel, left_as
 from echowing.tool.track import Track, track
 from echowing.tool.view import View
 
 ROWS_PERIOD_S = 0.1
+# Changes of the formation's health count after 2 s; judging fifty followers takes milliseconds.
+HEALTH_PERIOD_S = 1.0
 # A copter at 5 m/s stands within 5 s; the stop has to be seen for a second, over a slow link.
 STOPPING_S = 10.0
+# Five questions for a parameter, a second apart, over a slow radio.
+RESTORING_S = 6.0
 # Until the leader's height is known, which is before anything is engaged.
 UNKNOWN_ALTITUDE_M = 10.0
 # This far behind, the points that were missed are not sent late.
 HOPELESS_S = 0.5
+TAKE_OVER = "Echowing: not known to stand, TAKE OVER"
 # What another component of a vehicle, the co-processor, may say; all else is its autopilot's.
 _COMPONENTS_SAY = {"DISTANCE_SENSOR", "NAMED_VALUE_FLOAT"}
 
@@ -57,16 +68,34 @@ class FollowOptions:
     log: Path | None = None
     signing_key: bytes | None = None
     make_guide: Callable[[], Guide] | None = None
+    build_up: tuple[float, ...] = ()
 
 
 def _is_no_point(addressed: tuple[int, Any]) -> bool:
     return bool(addressed[1].get_msgId() != mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT)
 
 
+class Page(Protocol):
+    """Where a flight is shown beside the terminal; nothing here makes the caller wait."""
+
+    said: str
+
+    def event(self, time_s: float, text: str) -> None:
+        """Something has happened."""
+
+    def show(self, moment: Moment) -> None:
+        """How it stands; called at 10 Hz."""
+
+    def lost(self) -> str | None:
+        """Why it shows nothing any more; said once."""
+
+
 class FollowTool:
     """Finds the vehicles, flies the followers, and leaves them standing.
 
-    `clock` is monotonic seconds and `unix_clock` UTC; `make_link` opens what points go through.
+    `clock` is monotonic seconds and `unix_clock` UTC; `make_link` opens what points go through;
+    `keys` returns what was pressed since the last time, at once; None: nobody can press any. `page`
+    shows the flight in a browser.
     """
 
     def __init__(
@@ -78,8 +107,12 @@ class FollowTool:
         clock: Callable[[], float] = time.monotonic,
         unix_clock: Callable[[], float] = time.time,
         make_link: Callable[[Address, LinkSigning | None], Link] = Link,
+        keys: Callable[[], bytes] | None = None,
+        page: Page | None = None,
     ) -> None:
         self._options = options
+        self._keys = keys
+        self._page = page
         self._view = BackgroundView(view)
         self._stop = stop
         self._clock = clock
@@ -92,7 +125,7 @@ class FollowTool:
             if seat.address.text not in self._links:
                 self._links[seat.address.text] = self._link_of(seat)
         self._log: BackgroundLog | None = None
-        self._next_tick_s = self._next_rows_s = 0.0
+        self._next_tick_s = self._next_rows_s = self._next_health_s = 0.0
         self._events_told = self._alerts_told = 0
 
     def run(self) -> int:
@@ -107,6 +140,8 @@ class FollowTool:
             if options.log is not None:
                 self._log = BackgroundLog(partial(FollowLog, options.log, self._start_unix_s))
                 self._say(f"log: {options.log}")
+            if self._page is not None:
+                self._say(self._page.said)
             if not find_vehicles(options.seats, self._links, self._now_s, self._over, self._say):
                 self._say("ended before all vehicles were heard; nothing was moved")
                 return self._unheard_code()
@@ -115,7 +150,7 @@ class FollowTool:
                 self._fly()
             except Exception as error:
                 # A fault of ours is no reason to leave them flying.
-                self._say(f"fault of this tool, stopping: {error!r}")
+                self._warn(f"fault of this tool, stopping: {error!r}")
                 self._end()
                 raise
             return self._end()
@@ -131,7 +166,19 @@ class FollowTool:
         return self._clock() - self._start_s
 
     def _say(self, text: str) -> None:
-        self._view.event(self._now_s(), text)
+        self._event(self._now_s(), text)
+
+    def _event(self, time_s: float, text: str) -> None:
+        self._view.event(time_s, text)
+        if self._page is not None:
+            self._page.event(time_s, text)
+        if self._log is not None:
+            self._log.event(self._start_unix_s + time_s, text)
+
+    def _warn(self, text: str) -> None:
+        """Say what somebody should look up for."""
+        self._say(text)
+        self._view.ring()
 
     # ---- before ---------------------------------------------------------------------------------
 
@@ -155,13 +202,18 @@ class FollowTool:
         if options.make_guide is not None:
             for follower in self._session.followers.values():
                 follower.guide = options.make_guide()
+        build_up = BuildUp(options.build_up, options.slots) if options.build_up else None
+        self._orders = Orders(self._session, build_up)
+        self._desk = KeyDesk(self._orders, self._view.event)
         self._panel = Panel([known_id(seat) for seat in options.seats])
+        self._cohesion = Cohesion(known_id(leader))
         self._ways = {known_id(seat): self._links[seat.address.text] for seat in options.seats}
         listed = ", ".join(f"{seat.role} is system {seat.system_id}" for seat in options.seats)
         self._say(listed)
         if not options.engage:
             only = "only watching" if options.take_off is None else "taking off, then only watching"
-            self._say(f"{only}; give --engage to send points")
+            how = "give --engage" if self._keys is None else "press e, or give --engage,"
+            self._say(f"{only}; {how} to send points")
 
     # ---- in flight ------------------------------------------------------------------------------
 
@@ -186,17 +238,24 @@ class FollowTool:
             for message in link.receive(self._now_s(), self._say):
                 self._take(link, message, self._now_s())
         now_s = self._now_s()
+        self._heed_keys(now_s)
         if now_s >= self._next_tick_s:
             late = now_s - self._next_tick_s > HOPELESS_S
             self._next_tick_s = (now_s if late else self._next_tick_s) + 1.0 / self._options.rate_hz
+            ordered = self._orders.prepare(now_s)
             # Points first: what else is to be asked or told can wait for them.
-            for system_id, message in sorted(self._session.tick(now_s), key=_is_no_point):
+            for system_id, message in sorted(self._session.tick(now_s) + ordered, key=_is_no_point):
                 self._write(now_s, self._ways[system_id].send(message, now_s))
         if now_s >= self._next_rows_s:
             self._next_rows_s = now_s + ROWS_PERIOD_S
             self._show(now_s)
         due_s = min(self._next_tick_s, self._next_rows_s)
         wait([link.link for link in self._links.values()], due_s - self._now_s())
+
+    def _heed_keys(self, now_s: float) -> None:
+        if self._keys is not None:
+            self._desk.press(self._keys(), now_s)
+            self._view.keys(self._desk.line(now_s))
 
     def _take(self, link: OpenLink, message: Any, now_s: float) -> None:
         """Hand on what a vehicle of ours has said on its own link."""
@@ -210,6 +269,7 @@ class FollowTool:
             return
         self._write(now_s, bytes(message.get_msgbuf()))
         self._session.receive(message, now_s)
+        self._orders.receive(message)
         self._panel.receive(message, now_s)
 
     def _write(self, now_s: float, frame: bytes) -> None:
@@ -220,8 +280,28 @@ class FollowTool:
         self._tell()
         rows = self._panel.rows(self._session, now_s)
         self._view.rows(now_s, rows)
+        judge = now_s >= self._next_health_s
+        if self._log is None and self._page is None and not judge:
+            return
+        moment = Moment(now_s, rows, self._tracks(now_s), self._cohesion.health)
         if self._log is not None:
-            self._log.rows(self._start_unix_s + now_s, rows, self._tracks(now_s))
+            self._log.rows(self._start_unix_s + now_s, rows, moment.tracks)
+        if judge:
+            self._next_health_s = now_s + HEALTH_PERIOD_S
+            moment = self._judged(moment)
+        if self._page is not None:
+            self._page.show(moment)
+
+    def _judged(self, moment: Moment) -> Moment:
+        """The moment with the formation's health, of which changes are said."""
+        origin = moment.origin
+        if origin is None:
+            return moment
+        inset_m = self._session.settings.sonar_inset_m
+        vehicles = members(moment, places(moment, origin), inset_m)
+        for text in self._cohesion.update(vehicles, moment.time_s):
+            self._event(moment.time_s, text)
+        return replace(moment, health=self._cohesion.health)
 
     def _tracks(self, now_s: float) -> list[Track]:
         followers = self._session.followers.values()
@@ -229,16 +309,18 @@ class FollowTool:
 
     def _tell(self) -> None:
         if self._log is not None:
-            self._log.tell(self._say)
+            self._log.tell(self._warn)
         events = self._session.events
         for time_s, text in events[self._events_told :]:
-            self._view.event(time_s, text)
+            self._event(time_s, text)
+        if self._page is not None and (lost := self._page.lost()) is not None:
+            self._view.event(self._now_s(), lost)
         self._events_told = len(events)
         if self._session.alerts > self._alerts_told:
             self._alerts_told = self._session.alerts
             self._view.ring()
         for system_id, text in self._panel.texts:
-            self._say(f"system {system_id} warns: {text}")
+            self._warn(f"system {system_id} warns: {text}")
         self._panel.texts.clear()
 
     # ---- the end --------------------------------------------------------------------------------
@@ -255,15 +337,38 @@ class FollowTool:
                 self._say("asked twice: not waiting for the followers to stand")
                 break
             self._turn()
+        safe = self._put_back(asked)
         now_s = self._now_s()
         self._show(now_s)
-        safe = True
         for follower in session.followers.values():
             text, well = left_as(session, follower, now_s)
             safe = safe and well
-            self._say(f"follower {follower.plan.system_id}: {text}")
+            self._tell_how_left(follower.plan.system_id, text, well=well, now_s=now_s)
         self._view.settle()
         return 0 if safe and self._view.lost is None else 1
+
+    def _tell_how_left(self, system_id: int, text: str, *, well: bool, now_s: float) -> None:
+        """Say how a follower was left; where a hand is needed its pilot's display says so too."""
+        tell = self._say if well else self._warn
+        tell(f"follower {system_id}: {text}")
+        if not well:
+            take_over = status_text(mavlink.MAV_SEVERITY_CRITICAL, TAKE_OVER)
+            self._write(now_s, self._ways[system_id].send(take_over, now_s))
+
+    def _put_back(self, asked: int) -> bool:
+        """Put ECHO_DIST back where keys have changed it; returns whether that is confirmed."""
+        build_up = self._orders.build_up
+        if build_up is None:
+            return True
+        build_up.restore()
+        until_s = self._now_s() + RESTORING_S
+        while not build_up.restored and self._now_s() < until_s and self._stop.count <= asked:
+            self._turn()
+        left = build_up.left()
+        for text, well in left:
+            tell = self._say if well else self._warn
+            tell(text)
+        return all(well for _, well in left)
 
     def _close(self) -> None:
         for link in self._links.values():

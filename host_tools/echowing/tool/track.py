@@ -7,7 +7,7 @@ from typing import Any
 from echowing.flight.guidance import LeaderFix, is_stale, predicted
 from echowing.flight.session import FollowSession
 from echowing.flight.state import FollowerState
-from echowing.geo import GlobalPosition
+from echowing.geo import GlobalPosition, ned_between
 from echowing.tool.panel import Panel
 
 PAN, TILT = "SNR_PAN", "SNR_TILT"
@@ -21,7 +21,9 @@ class Track:
     wanted_*: its slot. leader_*: carried on over the age of its report, by its own receiver.
     lat_deg to heading_deg: the follower's newest report. slot_*, point_*: what the guidance made
     of them, the learnt offset and the lead included; yaw_deg: where it was to look. pan_us,
-    tilt_us: the gimbal's pulses.
+    tilt_us: the gimbal's pulses. leader_height_m: above the leader's home, wanted_height_m: of
+    this follower above its own. seen_*: from the leader's place by its own receiver to where this
+    follower takes it to be, metres, with the covariance of that, square metres.
     """
 
     wanted_radius_m: float
@@ -46,15 +48,24 @@ class Track:
     yaw_deg: float | None
     pan_us: float | None
     tilt_us: float | None
+    leader_id: int | None = None
+    leader_link_percent: float | None = None
+    leader_height_m: float | None = None
+    wanted_height_m: float | None = None
+    seen_north_m: float | None = None
+    seen_east_m: float | None = None
+    seen_nn_m2: float | None = None
+    seen_ne_m2: float | None = None
+    seen_ee_m2: float | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Its fields by name: degrees of position as MAVLink carries them, else thousandths."""
         return {column.name: _rounded(column.name, getattr(self, column.name)) for column in _ALL}
 
 
-def _rounded(name: str, value: float | None) -> float | None:
-    if value is None:
-        return None
+def _rounded(name: str, value: float | str | None) -> float | str | None:
+    if value is None or isinstance(value, str):
+        return value
     return round(value, 7 if name.endswith(("lat_deg", "lon_deg")) else 3)
 
 
@@ -95,7 +106,42 @@ def track(session: FollowSession, follower: FollowerState, panel: Panel, now_s: 
         yaw_deg=_degrees(None if guided is None else guided.yaw_rad),
         pan_us=panel.newest(system_id, PAN, now_s),
         tilt_us=panel.newest(system_id, TILT, now_s),
+        wanted_height_m=session.heights.wanted_m(follower),
+        **_of_leader(session, panel),
+        **_seen(session, follower, leader, now_s),
     )
+
+
+def _of_leader(session: FollowSession, panel: Panel) -> dict[str, Any]:
+    """What the leader says of itself."""
+    fix = session.leader.fix
+    home_m = None if session.guard is None else session.guard.home_m(session.leader_id)
+    return {
+        "leader_id": session.leader_id,
+        "leader_link_percent": panel.link_percent(session.leader_id),
+        "leader_height_m": None if fix is None or home_m is None else fix.position.alt_m - home_m,
+    }
+
+
+def _seen(
+    session: FollowSession, follower: FollowerState, leader: LeaderFix | None, now_s: float
+) -> dict[str, Any]:
+    """Where this follower takes the leader to be, and how sure it is of that."""
+    if leader is None or not session.settings.learn_offset or session.leader.fix is None:
+        return {}
+    seen = session.leader_for(follower, session.leader.fix, now_s)
+    north_m, east_m, _ = ned_between(leader.position, seen)
+    offset = follower.estimate.offset
+    nn_m2, ee_m2 = offset.sigma_m(0.0) ** 2, offset.sigma_m(math.pi / 2.0) ** 2
+    # Along a bearing of 45 deg the variance is (nn + ee) / 2 + ne.
+    ne_m2 = offset.sigma_m(math.pi / 4.0) ** 2 - (nn_m2 + ee_m2) / 2.0
+    return {
+        "seen_north_m": north_m,
+        "seen_east_m": east_m,
+        "seen_nn_m2": nn_m2,
+        "seen_ne_m2": ne_m2,
+        "seen_ee_m2": ee_m2,
+    }
 
 
 def _leader(session: FollowSession, now_s: float) -> LeaderFix | None:

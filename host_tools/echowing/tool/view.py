@@ -7,14 +7,14 @@ from collections.abc import Callable, Iterable, Sequence
 from io import TextIOWrapper
 from typing import Protocol
 
-from rich.box import SIMPLE_HEAD
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
-from rich.table import Table
 from rich.text import Text
 
 from echowing.terminal import draws_live
+from echowing.tool.health import health, in_words, its_health, leaders_health
 from echowing.tool.panel import Row
+from echowing.tool.table import FollowerTable
 
 PLAIN_PERIOD_S = 5.0
 JSON_PERIOD_S = 1.0
@@ -32,6 +32,9 @@ class View(Protocol):
 
     def rows(self, time_s: float, rows: Sequence[Row]) -> None:
         """How it stands; called at 10 Hz."""
+
+    def keys(self, text: str) -> None:
+        """What keys do now."""
 
     def close(self) -> None:
         """The end."""
@@ -54,6 +57,10 @@ class LastingView:
     def rows(self, time_s: float, rows: Sequence[Row]) -> None:
         """As `View`."""
         self._try(lambda: self._view.rows(time_s, rows))
+
+    def keys(self, text: str) -> None:
+        """As `View`."""
+        self._try(lambda: self._view.keys(text))
 
     def close(self) -> None:
         """As `View`."""
@@ -93,8 +100,13 @@ class PlainView:
         if time_s < self._next_s:
             return
         self._next_s = time_s + PLAIN_PERIOD_S
+        if rows:
+            self.event(time_s, plain_leader(rows[0]))
         for row in rows:
             self.event(time_s, plain_row(row))
+
+    def keys(self, text: str) -> None:
+        """As `View`; nobody looks here for them."""
 
     def close(self) -> None:
         """As `View`."""
@@ -118,6 +130,9 @@ class JsonView:
         for row in rows:
             print(json.dumps(row.as_dict()), flush=True)
 
+    def keys(self, text: str) -> None:
+        """As `View`; nobody looks here for them."""
+
     def close(self) -> None:
         """As `View`."""
 
@@ -128,6 +143,7 @@ class LiveView:
     def __init__(self, console: Console | None = None) -> None:
         self._events: deque[str] = deque(maxlen=EVENTS_SHOWN)
         self._rows: Sequence[Row] = ()
+        self._keys = ""
         self._next_s = 0.0
         # Drawn between points, not by a thread of its own that would hold them up.
         self._live = Live(console=console, auto_refresh=False, transient=False)
@@ -146,70 +162,27 @@ class LiveView:
             self._next_s = time_s + max(1.0 / TABLE_HZ, len(rows) / ROWS_PER_S)
             self._update()
 
+    def keys(self, text: str) -> None:
+        """As `View`: the last line, drawn at once, for somebody has pressed one."""
+        self._keys = text
+        self._update()
+
     def _update(self) -> None:
-        self._live.update(scene(self._rows, self._events), refresh=True)
+        self._live.update(scene(self._rows, self._events, self._keys), refresh=True)
 
     def close(self) -> None:
         """As `View`: the table stays, the last events under it."""
+        self._keys = ""
         self._update()
         self._live.stop()
 
 
-def scene(rows: Sequence[Row], events: Iterable[str]) -> RenderableType:
-    """The whole view: the table, once there is one, and events."""
+def scene(rows: Sequence[Row], events: Iterable[str], keys: str = "") -> RenderableType:
+    """The whole view: the table, once there is one, events, and what keys do."""
     text = Text("\n".join(events))
-    return Group(table(rows), text) if rows else text
-
-
-def table(rows: Sequence[Row]) -> Table:
-    """The rows as a table; over it how fresh the leader is, which they share."""
-    leader = rows[0]
-    shown = Table(
-        title=f"leader: {_shown(leader.leader_speed_mps, 'm/s', '.1f')}, "
-        f"heard {_shown(leader.leader_age_s, 's')} ago",
-        title_justify="left",
-        title_style="bold",
-        box=SIMPLE_HEAD,
-        pad_edge=False,
-    )
-    for head in ("", "state", "mode"):
-        shown.add_column(head)
-    for head in ("separation\nm", "error\nm", "sonar\nm"):
-        shown.add_column(head, justify="right")
-    shown.add_column("gimbal")
-    for head in ("age\ns", "speed\nm/s", "limit\nm/s", "height\nm", "link\n%"):
-        shown.add_column(head, justify="right")
-    switches = any(row.switch is not None for row in rows)
-    if switches:
-        shown.add_column("switch")
-    for row in rows:
-        shown.add_row(
-            str(row.system_id),
-            Text(row.state, style=_style(row.state)),
-            row.mode,
-            _number(row.separation_m),
-            _number(row.error_m, "+.2f"),
-            _number(row.sonar_m),
-            row.gimbal or "-",
-            _number(row.age_s),
-            _number(row.speed_mps, ".1f"),
-            _number(row.command_mps, ".1f"),
-            _number(row.altitude_m, ".1f"),
-            _number(row.link_percent, ".0f"),
-            *([row.switch or "-"] if switches else []),
-        )
-    return shown
-
-
-def _style(state: str) -> str:
-    """Green where all is well, yellow where it is stopped or on its way, red where nothing is."""
-    if state == "following":
-        return "green"
-    return "red" if state.startswith(("no points sent", "not engaged")) else "yellow"
-
-
-def _number(value: float | None, form: str = ".2f") -> str:
-    return "-" if value is None else f"{value:{form}}"
+    if keys:
+        text.append(f"\n{keys}", style="reverse" if "?" in keys else "dim")
+    return Group(FollowerTable(rows), health(rows), text) if rows else text
 
 
 def plain_row(row: Row) -> str:
@@ -220,8 +193,13 @@ def plain_row(row: Row) -> str:
         f"sonar {_shown(row.sonar_m, 'm')}, {_shown(row.speed_mps, 'm/s', '.1f')} "
         f"of {_shown(row.command_mps, 'm/s', '.1f')}, {_shown(row.altitude_m, 'm', '.1f')} up, "
         f"leader {_shown(row.leader_age_s, 's')} old, link {_shown(row.link_percent, '%', '.0f')}"
-        + ("" if row.switch is None else f", stop switch {row.switch}")
+        + "".join(f", {text}" for text, _ in in_words(its_health(row)))
     )
+
+
+def plain_leader(row: Row) -> str:
+    """The leader in one line."""
+    return "leader: " + ", ".join(text for text, _ in in_words(leaders_health(row)))
 
 
 def _shown(value: float | None, unit: str, form: str = ".2f") -> str:

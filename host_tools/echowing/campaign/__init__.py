@@ -1,0 +1,1 @@
+"""Thousands of drawn flights with faults, and what any of them found."""

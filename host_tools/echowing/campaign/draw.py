@@ -1,0 +1,259 @@
+"""Draws a flight's scenario from a description: a TOML file of distributions.
+
+The format stands at the head of the shipped one, `campaigns/field.toml`. Every value has a stream
+of chance of its own, made from the campaign's seed, the flight's number and the value's place: what
+is added to a description changes nothing of what was there.
+"""
+
+import math
+import random
+import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from echowing.errors import EchowingError
+from echowing.sim.fault_section import LEADER
+from echowing.sim.scenario import Scenario, scenario_of
+
+SHIPPED = "field"
+# The applet's range of ECHO_DIST, and the sonar's reach less its inset (lua/echowing.md).
+ECHO_DIST_M, REACH_M = (1.5, 6.0), 4.5
+_SHAPES = ("column", "vee", "echelon")
+# Rows of a vee and an echelon go back by this share of the spacing.
+_ROW_SHARE = 0.7
+_FORMATION = {"followers", "shape", "radius_m", "spacing_m", "altitude_step_m", "crossing"}
+_ABSENT = object()
+
+
+@dataclass(frozen=True)
+class Description:
+    """A campaign's description: where it came from, its text, and what it says."""
+
+    source: str
+    text: str
+    table: Mapping[str, Any]
+
+    @property
+    def kinds(self) -> list[str]:
+        """The kinds of fault that may be drawn, in the file's order."""
+        return list(dict.fromkeys(str(one["kind"]) for one in self.table.get("fault", [])))
+
+
+def load_description(name_or_path: str = SHIPPED) -> Description:
+    """The shipped description, or a user's file; EchowingError says what is wrong in it."""
+    path = Path(name_or_path)
+    if path.suffix == ".toml":
+        try:
+            text = path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise EchowingError(f"{path}: cannot read the description: {error}") from error
+    elif name_or_path == SHIPPED:
+        shipped = resources.files("echowing") / "campaigns" / f"{SHIPPED}.toml"
+        text = shipped.read_text(encoding="utf-8")
+    else:
+        raise EchowingError(f"no description {name_or_path!r}: {SHIPPED}, or a .toml file")
+    return parse_description(text, str(path))
+
+
+def parse_description(text: str, source: str) -> Description:
+    """A description from its text; tried on some flights, so that what is wrong shows at once."""
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise EchowingError(f"{source}: not valid TOML: {error}") from error
+    unknown = set(table) - {"title", "flight", "formation", "fault"}
+    if unknown:
+        raise EchowingError(
+            f"{source}: {', '.join(sorted(unknown))}: no such key; allowed here: fault, flight, "
+            "formation, title"
+        )
+    description = Description(source, text, table)
+    for entry in table.get("fault", []):
+        if "kind" not in entry or not isinstance(entry.get("share"), int | float):
+            raise EchowingError(f"{source}: a [[fault]] needs `kind` and `share`, a number")
+    for index in range(20):
+        draw(description, 0, index)
+    # Every fault once on a flight of its own: rare ones too.
+    for number, entry in enumerate(table.get("fault", [])):
+        alone = {**table, "fault": [{**entry, "share": 1.0}]}
+        draw(Description(f"{source}, fault {number + 1}", text, alone), 0, number)
+    return description
+
+
+def flight_seed(seed: int, index: int) -> int:
+    """The seed of one flight of a campaign."""
+    return random.Random(f"{seed} {index}").randrange(1, 2**31)
+
+
+def draw(description: Description, seed: int, index: int) -> Scenario:
+    """The scenario of flight number `index` (from 0) of a campaign."""
+    chance = _Chance(description.source, f"{seed} {index}")
+    table = description.table
+    flight = chance.drawn(table.get("flight", {}), "flight")
+    formation = chance.drawn(table.get("formation", {}), "formation")
+    flight["name"] = f"flight-{index}"
+    flight["title"] = f"Flight {index} of seed {seed}"
+    flight["formation"] = _formation(formation, description.source)
+    faults = []
+    for number, entry in enumerate(table.get("fault", [])):
+        if chance.stream(f"fault {number}").random() < entry["share"]:
+            fault = {key: value for key, value in entry.items() if key != "share"}
+            faults.append(chance.drawn(fault, f"fault.{number}"))
+    followers = len(flight["formation"]["slots"])
+    _place_faults(faults, followers, chance)
+    return _with_faults(flight, faults, description.source)
+
+
+def _with_faults(flight: dict[str, Any], faults: list[dict[str, Any]], source: str) -> Scenario:
+    """The flight with those faults that go together, the first ones first.
+
+    A fault that makes no sense by itself is refused; one that clashes with an earlier is left out.
+    """
+    scenario = scenario_of(flight, source)
+    taken: list[dict[str, Any]] = []
+    for fault in faults:
+        try:
+            scenario = scenario_of({**flight, "fault": [*taken, fault]}, source)
+        except EchowingError:
+            longest = {**flight, "duration_s": 1e6, "leader": {"path": "rectangle"}}
+            scenario_of({**longest, "fault": [fault]}, source)
+            continue
+        taken.append(fault)
+    return scenario
+
+
+def _place_faults(faults: list[dict[str, Any]], followers: int, chance: "_Chance") -> None:
+    """Give each its vehicle, by number."""
+    for number, fault in enumerate(faults):
+        vehicle = fault.get("vehicle")
+        if vehicle == "leader":
+            fault["vehicle"] = LEADER
+        elif vehicle == "follower":
+            one = chance.stream(f"vehicle {number}").randrange(followers)
+            fault["vehicle"] = one + 1 + LEADER
+
+
+def _formation(wish: Mapping[str, Any], source: str) -> dict[str, Any]:
+    """Slots of a formation: who is where, each applet's distance, and where they come from."""
+    unknown = set(wish) - _FORMATION
+    if unknown:
+        raise EchowingError(f"{source}: formation.{min(unknown)}: no such key")
+    shape = wish.get("shape", "column")
+    if shape not in _SHAPES:
+        raise EchowingError(f"{source}: formation.shape: one of {', '.join(_SHAPES)}, not {shape}")
+    count = int(wish.get("followers", 1))
+    spacing_m, radius_m = wish.get("spacing_m", 3.0), wish.get("radius_m", 3.0)
+    slots = []
+    for number in range(count):
+        back_m, left_m = _place(shape, number, spacing_m)
+        back_m += radius_m
+        slot = {
+            "radius_m": round(math.hypot(back_m, left_m), 3),
+            "angle_deg": round(math.degrees(math.atan2(left_m, back_m)), 3),
+            "altitude_step_m": round(number * wish.get("altitude_step_m", 0.0), 3),
+        }
+        if ECHO_DIST_M[0] <= slot["radius_m"] <= min(REACH_M, ECHO_DIST_M[1]):
+            slot["echo_dist_m"] = slot["radius_m"]
+        if wish.get("crossing") and count > 1:
+            slot["starts_at"] = count - number
+        slots.append(slot)
+    return {"slots": slots}
+
+
+def _place(shape: str, number: int, spacing_m: float) -> tuple[float, float]:
+    """A follower's place: behind the first's, and to the left, metres."""
+    if shape == "column":
+        return number * spacing_m, 0.0
+    if shape == "echelon":
+        return number * _ROW_SHARE * spacing_m, number * spacing_m
+    row = (number + 1) // 2
+    side = 1.0 if number % 2 else -1.0
+    return row * _ROW_SHARE * spacing_m, side * row * spacing_m
+
+
+class _Chance:
+    """Draws values, each from a stream of its own."""
+
+    def __init__(self, source: str, seed: str) -> None:
+        self._source = source
+        self._seed = seed
+
+    def stream(self, place: str) -> random.Random:
+        """The stream of one value."""
+        return random.Random(f"{self._seed} {place}")
+
+    def drawn(self, value: Any, place: str) -> Any:
+        """A value, or what was drawn where a distribution stands; a key of none is left out."""
+        if isinstance(value, Mapping):
+            if set(value) & {*_DISTRIBUTIONS, "share"}:
+                return self._distribution(value, place)
+            inner = {key: self.drawn(one, f"{place}.{key}") for key, one in value.items()}
+            return {key: one for key, one in inner.items() if one is not _ABSENT}
+        if isinstance(value, list):
+            return [self.drawn(one, f"{place}.{n}") for n, one in enumerate(value)]
+        return value
+
+    def _distribution(self, table: Mapping[str, Any], place: str) -> Any:
+        kind = next(name for name in (*_DISTRIBUTIONS, "share") if name in table)
+        allowed = {"share", "then", "else"} if kind == "share" else {kind}
+        if set(table) - allowed:
+            extra = ", ".join(sorted(set(table) - allowed))
+            raise EchowingError(f"{self._source}: {place}: {extra} beside {kind}: remove it")
+        try:
+            if kind == "share":
+                return self._share(table, place)
+            return _DISTRIBUTIONS[kind](table[kind], self.stream(place))
+        except (TypeError, ValueError, KeyError, IndexError) as error:
+            raise EchowingError(
+                f"{self._source}: {place}: {kind} = {table[kind]!r} is no such distribution"
+            ) from error
+
+    def _share(self, table: Mapping[str, Any], place: str) -> Any:
+        if not 0.0 <= table["share"] <= 1.0:
+            raise ValueError(table["share"])
+        taken = self.stream(place).random() < table["share"]
+        branch = "then" if taken else "else"
+        if not taken and "else" not in table:
+            return _ABSENT
+        return self.drawn(table[branch], f"{place}.{branch}")
+
+
+def _pair(values: Any) -> tuple[float, float]:
+    low, high = (float(one) for one in values)
+    return low, high
+
+
+def _uniform(values: Any, stream: random.Random) -> float:
+    low, high = _pair(values)
+    if high < low:
+        raise ValueError(values)
+    return round(stream.uniform(low, high), 3)
+
+
+def _log_uniform(values: Any, stream: random.Random) -> float:
+    low, high = _pair(values)
+    return round(math.exp(stream.uniform(math.log(low), math.log(high))), 3)
+
+
+def _normal(values: Any, stream: random.Random) -> float:
+    return round(stream.gauss(*_pair(values)), 3)
+
+
+def _one_of(values: Any, stream: random.Random) -> Any:
+    return stream.choice(list(values))
+
+
+def _weighted(values: Any, stream: random.Random) -> Any:
+    return stream.choices(list(values), weights=[float(one) for one in values.values()])[0]
+
+
+_DISTRIBUTIONS: dict[str, Callable[[Any, random.Random], Any]] = {
+    "uniform": _uniform,
+    "log_uniform": _log_uniform,
+    "normal": _normal,
+    "one_of": _one_of,
+    "weighted": _weighted,
+}

@@ -1,0 +1,352 @@
+"""What must hold in every flight: each property is a pure function over the flight's record.
+
+A property returns what broke it, the worst first where it can be worse or better; an empty list
+where it held. What it lets pass it lets pass by a bound that it works out from the record.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from echowing.analysis.metrics import approach_s, metrics
+from echowing.campaign.promises import broken_promises
+from echowing.campaign.record import Bools, FlightRecord
+from echowing.flight.envelope import (
+    OTHERS_MPS2,
+    RETREAT_MOST_MPS,
+    SURE_SIGMAS,
+    Answer,
+    closing_limit_mps,
+)
+from echowing.flight.guard import LOWEST_M
+from echowing.flight.sonar import DETECTION_LIMIT_M
+from echowing.flight.spacing import UNRANGED_SIGMA_M
+from echowing.sim.flight import SAMPLE_S
+from echowing.sim.modes import GUIDED
+
+# README's promise between any two vehicles.
+LEAST_M = 1.0
+# Data counts as stale after this (guidance.stale_age_s, ECHO_STREAM_T): so long after, all stand.
+STOPS_WITHIN_S = 2.0
+# A held copter follows its receiver's wandering and the gusts: measured on a hovering leader, at
+# most 0.23 m/s in calm and 0.1 m/s more for each 4 m/s of wind; twice that is motion.
+STANDS_MPS, STANDS_PER_WIND = 0.5, 0.05
+# A vehicle that goes away from another nearer than this is making room, whatever is stale: between
+# followers what the envelope keeps where no sonar ranges, and of the leader its slot; and half a
+# metre to begin with.
+BETWEEN_FOLLOWERS_M = LEAST_M + SURE_SIGMAS * UNRANGED_SIGMA_M
+MAKING_ROOM_M = 0.5
+# In wind: a vehicle that leans so far has nothing left to brake with (30 degrees are all it has).
+ALL_LEAN_RAD, BLOWN_WIND_MPS, BLOWN_S = math.radians(28.5), 4.0, 3.0
+# From a change of the mode to the pilot's value: the applet's period and the handing back.
+HANDED_BACK_S = 0.5
+# ArduCopter's Guided flies a velocity on for so long (GUID_TIMEOUT).
+GUIDED_TIMEOUT_S = 3.0
+# A leader heard and ranged, with nothing wrong: README's mean error is 0.12 m over ten flights.
+MEAN_ERROR_M = 0.5
+# Where nothing is wrong, this is not: what README's headline was flown with.
+CALM_SPEED_MPS, CALM_LOSS, CALM_LATENCY_S = 2.0, 0.05, 0.5
+
+
+@dataclass(frozen=True)
+class Broken:
+    """A property that did not hold: when, on which vehicle, by how much, and in words."""
+
+    name: str
+    time_s: float
+    vehicle: int
+    value: float
+    text: str
+
+
+Property = Callable[[FlightRecord], list[Broken]]
+
+
+def separation(record: FlightRecord) -> list[Broken]:
+    """Any two vehicles are at least LEAST_M apart, or nothing could have kept them so."""
+    broken = []
+    for number, (a, b) in enumerate(record.pairs):
+        least_m = record.least_m[:, number]
+        sample = int(np.argmin(least_m))
+        if least_m[sample] >= LEAST_M:
+            continue
+        bound_m = retreat_bound_m(record, sample, b) if a == 0 else math.inf
+        if bound_m < LEAST_M:
+            continue
+        name = "the leader" if a == 0 else f"follower {a + 1}"
+        blown = _blown(record, sample, a) or _blown(record, sample, b)
+        broken.append(
+            Broken(
+                BLOWN if blown else "separation",
+                float(record.time_s[sample]),
+                b + 1,
+                float(least_m[sample]),
+                f"follower {b + 1} came to {least_m[sample]:.2f} m of {name}",
+            )
+        )
+    return sorted(broken, key=lambda one: one.value)
+
+
+def _blown(record: FlightRecord, sample: int, vehicle: int) -> bool:
+    """Whether the wind had just taken all the lean that a vehicle has."""
+    if record.scenario.wind.speed_mps < BLOWN_WIND_MPS:
+        return False
+    first = max(0, sample - round(BLOWN_S / SAMPLE_S))
+    return bool((record.lean_rad[first : sample + 1, vehicle] >= ALL_LEAN_RAD).any())
+
+
+def retreat_bound_m(record: FlightRecord, sample: int, follower: int) -> float:
+    """What a perfect retreat would have left of the distance to the leader; `follower`: its index.
+
+    The leader's own approach is what it flew towards the follower's place, sample by sample, in the
+    while before `sample` in which it did. The follower began it closing no faster than could be
+    stopped within the promise; its retreat begins once a report of the approach, or the sonar's
+    second reading of it, has had the time to act, and is no faster than the core's.
+    """
+    apart = record.position_ned_m[:, follower] - record.position_ned_m[:, 0]
+    distance_m = np.linalg.norm(apart, axis=1)
+    towards = np.sum(record.velocity_ned_mps[:, 0] * apart, axis=1) / np.maximum(distance_m, 1e-6)
+    own = np.sum(record.velocity_ned_mps[:, follower] * apart, axis=1) / np.maximum(
+        distance_m, 1e-6
+    )
+    first = sample
+    while first > 0 and towards[first - 1] > STANDS_MPS:
+        first -= 1
+    if first == sample:
+        return math.inf  # the leader did not fly at it
+    known = _known_from(record, first, follower) + round(Answer().dead_s / SAMPLE_S)
+    left_m = float(distance_m[first])
+    away_mps = max(float(own[first]), -closing_limit_mps(left_m, Answer(), LEAST_M))
+    bound_m = left_m
+    for at in range(first, sample):
+        if at >= known:
+            away_mps = min(RETREAT_MOST_MPS, away_mps + OTHERS_MPS2 * SAMPLE_S)
+        left_m += (away_mps - float(towards[at])) * SAMPLE_S
+        bound_m = min(bound_m, left_m)
+    return bound_m
+
+
+def _known_from(record: FlightRecord, first: int, follower: int) -> int:
+    """The sample from which on an approach that began at `first` can be known of."""
+    began_s = record.time_s[first]
+    for at in range(first, len(record.time_s)):
+        reported = record.tool[at] and record.time_s[at] - record.leader_age_s[at] >= began_s
+        taken = record.stream_age_s[at, follower - 1] < 1.0
+        ranged = (
+            record.applet[at, follower - 1]
+            and np.isfinite(record.sonar_m[max(first, at - 1) : at + 1, follower - 1]).all()
+        )
+        if (reported and taken) or (ranged and at > first):
+            return at
+    return len(record.time_s)
+
+
+def stopped(record: FlightRecord) -> list[Broken]:
+    """A follower whose data are stale, or whose stop was ordered, stands soon after."""
+    wind_mps = record.scenario.wind.speed_mps
+    stands_mps = STANDS_MPS + STANDS_PER_WIND * wind_mps
+    broken = []
+    for number in range(record.follower_count):
+        must = must_stand(record, number)
+        moving = record.speed_over_ground_mps[:, number + 1] > stands_mps
+        moving &= ~_making_room(record, number + 1)
+        at = _lasting(must & moving, 0.5)
+        if at is None:
+            continue
+        speed_mps = float(record.speed_over_ground_mps[at, number + 1])
+        broken.append(
+            Broken(
+                "stopped",
+                float(record.time_s[at]),
+                number + 2,
+                speed_mps,
+                f"follower {number + 2} moves at {speed_mps:.1f} m/s, its data stale or its stop "
+                f"ordered for more than {STOPS_WITHIN_S:g} s",
+            )
+        )
+    return broken
+
+
+def must_stand(record: FlightRecord, number: int) -> Bools:
+    """When a follower (index from 0) has to stand, (n,)."""
+    stale_s = record.scenario.guidance.stale_age_s or math.inf
+    silence_s = record.scenario.applet.get("ECHO_STREAM_T", 1.0)
+    streams = np.isfinite(record.stream_age_s[:, number])
+    # Without the applet nothing on board knows of a lost stream but Guided's own time-out.
+    silence = np.where(record.applet[:, number], silence_s, silence_s + GUIDED_TIMEOUT_S)
+    stale = record.tool & (record.leader_age_s > stale_s)
+    reason = (
+        (stale & streams)
+        | (record.switched[:, number] & record.tool)
+        | (streams & (record.stream_age_s[:, number] > silence))
+    )
+    reason &= record.guided[:, number]
+    reason[: round(STOPS_WITHIN_S / SAMPLE_S)] = False
+    return _lasted(reason, STOPS_WITHIN_S)
+
+
+def _making_room(record: FlightRecord, vehicle: int) -> Bools:
+    """When a vehicle goes away from another that is nearer than it should be, (n,)."""
+    room = np.zeros(len(record.time_s), dtype=np.bool_)
+    slot = record.scenario.formation.slots[vehicle - 1]
+    for other in range(record.position_ned_m.shape[1]):
+        if other == vehicle:
+            continue
+        apart = record.position_ned_m[:, vehicle] - record.position_ned_m[:, other]
+        distance_m = np.linalg.norm(apart, axis=1)
+        leaves = np.sum(record.velocity_ned_mps[:, vehicle] * apart, axis=1) > 0.0
+        near_m = MAKING_ROOM_M + (slot.radius_m if other == 0 else BETWEEN_FOLLOWERS_M)
+        room |= leaves & (distance_m < near_m)
+    return room
+
+
+def pilots_word(record: FlightRecord) -> list[Broken]:
+    """No point goes to a vehicle that has said that it is not in Guided, or not in the air."""
+    for point in record.points:
+        if point.known_mode == GUIDED and point.known_flying:
+            continue
+        where = "on the ground" if point.known_mode == GUIDED else f"in mode {point.known_mode}"
+        return [
+            Broken(
+                "pilots word",
+                point.time_s,
+                point.vehicle,
+                float(point.known_mode or -1),
+                f"a point was sent to follower {point.vehicle}, which had said that it was {where}",
+            )
+        ]
+    return []
+
+
+def speed_handed_back(record: FlightRecord) -> list[Broken]:
+    """Outside Guided the speed parameter is the pilot's, where the applet runs to see to it."""
+    broken = []
+    for number in range(record.follower_count):
+        away = _lasted(
+            record.applet[:, number] & (record.mode[:, number + 1] != GUIDED), HANDED_BACK_S
+        )
+        wrong = away & ~np.isclose(record.speed_mps[:, number], record.pilot_speed_mps, atol=1e-3)
+        at = _lasting(wrong, 0.0)
+        if at is not None:
+            value = float(record.speed_mps[at, number])
+            broken.append(
+                Broken(
+                    "speed handed back",
+                    float(record.time_s[at]),
+                    number + 2,
+                    value,
+                    f"follower {number + 2}: its speed parameter is {value:.2f} m/s outside "
+                    f"Guided, and its pilot's is {record.pilot_speed_mps:.2f}",
+                )
+            )
+    return broken
+
+
+def not_too_low(record: FlightRecord) -> list[Broken]:
+    """Never led lower than LOWEST_M above its home, unless it was asked to be."""
+    broken = []
+    scenario = record.scenario
+    for number, slot in enumerate(scenario.formation.slots):
+        least_m = min(LOWEST_M, scenario.leader.altitude_m + slot.altitude_step_m)
+        # Its height wanders in the wind by some decimetres.
+        low = record.guided[:, number] & (record.height_m[:, number + 1] < least_m - 0.3)
+        at = _lasting(low, 0.5)
+        if at is not None:
+            value = float(record.height_m[at, number + 1])
+            broken.append(
+                Broken(
+                    "not too low",
+                    float(record.time_s[at]),
+                    number + 2,
+                    value,
+                    f"follower {number + 2} was led to {value:.1f} m above its home",
+                )
+            )
+    return broken
+
+
+def texts_said(record: FlightRecord) -> list[Broken]:
+    """Every text that is promised for a fault was said (see `campaign.promises`)."""
+    return [
+        Broken("texts said", at_s, vehicle, 0.0, text)
+        for at_s, vehicle, text in broken_promises(record)
+    ]
+
+
+def mean_error(record: FlightRecord) -> list[Broken]:
+    """Where nothing was wrong and the sonar reaches the leader, the mean error is small."""
+    if not nothing_wrong(record):
+        return []
+    broken = []
+    for number, flight in enumerate(record.flights):
+        slot = record.scenario.formation.slots[number]
+        inset_m = record.scenario.guidance.sonar_inset_m
+        if slot.radius_m - inset_m >= DETECTION_LIMIT_M or slot.altitude_step_m != 0.0:
+            continue
+        value = metrics(flight, approach_s(flight)).mean_abs_error_m
+        if value > MEAN_ERROR_M:
+            broken.append(
+                Broken(
+                    "mean error",
+                    float(record.time_s[-1]),
+                    number + 2,
+                    value,
+                    f"follower {number + 2}: mean error {value:.2f} m, and nothing was wrong",
+                )
+            )
+    return broken
+
+
+def nothing_wrong(record: FlightRecord) -> bool:
+    """No fault, and a flight of the kind that README's headline is made from."""
+    scenario = record.scenario
+    leader = scenario.radio.leader
+    return (
+        not scenario.fault
+        and scenario.wind.speed_mps == 0.0
+        and scenario.guidance.feed_forward
+        and scenario.leader.speed_mps <= CALM_SPEED_MPS
+        and scenario.leader.path in ("rectangle", "circle", "figure-eight")
+        and len(scenario.formation.slots) == 1
+        and leader.loss <= CALM_LOSS
+        and leader.latency_s + leader.jitter_s <= CALM_LATENCY_S
+        and scenario.airframe == type(scenario.airframe)()
+    )
+
+
+# The separation broken while the wind had taken all lean: counted apart, as no law can help it.
+BLOWN = "separation, blown"
+
+# In the order of the report.
+PROPERTIES: dict[str, Property] = {
+    "separation": separation,
+    "stopped": stopped,
+    "pilots word": pilots_word,
+    "speed handed back": speed_handed_back,
+    "not too low": not_too_low,
+    "texts said": texts_said,
+    "mean error": mean_error,
+}
+
+
+def judge(record: FlightRecord, names: Sequence[str] = tuple(PROPERTIES)) -> list[Broken]:
+    """All that is broken in a flight, of the properties named."""
+    return [broken for name in names for broken in PROPERTIES[name](record)]
+
+
+def _lasted(condition: Bools, seconds: float) -> Bools:
+    """Where a condition has held for so long without a gap, (n,)."""
+    need = round(seconds / SAMPLE_S)
+    run, lasted = 0, np.zeros(len(condition), dtype=np.bool_)
+    for at, holds in enumerate(condition.tolist()):
+        run = run + 1 if holds else 0
+        lasted[at] = run > need
+    return lasted
+
+
+def _lasting(condition: Bools, seconds: float) -> int | None:
+    """The first sample at which a condition has held for so long."""
+    found = np.flatnonzero(_lasted(condition, seconds))
+    return int(found[0]) if len(found) else None

@@ -1,0 +1,134 @@
+"""Spreads calls over Dask workers: each is done once, in any order, and whoever asks may stop.
+
+Dask hands out the work, notices a worker that dies, and gives what it had to another.
+"""
+
+import signal
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from queue import Empty, Queue
+from typing import Any, TypeVar
+
+from dask import config
+from distributed import Client, Future, LocalCluster
+from distributed.scheduler import KilledWorker
+
+from echowing.errors import EchowingError
+
+Key = TypeVar("Key")
+# So many calls for each worker are handed out at a time: none waits, and few are lost on a stop.
+AHEAD = 3
+# A call whose worker dies is given to another so many times; then it is the call that kills them.
+MOST_DEATHS = 3
+CONNECT_S = 10.0
+POLL_S = 0.2
+
+
+class WorkersDied:
+    """The result of a call after which its worker was dead, again and again."""
+
+
+@contextmanager
+def connected(workers: int, scheduler: str | None) -> Iterator[Client]:
+    """A user's scheduler, or a cluster of this machine's own processes, on loopback only.
+
+    Raises EchowingError where there is no scheduler, or it has no workers.
+    """
+    if scheduler is None:
+        with _local(workers) as client:
+            yield client
+        return
+    try:
+        client = Client(scheduler, timeout=CONNECT_S, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise EchowingError(
+            f"--scheduler {scheduler}: no Dask scheduler answers there: start one with "
+            "`dask scheduler`, and its workers with `dask worker`"
+        ) from error
+    with client:
+        if not client.scheduler_info()["workers"]:
+            raise EchowingError(f"--scheduler {scheduler}: has no workers: start `dask worker`")
+        yield client
+
+
+@contextmanager
+def _local(workers: int) -> Iterator[Client]:
+    options = {
+        "distributed.scheduler.allowed-failures": MOST_DEATHS - 1,
+        "distributed.admin.log-format": "%(message)s",
+        "logging": {"distributed": "critical"},
+        "distributed.worker.daemon": False,
+    }
+    with config.set(options), _ctrl_c_is_ours():
+        cluster = LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            processes=True,
+            host="127.0.0.1",
+            dashboard_address=None,
+            silence_logs=50,
+        )
+    with config.set(options), cluster, Client(cluster, set_as_default=False) as client:
+        yield client
+
+
+@contextmanager
+def _ctrl_c_is_ours() -> Iterator[None]:
+    """Processes that are started here do not take the terminal's Ctrl-C: their end is our call."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def done_by_workers(
+    client: Client,
+    call: Callable[..., Any],
+    shared: Any,
+    keys: Iterable[Key],
+    stop: Callable[[], bool] = lambda: False,
+) -> Iterator[tuple[Key, Any]]:
+    """`call(shared, key)` for each key, as they are done; ends early once `stop()`.
+
+    What a call raises is raised here; WorkersDied is given back as the result.
+    """
+    done: Queue[tuple[Key, Future]] = Queue()
+    given = client.scatter(shared, broadcast=True, hash=False)
+    waiting = iter(keys)
+    under_way: dict[Key, Future] = {}
+
+    def hand_out() -> None:
+        most = AHEAD * max(1, len(client.scheduler_info()["workers"]))
+        while len(under_way) < most:
+            key = next(waiting, None)
+            if key is None:
+                return
+            future = client.submit(call, given, key, pure=False, retries=0)
+            under_way[key] = future
+            future.add_done_callback(lambda future, key=key: done.put((key, future)))
+
+    hand_out()
+    while under_way and not stop():
+        try:
+            key, future = done.get(timeout=POLL_S)
+        except Empty:
+            continue
+        if under_way.pop(key, None) is None:
+            continue
+        yield key, _result(future)
+        hand_out()
+    client.cancel(list(under_way.values()))
+
+
+def _result(future: Future) -> Any:
+    error = future.exception()
+    if isinstance(error, KilledWorker):
+        return WorkersDied()
+    if error is not None:
+        raise error
+    return future.result()

@@ -1,0 +1,48 @@
+"""`echowing replay`: a recorded flight in the browser."""
+
+import argparse
+import time
+from pathlib import Path
+
+EXAMPLES = """\
+examples:
+  echowing replay out/flights/20261121-140000      what `follow` has logged
+  echowing replay leader.BIN follower.BIN          vehicles' own logs, .BIN or .tlog
+  echowing sim echowing --out out/mine && echowing replay out/mine
+  echowing replay out/flights/20261121-140000 --web 8100 --web-address 0.0.0.0
+The page has a time line, and plays at 1/4 to 100 times the speed of the flight. Ctrl-C ends it.
+"""
+POLL_S = 0.2
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The verb's options."""
+    from echowing.web.options import add_web_arguments  # noqa: PLC0415 (imported when it is used)
+
+    parser.epilog = EXAMPLES
+    parser.add_argument(
+        "logs", type=Path, nargs="+", metavar="DIR", help="a folder of logs, or the logs"
+    )
+    add_web_arguments(parser, always=True)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Serve the flight until told to end."""
+    from echowing.stopping import stop_on_signals  # noqa: PLC0415 (imported when the verb is used)
+    from echowing.web.options import PageAddress, page_address  # noqa: PLC0415
+    from echowing.web.recording import open_recording  # noqa: PLC0415
+    from echowing.web.replay import ReplayFeed  # noqa: PLC0415
+    from echowing.web.server import PageServer  # noqa: PLC0415
+
+    address = page_address(args) or PageAddress()
+    recording = open_recording(args.logs)
+    with stop_on_signals() as stop:
+        server = PageServer(address, ReplayFeed(recording))
+        print(recording.title, flush=True)
+        print(server.address.said, flush=True)
+        while not stop() and server.error is None:
+            time.sleep(POLL_S)
+        server.close()
+    if server.error is not None:
+        raise server.error
+    return 0

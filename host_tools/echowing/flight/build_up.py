@@ -1,0 +1,287 @@
+"""A formation that is closed in steps, and opened again, in flight. Pure.
+
+The slots move at a limited rate; clocks, offsets and estimates stay as they are. Where the sonar
+detects the leader the applet holds the follower at ECHO_DIST, whatever the slot: so ECHO_DIST goes
+to the new radius first, is read back, and only then do the slots come nearer. Opening waits for
+nothing. What ECHO_DIST was before is put back at the end (`restore`).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from echowing.flight.engage import DIST
+from echowing.flight.guidance import Slot, SlotGuide
+
+if TYPE_CHECKING:
+    from echowing.flight.session import FollowSession
+    from echowing.flight.state import FollowerState
+
+# Of the outermost slot: its follower trails it by half a metre (Guided flies 1 m/s for each metre
+# that it is off), and 8 m are closed in 6 s to 5 m.
+SLOT_MPS = 0.5
+# Ticks come at 8 Hz; after a longer pause the slots go on from where they are.
+LONGEST_STEP_S = 0.5
+# What the applet accepts (lua/echowing.lua); beyond the second no sonar detects the leader.
+LEAST_DIST_M, MOST_DIST_M = 1.5, 6.0
+SAME_M = 0.01
+# A slow radio answers within a second, and loses one answer in three at its worst.
+ASK_PERIOD_S, TRIES = 1.0, 5
+# The value that answers PARAM_SET alone may be of what was asked for: it is asked anew too.
+ANSWERS = 2
+
+
+@dataclass(slots=True)
+class AppletDistance:
+    """ECHO_DIST of one follower, on its way to `wanted_m`; None: nothing is wanted.
+
+    before_m: what it was before the first change; written_m: what we have set last; failed: it was
+    not confirmed; told: that was said.
+    """
+
+    wanted_m: float | None = None
+    before_m: float | None = None
+    written_m: float | None = None
+    failed: bool = False
+    told: bool = False
+    _heard_m: float | None = None
+    _asks_to_set: bool = False
+    _agreeing: int = 0
+    _tries: int = 0
+    _asked_at_s: float = -math.inf
+
+    def want(self, distance_m: float) -> None:
+        """Begin to set it; what it is now is asked first."""
+        self.wanted_m = distance_m
+        self.failed = self.told = self._asks_to_set = False
+        self._heard_m, self._agreeing, self._tries = None, 0, 0
+        self._asked_at_s = -math.inf
+
+    @property
+    def is_set(self) -> bool:
+        """Whether the vehicle has confirmed what is wanted."""
+        return self.wanted_m is None or self._agreeing >= (ANSWERS if self._asks_to_set else 1)
+
+    @property
+    def is_ours(self) -> bool:
+        """Whether it has another value than before because of us."""
+        changed = self.written_m is not None and self.before_m is not None
+        return changed and not _same(self.written_m, self.before_m)
+
+    def receive(self, value: float) -> None:
+        """Take a PARAM_VALUE."""
+        if self._heard_m is None:
+            self._asked_at_s = -math.inf  # known now: on with it
+        self._heard_m = value
+        if _same(value, self.wanted_m):
+            self._agreeing += 1
+        elif self.is_set and self.written_m is not None and not _same(value, self.written_m):
+            self.before_m = self.written_m = None  # somebody else has set it: it is his now
+
+    def messages(self, system_id: int, now_s: float) -> list[Any]:
+        """What to ask the vehicle now."""
+        if self.wanted_m is None or self.is_set or self.failed:
+            return []
+        if now_s - self._asked_at_s < ASK_PERIOD_S:
+            return []
+        if self._tries >= TRIES:
+            self.failed = True
+            return []
+        self._tries += 1
+        self._asked_at_s = now_s
+        ask = mavlink.MAVLink_param_request_read_message(
+            system_id, mavlink.MAV_COMP_ID_AUTOPILOT1, DIST.encode(), -1
+        )
+        if self._heard_m is None:
+            return [ask]
+        if self.before_m is None:
+            self.before_m = self._heard_m
+        self.written_m, self._asks_to_set = self.wanted_m, True
+        change = mavlink.MAVLink_param_set_message(
+            system_id,
+            mavlink.MAV_COMP_ID_AUTOPILOT1,
+            DIST.encode(),
+            self.wanted_m,
+            mavlink.MAV_PARAM_TYPE_REAL32,
+        )
+        return [change, ask]
+
+
+def _same(a: float | None, b: float | None) -> bool:
+    return a is not None and b is not None and abs(a - b) < SAME_M
+
+
+class BuildUp:
+    """The radii of one flight, the widest first; `slots` are the formation's at that one.
+
+    A radius is the nearest slot's distance from the leader; the others keep their proportion.
+    radius_m: where the slots are now.
+    """
+
+    def __init__(self, radii_m: Sequence[float], slots: Sequence[Slot]) -> None:
+        self.radii_m = tuple(radii_m)
+        self.radius_m = self.radii_m[0]
+        self._slots = list(slots)
+        radii = [slot.radius_m for slot in slots]
+        self._spread = max(radii) / min(radii)
+        self._step = 0
+        self._waits = False
+        self._told = True
+        self._at_s: float | None = None
+        self.distances: dict[int, AppletDistance] = {}
+
+    @property
+    def target_m(self) -> float:
+        """The radius to be at."""
+        return self.radii_m[self._step]
+
+    @property
+    def nearer_m(self) -> float | None:
+        """The next radius; None: there is none."""
+        more = self._step + 1 < len(self.radii_m)
+        return self.radii_m[self._step + 1] if more else None
+
+    @property
+    def further_m(self) -> float | None:
+        """The radius before; None: there is none."""
+        return self.radii_m[self._step - 1] if self._step > 0 else None
+
+    @property
+    def moves(self) -> bool:
+        """Whether the slots are not yet where they are to be."""
+        return self._waits or self.radius_m != self.target_m
+
+    def objection(self, session: "FollowSession", now_s: float) -> str | None:
+        """Why the slots cannot come nearer now; None: they can."""
+        if self.nearer_m is None:
+            return f"{self.target_m:g} m is the last radius of --build-up"
+        if self.moves:
+            return f"still on the way to {self.target_m:g} m"
+        led = [one for one in session.followers.values() if session.sends_to(one, now_s)]
+        if not led:
+            return "nobody is led yet"
+        for follower in led:
+            if follower.held_at is not None:
+                return f"follower {follower.plan.system_id} holds: {follower.hold_reason}"
+        return None
+
+    def nearer(self, session: "FollowSession") -> None:
+        """Aim at the next radius: the applets' distance first, the slots once that is confirmed."""
+        if self.nearer_m is not None:
+            self._aim(session, self._step + 1)
+            self._waits = True
+
+    def further(self, session: "FollowSession") -> None:
+        """Aim at the radius before, at once."""
+        if self.further_m is not None:
+            self._aim(session, self._step - 1)
+            self._waits = False
+
+    def _aim(self, session: "FollowSession", step: int) -> None:
+        self._step, self._told = step, False
+        slots = scaled(self._slots, self.target_m)
+        for system_id, slot in zip(session.followers, slots, strict=True):
+            wanted_m = min(MOST_DIST_M, max(LEAST_DIST_M, slot.radius_m))
+            self.distances.setdefault(system_id, AppletDistance()).want(wanted_m)
+
+    def receive(self, message: Any) -> None:
+        """Take any message of a vehicle of the session."""
+        if message.get_type() != "PARAM_VALUE" or message.param_id != DIST:
+            return
+        distance = self.distances.get(message.get_srcSystem())
+        if distance is not None:
+            distance.receive(message.param_value)
+
+    def advance(self, session: "FollowSession", now_s: float) -> list[tuple[int, Any]]:
+        """Once a tick: move the slots; returns what to send."""
+        elapsed_s = 0.0 if self._at_s is None else now_s - self._at_s
+        self._at_s = now_s
+        messages = [
+            (system_id, message)
+            for system_id, distance in self.distances.items()
+            for message in distance.messages(system_id, now_s)
+        ]
+        self._judge(session, now_s)
+        if not self._waits and self.radius_m != self.target_m:
+            step_m = SLOT_MPS / self._spread * min(elapsed_s, LONGEST_STEP_S)
+            far_m = self.target_m - self.radius_m
+            self.radius_m += math.copysign(min(step_m, abs(far_m)), far_m)
+            self._place(session)
+        if not self.moves and not self._told:
+            self._told = True
+            _say(session, now_s, f"radius {self.target_m:g} m")
+        return messages
+
+    def _judge(self, session: "FollowSession", now_s: float) -> None:
+        """Let the slots come nearer once every applet has confirmed, or go back where one fails."""
+        failed = [(who, one) for who, one in self.distances.items() if one.failed and not one.told]
+        for system_id, one in failed:
+            one.told = True
+            _say(session, now_s, f"follower {system_id}: {DIST} {one.wanted_m:g} is not confirmed")
+        if not self._waits:
+            return
+        if failed:
+            self.further(session)
+            _say(session, now_s, f"the radius stays {self.target_m:g} m")
+        elif all(distance.is_set for distance in self.distances.values()):
+            self._waits = False
+
+    def _place(self, session: "FollowSession") -> None:
+        slots = scaled(self._slots, self.radius_m)
+        longest_m = max(slot.radius_m for slot in slots)
+        for follower, slot in zip(session.followers.values(), slots, strict=True):
+            replace_slot(follower, slot, longest_m)
+
+    # ---- the end --------------------------------------------------------------------------------
+
+    def restore(self) -> None:
+        """Begin to put ECHO_DIST back where it was."""
+        for distance in self.distances.values():
+            if distance.is_ours and distance.before_m is not None:
+                distance.want(distance.before_m)
+            else:
+                distance.wanted_m = None
+
+    @property
+    def restored(self) -> bool:
+        """Whether nothing more can be done about it."""
+        return all(distance.is_set or distance.failed for distance in self.distances.values())
+
+    def left(self) -> list[tuple[str, bool]]:
+        """What became of each ECHO_DIST that was changed, and whether that is well."""
+        texts = []
+        for system_id, distance in self.distances.items():
+            if distance.wanted_m is None:
+                continue
+            text = f"follower {system_id}: {DIST} put back to {distance.wanted_m:g}"
+            if not distance.is_set:
+                text = (
+                    f"follower {system_id}: {DIST} NOT put back: "
+                    f"param set {DIST} {distance.wanted_m:g}"
+                )
+            texts.append((text, distance.is_set))
+        return texts
+
+
+def replace_slot(follower: "FollowerState", slot: Slot, longest_m: float) -> None:
+    """Give a follower that may be flying another slot; where its bar points stays.
+
+    longest_m: radius of the formation's outermost slot.
+    """
+    follower.plan.slot = slot
+    follower.bar.slot, follower.bar.length_m = slot, longest_m
+    if isinstance(follower.guide, SlotGuide):
+        follower.guide.slot = slot
+
+
+def scaled(slots: Sequence[Slot], radius_m: float) -> list[Slot]:
+    """A formation's slots, the nearest of them `radius_m` from the leader."""
+    share = radius_m / min(slot.radius_m for slot in slots)
+    return [replace(slot, radius_m=share * slot.radius_m) for slot in slots]
+
+
+def _say(session: "FollowSession", now_s: float, text: str) -> None:
+    session.events.append((now_s, text))

@@ -1,0 +1,99 @@
+"""How a follower answers, from its own parameters, and what a leader's reversal takes. Pure.
+
+The envelope reckons with a vehicle's own acceleration and jerk. What they leave of the distance
+when a leader turns round can be told beforehand, and how near a slot may be at most.
+"""
+
+import math
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+from echowing.flight.envelope import LEAST_M, OTHERS_MPS2, Answer
+
+# Names of ArduCopter 4.7 and later, and of those before, with what makes SI units of them.
+ACCELERATIONS = {"WP_ACC": 1.0, "WPNAV_ACCEL": 0.01}
+JERKS = {"PSC_JERK_NE": 1.0, "PSC_JERK_XY": 1.0}
+ASK_PERIOD_S = 1.0
+# From an order to the first lean: half a control period of the points (8 Hz), and 0.3 s until the
+# lean is there (ATC_INPUT_TC 0.15 and the motors).
+REACTION_S = 0.35
+# However high PSC_JERK_NE is, the jerk stays below half the root of the acceleration times what
+# the lean's own acceleration does (ATC_ACC_R_MAX 1100 deg/s2; AC_PosControl.cpp).
+SNAP_MPS4 = math.radians(1100.0) * 9.80665
+# From a leader's first braking to the follower's order: a period of the sonar (0.1 s), a second
+# reading that says the same, and what the two have to differ by (0.1 s at 2.5 m/s2 is 0.01 m, a
+# sonar's step; 0.15 s are 0.03 m).
+NOTICED_S = 0.3
+STEP_S = 0.005
+# What was asked so often is not answered.
+MOST_ASKS = 5
+
+
+@dataclass(slots=True)
+class Handling:
+    """What one follower has said of its acceleration and jerk; None: nothing yet."""
+
+    decel_mps2: float | None = None
+    jerk_mps3: float | None = None
+    _asked_at_s: float = -math.inf
+    _asks: int = 0
+    _answer: Answer = field(default_factory=Answer)
+
+    @property
+    def answer(self) -> Answer:
+        """How it answers; ArduCopter's defaults where it has not said."""
+        return self._answer
+
+    @property
+    def known(self) -> bool:
+        """Whether both are known."""
+        return self.decel_mps2 is not None and self.jerk_mps3 is not None
+
+    def receive(self, name: str, value: float) -> None:
+        """Take a parameter of its autopilot."""
+        if name in ACCELERATIONS and value > 0.0:
+            self.decel_mps2 = value * ACCELERATIONS[name]
+        elif name in JERKS and value > 0.0:
+            self.jerk_mps3 = value * JERKS[name]
+        else:
+            return
+        self._answer = answer_of(self.decel_mps2, self.jerk_mps3)
+
+    def asks(self, now_s: float) -> list[str]:
+        """The parameters to be asked for now."""
+        if self.known or self._asks >= MOST_ASKS or now_s - self._asked_at_s < ASK_PERIOD_S:
+            return []
+        self._asked_at_s = now_s
+        self._asks += 1
+        return [*ACCELERATIONS, *JERKS]
+
+
+def answer_of(decel_mps2: float | None, jerk_mps3: float | None) -> Answer:
+    """Dead time and deceleration of a vehicle with these limits; None: ArduCopter's default.
+
+    A deceleration that builds up at a jerk is worth one that begins half that time later.
+    """
+    if decel_mps2 is None or jerk_mps3 is None:
+        return Answer()
+    jerk_mps3 = min(jerk_mps3, 0.5 * math.sqrt(decel_mps2 * SNAP_MPS4))
+    return Answer(REACTION_S + decel_mps2 / (2.0 * jerk_mps3), decel_mps2)
+
+
+@lru_cache(maxsize=256)
+def least_slot_m(speed_mps: float, answer: Answer, least_m: float = LEAST_M) -> float:
+    """The nearest slot from which a reversal of the leader leaves `least_m`.
+
+    speed_mps: the leader's, from which it turns to as fast the other way at ArduCopter's default
+    acceleration; the sonar shows it to the follower, which then does the same with what it has.
+    """
+    notices_s = NOTICED_S + answer.dead_s
+    leader_mps = follower_mps = abs(speed_mps)
+    lost_m = most_lost_m = t_s = 0.0
+    while leader_mps > -abs(speed_mps) or follower_mps > leader_mps:
+        t_s += STEP_S
+        leader_mps = max(-abs(speed_mps), leader_mps - OTHERS_MPS2 * STEP_S)
+        if t_s > notices_s:
+            follower_mps = max(-abs(speed_mps), follower_mps - answer.decel_mps2 * STEP_S)
+        lost_m += (follower_mps - leader_mps) * STEP_S
+        most_lost_m = max(most_lost_m, lost_m)
+    return least_m + most_lost_m

@@ -1,0 +1,261 @@
+"""Health of the formation: who sees whom, and whose loss would cut the rest in two. Pure.
+
+The vehicles do not talk to each other: all that one knows of another comes through the ground
+station. A radio is therefore no edge between two vehicles but a property of one: the age of its
+report. What holds a formation together without the ground is who *sees* whom. So an edge joins two
+vehicles when
+
+- one of them *ranges* the other: its sonar has measured a distance that fits the other vehicle
+  within `RANGED_S`; or
+- they are *near*: both have reported within `HEARD_S`, and are within reach of a sonar of each
+  other by their receivers, so that one could be ranged if the other were turned to it.
+
+A vehicle is an *articulation point* (S. K. Lee and J. McLurkin, "Distributed cohesive configuration
+control for swarm robots with boundary information and network sensing", IROS 2014; thesis chapter
+2) when its loss would leave parts that do not see each other. A follower without any edge sees
+nobody. Neither is a fault by itself: at a radius of 8 m nobody sees anybody, and two followers far
+apart are always joined by their leader only. What is worth a word is the change.
+"""
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+
+import networkx as nx
+
+from echowing.flight.sonar import DETECTION_LIMIT_M
+from echowing.geo import Ned, wrap_angle_rad
+
+RANGED_S = 2.0
+# As `guard.UNHEARD_S`: one that was not heard for so long gets no points.
+HEARD_S = 2.0
+# Where two have been near they are so until a little further apart: receivers wander.
+FURTHER_SHARE = 1.1
+# A range is of the vehicle that it fits best. Worse than this (a GPS and a beam's width, as
+# `panel.MISMATCH_M`), or further off the nose (beam 20 deg, and the two receivers' errors at 3 m),
+# it is of something else.
+FIT_M, AHEAD_RAD = 2.0, math.radians(50.0)
+# A change counts when it has lasted so long, and is not said again sooner.
+LASTS_S, REMARK_GAP_S = 2.0, 10.0
+
+Pair = frozenset[int]
+
+
+@dataclass(frozen=True, slots=True)
+class Member:
+    """One vehicle at one moment.
+
+    at_ned_m: by its own receiver, about an origin that all share; None: never heard; age_s: of that
+    report; heading_rad: of its nose (of the sonar's axis where that is known); range_m: distance
+    between centres by its sonar now, None: no target in its reach. leader_ned_m: where it takes
+    the leader to be, in its own receiver's frame; None: where the leader reports itself.
+    """
+
+    system_id: int
+    at_ned_m: Ned | None
+    age_s: float
+    heading_rad: float = 0.0
+    range_m: float | None = None
+    leader_ned_m: Ned | None = None
+
+    @property
+    def heard(self) -> bool:
+        """Whether it has reported of late."""
+        return self.at_ned_m is not None and self.age_s <= HEARD_S
+
+
+@dataclass(frozen=True, slots=True)
+class Cut:
+    """A vehicle whose loss would leave `parts` that do not see each other, largest first."""
+
+    system_id: int
+    parts: tuple[tuple[int, ...], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Health:
+    """How the formation holds together.
+
+    ranges: (who, whom); near: pairs; cuts: articulation points; alone: followers that see nobody;
+    lost: those of them that have seen somebody before.
+    """
+
+    ranges: tuple[tuple[int, int], ...] = ()
+    near: tuple[tuple[int, int], ...] = ()
+    cuts: tuple[Cut, ...] = ()
+    alone: tuple[int, ...] = ()
+    lost: tuple[int, ...] = ()
+
+
+def ranged(member: Member, others: Iterable[Member], leader_id: int) -> int | None:
+    """Which vehicle a member's sonar measures now; None: none that it fits."""
+    here = member.at_ned_m
+    if here is None or member.range_m is None:
+        return None
+    fits = [
+        (abs(math.dist(here, there) - member.range_m), system_id)
+        for system_id, there in _around(member, others, leader_id)
+        if _is_ahead(here, member.heading_rad, there)
+    ]
+    off_m, system_id = min(fits, default=(math.inf, -1))
+    return system_id if off_m <= FIT_M else None
+
+
+def _around(member: Member, others: Iterable[Member], leader_id: int) -> Iterator[tuple[int, Ned]]:
+    """The others and where they are for this member."""
+    for other in others:
+        seen = member.leader_ned_m if other.system_id == leader_id else None
+        there = seen or other.at_ned_m
+        if other is not member and there is not None:
+            yield other.system_id, there
+
+
+def _is_ahead(here: Ned, heading_rad: float, there: Ned) -> bool:
+    north, east, _ = (b - a for a, b in zip(here, there, strict=True))
+    return abs(wrap_angle_rad(math.atan2(east, north) - heading_rad)) <= AHEAD_RAD
+
+
+def near_pairs(members: Sequence[Member], before: Iterable[Pair] = ()) -> set[Pair]:
+    """Pairs within reach of a sonar; those of `before` until a little further apart."""
+    before = set(before)
+    heard = [member for member in members if member.heard]
+    return {
+        pair
+        for a, b in combinations(heard, 2)
+        if a.at_ned_m is not None and b.at_ned_m is not None
+        for pair in (frozenset((a.system_id, b.system_id)),)
+        if math.dist(a.at_ned_m, b.at_ned_m)
+        <= DETECTION_LIMIT_M * (FURTHER_SHARE if pair in before else 1.0)
+    }
+
+
+def assess(
+    members: Sequence[Member],
+    leader_id: int,
+    ranges: Mapping[int, int] | None = None,
+    near: Iterable[Pair] | None = None,
+) -> Health:
+    """The health of a formation at one moment.
+
+    ranges: who has ranged whom of late, `near`: who is near; without, as it is at this moment.
+    """
+    if ranges is None:
+        seen = ((member.system_id, ranged(member, members, leader_id)) for member in members)
+        ranges = {who: whom for who, whom in seen if whom is not None}
+    pairs = near_pairs(members) if near is None else set(near)
+    graph: nx.Graph[int] = nx.Graph()
+    graph.add_nodes_from(member.system_id for member in members)
+    graph.add_edges_from(ranges.items())
+    graph.add_edges_from((min(pair), max(pair)) for pair in pairs)
+    return Health(
+        ranges=tuple(sorted(ranges.items())),
+        near=tuple(sorted((min(pair), max(pair)) for pair in pairs)),
+        cuts=tuple(_cuts(graph)),
+        alone=tuple(one for one in sorted(graph) if one != leader_id and not graph.degree(one)),
+    )
+
+
+def _cuts(graph: "nx.Graph[int]") -> Iterator[Cut]:
+    for system_id in sorted(nx.articulation_points(graph)):
+        mates = nx.node_connected_component(graph, system_id) - {system_id}
+        parts = [tuple(sorted(part)) for part in nx.connected_components(graph.subgraph(mates))]
+        yield Cut(system_id, tuple(sorted(parts, key=lambda part: (-len(part), part))))
+
+
+@dataclass(slots=True)
+class _Change:
+    """A state of one vehicle that has to last before it counts, and when it was last said."""
+
+    counts: bool = False
+    other_since_s: float | None = None
+    said_s: float = -math.inf
+
+    def update(self, now_s: float, *, is_so: bool) -> bool:
+        """Whether it has just come to count the other way."""
+        if is_so is self.counts:
+            self.other_since_s = None
+            return False
+        if self.other_since_s is None:
+            self.other_since_s = now_s
+        if now_s - self.other_since_s < LASTS_S:
+            return False
+        self.counts, self.other_since_s = is_so, None
+        return True
+
+    def may_say(self, now_s: float) -> bool:
+        """Whether it is worth a word: not if it has only just been said."""
+        if now_s - self.said_s < REMARK_GAP_S:
+            return False
+        self.said_s = now_s
+        return True
+
+
+@dataclass(slots=True)
+class Cohesion:
+    """Follows a formation's health over time. `update` returns what to say of what has changed."""
+
+    leader_id: int
+    health: Health = field(default_factory=Health)
+    _ranged: dict[int, tuple[float, int]] = field(default_factory=dict)
+    _near: set[Pair] = field(default_factory=set)
+    _cut: dict[int, _Change] = field(default_factory=dict)
+    _alone: dict[int, _Change] = field(default_factory=dict)
+
+    def update(self, members: Sequence[Member], now_s: float) -> list[str]:
+        """Take the vehicles as they are now; a sentence for each change that has lasted."""
+        for member in members:
+            whom = ranged(member, members, self.leader_id)
+            if whom is not None:
+                self._ranged[member.system_id] = (now_s, whom)
+        fresh = {
+            who: whom for who, (at_s, whom) in self._ranged.items() if now_s - at_s <= RANGED_S
+        }
+        self._near = near_pairs(members, self._near)
+        self.health = assess(members, self.leader_id, fresh, self._near)
+        said = [*self._say_cuts(now_s), *self._say_alone(members, now_s)]
+        lost = tuple(one for one, change in sorted(self._alone.items()) if change.counts)
+        self.health = replace(self.health, lost=lost)
+        return said
+
+    def _say_cuts(self, now_s: float) -> Iterator[str]:
+        cuts = {cut.system_id: cut for cut in self.health.cuts}
+        for system_id in sorted({*cuts, *self._cut}):
+            change = self._cut.setdefault(system_id, _Change())
+            begins = change.update(now_s, is_so=system_id in cuts) and change.counts
+            if begins and change.may_say(now_s):
+                yield cut_text(cuts[system_id], self.leader_id)
+
+    def _say_alone(self, members: Sequence[Member], now_s: float) -> Iterator[str]:
+        """A follower is lost once it has seen somebody; at a wide radius none ever does."""
+        alone = set(self.health.alone)
+        for member in members:
+            system_id = member.system_id
+            change = self._alone.get(system_id)
+            if change is None:
+                if system_id not in alone and system_id != self.leader_id:
+                    self._alone[system_id] = _Change()
+                continue
+            if not change.update(now_s, is_so=system_id in alone):
+                continue
+            if change.counts and change.may_say(now_s):
+                yield f"follower {system_id} does not see anybody any more: {ALONE_MEANS}"
+            elif not change.counts and change.said_s > -math.inf:
+                yield f"follower {system_id} sees a vehicle again"
+
+
+ALONE_MEANS = f"no range of a vehicle, and none within {DETECTION_LIMIT_M:g} m of it"
+
+
+def cut_text(cut: Cut, leader_id: int) -> str:
+    """What an articulation point means."""
+    parts = " | ".join(_listed(part, leader_id) for part in cut.parts)
+    return f"{_name(cut.system_id, leader_id)}: its loss would cut the formation apart: {parts}"
+
+
+def _listed(part: Sequence[int], leader_id: int) -> str:
+    return ", ".join(_name(system_id, leader_id) for system_id in part)
+
+
+def _name(system_id: int, leader_id: int) -> str:
+    return "the leader" if system_id == leader_id else f"follower {system_id}"

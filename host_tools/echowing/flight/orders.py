@@ -1,0 +1,110 @@
+"""What the operator orders in flight: engage, hold, come nearer, back out, stop all. Pure.
+
+`prepare` is called before each tick of the session. A hold ends by `engage`, a stop never does;
+whoever flies a follower by hand is not touched by either.
+"""
+
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from echowing.flight.build_up import BuildUp
+from echowing.flight.session import FollowSession
+
+HELD = "held by the operator"
+STOPPED = "stopped by the operator"
+
+
+class Orders:
+    """The operator's orders to one session; `build_up` None: the radius stays."""
+
+    def __init__(self, session: FollowSession, build_up: BuildUp | None = None) -> None:
+        self.build_up = build_up
+        self.held = self.stopped = False
+        self._session = session
+
+    def receive(self, message: Any) -> None:
+        """Take any message of a vehicle of the session."""
+        if self.build_up is not None:
+            self.build_up.receive(message)
+
+    def prepare(self, now_s: float) -> list[tuple[int, Any]]:
+        """Once before each tick: keep what was ordered; returns what to send."""
+        for follower in self._session.followers.values():
+            # A pilot who comes back to Guided meanwhile finds the hold that was ordered.
+            if self.held and follower.latched is None:
+                follower.latched = HELD
+        return [] if self.build_up is None else self.build_up.advance(self._session, now_s)
+
+    # ---- orders ---------------------------------------------------------------------------------
+
+    def engage(self, now_s: float) -> None:
+        """Send points to those whose table is right; ends a hold."""
+        session = self._session
+        if self.stopped:
+            self._say(now_s, "all were stopped: end this tool and start it anew to engage")
+        elif session.engaged and not self.held:
+            self._say(now_s, "engaged already")
+        elif self.held:
+            self.held = False
+            for follower in session.followers.values():
+                if follower.latched == HELD:
+                    follower.latched = None
+            self._say(now_s, "hold ended by key")
+        else:
+            session.engaged = True
+            self._say(now_s, "engaged by key: points go to followers that fly in Guided")
+            self._show_pilots("engaged by its operator")
+
+    def hold(self, now_s: float) -> None:
+        """Hold every follower where it is until `engage`."""
+        if self.stopped or not self._session.engaged:
+            self._say(now_s, f"no hold: {'all stopped' if self.stopped else 'not engaged'}")
+        elif not self.held:
+            self.held = True
+            self._say(now_s, "hold by key: every follower that is led holds until e")
+
+    def stop(self, now_s: float) -> None:
+        """Stop every follower that is led, and every take-off, for good."""
+        if not self.stopped:
+            self.stopped = True
+            self._session.stop(STOPPED)
+            self._say(now_s, "STOP by key: all that were moved hold, for good")
+
+    def nearer(self, now_s: float) -> None:
+        """To the next radius of the build-up."""
+        objection = self.objection_to_nearer(now_s)
+        if objection is not None or self.build_up is None:
+            self._say(now_s, f"not nearer: {objection}")
+            return
+        self.build_up.nearer(self._session)
+        self._say_radius(now_s, "nearer", self.build_up)
+
+    def further(self, now_s: float) -> None:
+        """Back out to the radius before."""
+        if self.build_up is None or self.build_up.further_m is None:
+            self._say(now_s, "not further: there is no wider radius (--build-up)")
+            return
+        self.build_up.further(self._session)
+        self._say_radius(now_s, "back out", self.build_up)
+
+    def objection_to_nearer(self, now_s: float) -> str | None:
+        """Why they cannot come nearer now; None: they can."""
+        if self.build_up is None:
+            return "no --build-up was given"
+        if self.stopped or self.held or not self._session.engaged:
+            return "not engaged"
+        return self.build_up.objection(self._session, now_s)
+
+    def _say_radius(self, now_s: float, how: str, build_up: BuildUp) -> None:
+        text = f"{how}, to {build_up.target_m:g} m"
+        self._say(now_s, f"{text} by key")
+        self._show_pilots(text)
+
+    def _show_pilots(self, text: str) -> None:
+        for system_id, follower in self._session.followers.items():
+            if follower.in_guided:
+                self._session.alert(system_id, text, mavlink.MAV_SEVERITY_NOTICE)
+
+    def _say(self, now_s: float, text: str) -> None:
+        self._session.events.append((now_s, text))

@@ -1,0 +1,15 @@
+"""What every section of a scenario is: fixed once read, and without keys that nobody knows."""
+
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field
+
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
+Positive = Annotated[float, Field(gt=0.0)]
+NotNegative = Annotated[float, Field(ge=0.0)]
+
+
+class Section(BaseModel):
+    """A section of a scenario file."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)

@@ -1,0 +1,83 @@
+"""The keys of the live view: what each does, and which of them ask first. Pure.
+
+No key needs Enter. What makes vehicles move asks, and takes only `y`, pressed later than the key
+itself: text that was pasted, or a key that is held down, answers nothing.
+"""
+
+from collections.abc import Callable
+
+from echowing.flight.orders import Orders
+
+QUESTION_S = 5.0
+YES = "y"
+ESCAPE = 0x1B  # begins what arrow and function keys send
+
+
+class KeyDesk:
+    """Turns keys into orders; `say(now_s, text)` tells the operator."""
+
+    def __init__(self, orders: Orders, say: Callable[[float, str], None]) -> None:
+        self._orders = orders
+        self._say = say
+        self._asked: tuple[float, str, Callable[[float], None]] | None = None
+
+    def press(self, data: bytes, now_s: float) -> None:
+        """Take what the terminal has: any number of keys since the last time."""
+        self._forget(now_s)
+        for byte in data:
+            if byte == ESCAPE:
+                return
+            self._one(chr(byte).lower(), now_s)
+
+    def _one(self, key: str, now_s: float) -> None:
+        asked, self._asked = self._asked, None
+        if asked is not None:
+            asked_at_s, question, order = asked
+            if key == YES and now_s > asked_at_s:
+                order(now_s)
+                return
+            self._say(now_s, f"{question} no")
+        orders = self._orders
+        if key in ("s", " "):
+            orders.stop(now_s)
+        elif key == "h":
+            orders.hold(now_s)
+        elif key == "b":
+            orders.further(now_s)
+        elif key == "e":
+            self._ask(now_s, self._engage_question(), orders.engage)
+        elif key == "n":
+            self._ask_nearer(now_s)
+
+    def _engage_question(self) -> str:
+        return "end the hold?" if self._orders.held else "engage, points to all in Guided?"
+
+    def _ask_nearer(self, now_s: float) -> None:
+        objection = self._orders.objection_to_nearer(now_s)
+        build_up = self._orders.build_up
+        if objection is not None or build_up is None:
+            self._say(now_s, f"not nearer: {objection}")
+            return
+        question = f"nearer, from {build_up.target_m:g} to {build_up.nearer_m:g} m?"
+        self._ask(now_s, question, self._orders.nearer)
+
+    def _ask(self, now_s: float, question: str, order: Callable[[float], None]) -> None:
+        self._asked = now_s, question, order
+        self._say(now_s, f"{question} press y within {QUESTION_S:g} s")
+
+    def _forget(self, now_s: float) -> None:
+        if self._asked is not None and now_s - self._asked[0] > QUESTION_S:
+            question, self._asked = self._asked[1], None
+            self._say(now_s, f"{question} no answer: no")
+
+    def line(self, now_s: float) -> str:
+        """What the keys do now, in one line of a terminal."""
+        self._forget(now_s)
+        if self._asked is not None:
+            return f"{self._asked[1]} y: yes, any other key: no"
+        build_up = self._orders.build_up
+        radius = "n nearer  b back out  " if build_up is not None else ""
+        now = "" if build_up is None else f"  radius {build_up.radius_m:.1f} m"
+        if build_up is not None and build_up.nearer_m is not None:
+            now += f", next {build_up.nearer_m:g} m"
+        return f"keys: e engage  h hold  {radius}s stop all{now}"

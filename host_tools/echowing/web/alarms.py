@@ -1,0 +1,112 @@
+"""What is wrong at one moment, worst first, in words that are read from a metre away. Pure."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+from echowing.flight.engage import LEAST_BATTERY_PERCENT
+from echowing.flight.guard import UNHEARD_S
+from echowing.flight.guidance import GuidanceSettings
+from echowing.flight.health import ALONE_MEANS, Health
+from echowing.tool.moment import Moment
+from echowing.tool.panel import GIMBAL, Row
+from echowing.tool.track import Track
+
+# README, flight day: abort at a separation under half of the wanted one.
+TOO_NEAR_SHARE = 0.5
+STALE_S = GuidanceSettings().stale_age_s or 1.0
+SONAR_FAULT = GIMBAL[3]
+
+
+class Level(IntEnum):
+    """How bad it is: nothing to do, look, act."""
+
+    GOOD = 0
+    LOOK = 1
+    ACT = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Alarm:
+    """One thing that is wrong; system_id: of which vehicle."""
+
+    level: Level
+    system_id: int
+    text: str
+
+
+def alarms(moment: Moment) -> list[Alarm]:
+    """All that is wrong now, worst first."""
+    found = [*_of_leader(moment), *_of_followers(moment.rows, moment.tracks)]
+    found += _of_health(moment.health)
+    return sorted(found, key=lambda alarm: (-alarm.level, alarm.system_id))
+
+
+def headline(moment: Moment) -> str:
+    """All in a few words, for when nothing is wrong."""
+    following = sum(row.state == "following" for row in moment.rows)
+    watched = sum(row.state == "only watched" for row in moment.rows)
+    if watched == len(moment.rows):
+        return "Only watching"
+    return f"{following} of {len(moment.rows)} following"
+
+
+def _of_leader(moment: Moment) -> Iterator[Alarm]:
+    if not moment.rows:
+        return
+    row = moment.rows[0]
+    if row.leader_age_s is None:
+        yield Alarm(Level.ACT, moment.leader_id, "The leader was not heard yet")
+    elif row.leader_age_s > STALE_S:
+        yield Alarm(
+            Level.ACT, moment.leader_id, f"The leader is not heard for {row.leader_age_s:.1f} s"
+        )
+    yield from _of_battery("The leader", moment.leader_id, row.leader_battery_percent)
+
+
+def _of_followers(rows: Sequence[Row], tracks: Sequence[Track]) -> Iterator[Alarm]:
+    for row, track in zip(rows, tracks, strict=True):
+        name = f"Follower {row.system_id}"
+        yield from _of_state(name, row)
+        yield from _of_distance(name, row, track)
+        if row.gimbal == SONAR_FAULT:
+            yield Alarm(Level.LOOK, row.system_id, f"{name}: its sonar has a fault")
+        yield from _of_battery(name, row.system_id, row.battery_percent)
+
+
+def _of_state(name: str, row: Row) -> Iterator[Alarm]:
+    if row.age_s is None:
+        yield Alarm(Level.ACT, row.system_id, f"{name} was not heard yet")
+    elif row.age_s > UNHEARD_S:
+        yield Alarm(Level.ACT, row.system_id, f"{name} is not heard for {row.age_s:.0f} s")
+    elif level_of(row) is not Level.GOOD:
+        yield Alarm(level_of(row), row.system_id, f"{name}: {row.state}")
+
+
+def level_of(row: Row) -> Level:
+    """How a follower's state is to be taken; its pilot's own doing is nothing wrong."""
+    if row.state.startswith(("holding", "not engaged", "gives way")):
+        return Level.LOOK
+    return Level.ACT if row.state == "no points sent" else Level.GOOD
+
+
+def _of_distance(name: str, row: Row, track: Track) -> Iterator[Alarm]:
+    wanted_m = track.wanted_radius_m
+    if row.separation_m is None or row.separation_m >= TOO_NEAR_SHARE * wanted_m:
+        return
+    text = f"{name} is {row.separation_m:.1f} m from the leader, not {wanted_m:.1f} m"
+    yield Alarm(Level.ACT, row.system_id, text)
+
+
+def _of_battery(name: str, system_id: int, percent: float | None) -> Iterator[Alarm]:
+    if percent is not None and percent < LEAST_BATTERY_PERCENT:
+        yield Alarm(Level.ACT, system_id, f"{name} has {percent:.0f} % of its battery left")
+
+
+def _of_health(health: Health) -> Iterator[Alarm]:
+    if len(health.lost) == 1:
+        text = f"Follower {health.lost[0]} sees nobody any more: {ALONE_MEANS}"
+        yield Alarm(Level.LOOK, health.lost[0], text)
+    elif health.lost:
+        listed = ", ".join(map(str, health.lost))
+        yield Alarm(Level.LOOK, health.lost[0], f"Followers {listed} see nobody any more")

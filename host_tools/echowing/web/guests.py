@@ -1,0 +1,48 @@
+"""Who may open the page: requests that a foreign web page has brought about are refused. Pure.
+
+A page on the internet can have its own name resolve to this computer's address (DNS rebinding) and
+then read what is served here. Its requests carry its name as Host, and its own Origin. So the Host
+has to be an address or a name of this computer, and the Origin, where there is one, the page's own.
+"""
+
+import ipaddress
+import socket
+from urllib.parse import urlsplit
+
+from echowing.web.options import is_loopback
+
+
+def refusal(served_on: str, host: str | None, origin: str | None) -> str | None:
+    """Why a request with these headers is refused; None: it is not.
+
+    served_on: the address that is listened on.
+    """
+    name = _name(host)
+    if name is None or not _is_ours(served_on, name):
+        return f"Host {host!r} is no name of this computer; open the page by its address"
+    if origin is not None and origin.lower() != f"http://{host}".lower():
+        return f"Origin {origin!r} is another site"
+    return None
+
+
+def _name(host: str | None) -> str | None:
+    if not host:
+        return None
+    try:
+        return urlsplit(f"//{host}").hostname
+    except ValueError:
+        return None
+
+
+def _is_ours(served_on: str, name: str) -> bool:
+    """An address literal cannot be made to mean another computer; a name can."""
+    if is_loopback(served_on):
+        return is_loopback(name)
+    own = socket.gethostname().lower()
+    if name in ("localhost", own, f"{own}.local"):
+        return True
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True

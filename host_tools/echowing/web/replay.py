@@ -1,0 +1,147 @@
+"""A recorded flight for browsers, each with a time line of its own: place, speed, pause."""
+
+import asyncio
+import json
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from aiohttp import WSMsgType
+
+from echowing.errors import EchowingError
+from echowing.geo import GlobalPosition
+from echowing.web.live import GLANCE_S, PAST_S, encoded, told
+from echowing.web.recording import Recording, index_at
+from echowing.web.server import Socket, either
+from echowing.web.snapshot import BEAM, Json, glance, snapshot
+
+FRAME_S = 0.1
+LEAST_SPEED, MOST_SPEED = 0.01, 1000.0
+
+
+@dataclass(slots=True)
+class TimeLine:
+    """Where in the flight a browser is. `now_s` are seconds on any rising clock."""
+
+    from_s: float
+    to_s: float
+    speed: float = 1.0
+    paused: bool = False
+    _place_s: float = 0.0
+    _since_s: float = 0.0
+
+    def begin(self, now_s: float) -> None:
+        """Start at the beginning."""
+        self._place_s, self._since_s = self.from_s, now_s
+
+    def place_s(self, now_s: float) -> float:
+        """The time of the flight that is shown now; at the end it stays there."""
+        gone_s = 0.0 if self.paused else (now_s - self._since_s) * self.speed
+        return min(self.to_s, self._place_s + gone_s)
+
+    def wish(self, wish: Any, now_s: float) -> bool:
+        """Take a wish off the browser: speed, paused or seek; True: it is elsewhere now.
+
+        What is no wish is left aside.
+        """
+        if not isinstance(wish, dict):
+            return False
+        self._place_s, self._since_s = self.place_s(now_s), now_s
+        speed, seek_s = _number(wish.get("speed")), _number(wish.get("seek"))
+        if speed is not None:
+            self.speed = min(MOST_SPEED, max(LEAST_SPEED, speed))
+        if isinstance(wish.get("paused"), bool):
+            self.paused = wish["paused"]
+            if not self.paused and self._place_s >= self.to_s:  # played to the end: once more
+                seek_s = self.from_s
+        if seek_s is None:
+            return False
+        self._place_s = min(self.to_s, max(self.from_s, seek_s))
+        return True
+
+
+def _number(value: Any) -> float | None:
+    plain = isinstance(value, int | float) and not isinstance(value, bool)
+    return float(value) if plain and math.isfinite(value) else None
+
+
+class ReplayFeed:
+    """Serves browsers with a recording. `clock`: rising seconds."""
+
+    def __init__(self, recording: Recording, clock: Callable[[], float] | None = None) -> None:
+        self._recording = recording
+        self._clock = clock
+        self._origin = _origin(recording)
+        times_s = recording.times_s
+        self._span_s = times_s[0], times_s[-1]
+
+    def begin(self, loop: asyncio.AbstractEventLoop) -> None:
+        """As `Feed`."""
+        self._clock = self._clock or loop.time
+
+    def _now_s(self) -> float:
+        assert self._clock is not None
+        return self._clock()
+
+    async def attend(self, browser: Socket) -> None:
+        """As `Feed`."""
+        line = TimeLine(*self._span_s)
+        line.begin(self._now_s())
+        moved = asyncio.Event()
+        await either(self._serve(browser, line, moved), self._listen(browser, line, moved))
+
+    async def _listen(self, browser: Socket, line: TimeLine, moved: asyncio.Event) -> None:
+        async for message in browser:
+            if message.type is not WSMsgType.TEXT:
+                continue
+            try:
+                wish = json.loads(message.data)
+            except ValueError:
+                continue
+            if line.wish(wish, self._now_s()):
+                moved.set()
+
+    async def _serve(self, browser: Socket, line: TimeLine, moved: asyncio.Event) -> None:
+        from_s, to_s = self._span_s
+        span = {"from_s": from_s, "to_s": to_s}
+        hello = {"kind": "hello", "source": "replay", "run": "replay", **BEAM}
+        await browser.send_str(
+            encoded({**hello, "title": self._recording.title, "replay": span, "past": []})
+        )
+        told_to_s = -math.inf
+        while not browser.closed:
+            place_s = line.place_s(self._now_s())
+            if moved.is_set():
+                moved.clear()
+                told_to_s = -math.inf
+                past = self._past(place_s)
+                await browser.send_str(encoded({"kind": "past", "past": past}))
+            events = [one for one in self._recording.events if told_to_s < one[0] <= place_s]
+            told_to_s = place_s
+            if events:
+                await browser.send_str(encoded(told(events)))
+            clock = {"paused": line.paused, "speed": line.speed}
+            frame = self._frame(index_at(self._recording.times_s, place_s))
+            await browser.send_str(encoded({"kind": "frame", **frame, "replay": clock}))
+            await asyncio.sleep(FRAME_S)
+
+    def _frame(self, index: int) -> Json:
+        return snapshot(self._recording.moment(index), self._origin)
+
+    def _past(self, to_s: float) -> list[Json]:
+        """The minute before, for plots and tracks."""
+        times_s = self._recording.times_s
+        from_s = max(times_s[0], to_s - PAST_S)
+        steps = range(round((to_s - from_s) / GLANCE_S))
+        indices = dict.fromkeys(index_at(times_s, from_s + step * GLANCE_S) for step in steps)
+        return [glance(self._frame(index)) for index in indices]
+
+
+def _origin(recording: Recording) -> GlobalPosition:
+    """The first place that is known. Raises EchowingError where none is."""
+    for index in range(len(recording.times_s)):
+        origin = recording.moment(index).origin
+        if origin is not None:
+            return origin
+    raise EchowingError("replay: no vehicle was ever heard in this flight; nothing to show")

@@ -1,0 +1,280 @@
+"""Timed faults of a scenario: each does in the flight what it says, for as long as it says."""
+
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+
+from echowing.campaign.record import FlightRecord, fly_recorded
+from echowing.errors import EchowingError
+from echowing.sim.modes import GUIDED, LAND, LOITER
+from echowing.sim.scenario import Scenario, scenario_of
+
+HOVERS = {"path": "rectangle", "start_s": 1000.0}
+
+
+def scenario(*faults: dict[str, object], **changes: object) -> Scenario:
+    table: dict[str, object] = {"title": "t", "duration_s": 24.0, "fault": list(faults), **changes}
+    return scenario_of(table, "test")
+
+
+@cache
+def _flown(text: str) -> FlightRecord:
+    return fly_recorded(Scenario.model_validate_json(text), 3)
+
+
+def flown(*faults: dict[str, object], **changes: object) -> FlightRecord:
+    """Each flight is flown once for all the tests that look at it."""
+    return _flown(scenario(*faults, **changes).model_dump_json(exclude_unset=True))
+
+
+def said(record: FlightRecord, text: str) -> list[float]:
+    """When a text was said, on the ground or by a vehicle."""
+    everything = [*record.events, *((t_s, one) for t_s, _, one in record.texts)]
+    return sorted(t_s for t_s, one in everything if text in one)
+
+
+def between(record: FlightRecord, begin_s: float, end_s: float) -> slice:
+    return slice(*np.searchsorted(record.time_s, [begin_s, end_s]))
+
+
+def test_an_outage_of_the_leaders_radio_makes_its_data_stale_and_then_ends() -> None:
+    record = flown({"kind": "outage", "vehicle": 1, "at_s": 12.0, "for_s": 4.0})
+
+    # What was on the way when it began still arrives, 0.46 s later.
+    assert record.leader_age_s[between(record, 12.0, 12.4)].max() < 1.0
+    assert record.leader_age_s[between(record, 15.0, 16.4)].min() > 2.5
+    assert record.leader_age_s[between(record, 17.0, 24.0)].max() < 1.0
+    assert len(said(record, "leader is stale, holding")) == 1
+    assert len(said(record, "leader heard again")) == 1
+
+
+def test_an_outage_up_to_a_follower_loses_its_points_and_not_its_reports() -> None:
+    record = flown({"kind": "outage", "vehicle": 2, "at_s": 12.0, "for_s": 4.0, "way": "up"})
+
+    assert record.stream_age_s[between(record, 15.0, 16.0)].min() > 2.5
+    assert said(record, "stream lost, holding here")
+    assert not said(record, "not heard for")
+
+
+def test_a_jump_moves_the_estimate_and_goes_back() -> None:
+    jump = {"kind": "gps_jump", "vehicle": 2, "jump_ned_m": [0.0, 0.0, 3.0]}
+    record = flown({**jump, "at_s": 8.0, "for_s": 4.0}, leader=HOVERS)
+
+    assert record.height_m[between(record, 8.1, 8.2), 1].max() < 7.5
+    assert record.height_m[between(record, 20.0, 24.0), 1].min() > 9.0
+
+
+def test_a_lost_receiver_stops_its_vehicle_and_the_autopilot_lands_it() -> None:
+    record = flown({"kind": "gps_lost", "vehicle": 2, "at_s": 8.0}, leader=HOVERS)
+
+    assert said(record, "it has no GPS fix, holding")
+    landing = record.mode[:, 1] == LAND
+    assert record.time_s[landing][0] == pytest.approx(16.0, abs=0.15)
+
+
+def test_a_home_on_a_hill_is_so_from_the_start() -> None:
+    record = flown({"kind": "home_differs", "vehicle": 2, "height_m": 3.0}, leader=HOVERS)
+
+    assert record.height_m[50:, 1] == pytest.approx(7.0, abs=0.3)
+    assert -record.position_ned_m[50:, 1, 2] == pytest.approx(10.0, abs=0.3)
+
+
+@pytest.mark.parametrize(
+    ("fault", "heard"),
+    [
+        ({"kind": "sonar_dead"}, "nothing"),
+        ({"kind": "sonar_stuck"}, "the same"),
+        ({"kind": "sonar_wild"}, "anything"),
+        ({"kind": "late_echoes", "range_m": 7.0}, "something always"),
+    ],
+)
+def test_what_a_broken_sonar_hears(fault: dict[str, object], heard: str) -> None:
+    record = flown({**fault, "vehicle": 2, "at_s": 10.0, "for_s": 8.0})
+    ranges_m = record.sonar_m[between(record, 10.2, 18.0), 0]
+
+    if heard == "nothing":
+        assert np.isnan(ranges_m).all()
+    elif heard == "the same":
+        assert len({None if math.isnan(one) else one for one in ranges_m.tolist()}) == 1
+    elif heard == "anything":
+        # Evenly spread over 0.2 to 7.65 m.
+        assert np.nanmin(ranges_m) < 1.5
+        assert np.nanmax(ranges_m) > 6.0
+    else:
+        assert np.isfinite(ranges_m).all()
+    # And afterwards it is well: the leader is ranged again, from face to body.
+    after_m = record.sonar_m[between(record, 18.5, 24.0), 0]
+    assert 1.5 < np.nanmedian(after_m) < 4.5
+
+
+def test_an_unplugged_sonar_and_a_dead_board_are_announced() -> None:
+    unplugged = flown({"kind": "sonar_unplugged", "vehicle": 2, "at_s": 10.0, "for_s": 6.0})
+    dead = flown({"kind": "coprocessor_off", "vehicle": 2, "at_s": 10.0, "for_s": 6.0})
+
+    # ECHO_NODATA_T is 1 s, and the autopilot gives a rangefinder half a second.
+    assert 10.5 < said(dead, "no sonar data")[0] < 12.5
+    assert said(unplugged, "searching") or said(unplugged, "no sonar data")
+    assert np.isfinite(dead.sonar_m[between(dead, 17.0, 24.0), 0]).any()
+
+
+def test_a_board_that_starts_anew_ranges_again_within_seconds() -> None:
+    record = flown({"kind": "coprocessor_reset", "vehicle": 2, "at_s": 10.0})
+
+    assert np.isfinite(record.sonar_m[between(record, 12.0, 15.0), 0]).any()
+
+
+def test_a_jammed_gimbal_loses_a_leader_in_a_corner_sooner_than_a_free_one() -> None:
+    from echowing.sim.sonar import Gimbal  # noqa: PLC0415
+
+    gimbal = Gimbal()
+    gimbal.jammed = True
+    gimbal.step(1.0, 1800.0, 1400.0)
+    assert gimbal.pan_deg == 0.0
+    gimbal.jammed = False
+    gimbal.step(1.0, 1800.0, 1400.0)
+    assert gimbal.pan_deg == pytest.approx(42.0)
+
+
+def test_a_narrow_beam_hears_less_often() -> None:
+    usual = flown()
+    narrow = flown({"kind": "narrow_beam", "vehicle": 2, "half_angle_deg": 8.0})
+
+    assert np.isfinite(narrow.sonar_m).mean() < 0.8 * np.isfinite(usual.sonar_m).mean()
+
+
+def test_a_killed_applet_is_gone_until_it_is_started_again() -> None:
+    record = flown({"kind": "script_killed", "vehicle": 2, "at_s": 10.0, "for_s": 5.0})
+
+    assert not record.applet[between(record, 10.1, 14.9), 0].any()
+    assert record.applet[between(record, 15.1, 24.0), 0].all()
+    assert said(record, "restarted, WP_SPD back to 5.00")
+
+
+def test_a_pilot_takes_over_and_comes_back() -> None:
+    record = flown({"kind": "pilot_takes_over", "vehicle": 2, "at_s": 10.0, "for_s": 5.0})
+
+    assert (record.mode[between(record, 10.1, 14.9), 1] == LOITER).all()
+    assert (record.mode[between(record, 15.1, 24.0), 1] == GUIDED).all()
+    assert said(record, "left Guided for LOITER, pilot has control")
+
+
+def test_a_stop_switch_stops_and_its_pilot_engages_again() -> None:
+    record = flown({"kind": "stop_switch", "vehicle": 2, "at_s": 8.0, "for_s": 3.0})
+
+    assert said(record, "stop switch, holding")
+    assert record.switched[between(record, 9.0, 15.0), 0].all()
+    assert (record.mode[between(record, 15.0, 20.0), 1] == LOITER).any()
+    assert not record.switched[between(record, 20.0, 24.0), 0].any()
+
+
+def test_a_tool_that_is_ended_stops_its_follower_and_then_itself() -> None:
+    record = flown({"kind": "tool_stopped", "at_s": 10.0})
+
+    assert said(record, "the tool ends, holding")
+    assert not record.tool[between(record, 21.0, 24.0)].any()
+    assert not [point for point in record.points if point.time_s > 21.0]
+
+
+def test_a_killed_tool_says_and_sends_nothing_until_it_is_started_again() -> None:
+    record = flown({"kind": "tool_killed", "at_s": 10.0, "for_s": 5.0})
+
+    assert not [point for point in record.points if 10.1 < point.time_s < 15.0]
+    assert [point for point in record.points if point.time_s > 17.0]
+    assert not [t_s for t_s, _ in record.events if 10.1 < t_s < 15.0]
+    assert said(record, "stream lost, holding here")
+
+
+def test_what_a_leader_does_instead_of_its_path() -> None:
+    """A leader northwards at 2 m/s; it brakes and speeds up within some seconds."""
+
+    def north_mps(kind: str, **values: float) -> float:
+        record = flown({"kind": kind, "at_s": 10.0, "for_s": 5.0, **values})
+        return float(record.velocity_ned_mps[between(record, 14.0, 15.0), 0, 0].mean())
+
+    assert north_mps("leader_reverses", speed_mps=1.5) == pytest.approx(-1.5, abs=0.2)
+    assert north_mps("leader_stops") == pytest.approx(0.0, abs=0.2)
+    climbs = flown({"kind": "leader_climbs", "at_s": 10.0, "for_s": 5.0, "climb_mps": 1.0})
+    assert climbs.velocity_ned_mps[between(climbs, 13.0, 15.0), 0, 2].mean() < -0.7
+    # And then goes on with its mission.
+    assert (climbs.velocity_ned_mps[between(climbs, 20.0, 24.0), 0, 0] > 1.0).all()
+
+
+def test_an_attack_leads_at_where_the_follower_was() -> None:
+    record = flown(
+        {"kind": "leader_attacks", "at_s": 8.0, "for_s": 4.0, "speed_mps": 1.0}, leader=HOVERS
+    )
+    to_it = record.position_ned_m[79, 1] - record.position_ned_m[79, 0]
+    flown_mps = record.velocity_ned_mps[between(record, 11.0, 12.0), 0].mean(axis=0)
+
+    assert flown_mps @ to_it / np.linalg.norm(to_it) == pytest.approx(1.0, abs=0.2)
+
+
+def test_followers_that_cross_start_behind_each_others_slots() -> None:
+    slots = [
+        {"radius_m": 5.0, "angle_deg": 45.0, "starts_at": 2},
+        {"radius_m": 5.0, "angle_deg": -45.0, "starts_at": 1},
+    ]
+    record = flown(formation={"slots": slots}, leader=HOVERS, duration_s=0.2)
+
+    # Counter-clockwise off the tail is to the east of a leader that looks north.
+    assert record.position_ned_m[0, 1, 1] * record.position_ned_m[0, 2, 1] < 0.0
+    own_side = flown(
+        formation={"slots": [{k: v for k, v in one.items() if k != "starts_at"} for one in slots]},
+        leader=HOVERS,
+        duration_s=0.2,
+    )
+    assert own_side.position_ned_m[0, 1] == pytest.approx(record.position_ned_m[0, 2], abs=0.2)
+
+
+def test_a_heavier_airframe_answers_otherwise() -> None:
+    usual, heavy = flown(), flown(airframe={"mass": 2.0, "lag": 1.5})
+
+    assert not np.allclose(usual.position_ned_m[:, 1], heavy.position_ned_m[:, 1], atol=0.05)
+
+
+@pytest.mark.parametrize(
+    ("faults", "says"),
+    [
+        ([{"kind": "sonar_dead"}], r"fault\.0: sonar_dead needs `vehicle`"),
+        ([{"kind": "sonar_dead", "vehicle": 1}], "sonar_dead is a follower's"),
+        ([{"kind": "tool_killed", "vehicle": 2}], "tool_killed is not a follower's"),
+        ([{"kind": "sonar_dead", "vehicle": 3}], "fault 1: no vehicle 3; the last is 2"),
+        ([{"kind": "sonar_dead", "vehicle": 2, "range_m": 3.0}], "sonar_dead takes no range_m"),
+        ([{"kind": "gps_jump", "vehicle": 2}], "gps_jump needs `jump_ned_m`"),
+        ([{"kind": "tool_stopped", "for_s": 3.0}], "tool_stopped is over at once"),
+        ([{"kind": "home_differs", "vehicle": 2, "height_m": 1.0, "at_s": 3.0}], "from the start"),
+        ([{"kind": "tool_killed", "at_s": 99.0}], r"at_s \(99\) is after the flight's end"),
+        ([{"kind": "leader_stops"}, {"kind": "leader_stops", "at_s": 5.0}], "twice at a time"),
+        ([{"kind": "sonar_deaf", "vehicle": 2}], r"fault\.0\.kind: .*'sonar_dead'"),
+        (
+            [{"kind": "outage", "vehicle": 2, "hours": 1}],
+            r"hours: no such key; allowed here:.*at_s",
+        ),
+    ],
+)
+def test_a_fault_that_makes_no_sense_is_refused(faults: list[dict[str, object]], says: str) -> None:
+    with pytest.raises(EchowingError, match=says):
+        scenario(*faults)
+
+
+def test_a_leader_that_is_carried_does_nothing_else() -> None:
+    with pytest.raises(EchowingError, match="a leader on a walk does nothing else"):
+        scenario({"kind": "leader_stops"}, leader={"path": "walk"})
+
+
+def test_two_followers_cannot_start_at_one_slot() -> None:
+    slots = [{"radius_m": 3.0}, {"radius_m": 6.0, "starts_at": 1}]
+    with pytest.raises(EchowingError, match="two followers would start at one slot"):
+        scenario(formation={"slots": slots})
+
+
+def test_a_flight_without_faults_is_what_it_was() -> None:
+    """The chance of a fault is its own: one that comes late changes nothing before it."""
+    usual = flown()
+    late = flown({"kind": "sonar_wild", "vehicle": 2, "at_s": 20.0})
+
+    until = between(usual, 0.0, 19.9)
+    assert np.array_equal(usual.position_ned_m[until], late.position_ned_m[until])
+    assert not np.array_equal(usual.position_ned_m, late.position_ned_m)

@@ -1,0 +1,241 @@
+"""Each property on a record made up for it: what it lets pass, and what it does not."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from echowing.campaign.properties import (
+    BLOWN,
+    Broken,
+    judge,
+    mean_error,
+    not_too_low,
+    pilots_word,
+    retreat_bound_m,
+    separation,
+    speed_handed_back,
+    stopped,
+    texts_said,
+)
+from echowing.campaign.record import FlightRecord, Point, fly_recorded
+from echowing.sim.modes import GUIDED, LOITER
+from echowing.sim.scenario import scenario_of
+
+STEP_S = 0.1
+
+
+@cache
+def quiet() -> FlightRecord:
+    """A flight behind a leader that stands, with two followers: nothing is wrong in it."""
+    table = {
+        "title": "t",
+        "duration_s": 20.0,
+        "leader": {"path": "rectangle", "start_s": 1000.0},
+        "formation": {"slots": [{"radius_m": 3.0}, {"radius_m": 9.0}]},
+        "gps": {"sigma_m": 0.2},
+    }
+    return fly_recorded(scenario_of(table, "test"), 1)
+
+
+def with_least(record: FlightRecord, pair: int, sample: int, least_m: float) -> FlightRecord:
+    changed = record.least_m.copy()
+    changed[sample, pair] = least_m
+    return replace(record, least_m=changed)
+
+
+def approached(
+    leader_mps: float, follower_mps: float, apart_m: float, *, age_s: float = 0.5
+) -> FlightRecord:
+    """From 10 s on the leader flies south at its follower, which flies south or stands."""
+    record = quiet()
+    place, velocity = record.position_ned_m.copy(), record.velocity_ned_mps.copy()
+    place[:, 0] = (0.0, 0.0, -10.0)
+    place[:, 1] = (-apart_m, 0.0, -10.0)
+    velocity[:] = 0.0
+    for sample in range(100, len(record.time_s)):
+        velocity[sample, 0] = (-leader_mps, 0.0, 0.0)
+        velocity[sample, 1] = (-follower_mps, 0.0, 0.0)
+        place[sample, :2] = place[sample - 1, :2] + STEP_S * velocity[sample, :2]
+    least_m = record.least_m.copy()
+    least_m[:, 0] = np.linalg.norm(place[:, 1] - place[:, 0], axis=1)
+    return replace(
+        record,
+        position_ned_m=place,
+        velocity_ned_mps=velocity,
+        least_m=least_m,
+        leader_age_s=np.full(len(record.time_s), age_s),
+        sonar_m=np.full_like(record.sonar_m, np.nan),
+    )
+
+
+def test_a_quiet_flight_holds_all() -> None:
+    assert judge(quiet()) == []
+
+
+def test_two_followers_within_a_metre_are_found_and_those_beyond_are_not() -> None:
+    (found,) = separation(with_least(quiet(), 2, 50, 0.99))
+
+    assert (found.vehicle, found.value) == (3, 0.99)
+    assert found.time_s == pytest.approx(5.1)
+    assert separation(with_least(quiet(), 2, 50, 1.0)) == []
+
+
+def test_a_leader_that_stands_is_no_excuse() -> None:
+    assert separation(with_least(quiet(), 0, 50, 0.5))[0].text.endswith("0.50 m of the leader")
+
+
+def test_a_leader_that_is_too_fast_to_flee_from_is_an_excuse_and_a_slow_one_is_not() -> None:
+    # 8 m/s from 4 m: gone through in half a second, before any report of it has come.
+    assert separation(approached(8.0, 0.0, 4.0)) == []
+    # 1 m/s from 4 m: 3 s of time, and 2.5 m/s2 to flee with. Who stands is at fault.
+    assert separation(approached(1.0, 0.0, 4.0))
+
+
+def test_the_retreat_begins_when_the_approach_can_be_known_of() -> None:
+    def bound_m(age_s: float) -> float:
+        return retreat_bound_m(approached(2.0, 0.0, 4.0, age_s=age_s), 119, 1)
+
+    # Closing at 2 m/s until known (age) and answered (0.6 s), then 0.8 s more to be as fast.
+    assert bound_m(0.1) == pytest.approx(4.0 - 2.0 * 0.7 - 0.8, abs=0.3)
+    assert bound_m(0.6) == pytest.approx(bound_m(0.1) - 2.0 * 0.5, abs=0.25)
+
+
+def test_an_approach_from_too_fast_a_chase_is_no_excuse() -> None:
+    """A follower that closes at 4 m/s from 3 m was wrong before its leader turned round."""
+    record = approached(1.0, -4.0, 4.5)
+    assert record.least_m[:, 0].min() < 1.0
+    assert separation(record)
+
+
+def test_in_wind_that_takes_all_lean_it_is_counted_apart() -> None:
+    record = with_least(quiet(), 0, 50, 0.5)
+    windy = record.scenario.model_copy(
+        update={"wind": record.scenario.wind.model_copy(update={"speed_mps": 6.0})}
+    )
+    lean = np.full_like(record.lean_rad, np.radians(29.0))
+
+    assert separation(replace(record, scenario=windy))[0].name == "separation"
+    assert separation(replace(record, scenario=windy, lean_rad=lean))[0].name == BLOWN
+    assert separation(replace(record, lean_rad=lean))[0].name == "separation"
+
+
+def moving(record: FlightRecord, begin: int, mps: float, *, away: bool = False) -> FlightRecord:
+    """The first follower moves towards its leader, north of it, or away."""
+    velocity = record.velocity_ned_mps.copy()
+    velocity[begin:, 1] = (-mps if away else mps, 0.0, 0.0)
+    return replace(record, velocity_ned_mps=velocity)
+
+
+def stale(record: FlightRecord, begin: int) -> FlightRecord:
+    age_s = record.leader_age_s.copy()
+    age_s[begin:] = 1.1 + STEP_S * np.arange(len(age_s) - begin)
+    return replace(record, leader_age_s=age_s)
+
+
+def test_who_moves_on_stale_data_is_found_two_seconds_later() -> None:
+    (found,) = stopped(moving(stale(quiet(), 100), 100, 1.0))
+
+    assert found.vehicle == 2
+    # From 1.0 s of age on, 2 s to stop, and half a second that is no gust.
+    assert found.time_s == pytest.approx(10.1 + 2.0 + 0.5, abs=0.25)
+    assert stopped(moving(quiet(), 100, 1.0)) == []
+    assert stopped(stale(quiet(), 100)) == []
+
+
+def test_who_makes_room_may_move() -> None:
+    assert stopped(moving(stale(quiet(), 100), 100, 1.0, away=True)) == []
+
+
+def test_a_lost_stream_and_a_switch_stop_too() -> None:
+    record = quiet()
+    age_s = record.stream_age_s.copy()
+    age_s[100:, 0] = 5.0
+    on = record.switched.copy()
+    on[100:, 0] = True
+
+    assert stopped(moving(replace(record, stream_age_s=age_s), 100, 1.0))
+    assert stopped(moving(replace(record, switched=on), 100, 1.0))
+    # In the pilot's hands he flies as he likes.
+    mode = record.mode.copy()
+    mode[100:, 1] = LOITER
+    assert stopped(moving(replace(record, switched=on, mode=mode), 100, 1.0)) == []
+
+
+def test_a_point_to_a_vehicle_that_said_it_is_the_pilots() -> None:
+    right = Point(5.0, 2, GUIDED, True)
+    assert pilots_word(replace(quiet(), points=[right])) == []
+
+    wrong = pilots_word(replace(quiet(), points=[right, Point(6.0, 2, LOITER, True)]))
+    assert [(one.time_s, one.vehicle) for one in wrong] == [(6.0, 2)]
+    landed = pilots_word(replace(quiet(), points=[Point(6.0, 2, GUIDED, False)]))
+    assert "on the ground" in landed[0].text
+    assert pilots_word(replace(quiet(), points=[Point(1.0, 2, None, False)]))
+
+
+def test_the_speed_is_the_pilots_soon_after_every_end() -> None:
+    record = quiet()
+    mode, speed = record.mode.copy(), record.speed_mps.copy()
+    mode[100:, 1] = LOITER
+    speed[:100, 0] = 2.5
+    speed[100:, 0] = 5.0
+    ended = replace(record, mode=mode, speed_mps=speed)
+    assert speed_handed_back(ended) == []
+
+    speed = speed.copy()
+    speed[100:, 0] = 2.5
+    kept = replace(ended, speed_mps=speed)
+    assert speed_handed_back(kept)[0].vehicle == 2
+    # Without an applet nobody can.
+    applet = record.applet.copy()
+    applet[100:, 0] = False
+    assert speed_handed_back(replace(kept, applet=applet)) == []
+
+
+def test_nobody_is_led_below_two_metres_unless_asked_to() -> None:
+    record = quiet()
+    height = record.height_m.copy()
+    height[100:, 1] = 1.5
+    low = replace(record, height_m=height)
+    assert not_too_low(low)[0].value == 1.5
+
+    asked = record.scenario.leader.model_copy(update={"altitude_m": 1.5})
+    wished = record.scenario.model_copy(update={"leader": asked})
+    assert not_too_low(replace(low, scenario=wished)) == []
+
+
+def test_a_promised_text_that_is_missing_is_found() -> None:
+    table = {
+        "title": "t",
+        "duration_s": 24.0,
+        "fault": [{"kind": "outage", "vehicle": 1, "at_s": 12.0, "for_s": 8.0}],
+    }
+    record = fly_recorded(scenario_of(table, "test"), 3)
+    assert texts_said(record) == []
+
+    mute = replace(record, events=[one for one in record.events if "stale" not in one[1]])
+    (found,) = texts_said(mute)
+    assert "leader is stale" in found.text
+    # A follower that is its pilot's is told nothing of it.
+    mode = np.full_like(record.mode, LOITER)
+    assert texts_said(replace(mute, mode=mode)) == []
+
+
+def test_the_mean_error_counts_where_nothing_is_wrong() -> None:
+    record = fly_recorded(scenario_of({"title": "t", "duration_s": 60.0}, "test"), 3)
+    assert mean_error(record) == []
+
+    off = replace(record.flights[0], wanted_separation_m=4.0)
+    assert mean_error(replace(record, flights=[off]))[0].name == "mean error"
+    windy = record.scenario.model_copy(
+        update={"wind": record.scenario.wind.model_copy(update={"speed_mps": 1.0})}
+    )
+    assert mean_error(replace(record, flights=[off], scenario=windy)) == []
+
+
+def test_what_is_broken_says_where_and_by_how_much() -> None:
+    (found,) = judge(with_least(quiet(), 2, 50, 0.4))
+    assert found == Broken(
+        "separation", found.time_s, 3, 0.4, "follower 3 came to 0.40 m of follower 2"
+    )

@@ -1,0 +1,67 @@
+import math
+
+import pytest
+
+from echowing.flight.envelope import LEAST_M, OTHERS_MPS2, Answer
+from echowing.flight.handling import (
+    ASK_PERIOD_S,
+    MOST_ASKS,
+    NOTICED_S,
+    Handling,
+    answer_of,
+    least_slot_m,
+)
+
+
+def test_arducopters_defaults_are_the_default_answer() -> None:
+    assert answer_of(2.5, 5.0) == Answer() == Answer(0.6, 2.5) == answer_of(None, 5.0)
+
+
+def test_a_jerk_beyond_what_the_lean_can_do_is_worth_no_more() -> None:
+    """AC_PosControl.cpp: 0.5 sqrt(5 m/s2 x 188 m/s4) = 15.3 m/s3."""
+    assert answer_of(5.0, 20.0) == answer_of(5.0, 1000.0)
+    assert answer_of(5.0, 20.0).dead_s == pytest.approx(0.35 + 5.0 / (2.0 * 15.34), abs=1e-3)
+    assert answer_of(5.0, 5.0).dead_s == pytest.approx(0.85)
+
+
+def test_it_is_asked_for_under_both_names_until_it_is_known() -> None:
+    handling = Handling()
+    names = {"WP_ACC", "WPNAV_ACCEL", "PSC_JERK_NE", "PSC_JERK_XY"}
+    assert set(handling.asks(0.0)) == names
+    assert handling.asks(ASK_PERIOD_S / 2.0) == []
+    assert set(handling.asks(ASK_PERIOD_S)) == names
+    handling.receive("WPNAV_ACCEL", 500.0)
+    assert not handling.known
+    handling.receive("PSC_JERK_XY", 20.0)
+    assert handling.known
+    assert handling.answer == answer_of(5.0, 20.0)
+    assert handling.asks(10.0) == []
+
+
+def test_a_vehicle_that_never_answers_is_not_asked_for_ever() -> None:
+    handling = Handling()
+    assert sum(bool(handling.asks(10.0 * turn)) for turn in range(50)) == MOST_ASKS
+
+
+def test_a_follower_quicker_than_its_leader_loses_the_dead_time_and_the_catching_up() -> None:
+    """Of an endless reversal: a/2 t^2 while it does not react, u^2 / 2 (a_F - a_L) until it has."""
+    answer = Answer(0.5, 5.0)
+    unaware_s = NOTICED_S + answer.dead_s
+    closing_mps = OTHERS_MPS2 * unaware_s
+    lost_m = closing_mps * unaware_s / 2.0 + closing_mps**2 / (2.0 * (5.0 - OTHERS_MPS2))
+    assert least_slot_m(4.0, answer) == pytest.approx(LEAST_M + lost_m, abs=0.05)
+
+
+def test_a_follower_as_slow_as_its_leader_loses_more_the_faster_it_is() -> None:
+    """Both turn alike, the follower later: the delay times twice the speed."""
+    for speed_mps in (1.0, 2.0, 3.0):
+        lost_m = 2.0 * speed_mps * (NOTICED_S + 0.6)
+        assert least_slot_m(speed_mps, Answer()) == pytest.approx(LEAST_M + lost_m, abs=0.1)
+
+
+def test_a_leader_that_stands_turns_no_way() -> None:
+    assert least_slot_m(0.0, Answer()) == LEAST_M
+    assert least_slot_m(2.0, Answer(), least_m=2.0) == pytest.approx(
+        1.0 + least_slot_m(2.0, Answer())
+    )
+    assert math.isfinite(least_slot_m(20.0, Answer(2.0, 0.5)))
