@@ -395,7 +395,7 @@ end
 local own = { mps = 0.0, accel_mps2 = 0.0, at_ms = nil } -- this vehicle's motion
 local track = { -- what the sonar reads (averages, single readings), and where the leader is by that, and how fast
     raw_m = nil, raw_ms = nil,
-    range_m = nil, leader_mps = 0.0, own_mps = 0.0, at_ms = 0, seen_ms = 0, readings = 0, spike_m = nil, spike_ms = 0,
+    range_m = nil, leader_mps = 0.0, leader_mps2 = 0.0, own_mps = 0.0, at_ms = 0, seen_ms = 0, readings = 0, spike_m = nil, spike_ms = 0,
 }
 local laws = { -- the range becomes a speed: the law's wish, and the same after the rate limit
     wish_mps = 0.0, speed_mps = 0.0, step_ms = 0, update_ms = 0, seen_ms = 0, data_ms = 0,
@@ -479,6 +479,9 @@ do
     local MOST_MPS = 5.0 -- two vehicles close no faster
     local TRUST_READINGS = 3 -- so many readings in agreement are a target
     local TRACK_GAP_MS = 700 -- after a gap this long the tracker starts again
+    -- A leader that was near and braking when it was lost goes on braking and comes back, until it is detected again: so long
+    -- unseen, braking more than the tracker's noise, no harder than ArduCopter's default, to no faster than that.
+    local UNSEEN_MS, BRAKES_MPS2, HARDEST_MPS2, BACK_MPS, BRAKE_S = 150, -1.0, -2.5, -2.0, 0.2
 
     -- Distance by the rangefinder's running average, nil where it is no measurement; and the status. All distances here
     -- are between the two vehicles' centres.
@@ -522,7 +525,7 @@ do
     -- own speed, so that own braking is not taken for the leader's.
     local function start(range_m, t_ms)
         track.range_m, track.leader_mps, track.own_mps, track.at_ms = range_m, own.mps, own.mps, t_ms
-        track.seen_ms, track.readings, track.spike_m = t_ms, 1, nil
+        track.seen_ms, track.readings, track.spike_m, track.leader_mps2 = t_ms, 1, nil, 0.0
     end
 
     -- While it backs off the nose is up and the sonar often sees nothing: a leader lost while near is near until the
@@ -542,6 +545,10 @@ do
     function track.carry(t_ms)
         if not track.range_m then return end
         local dt_s = (t_ms - track.at_ms) * 0.001
+        local braked = track.range_m < C.DIST and track.leader_mps2 < BRAKES_MPS2 and track.leader_mps > BACK_MPS
+        if t_ms - track.seen_ms > UNSEEN_MS and braked then
+            track.leader_mps = track.leader_mps + math.max(HARDEST_MPS2, track.leader_mps2) * dt_s
+        end
         track.range_m = track.range_m + (track.leader_mps - 0.5 * (track.own_mps + own.mps)) * dt_s
         track.own_mps, track.at_ms = own.mps, t_ms
     end
@@ -572,7 +579,9 @@ do
         local range_share = math.max(1.0 - keep * keep, 2.0 * (2.0 * n - 1.0) / (n * (n + 1.0)))
         local rate_share = math.max((1.0 - keep) * (1.0 - keep), 6.0 / (n * (n + 1.0)))
         track.range_m = track.range_m + range_share * residual_m
-        track.leader_mps = track.leader_mps + rate_share / dt_s * residual_m
+        local change_mps = rate_share / dt_s * residual_m
+        track.leader_mps = track.leader_mps + change_mps
+        track.leader_mps2 = track.leader_mps2 + (change_mps - track.leader_mps2 * dt_s) / (dt_s + BRAKE_S)
         track.seen_ms, track.readings, track.spike_m = t_ms, n, nil
     end
 end

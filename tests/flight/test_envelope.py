@@ -343,3 +343,43 @@ def test_what_is_beyond_the_goal_is_not_flown_round() -> None:
     flown, _ = keep_apart((3.0, 0.0, 0.0), [leader], ANSWER)
 
     assert flown[1] == 0.0
+
+
+# ---- a leader that brakes -----
+
+
+@pytest.mark.parametrize("certain_m", [1.8, 2.5, 4.0, 8.0])
+@pytest.mark.parametrize("answer", [Answer(0.5, 5.0), Answer(0.6, 4.0)])
+def test_at_the_limit_a_leader_that_brakes_and_turns_round_is_not_met(
+    certain_m: float, answer: Answer
+) -> None:
+    """Flown in steps: the leader brakes at once and on, the follower after its dead time."""
+    closing_mps = closing_limit_mps(certain_m, answer, LEAST_M, OTHERS_MPS2)
+    left_m, t_s, step_s = certain_m, 0.0, 1e-4
+    least_m = left_m
+    while t_s < answer.dead_s or closing_mps > 0.0:
+        closing_mps += (OTHERS_MPS2 - (answer.decel_mps2 if t_s >= answer.dead_s else 0.0)) * step_s
+        left_m -= closing_mps * step_s
+        least_m, t_s = min(least_m, left_m), t_s + step_s
+
+    assert least_m == pytest.approx(LEAST_M, abs=0.01)
+
+
+def test_a_leader_that_may_brake_is_closed_on_more_slowly_than_one_that_stands() -> None:
+    quick = Answer(0.5, 5.0)
+    braking = closing_limit_mps(3.0, quick, LEAST_M, OTHERS_MPS2)
+    assert 0.0 < braking < 0.5 * closing_limit_mps(3.0, quick)
+
+
+def test_a_vehicle_no_quicker_than_its_leader_counts_on_its_slot() -> None:
+    """No distance is enough for one that brakes no harder: `least_slot_m` keeps it away."""
+    assert closing_limit_mps(3.0, ANSWER, LEAST_M, OTHERS_MPS2) == closing_limit_mps(3.0, ANSWER)
+
+
+def test_what_is_closed_too_fast_is_braked_besides() -> None:
+    other = Other("leader", (-3.0, 0.0, 0.0), (0.0, 0.0, 0.0), sigma_m=0.0, age_s=0.0)
+    limit = closing_limit_mps(3.0, ANSWER)
+    slow, _ = keep_apart((limit, 0.0, 0.0), [other], ANSWER, own_mps=(limit, 0.0, 0.0))
+    fast, _ = keep_apart((limit, 0.0, 0.0), [other], ANSWER, own_mps=(limit + 1.0, 0.0, 0.0))
+    assert slow[0] == pytest.approx(limit, abs=EPS_MPS)
+    assert fast[0] == pytest.approx(limit - 1.0, abs=EPS_MPS)

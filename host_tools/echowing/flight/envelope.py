@@ -52,7 +52,9 @@ class Other:
 
     name: for messages; from_it_m: from it to here, NED; velocity_mps: its, NED; sigma_m: standard
     deviation of the distance; age_s: of what is known of it when the order takes effect;
-    in_the_way: the plan leads to beyond it (see `is_in_the_way`), so that it is passed.
+    in_the_way: the plan leads to beyond it (see `is_in_the_way`), so it is passed; brakes_mps2:
+    it may brake, turn round and come nearer at this acceleration from now on, 0: it is led by the
+    same tool, and does not.
     """
 
     name: str
@@ -61,6 +63,7 @@ class Other:
     sigma_m: float
     age_s: float
     in_the_way: bool = False
+    brakes_mps2: float = 0.0
 
 
 def is_in_the_way(to_it_m: Ned, to_goal_m: Ned) -> bool:
@@ -75,20 +78,39 @@ def certain_distance_m(other: Other) -> float:
     return math.hypot(*other.from_it_m) - SURE_SIGMAS * other.sigma_m - meanwhile_m
 
 
-def closing_limit_mps(certain_m: float, answer: Answer, least_m: float = LEAST_M) -> float:
-    """The speed at which a vehicle so far off may be closed on; negative: it is to be left."""
+def closing_limit_mps(
+    certain_m: float, answer: Answer, least_m: float = LEAST_M, brakes_mps2: float = 0.0
+) -> float:
+    """The speed at which a vehicle so far off may be closed on; negative: it is to be left.
+
+    The root of dead u + a dead^2 / 2 + (u + a dead)^2 / 2 (b - a) = room: what is lost of the
+    distance until this vehicle brakes (b), while the other brakes already (a), and until both are
+    equally fast. One that is no quicker than the other cannot have it so: for it the other keeps
+    its speed, and the slot is far enough away (`handling.least_slot_m`).
+    """
     room_m = certain_m - least_m
-    if room_m < 0.0:
-        return max(-RETREAT_MOST_MPS, RETREAT_PER_S * room_m)
-    lag_mps = answer.decel_mps2 * answer.dead_s
-    return math.sqrt(lag_mps * lag_mps + 2.0 * answer.decel_mps2 * room_m) - lag_mps
+    retreat_mps = RETREAT_PER_S * min(0.0, room_m)
+    gains_mps2 = answer.decel_mps2 - brakes_mps2
+    if gains_mps2 <= 0.0:
+        brakes_mps2, gains_mps2 = 0.0, answer.decel_mps2
+    unaware_mps, lag_mps = brakes_mps2 * answer.dead_s, answer.decel_mps2 * answer.dead_s
+    lost_mps2 = unaware_mps * (unaware_mps + gains_mps2 * answer.dead_s)
+    root_mps = math.sqrt(lag_mps * lag_mps - lost_mps2 + 2.0 * gains_mps2 * max(0.0, room_m))
+    return max(-RETREAT_MOST_MPS, retreat_mps + root_mps - lag_mps)
 
 
 def keep_apart(
-    wanted_mps: Ned, others: Sequence[Other], answer: Answer, least_m: float = LEAST_M
+    wanted_mps: Ned,
+    others: Sequence[Other],
+    answer: Answer,
+    least_m: float = LEAST_M,
+    own_mps: Ned | None = None,
 ) -> tuple[Ned, Other | None]:
-    """The velocity to fly (NED), and for whose sake it is not the wanted one."""
-    walls = [_wall(other, answer, least_m) for other in others]
+    """The velocity to fly (NED), and for whose sake it is not the wanted one.
+
+    own_mps: how it flies now, NED. What it closes faster than it may has to be braked besides.
+    """
+    walls = [_wall(other, answer, least_m, own_mps) for other in others]
     broken = [
         (wall, other) for wall, other in zip(walls, others, strict=True) if _off(wanted_mps, wall)
     ]
@@ -112,14 +134,19 @@ def keep_apart(
 _Wall = tuple[float, float, float]
 
 
-def _wall(other: Other, answer: Answer, least_m: float) -> _Wall:
+def _wall(other: Other, answer: Answer, least_m: float, own_mps: Ned | None) -> _Wall:
     north, east, _ = other.from_it_m
     level_m = math.hypot(north, east)
     # Straight above or below each other: any way is away.
     north, east = (north / level_m, east / level_m) if level_m > 0.01 else (1.0, 0.0)
     its_mps = other.velocity_mps[0] * north + other.velocity_mps[1] * east
-    limit_mps = closing_limit_mps(certain_distance_m(other), answer, least_m)
-    return north, east, its_mps - limit_mps
+    certain_m = certain_distance_m(other)
+    limit_mps = closing_limit_mps(certain_m, answer, least_m, other.brakes_mps2)
+    if own_mps is None:
+        return north, east, its_mps - limit_mps
+    closing_mps = its_mps - own_mps[0] * north - own_mps[1] * east
+    too_fast_mps = max(0.0, closing_mps - max(0.0, limit_mps))
+    return north, east, its_mps - limit_mps + min(RETREAT_MOST_MPS, too_fast_mps)
 
 
 def _off(velocity: Ned, wall: _Wall) -> float:

@@ -24,6 +24,9 @@ RANGE_SIGMA_M = 0.15
 # The beam (sim/sonar.py), and over how much of an angle its edge is unsharp: the lean, the heading
 # and the echo's own strength.
 BEAM_HALF_RAD, EDGE_RAD = math.radians(20.0), math.radians(3.0)
+# Silence says only that the leader is not where every beam would reach: sonars and targets differ,
+# and half the beam was enough to lead a follower to 0.6 m of a leader that it looked past.
+SILENT_HALF_RAD = math.radians(9.0)
 # A reading is of something else (wild, another vehicle, the ground) this often.
 WRONG_SHARE = 0.03
 # A leader in the beam and no further than this is heard this often, as long as nobody leans.
@@ -121,7 +124,7 @@ class OffsetGrid:
         if time_s - self._heard_at_s < UPDATE_PERIOD_S:
             return
         self.advance(time_s)
-        far_m, in_beam = self._seen_from(axis_rad, believed)
+        far_m, in_beam = self._seen_from(axis_rad, believed, BEAM_HALF_RAD)
         fits = np.exp(-0.5 * ((far_m - distance_m) / RANGE_SIGMA_M) ** 2) * in_beam
         weight = float((self._map * fits).sum() / self._map.sum())
         if weight > WRONG_SHARE * _ring_share(distance_m):
@@ -134,16 +137,16 @@ class OffsetGrid:
             return
         self._silent_at_s = time_s
         self.advance(time_s)
-        far_m, in_beam = self._seen_from(axis_rad, believed)
+        far_m, in_beam = self._seen_from(axis_rad, believed, SILENT_HALF_RAD)
         self._update(1.0 - HEARD_SHARE * in_beam * (far_m < SILENCE_TO_M))
 
-    def _seen_from(self, axis_rad: float, believed: Horizontal) -> tuple[Map, Map]:
-        """How far the leader is for each difference, and how surely it is in the beam (0 to 1)."""
+    def _seen_from(self, axis_rad: float, believed: Horizontal, half_rad: float) -> tuple[Map, Map]:
+        """How far the leader is for each difference, and how surely it is in a beam (0 to 1)."""
         north, east = believed[0] - self._north, believed[1] - self._east
         far_m = np.hypot(north, east)
         ahead = north * math.cos(axis_rad) + east * math.sin(axis_rad)
         off_rad = np.arccos(np.clip(ahead / np.maximum(far_m, CELL_M), -1.0, 1.0))
-        return far_m, 1.0 / (1.0 + np.exp((off_rad - BEAM_HALF_RAD) / (0.5 * EDGE_RAD)))
+        return far_m, 1.0 / (1.0 + np.exp((off_rad - half_rad) / (0.5 * EDGE_RAD)))
 
     def _update(self, likelihood: Map) -> None:
         self._map *= likelihood

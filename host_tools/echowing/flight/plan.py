@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from echowing.flight.guidance import GuidedPoint, LeaderFix, bearing_rad, lead_share, sway_rad
 from echowing.flight.state import FollowerState, Known
-from echowing.geo import GlobalPosition, displace, distance_m, ned_between, wrap_angle_rad
+from echowing.geo import displace, distance_m, ned_between, wrap_angle_rad
 
 # Guided's answer to a place off its own: 1 m/s for each metre (PSC_NE_POS_P).
 POSITION_GAIN_PER_S = 1.0
@@ -27,7 +27,7 @@ def planned(known: Known, follower: FollowerState, fix: LeaderFix, now_s: float)
         least_m = max(least_m, _least_radius_m(known, follower, now_s))
     if settings.feed_forward:
         guided = _towed(known, follower, fix, now_s, least_m)
-        guided = replace(guided, point=_joined_slowly(follower, guided.point, now_s))
+        guided = _joined_slowly(follower, guided, now_s)
     elif settings.learn_offset:
         seen = replace(fix, position=follower.estimate.as_seen(fix.position))
         guided = follower.guide.update(seen, now_s, follower.position, least_m)
@@ -58,14 +58,23 @@ def _towed(
     return replace(guided, age_s=age_s, velocity_mps=(share * north, share * east))
 
 
-def _joined_slowly(follower: FollowerState, point: GlobalPosition, now_s: float) -> GlobalPosition:
-    """The point, no further off than makes a fast approach to a leader that is not heard."""
+def _joined_slowly(follower: FollowerState, guided: GuidedPoint, now_s: float) -> GuidedPoint:
+    """To a leader that is not heard the way leads as a velocity, no faster than `JOIN_MPS`.
+
+    A place ahead would be overshot: it moves on with the vehicle that flies towards it.
+    """
     here = follower.on_arrival(now_s)
     if here is None or follower.estimate.offset.unheard_s(now_s) < HEARD_LATELY_S:
-        return point
-    north, east, down = ned_between(here, point)
-    share = min(1.0, JOIN_MPS / POSITION_GAIN_PER_S / max(math.hypot(north, east), 1e-6))
-    return displace(here, (share * north, share * east, down))
+        return guided
+    north, east, down = ned_between(here, guided.point)
+    far_m = max(math.hypot(north, east), 1e-6)
+    pace = min(JOIN_MPS / far_m, POSITION_GAIN_PER_S)
+    slot_north, slot_east = guided.velocity_mps
+    return replace(
+        guided,
+        point=displace(here, (0.0, 0.0, down)),
+        velocity_mps=(slot_north + pace * north, slot_east + pace * east),
+    )
 
 
 def _looking_around(follower: FollowerState, guided: GuidedPoint, now_s: float) -> GuidedPoint:

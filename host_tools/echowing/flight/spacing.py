@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 
-from echowing.flight.envelope import Other, is_in_the_way, keep_apart
+from echowing.flight.envelope import OTHERS_MPS2, Other, is_in_the_way, keep_apart
 from echowing.flight.guard import Guard
 from echowing.flight.guidance import Horizontal, bearing_rad
 from echowing.flight.offset_grid import Wandering
@@ -38,11 +38,13 @@ class Spacing:
     ) -> GlobalPosition:
         """The point that leaves everybody room (see `flight.envelope`), its velocity with it."""
         here = follower.on_arrival(now_s)
-        if self._least_m is None or here is None:
+        if self._least_m is None or here is None or self._switched(follower):
             return point
         wanted = _wanted_mps(here, point, follower.feed_mps)
         others = self._others(follower, here, now_s)
-        flown, other = keep_apart(wanted, others, follower.handling.answer, self._least_m)
+        own_mps = (*follower.velocity_mps, -follower.climb_mps)
+        answer = follower.handling.answer
+        flown, other = keep_apart(wanted, others, answer, self._least_m, own_mps)
         self._give_way(follower, other, now_s)
         if other is None:
             return point
@@ -54,6 +56,10 @@ class Spacing:
         north, east = follower.feed_mps
         follower.feed_mps = north + flown[0] - wanted[0], east + flown[1] - wanted[1]
         return point
+
+    def _switched(self, follower: FollowerState) -> bool:
+        """Whether its pilot's stop switch has stopped it: then nothing of ours moves it."""
+        return self._guard is not None and self._guard.switched(follower.plan.system_id)
 
     def _give_way(self, follower: FollowerState, other: Other | None, now_s: float) -> None:
         """Note, and say, for whose sake a follower is flown otherwise than planned."""
@@ -70,7 +76,9 @@ class Spacing:
         leader = self._leader(follower, here, now_s, arrives_s)
         others = [] if leader is None else [leader]
         for other in self._known.followers.values():
-            there = None if other is follower else other.then(arrives_s)
+            # One that is held stands; who is led past it gives way.
+            led = follower.held_at is not None and other.sent_to
+            there = None if other is follower or led else other.then(arrives_s)
             if there is not None:
                 others.append(self._other(follower, here, other, there, arrives_s))
         return others
@@ -90,6 +98,7 @@ class Spacing:
             leader.velocity_ned_mps,
             follower.estimate.offset.sigma_m(bearing_rad(here, leader.position)),
             known.leader_age_s(arrives_s),
+            brakes_mps2=OTHERS_MPS2,
         )
 
     def _other(
