@@ -5,13 +5,17 @@
 BIN := .venv/bin
 export PATH := $(CURDIR)/$(BIN):$(PATH)
 
-.PHONY: help demo test test-sitl bench monitor fuzz lint format setup setup-test core clean
+.PHONY: help demo campaign test test-sitl bench monitor fuzz lint format pages setup setup-test core clean
 
 help: ## list the targets
 	@grep -hE '^[a-z0-9-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z0-9-]+):.*## /\1\t/' | expand -t 16
 
 demo: setup core emulated ## fly the scenarios, print the table, write out/demo/report.html
 	@$(BIN)/echowing demo --out out/demo
+
+campaign: setup core ## fly 10,000 drawn flights with faults: FLIGHTS=10000 SEED=1, goes on where it was left
+	@$(BIN)/echowing campaign --flights $(or $(FLIGHTS),10000) --seed $(or $(SEED),1) --resume \
+		--out out/campaign-$(or $(SEED),1)
 
 test: setup-test core emulated lint ## every check and every test
 	$(BIN)/pytest -n 2 --dist loadfile
@@ -34,6 +38,9 @@ lint: setup-test ## formatters and linters, nothing is changed
 	$(BIN)/mypy
 	luacheck -q --config lua/.luacheckrc lua host_tools/echowing/sim/lua_prelude.lua
 	$(BIN)/clang-format --dry-run --Werror $$(git ls-files 'firmware/*.cpp' 'firmware/*.hpp' 'firmware/*.h' 'firmware/*.c' 'firmware/*.ino')
+
+pages: setup ## write the pages that are made from the code
+	$(BIN)/python -m echowing.sim.scenario_page host_tools/SCENARIOS.md
 
 format: setup-test ## let the formatters have their way
 	$(BIN)/ruff format .

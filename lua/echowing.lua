@@ -395,7 +395,8 @@ end
 local own = { mps = 0.0, accel_mps2 = 0.0, at_ms = nil } -- this vehicle's motion
 local track = { -- what the sonar reads (averages, single readings), and where the leader is by that, and how fast
     raw_m = nil, raw_ms = nil,
-    range_m = nil, leader_mps = 0.0, leader_mps2 = 0.0, own_mps = 0.0, at_ms = 0, seen_ms = 0, readings = 0, spike_m = nil, spike_ms = 0,
+    range_m = nil, leader_mps = 0.0, leader_mps2 = 0.0, own_mps = 0.0, at_ms = 0,
+    seen_ms = 0, readings = 0, spike_m = nil, spike_ms = 0,
 }
 local laws = { -- the range becomes a speed: the law's wish, and the same after the rate limit
     wish_mps = 0.0, speed_mps = 0.0, step_ms = 0, update_ms = 0, seen_ms = 0, data_ms = 0,

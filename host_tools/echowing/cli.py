@@ -1,7 +1,9 @@
 """`echowing <verb>`: the command line. Each verb is a module, imported only when it is used."""
+# PYTHON_ARGCOMPLETE_OK
 
 import argparse
 import importlib
+import os
 import sys
 from collections.abc import Sequence
 from types import ModuleType
@@ -33,7 +35,9 @@ EXIT_INTERRUPTED = 130
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a verb; returns the exit code. Errors that are the user's to mend have no traceback."""
+    """Run a verb; returns the exit code. Errors that the user can fix have no traceback."""
+    if "_ARGCOMPLETE" in os.environ:
+        _complete()
     arguments = list(sys.argv[1:] if argv is None else argv)
     verb = _asked_verb(arguments) or ""
     try:
@@ -53,6 +57,15 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
 
 
+def _complete() -> None:
+    """Answer the shell, which asks what may come next on its command line; does not return."""
+    import argcomplete  # noqa: PLC0415 (only when the shell asks)
+
+    line = os.environ.get("COMP_LINE", "")[: int(os.environ.get("COMP_POINT", "0"))]
+    words = line.split()[1:]
+    argcomplete.autocomplete(_parser(words))
+
+
 def _asked_verb(arguments: Sequence[str]) -> str | None:
     return next((word for word in arguments if not word.startswith("-")), None)
 
@@ -61,7 +74,7 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="echowing",
         description="Formation flight for small ArduPilot copters, held together by a cheap sonar.",
-        epilog="example: echowing sim echowing --seed 3\n`echowing VERB --help` has one a verb.",
+        epilog="example: echowing sim echowing --seed 3\n`echowing VERB --help` has examples.",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"echowing {__version__}")

@@ -1,4 +1,4 @@
-"""Where the other rooms of the checkout are."""
+"""Where files of the other folders are: in the checkout, or beside an installed package."""
 
 from pathlib import Path
 
@@ -10,9 +10,15 @@ def repository_root() -> Path:
     root = Path(__file__).resolve().parents[2]
     if not (root / "lua").is_dir():
         raise EchowingError(
-            f"{root}: no Echowing checkout here; install with `make setup` in a clone"
+            "this needs the firmware and its emulators, which an installed package does not have: "
+            "clone the repository and run `make setup core emulated` there"
         )
     return root
+
+
+def shipped(name: str) -> Path:
+    """A file of another folder that the package takes with it (`shipped/`, links to the files)."""
+    return (Path(__file__).parent / "shipped" / name).resolve()
 
 
 def lua_folder() -> Path:

@@ -47,6 +47,11 @@ def masses_g(board: str) -> dict[str, float]:
     }
 
 
+def price_usd(board: str) -> float:
+    """Return what the parts of a build cost, without wire and filament."""
+    return sum(float(part["quantity"] * part["price_usd"]) for part in parts_for(board))
+
+
 def payload_limit_g() -> float:
     """Return the X8's payload limit."""
     return float(load(SOURCE)["payload_limit_lb"]) * GRAMS_PER_POUND
@@ -62,15 +67,17 @@ def report_text() -> str:
         "current. What each drawing needs, to the last resistor, stands beside it",
         "(`pictures/wiring/BOARD/*.bom.tsv`).",
         "",
-        "## Mass",
+        "## Mass and price",
         "",
-        "| board | parts, g | wire, g | prints, g | total, g | of the X8's payload |",
-        "|---|---|---|---|---|---|",
+        "| board | parts, g | wire, g | prints, g | total, g | of the X8's payload | parts, US$ |",
+        "|---|---|---|---|---|---|---|",
         *(_mass_row(board) for board in wiring.BOARDS),
         "",
         f"Payload limit {payload_limit_g():.0f} g ({table['payload_source']}).",
         f"Prints count as solid ({table['print_density_source']}).",
         f"Wire: {table['wire_g_m']['wire_source']}.",
+        f"Prices: {table['price_source']}",
+        "The sum has the parts of one follower in it, without wire and filament.",
         "",
         "## Follower",
         "",
@@ -104,16 +111,17 @@ def _mass_row(board: str) -> str:
     total = sum(mass.values())
     share = 100 * total / payload_limit_g()
     groups = " | ".join(f"{mass[group]:.0f}" for group in ("parts", "wire", "prints"))
-    return f"| {board} | {groups} | {total:.0f} | {share:.0f} % |"
+    return f"| {board} | {groups} | {total:.0f} | {share:.0f} % | {price_usd(board):.0f} |"
 
 
 def _part_table(parts: list[dict[str, Any]]) -> list[str]:
     return [
-        "| part | for | number | each, g | mass from | boards | alternatives |",
-        "|---|---|---|---|---|---|---|",
+        "| part | for | number | each, g | mass from | each, US$ | boards | alternatives |",
+        "|---|---|---|---|---|---|---|---|",
         *(
             f"| {part['name']} | {part['purpose']} | {part['quantity']} | {part['mass_g']:g} "
-            f"| {part.get('mass_source', 'estimate')} | {', '.join(part.get('boards', ['all']))} "
+            f"| {part.get('mass_source', 'estimate')} | {part['price_usd']:g} "
+            f"| {', '.join(part.get('boards', ['all']))} "
             f"| {part['alternatives']} |"
             for part in parts
         ),

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from hwtools import bom, budget, coverage, keepout, mount, wiring
+from hwtools import bom, budget, coverage, keepout, mount, sheet, wiring
 from hwtools.facts import HW, MOUNT, PICTURES, read
 
 RECORD = HW / "made.json"
@@ -47,6 +47,10 @@ def texts() -> list[Text]:
             Text(wiring.outputs(board, name)["bom"], partial(_wiring_bom, board, name))
             for board, name in wiring.sheet_names()
         ),
+        *(
+            Text(wiring.outputs(board, wiring.OVERVIEW)["svg"], partial(sheet.svg_text, board))
+            for board in wiring.BOARDS
+        ),
     ]
 
 
@@ -55,9 +59,10 @@ def drawings() -> Iterator[Made]:
     for board, name in wiring.sheet_names():
         paths = wiring.outputs(board, name)
         inputs = partial(_wiring_graph, board, name)
-        yield Made(paths["svg"], inputs, partial(_write_svg, board, name))
         if name == wiring.OVERVIEW:
             yield Made(paths["png"], inputs, partial(_write_png, board, name))
+        else:
+            yield Made(paths["svg"], inputs, partial(_write_svg, board, name))
 
 
 def solids() -> Iterator[Made]:

@@ -20,14 +20,15 @@ SCAD = MOUNT / "mount.scad"
 SCAD_PARAMETERS = MOUNT / "parameters.scad"
 PARAMETERS = MOUNT / "parameters.toml"
 
-# name: (what mount.scad is told, camera: centre x y z, angles x y z, distance; projection)
-VIEWS: dict[str, tuple[str, str, str]] = {
-    "assembly": ("assembly", "-12,0,26,68,0,128,290", "p"),
-    "assembly_back": ("assembly", "-25,0,26,62,0,-40,290", "p"),
-    "printed_parts": ("plate", "10,-8,5,50,0,-32,320", "p"),
-    "keepout": ("keepout", "130,0,30,72,0,130,1350", "p"),
-    "vehicle_top": ("vehicle", "-15,0,0,0,0,90,1900", "o"),
-    "vehicle_side": ("vehicle", "-15,0,-50,90,0,180,1700", "o"),
+# name: (what mount.scad is told, camera: centre x y z, angles x y z, distance; projection;
+# the arrow that points forward: x y z, length, how far along it the word stands)
+VIEWS: dict[str, tuple[str, str, str, str]] = {
+    "assembly": ("assembly", "-12,0,26,68,0,128,290", "p", "8,-40,-6,28,0.3"),
+    "assembly_back": ("assembly", "-25,0,26,62,0,-40,290", "p", "20,0,-45,55,0.8"),
+    "printed_parts": ("plate", "10,-8,5,50,0,-32,320", "p", ""),
+    "keepout": ("keepout", "130,0,30,72,0,130,1350", "p", "50,150,-150,170,0.3"),
+    "vehicle_top": ("vehicle", "-15,0,0,0,0,90,1900", "o", "-330,0,0,120,0"),
+    "vehicle_side": ("vehicle", "-15,0,-50,90,0,180,1700", "o", "120,-330,-260,260,0.5"),
 }
 IMAGE_SIZE = "1200,900"
 
@@ -79,10 +80,12 @@ def render(view: str, path: Path) -> None:
         HardwareError: OpenSCAD or xvfb-run is missing or fails.
 
     """
-    part, camera, projection = VIEWS[view]
+    part, camera, projection, arrow = VIEWS[view]
+    angles = ",".join(camera.split(",")[3:6])
+    forward = [f"-Darrow=[{arrow}]", f"-Dlook_deg=[{angles}]"] if arrow else []
     look = ["--camera", camera, "--imgsize", IMAGE_SIZE, "--colorscheme", "Tomorrow"]
     display = [] if os.environ.get("DISPLAY") else ["xvfb-run", "-a"]
-    _openscad(path, part, [*look, "--projection", projection], display)
+    _openscad(path, part, [*forward, *look, "--projection", projection], display)
 
 
 def derived(folder: Path) -> dict[str, float]:

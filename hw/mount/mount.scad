@@ -332,11 +332,27 @@ module plate() {
     translate([40, 25, 0]) color("Tomato") printed("cradle");
 }
 
+// Which way the aircraft flies, in the pictures only: an arrow and its word, which faces whoever
+// looks. The pictures say where.
+arrow = [0, 0, 0, 60, 0.5]; // x, y, z, length, how far along it the word stands
+look_deg = [0, 0, 0];
+module forward() {
+    length = arrow[3];
+    translate([arrow[0], arrow[1], arrow[2]]) color("Black") {
+        rotate([0, 90, 0]) cylinder(d = length / 16, h = length * 0.75);
+        translate([length * 0.75, 0, 0]) rotate([0, 90, 0])
+            cylinder(d1 = length / 5, d2 = 0, h = length / 4);
+        translate([length * arrow[4], 0, 0]) rotate(look_deg)
+            translate([0, length / 4, 0]) linear_extrude(length / 100)
+                text("forward", size = length / 5, halign = "center");
+    }
+}
+
 echo(yoke_bottom = yoke_bottom, tilt_z = tilt_z, face_x = face_x);
 
-if (part == "assembly") assembly();
-else if (part == "keepout") { assembly(); beams(); }
-else if (part == "vehicle") { assembly(); aircraft(); beams(); }
+if (part == "assembly") { assembly(); forward(); }
+else if (part == "keepout") { assembly(); beams(); forward(); }
+else if (part == "vehicle") { assembly(); aircraft(); beams(); forward(); }
 else if (part == "plate") plate();
 else if (part == "fixed") fixed();
 else if (part == "panning") translate([0, 0, yoke_bottom]) panning();

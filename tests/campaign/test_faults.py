@@ -47,7 +47,7 @@ def test_an_outage_of_the_leaders_radio_makes_its_data_stale_and_then_ends() -> 
     assert record.leader_age_s[between(record, 15.0, 16.4)].min() > 2.5
     assert record.leader_age_s[between(record, 17.0, 24.0)].max() < 1.0
     assert len(said(record, "leader is stale, holding")) == 1
-    assert len(said(record, "leader heard again")) == 1
+    assert len(said(record, "leader reports again")) == 1
 
 
 def test_an_outage_up_to_a_follower_loses_its_points_and_not_its_reports() -> None:

@@ -232,6 +232,9 @@ def test_the_mean_error_counts_where_nothing_is_wrong() -> None:
         update={"wind": record.scenario.wind.model_copy(update={"speed_mps": 1.0})}
     )
     assert mean_error(replace(record, flights=[off], scenario=windy)) == []
+    # Of a flight that was only begun nothing is said.
+    begun = replace(record, flights=[off], time_s=record.time_s[:200])
+    assert mean_error(begun) == []
 
 
 def test_what_is_broken_says_where_and_by_how_much() -> None:

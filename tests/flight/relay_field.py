@@ -37,7 +37,7 @@ def place_of(copter: Copter) -> Ned:
 class RelayField:
     """Flown at STEP_S; the ground station is HERE. offset_m: by what the remote's receiver is off.
 
-    rtl: parameters that the remote answers for.
+    rtl: parameters that the remote answers for. home_m: by how much the relay's home is higher.
     """
 
     def __init__(
@@ -50,6 +50,7 @@ class RelayField:
         min_separation_m: float = 10.0,
         apart_m: float | None = None,
         rtl: dict[str, float] | None = None,
+        home_m: float = 0.0,
     ) -> None:
         north_m, east_m = remote_m
         starts = {
@@ -62,10 +63,10 @@ class RelayField:
             copter.guided_position(place_of(copter))
         self.vehicles = {who: Vehicle((0.0, 0.0)) for who in starts}
         self.vehicles[REMOTE].parameters = rtl or {}
-        self._fly, self._offset_m = fly, offset_m
+        self._fly, self._offset_m, self._home_m = fly, offset_m, home_m
         self.session = FollowSession(
             REMOTE,
-            [FollowerPlan(RELAY, Slot(0.0), heights_m[1])],
+            [FollowerPlan(RELAY, Slot(0.0), heights_m[1] - home_m)],
             RELAY_SETTINGS,
             limits=Limits(
                 max_distance_m=5_000.0,
@@ -115,11 +116,12 @@ class RelayField:
         if who == REMOTE:
             north_m, east_m = north_m + self._offset_m[0], east_m + self._offset_m[1]
         at = displace(HERE, (north_m, east_m, 0.0))
+        home_m = self._home_m if who == RELAY else 0.0
         vn, ve, vd = copter.vn_mps, copter.ve_mps, copter.vd_mps
         return mavlink.MAVLink_global_position_int_message(
             self.vehicles[who].boot_ms(self.now_s),
             *(round(at.lat_deg * 1e7), round(at.lon_deg * 1e7)),
-            *(round((250.0 - down_m) * 1e3), round(-down_m * 1e3)),
+            *(round((250.0 - down_m) * 1e3), round((-down_m - home_m) * 1e3)),
             *(round(vn * 100), round(ve * 100), round(vd * 100), 0),
         )
 
@@ -139,6 +141,7 @@ class RelayField:
             if message.get_type() == "SET_POSITION_TARGET_GLOBAL_INT":
                 place = GlobalPosition(message.lat_int / 1e7, message.lon_int / 1e7, 250.0)
                 north_m, east_m, _ = ned_between(HERE, place)
-                self.copters[RELAY].guided_position((north_m, east_m, -message.alt))
+                up_m = message.alt + self._home_m
+                self.copters[RELAY].guided_position((north_m, east_m, -up_m))
             for answer in self.vehicles[who].answer(message, self.now_s):
                 self._tell(who, answer)

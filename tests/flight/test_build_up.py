@@ -30,7 +30,7 @@ class Field(Yard):
         super().__init__(slots=slots, **yard)
         self.build_up = BuildUp(radii_m, slots)
         self.orders = Orders(self.session, self.build_up)
-        self.deaf = False
+        self.deaf = self.forgets = False
         self.radii: list[float] = []
 
     def fly(self, seconds: float) -> list[Any]:
@@ -49,7 +49,8 @@ class Field(Yard):
             self.sent.append((system_id, message))
             if self.deaf:
                 return
-            vehicle.parameters[DIST] = message.param_value
+            if not self.forgets:
+                vehicle.parameters[DIST] = message.param_value
             real = mavlink.MAV_PARAM_TYPE_REAL32
             answers = [
                 mavlink.MAVLink_param_value_message(DIST.encode(), message.param_value, real, 1, 0)
@@ -138,6 +139,16 @@ def test_an_applet_that_does_not_confirm_keeps_everybody_out() -> None:
     assert field.said("the radius stays 8 m")
 
 
+def test_an_applet_that_says_yes_and_keeps_its_own_keeps_everybody_out() -> None:
+    field = Field()
+    field.fly(3.0)
+    field.forgets = True
+    field.orders.nearer(field.now_s)
+    field.fly(TRIES * ASK_PERIOD_S + 2.0)
+    assert set(field.radii) == {8.0}
+    assert field.said("follower 2: ECHO_DIST 5 is not confirmed")
+
+
 def test_what_asks_for_nearer_is_refused_while_somebody_holds_or_is_under_way() -> None:
     field = Field(engaged=False)
     field.fly(3.0)
@@ -157,6 +168,20 @@ def test_what_asks_for_nearer_is_refused_while_somebody_holds_or_is_under_way() 
     field.orders.nearer(field.now_s)
     field.fly(2.0)
     assert field.orders.objection_to_nearer(field.now_s) == "still on the way to 5 m"
+
+
+def test_nearer_than_a_leader_that_turns_round_allows_is_refused_as_before_engaging() -> None:
+    field = Field((8.0, 5.0, 3.0))
+    parameters = field.vehicles[FOLLOWER].parameters
+    parameters["WP_ACC"], parameters["PSC_JERK_NE"] = 2.5, 5.0  # ArduCopter's defaults: 4.6 m
+    field.fly(3.0)
+    field.orders.nearer(field.now_s)
+    field.fly(8.0)
+    assert field.radii[-1] == 5.0
+    field.orders.nearer(field.now_s)
+    field.fly(2.0)
+    assert field.radii[-1] == 5.0
+    assert field.said("not nearer: follower 2: its slot is 3 m from the leader, and 4.6 m is the")
 
 
 def test_a_formation_keeps_its_shape() -> None:
@@ -187,6 +212,9 @@ def test_the_applets_distance_is_put_back_at_the_end() -> None:
     field.orders.nearer(field.now_s)
     field.fly(8.0)
     assert field.distance() == 5.0
+    # Who ends the tool by force has to put it back himself.
+    told = "follower 2: ECHO_DIST was 3.5 and is put back at the end"
+    assert field.events().count(told) == 1
     field.build_up.restore()
     field.fly(1.0)
     assert field.distance() == 3.5

@@ -2,14 +2,16 @@
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 
 import pytest
 
 from echowing.flight.health import (
-    FURTHER_SHARE,
+    FURTHER_M,
     HEARD_S,
     LASTS_S,
     RANGED_S,
+    REMARK_GAP_S,
     Cohesion,
     Member,
     assess,
@@ -70,7 +72,7 @@ def test_near_is_within_a_sonars_reach_and_a_little_further_once_it_was() -> Non
     pair = frozenset((1, 2))
     assert near_pairs([at(1, 0.0), at(2, -limit_m + 0.1)]) == {pair}
     assert near_pairs(apart, [pair]) == {pair}
-    assert near_pairs([at(1, 0.0), at(2, -limit_m * FURTHER_SHARE - 0.1)], [pair]) == set()
+    assert near_pairs([at(1, 0.0), at(2, -limit_m - FURTHER_M - 0.1)], [pair]) == set()
 
 
 def test_one_that_is_not_heard_is_near_nobody() -> None:
@@ -132,6 +134,19 @@ def test_a_moment_of_an_articulation_point_is_no_news() -> None:
     assert said == [[]] * 40
 
 
+def test_what_comes_and_goes_is_not_said_each_time() -> None:
+    cohesion = Cohesion(LEADER)
+    square = [at(1, 0.0), at(2, -4.0), at(3, -4.0, 4.0), at(4, 0.0, 4.0)]
+    opened = [*square[:3], at(4, -4.0, 8.0)]
+    said = []
+    for second in range(90):
+        members = opened if second // 5 % 2 else square
+        said += [(second, text) for text in cohesion.update(members, float(second))]
+    times_s = [second for second, text in said if text.startswith("follower 2:")]
+    assert len(times_s) == 3
+    assert all(b - a >= REMARK_GAP_S for a, b in pairwise(times_s))
+
+
 def test_a_follower_that_sees_nobody_any_more_is_named_and_told_of_when_it_does_again() -> None:
     cohesion = Cohesion(LEADER)
     near, far = line(count=2), [at(1, -4.0), at(2, -12.0)]
@@ -151,6 +166,15 @@ def test_one_that_never_saw_anybody_is_no_news() -> None:
     cohesion = Cohesion(LEADER)
     assert fly(cohesion, [at(1, 0.0), at(2, -8.0)], 0, 30) == []
     assert (cohesion.health.alone, cohesion.health.lost) == ((2,), ())
+
+
+def test_one_whose_slot_is_out_of_sight_is_no_news() -> None:
+    """It has passed near another on its way there."""
+    cohesion = Cohesion(LEADER)
+    near, there = [at(1, 0.0), at(2, -3.0)], [at(1, 0.0), replace(at(2, -8.0), apart=True)]
+    assert fly(cohesion, near, 0, 5) == []
+    assert fly(cohesion, there, 5, 30) == []
+    assert cohesion.health.lost == ()
 
 
 def test_a_range_counts_for_a_while() -> None:

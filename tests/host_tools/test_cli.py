@@ -1,4 +1,5 @@
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -135,3 +136,19 @@ def test_a_connection_has_one_name_and_one_description(
     told = " ".join(capsys.readouterr().out.split())
     assert " CONN" in told
     assert CONN in told.replace("- ", "-")
+
+
+def completed(line: str, folder: Path) -> list[str]:
+    """What the shell would offer at the end of a command line."""
+    answer = folder / "answer"
+    asked = {"_ARGCOMPLETE": "1", "_ARGCOMPLETE_STDOUT_FILENAME": str(answer), "IFS": "\n"}
+    asked |= {"_ARGCOMPLETE_IFS": "\n", "COMP_LINE": line, "COMP_POINT": str(len(line))}
+    subprocess.run([sys.executable, "-m", "echowing"], env={**os.environ, **asked}, check=True)
+    return [word.strip() for word in answer.read_text().splitlines()]
+
+
+def test_the_shell_completes_verbs_options_and_choices(tmp_path: Path) -> None:
+    assert set(completed("echowing ", tmp_path)) >= set(VERBS)
+    assert completed("echowing follow --stop", tmp_path) == ["--stop-switch"]
+    assert completed("echowing sim --law con", tmp_path) == ["continuous"]
+    assert completed("echowing setup che", tmp_path) == ["check"]

@@ -44,6 +44,9 @@ WRONG: dict[str, tuple[int, dict[str, Any], str]] = {
     "its fix": (FOLLOWER, {"fix_type": 2}, "it has no GPS fix"),
     "its EKF": (FOLLOWER, {"ekf_flags": 831 & ~16}, "it has an EKF without a position"),
     "constant position": (FOLLOWER, {"ekf_flags": 831 | 128}, "it has an EKF without a position"),
+    "leader's satellites": (LEADER, {"satellites": 5}, "the leader has 5 satellites: wait for 6"),
+    "its HDOP": (FOLLOWER, {"hdop": 1.6}, "it has a GPS with HDOP 1.6: wait for 1.4"),
+    "its doubts": (FOLLOWER, {"ekf_variance": 0.8}, "it has an EKF that doubts its position"),
     "its battery": (FOLLOWER, {"battery_percent": 12}, "it has 12 % of its battery left"),
     "no applet": (FOLLOWER, {"parameters": {}}, "no applet (ECHO_STREAM_T does not answer)"),
     "home": (FOLLOWER, {"home_m": 251.5}, "its home is +1.5 m from the leader's"),
@@ -132,6 +135,14 @@ def test_a_slot_out_of_the_sonars_reach_asks_for_no_distance() -> None:
     assert yard.fly(SOON_S) != []
 
 
+def test_a_receiver_that_weakens_in_flight_stops_nobody_who_is_flown() -> None:
+    yard = Yard()
+    yard.fly(2.0)
+    yard.vehicles[LEADER].satellites, yard.vehicles[LEADER].hdop = 5, 1.6
+    yard.fly(3.0)
+    assert yard.state() == "following"
+
+
 def test_what_was_told_is_not_asked() -> None:
     yard = Yard(
         vehicles={
@@ -182,6 +193,7 @@ def test_old_data_is_held_where_the_clocks_are_known() -> None:
     [
         (LEADER, {"fix_type": 1}, "leader has no GPS fix"),
         (FOLLOWER, {"ekf_flags": 0}, "it has an EKF without a position"),
+        (LEADER, {"ekf_variance": 1.0}, "leader has an EKF that doubts its position"),
     ],
 )
 def test_a_position_that_is_worth_nothing_stops_it_until_it_is_back(
@@ -294,7 +306,7 @@ def test_another_vehicle_that_turns_up_on_an_unnamed_link_is_refused_with_its_id
     assert found is not None
     who, text = found
     assert who == LEADER
-    assert "systems 1, 9 are heard there" in text
+    assert "systems 1, 9 are on it" in text
     assert "udpin:1@1" in text
 
 
@@ -303,7 +315,7 @@ def test_who_is_not_known_to_be_ours_is_not_engaged_and_is_held() -> None:
     late.fly(2.0)
     for yard in (early, late):
         assert yard.session.engagement is not None
-        yard.session.engagement.doubt(LEADER, "systems 1, 9 are heard there", yard.now_s)
+        yard.session.engagement.doubt(LEADER, "systems 1, 9 are on it", yard.now_s)
     assert early.fly(SOON_S) == []
     late.fly(1.0)
     assert late.state() == "holding: leader may not be the vehicle that was meant"
@@ -321,8 +333,8 @@ def test_the_pilots_display_shows_why_it_stands_and_the_bell_rings() -> None:
     assert texts == [
         (FOLLOWER, "Echowing: holding, leader is stale"),
         (LEADER, "Echowing: 2 holding, leader is stale"),
-        (FOLLOWER, "Echowing: leader heard again, following"),
-        (LEADER, "Echowing: 2 leader heard again, following"),
+        (FOLLOWER, "Echowing: leader reports again, following"),
+        (LEADER, "Echowing: 2 leader reports again, following"),
     ]
     assert yard.session.alerts == 2
 

@@ -224,7 +224,7 @@ def test_it_goes_on_when_the_leader_is_heard_again() -> None:
     assert metres_from_here(targets(follow, 3.5)[0]) == pytest.approx((-3.0, 0.0), abs=0.03)
     assert [text.split(": ")[1] for _, text in follow.events] == [
         "leader is stale, holding",
-        "leader heard again, following",
+        "leader reports again, following",
     ]
 
 

@@ -17,7 +17,7 @@ from echowing.sim.autopilot import Autopilot
 from echowing.sim.copter import Copter
 from echowing.stopping import StopRequest, stop_on_signals
 from echowing.tool.panel import Row
-from echowing.tool.run import FollowOptions, FollowTool
+from echowing.tool.run import FollowOptions, FollowTool, Page
 
 LEADER, FOLLOWER = 1, 2
 STEP_S, GLANCE_S = 0.02, 0.005
@@ -105,6 +105,7 @@ class Flight:
         screen: Screen,
         keys: Callable[[], bytes] | None = None,
         build_up: tuple[float, ...] = (),
+        page: Page | None = None,
     ) -> None:
         starts = {LEADER: (0.0, 0.0, -10.0), FOLLOWER: (-5.0, 0.0, -10.0)}
         self.copters = {i: Copter(start, flying=True) for i, start in starts.items()}
@@ -124,7 +125,13 @@ class Flight:
             build_up=build_up,
         )
         self.tool = FollowTool(
-            options, screen, StopRequest(), clock=Clock(), make_link=self._make_link, keys=keys
+            options,
+            screen,
+            StopRequest(),
+            clock=Clock(),
+            make_link=self._make_link,
+            keys=keys,
+            page=page,
         )
 
     def _make_link(self, address: Address, signing: LinkSigning | None) -> Link:
@@ -145,7 +152,7 @@ def test_where_all_is_well_it_is_led_and_left_standing() -> None:
     assert flight.tool.run() == 0
     assert flight.copters[FOLLOWER].north_m > 15.0
     assert flight.speed_mps() < 0.3
-    assert "stopped and stands" in screen.texts[-1]
+    assert ": stopped, " in screen.texts[-1]
 
 
 @pytest.mark.parametrize("error", [BrokenPipeError(32, "Broken pipe"), OSError(5, "I/O error")])
@@ -166,7 +173,7 @@ def test_a_fault_of_ours_stops_the_follower_before_it_is_shown(
     with pytest.raises(ZeroDivisionError):
         flight.tool.run()
     assert flight.speed_mps() < 0.3
-    assert "stopped and stands" in screen.texts[-1]
+    assert ": stopped, " in screen.texts[-1]
 
 
 class Once:

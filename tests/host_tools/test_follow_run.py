@@ -22,7 +22,15 @@ from echowing.tool.log import FollowLog
 from echowing.tool.panel import LINK_WINDOW_S, SONAR_FRESH_S, Panel, Row
 from echowing.tool.picture import SETTLED_S, Photographer, drawn
 from echowing.tool.track import Track
-from echowing.tool.view import PLAIN_PERIOD_S, JsonView, LiveView, PlainView, open_view, scene
+from echowing.tool.view import (
+    PLAIN_PERIOD_S,
+    JsonView,
+    LiveView,
+    PlainView,
+    open_view,
+    plain_row,
+    scene,
+)
 
 LEADER, FOLLOWER = 1, 2
 
@@ -62,8 +70,20 @@ def test_several_vehicles_on_a_link_have_to_be_told_apart() -> None:
     finder = VehicleFinder(seats)
     finder.heard("udpin:1", beat(11), 0.0)
     finder.heard("udpin:1", beat(7), 1.0)
-    with pytest.raises(EchowingError, match=r"systems 7, 11 are heard there.*udpin:1@7"):
+    with pytest.raises(EchowingError, match=r"systems 7, 11 are on it.*udpin:1@7"):
         finder.decide(LISTEN_S)
+
+
+def test_a_seat_without_an_id_waits_for_one_whose_heartbeats_are_lost() -> None:
+    """Three lost in a row: after 1.5 s another vehicle would have had its seat."""
+    finder = VehicleFinder([parse_seat("leader", "udpin:1")])
+    for beat_s in (0.0, 1.0, 2.0, 3.0):
+        finder.heard("udpin:1", beat(11), beat_s)
+        finder.decide(beat_s + 0.9)
+        assert not finder.complete
+    finder.heard("udpin:1", beat(7), 3.95)
+    with pytest.raises(EchowingError, match="systems 7, 11 are heard there"):
+        finder.decide(4.0)
 
 
 def test_a_vehicle_with_an_id_leaves_the_other_on_the_link() -> None:
@@ -81,7 +101,7 @@ def test_a_vehicle_that_was_named_is_waited_for_too() -> None:
     assert finder.waiting() == f"waiting for leader, system 7, on {where}"
     finder.heard("udpin:10.0.0.2:1", beat(1), 0.0)
     assert not finder.complete
-    assert finder.waiting() == f"waiting for leader, system 7, on {where} (heard there: 1)"
+    assert finder.waiting() == f"waiting for leader, system 7, on {where} (on it: 1)"
     finder.heard("udpin:10.0.0.2:1", beat(7), 0.5)
     assert finder.complete
 
@@ -154,7 +174,7 @@ def test_a_sonar_that_hears_something_else_is_told_of_once() -> None:
         panel.receive(sonar(120 if tenth < 80 else 400), now_s)
         panel.rows(follow, now_s)
     assert panel.texts == [
-        (FOLLOWER, "the sonar hears something at 1.2 m, the leader should be 4.4 m away")
+        (FOLLOWER, "the sonar detects something at 1.2 m, the leader should be 4.4 m away")
     ]
 
 
@@ -333,6 +353,13 @@ def test_plain_lines_come_now_and_then_and_events_at_once(
     assert "separation 3.21 m (+0.21 m)" in lines[1]
     assert "link -, GPS not known, battery not known, clock not known" in lines[1]
     assert lines[4].endswith("stands")
+
+
+def test_before_the_first_report_a_row_says_just_that() -> None:
+    session = FollowSession(LEADER, [FollowerPlan(FOLLOWER, Slot(3.0), 10.0)], GuidanceSettings())
+    (silent,) = Panel([LEADER, FOLLOWER]).rows(session, 1.0)
+    assert plain_row(silent) == "follower 2: no report yet"
+    assert "?" not in "".join(lines_of([silent], 80))
 
 
 def test_json_lines_are_objects(capsys: pytest.CaptureFixture[str]) -> None:

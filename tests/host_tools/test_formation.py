@@ -1,10 +1,20 @@
 import math
+from pathlib import Path
 
 import pytest
 
+from echowing.commands.follow import options_of
 from echowing.errors import EchowingError
-from echowing.flight.formation import check_formation, slot_distance_m, turning_together
+from echowing.flight.envelope import Other, certain_distance_m
+from echowing.flight.formation import (
+    IN_SLOT_M,
+    check_formation,
+    receivers_demand_m,
+    slot_distance_m,
+    turning_together,
+)
 from echowing.flight.guidance import GRAY, GuidanceSettings, Slot
+from echowing.flight.spacing import UNRANGED_SIGMA_M
 
 
 def test_slots_apart_are_accepted() -> None:
@@ -46,3 +56,41 @@ def test_a_wide_formation_turns_as_slowly_as_its_outermost_follower_can() -> Non
     # 1.6 m/s at 32 m.
     assert wide.slot_rate_rps == pytest.approx(0.05)
     assert turning_together([Slot(32.0)], GRAY).slot_rate_rps is None
+
+
+def test_receivers_demand_what_is_certain_once_both_are_in_their_slots() -> None:
+    # A metre, two receivers at 2.5 standard deviations (2.83 m), each half a metre off its slot.
+    assert receivers_demand_m(1.0) == pytest.approx(4.83, abs=0.01)
+    certain_m = certain_distance_m(
+        Other("b", (receivers_demand_m(1.0), 0.0, 0.0), (0.0, 0.0, 0.0), UNRANGED_SIGMA_M, 0.0)
+    )
+    assert certain_m == pytest.approx(1.0 + 2.0 * IN_SLOT_M)
+
+
+ENDS = ["--leader", "udpin:1@1", "--follower", "udpin:1@2", "--follower", "udpin:1@3"]
+
+
+@pytest.mark.parametrize(
+    ("text", "refused"),
+    [
+        # Line astern at 4 m from one to the next came to 0.46 m.
+        ("[[slots]]\nradius_m = 4.0\n[[slots]]\nradius_m = 8.0\n", "4.00 m apart, less than 4.83"),
+        ("[[slots]]\nradius_m = 4.0\n[[slots]]\nradius_m = 9.0\n", None),
+        ("slot_separation_m = 4\n[[slots]]\nradius_m = 4.0\n[[slots]]\nradius_m = 8.0\n", None),
+        (
+            "slot_separation_m = 6\n[[slots]]\nradius_m = 4.0\n[[slots]]\nradius_m = 9.0\n",
+            "5.00 m apart, less than 6.00",
+        ),
+    ],
+)
+def test_follow_refuses_slots_nearer_than_that_unless_it_is_told(
+    text: str, refused: str | None, tmp_path: Path
+) -> None:
+    formation = tmp_path / "line.toml"
+    formation.write_text(text, encoding="utf-8")
+    ends = [*ENDS, "--formation", str(formation)]
+    if refused is None:
+        assert len(options_of(ends).slots) == 2
+        return
+    with pytest.raises(EchowingError, match=refused):
+        options_of(ends)

@@ -392,11 +392,11 @@ def test_a_stop_is_verified_by_ground_speed_and_told_of_until_it_holds() -> None
     there.silent = {LEADER}
     there.fly(1.25 + REMIND_S)
     assert "follower 2: still moves at 1.5 m/s, stopped again" in there.events()
-    assert "follower 2: stands" not in there.events()
+    assert "follower 2: has stopped" not in there.events()
 
     there.speed_mps[FOLLOWER] = 0.1
     there.fly(STILL_FOR_S + 2 * TICK_S)
-    assert there.events()[-1] == "follower 2: stands"
+    assert there.events()[-1] == "follower 2: has stopped"
     assert len(there.points(1.0)) == 8  # and the stop is repeated all the time
 
 
@@ -406,7 +406,7 @@ def test_one_that_still_climbs_does_not_stand() -> None:
     there.climb_mps = 1.0
     there.silent = {LEADER}
     there.fly(5.0)
-    assert "follower 2: stands" not in there.events()
+    assert "follower 2: has stopped" not in there.events()
     assert "follower 2: still moves at 1.0 m/s, stopped again" in there.events()
 
 
@@ -428,7 +428,7 @@ def test_silence_is_not_taken_for_standing() -> None:
     there.silent = {FOLLOWER}  # its last report was that it hovered
     there.session.stop("the tool ends")
     there.fly(UNHEARD_S - TICK_S)
-    assert not any("stands" in text for text in there.events())
+    assert not any("has stopped" in text for text in there.events())
 
 
 def test_a_refused_point_stops_it_until_the_pilot_has_taken_over() -> None:
@@ -467,7 +467,7 @@ def test_an_unheard_follower_is_sent_nothing() -> None:
     there.silent = {FOLLOWER}
     there.fly(UNHEARD_S + TICK_S)
     assert there.points(1.0) == []
-    assert there.events()[-1] == "follower 2: not heard for 2 s, no points sent"
+    assert there.events()[-1] == "follower 2: no report for 2 s, no points sent"
     there.silent = set()
     assert len(there.points(1.0)) == 8
 
@@ -482,7 +482,7 @@ def test_a_radio_that_holds_reports_back_is_as_good_as_silent() -> None:
     there.late_s = 3.0
     there.fly(3.5)
     assert there.state == "no points sent"
-    assert there.events()[-1] == "follower 2: not heard for 2 s, no points sent"
+    assert there.events()[-1] == "follower 2: no report for 2 s, no points sent"
     there.late_s = 0.0
     there.fly(1.0)
     assert there.state == "following"
@@ -506,7 +506,7 @@ def test_the_stop_switch_stops_and_hands_back() -> None:
     assert north_of(held) == pytest.approx(-4.0, abs=0.02)
     there.fly(STILL_FOR_S + 2 * TICK_S)
     assert there.events()[-2:] == [
-        "follower 2: stands",
+        "follower 2: has stopped",
         "follower 2: pilot has control, by the stop switch",
     ]
     assert there.points(1.0) == []
@@ -659,7 +659,7 @@ def test_the_end_stops_only_what_was_moved() -> None:
         left_as(there.session, follower, there.now_s)
         for follower in there.session.followers.values()
     )
-    assert first == ("stopped and stands, GUIDED, 10.0 m up, 0.0 m/s", True)
+    assert first == ("stopped, GUIDED, 10.0 m up, 0.0 m/s", True)
     assert second == ("was not moved (GUIDED, 10.0 m up)", True)
 
 
@@ -673,7 +673,7 @@ def test_a_follower_that_does_not_stand_at_the_end_is_called_out(silent: bool) -
     there.fly(5.0)
     text, well = left_as(there.session, there.session.followers[FOLLOWER], there.now_s)
     assert not well
-    assert text.startswith("NOT KNOWN TO STAND")
+    assert text.startswith("not confirmed stopped")
     assert "take over" in text
 
 

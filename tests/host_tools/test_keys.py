@@ -8,6 +8,7 @@ import subprocess
 import sys
 import termios
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 from rich.console import Console
@@ -23,6 +24,7 @@ from echowing.tool.view import LiveView
 from ..flight.test_build_up import Field
 from .test_background import DEADLINE_S, StoppedScreen, Vehicles, read_until
 from .test_follow_end import NEVER_S, Flight, Screen
+from .test_health import Watched
 
 FOLLOW = [sys.executable, "-m", "echowing", "follow", "--no-log"]
 
@@ -109,17 +111,38 @@ def test_stop_and_hold_ask_nobody_and_work_while_a_question_waits(key: bytes) ->
     assert desk.field.said("STOP by key: all that were moved hold, for good")
 
 
-def test_the_last_line_of_the_live_view_is_what_keys_do() -> None:
+def test_the_first_line_of_the_live_view_is_what_keys_do() -> None:
     output = io.StringIO()
     console = Console(file=output, force_terminal=True, width=80, _environ={"TERM": "xterm"})
     view = LiveView(console)
     view.event(0.0, "an event")
     view.keys("keys: e engage")
-    assert output.getvalue().index("an event") < output.getvalue().index("keys: e engage")
+    assert output.getvalue().rindex("keys: e engage") < output.getvalue().rindex("an event")
     output.seek(0)
     output.truncate()
     view.close()
     assert "keys:" not in output.getvalue()  # they do nothing any more
+
+
+def test_on_a_low_screen_the_keys_and_the_newest_events_are_seen() -> None:
+    output = io.StringIO()
+    size: dict[str, Any] = {"width": 80, "height": 14, "_environ": {"TERM": "xterm"}}
+    view = LiveView(Console(file=output, force_terminal=True, **size))
+    yard = Watched()
+    yard.fly(2.0)
+    view.keys("keys: e engage")
+    view.rows(0.0, [yard.row()])
+    for number in range(8):
+        output.seek(0)
+        output.truncate()
+        view.event(float(number), f"event {number} {'and more ' * 9}")  # two lines each
+        view.rows(float(number + 1), [yard.row()])
+    shown = output.getvalue()
+    assert "keys: e engage" in shown
+    assert "event 7" in shown
+    assert "event 0" not in shown
+    assert "…" not in shown.partition("event")[0]  # as Rich shows what it cuts off
+    view.close()
 
 
 def test_a_stopped_terminal_holds_up_no_key_and_what_they_do_is_shown_once() -> None:

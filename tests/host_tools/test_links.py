@@ -119,7 +119,7 @@ def test_datagrams_are_heard_and_answered(sender: socket.socket) -> None:
     sender.sendto(frame(system_id=7), ("127.0.0.1", port))
     (message,) = received(link)
     assert message.get_srcSystem() == 7
-    assert link.news == [f"link udpin:127.0.0.1:{port}: MAVLink heard"]
+    assert link.news == [f"link udpin:127.0.0.1:{port}: MAVLink received"]
 
     link.send(frame(system_id=245), 0.0)
     assert sender.recv(100) == frame(system_id=245)
@@ -261,7 +261,7 @@ def test_tcp_waits_for_a_listener_and_comes_back_to_the_next() -> None:
     assert (
         link.news
         == [
-            *(f"{told}MAVLink heard", f"{told}closed by the other end; trying again every 1 s"),
+            *(f"{told}MAVLink received", f"{told}closed by the other end; trying again every 1 s"),
         ]
         * 2
     )
@@ -414,3 +414,22 @@ def test_a_leader_is_not_published_to_where_it_is_heard(
             make()
     else:
         make()
+
+
+def test_of_a_published_leader_all_is_asked_for_that_follow_shows(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    seat = parse_seat("leader", "udpin:14550@1")
+    tool = LeaderTool(seat, parse_address("udpout:127.0.0.1:14600"), 4.0, StopRequest())
+    sent: list[bytes] = []
+    monkeypatch.setattr(tool._vehicle.link, "send", lambda frame, _: sent.append(frame))
+    tool._begin()
+    tool._ask(0.0)
+    heard = [mavlink.MAVLink(None).decode(bytearray(frame)) for frame in sent]
+    asked = {
+        mavlink.mavlink_map[round(one.param1)].msgname
+        for one in heard
+        if one.get_type() == "COMMAND_LONG"
+    }
+    flown = {"GLOBAL_POSITION_INT", "RC_CHANNELS", "EKF_STATUS_REPORT"}
+    assert asked == flown | {"GPS_RAW_INT", "SYS_STATUS"}

@@ -88,7 +88,7 @@ def flown_back(speed_mps: float, *, heard: bool, **field: Any) -> RelayField:
 @pytest.mark.parametrize("speed_mps", [5.0, 6.0, 7.0, 8.0])
 @pytest.mark.parametrize("heard", [True, False])
 def test_a_remote_vehicle_that_comes_back_passes_beside_it(speed_mps: float, heard: bool) -> None:
-    """Also one that has lost its link, while the relay holds; on the line it met it at 0.9 m."""
+    """Also one that has lost its link, while the relay holds; on the line they met (0.03 m)."""
     # The receivers are off by 2.8 m towards the side that the relay takes.
     flight = flown_back(speed_mps, heard=heard, offset_m=(0.0, 2.8))
     assert flight.least_m > 10.0
@@ -103,10 +103,16 @@ def test_also_with_the_least_separation_it_is_never_under_a_metre(heard: bool) -
 # ---- heights -------------------------------------------------------------------------------------
 
 
-def heights(remote_m: float, relay_m: float, rtl: dict[str, float]) -> list[str]:
+def heights(
+    remote_m: float, relay_m: float, rtl: dict[str, float], home_m: float = 0.0
+) -> list[str]:
     """What is said of the heights, and shown in the table."""
     flight = RelayField(
-        (60.0, 0.0), lambda *_: None, heights_m=(remote_m, relay_m), rtl=rtl, apart_m=5.0
+        *((60.0, 0.0), lambda *_: None),
+        heights_m=(remote_m, relay_m),
+        rtl=rtl,
+        apart_m=5.0,
+        home_m=home_m,
     )
     flight.fly(8.0)
     return [text for _, text in flight.session.events]
@@ -136,6 +142,14 @@ def test_heights_that_are_apart_are_shown_and_not_warned_of() -> None:
     (row,) = [text for text in texts if text.startswith("follower 2  ")]
     assert "RTL" in head
     assert "20.0 m" in row
+
+
+def test_each_counts_its_height_from_its_own_home() -> None:
+    # The relay is 36 m above the remote vehicle's home, and 30 m above its own on a hill of 6 m.
+    rtl = {"RTL_ALT": 3000.0}
+    assert not any("comes back" in text for text in heights(20.0, 36.0, rtl, home_m=6.0))
+    texts = [text for text in heights(20.0, 31.0, rtl, home_m=6.0) if "comes back" in text]
+    assert "comes back at 30.0 m, 1.0 m below it" in texts[0]
 
 
 def test_one_that_climbs_to_the_relays_height_is_warned_of_then() -> None:

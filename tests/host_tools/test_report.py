@@ -1,5 +1,7 @@
 """The report and the picture: whole, self-contained, and true to the flights."""
 
+import base64
+import gzip
 import json
 import re
 from dataclasses import replace
@@ -95,8 +97,12 @@ def test_the_contents_lead_to_sections_that_exist(text: str) -> None:
     assert {"results", "compared", "flight-1", "flight-2", "flight-3"} == set(page.ids)
 
 
-def test_plotly_is_inlined_once(text: str) -> None:
-    assert len(re.findall(r"plotly\.js v\d", text)) == 1
+def test_plotly_is_in_it_once_and_packed(text: str) -> None:
+    packed = re.findall(r"data-plot-code>([A-Za-z0-9+/=]+)</script>", text)
+    assert len(packed) == 1
+    assert re.search(rb"plotly\.js v\d", gzip.decompress(base64.b64decode(packed[0])))
+    # Unpacked it would be 4.8 MB.
+    assert len(text) < 2_500_000
 
 
 def test_names_cannot_break_the_page(text: str) -> None:
@@ -134,6 +140,26 @@ def test_distances_stand_between_positions_of_the_same_time() -> None:
     assert leader["customdata"] == follower["customdata"] == [0, 9.5, 19, 28.5, 38, 47.5, 57]
     assert {label.strip() for label in figure["data"][3]["text"]} == {"4.6"}
     assert figure["data"][3]["y"][1] == pytest.approx(19.0 - 2.3)
+    assert set(figure["data"][3]["textposition"]) == {"middle right"}
+
+
+def test_no_label_covers_the_data_or_the_toolbar(text: str) -> None:
+    """The wanted separation stands right of the plot, a distance a line above a lying pair."""
+    wanted = plots.sonar(flight("half"))["layout"]
+    (label,) = wanted["annotations"]
+    assert (label["xref"], label["xanchor"], label["text"]) == ("paper", "left", "wanted<br>3 m")
+    assert label["x"] > 1.0
+    assert wanted["margin"]["r"] >= 60
+    north = flight("east")
+    east = replace(
+        north,
+        leader_ned_m=north.leader_ned_m[:, [1, 0, 2]],
+        follower_ned_m=north.follower_ned_m[:, [1, 0, 2]],
+    )
+    distances = plots.matching_times(east)["data"][3]
+    assert set(distances["textposition"]) == {"top center"}
+    assert all(one.endswith("<br> ") for one in distances["text"])
+    assert text.count("<figcaption></figcaption><div") == text.count("data-figure=")
 
 
 def test_sonar_shows_readings_and_where_nothing_was_seen() -> None:

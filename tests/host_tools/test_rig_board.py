@@ -137,7 +137,7 @@ class TestParameters:
     def test_a_board_that_tells_none_is_given_up(self, wire: CoreWire) -> None:
         board = wire.open()
         wire.drop = is_kind("PARAM_VALUE")
-        with pytest.raises(EchowingError, match="not told any of its parameters"):
+        with pytest.raises(EchowingError, match="not reported any of its parameters"):
             board.parameters()
 
     def test_set_acts_at_once_and_is_stored_two_seconds_later(self, wire: CoreWire) -> None:

@@ -163,7 +163,7 @@ class TestSelfTest:
         parts = {part.name: part for part in self_test.judged(told)}
         assert parts["memory"].verdict == FAILED
         assert parts["USB port"].verdict == FAILED
-        assert "has not told" in parts["USB port"].remedy
+        assert "has not reported" in parts["USB port"].remedy
 
     def test_a_test_that_does_not_end(self, wire: CoreWire) -> None:
         board = wire.open()

@@ -161,7 +161,7 @@ class TestPicture:
     def test_reports_that_have_stopped_are_told(self) -> None:
         board = scripted(report(321), value("SNR_STATE", 3.0))
         board.poll(1.25)
-        assert "sonar fault   no range told for 1.2 s" in shown(board)
+        assert "sonar fault   no range for 1.2 s" in shown(board)
 
     def test_a_board_that_has_said_nothing_yet(self) -> None:
         words = shown(scripted())

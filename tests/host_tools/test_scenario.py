@@ -3,7 +3,10 @@ from pathlib import Path
 import pytest
 
 from echowing.errors import EchowingError
+from echowing.flight.guidance import GuidanceSettings
+from echowing.paths import repository_root
 from echowing.sim.scenario import load_scenario, scenario_names
+from echowing.sim.scenario_page import page
 
 
 def user_file(folder: Path, text: str) -> str:
@@ -116,3 +119,31 @@ def test_a_missing_file_and_broken_toml_are_named(tmp_path: Path) -> None:
         load_scenario(str(tmp_path / "absent.toml"))
     with pytest.raises(EchowingError, match=r"mine\.toml: not valid TOML"):
         load_scenario(user_file(tmp_path, "title = \n"))
+
+
+def test_a_scenario_without_keys_flies_as_echowing_does(tmp_path: Path) -> None:
+    """What was tuned is the default, also beside a key that is given."""
+    bare = load_scenario(user_file(tmp_path, 'title = "mine"\n'))
+    ours = load_scenario("echowing")
+    assert bare.model_dump(exclude={"name", "title"}) == ours.model_dump(exclude={"name", "title"})
+    assert bare.guidance.settings() == GuidanceSettings()
+    lossy = load_scenario(user_file(tmp_path, 'title = "mine"\n[radio.leader]\nloss = 0.1\n'))
+    assert lossy.radio.leader.latency_s == ours.radio.leader.latency_s
+
+
+def test_grays_points_lead_by_a_second_where_the_scenario_does_not_say() -> None:
+    guidance = load_scenario("echowing", ["guidance.gray=true"]).guidance
+    assert guidance.settings().lead_time_s == 1.0
+
+
+def test_the_page_of_keys_is_current() -> None:
+    committed = repository_root() / "host_tools" / "SCENARIOS.md"
+    assert committed.read_text(encoding="utf-8") == page(), "run `make pages`"
+
+
+def test_the_page_names_every_key_with_its_default() -> None:
+    text = page()
+    assert "| `sigma_m` | number ≥ 0 | 0.8 |" in text
+    assert "## `[[leader.script]]`" in text
+    assert "| `latency_s` | number ≥ 0 | 0.46 |" in text
+    assert "| `latency_s` | number ≥ 0 | 0.05 |" in text

@@ -414,7 +414,7 @@ def test_a_value_that_the_vehicle_will_not_have_is_told(make_desk: MakeDesk) -> 
 def test_a_link_that_goes_one_way_only_is_told(make_desk: MakeDesk) -> None:
     desk = make_desk()
     desk.autopilot.receive = lambda link, data: None  # type: ignore[method-assign]
-    with pytest.raises(EchowingError, match="is heard but answers nothing"):
+    with pytest.raises(EchowingError, match="reports but answers nothing"):
         read_out(desk.vehicle)
 
 
@@ -432,7 +432,7 @@ def test_one_whose_heartbeats_are_lost_may_be_armed(
     until_s = desk.t_s + SILENCE_S + 1.0
     while desk.t_s < until_s:
         assert "SCR_ENABLE" in desk.vehicle.read(["SCR_ENABLE"])
-    with pytest.raises(EchowingError, match="heartbeats are not heard, so it may be armed"):
+    with pytest.raises(EchowingError, match="heartbeats do not arrive, so it may be armed"):
         desk.vehicle.refuse_armed("parameters are written")
 
 

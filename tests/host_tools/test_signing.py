@@ -6,7 +6,11 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.errors import EchowingError
+from echowing.flight.guidance import GuidanceSettings, Slot
+from echowing.mavlink.links import Address, Link
+from echowing.mavlink.seats import parse_seat
 from echowing.mavlink.signing import (
+    SETUP_LINK_ID,
     SIGNING_EPOCH_UNIX_S,
     SIGNING_TICKS_PER_S,
     LinkSigning,
@@ -14,6 +18,10 @@ from echowing.mavlink.signing import (
     is_refused,
     load_key,
 )
+from echowing.stopping import StopRequest
+from echowing.tool.leader import PUBLISHED_LINK_ID, VEHICLE_LINK_ID
+from echowing.tool.run import FollowOptions, FollowTool
+from echowing.tool.view import PlainView
 
 KEY = bytes(range(100, 132))
 NOW_UNIX_S = SIGNING_EPOCH_UNIX_S + 1000.0
@@ -124,6 +132,25 @@ def test_the_links_of_one_sender_are_told_apart_by_their_ids() -> None:
     parser = listener()
     assert believed(parser, Sender(KEY, NOW_UNIX_S + 5.0, link_id=1).frame())
     assert believed(parser, Sender(KEY, NOW_UNIX_S, link_id=2).frame())
+
+
+def test_follow_setup_and_leader_sign_with_ids_of_their_own() -> None:
+    """Two senders on one link id refuse each other: the later one's stamps look old."""
+    made: list[int] = []
+
+    def note(address: Address, signing: LinkSigning | None) -> Link:
+        assert signing is not None
+        packer = mavlink.MAVLink(None)
+        signing.apply(packer)
+        made.append(packer.signing.link_id)
+        return Link(address)
+
+    seats = [parse_seat("follower", f"udpin:{port}@{port}") for port in range(1, 52)]
+    options = FollowOptions(seats, [Slot(3.0)] * 50, GuidanceSettings(), signing_key=KEY)
+    FollowTool(options, PlainView(), StopRequest(), make_link=note)
+    ids = [*made, SETUP_LINK_ID, VEHICLE_LINK_ID, PUBLISHED_LINK_ID]
+    assert len(made) == 51
+    assert len(set(ids)) == len(ids)
 
 
 def test_a_forged_frame_of_the_future_does_not_silence_its_victim() -> None:

@@ -114,7 +114,7 @@ def test_it_asks_both_and_hears_only_what_is_fresh() -> None:
     seen = step()
     assert seen is not None
     assert seen == pytest.approx((3.5, 0.0, 0.0), abs=0.02)  # a ten millionth of a degree is 1 cm
-    assert told[-1] == "the sonar hears system 1 from system 2"
+    assert told[-1] == "the sonar detects system 1 from system 2"
     assert step(STALE_S + 0.1) is None
     scene.close()
 

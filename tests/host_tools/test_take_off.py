@@ -205,7 +205,7 @@ def test_the_stop_switch_stops_the_climb_where_it_is(who: int) -> None:
         field.run(TICK_S)
     field.autopilots[who].set_rc(SWITCH.channel, 1900)
     field.until("follower 2: take-off stopped, stop switch; nobody else takes off")
-    field.until("follower 2: stands")
+    field.until("follower 2: has stopped")
     height_m = field.height_m(FIRST)
     assert 2.0 < height_m < 4.5
     field.run(5.0)
@@ -225,7 +225,7 @@ def test_the_end_stops_the_climb_and_says_how_it_was_left() -> None:
         field.run(TICK_S)
     text, well = left_as(field.session, field.session.followers[FIRST], field.t_s)
     assert well
-    assert text.startswith("stopped and stands, GUIDED")
+    assert text.startswith("stopped, GUIDED")
     assert field.height_m(FIRST) < 4.5
     assert field.height_m(SECOND) == 0.0
 
@@ -235,13 +235,13 @@ def test_the_end_after_take_offs_sees_that_all_stand() -> None:
     field.arm(FIRST, SECOND)
     field.until("follower 3: has taken off")
     field.session.stop("the tool ends")
-    field.until("follower 2: stands")
-    field.until("follower 3: stands")
+    field.until("follower 2: has stopped")
+    field.until("follower 3: has stopped")
     assert field.session.stopped(field.t_s)
     for follower in field.session.followers.values():
         text, well = left_as(field.session, follower, field.t_s)
         assert well
-        assert text.startswith("stopped and stands, GUIDED")
+        assert text.startswith("stopped, GUIDED")
 
 
 def test_the_end_on_the_ground_keeps_what_was_told_to_take_off_there() -> None:
@@ -278,7 +278,7 @@ def test_nobody_takes_off_whose_mode_is_no_longer_heard() -> None:
     field.lost = {"HEARTBEAT"}
     field.autopilots[FIRST].set_mode("LOITER")
     field.run(8.0)
-    told = "follower 2: take-off called off, its position and mode are not heard"
+    told = "follower 2: take-off called off, no report of its position and mode yet"
     assert told in field.events()
     assert mavlink.MAV_CMD_NAV_TAKEOFF not in field.commands()
 

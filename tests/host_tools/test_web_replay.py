@@ -9,7 +9,7 @@ from echowing.analysis.logs import read_flights
 from echowing.errors import EchowingError
 from echowing.tool.log import FollowLog
 from echowing.web.recording import TableRecording, index_at, open_recording
-from echowing.web.replay import TimeLine
+from echowing.web.replay import ReplayFeed, TimeLine
 from echowing.web.snapshot import snapshot
 
 from .flights import HERE, row, track
@@ -78,6 +78,17 @@ def test_a_table_of_a_former_version_is_shown_without_what_it_lacks(tmp_path: Pa
     assert recording.events == []
     assert frame["followers"][0]["seen"] is None
     assert frame["followers"][0]["separation"] == 3.0
+
+
+def test_a_damaged_moment_is_said_and_the_rest_is_shown(tmp_path: Path) -> None:
+    table = logged(tmp_path)
+    lines = table.read_text(encoding="utf-8").splitlines(keepends=True)
+    lines[5] = lines[5].replace(",3.0,", ",three,", 1)
+    table.write_text("".join(lines), encoding="utf-8")
+    feed = ReplayFeed(open_recording([table]))
+    frames = [feed._frame(index) for index in range(4)]
+    assert [frame is None for frame in frames] == [False, False, True, False]
+    assert feed._damaged[2].endswith("damaged at 0.7 s: could not convert string to float: 'three'")
 
 
 @pytest.mark.parametrize(

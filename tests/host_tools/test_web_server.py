@@ -17,7 +17,7 @@ from echowing.errors import EchowingError
 from echowing.web.guests import refusal
 from echowing.web.live import MOST_EVENTS, LivePage
 from echowing.web.options import PageAddress
-from echowing.web.server import ASSETS, MOST_BROWSERS
+from echowing.web.server import ASSETS, MOST_BROWSERS, SILENT, PageServer
 
 from .flights import many, moment
 
@@ -60,6 +60,8 @@ def asked(page: LivePage, path: str, method: str = "GET", **headers: str) -> tup
         (HERE, "", None, False),
         (HERE, None, None, False),
         (HERE, "[:::", None, False),
+        (HERE, "127.0.0.1:8017; script-src *", None, False),
+        (HERE, "evil.example@127.0.0.1", None, False),
         (HERE, "127.0.0.1:8017", "http://evil.example", False),
         (HERE, "127.0.0.1:8017", "http://127.0.0.1:9000", False),  # another tool's page
         (HERE, "127.0.0.1:8017", "https://127.0.0.1:8017", False),
@@ -235,6 +237,33 @@ def test_the_end_does_not_wait_for_a_dead_browser(page: LivePage) -> None:
     watched(page, watch)
     assert page.close()
     dead.line.close()
+
+
+class FaultyFeed:
+    """Fails with every browser."""
+
+    def begin(self, loop: asyncio.AbstractEventLoop) -> None:
+        pass
+
+    async def attend(self, browser: Any) -> None:
+        raise ValueError("a fault of ours")
+
+
+def test_a_fault_with_one_browser_is_nothing_for_the_terminal(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """A traceback on stderr would tear the operator's live table."""
+    server = PageServer(PageAddress(HERE, 0), FaultyFeed())
+    for _ in range(2):  # and the next browser is served as before
+        dead = DeadBrowser(server.address.port)
+        while dead.line.recv(4096):
+            pass
+        dead.line.close()
+    assert server.close()
+    assert server.error is None
+    # All goes to a log of ours that leads nowhere (pytest listens at every one).
+    assert {record.name for record in caplog.records} == {SILENT.name}
+    assert not SILENT.propagate
 
 
 def test_too_many_browsers_are_sent_away(page: LivePage) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from echowing.flight.envelope import SURE_SIGMAS
 from echowing.flight.health import Cut, Health
-from echowing.tool.moment import Moment
+from echowing.tool.moment import Moment, apart_by_plan
 from echowing.web.alarms import Level, alarms, headline
 from echowing.web.options import PageAddress
 from echowing.web.snapshot import ellipse, glance, snapshot
@@ -75,8 +75,8 @@ def test_what_is_not_known_is_null_and_everything_is_json() -> None:
 def test_a_glance_is_enough_for_tracks_and_plots() -> None:
     small = glance(snapshot(moment(7.0), HERE))
     assert small["t"] == 7.0
-    ((system_id, at, height, separation, sonar),) = small["followers"]
-    assert (system_id, height, separation, sonar) == (FOLLOWER, 10.0, 3.0, 2.8)
+    ((system_id, at, height, separation, sonar, wanted),) = small["followers"]
+    assert (system_id, height, separation, sonar, wanted) == (FOLLOWER, 10.0, 3.0, 2.8, 3.0)
     assert at == pytest.approx([-3.0, 0.0], abs=0.002)
 
 
@@ -87,6 +87,7 @@ def test_nothing_wrong() -> None:
     assert alarms(moment()) == []
     assert headline(moment()) == "1 of 1 following"
     assert headline(moment(state="only watched")) == "Only watching"
+    assert headline(moment(state="")) == "1 follower"
 
 
 @pytest.mark.parametrize(
@@ -97,7 +98,7 @@ def test_nothing_wrong() -> None:
         ({"age_s": 4.0}, Level.ACT, "Follower 2 is not heard for 4 s"),
         ({"state": "holding: stop switch"}, Level.LOOK, "Follower 2: holding: stop switch"),
         ({"state": "no points sent"}, Level.ACT, "Follower 2: no points sent"),
-        ({"separation_m": 1.4}, Level.ACT, "Follower 2 is 1.4 m from the leader, not 3.0 m"),
+        ({"separation_m": 1.4}, Level.ACT, "Follower 2 is 1.4 m from the leader (wanted 3.0 m)"),
         ({"gimbal": "sonar fault"}, Level.LOOK, "Follower 2: its sonar has a fault"),
     ],
 )
@@ -126,7 +127,7 @@ def test_the_worst_comes_first() -> None:
 def test_a_follower_that_sees_nobody_any_more_is_wrong_and_a_wide_formation_is_not() -> None:
     assert alarms(moment(health=Health(alone=(FOLLOWER,)))) == []
     (alarm,) = alarms(moment(health=Health(alone=(FOLLOWER,), lost=(FOLLOWER,))))
-    assert alarm.text.startswith("Follower 2 sees nobody any more")
+    assert alarm.text == "Follower 2 sees nobody any more"
     (alarm,) = alarms(moment(health=Health(lost=(2, 3))))
     assert alarm.text == "Followers 2, 3 see nobody any more"
 
@@ -138,6 +139,19 @@ def test_an_articulation_point_is_marked_and_is_no_alarm() -> None:
     assert frame["health"]["cuts"] == [{"id": LEADER, "parts": ((2,), (3,))}]
     # A pair that is ranged is drawn once.
     assert frame["health"]["edges"] == [[2, 1, "ranges"], [3, 1, "ranges"]]
+
+
+def test_slots_out_of_sight_are_known_by_the_plan() -> None:
+    """At 8 m behind the leader one is apart, unless another's slot is near it."""
+    wide = track(wanted_radius_m=8.0)
+    beside = track(wanted_radius_m=8.0, wanted_angle_deg=20.0)  # 2.8 m off
+    above = track(wanted_radius_m=3.0, wanted_step_m=4.0)  # 5 m from the leader
+    assert apart_by_plan([wide]) == [True]
+    assert apart_by_plan([wide, track()]) == [True, False]
+    assert apart_by_plan([wide, beside]) == [False, False]
+    assert apart_by_plan([above]) == [True]
+    assert apart_by_plan([track(wanted_radius_m=0.0)]) == [True]  # a relay
+    assert apart_by_plan([]) == []
 
 
 # ---- where it is ------------------------------------------------------------------------------

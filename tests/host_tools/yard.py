@@ -40,7 +40,10 @@ class Vehicle:
     late_s: float = 0.0
     says_clock: bool = True
     fix_type: int = mavlink.GPS_FIX_TYPE_3D_FIX
+    satellites: int = 10
+    hdop: float = 0.8
     ekf_flags: int = SETTLED_EKF
+    ekf_variance: float = 0.05
     battery_percent: int = 80
     mode: int = GUIDED
     silent: bool = False
@@ -83,8 +86,13 @@ class Vehicle:
         """What it says once a second."""
         return [
             self.heartbeat(),
-            mavlink.MAVLink_gps_raw_int_message(0, self.fix_type, 0, 0, 0, 0, 0, 0, 0, 10),
-            mavlink.MAVLink_ekf_status_report_message(self.ekf_flags, *(0.05,) * 5),
+            mavlink.MAVLink_gps_raw_int_message(
+                *(0, self.fix_type, 0, 0, 0, round(self.hdop * 100)),
+                *(0, 0, 0, self.satellites),
+            ),
+            mavlink.MAVLink_ekf_status_report_message(
+                self.ekf_flags, 0.05, self.ekf_variance, *(0.05,) * 3
+            ),
             mavlink.MAVLink_sys_status_message(
                 0, 0, 0, 0, 12_600, 0, self.battery_percent, *(0,) * 6
             ),

@@ -1,11 +1,13 @@
 """The wiring says the same as the firmware's pin table, and the copper goes where it must."""
 
+import re
 from collections.abc import Iterable
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 
-from hwtools import wiring
+from hwtools import sheet, wiring
 from hwtools.facts import HardwareError, firmware_pins
 
 Pin = tuple[str, str]  # connector, pin's label
@@ -169,3 +171,20 @@ def test_a_wire_to_nowhere_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(wiring, "read_sheet", with_misprint)
     with pytest.raises(HardwareError, match=r"mega, usb.*BOARD_UBS"):
         wiring.draw("mega", "usb")
+
+
+@pytest.mark.parametrize("board", wiring.BOARDS)
+def test_the_sheet_has_every_wire_in_letters_that_can_be_read(board: str) -> None:
+    """Drawn 900 wide, as wide as a page shows it, with letters of 13 and more."""
+    root = ElementTree.fromstring(sheet.svg_text(board))
+    assert float(root.attrib["width"]) <= 900.0
+    name = "{http://www.w3.org/2000/svg}text"
+    sizes = [float(node.attrib.get("font-size", 14.0)) for node in root.iter(name)]
+    assert min(sizes) >= 13.0
+    texts = [node.text or "" for node in root.iter(name)]
+    wires = sum(
+        len(cable.connections) for cable in wiring.draw(board, wiring.OVERVIEW).cables.values()
+    )
+    assert sum(bool(re.fullmatch(r"[A-Z]{2}|shield", text)) for text in texts) == wires
+    # Arial is about half as wide as high: what stands left of the wires stays on the sheet.
+    assert all(len(text) * 7.0 < 340.0 for text in texts if text.endswith(")"))

@@ -97,7 +97,7 @@ def test_leaders_link_lost_for_5_s(start: Start, table: list[Entry]) -> None:
     rest(began_s + 5.0 - time.monotonic())
     back = len(tool.lines)
     formation.leader_link.cut.clear()
-    tool.event("leader heard again, following", back)
+    tool.event("leader reports again, following", back)
     _again(tool, back)
     rest(AFTER_S)
     _enter(table, formation, "leader's link lost for 5 s", began_s, stood_s)
@@ -114,7 +114,7 @@ def test_followers_link_lost_for_4_s(start: Start, table: list[Entry]) -> None:
     tool.event("no points sent", since)
     back = len(tool.lines)
     formation.follower_links[0].cut.clear()
-    tool.event("heard again", back)
+    tool.event("reports again", back)
     _again(tool, back)
     rest(AFTER_S)
     _enter(table, formation, "follower's link lost for 4 s", began_s, stood_s)
@@ -138,5 +138,5 @@ def test_follow_is_ended(start: Start, table: list[Entry], signal_number: int) -
     began_s = time.monotonic()
     assert tool.end(signal_number) == 0
     assert formation.follower.speed_mps < 0.5
-    assert any("stands" in text for text in tool.events()[-4:])
+    assert any(": stopped, " in text for text in tool.events()[-4:])
     _enter(table, formation, f"follow is ended by signal {signal_number}", began_s)

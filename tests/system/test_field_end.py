@@ -132,13 +132,11 @@ def test_a_signal_while_searching_or_just_after(world: World, seed: int, tmp_pat
         leader=world.link(LEADER).partition("@")[0],
         follower=world.link(FOLLOWER).partition("@")[0],
     )
-    tool.event("MAVLink heard")
+    tool.event("MAVLink received")
     at_any_time(chance, 5.5)
     assert tool.end(chance.choice(SIGNALS)) == 0
     last = tool.lines[-1]
-    assert any(
-        end in last for end in ("nothing was moved", "was not moved", "stopped and stands, GUIDED")
-    )
+    assert any(end in last for end in ("nothing was moved", "was not moved", ": stopped, GUIDED"))
     assert_readable(tmp_path)
     world.pilot.until_still()
 
@@ -150,7 +148,7 @@ def test_a_signal_while_following(world: World, seed: int, tmp_path: Path) -> No
     tool.row(is_followed)
     at_any_time(chance, 1.5)
     assert tool.end(chance.choice(SIGNALS)) == 0
-    assert "stopped and stands, GUIDED" in tool.lines[-1]
+    assert ": stopped, GUIDED" in tool.lines[-1]
     world.pilot.until_still()
     assert_readable(tmp_path)
 
@@ -167,10 +165,10 @@ def test_a_second_signal_while_stopping(world: World, seed: int, tmp_path: Path)
     # The stop is sent in any case; whoever does not wait to see it is told so.
     if any("asked twice" in line for line in tool.lines):
         assert "follower 2" in tool.lines[-1]
-        assert (code == 1) is ("NOT KNOWN TO STAND" in tool.lines[-1])
+        assert (code == 1) is ("not confirmed stopped" in tool.lines[-1])
     else:
         assert code == 0
-        assert "stopped and stands, GUIDED" in tool.lines[-1]
+        assert ": stopped, GUIDED" in tool.lines[-1]
     world.pilot.until_still()
     assert_readable(tmp_path)
 
@@ -185,7 +183,7 @@ def test_what_fits_on_a_full_disk_can_be_read_and_the_end_is_clean(
     full = tool.event("cannot be written")
     tool.row(is_followed, full)
     assert tool.end() == 0
-    assert "stopped and stands, GUIDED" in tool.lines[-1]
+    assert ": stopped, GUIDED" in tool.lines[-1]
     assert not any("Traceback" in line for line in tool.lines)
     assert sum("cannot be written" in line for line in tool.lines) == 1
     (table,) = tmp_path.glob("*.csv")

@@ -46,14 +46,14 @@ def test_a_follower_out_of_radio_range_is_left_to_its_applet(world: World, air_o
     there = tool.row(is_followed, tool.row(is_followed) + 1)
 
     air.cut.set()
-    lost = tool.event("follower 2: not heard for 2 s, no points sent", there)
+    lost = tool.event("follower 2: no report for 2 s, no points sent", there)
     ping = mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
     world.pilot.until(lambda m: "stream lost, holding" in getattr(m, "text", ""), ping)
     world.pilot.until_still()
     tool.row(lambda row: row["state"] == "no points sent", lost)
 
     air.cut.clear()
-    again = tool.event("follower 2: heard again", lost)
+    again = tool.event("follower 2: reports again", lost)
     tool.row(is_followed, again)
     tool.kill()
 
@@ -124,7 +124,7 @@ def test_doubled_and_reordered_telemetry_never_goes_back_in_time(
     tool.row(in_slot, tool.row(in_slot, there + 1) + 1)
     assert tool.end() == 0
     assert not any("jumps" in line for line in tool.lines)
-    assert "stopped and stands, GUIDED" in tool.lines[-1]
+    assert ": stopped, GUIDED" in tool.lines[-1]
 
     (table,) = tmp_path.glob("*.csv")
     rows = [row for row in csv.DictReader(table.open(encoding="utf-8")) if row["leader_age_s"]]
@@ -140,7 +140,7 @@ def test_vehicles_share_a_link_and_a_stranger_on_it_is_left_alone(
     air = air_of(LEADER, FOLLOWER, SECOND)
     unnamed = world.follow(leader=air.tool, follower=world.link(FOLLOWER))
     assert unnamed.exit_code() == 2
-    assert f"systems {LEADER}, {SECOND} are heard there" in unnamed.lines[-1]
+    assert f"systems {LEADER}, {SECOND} are on it" in unnamed.lines[-1]
     assert f"{air.tool}@{LEADER}" in unnamed.lines[-1]
 
     air.heard.clear()

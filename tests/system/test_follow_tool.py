@@ -36,14 +36,14 @@ from .field import (
 def test_two_followers_fly_a_formation_file(world: World, tmp_path: Path) -> None:
     formation = tmp_path / "two.toml"
     formation.write_text(
-        "[[slots]]\nradius_m = 3.0\n[[slots]]\nradius_m = 6.0\nangle_deg = 40.0\n",
+        "[[slots]]\nradius_m = 3.0\n[[slots]]\nradius_m = 6.0\nangle_deg = 60.0\n",
         encoding="utf-8",
     )
     tool = world.follow("--follower", world.link(SECOND), "--formation", str(formation))
     tool.row(lambda row: row["system_id"] == FOLLOWER and in_slot(row))
     tool.row(lambda row: row["system_id"] == SECOND and in_slot(row))
     assert tool.end(signal.SIGINT) == 0
-    assert sum("stopped and stands" in line for line in tool.lines) == 2
+    assert sum(": stopped, GUIDED" in line for line in tool.lines) == 2
 
 
 def test_an_engagement_the_pilot_and_the_end(world: World, tmp_path: Path) -> None:
@@ -62,7 +62,7 @@ def test_an_engagement_the_pilot_and_the_end(world: World, tmp_path: Path) -> No
     tool.row(is_followed, again)
 
     assert tool.end(signal.SIGTERM) == 0
-    assert "stopped and stands, GUIDED" in tool.lines[-1]
+    assert ": stopped, GUIDED" in tool.lines[-1]
     world.pilot.until_still()
     (tlog,) = tmp_path.glob("*.tlog")
     assert {vehicle.system_id for vehicle in read_vehicles(tlog)} == {LEADER, FOLLOWER}
@@ -94,10 +94,10 @@ def test_a_lost_leader_stops_the_follower_until_it_is_heard_again(world: World) 
     bridge.cut.set()
     lost = tool.event("closed by the other end", there)
     tool.event("leader is stale, holding", there)
-    tool.event("follower 2: stands", lost)
+    tool.event("follower 2: has stopped", lost)
     world.pilot.until_still()
     bridge.cut.clear()
-    tool.event("leader heard again, following", lost)
+    tool.event("leader reports again, following", lost)
 
     tool.kill()
     bridge.close()
@@ -283,7 +283,7 @@ def test_signed_links_carry_points_and_refuse_another_key(tmp_path: Path) -> Non
     )
     tool.row(lambda row: in_slot(row) and row["leader_age_s"] < 0.5)
     assert tool.end() == 0
-    assert "stopped and stands, GUIDED" in tool.lines[-1]
+    assert ": stopped, GUIDED" in tool.lines[-1]
     assert publisher.end() == 0
     close(world)
 
@@ -295,7 +295,7 @@ def test_points_carry_a_velocity_that_the_applet_holds(world: World) -> None:
         lambda m: getattr(m, "name", "") == "ECHO_STATE" and m.value == APPLET_HOLDS, HEARTBEAT
     )
     assert tool.end() == 0
-    assert "stopped and stands, GUIDED" in tool.lines[-1]
+    assert ": stopped, GUIDED" in tool.lines[-1]
 
 
 def test_points_without_a_velocity_are_left_to_the_applets_limit(world: World) -> None:
@@ -384,14 +384,14 @@ def test_a_time_that_ran_out_before_anybody_was_heard_is_no_success(
 ) -> None:
     ends = ["--leader", "tcp:127.0.0.1:9", "--follower", "tcp:127.0.0.1:10"]
     assert main(["follow", *ends, "--duration", "0.3", "--no-log"]) == 1
-    assert "ended before all vehicles were heard" in capsys.readouterr().out
+    assert "ended before all vehicles had reported" in capsys.readouterr().out
 
 
 def test_a_formation_file_of_another_size_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     formation = tmp_path / "two.toml"
-    formation.write_text("[[slots]]\nradius_m = 3.0\n[[slots]]\nradius_m = 6.0\n", encoding="utf-8")
+    formation.write_text("[[slots]]\nradius_m = 3.0\n[[slots]]\nradius_m = 8.0\n", encoding="utf-8")
     assert main([*ENDS, "--formation", str(formation)]) == 2
     assert "2 slots for 1 followers" in capsys.readouterr().err
 

@@ -131,7 +131,7 @@ class TestOnTheBoard:
         assert rig("aim", "1500", "1300", "--json").json == {"pan_us": 1500, "tilt_us": 1300}
         line = rig("watch", "--json", "--duration", "1.5").out.splitlines()[-1]
         assert (json.loads(line)["pan_us"], json.loads(line)["tilt_us"]) == (1500.0, 1300.0)
-        assert "stands straight ahead" in rig("scan", "stop").out
+        assert "looks straight ahead" in rig("scan", "stop").out
         line = rig("watch", "--json", "--duration", "1.5").out.splitlines()[-1]
         assert json.loads(line)["points"] == [6, 12]
         assert rig("scan", "auto").code == 0

@@ -105,7 +105,7 @@ def test_a_new_vehicle_is_made_ready(parked: Served, tmp_path: Path) -> None:
     assert load(file).parameters["ECHO_ENABLE"] == 0.0
 
     said = ready(parked)
-    assert "the one of this checkout" in said
+    assert "the one of this package" in said
 
 
 def test_killed_in_the_middle_of_writing_everything_can_be_put_back(
@@ -133,7 +133,7 @@ def test_a_vehicle_lost_in_the_middle_of_a_check_is_told(parked: Served) -> None
     try:
         assert tool.exit_code() == 2
         assert f"vehicle {FOLLOWER}" in tool.lines[-1]
-        assert "is silent: nothing heard of its autopilot" in tool.lines[-1]
+        assert "is silent: no report of its autopilot" in tool.lines[-1]
     finally:
         parked.process.send_signal(signal.SIGCONT)
 

@@ -83,11 +83,14 @@ def test_what_is_drawn_is_what_was_flown_and_it_comes_back_after_a_restart(
     for time_s, sample in samples.items():
         agrees(sample, flown[time_s])
 
-    sight.until("document.body.classList.contains('lost')")
+    run = sight.reads("window.echowing.model.hello.run")
+    sight.until("document.body.classList.contains('lost') && !window.echowing.model.connected")
+    sight.until("document.getElementById('headline').innerText.startsWith('No connection')")
     assert sight.text("headline") == "No connection to the tool: what you see is old"
     world.follow(*web)
-    sight.until(f"!document.body.classList.contains('lost') && {FRAME} && {FRAME}.t < 60")
+    sight.until(f"window.echowing.model.hello.run !== '{run}' && {FRAME}")
     sight.until(f"{FRAME}.followers[0].state === 'following'")
+    sight.until("!document.body.classList.contains('lost')")
     assert sight.errors == []
     assert sight.asked == {f"{HERE}:{port}"}
     sight.close()
@@ -147,6 +150,9 @@ def test_what_is_wrong_is_big_and_plain_on_a_phone(live: LivePage, browser: Brow
     assert sight.reads(_SIZE) >= 1.25 * small
     # All of it fits the width of a phone.
     assert sight.reads("document.documentElement.scrollWidth") <= PHONE[0]
+    # And when the tool says nothing any more, though it is connected.
+    sight.until("document.getElementById('status').className === 'lost'")
+    assert sight.text("headline") == "No data from the tool: what you see is old"
     assert sight.errors == []
     sight.close()
 

@@ -65,7 +65,7 @@ def _rows(path: Path) -> tuple[list[Row], list[str]]:
         )
     whole = [row for row in rows if None not in row and None not in row.values()]
     if not whole:
-        raise EchowingError(f"log {path}: holds no rows; was the vehicle ever heard?")
+        raise EchowingError(f"log {path}: holds no rows; did the vehicle ever report?")
     cut = len(rows) - len(whole)
     return whole, [f"{path}: damaged or cut off; what could be read is used"] if cut else []
 
@@ -151,7 +151,7 @@ def _origin(label: str, number: Mapping[str, Floats]) -> tuple[float, float, flo
     """The leader's first known place."""
     known = np.flatnonzero(np.isfinite(number["leader_lat_deg"]))
     if len(known) == 0:
-        raise EchowingError(f"log {label}: the leader was never heard; nothing to measure")
+        raise EchowingError(f"log {label}: the leader never reported; there is nothing to measure")
     names = ("leader_lat_deg", "leader_lon_deg", "leader_alt_m")
     lat, lon, alt = (float(number[name][known[0]]) for name in names)
     return lat, lon, alt

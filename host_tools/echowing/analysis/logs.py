@@ -199,7 +199,7 @@ def _leader(vehicles: Sequence[VehicleLog], stated: Path | int | None) -> Vehicl
             "if two vehicles share the id, say which file is the leader's"
         )
     raise EchowingError(
-        f"which vehicle led cannot be told from {_listed(vehicles)}: exactly one of them must "
+        f"the logs do not show which of {_listed(vehicles)} led: exactly one of them must "
         "have no forward rangefinder, or not fly in Guided; say which one is the leader"
     )
 

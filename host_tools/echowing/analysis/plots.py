@@ -46,6 +46,7 @@ def matching_times(flight: Flight) -> Figure:
     at = matching_indices(flight)
     leader, follower = flight.leader_ned_m[at], flight.follower_ned_m[at]
     separation_m, middle = flight.separation_m[at], (leader + follower) / 2.0
+    across = leader - follower
     seconds = plain(flight.time_s[at], 1)
     return _map(
         f"Positions every {MATCHING_PERIOD_S:g} s, distance in metres between them",
@@ -60,8 +61,14 @@ def matching_times(flight: Flight) -> Figure:
                 "hoverinfo": "skip",
                 "x": plain(middle[:, 1]),
                 "y": plain(middle[:, 0]),
-                "text": [f"  {metres:.1f}" for metres in separation_m],
-                "textposition": _beside(leader - follower),
+                "text": [
+                    # Beside an upright pair; above a lying one, a line up from its points.
+                    f"  {metres:.1f}" if upright else f"{metres:.1f}<br> "
+                    for metres, upright in zip(separation_m, _upright(across), strict=True)
+                ],
+                "textposition": [
+                    "middle right" if upright else "top center" for upright in _upright(across)
+                ],
                 "textfont": {"size": 11},
             },
         ],
@@ -208,10 +215,9 @@ def _apart(ned_m: Floats) -> NDArray[np.intp]:
     return np.array(keep, dtype=np.intp)
 
 
-def _beside(across_ned_m: Floats) -> list[str]:
-    """Where to write a distance so that it does not cover the line it belongs to."""
-    upright = np.abs(across_ned_m[:, 0]) > np.abs(across_ned_m[:, 1])
-    return ["middle right" if along_north else "top center" for along_north in upright]
+def _upright(across_ned_m: Floats) -> list[bool]:
+    """Which pairs are further apart in north than in east."""
+    return [bool(one) for one in np.abs(across_ned_m[:, 0]) > np.abs(across_ned_m[:, 1])]
 
 
 def _points(name: str, ned_m: Floats, seconds: list[float | None], colour: str) -> Figure:
@@ -268,7 +274,7 @@ def chart(title: str, x_title: str, y_title: str, data: list[Figure]) -> Figure:
             "yaxis": {**axis, "title": {"text": y_title}},
             # Under the plot: many or long names must not run into the title.
             "legend": {"orientation": "h", "x": 0, "y": -0.26, "yanchor": "top"},
-            "margin": {"l": 56, "r": 16, "t": 48, "b": 104},
+            "margin": {"l": 64, "r": 16, "t": 36, "b": 104},
             "paper_bgcolor": "#ffffff",
             "plot_bgcolor": "#ffffff",
             "font": {"family": "system-ui, sans-serif", "size": 12, "color": "#253046"},
@@ -281,23 +287,24 @@ def with_level(figure: Figure, level: float, label: str, colour: str) -> Figure:
     line = {"color": colour, "width": 1, "dash": "dot"}
     shape = {"type": "line", "xref": "paper", "x0": 0, "x1": 1, "y0": level, "y1": level}
     shape["line"] = line
-    if label:
-        shape["label"] = {
-            "text": f"{label} {level:g} m",
-            "textposition": "end",
-            "font": {"size": 11, "color": colour},
-        }
-    figure["layout"]["shapes"] = [shape]
+    layout = figure["layout"]
+    layout["shapes"] = [shape]
+    if label:  # beside the plot, not over the data
+        text = {"text": f"{label}<br>{level:g} m", "xref": "paper", "x": 1.01, "y": level}
+        text |= {"xanchor": "left", "align": "left", "showarrow": False}
+        text["font"] = {"size": 11, "color": colour}
+        layout["annotations"] = [*layout.get("annotations", []), text]
+        layout["margin"]["r"] = 64
     return figure
 
 
 def with_upright(figure: Figure, at: float, label: str, colour: str) -> Figure:
-    """A thin upright line across the plot, its label beside it."""
+    """A thin upright line across the plot, its label over it."""
     layout = figure["layout"]
     line = {"type": "line", "yref": "paper", "x0": at, "x1": at, "y0": 0, "y1": 1}
     line["line"] = {"color": colour, "width": 1.2, "dash": "dash"}
-    text = {"text": label, "x": at, "yref": "paper", "y": 0.03, "textangle": -90}
-    text |= {"xanchor": "right", "yanchor": "bottom", "showarrow": False}
+    text = {"text": label, "x": at, "yref": "paper", "y": 1.0, "showarrow": False}
+    text |= {"xanchor": "center", "yanchor": "bottom"}
     text["font"] = {"size": 11, "color": colour}
     layout["shapes"] = [*layout.get("shapes", []), line]
     layout["annotations"] = [*layout.get("annotations", []), text]

@@ -40,12 +40,18 @@ BETWEEN_FOLLOWERS_M = LEAST_M + SURE_SIGMAS * UNRANGED_SIGMA_M
 MAKING_ROOM_M = 0.5
 # In wind: a vehicle that leans so far has nothing left to brake with (30 degrees are all it has).
 ALL_LEAN_RAD, BLOWN_WIND_MPS, BLOWN_S = math.radians(28.5), 4.0, 3.0
+# A reading this near to the leader's distance is the leader's.
+RANGES_IT_M = 0.5
+# So many samples before two vehicles were nearest the leader may have passed already.
+PASSES = 10
 # From a change of the mode to the pilot's value: the applet's period and the handing back.
 HANDED_BACK_S = 0.5
 # ArduCopter's Guided flies a velocity on for so long (GUID_TIMEOUT).
 GUIDED_TIMEOUT_S = 3.0
 # A leader heard and ranged, with nothing wrong: README's mean error is 0.12 m over ten flights.
 MEAN_ERROR_M = 0.5
+# A mean over less than this after the approach says little.
+JUDGED_S = 20.0
 # Where nothing is wrong, this is not: what README's headline was flown with.
 CALM_SPEED_MPS, CALM_LOSS, CALM_LATENCY_S = 2.0, 0.05, 0.5
 
@@ -111,16 +117,20 @@ def retreat_bound_m(record: FlightRecord, sample: int, follower: int) -> float:
     own = np.sum(record.velocity_ned_mps[:, follower] * apart, axis=1) / np.maximum(
         distance_m, 1e-6
     )
-    first = sample
+    # It may have passed already when the two were nearest.
+    last = next(
+        (at for at in range(sample, max(0, sample - PASSES), -1) if towards[at] > STANDS_MPS), None
+    )
+    if last is None:
+        return math.inf  # the leader did not fly at it
+    first = last
     while first > 0 and towards[first - 1] > STANDS_MPS:
         first -= 1
-    if first == sample:
-        return math.inf  # the leader did not fly at it
     known = _known_from(record, first, follower) + round(Answer().dead_s / SAMPLE_S)
     left_m = float(distance_m[first])
     away_mps = max(float(own[first]), -closing_limit_mps(left_m, Answer(), LEAST_M))
     bound_m = left_m
-    for at in range(first, sample):
+    for at in range(first, last + 1):
         if at >= known:
             away_mps = min(RETREAT_MOST_MPS, away_mps + OTHERS_MPS2 * SAMPLE_S)
         left_m += (away_mps - float(towards[at])) * SAMPLE_S
@@ -134,13 +144,20 @@ def _known_from(record: FlightRecord, first: int, follower: int) -> int:
     for at in range(first, len(record.time_s)):
         reported = record.tool[at] and record.time_s[at] - record.leader_age_s[at] >= began_s
         taken = record.stream_age_s[at, follower - 1] < 1.0
-        ranged = (
-            record.applet[at, follower - 1]
-            and np.isfinite(record.sonar_m[max(first, at - 1) : at + 1, follower - 1]).all()
+        twice = _ranges_the_leader(record, at, follower) and _ranges_the_leader(
+            record, at - 1, follower
         )
-        if (reported and taken) or (ranged and at > first):
+        ranged = at > first and record.applet[at, follower - 1] and twice
+        if (reported and taken) or ranged:
             return at
     return len(record.time_s)
+
+
+def _ranges_the_leader(record: FlightRecord, at: int, follower: int) -> bool:
+    """Whether the sonar's newest reading is the leader's, and no other vehicle's."""
+    apart = record.position_ned_m[at, follower] - record.position_ned_m[at, 0]
+    reads_m = float(np.linalg.norm(apart)) - record.scenario.guidance.sonar_inset_m
+    return bool(abs(record.sonar_m[at, follower - 1] - reads_m) < RANGES_IT_M)
 
 
 def stopped(record: FlightRecord) -> list[Broken]:
@@ -158,7 +175,7 @@ def stopped(record: FlightRecord) -> list[Broken]:
         speed_mps = float(record.speed_over_ground_mps[at, number + 1])
         broken.append(
             Broken(
-                "stopped",
+                BLOWN_ON if _blown(record, at, number + 1) else "stopped",
                 float(record.time_s[at]),
                 number + 2,
                 speed_mps,
@@ -285,7 +302,10 @@ def mean_error(record: FlightRecord) -> list[Broken]:
         inset_m = record.scenario.guidance.sonar_inset_m
         if slot.radius_m - inset_m >= DETECTION_LIMIT_M or slot.altitude_step_m != 0.0:
             continue
-        value = metrics(flight, approach_s(flight)).mean_abs_error_m
+        approached_s = approach_s(flight)
+        if record.time_s[-1] - approached_s < JUDGED_S:
+            continue
+        value = metrics(flight, approached_s).mean_abs_error_m
         if value > MEAN_ERROR_M:
             broken.append(
                 Broken(
@@ -316,8 +336,8 @@ def nothing_wrong(record: FlightRecord) -> bool:
     )
 
 
-# The separation broken while the wind had taken all lean: counted apart, as no law can help it.
-BLOWN = "separation, blown"
+# The same while the wind had taken all lean: counted apart, as no law can help it.
+BLOWN, BLOWN_ON = "separation, blown", "stopped, blown"
 
 # In the order of the report.
 PROPERTIES: dict[str, Property] = {

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from echowing.campaign.draw import Description, draw, flight_seed
 from echowing.campaign.files import FINDS, scenario_text
 from echowing.campaign.fly import CRASHED, LOGS, Row, fly_and_judge, fly_one
-from echowing.campaign.properties import BLOWN, PROPERTIES, Broken
+from echowing.campaign.properties import BLOWN, BLOWN_ON, PROPERTIES, Broken
 from echowing.campaign.shrink import breaks, shrink, table_of
 from echowing.campaign.story import write_story
 from echowing.campaign.workers import WorkersDied, done_by_workers
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 # Of each property so many finds are shrunk, the worst ones: a hundred of one cause show no more.
 SHRUNK_EACH = 5
-ORDER = [*PROPERTIES, BLOWN, LOGS, CRASHED]
+ORDER = [*PROPERTIES, BLOWN, BLOWN_ON, LOGS, CRASHED]
 
 Stop = Callable[[], bool]
 OnRow = Callable[[Row], None]
@@ -95,7 +95,7 @@ def shrink_all(
     ]
     left = [key for key in chosen if not _find_path(folder, *key).exists()]
     work = (order.description, order.seed)
-    for (name, index), text in done_by_workers(client, _shrink, work, left, stop):
+    for (name, index), text in done_by_workers(client, shrunk_file, work, left, stop):
         if isinstance(text, WorkersDied):
             continue
         try:
@@ -104,15 +104,15 @@ def shrink_all(
             path.write_text(text, encoding="utf-8")
         except OSError as error:
             raise EchowingError(f"--out {folder}: cannot be written: {error.strerror}") from error
-        _write_story(path, name)
+        write_find_page(path, name)
     return [path for key in chosen if (path := _find_path(folder, *key)).exists()]
 
 
 def _find_path(folder: Path, name: str, index: int) -> Path:
-    return folder / f"{name.replace(' ', '-')}-{index}.toml"
+    return folder / f"{name.replace(',', '').replace(' ', '-')}-{index}.toml"
 
 
-def _shrink(work: tuple[Description, int], key: tuple[str, int]) -> str:
+def shrunk_file(work: tuple[Description, int], key: tuple[str, int]) -> str:
     """The file of a find: its smallest scenario, and what is to be known at its head."""
     (description, seed), (name, index) = work, key
     own_seed = flight_seed(seed, index)
@@ -130,7 +130,7 @@ def _shrink(work: tuple[Description, int], key: tuple[str, int]) -> str:
     )
 
 
-def _write_story(path: Path, name: str) -> None:
+def write_find_page(path: Path, name: str) -> None:
     """Beside the file of a find, its page: flown from the file, so that it shows what it shows."""
     seed = int(path.read_text(encoding="utf-8").partition("--seed ")[2].split()[0])
     judged = fly_and_judge(load_scenario(str(path)), seed)

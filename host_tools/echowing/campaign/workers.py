@@ -5,8 +5,9 @@ Dask hands out the work, notices a worker that dies, and gives what it had to an
 
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from queue import Empty, Queue
 from typing import Any, TypeVar
 
@@ -22,6 +23,9 @@ AHEAD = 3
 # A call whose worker dies is given to another so many times; then it is the call that kills them.
 MOST_DEATHS = 3
 CONNECT_S = 10.0
+RESTART_S = 20.0
+# A dead worker is back within seconds; on a busy machine within a minute.
+NO_WORKERS_S = 180.0
 POLL_S = 0.2
 
 
@@ -47,7 +51,7 @@ def connected(workers: int, scheduler: str | None) -> Iterator[Client]:
             "`dask scheduler`, and its workers with `dask worker`"
         ) from error
     with client:
-        if not client.scheduler_info()["workers"]:
+        if not client.nthreads():
             raise EchowingError(f"--scheduler {scheduler}: has no workers: start `dask worker`")
         yield client
 
@@ -58,7 +62,6 @@ def _local(workers: int) -> Iterator[Client]:
         "distributed.scheduler.allowed-failures": MOST_DEATHS - 1,
         "distributed.admin.log-format": "%(message)s",
         "logging": {"distributed": "critical"},
-        "distributed.worker.daemon": False,
     }
     with config.set(options), _ctrl_c_is_ours():
         cluster = LocalCluster(
@@ -66,11 +69,16 @@ def _local(workers: int) -> Iterator[Client]:
             threads_per_worker=1,
             processes=True,
             host="127.0.0.1",
-            dashboard_address=None,
+            dashboard_address="127.0.0.1:0",
             silence_logs=50,
         )
     with config.set(options), cluster, Client(cluster, set_as_default=False) as client:
-        yield client
+        try:
+            yield client
+        finally:
+            # A cluster that is closed while a dead worker is being started anew never ends.
+            with suppress(TimeoutError):
+                client.wait_for_workers(workers, timeout=RESTART_S)
 
 
 @contextmanager
@@ -98,28 +106,38 @@ def done_by_workers(
     What a call raises is raised here; WorkersDied is given back as the result.
     """
     done: Queue[tuple[Key, Future]] = Queue()
-    given = client.scatter(shared, broadcast=True, hash=False)
     waiting = iter(keys)
     under_way: dict[Key, Future] = {}
 
     def hand_out() -> None:
-        most = AHEAD * max(1, len(client.scheduler_info()["workers"]))
+        most = AHEAD * max(1, len(client.nthreads()))
         while len(under_way) < most:
             key = next(waiting, None)
             if key is None:
                 return
-            future = client.submit(call, given, key, pure=False, retries=0)
+            future = client.submit(call, shared, key, pure=False)
             under_way[key] = future
             future.add_done_callback(lambda future, key=key: done.put((key, future)))
 
     hand_out()
+    seen_s = time.monotonic()
     while under_way and not stop():
         try:
             key, future = done.get(timeout=POLL_S)
         except Empty:
+            if client.nthreads():
+                seen_s = time.monotonic()
+            elif time.monotonic() - seen_s > NO_WORKERS_S:
+                raise EchowingError(
+                    f"no worker is left since {NO_WORKERS_S:g} s: start workers, then go on with "
+                    "--resume"
+                ) from None
             continue
-        if under_way.pop(key, None) is None:
+        if not future.done():  # it was, and was lost with its worker: it is being done again
+            time.sleep(POLL_S)
+            done.put((key, future))
             continue
+        del under_way[key]
         yield key, _result(future)
         hand_out()
     client.cancel(list(under_way.values()))

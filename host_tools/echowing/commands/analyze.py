@@ -36,7 +36,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         type=Path,
         metavar="LOG",
-        help=".tlog or .BIN, one a vehicle or more; the CSV of `echowing follow --log`, or its DIR",
+        help=".tlog or .BIN, one or more per vehicle; the CSV "
+        "of `echowing follow --log`, or its DIR",
     )
     parser.add_argument("--leader", metavar="LOG|ID", help="the leader's log or system id")
     parser.add_argument(

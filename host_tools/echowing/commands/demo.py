@@ -47,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = EXAMPLES
     parser.add_argument("--out", type=Path, default=Path("out/demo"), metavar="DIR")
     parser.add_argument(
-        "--seeds", type=int, default=10, metavar="N", help="flights a scheme in the comparison"
+        "--seeds", type=int, default=10, metavar="N", help="flights per scheme in the comparison"
     )
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, metavar="N")
     parser.add_argument(

@@ -11,7 +11,7 @@ examples:
   echowing emulator --board mega --range-cm 350
   echowing emulator --link tcp:127.0.0.1:5773 \\
       --vehicles tcp:127.0.0.1:5762@1 tcp:127.0.0.1:5772@2
-      plugged into SERIAL2 of a follower in ArduPilot's SITL; the sonar hears vehicle 1
+      plugged into SERIAL2 of a follower in ArduPilot's SITL; the sonar detects vehicle 1
       where it truly is from vehicle 2 (lua/echowing.md, In SITL)
   echowing emulator --link tcp:127.0.0.1:5773 --target udp:9005
       the same from a program of your own; each datagram
@@ -46,13 +46,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     seen = parser.add_mutually_exclusive_group()
     seen.add_argument("--range-cm", type=int, metavar="N", help="the sonar always reads this")
     seen.add_argument(
-        "--target", metavar="udp:PORT", help="the sonar hears the leader where datagrams say"
+        "--target",
+        metavar="udp:PORT",
+        help="the sonar detects the leader where datagrams say that it is",
     )
     seen.add_argument(
         "--vehicles",
         nargs=2,
         metavar=("LEADER", "FOLLOWER"),
-        help="the sonar hears the leader where two vehicles in ArduPilot's SITL truly are; a "
+        help="the sonar detects the leader where two vehicles in ArduPilot's SITL truly are; a "
         "connection string of each, CONN[@ID]",
     )
     parser.add_argument(

@@ -34,7 +34,7 @@ examples:
   echowing follow --leader /dev/ttyUSB0 --follower /dev/ttyUSB1 --baud 57600 --radius 8 --engage
   echowing follow --leader udpin:14550@1 --follower udpin:14550@2 --follower udpin:14550@3 \\
       --formation vee.toml --stop-switch 7:1700 --log out/vee-7 --engage
-      all vehicles on one link, told apart by system id; vee.toml:
+      all vehicles on one link, each with a system id of its own; vee.toml:
           [[slots]]
           radius_m = 4.0
           angle_deg = 40.0
@@ -55,7 +55,8 @@ The pilot takes over by any change of mode; points go on when he puts the vehicl
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The verb's options."""
-    from echowing.mavlink.links import CONN, DEFAULT_BAUD  # noqa: PLC0415 (imported when the verb is used)
+    from echowing.flight.guidance import GuidanceSettings  # noqa: PLC0415 (when the verb is used)
+    from echowing.mavlink.links import CONN, DEFAULT_BAUD  # noqa: PLC0415
     from echowing.web.options import add_web_arguments  # noqa: PLC0415
 
     parser.epilog = EXAMPLES
@@ -98,7 +99,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     place.add_argument(
         "--lead-time",
         type=float,
-        default=1.4,
+        default=GuidanceSettings().lead_time_s,
         metavar="S",
         help="with --position-only: how far points run ahead; a copter trails them by about 1.4 s",
     )
@@ -382,7 +383,7 @@ def _slots(args: argparse.Namespace, radii_m: tuple[float, ...]) -> "list[Slot]"
 
     followers = len(args.follower)
     if args.formation is not None:
-        slots, apart_m = _load_formation(args.formation)
+        slots, apart_m = _load_formation(args.formation, args.min_separation)
         if len(slots) != followers:
             raise EchowingError(
                 f"--formation {args.formation}: {len(slots)} slots for {followers} followers"
@@ -404,16 +405,17 @@ def _slots(args: argparse.Namespace, radii_m: tuple[float, ...]) -> "list[Slot]"
     return scaled(slots, radii_m[0]) if radii_m else slots
 
 
-def _load_formation(path: Path) -> "tuple[list[Slot], float]":
+def _load_formation(path: Path, least_m: float) -> "tuple[list[Slot], float]":
     """Slots of a TOML file with [[slots]], and how far apart they have to be.
 
-    The same keys as in a scenario's formation.
+    The same keys as in a scenario's formation; where it does not say how far apart, so far as the
+    followers' receivers demand for `least_m`.
     """
     import tomllib  # noqa: PLC0415
 
     from pydantic import ValidationError  # noqa: PLC0415
 
-    from echowing.flight.formation import check_formation  # noqa: PLC0415
+    from echowing.flight.formation import check_formation, receivers_demand_m  # noqa: PLC0415
     from echowing.sim.scenario import FormationSection  # noqa: PLC0415
 
     try:
@@ -428,8 +430,10 @@ def _load_formation(path: Path) -> "tuple[list[Slot], float]":
         key = ".".join(str(part) for part in first["loc"])
         raise EchowingError(f"--formation {path}: {key}: {first['msg']}") from error
     slots = [section.slot() for section in formation.slots]
+    told = "slot_separation_m" in formation.model_fields_set
+    apart_m = formation.slot_separation_m if told else receivers_demand_m(least_m)
     try:
-        check_formation(slots, formation.slot_separation_m)
+        check_formation(slots, apart_m)
     except EchowingError as error:
         raise EchowingError(f"--formation {path}: {error}") from error
-    return slots, formation.slot_separation_m
+    return slots, apart_m

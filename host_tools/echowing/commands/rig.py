@@ -15,7 +15,7 @@ examples:
   echowing rig --port /dev/ttyACM0 self-test
   echowing rig params set TRACK_RANGE 400
   echowing rig --port tcp:192.168.1.30:5760 info --json
-`echowing rig VERB --help` has more. Exit code: 0 fine, 1 a test has failed, 2 to be mended first.
+`echowing rig VERB --help` has more. Exit code: 0 fine, 1 a test has failed, 2 fix it first.
 """
 
 

@@ -23,7 +23,7 @@ examples, in the order of a new vehicle:
 and in the field, over the radio:
   echowing setup check --vehicle udpin:14550@2
   echowing setup check --vehicle udpin:14550@1 --role leader
-`echowing setup PART --help` has more. Exit code of check: 0 fine, 1 wrong, 2 cannot tell.
+`echowing setup PART --help` has more. Exit code of check: 0 fine, 1 wrong, 2 could not be checked.
 """
 LUA_EXAMPLES = """\
 examples:
@@ -37,7 +37,7 @@ examples:
   echowing setup check --vehicle /dev/ttyACM0            over USB
   echowing setup check --vehicle udpin:14550@2 --serial 2      co-processor on SERIAL2 (TELEM2)
   echowing setup check --vehicle tcp:192.168.4.1:5760 --json | jq '.findings[]'
-exit code: 0 all is fine, 1 something is wrong, 2 something cannot be told
+exit code: 0 all is fine, 1 something is wrong, 2 something could not be checked
 """
 APPLY_EXAMPLES = """\
 examples:

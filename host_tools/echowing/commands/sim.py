@@ -64,7 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--signing-key-file",
         type=Path,
         metavar="FILE",
-        help="with --serve: sign the telemetry, and hear only what is signed",
+        help="with --serve: sign the telemetry, and accept only what is signed",
     )
     parser.add_argument(
         "--parked",
@@ -78,7 +78,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="with --serve: the followers' SD cards, in folders of DIR named by system id; the "
         "applet found there is the one that runs",
     )
-    parser.add_argument("--json", action="store_true", help="print one JSON object a flight")
+    parser.add_argument("--json", action="store_true", help="print one JSON object per flight")
     add_web_arguments(parser)
 
 

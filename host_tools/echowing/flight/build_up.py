@@ -78,7 +78,9 @@ class AppletDistance:
         self._heard_m = value
         if _same(value, self.wanted_m):
             self._agreeing += 1
-        elif self.is_set and self.written_m is not None and not _same(value, self.written_m):
+        elif not self.is_set:
+            self._agreeing = 0
+        elif self.written_m is not None and not _same(value, self.written_m):
             self.before_m = self.written_m = None  # somebody else has set it: it is his now
 
     def messages(self, system_id: int, now_s: float) -> list[Any]:
@@ -166,6 +168,17 @@ class BuildUp:
         for follower in led:
             if follower.held_at is not None:
                 return f"follower {follower.plan.system_id} holds: {follower.hold_reason}"
+        return self._too_near(session, self.nearer_m)
+
+    def _too_near(self, session: "FollowSession", radius_m: float) -> str | None:
+        """Whose slot would be nearer than is survived, and why: as before engaging."""
+        if session.engagement is None:
+            return None
+        slots = scaled(self._slots, radius_m)
+        for follower, slot in zip(session.followers.values(), slots, strict=True):
+            text = session.engagement.objection_to_radius(follower, slot.radius_m)
+            if text is not None:
+                return f"follower {follower.plan.system_id}: {text}"
         return None
 
     def nearer(self, session: "FollowSession") -> None:
@@ -199,11 +212,13 @@ class BuildUp:
         """Once a tick: move the slots; returns what to send."""
         elapsed_s = 0.0 if self._at_s is None else now_s - self._at_s
         self._at_s = now_s
-        messages = [
-            (system_id, message)
-            for system_id, distance in self.distances.items()
-            for message in distance.messages(system_id, now_s)
-        ]
+        messages = []
+        for system_id, distance in self.distances.items():
+            untouched = not distance.is_ours
+            messages += [(system_id, one) for one in distance.messages(system_id, now_s)]
+            if untouched and distance.is_ours:
+                text = f"{DIST} was {distance.before_m:g} and is put back at the end"
+                _say(session, now_s, f"follower {system_id}: {text}")
         self._judge(session, now_s)
         if not self._waits and self.radius_m != self.target_m:
             step_m = SLOT_MPS / self._spread * min(elapsed_s, LONGEST_STEP_S)

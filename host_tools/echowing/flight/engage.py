@@ -54,6 +54,11 @@ LOWEST_M = 1.0
 TURNS_MPS = 2.0
 # Of a battery that is to carry it through a flight of minutes and home.
 LEAST_BATTERY_PERCENT = 20
+# What ArduPilot asks of a receiver before arming (GPS_HDOP_GOOD, EK3_GPS_CHECK), and from where on
+# its own fail-safe doubts the estimator (FS_EKF_THRESH).
+GOOD_HDOP, GOOD_SATELLITES = 1.4, 6
+DOUBTED_VARIANCE = 0.8
+UNKNOWN_EPH = 65_535
 # A position that has not moved by the first while its velocities add up to the second is stuck.
 STAYS_M, FLOWN_M = 0.5, 2.0
 # Positions further apart in time say nothing of what was flown between.
@@ -140,7 +145,9 @@ class Vehicle:
 
     fix_type: int | None = None
     satellites: int | None = None
+    hdop: float | None = None
     ekf_flags: int | None = None
+    ekf_doubts: bool = False
     battery_percent: int | None = None
     voltage_mv: int | None = None
     position: StuckPosition = field(default_factory=StuckPosition)
@@ -153,8 +160,10 @@ class Vehicle:
             self.position.report(message)
         elif kind == "GPS_RAW_INT":
             self.fix_type, self.satellites = message.fix_type, message.satellites_visible
+            self.hdop = message.eph / 100.0 if 0 < message.eph < UNKNOWN_EPH else None
         elif kind == "EKF_STATUS_REPORT":
             self.ekf_flags = message.flags
+            self.ekf_doubts = message.pos_horiz_variance >= DOUBTED_VARIANCE
         elif kind == "SYS_STATUS":
             self.battery_percent, self.voltage_mv = (
                 message.battery_remaining,
@@ -177,7 +186,19 @@ class Vehicle:
             return "has no GPS fix"
         if self.ekf_flags is not None and not _has_position(self.ekf_flags):
             return "has an EKF without a position"
+        if self.ekf_doubts:
+            return "has an EKF that doubts its position"
         return "reports a position that stays put while it moves" if self.position.stuck else None
+
+    @property
+    def weakness(self) -> str | None:
+        """What its receiver falls short of, though it has a fix; None: nothing known."""
+        satellites = self.satellites
+        if satellites is not None and satellites < GOOD_SATELLITES:
+            return f"has {satellites} satellites: wait for {GOOD_SATELLITES}"
+        if self.hdop is not None and self.hdop > GOOD_HDOP:
+            return f"has a GPS with HDOP {self.hdop:.1f}: wait for {GOOD_HDOP:g}"
+        return None
 
 
 def _has_position(flags: int) -> bool:
@@ -419,7 +440,7 @@ class Engagement:
             _clock("its", follower.clock),
             *self._switch("its", system_id, session, now_s),
             *self._applet(system_id, session, follower),
-            *self._reversal(follower),
+            *self._reversal(follower, follower.plan.slot.radius_m),
             *self._homes(session, follower),
             *self._height(session, follower),
             *self._state("its", system_id),
@@ -454,11 +475,15 @@ class Engagement:
             findings += [] if distance is None else [distance]
         return findings
 
-    def _reversal(self, follower: "FollowerState") -> list[Finding]:
+    def objection_to_radius(self, follower: "FollowerState", radius_m: float) -> str | None:
+        """Why its slot may not be so near to the leader; None: it may."""
+        return next((one.wrong for one in self._reversal(follower, radius_m) if one.wrong), None)
+
+    def _reversal(self, follower: "FollowerState", radius_m: float) -> list[Finding]:
         """The least distance at which it survives that the leader turns round."""
         if not self.readiness.reversal:
             return []
-        handling, radius_m = follower.handling, follower.plan.slot.radius_m
+        handling = follower.handling
         if not handling.known:
             return [Finding("least", "?", "its acceleration and jerk are not known (WP_ACC)")]
         least_m = least_slot_m(TURNS_MPS, handling.answer)
@@ -534,11 +559,12 @@ class Engagement:
         fix, ekf = vehicle.fix_type, vehicle.ekf_flags
         fault = f"{name} {vehicle.fault}: wait, or land it" if vehicle.fault else ""
         shown_gps = "?" if fix is None else f"{min(fix, 3)}D {vehicle.satellites}"
-        gps = fault or (
-            f"{name} does not report GPS_RAW_INT: check its link" if fix is None else ""
-        )
+        weak = f"{name} {vehicle.weakness}" if vehicle.weakness else ""
+        unheard = f"{name} does not report GPS_RAW_INT: check its link"
+        gps = fault or (unheard if fix is None else weak)
         unheard = f"{name} does not report EKF_STATUS_REPORT: check its link"
         shown_ekf = "?" if ekf is None else "ok" if _has_position(ekf) else "no position"
+        shown_ekf = "doubts" if vehicle.ekf_doubts and shown_ekf == "ok" else shown_ekf
         return [
             Finding("GPS", shown_gps, gps),
             Finding("EKF", shown_ekf, unheard if ekf is None else ""),
@@ -629,7 +655,7 @@ def _distance(
 def _battery(name: str, vehicle: Vehicle) -> Finding:
     percent = vehicle.battery_percent
     if percent is None:
-        return Finding("battery", "not told")
+        return Finding("battery", "not reported")
     if percent < 0:  # MAVLink's word for not known
         return Finding("battery", f"{(vehicle.voltage_mv or 0) / 1e3:.1f} V")
     low = f"{name} has {percent} % of its battery left: land it and change the battery"

@@ -6,10 +6,14 @@ from dataclasses import replace
 from itertools import combinations
 
 from echowing.errors import EchowingError
+from echowing.flight.envelope import SURE_SIGMAS
 from echowing.flight.guidance import GuidanceSettings, Slot, slot_offset_m
+from echowing.flight.spacing import UNRANGED_SIGMA_M
 
 # Two X8s are 0.5 m across (thesis Table 3) and each GPS may be a metre or two out.
 DEFAULT_SLOT_SEPARATION_M = 2.0
+# Each of two followers may be this far off its slot and still be in it.
+IN_SLOT_M = 0.5
 # The guided point is never nearer to the leader than this; a slot inside could not be flown.
 SMALLEST_RADIUS_M = 1.0
 # How fast the outermost slot may move round the leader: what a follower at 3 m does at 30 deg/s.
@@ -21,6 +25,15 @@ def slot_distance_m(a: Slot, b: Slot) -> float:
     """Distance between two slots, altitude steps included."""
     (north_a, east_a), (north_b, east_b) = slot_offset_m(a, 0.0), slot_offset_m(b, 0.0)
     return math.dist((north_a, east_a, a.altitude_step_m), (north_b, east_b, b.altitude_step_m))
+
+
+def receivers_demand_m(least_m: float) -> float:
+    """How far apart two slots have to be whose followers do not range each other.
+
+    least_m: what is to be certain between them. Nearer, each would give way to the other, and
+    neither would ever be in its slot.
+    """
+    return least_m + SURE_SIGMAS * UNRANGED_SIGMA_M + 2.0 * IN_SLOT_M
 
 
 def check_formation(slots: Sequence[Slot], separation_m: float = DEFAULT_SLOT_SEPARATION_M) -> None:
@@ -35,7 +48,8 @@ def check_formation(slots: Sequence[Slot], separation_m: float = DEFAULT_SLOT_SE
         if distance_m < separation_m:
             raise EchowingError(
                 f"formation: slots {number_a} and {number_b} are {distance_m:.2f} m apart, "
-                f"less than {separation_m:.2f} m; move one of them"
+                f"less than {separation_m:.2f} m; move one of them, or allow it by "
+                "slot_separation_m"
             )
 
 

@@ -347,7 +347,7 @@ class Guard:
         unheard = now_s - follower.position_at_s > UNHEARD_S
         if unheard is not watch.unheard:
             watch.unheard = unheard
-            text = f"not heard for {UNHEARD_S:g} s, no points sent" if unheard else "heard again"
+            text = f"no report for {UNHEARD_S:g} s, no points sent" if unheard else "reports again"
             self._say(now_s, f"follower {system_id}: {text}")
         handed_back = watch.released or (self.switched(system_id) and not follower.flown)
         return not unheard and not handed_back and not self._too_low(follower, watch, now_s)
@@ -402,7 +402,7 @@ class Guard:
             watch.still_since_s = now_s
         elif now_s - watch.still_since_s >= STILL_FOR_S and not watch.verified:
             watch.verified = True
-            self._say(now_s, f"follower {system_id}: stands")
+            self._say(now_s, f"follower {system_id}: has stopped")
             if self.switched(system_id):
                 watch.released = True
                 self._say(now_s, f"follower {system_id}: pilot has control, by the stop switch")

@@ -14,7 +14,9 @@ A vehicle is an *articulation point* (S. K. Lee and J. McLurkin, "Distributed co
 control for swarm robots with boundary information and network sensing", IROS 2014; thesis chapter
 2) when its loss would leave parts that do not see each other. A follower without any edge sees
 nobody. Neither is a fault by itself: at a radius of 8 m nobody sees anybody, and two followers far
-apart are always joined by their leader only. What is worth a word is the change.
+apart are always joined by their leader only. What is worth a word is the change: that a vehicle
+becomes an articulation point, or that a follower whose slot is within somebody's reach has seen
+somebody and now sees nobody.
 """
 
 import math
@@ -24,20 +26,22 @@ from itertools import combinations
 
 import networkx as nx
 
+from echowing.flight.offset_grid import Wandering
 from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.geo import Ned, wrap_angle_rad
 
 RANGED_S = 2.0
 # As `guard.UNHEARD_S`: one that was not heard for so long gets no points.
 HEARD_S = 2.0
-# Where two have been near they are so until a little further apart: receivers wander.
-FURTHER_SHARE = 1.1
+# Where two have been near they are so until as much further apart as two receivers wander.
+FURTHER_M = math.sqrt(2.0) * Wandering().sigma_m
 # A range is of the vehicle that it fits best. Worse than this (a GPS and a beam's width, as
 # `panel.MISMATCH_M`), or further off the nose (beam 20 deg, and the two receivers' errors at 3 m),
 # it is of something else.
 FIT_M, AHEAD_RAD = 2.0, math.radians(50.0)
-# A change counts when it has lasted so long, and is not said again sooner.
-LASTS_S, REMARK_GAP_S = 2.0, 10.0
+# A change counts when it has lasted so long, and is not said again sooner: nobody has to act on it
+# at once, and what comes and goes is no news.
+LASTS_S, REMARK_GAP_S = 2.0, 30.0
 
 Pair = frozenset[int]
 
@@ -49,7 +53,8 @@ class Member:
     at_ned_m: by its own receiver, about an origin that all share; None: never heard; age_s: of that
     report; heading_rad: of its nose (of the sonar's axis where that is known); range_m: distance
     between centres by its sonar now, None: no target in its reach. leader_ned_m: where it takes
-    the leader to be, in its own receiver's frame; None: where the leader reports itself.
+    the leader to be, in its own receiver's frame; None: where the leader reports itself. apart:
+    whether its slot is out of everybody's sight, so that it is to see nobody.
     """
 
     system_id: int
@@ -58,6 +63,7 @@ class Member:
     heading_rad: float = 0.0
     range_m: float | None = None
     leader_ned_m: Ned | None = None
+    apart: bool = False
 
     @property
     def heard(self) -> bool:
@@ -78,7 +84,7 @@ class Health:
     """How the formation holds together.
 
     ranges: (who, whom); near: pairs; cuts: articulation points; alone: followers that see nobody;
-    lost: those of them that have seen somebody before.
+    lost: those of them that have seen somebody before, and are not apart by plan.
     """
 
     ranges: tuple[tuple[int, int], ...] = ()
@@ -94,12 +100,12 @@ def ranged(member: Member, others: Iterable[Member], leader_id: int) -> int | No
     if here is None or member.range_m is None:
         return None
     fits = [
-        (abs(math.dist(here, there) - member.range_m), system_id)
+        (off_m, system_id)
         for system_id, there in _around(member, others, leader_id)
-        if _is_ahead(here, member.heading_rad, there)
+        if (off_m := abs(math.dist(here, there) - member.range_m)) <= FIT_M
+        and _is_ahead(here, member.heading_rad, there)
     ]
-    off_m, system_id = min(fits, default=(math.inf, -1))
-    return system_id if off_m <= FIT_M else None
+    return min(fits)[1] if fits else None
 
 
 def _around(member: Member, others: Iterable[Member], leader_id: int) -> Iterator[tuple[int, Ned]]:
@@ -119,15 +125,13 @@ def _is_ahead(here: Ned, heading_rad: float, there: Ned) -> bool:
 def near_pairs(members: Sequence[Member], before: Iterable[Pair] = ()) -> set[Pair]:
     """Pairs within reach of a sonar; those of `before` until a little further apart."""
     before = set(before)
-    heard = [member for member in members if member.heard]
-    return {
-        pair
-        for a, b in combinations(heard, 2)
-        if a.at_ned_m is not None and b.at_ned_m is not None
-        for pair in (frozenset((a.system_id, b.system_id)),)
-        if math.dist(a.at_ned_m, b.at_ned_m)
-        <= DETECTION_LIMIT_M * (FURTHER_SHARE if pair in before else 1.0)
-    }
+    heard = [(one.system_id, one.at_ned_m) for one in members if one.heard and one.at_ned_m]
+    close = (
+        (frozenset((a, b)), apart_m)
+        for (a, there_a), (b, there_b) in combinations(heard, 2)
+        if (apart_m := math.dist(there_a, there_b)) <= DETECTION_LIMIT_M + FURTHER_M
+    )
+    return {pair for pair, apart_m in close if apart_m <= DETECTION_LIMIT_M or pair in before}
 
 
 def assess(
@@ -148,19 +152,23 @@ def assess(
     graph.add_nodes_from(member.system_id for member in members)
     graph.add_edges_from(ranges.items())
     graph.add_edges_from((min(pair), max(pair)) for pair in pairs)
+    alone = tuple(one for one in sorted(graph) if one != leader_id and not graph.degree(one))
     return Health(
         ranges=tuple(sorted(ranges.items())),
         near=tuple(sorted((min(pair), max(pair)) for pair in pairs)),
         cuts=tuple(_cuts(graph)),
-        alone=tuple(one for one in sorted(graph) if one != leader_id and not graph.degree(one)),
+        alone=alone,
     )
 
 
 def _cuts(graph: "nx.Graph[int]") -> Iterator[Cut]:
     for system_id in sorted(nx.articulation_points(graph)):
-        mates = nx.node_connected_component(graph, system_id) - {system_id}
-        parts = [tuple(sorted(part)) for part in nx.connected_components(graph.subgraph(mates))]
-        yield Cut(system_id, tuple(sorted(parts, key=lambda part: (-len(part), part))))
+        mates = list(graph[system_id])
+        graph.remove_node(system_id)
+        parts = [tuple(sorted(part)) for part in nx.connected_components(graph)]
+        graph.add_edges_from((system_id, mate) for mate in mates)
+        left = [part for part in parts if not set(part).isdisjoint(mates)]
+        yield Cut(system_id, tuple(sorted(left, key=lambda part: (-len(part), part))))
 
 
 @dataclass(slots=True)
@@ -228,7 +236,7 @@ class Cohesion:
 
     def _say_alone(self, members: Sequence[Member], now_s: float) -> Iterator[str]:
         """A follower is lost once it has seen somebody; at a wide radius none ever does."""
-        alone = set(self.health.alone)
+        alone = set(self.health.alone) - {one.system_id for one in members if one.apart}
         for member in members:
             system_id = member.system_id
             change = self._alone.get(system_id)

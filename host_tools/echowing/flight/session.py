@@ -305,7 +305,7 @@ class FollowSession:
             self._say(now_s, f"follower {follower.plan.system_id}: {reason}, holding")
 
     def _let_go(self, follower: FollowerState, now_s: float) -> None:
-        again = "leader heard again" if follower.hold_reason == STALE else "clear again"
+        again = "leader reports again" if follower.hold_reason == STALE else "clear again"
         self._holds.release(follower)
         if self._moves(follower):
             self.alert(follower.plan.system_id, f"{again}, following", mavlink.MAV_SEVERITY_NOTICE)

@@ -225,7 +225,7 @@ class TakeOffs:
 def _not_ready(follower: "FollowerState", now_s: float) -> str | None:
     """What its pilot has to do first, and what the tool has to hear."""
     if _is_stale(follower, now_s):
-        return "its position and mode are not heard"
+        return "no report of its position and mode yet"
     if not follower.guided_mode:
         return "until its pilot puts it in Guided"
     return None if follower.armed else "until its pilot arms it"

@@ -456,7 +456,7 @@ class Link:
     def _heard(self) -> None:
         self.connected = True
         self._complaint = ""
-        self.news.append(f"link {self.name}: MAVLink heard")
+        self.news.append(f"link {self.name}: MAVLink received")
 
     def _lost(self, error: OSError, now_s: float) -> None:
         self.close()

@@ -117,7 +117,7 @@ class VehicleFinder:
         if len(free) > 1:
             listed = ", ".join(str(system_id) for system_id in sorted(free))
             raise EchowingError(
-                f"{where}: systems {listed} are heard there; say which is the {seat.role}: "
+                f"{where}: systems {listed} are on it; say which is the {seat.role}: "
                 f"{where}@{min(free)}"
             )
         return free[0]
@@ -134,7 +134,7 @@ class VehicleFinder:
         if seat.system_id is None:
             return f"{seat.role} on {seat.address.where}"
         others = sorted(self._heard.get(seat.address.text, {}))
-        heard = f" (heard there: {', '.join(map(str, others))})" if others else ""
+        heard = f" (on it: {', '.join(map(str, others))})" if others else ""
         return f"{seat.role}, system {seat.system_id}, on {seat.address.where}{heard}"
 
     def _open_seats(self) -> list[Seat]:
@@ -174,7 +174,7 @@ class StrangerWatch:
             return None
         listed = ", ".join(map(str, sorted((seat.system_id, stranger))))
         return seat.system_id, (
-            f"{link}: systems {listed} are heard there, and the {seat.role} was not named: end, "
+            f"{link}: systems {listed} are on it, and the {seat.role} was not named: end, "
             f"and say which it is: {link}@{seat.system_id}"
         )
 

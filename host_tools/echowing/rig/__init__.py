@@ -10,7 +10,7 @@ BOARD_VERBS = {
     "watch": "live view: range, state, gimbal, rates, errors",
     "params": "get, set, save, load or compare the board's parameters",
     "aim": "point the gimbal and hold it there",
-    "scan": "let the gimbal search, stand straight ahead, or decide for itself",
+    "scan": "let the gimbal search, look straight ahead, or decide for itself",
     "self-test": "have the board test its servos, sonar, memory and ports",
     "record": "keep every byte the board sends, with its time, in a file",
     "replay": "show a recording as it was",
@@ -18,7 +18,7 @@ BOARD_VERBS = {
 
 # The guided procedures.
 PROCEDURES = {
-    "range-test": "how far the sonar hears a target, how surely, how exactly (Table 5)",
+    "range-test": "how far the sonar detects a target, how often, how exactly (Table 5)",
     "response-matrix": "the speed answers the range, the applet in the loop (Table 6)",
     "scan-test": "the search's twelve points, their dwell and what they cover (Figure 17)",
     "latency-test": "command to acknowledgement, reading to report",

@@ -169,7 +169,7 @@ class Bench:
 def standing(board: Board) -> str:
     """How the board stands, in a few words."""
     state = board.state
-    raw = "nothing heard" if state.raw_m is None else f"{state.raw_m:.2f} m"
+    raw = "nothing detected" if state.raw_m is None else f"{state.raw_m:.2f} m"
     average = "" if state.range_m is None else f", average {state.range_m:.2f} m"
     return f"{raw}{average}, {state.state}"
 

@@ -145,7 +145,7 @@ class Board:
 
         answer = self._ask(lambda attempt: self.ask_version(), is_answer, ANSWER_TIMEOUT_S)
         if answer is None:
-            raise CommandError(f"{self._label()} has not told its version")
+            raise CommandError(f"{self._label()} has not reported its version")
         return Version.of(answer)
 
     def wait_state(self, timeout_s: float = STATE_TIMEOUT_S) -> None:
@@ -170,7 +170,9 @@ class Board:
                 return {str(heard[i].param_id): float(heard[i].param_value) for i in range(count)}
             self._request_missing(heard, count)
         missing = "any" if count is None else f"{count - len(heard)} of {count}"
-        raise EchowingError(f"{self._label()} has not told {missing} of its parameters; try again")
+        raise EchowingError(
+            f"{self._label()} has not reported {missing} of its parameters; try again"
+        )
 
     def ask_parameters(self) -> None:
         """Ask for the whole list, and do not wait: `state.parameters` fills as it comes."""
@@ -264,7 +266,7 @@ class Board:
         if len(names) < 2:
             names = list(self.parameters())
         if name in names:
-            return CommandError(f"{self._label()} has not told its parameter {name}; try again")
+            return CommandError(f"{self._label()} has not reported its parameter {name}; try again")
         return EchowingError(
             f"{self._label()} has no parameter {name!r}; it has {', '.join(names)}"
         )
@@ -475,8 +477,8 @@ def _why_no_board(board: Board, roster: Roster, waited_s: float, baud: int) -> s
         )
     others = roster.others() or ["MAVLink without a heartbeat"]
     return (
-        f"this is not the co-processor: heard {', '.join(others)}. Choose the co-processor's own "
-        "port with --port; behind an autopilot it is heard once it is wired and has power"
+        f"this is not the co-processor but {', '.join(others)}. Choose the co-processor's own "
+        "port with --port; behind an autopilot it reports once it is wired and has power"
     )
 
 

@@ -8,7 +8,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.errors import EchowingError
 from echowing.mavlink.messages import TOOL_COMPONENT_ID, TOOL_SYSTEM_ID
-from echowing.paths import lua_folder
+from echowing.paths import shipped
 from echowing.rig.law_steps import Law, Sample
 from echowing.rig.messages import Frames, source_of
 from echowing.rig.ports import open_wire
@@ -89,7 +89,7 @@ class BuiltInVehicle:
         }
         self._autopilot = Autopilot(self._copter, system_id=system_id, parameters=parameters)
         self._autopilot.add_link("board")
-        self._autopilot.load_script(lua_folder() / "echowing.lua")
+        self._autopilot.load_script(shipped("echowing.lua"))
         self._start_s: float | None = None
         self._steps = 0
         while self._steps * self.STEP_S < self.BEGIN_S:
@@ -166,7 +166,7 @@ class AutopilotVehicle:
             for message in self._read(0.1):
                 if _is_autopilot(message):
                     return int(message.get_srcSystem())
-        raise EchowingError(f"{self.name}: no autopilot is heard there within {FIND_S:g} s")
+        raise EchowingError(f"{self.name}: no autopilot reports there within {FIND_S:g} s")
 
     def _read(self, timeout_s: float) -> list[Any]:
         # ArduPilot tells its named floats only where it has heard somebody.

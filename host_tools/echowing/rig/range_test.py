@@ -27,7 +27,7 @@ TARGET_GATE_M = 0.5
 # The thesis does not say when a target counts as detected. Two misses in a row (MISS_LIMIT) end the
 # tracking: heard nine times in ten, that happens by chance once in 110 readings, five seconds.
 LEAST_RATE = 0.9
-RATE_REASON = "a leader heard less often is lost by chance more than once in 5 s"
+RATE_REASON = "a leader detected less often is lost by chance more than once in 5 s"
 # The outer edge of Table 6's bands: nearer than this the law has to see a leader it wants to reach.
 NEEDED_M = TABLE_6[0].from_m
 # A bias as wide as Table 6's monitor band puts a leader in the wrong band.
@@ -143,7 +143,7 @@ class RangeTest:
             figures={"rate": rate_figure(self.points, self._least_rate), "bias": self._bias()},
             incomplete=self._untested(farthest_m) if exact else None,
             notes=[
-                f"Detected: within {TARGET_GATE_M:g} m of the distance set; elsewhere: heard, but "
+                f"Detected: within {TARGET_GATE_M:g} m of the distance set; elsewhere: an echo "
                 "farther off. Mean, bias and spread are those of the detected single readings. "
                 f"Maximum effective range: the farthest distance with {self._least_rate:.0%} "
                 "detected, there and at every nearer distance set. The thesis does not give its "
@@ -272,7 +272,7 @@ def _readings_trace(points: Sequence[Point]) -> plots.Figure:
     return {
         "type": "scatter",
         "mode": "markers",
-        "name": f"readings (at {NOTHING_HEARD_M:g} m: nothing heard)",
+        "name": f"readings (at {NOTHING_HEARD_M:g} m: nothing detected)",
         "x": [distance_m for distance_m, _ in pairs],
         "y": [round(reading_m, 3) for _, reading_m in pairs],
         "marker": {"size": 5, "color": plots.FOLLOWER_COLOUR, "opacity": 0.4},
@@ -330,7 +330,7 @@ def add_arguments(parser: ArgumentParser) -> None:
         type=share,
         default=LEAST_RATE,
         metavar="SHARE",
-        help=f"detected means heard this often ({LEAST_RATE:g})",
+        help=f"detected means an echo this often ({LEAST_RATE:g})",
     )
 
 

@@ -243,7 +243,7 @@ class ResponseMatrix:
         return [
             Check(
                 "speed within its limits",
-                f"{min(free):.1f} to {max(free):.1f} m/s" if free else "no speed heard",
+                f"{min(free):.1f} to {max(free):.1f} m/s" if free else "no speed reported",
                 f"{law.least_mps:g} to {law.most_mps:g} m/s: a step that would reach one is not "
                 "made (Figures 28 and 29)",
                 inside,

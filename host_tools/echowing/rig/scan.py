@@ -1,4 +1,4 @@
-"""`echowing rig scan`: let the gimbal search, stand straight ahead, or decide for itself."""
+"""`echowing rig scan`: let the gimbal search, look straight ahead, or decide for itself."""
 
 import argparse
 
@@ -14,11 +14,11 @@ examples:
 
 # What to call it on the command line, and what to say when it is done.
 MODES = {
-    "start": (ScanMode.SCAN, "searches, and holds still on what it hears"),
-    "stop": (ScanMode.CENTRE, "stands straight ahead"),
+    "start": (ScanMode.SCAN, "searches, and stops on what it detects"),
+    "stop": (ScanMode.CENTRE, "looks straight ahead"),
     "auto": (
         ScanMode.AUTO,
-        "decides for itself: it searches when armed, or with no autopilot heard",
+        "decides for itself: it searches when armed, or without an autopilot",
     ),
 }
 

@@ -227,7 +227,7 @@ def _points_check(points: Sequence[Seen]) -> Check:
 def _dwell_checks(dwell_ms: Sequence[float], wanted_ms: float) -> list[Check]:
     if len(dwell_ms) < 12:
         found = f"only {len(dwell_ms)} undisturbed points: something within its range holds it"
-        return [Check("dwell", found, "a round of twelve with nothing to hear", passed=False)]
+        return [Check("dwell", found, "a round of twelve with nothing to detect", passed=False)]
     mean, least, most = spread(dwell_ms).mean, min(dwell_ms), max(dwell_ms)
     late_ms = wanted_ms + LATEST_MS
     on_the_whole = wanted_ms - MEAN_STAMP_MS <= mean <= late_ms + MEAN_STAMP_MS
@@ -237,7 +237,7 @@ def _dwell_checks(dwell_ms: Sequence[float], wanted_ms: float) -> list[Check]:
             "dwell",
             f"mean {mean:.0f} ms, {least:.0f} to {most:.0f} ms",
             f"mean SCAN_DWELL {wanted_ms:g} ms, and at most {LATEST_MS:g} ms more for a reading to "
-            f"end; a single one, as told between readings, to {STAMP_MS:g} ms",
+            f"end; a single one, as reported between readings, to {STAMP_MS:g} ms",
             on_the_whole and one_by_one,
         )
     ]

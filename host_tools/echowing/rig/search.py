@@ -7,16 +7,13 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 
 from echowing.errors import EchowingError
-from echowing.paths import repository_root
+from echowing.paths import shipped
 
 GRID_STEP_DEG = 0.1  # an area error under 0.1 % for a 20 degree beam
-
-_CORE = Path("firmware", "echowing", "src", "core")
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +61,7 @@ def point_parameters() -> tuple[tuple[str, str], ...]:
     table = re.search(r"kCells\[.*?=\s*\{(.*?)\};", source, re.DOTALL)
     cells = re.findall(r"\{(k\w+),\s*(k\w+)\}", table.group(1)) if table else []
     if not cells:
-        raise EchowingError(f"{_CORE / 'scan.cpp'}: no table kCells of scan points")
+        raise EchowingError(f"{shipped('scan.cpp')}: no table kCells of scan points")
     return tuple((names[pan], names[tilt]) for pan, tilt in cells)
 
 
@@ -125,12 +122,12 @@ def _parameter_rows() -> Mapping[str, tuple[str, float]]:
         re.MULTILINE,
     )
     if not rows:
-        raise EchowingError(f"{_CORE / 'parameter_table.h'}: no rows ECHOWING_PARAMETER(...)")
+        raise EchowingError(f"{shipped('parameter_table.h')}: no rows ECHOWING_PARAMETER(...)")
     return {identifier: (name, float(value)) for identifier, name, value in rows}
 
 
 def _read(name: str) -> str:
-    path = repository_root() / _CORE / name
+    path = shipped(name)
     try:
         return path.read_text(encoding="utf-8")
     except OSError as error:

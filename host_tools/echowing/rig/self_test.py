@@ -75,7 +75,7 @@ _SERVOS = (
     "check the servos' own 5 V and the common ground, then each signal wire against the table in "
     "firmware/README.md; one way round only: PAN_US_DEG, TILT_US_DEG"
 )
-_NOT_TOLD = "the board has not told; run the test again"
+_NOT_TOLD = "the board has not reported it; run the test again"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -193,7 +193,7 @@ def _condition(state: BoardState) -> Text:
     if silent_s is not None and silent_s > SILENT_S:
         return Text(f" nothing from the board for {silent_s:.0f} s ", "bold white on red")
     if age_s is not None and age_s > STALE_S:
-        shown.append(f"  no range told for {age_s:.1f} s", "bold red")
+        shown.append(f"  no range for {age_s:.1f} s", "bold red")
     return shown
 
 

@@ -14,7 +14,7 @@ examples:
   echowing rig watch --port /dev/ttyACM0 --duration 60
   echowing rig watch --json | jq -c '[.time_s, .raw_m]'
       ten objects a second: range_m the running average, raw_m the newest single reading (null:
-      nothing heard), points the numbers of the search's point looked at; and one for every
+      nothing detected), points the numbers of the search's point looked at; and one for every
       status text
 """
 

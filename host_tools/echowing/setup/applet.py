@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from echowing.errors import EchowingError
-from echowing.paths import lua_folder
+from echowing.paths import shipped
 from echowing.setup.ftp import FtpClient, FtpRefusedError, Progress
 from echowing.setup.ftp_format import ardupilot_crc32
 
@@ -25,8 +25,8 @@ _PARAMETER_ROW = re.compile(r"^    \{ '(\w+)', ([\w.]+), ([\w.]+), ([\w.]+) \},$
 
 
 def applet_path() -> Path:
-    """The applet of this checkout."""
-    return lua_folder() / APPLET
+    """The applet that comes with this package."""
+    return shipped(APPLET)
 
 
 @dataclass(frozen=True, slots=True)

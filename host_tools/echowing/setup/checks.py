@@ -81,7 +81,7 @@ def judge(setting: Setting, readout: Readout) -> Finding | None:
     if value is None and setting.optional:
         return None
     if value is None:
-        return Finding(setting.name, Verdict.UNKNOWN, "not told", setting.why, _hidden(setting))
+        return Finding(setting.name, Verdict.UNKNOWN, "not reported", setting.why, _hidden(setting))
     if setting.fits(value):
         return Finding(setting.name, Verdict.FINE, f"{value:g}", setting.why)
     if setting.spared(value):
@@ -122,13 +122,13 @@ def _settings(readout: Readout) -> Iterator[Finding]:
 
 def _coprocessor(readout: Readout) -> Iterator[Finding]:
     if readout.coprocessor is None and readout.signs and readout.takes_range:
-        found = "its range is in the autopilot; unsigned, it is not heard on a signed link"
+        found = "its range is in the autopilot; unsigned, it is refused on a signed link"
         yield Finding("co-processor", Verdict.FINE, found)
     elif readout.coprocessor is None and _is_silenced(readout):
         yield Finding(
             "co-processor",
             Verdict.WRONG,
-            "not heard, and signing is on",
+            "not detected, and signing is on",
             "the autopilot drops what is not signed, and the co-processor does not sign: no "
             "heartbeat and no range of it comes in",
             _how_to_exempt(readout),
@@ -137,7 +137,7 @@ def _coprocessor(readout: Readout) -> Iterator[Finding]:
         yield Finding(
             "co-processor",
             Verdict.WRONG,
-            "not heard",
+            "not detected",
             "no heartbeat of an onboard controller comes through the autopilot",
             _how_to_be_heard(readout),
         )
@@ -151,7 +151,7 @@ def _coprocessor(readout: Readout) -> Iterator[Finding]:
         )
     else:
         where = "" if readout.serial_port is None else f" on SERIAL{readout.serial_port}"
-        found = f"component {readout.coprocessor} heard{where}"
+        found = f"component {readout.coprocessor} detected{where}"
         yield Finding("co-processor", Verdict.FINE, found)
 
 
@@ -214,12 +214,12 @@ def _reports(readout: Readout) -> Iterator[Finding]:
         yield Finding(
             about,
             Verdict.WRONG,
-            "none heard",
-            "the co-processor is there but tells no range",
+            "none received",
+            "the co-processor is there but reports no range",
             "look at its LED and its texts: the sonar may not answer (firmware/README.md)",
         )
         return
-    found = f"{reports.rate_hz:.1f} a second, longest gap {reports.longest_gap_s:.2f} s"
+    found = f"{reports.rate_hz:.1f} per second, longest gap {reports.longest_gap_s:.2f} s"
     steady = reports.longest_gap_s < RANGEFINDER_TIMEOUT_S
     if reports.orientation != FORWARD:
         yield Finding(
@@ -227,7 +227,7 @@ def _reports(readout: Readout) -> Iterator[Finding]:
             Verdict.WRONG,
             f"orientation {reports.orientation}",
             "the autopilot ignores a range of another orientation than RNGFND's",
-            "is another device's range heard here?",
+            "is it another device's range?",
         )
     elif steady and reports.rate_hz >= SLOWEST_REPORT_HZ:
         yield Finding(about, Verdict.FINE, found)
@@ -325,12 +325,12 @@ def _why_absent(readout: Readout) -> tuple[str, str, str]:
 
 def _applet_file(readout: Readout) -> Iterator[Finding]:
     if readout.applet_on_card is CardApplet.OURS:
-        yield Finding("applet on the card", Verdict.FINE, "the one of this checkout")
+        yield Finding("applet on the card", Verdict.FINE, "the one of this package")
     elif readout.applet_on_card is CardApplet.ANOTHER:
         yield Finding(
             "applet on the card",
             Verdict.WRONG,
-            "another version than this checkout's",
+            "another version than this package's",
             "tools and applet belong together",
             "echowing setup lua --vehicle …, or echowing setup apply",
         )

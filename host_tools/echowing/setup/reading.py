@@ -75,7 +75,7 @@ def read_parameters(
     found = vehicle.read(names_to_read(serial_port, rangefinder))
     if not found:
         raise EchowingError(
-            f"{vehicle.name} is heard but answers nothing: does the link go both ways, and is it "
+            f"{vehicle.name} reports but answers nothing: does the link go both ways, and is it "
             "signed (--signing-key-file)?"
         )
     if serial_port is not None:

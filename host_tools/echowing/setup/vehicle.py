@@ -123,7 +123,7 @@ class Vehicle:
             self._notice(one)
         if now_s - self._heard_s > silence_s:
             raise EchowingError(
-                f"{self.name} is silent: nothing heard of its autopilot for {silence_s:g} s; "
+                f"{self.name} is silent: no report of its autopilot for {silence_s:g} s; "
                 "look at the link, then try again"
             )
         return heard
@@ -180,7 +180,7 @@ class Vehicle:
         """Raise EchowingError if the motors are armed, or may be."""
         if self._state_is_old():
             raise EchowingError(
-                f"{self.name}: its heartbeats are not heard, so it may be armed: {what} only while "
+                f"{self.name}: its heartbeats do not arrive, so it may be armed: {what} only while "
                 "it is known to be disarmed"
             )
         if self.armed:
@@ -368,8 +368,8 @@ def open_vehicle(
         if not find_vehicles([seat], links, clock, lambda: clock() > until_s, say):
             who = "autopilot" if seat.system_id is None else f"system {seat.system_id}"
             raise EchowingError(
-                f"{seat.address.text}: no {who} heard for {FIND_TIMEOUT_S:g} s; is it powered, "
-                "is the connection string right, is another tool on the port?"
+                f"{seat.address.text}: no {who} has reported for {FIND_TIMEOUT_S:g} s; is it "
+                "powered, is the connection string right, is another tool on the port?"
             )
         vehicle = Vehicle(link, known_id(seat), clock=clock, say=say)
         vehicle.until_state_known()

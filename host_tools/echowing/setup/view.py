@@ -17,7 +17,7 @@ _MARKS = {
 }
 _COUNTED = {
     Verdict.WRONG: "wrong",
-    Verdict.UNKNOWN: "not to be told",
+    Verdict.UNKNOWN: "not checked",
     Verdict.YOURS: "yours to decide",
     Verdict.FINE: "fine",
 }
@@ -82,8 +82,8 @@ def changes_as_lines(changes: Sequence[Change]) -> Iterator[str]:
 
 
 _ON_CARD = {
-    CardApplet.NONE: "not on the card -> this checkout's",
-    CardApplet.ANOTHER: "another version on the card -> this checkout's",
+    CardApplet.NONE: "not on the card -> this package's",
+    CardApplet.ANOTHER: "another version on the card -> this package's",
     CardApplet.OURS: "on the card",
     None: "the card cannot be seen (no answer to file requests), left alone",
 }

@@ -232,7 +232,10 @@ def _parameter_index(name: str) -> int:
 @cache
 def _library() -> ctypes.CDLL:
     if not LIBRARY.exists():
-        raise EchowingError(f"the firmware's core is not built ({LIBRARY}): run `make core`")
+        raise EchowingError(
+            f"the co-processor's core is not built ({LIBRARY}): run `make core` in a clone of the "
+            "repository; an installed package has none"
+        )
     library = ctypes.CDLL(str(LIBRARY))
     core, size = ctypes.c_void_p, ctypes.c_size_t
     library.ew_create.restype = core

@@ -41,7 +41,7 @@ class Scene:
         watched: Callable[[], Ned | None] | None = None,
     ) -> None:
         if range_cm is not None and not 0 <= range_cm <= LONGEST_RANGE_CM:
-            raise EchowingError(f"a range of {range_cm} cm: 0 to {LONGEST_RANGE_CM} can be heard")
+            raise EchowingError(f"a range of {range_cm} cm: give 0 to {LONGEST_RANGE_CM}")
         self.sensor = MaxSonar(self._listen)
         self._range_m = None if range_cm is None else range_cm / 100.0
         self._datagrams = open_udp(target) if target else None

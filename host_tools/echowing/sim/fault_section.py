@@ -59,23 +59,32 @@ _LASTING = {"home_differs", "north_south_offset"}
 
 
 class FaultSection(Section):
-    """One fault: what, from when on, for how long (left out: to the end), on which vehicle.
-
-    vehicle: 1 is the leader, 2 the first follower. What each kind does is in `echowing.sim.faults`.
-    """
+    """One fault: what, from when on, for how long, on which vehicle (see `echowing.sim.faults`)."""
 
     kind: FaultKind
+    """Which fault."""
     at_s: NotNegative = 0.0
+    """When it begins."""
     for_s: Positive | None = None
+    """How long it lasts; none: to the end."""
     vehicle: Annotated[int, Field(ge=1)] | None = None
+    """On which vehicle: 1 is the leader, 2 the first follower."""
     way: Literal["both", "down", "up"] = "both"
+    """Of `outage`: from the vehicle (`down`), to it (`up`), or both."""
     jump_ned_m: Ned = (0.0, 0.0, 0.0)
+    """Of `gps_jump`: north, east, down."""
     speed_mps: Positive = 1.0
+    """Of `leader_attacks` and `leader_reverses`."""
     climb_mps: float = 0.0
+    """Of `leader_climbs`; negative: it descends."""
     height_m: float = 0.0
+    """Of `home_differs`: so much higher by its receiver."""
     range_m: Positive = 8.0
+    """Of `late_echoes`: to what reflects."""
     half_angle_deg: Annotated[float, Field(gt=0.0, le=90.0)] = 20.0
+    """Of `narrow_beam`: half its width."""
     mode: Literal["STABILIZE", "ALT_HOLD", "LOITER", "POSHOLD", "BRAKE", "RTL", "LAND"] = "LOITER"
+    """Of `pilot_takes_over`: the mode that the pilot takes."""
 
     @model_validator(mode="after")
     def _makes_sense(self) -> "FaultSection":

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from echowing.geo import Ned
-from echowing.paths import lua_folder
+from echowing.paths import shipped
 from echowing.setup.settings import ACCELERATION_MPS2, JERK_MPS3
 from echowing.sim.autopilot import Autopilot
 from echowing.sim.coprocessor import NativeCoprocessor
@@ -92,7 +92,7 @@ class Hangar:
             wind=wind,
         )
         if scenario.law != "none":
-            follower.load_applet(lua_folder() / APPLET)
+            follower.load_applet(shipped(APPLET))
         return follower
 
     def telemetry(self, vehicle: SimVehicle, name: str, radio: RadioSection) -> Telemetry:

@@ -340,7 +340,8 @@ def _new_runtime(lua_module: Any = lua53) -> Any:
     )
     if runtime.eval("math.maxinteger") != 0x7FFFFFFF:
         raise EchowingError(
-            "lupa's Lua has 64-bit numbers; the autopilot's has 32-bit ones. Rebuild it: make setup"
+            "lupa's Lua has 64-bit numbers; the autopilot's has 32-bit ones. `make setup` in a "
+            "clone of the repository builds it"
         )
     return runtime
 

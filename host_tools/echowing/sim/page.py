@@ -74,12 +74,11 @@ def moment_of(world: FormationWorld) -> Moment:
 
 def _row(world: FormationWorld, follower: SimFollower) -> Row:
     leader = world.leader
-    mode = _mode(follower)
     return Row(
         time_s=world.t_s,
         system_id=follower.autopilot.system_id,
-        state=mode,
-        mode=mode,
+        state="",
+        mode=_mode(follower),
         separation_m=math.dist(leader.position_ned_m, follower.position_ned_m),
         error_m=None,
         slot_error_m=None,

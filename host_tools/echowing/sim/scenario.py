@@ -29,36 +29,55 @@ LawName = Literal["none", "thesis", "bands", "continuous"]
 class LeaderEvent(Section):
     """Something the leader does, from `at_s` on.
 
-    auto: its mission; goto: Auto to `point_ned_m` at `speed_mps`, braking and turning as Auto does;
-    fly: at `velocity_ned_mps` with heading `yaw_deg`, at once; at_follower: at `speed_mps`
-    straight at where the first follower then is, and on; hold: stop; gps_jump: its position is
-    off by `jump_ned_m`; silent: its radio is dead; heard: radio and GPS are well again.
+    `auto`: its mission; `goto`: Auto to `point_ned_m` at `speed_mps`, braking and turning as Auto
+    does; `fly`: at `velocity_ned_mps` with heading `yaw_deg`, at once; `at_follower`: at
+    `speed_mps` straight at where the first follower then is, and on; `hold`: stop; `gps_jump`: its
+    position is off by `jump_ned_m`; `silent`: its radio is dead; `heard`: radio and GPS work again.
     """
 
     at_s: NotNegative
+    """When, seconds after the start."""
     act: Literal["auto", "goto", "fly", "at_follower", "hold", "gps_jump", "silent", "heard"]
+    """What it does."""
     label: str = ""
+    """Name of this part in the results; without one that of the act."""
     velocity_ned_mps: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Of `fly`: north, east, down."""
     yaw_deg: float | None = None
+    """Of `fly`: heading; none: as it is."""
     point_ned_m: tuple[float, float, float] = (0.0, 0.0, -10.0)
+    """Of `goto`: north, east, down of the start."""
     speed_mps: Positive = 1.0
+    """Of `goto` and `at_follower`."""
     jump_ned_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Of `gps_jump`: north, east, down."""
 
 
 class LeaderSection(Section):
     """The leader's path: an Auto mission, a script, a walk, or a recorded track."""
 
     path: LeaderPath = "rectangle"
+    """What it flies: a mission in Auto, a `script`, a `walk` in a hand, or a recorded `track`."""
     north_m: Positive = 60.0
+    """Rectangle: length to the north."""
     east_m: Positive = 40.0
+    """Rectangle: length to the east."""
     radius_m: Positive = 20.0
+    """Circle and figure-eight."""
     speed_mps: Positive = 2.0
+    """Its speed in Auto, or carried."""
     altitude_m: Positive = 10.0
+    """Height above home."""
     start_s: NotNegative = 5.0
+    """When it sets out."""
     laps: Annotated[int, Field(ge=1)] = 3
+    """How often round."""
     track: Path | None = None
+    """Of `track`: a CSV with time_s, north_m, east_m, down_m (and yaw_rad), or a .tlog."""
     target: Literal["foil", "stock"] = "foil"
+    """What the sonar sees: legs with `foil`, or `stock` legs (thesis Table 5)."""
     script: tuple[LeaderEvent, ...] = ()
+    """Of `script`: its events, `[[leader.script]]`."""
 
     @model_validator(mode="after")
     def _complete(self) -> "LeaderSection":
@@ -70,17 +89,18 @@ class LeaderSection(Section):
 
 
 class SlotSection(Section):
-    """One follower's place: radius, angle off the tail (counter-clockwise), altitude step.
-
-    echo_dist_m: its applet's ECHO_DIST, where it is not `[applet]`'s. starts_at: the number of the
-    slot (from 1) that it starts behind, where that is not its own.
-    """
+    """One follower's place: radius, angle off the tail (counter-clockwise), altitude step."""
 
     radius_m: Positive
+    """Distance from the leader."""
     angle_deg: Annotated[float, Field(ge=-90.0, le=90.0)] = 0.0
+    """Off the leader's tail, counter-clockwise."""
     altitude_step_m: float = 0.0
+    """Above the leader."""
     echo_dist_m: Positive | None = None
+    """Its applet's `ECHO_DIST`; none: as under `[applet]`."""
     starts_at: Annotated[int, Field(ge=1)] | None = None
+    """Number of the slot (from 1) that its follower starts behind; none: its own."""
 
     def slot(self) -> Slot:
         """The slot in radians."""
@@ -91,34 +111,55 @@ class FormationSection(Section):
     """Who flies where."""
 
     slots: Annotated[tuple[SlotSection, ...], Field(min_length=1)] = (SlotSection(radius_m=3.0),)
+    """One follower each, `[[formation.slots]]`; without any one slot 3 m behind."""
     slot_separation_m: Positive = DEFAULT_SLOT_SEPARATION_M
+    """Slots nearer to each other than this are refused."""
+
+
+_OURS = GuidanceSettings()
 
 
 class GuidanceSection(Section):
     """How guided points are made; see `echowing.flight.guidance.GuidanceSettings`."""
 
     rate_hz: Annotated[float, Field(gt=0.0, le=20.0)] = 8.0
+    """Points per second."""
     telemetry_hz: Annotated[float, Field(gt=0.0, le=50.0)] = 4.0
-    lead_time_s: NotNegative = 1.0
-    predict: bool = True
-    keep_behind: bool = True
-    clearance_m: NotNegative = 1.0
-    face_leader: bool = True
+    """Positions of the leader per second."""
+    lead_time_s: NotNegative | None = None
+    """Of points without a velocity: they run ahead of the slot by so much of the leader's speed;
+    none: 1.4, with `gray` 1."""
+    predict: bool = _OURS.predict
+    """Carry the leader on over the age of its report."""
+    keep_behind: bool = _OURS.keep_behind
+    """Keep points behind the leader."""
+    clearance_m: NotNegative = _OURS.clearance_m
+    """That far from it."""
+    face_leader: bool = _OURS.face_leader
+    """The follower's nose points at the leader."""
     slot_rate_dps: Positive | None = 30.0
-    learn_offset: bool = True
-    standoff_sigmas: NotNegative = 2.5
-    sonar_inset_m: NotNegative = 0.2
-    feed_forward: bool = True
-    fresh_age_s: Positive | None = 0.5
-    stale_age_s: Positive | None = 1.0
-    gray: bool = False  # guided points as the thesis made them: none of the protections
+    """How fast the slot may turn round the leader; none: at once."""
+    learn_offset: bool = _OURS.learn_offset
+    """Learn from the sonar how far the receivers disagree."""
+    standoff_sigmas: NotNegative = _OURS.standoff_sigmas
+    """Standard deviations of what is not known of it, kept as a distance."""
+    sonar_inset_m: NotNegative = _OURS.sonar_inset_m
+    """How much less than the separation the sonar reads."""
+    feed_forward: bool = _OURS.feed_forward
+    """Points carry the slot's velocity, and no lead."""
+    fresh_age_s: Positive | None = _OURS.fresh_age_s
+    """Age of the leader's report from which the velocity fades out."""
+    stale_age_s: Positive | None = _OURS.stale_age_s
+    """Age beyond which the follower stops."""
+    gray: bool = False
+    """Points as the thesis made them (Gray's scheme), without any of these protections."""
 
     def settings(self) -> GuidanceSettings:
         """The same for the guidance."""
         if self.gray:
-            return replace(GRAY, lead_time_s=self.lead_time_s)
+            return GRAY if self.lead_time_s is None else replace(GRAY, lead_time_s=self.lead_time_s)
         return GuidanceSettings(
-            lead_time_s=self.lead_time_s,
+            lead_time_s=_OURS.lead_time_s if self.lead_time_s is None else self.lead_time_s,
             predict=self.predict,
             keep_behind=self.keep_behind,
             clearance_m=self.clearance_m,
@@ -144,8 +185,11 @@ class GpsSection(Section):
     """
 
     sigma_m: NotNegative = 0.8
+    """Standard deviation per horizontal axis."""
     tau_s: Positive = 60.0
+    """Correlation time."""
     vertical_sigma_m: NotNegative = 0.0
+    """Standard deviation of the height."""
 
 
 class WindSection(Section):
@@ -156,39 +200,68 @@ class WindSection(Section):
     """
 
     speed_mps: NotNegative = 0.0
+    """Mean wind; 0: none, and no gusts."""
     direction_deg: float = 0.0
+    """Where it comes from."""
     turbulence: Share = 0.19
+    """Standard deviation of the gusts, as a share of the mean wind."""
 
 
 class RadioSection(Section):
     """One link, both ways alike."""
 
     latency_s: NotNegative = 0.0
+    """Delay."""
     jitter_s: NotNegative = 0.0
+    """Random delay on top, up to this."""
     loss: Share = 0.0
+    """Share of the packets lost."""
     bandwidth_bytes_ps: Positive | None = None
+    """Bytes per second; none: no limit."""
     reorder: Share = 0.0
+    """Share of the packets that arrive late."""
     reorder_s: NotNegative = 0.3
+    """How much later."""
     duplicate: Share = 0.0
+    """Share of the packets that arrive twice."""
 
     def settings(self) -> RadioSettings:
         """The same for the radio model."""
         return RadioSettings(**self.model_dump())
 
 
-class RadiosSection(Section):
-    """The leader's link carries its telemetry 0.46 s late (thesis 4.2.3, measured by Gray)."""
+class LeaderRadioSection(RadioSection):
+    """The leader's link, both ways alike. Its telemetry comes late (thesis 4.2.3, Gray)."""
 
-    leader: RadioSection = RadioSection(latency_s=0.46)
-    follower: RadioSection = RadioSection(latency_s=0.05)
+    latency_s: NotNegative = 0.46
+    """Delay."""
+
+
+class FollowerRadioSection(RadioSection):
+    """Each follower's link, both ways alike."""
+
+    latency_s: NotNegative = 0.05
+    """Delay."""
+
+
+class RadiosSection(Section):
+    """The radio links."""
+
+    leader: LeaderRadioSection = LeaderRadioSection()
+    """The leader's link."""
+    follower: FollowerRadioSection = FollowerRadioSection()
+    """Each follower's link."""
 
 
 class FollowerSection(Section):
     """The followers' autopilots."""
 
     generation: Literal["4.5", "4.6", "4.7", "4.8"] = "4.8"
+    """Which ArduCopter flies them."""
     speed_mps: Positive = 5.0
-    parameters: dict[str, float] = Field(default_factory=dict)
+    """`WP_SPD` (before 4.7 `WPNAV_SPEED`)."""
+    parameters: dict[str, float] = Field(default={})
+    """Parameters of the autopilots by name."""
 
     def autopilot_generation(self) -> Generation:
         """Which ArduCopter."""
@@ -196,49 +269,70 @@ class FollowerSection(Section):
 
 
 class AirframeSection(Section):
-    """How the vehicles differ from SITL's quad, as factors.
-
-    mass and drag: of the airframe. lag: of the time from a wanted lean to the lean, and of the
-    motors'. gain: of the velocity controller, PSC_NE_VEL_P, I and D.
-    """
+    """How the vehicles differ from SITL's quad, as factors."""
 
     mass: Positive = 1.0
+    """Of the airframe."""
     drag: Positive = 1.0
+    """Of the airframe."""
     lag: Positive = 1.0
+    """Of the time from a wanted lean to the lean, and of the motors'."""
     gain: Positive = 1.0
+    """Of the velocity controller: PSC_NE_VEL_P, I and D."""
 
 
 class WallSection(Section):
     """A wall across the follower's way (thesis 4.2.2)."""
 
     distance_m: Positive = 20.0
+    """From the start to the wall."""
     target_behind_m: NotNegative = 5.0
+    """From the wall to the commanded point."""
     speed_mps: Positive = 2.0
+    """`WP_SPD` of the follower."""
     altitude_m: Positive = 2.0
+    """Height above home."""
 
 
 class Scenario(Section):
     """One flight to be flown."""
 
     name: str = ""
+    """Its name in the results; without one that of the file."""
     title: str
+    """One line about it."""
     kind: Literal["formation", "wall"] = "formation"
+    """A `formation` behind a leader, or a follower that flies at a `wall`."""
     duration_s: Positive = 240.0
-    # Left out of the figures at the beginning; none: until first within 1 m of the slot.
+    """Simulated seconds."""
     settle_s: NotNegative | None = None
+    """Left out of the figures at the beginning; none: until first within 1 m of the slot."""
     law: LawName = "continuous"
+    """The applet's speed law; `none`: no applet."""
     leader: LeaderSection = LeaderSection()
+    """The leader."""
     formation: FormationSection = FormationSection()
+    """Who flies where."""
     guidance: GuidanceSection = GuidanceSection()
+    """How points are made."""
     follower: FollowerSection = FollowerSection()
-    applet: dict[str, float] = Field(default_factory=dict)
-    coprocessor: dict[str, float] = Field(default_factory=dict)
+    """The followers' autopilots."""
+    applet: dict[str, float] = Field(default={})
+    """Parameters of the applet by name, `ECHO_…`."""
+    coprocessor: dict[str, float] = Field(default={})
+    """Parameters of the co-processor by name."""
     gps: GpsSection = GpsSection()
+    """The receivers."""
     wind: WindSection = WindSection()
+    """The wind."""
     radio: RadiosSection = RadiosSection()
+    """The radio links."""
     airframe: AirframeSection = AirframeSection()
+    """How the vehicles differ from SITL's quad."""
     fault: tuple[FaultSection, ...] = ()
+    """Faults, each with its time: `[[fault]]`."""
     wall: WallSection = WallSection()
+    """Of kind `wall`."""
 
     @model_validator(mode="after")
     def _flyable(self) -> "Scenario":

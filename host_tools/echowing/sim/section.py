@@ -12,4 +12,5 @@ NotNegative = Annotated[float, Field(ge=0.0)]
 class Section(BaseModel):
     """A section of a scenario file."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    # What stands under a field describes it, also on the page of keys (sim/scenario_page.py).
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)

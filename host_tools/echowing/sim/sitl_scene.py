@@ -46,7 +46,7 @@ def true_state(message: Any, now_s: float) -> TrueState:
     """A SIM_STATE read. Raises EchowingError for one without its whole numbers of degrees."""
     if message.lat_int == 0 and message.lon_int == 0:
         raise EchowingError(
-            "this SITL tells its place to half a metre only (SIM_STATE without lat_int); use "
+            "this SITL reports its place to half a metre only (SIM_STATE without lat_int); use "
             "ArduCopter 4.5 or later"
         )
     return TrueState(
@@ -135,7 +135,7 @@ class SitlScene:
         if not self._told:
             self._told = True
             leader, follower = map(known_id, self._seats)
-            self._say(f"the sonar hears system {leader} from system {follower}")
+            self._say(f"the sonar detects system {leader} from system {follower}")
 
     def close(self) -> None:
         """Hang up."""

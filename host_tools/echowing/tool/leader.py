@@ -145,6 +145,6 @@ def _refuse_loop(vehicle: Address, publish: Address) -> None:
     """What is published must not come in again as the vehicle's."""
     if leads_back(vehicle, publish):
         raise EchowingError(
-            f"--publish to {publish.host}:{publish.port} is where the vehicle is heard "
+            f"--publish to {publish.host}:{publish.port} is where the vehicle's messages arrive "
             f"({vehicle.text}): all would go round and round; give another port"
         )

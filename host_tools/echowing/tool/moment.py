@@ -8,6 +8,7 @@ import numpy as np
 import pymap3d
 
 from echowing.flight.estimate import LONGEST_CARRY_S
+from echowing.flight.guidance import Slot, slot_offset_m
 from echowing.flight.health import Health, Member
 from echowing.flight.sonar import DETECTION_LIMIT_M, pan_rad
 from echowing.geo import GlobalPosition, Ned
@@ -103,10 +104,32 @@ def members(moment: Moment, where: Places, inset_m: float) -> list[Member]:
             math.radians(track.heading_deg) + (pan_rad(track.pan_us) if track.pan_us else 0.0),
             _apart_m(row.sonar_m, inset_m),
             seen_leader(track, where.leader),
+            apart,
         )
-        for row, track, at_ned_m in zip(moment.rows, moment.tracks, where.followers, strict=True)
+        for row, track, at_ned_m, apart in zip(
+            moment.rows, moment.tracks, where.followers, apart_by_plan(moment.tracks), strict=True
+        )
     ]
     return [leader, *followers]
+
+
+def apart_by_plan(tracks: Sequence[Track]) -> list[bool]:
+    """Which slots are out of a sonar's reach of the leader's place and of all other slots."""
+    north, east = np.array([slot_offset_m(_slot(track), 0.0) for track in tracks]).reshape(-1, 2).T
+    down = np.array([-track.wanted_step_m for track in tracks])
+    places_m = np.vstack([np.zeros(3), np.column_stack([north, east, down])])
+    apart_m = np.linalg.norm(places_m[:, np.newaxis] - places_m, axis=2)
+    np.fill_diagonal(apart_m, math.inf)
+    alone = apart_m.min(axis=1) > DETECTION_LIMIT_M
+    # A relay has no slot, and comes near nobody.
+    return [
+        bool(one) or track.wanted_radius_m == 0.0
+        for one, track in zip(alone[1:], tracks, strict=True)
+    ]
+
+
+def _slot(track: Track) -> Slot:
+    return Slot(track.wanted_radius_m, math.radians(track.wanted_angle_deg), track.wanted_step_m)
 
 
 def _apart_m(sonar_m: float | None, inset_m: float) -> float | None:

@@ -35,6 +35,8 @@ LINK_WINDOW_S = 5.0
 MISMATCH_M = 2.0
 MISMATCH_S = 2.0
 UNKNOWN_MV = 0xFFFF  # of SYS_STATUS
+# Before the first heartbeat.
+NO_MODE = "-"
 MOST_LOST = 50  # in a row; more is a restart or another sender, not a gap
 
 
@@ -132,7 +134,7 @@ class _Readings:
     """The newest of each reading of a vehicle, and when it came."""
 
     quality: _Quality = field(default_factory=_Quality)
-    mode: str = "?"
+    mode: str = NO_MODE
     sonar_m: float | None = None
     sonar_at_s: float = -math.inf
     named: dict[str, tuple[float, float]] = field(default_factory=dict)
@@ -258,7 +260,7 @@ class Panel:
     def _compare(
         self, system_id: int, sonar_m: float | None, separation_m: float | None, now_s: float
     ) -> None:
-        """Tell of a sonar that hears something else than the leader, once each time."""
+        """Report a sonar that detects something else than the leader, once each time."""
         readings = self._readings[system_id]
         agrees = sonar_m is None or separation_m is None
         if sonar_m is not None and separation_m is not None:
@@ -272,7 +274,7 @@ class Panel:
             self.texts.append(
                 (
                     system_id,
-                    f"the sonar hears something at {sonar_m:.1f} m, the leader should be "
+                    f"the sonar detects something at {sonar_m:.1f} m, the leader should be "
                     f"{separation_m:.1f} m away",
                 )
             )
@@ -286,7 +288,7 @@ def state_of(session: FollowSession, follower: FollowerState, now_s: float) -> s
     if not session.engaged and follower.held_at is None:
         return "only watched"
     if not follower.in_guided:
-        return "pilot has control"
+        return "no report yet" if follower.mode is None else "pilot has control"
     objection = (
         None
         if session.engagement is None
@@ -358,7 +360,7 @@ def left_as(session: FollowSession, follower: FollowerState, now_s: float) -> tu
         return f"was not moved ({mode}{height})", True
     silent_s = now_s - follower.position_at_s
     if silent_s > UNHEARD_S:
-        return f"NOT KNOWN TO STAND, not heard for {silent_s:.0f} s: take over", False
+        return f"not confirmed stopped, no report for {silent_s:.0f} s: take over", False
     if session.guard is not None and session.guard.stands(follower.plan.system_id):
-        return f"stopped and stands, {mode}{height}, {speed}", True
-    return f"NOT KNOWN TO STAND, {mode}{height}, {speed}: take over", False
+        return f"stopped, {mode}{height}, {speed}", True
+    return f"not confirmed stopped, {mode}{height}, {speed}: take over", False

@@ -143,7 +143,7 @@ class FollowTool:
             if self._page is not None:
                 self._say(self._page.said)
             if not find_vehicles(options.seats, self._links, self._now_s, self._over, self._say):
-                self._say("ended before all vehicles were heard; nothing was moved")
+                self._say("ended before all vehicles had reported; nothing was moved")
                 return self._unheard_code()
             self._make_session()
             try:
@@ -204,7 +204,7 @@ class FollowTool:
                 follower.guide = options.make_guide()
         build_up = BuildUp(options.build_up, options.slots) if options.build_up else None
         self._orders = Orders(self._session, build_up)
-        self._desk = KeyDesk(self._orders, self._view.event)
+        self._desk = KeyDesk(self._orders, self._event)
         self._panel = Panel([known_id(seat) for seat in options.seats])
         self._cohesion = Cohesion(known_id(leader))
         self._ways = {known_id(seat): self._links[seat.address.text] for seat in options.seats}

@@ -4,16 +4,18 @@ import json
 import sys
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from io import TextIOWrapper
 from typing import Protocol
 
-from rich.console import Console, Group, RenderableType
+from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
 from rich.live import Live
+from rich.segment import Segment
 from rich.text import Text
 
 from echowing.terminal import draws_live
 from echowing.tool.health import health, in_words, its_health, leaders_health
-from echowing.tool.panel import Row
+from echowing.tool.panel import NO_MODE, Row
 from echowing.tool.table import FollowerTable
 
 PLAIN_PERIOD_S = 5.0
@@ -163,12 +165,12 @@ class LiveView:
             self._update()
 
     def keys(self, text: str) -> None:
-        """As `View`: the last line, drawn at once, for somebody has pressed one."""
+        """As `View`: the first line, drawn at once, for somebody has pressed one."""
         self._keys = text
         self._update()
 
     def _update(self) -> None:
-        self._live.update(scene(self._rows, self._events, self._keys), refresh=True)
+        self._live.update(Screenful(self._rows, list(self._events), self._keys), refresh=True)
 
     def close(self) -> None:
         """As `View`: the table stays, the last events under it."""
@@ -177,16 +179,44 @@ class LiveView:
         self._live.stop()
 
 
-def scene(rows: Sequence[Row], events: Iterable[str], keys: str = "") -> RenderableType:
-    """The whole view: the table, once there is one, events, and what keys do."""
-    text = Text("\n".join(events))
+def scene(rows: Sequence[Row], events: Iterable[str]) -> RenderableType:
+    """The whole view: the table, once there is one, and under it the events."""
+    return Group(*_above(rows, ""), Text("\n".join(events)))
+
+
+@dataclass(frozen=True, slots=True)
+class Screenful:
+    """The same with what keys do, where the screen may be too low for all: the newest events."""
+
+    rows: Sequence[Row]
+    events: Sequence[str]
+    keys: str
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """Rich's protocol."""
+        above = Group(*_above(self.rows, self.keys))
+        room = console.size.height - len(console.render_lines(above, options, pad=False))
+        yield above
+        lines = console.render_lines(Text("\n".join(self.events)), options, pad=False)
+        for line in lines[-max(1, room) :]:
+            yield from line
+            yield Segment.line()
+
+
+def _above(rows: Sequence[Row], keys: str) -> list[RenderableType]:
+    """What stands above the events; the keys first, as a high table leaves no room under it."""
+    shown: list[RenderableType] = []
     if keys:
-        text.append(f"\n{keys}", style="reverse" if "?" in keys else "dim")
-    return Group(FollowerTable(rows), health(rows), text) if rows else text
+        shown.append(Text(keys, style="reverse" if "?" in keys else "dim"))
+    if rows:
+        shown += [FollowerTable(rows), health(rows)]
+    return shown
 
 
 def plain_row(row: Row) -> str:
     """The same in one line."""
+    if row.mode == NO_MODE:
+        return f"follower {row.system_id}: no report yet"
     return (
         f"follower {row.system_id}: {row.state}, {row.mode}, "
         f"separation {_shown(row.separation_m, 'm')} ({_shown(row.error_m, 'm', '+.2f')}), "

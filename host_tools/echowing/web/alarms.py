@@ -7,7 +7,7 @@ from enum import IntEnum
 from echowing.flight.engage import LEAST_BATTERY_PERCENT
 from echowing.flight.guard import UNHEARD_S
 from echowing.flight.guidance import GuidanceSettings
-from echowing.flight.health import ALONE_MEANS, Health
+from echowing.flight.health import Health
 from echowing.tool.moment import Moment
 from echowing.tool.panel import GIMBAL, Row
 from echowing.tool.track import Track
@@ -44,11 +44,14 @@ def alarms(moment: Moment) -> list[Alarm]:
 
 def headline(moment: Moment) -> str:
     """All in a few words, for when nothing is wrong."""
+    followers = len(moment.rows)
+    if not any(row.state for row in moment.rows):  # nobody leads them, or it is not known
+        return f"{followers} follower" + ("" if followers == 1 else "s")
     following = sum(row.state == "following" for row in moment.rows)
     watched = sum(row.state == "only watched" for row in moment.rows)
-    if watched == len(moment.rows):
+    if watched == followers:
         return "Only watching"
-    return f"{following} of {len(moment.rows)} following"
+    return f"{following} of {followers} following"
 
 
 def _of_leader(moment: Moment) -> Iterator[Alarm]:
@@ -94,7 +97,7 @@ def _of_distance(name: str, row: Row, track: Track) -> Iterator[Alarm]:
     wanted_m = track.wanted_radius_m
     if row.separation_m is None or row.separation_m >= TOO_NEAR_SHARE * wanted_m:
         return
-    text = f"{name} is {row.separation_m:.1f} m from the leader, not {wanted_m:.1f} m"
+    text = f"{name} is {row.separation_m:.1f} m from the leader (wanted {wanted_m:.1f} m)"
     yield Alarm(Level.ACT, row.system_id, text)
 
 
@@ -105,8 +108,7 @@ def _of_battery(name: str, system_id: int, percent: float | None) -> Iterator[Al
 
 def _of_health(health: Health) -> Iterator[Alarm]:
     if len(health.lost) == 1:
-        text = f"Follower {health.lost[0]} sees nobody any more: {ALONE_MEANS}"
-        yield Alarm(Level.LOOK, health.lost[0], text)
+        yield Alarm(Level.LOOK, health.lost[0], f"Follower {health.lost[0]} sees nobody any more")
     elif health.lost:
         listed = ", ".join(map(str, health.lost))
         yield Alarm(Level.LOOK, health.lost[0], f"Followers {listed} see nobody any more")

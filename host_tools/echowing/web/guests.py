@@ -6,10 +6,13 @@ has to be an address or a name of this computer, and the Origin, where there is 
 """
 
 import ipaddress
+import re
 import socket
-from urllib.parse import urlsplit
 
 from echowing.web.options import is_loopback
+
+# A name, an IPv4 address, or an IPv6 address in brackets; and a port.
+_HOST = re.compile(r"(\[(?P<address>[0-9a-f:.]+)\]|(?P<name>[a-z0-9._-]+))(:\d{1,5})?")
 
 
 def refusal(served_on: str, host: str | None, origin: str | None) -> str | None:
@@ -26,12 +29,9 @@ def refusal(served_on: str, host: str | None, origin: str | None) -> str | None:
 
 
 def _name(host: str | None) -> str | None:
-    if not host:
-        return None
-    try:
-        return urlsplit(f"//{host}").hostname
-    except ValueError:
-        return None
+    """The name or address in a Host header. It goes into our headers: nothing else may be in it."""
+    found = _HOST.fullmatch((host or "").lower())
+    return None if found is None else found["address"] or found["name"]
 
 
 def _is_ours(served_on: str, name: str) -> bool:

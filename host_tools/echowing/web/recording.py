@@ -26,6 +26,7 @@ from echowing.tool.track import Track
 INSET_M = 0.2
 # Where logs in metres are put on the globe: nothing that is shown depends on it.
 NOWHERE = GlobalPosition(0.0, 0.0, 0.0)
+HEIGHTS = "heights are above the place where the leader's log begins"
 
 Event = tuple[float, str]
 
@@ -208,9 +209,8 @@ class FlightsRecording:
         first = self._flights[0]
         self.title = f"replay of {first.name}"
         self.times_s: list[float] = first.time_s.tolist()
-        self.events: list[Event] = [
-            (0.0, text) for flight in self._flights for text in flight.warnings
-        ]
+        notes = [HEIGHTS, *(text for flight in self._flights for text in flight.warnings)]
+        self.events: list[Event] = [(0.0, text) for text in notes]
 
     def moment(self, index: int) -> Moment:
         """As `Recording`."""
@@ -236,7 +236,7 @@ def _logged_row(flight: Flight, number: int, at: int, time_s: float) -> Row:
     return Row(
         time_s=time_s,
         system_id=number,
-        state="from its log",
+        state="",
         mode="?",
         separation_m=_known(flight.separation_m[at]),
         error_m=None,
@@ -248,7 +248,7 @@ def _logged_row(flight: Flight, number: int, at: int, time_s: float) -> Row:
         command_mps=_known(flight.speed_command_mps[at]),
         speed_mps=math.hypot(*flight.follower_velocity_mps[at, :2].tolist()),
         leader_speed_mps=_known(math.hypot(*flight.leader_velocity_mps[at, :2].tolist())),
-        altitude_m=None,
+        altitude_m=_known(-float(flight.follower_ned_m[at, 2])),
         link_percent=None,
         north_offset_m=0.0,
         east_offset_m=0.0,
@@ -286,6 +286,8 @@ def _logged_track(flight: Flight, at: int) -> Track:
         pan_us=_known(float(flight.pan_us[at])),
         tilt_us=_known(float(flight.tilt_us[at])),
         leader_id=1,
+        leader_height_m=_known(-float(flight.leader_ned_m[at, 2])),
+        wanted_height_m=_known(-float(flight.slot_ned_m[at, 2])),
     )
 
 

@@ -73,6 +73,7 @@ class ReplayFeed:
         self._recording = recording
         self._clock = clock
         self._origin = _origin(recording)
+        self._damaged: dict[int, str] = {}
         times_s = recording.times_s
         self._span_s = times_s[0], times_s[-1]
 
@@ -109,7 +110,7 @@ class ReplayFeed:
         await browser.send_str(
             encoded({**hello, "title": self._recording.title, "replay": span, "past": []})
         )
-        told_to_s = -math.inf
+        told_to_s, damaged = -math.inf, -1
         while not browser.closed:
             place_s = line.place_s(self._now_s())
             if moved.is_set():
@@ -122,12 +123,22 @@ class ReplayFeed:
             if events:
                 await browser.send_str(encoded(told(events)))
             clock = {"paused": line.paused, "speed": line.speed}
-            frame = self._frame(index_at(self._recording.times_s, place_s))
-            await browser.send_str(encoded({"kind": "frame", **frame, "replay": clock}))
+            index = index_at(self._recording.times_s, place_s)
+            frame = self._frame(index)
+            if frame is None and index != damaged:
+                damaged = index
+                await browser.send_str(encoded(told([(place_s, self._damaged[index])])))
+            if frame is not None:
+                await browser.send_str(encoded({"kind": "frame", **frame, "replay": clock}))
             await asyncio.sleep(FRAME_S)
 
-    def _frame(self, index: int) -> Json:
-        return snapshot(self._recording.moment(index), self._origin)
+    def _frame(self, index: int) -> Json | None:
+        """None: the recording is damaged there."""
+        try:
+            return snapshot(self._recording.moment(index), self._origin)
+        except EchowingError as error:
+            self._damaged[index] = str(error)
+            return None
 
     def _past(self, to_s: float) -> list[Json]:
         """The minute before, for plots and tracks."""
@@ -135,7 +146,8 @@ class ReplayFeed:
         from_s = max(times_s[0], to_s - PAST_S)
         steps = range(round((to_s - from_s) / GLANCE_S))
         indices = dict.fromkeys(index_at(times_s, from_s + step * GLANCE_S) for step in steps)
-        return [glance(self._frame(index)) for index in indices]
+        frames = (self._frame(index) for index in indices)
+        return [glance(frame) for frame in frames if frame is not None]
 
 
 def _origin(recording: Recording) -> GlobalPosition:

@@ -1,6 +1,7 @@
 """The page's server: aiohttp in a thread of its own, with its own event loop."""
 
 import asyncio
+import logging
 import socket
 import threading
 from collections.abc import Awaitable, Callable
@@ -37,6 +38,10 @@ MOST_HEARD = 1024
 # Of one connection in the kernel, bytes: a slow browser is to see the present, not what was then.
 SEND_BUFFER = 65_536
 START_S, END_S = 10.0, 2.0
+# What browsers send wrong is nothing for the operator's terminal.
+SILENT = logging.getLogger("echowing.page")
+SILENT.addHandler(logging.NullHandler())
+SILENT.propagate = False
 
 Socket = web.WebSocketResponse
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
@@ -82,6 +87,7 @@ class PageServer:
     # ---- in its thread --------------------------------------------------------------------------
 
     def _run(self) -> None:
+        self._loop.set_exception_handler(lambda loop, context: SILENT.error("%s", context))
         try:
             self._loop.run_until_complete(self._serve())
         except Exception as error:
@@ -96,7 +102,7 @@ class PageServer:
         for path, (name, kind) in ASSETS.items():
             app.router.add_get(path, self._asset(name, kind))
         app.on_shutdown.append(self._send_away)
-        runner = web.AppRunner(app, access_log=None, shutdown_timeout=END_S / 4.0)
+        runner = web.AppRunner(app, access_log=None, logger=SILENT, shutdown_timeout=END_S / 4.0)
         await runner.setup()
         try:
             await web.SockSite(runner, self._socket).start()

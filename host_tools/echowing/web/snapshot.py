@@ -67,6 +67,8 @@ def _leader(moment: Moment, at_ned_m: Ned | None) -> Json | None:
         "age": _number(row.leader_age_s),
         "link": _number(track.leader_link_percent, 0),
         "battery": _battery(row.leader_battery_percent, row.leader_battery_v),
+        "gps": row.leader_gps,
+        "switch": row.leader_switch,
     }
 
 
@@ -101,6 +103,7 @@ def _follower(row: Row, track: Track, where: tuple[Ned | None, ...]) -> Json:
         "age": _number(row.age_s),
         "link": _number(row.link_percent, 0),
         "battery": _battery(row.battery_percent, row.battery_v),
+        "gps": row.gps,
         "switch": row.switch,
     }
 
@@ -154,7 +157,10 @@ def _health(health: Health) -> Json:
 def glance(frame: Json) -> Json:
     """The little of a frame that plots and tracks of the last minute need."""
     followers = [
-        [one["id"], one["at"], one["height"], one["separation"], one["sonar"]["range"]]
+        [
+            *(one["id"], one["at"], one["height"], one["separation"], one["sonar"]["range"]),
+            one["wanted"],
+        ]
         for one in frame["followers"]
     ]
     leader = frame["leader"]

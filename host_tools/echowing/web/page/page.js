@@ -7,6 +7,8 @@ const GLANCE_S = 0.5;
 const SILENT_MS = 3000;
 const AGAIN_MS = 1000;
 const MOST_EVENTS = 300;
+// Columns of a glance's followers after id, place and height.
+const SEPARATION = 3, RANGE = 4, WANTED = 5;
 // Of more followers than this only errors are drawn: their wanted distances differ.
 const MOST_LINES = 6;
 const INK = "#16202e", QUIET = "#5b6779", RULE = "#e3e8ef", SONAR = "#0f766e", CUT = "#7e22ce";
@@ -41,18 +43,15 @@ function take(message) {
 }
 
 function hello(message) {
-  if (model.hello && model.hello.run !== message.run) {
-    model.events = [];
-    byId("events").replaceChildren();
-    byId("vehicles").replaceChildren();
-  }
+  const otherFlight = !model.hello || model.hello.run !== message.run;
   model.hello = message;
   model.connected = true;
   model.heardAt = performance.now();
-  model.past = message.past;
-  model.frame = null;
-  model.events = [];
-  byId("events").replaceChildren();
+  past(message);
+  if (otherFlight) {
+    model.frame = null;
+    byId("vehicles").replaceChildren();
+  }
   view.centre = view.span = null;
   byId("source").textContent = message.title || { follow: "live", sim: "simulated: the truth" }[message.source];
   showReplay(message.replay);
@@ -91,7 +90,8 @@ function glance(one) {
   return {
     t: one.t,
     leader: leader && [leader.id, leader.at, leader.height],
-    followers: one.followers.map(f => [f.id, f.at, f.height, f.separation, f.sonar.range]),
+    followers: one.followers.map(
+      f => [f.id, f.at, f.height, f.separation, f.sonar.range, f.wanted]),
   };
 }
 
@@ -134,11 +134,13 @@ function showStatus() {
     const lost = model.connected ? "No data from the tool" : "No connection to the tool";
     const text = silent && now ? `${lost}: what you see is old` : silent ? lost : "Waiting for the vehicles";
     put(byId("headline"), text);
+    document.title = `${text} – Echowing`;
     list.replaceChildren();
     return;
   }
   status.className = LEVELS[now.level];
   put(byId("headline"), now.alarms.length ? now.alarms[0].text : now.headline);
+  document.title = `${byId("headline").textContent} – Echowing`;
   const rest = now.alarms.slice(1, 4).map(alarm => alarm.text);
   if (now.alarms.length > 4) rest.push(`and ${now.alarms.length - 4} more`);
   if (rest.join("|") !== [...list.children].map(item => item.textContent).join("|")) {
@@ -168,29 +170,31 @@ function showVehicle(one, leads) {
   const card = cardOf(one.id, leads);
   const say = (field, text) => put(card.querySelector(`[data-field="${field}"]`), text);
   const level = Math.max(0, ...model.frame.alarms.filter(a => a.id === one.id).map(a => a.level));
-  const idle = !leads && level === 0 && one.state !== "following";
-  card.className = [leads ? "leader" : "follower", LEVELS[level], idle ? "idle" : ""].join(" ");
+  card.className = [leads ? "leader" : "follower", LEVELS[level]].join(" ");
   say("name", leads ? `Leader ${one.id}` : `Follower ${one.id}`);
   say("mode", one.mode);
   say("speed", number(one.speed, 1, " m/s"));
   say("age", number(one.age, 2, " s"));
   say("link", number(one.link, 0, " %"));
   say("battery", one.battery || "–");
+  say("gps", one.gps || "–");
+  say("switch", one.switch || "");
+  card.querySelector(".switch").hidden = !one.switch;
   say("note", noteOf(one.id));
   if (leads) {
     say("height", number(one.height, 1, " m"));
     return;
   }
   say("state", one.state);
+  const idle = one.level === 0 && one.state !== "following";
+  card.querySelector('[data-field="state"]').className = idle ? "idle" : LEVELS[one.level];
   say("separation", number(one.separation, 2, " m"));
   const error = one.error === null ? "" : `${signed(one.error, 2)} m of ${number(one.wanted, 2)} m`;
   say("wanted", error);
   const range = number(one.sonar.range, 2, " m");
   say("sonar", one.sonar.state ? `${range}, ${one.sonar.state}` : range);
   say("limit", number(one.limit, 1, " m/s"));
-  say("height", `${number(one.height, 1)} of ${number(one.wanted_height, 1, " m")}`);
-  say("switch", one.switch || "");
-  card.querySelector(".switch").hidden = !one.switch;
+  say("height", `${number(one.height, 1)} / ${number(one.wanted_height, 1, " m")}`);
 }
 
 function cardOf(id, leads) {
@@ -296,16 +300,14 @@ function fitted(box) {
 }
 
 function follow(box) {
-  const wanted = fitted(box);
-  const off = view.centre
-    && Math.hypot(wanted.centre[0] - view.centre[0], wanted.centre[1] - view.centre[1]);
-  if (!view.centre || off > wanted.span) {
-    view.centre = wanted.centre;
-    view.span = wanted.span;
-  }
-  const ease = 0.15;
-  view.centre = view.centre.map((old, axis) => old + ease * (wanted.centre[axis] - old));
-  view.span += ease * (wanted.span - view.span);
+  const wanted = fitted(box), ease = 0.15, furthest = 0.1 * wanted.span;
+  if (!view.centre) [view.centre, view.span] = [wanted.centre, wanted.span];
+  view.centre = view.centre.map((old, axis) => {
+    const off = wanted.centre[axis] - old;
+    // However few frames come, and however fast a replay goes, they are in the picture.
+    return Math.abs(off) > furthest ? wanted.centre[axis] - Math.sign(off) * furthest : old + ease * off;
+  });
+  view.span = Math.max(view.span + ease * (wanted.span - view.span), 0.8 * wanted.span);
   return box.height / (view.span * view.zoom);
 }
 
@@ -388,23 +390,29 @@ function drawSeen(pen, one, at, scale) {
 }
 
 function drawCone(pen, one, at, scale) {
-  if (!one.at || one.sonar.bearing === null) return;
+  const aimed = one.sonar.bearing !== null;  // else a range is drawn about the nose, dashed
+  if (!one.at || (!aimed && one.sonar.range === null)) return;
   const [x, y] = at(one.at), { half_deg: half, reach_m: reach } = model.hello;
-  const from = rad(one.sonar.bearing - half - 90), to = rad(one.sonar.bearing + half - 90);
-  pen.beginPath();
-  pen.moveTo(x, y);
-  pen.arc(x, y, reach * scale, from, to);
-  pen.closePath();
-  pen.globalAlpha = 0.16;
-  pen.fillStyle = SONAR;
-  pen.fill();
-  pen.globalAlpha = 1;
+  const axis = aimed ? one.sonar.bearing : one.heading;
+  const from = rad(axis - half - 90), to = rad(axis + half - 90);
+  if (aimed) {
+    pen.beginPath();
+    pen.moveTo(x, y);
+    pen.arc(x, y, reach * scale, from, to);
+    pen.closePath();
+    pen.globalAlpha = 0.16;
+    pen.fillStyle = SONAR;
+    pen.fill();
+    pen.globalAlpha = 1;
+  }
   if (one.sonar.range === null) return;
   pen.beginPath();
   pen.arc(x, y, one.sonar.range * scale, from, to);
   pen.strokeStyle = SONAR;
   pen.lineWidth = 3.5;
+  pen.setLineDash(aimed ? [] : [5, 4]);
   pen.stroke();
+  pen.setLineDash([]);
 }
 
 function drawEdges(pen, at) {
@@ -490,11 +498,9 @@ function drawSeparation(box) {
     ? "Separation from the leader, last minute" : "Error of the separation, last minute");
   put(byId("separation-legend"), few
     ? "line: by receivers; dots: sonar; dashed: wanted" : "separation less what is wanted, by receivers");
-  const wanted = new Map(now.followers.map(one => [one.id, one.wanted]));
-  const shift = id => few ? 0 : wanted.get(id) ?? 0;
-  const all = model.past.flatMap(one => one.followers
-    .filter(f => f[3] !== null && wanted.has(f[0])).map(f => f[3] - shift(f[0])));
-  if (few) all.push(...[...wanted.values()].filter(value => value !== null));
+  const shown = f => f[SEPARATION] === null ? null : f[SEPARATION] - (few ? 0 : f[WANTED] ?? 0);
+  const all = model.past.flatMap(one => one.followers.flatMap(f => [shown(f), few ? f[WANTED] : null]))
+    .filter(value => value !== null);
   const low = few ? Math.max(0, Math.floor(Math.min(...all, 3) - 1)) : Math.floor(Math.min(...all, -1));
   const high = Math.ceil(Math.max(...all, few ? 4 : 1) + (few ? 0.5 : 0));
   const { pen } = box, { left, bottom, y } = axes(box, low, high, "m", 0);
@@ -510,9 +516,11 @@ function drawSeparation(box) {
   if (!few) stroke(pen, [[left, y(0)], [box.width, y(0)]], INK, 1.5);
   for (const one of now.followers) {
     const colour = colourOf(one.id);
-    if (few && one.wanted !== null) stroke(pen, [[left, y(one.wanted)], [box.width, y(one.wanted)]], colour, 1.5, [6, 4]);
-    for (const part of unbroken(one.id, 3)) {
-      stroke(pen, part.map(([t, value]) => [x(t), y(value - shift(one.id))]), colour, few ? 2 : 1);
+    for (const part of few ? unbroken(one.id, f => f[WANTED]) : []) {
+      stroke(pen, part.map(([t, value]) => [x(t), y(value)]), colour, 1.5, [6, 4]);
+    }
+    for (const part of unbroken(one.id, shown)) {
+      stroke(pen, part.map(([t, value]) => [x(t), y(value)]), colour, few ? 2 : 1);
     }
     if (few) dots(pen, one.id, x, y, colour);
   }
@@ -520,11 +528,12 @@ function drawSeparation(box) {
 }
 
 // A follower's line, broken where nothing is known.
-function unbroken(id, column) {
+function unbroken(id, valueOf) {
   const parts = [[]];
   for (const glance of model.past) {
     const own = glance.followers.find(one => one[0] === id);
-    if (own && own[column] !== null) parts.at(-1).push([glance.t, own[column]]);
+    const value = own ? valueOf(own) : null;
+    if (value !== null) parts.at(-1).push([glance.t, value]);
     else if (parts.at(-1).length) parts.push([]);
   }
   return parts.filter(part => part.length > 1);
@@ -534,9 +543,9 @@ function dots(pen, id, x, y, colour) {
   pen.fillStyle = colour;
   for (const glance of model.past) {
     const own = glance.followers.find(one => one[0] === id);
-    if (own && own[4] !== null) {
+    if (own && own[RANGE] !== null) {
       pen.beginPath();
-      pen.arc(x(glance.t), y(own[4]), 2, 0, 7);
+      pen.arc(x(glance.t), y(own[RANGE]), 2, 0, 7);
       pen.fill();
     }
   }
@@ -553,8 +562,9 @@ function drawSide(box) {
     ...known.map(one => one.wanted_height).filter(one => one !== null && one !== undefined)];
   const middle = (Math.min(...heights) + Math.max(...heights)) / 2;
   const half = Math.max(3, (Math.max(...heights) - Math.min(...heights)) / 2 + 1.5);
-  const low = Math.max(Math.floor(middle - half), Math.min(0, Math.floor(Math.min(...heights))));
-  const { pen } = box, { left, y } = axes(box, low, Math.ceil(middle + half), "m", 0);
+  const { pen } = box;
+  const { left, bottom, y } = axes(box, Math.floor(middle - half), Math.ceil(middle + half), "m", 0);
+  if (y(0) <= bottom) stroke(pen, [[left, y(0)], [box.width, y(0)]], QUIET, 2);  // the ground
   const spots = known.map(one => along(one.at));
   const centre = (Math.min(...spots) + Math.max(...spots)) / 2;
   const span = Math.max(8, 1.35 * (Math.max(...spots) - Math.min(...spots)));

@@ -1,0 +1,1 @@
+../../../firmware/echowing/src/core/parameter_table.h
