@@ -1,6 +1,7 @@
 """Geodesy: between global positions (WGS-84) and local NED metres. All of it is pymap3d's."""
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import pymap3d
@@ -31,8 +32,16 @@ class GlobalPosition(NamedTuple):
 
 def ned_between(origin: GlobalPosition, point: GlobalPosition) -> Ned:
     """Local NED metres from `origin` to `point`; works across the antimeridian."""
-    north, east, down = pymap3d.geodetic2ned(*point, *origin, _WGS84)
-    return float(north), float(east), float(down)
+    (ax, ay, az), (bx, by, bz) = _ecef_m(origin), _ecef_m(point)
+    east, north, up = pymap3d.uvw2enu(bx - ax, by - ay, bz - az, origin.lat_deg, origin.lon_deg)
+    return float(north), float(east), -float(up)
+
+
+@lru_cache(maxsize=256)
+def _ecef_m(place: GlobalPosition) -> tuple[float, float, float]:
+    """Earth-centred metres; kept, as home and the other vehicles are asked for again and again."""
+    x, y, z = pymap3d.geodetic2ecef(*place, _WGS84)
+    return float(x), float(y), float(z)
 
 
 def displace(origin: GlobalPosition, ned_m: Ned) -> GlobalPosition:

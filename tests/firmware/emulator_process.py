@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 # Generous: a busy machine may take its time, a broken emulator takes for ever.
-PATIENCE_S = 60.0
+PATIENCE_S = 120.0
 
 
 class Emulator:

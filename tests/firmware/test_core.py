@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.seconds(60)
 ROOT = Path(__file__).resolve().parents[2]
 SKETCH = ROOT / "firmware" / "echowing"
 DECLARATIONS = ROOT / "tests" / "firmware" / "stm32_declarations"

@@ -20,7 +20,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from echowing.tool.background import BackgroundLog, BackgroundView, Worker
 from echowing.tool.panel import Row
 
-DEADLINE_S = 30.0
+DEADLINE_S = 120.0
 FOLLOW = [sys.executable, "-m", "echowing", "follow", "--json", "--no-log"]
 
 

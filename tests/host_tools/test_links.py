@@ -30,7 +30,7 @@ from echowing.mavlink.signing import LinkSigning
 from echowing.stopping import StopRequest
 from echowing.tool.leader import LeaderTool
 
-DEADLINE_S = 10.0
+DEADLINE_S = 60.0
 
 
 def frame(system_id: int = 1, mode: int = 4) -> bytes:

@@ -16,6 +16,7 @@ from echowing.sim.copter import Copter
 from echowing.sim.serve import HOPELESS_S, STEP_S, Server, open_port
 
 SYSTEM_ID = 3
+PATIENCE_S = 60.0  # what is heard ends it early
 
 
 class Vehicle:
@@ -51,13 +52,13 @@ def vehicle() -> Iterator[tuple[Vehicle, str, str]]:
 def connect(where: str) -> Any:
     link = mavutil.mavlink_connection(where, source_system=245, dialect="ardupilotmega")
     link.mav.heartbeat_send(6, 8, 0, 0, 4)
-    assert link.wait_heartbeat(timeout=5) is not None
+    assert link.wait_heartbeat(timeout=PATIENCE_S) is not None
     return link
 
 
 def command(link: Any, number: int, *values: float) -> int:
     link.mav.command_long_send(SYSTEM_ID, 1, number, 0, *values, *(0.0,) * (7 - len(values)))
-    answer = link.recv_match(type="COMMAND_ACK", blocking=True, timeout=5)
+    answer = link.recv_match(type="COMMAND_ACK", blocking=True, timeout=PATIENCE_S)
     assert answer is not None
     assert answer.command == number
     return int(answer.result)
@@ -65,7 +66,7 @@ def command(link: Any, number: int, *values: float) -> int:
 
 def fly(link: Any) -> None:
     link.set_mode("GUIDED")
-    while link.wait_heartbeat(timeout=5).custom_mode != 4:
+    while link.wait_heartbeat(timeout=PATIENCE_S).custom_mode != 4:
         pass
     while link.recv_match(type="COMMAND_ACK") is not None:
         pass  # of the mode
@@ -85,7 +86,7 @@ def test_over_tcp_arm_take_off_fly_and_read_parameters(
     last = None
     while True:
         message = link.recv_match(
-            type=["PARAM_VALUE", "LOCAL_POSITION_NED"], blocking=True, timeout=5
+            type=["PARAM_VALUE", "LOCAL_POSITION_NED"], blocking=True, timeout=PATIENCE_S
         )
         assert message is not None
         if message.get_type() == "LOCAL_POSITION_NED":
@@ -103,7 +104,7 @@ def test_over_tcp_arm_take_off_fly_and_read_parameters(
     link.mav.set_position_target_local_ned_send(
         0, SYSTEM_ID, 1, 1, 0x0DF8, 3.0, 0.0, -2.0, *(0.0,) * 8
     )
-    while link.recv_match(type="LOCAL_POSITION_NED", blocking=True, timeout=5).x < 0.5:
+    while link.recv_match(type="LOCAL_POSITION_NED", blocking=True, timeout=PATIENCE_S).x < 0.5:
         pass
     link.close()
 
@@ -112,7 +113,7 @@ def test_over_udp_and_tcp_at_once(vehicle: tuple[Vehicle, str, str]) -> None:
     by_udp, by_tcp = connect(vehicle[2]), connect(vehicle[1])
     by_udp.mav.param_set_send(SYSTEM_ID, 1, b"WP_SPD", 3.5, 9)
     for link in (by_udp, by_tcp):  # a change is told to everybody
-        told = link.recv_match(type="PARAM_VALUE", blocking=True, timeout=5)
+        told = link.recv_match(type="PARAM_VALUE", blocking=True, timeout=PATIENCE_S)
         assert (told.param_id, told.param_value) == ("WP_SPD", 3.5)
         link.close()
 

@@ -39,7 +39,7 @@ os.kill(os.getpid(), signal.SIGTERM)
 
 def exit_code(code: str, **names: str) -> int:
     run = [sys.executable, "-c", code.format(**names)]
-    return subprocess.run(run, capture_output=True, check=False, timeout=60).returncode
+    return subprocess.run(run, capture_output=True, check=False, timeout=120).returncode
 
 
 @pytest.mark.parametrize("first", ["SIGINT", "SIGTERM"])

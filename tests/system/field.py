@@ -22,7 +22,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.mavlink.links import Link, parse_address
 
-DEADLINE_S = 25.0
+# Generous: who keeps up is not waited for, and a busy machine takes its time to start a process.
+DEADLINE_S = 120.0
 LEADER, FOLLOWER, SECOND = 1, 2, 3
 PILOT_PORT = 2  # above a vehicle's telemetry port
 GROUND_STATION_ID = 255

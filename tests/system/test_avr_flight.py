@@ -1,23 +1,24 @@
 """Whole flights on the board's own binary, emulated, beside the same core built for the host."""
 
 import statistics
-from functools import cache
 
 import pytest
 
 from echowing.sim.scenario import load_scenario
 from echowing.sim.summary import FlownScenario, fly
 
+from .flown import flown
+
+pytestmark = pytest.mark.seconds(100)
 SEEDS = (1, 2, 3)
 
 
-@cache
-def flown(firmware: str, seed: int) -> FlownScenario:
-    return fly(load_scenario("echowing"), seed, firmware=firmware)
+def flight(firmware: str, seed: int) -> FlownScenario:
+    return flown("echowing", seed, firmware=firmware)
 
 
 def mean_error_m(firmware: str) -> float:
-    return statistics.mean(flown(firmware, seed).metrics[0].mean_abs_error_m for seed in SEEDS)
+    return statistics.mean(flight(firmware, seed).metrics[0].mean_abs_error_m for seed in SEEDS)
 
 
 def test_the_binary_and_the_native_core_fly_alike() -> None:
@@ -27,7 +28,7 @@ def test_the_binary_and_the_native_core_fly_alike() -> None:
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_the_binary_keeps_its_distance(seed: int) -> None:
-    one = flown("avr", seed)
+    one = flight("avr", seed)
 
     assert one.closest_m > 1.0
     assert one.metrics[0].seen_share > 0.6

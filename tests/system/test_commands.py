@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+pytestmark = pytest.mark.seconds(30)
 RECORDINGS = Path(__file__).parents[1] / "host_tools" / "data" / "sitl"
 
 
@@ -172,7 +173,7 @@ def test_interrupted_flights_say_so_and_leave_readable_logs(tmp_path: Path) -> N
         assert flying.poll() is None
     flying.send_signal(2)
 
-    _, said = flying.communicate(timeout=30)
+    _, said = flying.communicate(timeout=120)
 
     assert flying.returncode == 130
     assert "interrupted" in said

@@ -30,6 +30,7 @@ from .field import (
     unspoilt,
 )
 
+pytestmark = pytest.mark.seconds(80)
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 

@@ -22,6 +22,7 @@ from .field import (
     unspoilt,
 )
 
+pytestmark = pytest.mark.seconds(50)
 Fly = Callable[..., Air]
 
 

@@ -5,7 +5,9 @@ import json
 import random
 import signal
 import socket
+import statistics
 import threading
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +33,8 @@ from .field import (
     is_followed,
     mode_of,
 )
+
+pytestmark = pytest.mark.seconds(120)
 
 
 def test_two_followers_fly_a_formation_file(world: World, tmp_path: Path) -> None:
@@ -70,8 +74,8 @@ def test_an_engagement_the_pilot_and_the_end(world: World, tmp_path: Path) -> No
     rows = list(csv.DictReader(table.open(encoding="utf-8")))
     # 10 Hz, whole to the end: the last row is of the stop.
     assert rows[-1]["state"].startswith("holding: the tool ends")
-    seconds = float(rows[-1]["time_s"]) - float(rows[0]["time_s"])
-    assert len(rows) > 5.0 * seconds
+    times_s = [float(row["time_s"]) for row in rows]
+    assert statistics.median(later - earlier for earlier, later in pairwise(times_s)) < 0.2
 
 
 def test_a_relay_flies_midway_to_the_remote_vehicle(world: World) -> None:

@@ -26,13 +26,18 @@ from echowing.sim.autopilot import Autopilot
 from echowing.sim.copter import Copter
 from echowing.sim.serve import Server
 
-PATIENCE_S = 90.0
+pytestmark = pytest.mark.seconds(90)
+PATIENCE_S = 120.0
 # The sonar's face is 0.1 m ahead of the follower's centre, the leader's legs 0.1 m nearer than its
 # own: told at 3.2 m, it is heard at 3.0 m (sim/sonar.py).
 NEARER_M = 0.2
 AWAY_M = 50.0
 # A busy machine holds bytes back far longer than a USB chip does.
 SLOW_HOST = ("--host-ms", "500")
+# A board that had to wait for a core for so long was not in real time; then it is measured again.
+LATE_S = 0.1
+TRIES = 8
+BIG_STEP = "attract, big step"
 
 
 def start(*arguments: str | Path) -> "subprocess.Popen[str]":
@@ -76,6 +81,10 @@ class Emulator:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
             sender.sendto(json.dumps(place).encode(), ("127.0.0.1", self._target))
 
+    def waited_s(self) -> float:
+        """How long it has waited for a core so far: it could run, and the machine had others."""
+        return int(Path(f"/proc/{self.process.pid}/schedstat").read_text().split()[1]) * 1e-9
+
     def stop(self) -> None:
         self.process.kill()
         self.process.wait(timeout=PATIENCE_S)
@@ -86,7 +95,7 @@ class Rig:
 
     def __init__(self, code: int, said: str, out: Path, verb: str) -> None:
         assert "Traceback" not in said
-        self.code, self.said = code, said
+        self.code, self.said, self.out = code, said, out
         self.result: dict[str, Any] = json.loads((out / f"{verb}.json").read_text())
         page = (out / f"{verb}.html").read_text()
         assert self.result["verdict"] in page
@@ -120,6 +129,22 @@ def rig(
     return Rig(process.wait(timeout=PATIENCE_S), "".join(said), out, verb)
 
 
+def in_real_time(
+    emulator: Emulator, out: Path, measure: Callable[[Path], Rig], right: Callable[[Rig], bool]
+) -> Rig:
+    """A measurement that is right, or wrong although the machine left the board its time."""
+    for number in range(TRIES):
+        before_s = emulator.waited_s()
+        done = measure(out / str(number))
+        if right(done) or emulator.waited_s() - before_s < LATE_S:
+            break
+    return done
+
+
+def passed(done: Rig) -> bool:
+    return bool(done.result["verdict"] == "PASS")
+
+
 @pytest.fixture(scope="module")
 def movable() -> Iterator[Emulator]:
     """A board whose target is moved."""
@@ -148,7 +173,11 @@ def listening(emulator: Emulator) -> Iterator[Board]:
 
 def test_range_test_finds_where_the_target_is_lost(movable: Emulator, tmp_path: Path) -> None:
     options = ("--distances", "1,3.3,5.5", "--seconds", "1.5")
-    done = rig(tmp_path, movable.port, "range-test", *options, place=movable.put_target)
+
+    def measure(out: Path) -> Rig:
+        return rig(out, movable.port, "range-test", *options, place=movable.put_target)
+
+    done = in_real_time(movable, tmp_path, measure, passed)
     assert (done.code, done.result["verdict"]) == (0, "PASS")
     # The foil of Table 5 is heard to 4.6 m: at 3.3 m surely, at 5.5 m never.
     assert done.result["measured"]["maximum_effective_range_m"] == 3.3
@@ -172,14 +201,20 @@ def test_interrupted_range_test_keeps_its_points_and_frees_the_gimbal(
         if "measuring at 2.00" in line:
             process.send_signal(signal.SIGINT)
 
-    done = rig(
-        tmp_path,
-        movable.port,
-        "range-test",
-        *("--distances", "1,2,3", "--seconds", "1"),
-        place=movable.put_target,
-        watch=stop_at_the_second,
-    )
+    def measure(out: Path) -> Rig:
+        return rig(
+            out,
+            movable.port,
+            "range-test",
+            *("--distances", "1,2,3", "--seconds", "1"),
+            place=movable.put_target,
+            watch=stop_at_the_second,
+        )
+
+    def heard(done: Rig) -> bool:
+        return bool(done.result["measured"]["points"][0]["detection_rate"] >= 0.9)
+
+    done = in_real_time(movable, tmp_path, measure, heard)
     assert (done.code, done.result["verdict"]) == (130, "INCOMPLETE")
     assert done.result["incomplete"] == "interrupted"
     first = done.result["measured"]["points"][0]
@@ -199,7 +234,10 @@ def test_interrupted_range_test_keeps_its_points_and_frees_the_gimbal(
 
 
 def test_scan_test_sees_the_twelve_points(movable: Emulator, tmp_path: Path) -> None:
-    done = rig(tmp_path, movable.port, "scan-test", "--rounds", "1", place=movable.put_target)
+    def measure(out: Path) -> Rig:
+        return rig(out, movable.port, "scan-test", "--rounds", "1", place=movable.put_target)
+
+    done = in_real_time(movable, tmp_path, measure, passed)
     assert done.result["verdict"] == "PASS", done.said
     assert done.result["measured"]["coverage_gain_percent"] == pytest.approx(95.0, abs=1.0)
 
@@ -214,7 +252,11 @@ def test_scan_test_fails_with_something_in_the_beam(fixed: Emulator, tmp_path: P
 
 def test_latency_test_measures_both_ways(fixed: Emulator, tmp_path: Path) -> None:
     options = ("--commands", "20", "--seconds", "2", *SLOW_HOST)
-    done = rig(tmp_path, fixed.port, "latency-test", *options)
+
+    def measure(out: Path) -> Rig:
+        return rig(out, fixed.port, "latency-test", *options)
+
+    done = in_real_time(fixed, tmp_path, measure, passed)
     assert done.result["verdict"] == "PASS", done.said
     assert len(done.result["measured"]["ack_ms"]) == 20
     # 41 bytes of the report take 3.6 ms at 115200 baud, and the sonar is read before: never less.
@@ -232,16 +274,18 @@ def test_latency_test_fails_without_a_target(movable: Emulator, tmp_path: Path) 
 
 
 def test_response_matrix_with_the_built_in_applet(movable: Emulator, tmp_path: Path) -> None:
-    done = rig(
-        tmp_path,
-        movable.port,
-        *("response-matrix", "--hold", "2.2"),
-        place=movable.put_target,
-    )
+    def measure(out: Path) -> Rig:
+        options = ("response-matrix", "--hold", "2.2")
+        return rig(out, movable.port, *options, place=movable.put_target)
+
+    def two_steps(done: Rig) -> bool:
+        return passed(done) and done.result["measured"]["bands"][BIG_STEP]["right_steps"] == 2
+
+    done = in_real_time(movable, tmp_path, measure, two_steps)
     assert done.result["verdict"] == "PASS", done.said
     bands = done.result["measured"]["bands"]
     # From 2.5 m/s to 4.5 m/s are two big steps; one more would reach the limit of 5 m/s.
-    assert bands["attract, big step"]["right_steps"] == 2
+    assert bands[BIG_STEP]["right_steps"] == 2
     assert all(step["right"] for step in done.result["measured"]["steps"])
 
 
@@ -249,7 +293,7 @@ def test_response_matrix_fails_with_a_target_that_stays(fixed: Emulator, tmp_pat
     done = rig(tmp_path, fixed.port, "response-matrix", "--hold", "0.5")
     assert (done.code, done.result["verdict"]) == (1, "FAIL")
     assert done.check("monitor") == "PASS"  # it stood there for 3 s: long enough
-    assert done.check("attract, big step") == "FAIL"
+    assert done.check(BIG_STEP) == "FAIL"
     assert done.check("gimbal out of range") == "FAIL"
 
 
@@ -288,12 +332,12 @@ class ServedVehicle:
 def test_response_matrix_with_an_autopilot(tmp_path: Path) -> None:
     emulator = Emulator("--link", "tcpin:0", "--target", "udp:0")
     vehicle = ServedVehicle(emulator.link)
-    done = rig(
-        tmp_path,
-        emulator.port,
-        *("response-matrix", "--hold", "2.5", "--autopilot", vehicle.where),
-        place=emulator.put_target,
-    )
+
+    def measure(out: Path) -> Rig:
+        options = ("response-matrix", "--hold", "2.5", "--autopilot", vehicle.where)
+        return rig(out, emulator.port, *options, place=emulator.put_target)
+
+    done = in_real_time(emulator, tmp_path, measure, passed)
     vehicle.stop()
     emulator.stop()
     assert done.result["verdict"] == "PASS", done.said
@@ -305,9 +349,13 @@ def test_response_matrix_with_an_autopilot(tmp_path: Path) -> None:
 
 def test_soak_counts_and_passes(fixed: Emulator, tmp_path: Path) -> None:
     options = ("--duration", "2", "--row", "0.5", "--still")
-    done = rig(tmp_path, fixed.port, "soak", *options)
+
+    def measure(out: Path) -> Rig:
+        return rig(out, fixed.port, "soak", *options)
+
+    done = in_real_time(fixed, tmp_path, measure, passed)
     assert done.result["verdict"] == "PASS", done.said
-    rows = list(csv.DictReader((tmp_path / "soak.csv").open()))
+    rows = list(csv.DictReader((done.out / "soak.csv").open()))
     assert [float(row["end_s"]) for row in rows] == [0.5, 1.0, 1.5, 2.0]
     assert float(rows[0]["range_m"]) == 2.8
 

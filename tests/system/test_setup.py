@@ -13,7 +13,7 @@ from echowing.setup.apply import load
 from .field import FOLLOWER, Process, free_ports
 
 # Two rounds of reading and writing with a restart between, on a machine that has more to do.
-SET_UP_S = 60.0
+SET_UP_S = 180.0
 # The older names: the newer ones are `test_setup_vehicle`'s.
 OLD_GENERATION = ("--set", 'follower.generation="4.6"')
 

@@ -66,6 +66,8 @@ def _joined_slowly(follower: FollowerState, guided: GuidedPoint, now_s: float) -
     here = follower.on_arrival(now_s)
     if here is None or follower.estimate.offset.unheard_s(now_s) < HEARD_LATELY_S:
         return guided
+    if distance_m(guided.point, guided.leader) >= distance_m(here, guided.leader):
+        return guided  # away from it nothing is too fast
     north, east, down = ned_between(here, guided.point)
     far_m = max(math.hypot(north, east), 1e-6)
     pace = min(JOIN_MPS / far_m, POSITION_GAIN_PER_S)
