@@ -87,7 +87,7 @@ def test_stop_switch(start: Start, table: list[Entry]) -> None:
     # puts it in Guided anew.
     tool.row(lambda row: row["switch"] != "on", back)
     follower.set_mode(LOITER)
-    tool.event("left Guided for LOITER, pilot has control", back)
+    tool.event("left Guided for LOITER", back)
     follower.set_mode(GUIDED)
     tool.event("in Guided, following", back)
     formation.until_in_slot()
