@@ -329,9 +329,9 @@ def test_the_leaders_age_is_measured_through_timesync() -> None:
     (target,) = targets(aged(PLAIN), 6.46)
     assert metres_from_here(target)[0] == pytest.approx(-3.0 + 2.0 * 0.71, abs=0.05)
 
-    # By position: 3 m behind, predicted 0.46 s on, led by 2 m.
+    # By position: 3 m behind, predicted 0.46 s on, led by 1.4 s.
     (target,) = targets(aged(replace(BY_POSITION, keep_behind=False)), 6.46)
-    assert metres_from_here(target)[0] == pytest.approx(-0.08, abs=0.05)
+    assert metres_from_here(target)[0] == pytest.approx(-3.0 + 2.0 * (0.46 + 1.4), abs=0.05)
 
 
 def test_the_velocity_fades_as_the_leaders_report_grows_old() -> None:

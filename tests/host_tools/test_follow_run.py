@@ -82,7 +82,7 @@ def test_a_seat_without_an_id_waits_for_one_whose_heartbeats_are_lost() -> None:
         finder.decide(beat_s + 0.9)
         assert not finder.complete
     finder.heard("udpin:1", beat(7), 3.95)
-    with pytest.raises(EchowingError, match="systems 7, 11 are heard there"):
+    with pytest.raises(EchowingError, match="systems 7, 11 are on it"):
         finder.decide(4.0)
 
 

@@ -59,7 +59,7 @@ def test_one_that_is_not_known_to_stand_is_told_to_its_pilot_and_rings_the_bell(
     monkeypatch.setattr(VehicleLink, "send", note)
     screen = Screen(NEVER_S, OSError())
     assert Flight(screen).tool.run() == 1
-    assert "NOT KNOWN TO STAND" in screen.texts[-1]
+    assert "not confirmed stopped" in screen.texts[-1]
     assert len(rings) == 1
     texts = [(who, m.text, m.severity) for who, m in sent if m.get_type() == "STATUSTEXT"]
     assert texts == [(FOLLOWER, TAKE_OVER, mavlink.MAV_SEVERITY_CRITICAL)]

@@ -139,9 +139,8 @@ def test_points_flow_while_nothing_is_wrong() -> None:
     there = Field(Limits(max_distance_m=20.0, min_separation_m=1.5), radius_m=6.0)
     there.north_m[FOLLOWER] = -7.0
     (point,) = there.points()
-    # A leader that is not heard is approached by a velocity: 1 m/s for the metre to the slot.
-    assert north_of(point) == pytest.approx(-7.0, abs=0.02)
-    assert (point.vx, point.vy) == pytest.approx((1.0, 0.0), abs=0.02)
+    assert north_of(point) == pytest.approx(-6.0, abs=0.02)
+    assert (point.vx, point.vy) == (0.0, 0.0)
     assert there.state == "following"
 
 
@@ -195,9 +194,8 @@ def test_beyond_the_greatest_distance_it_holds_until_well_inside() -> None:
     there.north_m[FOLLOWER] = -19.0  # inside, but not by a tenth
     assert north_of(there.points()[-1]) == pytest.approx(-21.0, abs=0.02)
     there.north_m[FOLLOWER] = -17.0
-    # A leader that is not heard is approached at 1.5 m/s.
-    last = there.points()[-1]
-    assert (north_of(last), last.vx) == pytest.approx((-17.0, 1.5), abs=0.02)
+    # A leader that is not heard is approached 1.5 m at a time.
+    assert north_of(there.points()[-1]) == pytest.approx(-15.5, abs=0.02)
     assert there.events()[-1] == "follower 2: clear again, following"
 
 

@@ -59,24 +59,15 @@ def _towed(
 
 
 def _joined_slowly(follower: FollowerState, guided: GuidedPoint, now_s: float) -> GuidedPoint:
-    """To a leader that is not heard the way leads as a velocity, no faster than `JOIN_MPS`.
-
-    A place ahead would be overshot: it moves on with the vehicle that flies towards it.
-    """
+    """With a point no further ahead than makes a fast approach to a leader that is not heard."""
     here = follower.on_arrival(now_s)
     if here is None or follower.estimate.offset.unheard_s(now_s) < HEARD_LATELY_S:
         return guided
     if distance_m(guided.point, guided.leader) >= distance_m(here, guided.leader):
         return guided  # away from it nothing is too fast
     north, east, down = ned_between(here, guided.point)
-    far_m = max(math.hypot(north, east), 1e-6)
-    pace = min(JOIN_MPS / far_m, POSITION_GAIN_PER_S)
-    slot_north, slot_east = guided.velocity_mps
-    return replace(
-        guided,
-        point=displace(here, (0.0, 0.0, down)),
-        velocity_mps=(slot_north + pace * north, slot_east + pace * east),
-    )
+    share = min(1.0, JOIN_MPS / POSITION_GAIN_PER_S / max(math.hypot(north, east), 1e-6))
+    return replace(guided, point=displace(here, (share * north, share * east, down)))
 
 
 def _looking_around(follower: FollowerState, guided: GuidedPoint, now_s: float) -> GuidedPoint:

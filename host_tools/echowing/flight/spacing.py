@@ -104,8 +104,8 @@ class Spacing:
             leader.velocity_ned_mps,
             follower.estimate.offset.sigma_m(bearing_rad(here, leader.position)),
             known.leader_age_s(arrives_s),
-            # Not heard, it is kept so much further away for the receivers' sake that it could not be
-            # found were its braking added to that.
+            # Not heard, it is kept so far away for the receivers' sake that it would never be found
+            # were its braking added to that.
             brakes_mps2=OTHERS_MPS2 if self._is_heard(follower, now_s) else 0.0,
         )
 

@@ -21,7 +21,7 @@ def health(rows: Sequence[Row]) -> Text:
 def leaders_health(row: Row) -> Health:
     """The leader's, which all rows share."""
     return Health(
-        mode=row.leader_mode or "?",
+        mode=row.leader_mode or "mode not known",
         altitude_m=row.leader_altitude_m,
         gps=row.leader_gps,
         battery_percent=row.leader_battery_percent,
