@@ -12,7 +12,7 @@ from echowing.flight.guidance import GuidanceSettings, Slot
 from echowing.flight.orders import HELD, Orders
 from echowing.geo import ned_between
 
-from ..host_tools.yard import FOLLOWER, GUIDED, LEADER, LOITER, SECOND, TICK_S, Vehicle, Yard
+from ..host_tools.yard import FOLLOWER, GUIDED, HERE, LEADER, LOITER, SECOND, TICK_S, Vehicle, Yard
 
 RADII_M = (8.0, 5.0, 4.0, 3.0)
 
@@ -39,8 +39,15 @@ class Field(Yard):
             for system_id, message in self.orders.prepare(self.now_s + TICK_S):
                 self._parameters(system_id, message)
             points += super().fly(TICK_S)
+            self._flown_to_slots()
             self.radii.append(self.slot(FOLLOWER).radius_m)
         return points
+
+    def _flown_to_slots(self) -> None:
+        for system_id, follower in self.session.followers.items():
+            if follower.guided is not None and follower.held_at is None:
+                north_m, east_m, _ = ned_between(HERE, follower.guided.slot)
+                self.vehicles[system_id].at_m = north_m, east_m
 
     def _parameters(self, system_id: int, message: Any) -> None:
         vehicle = self.vehicles[system_id]

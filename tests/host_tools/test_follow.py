@@ -102,12 +102,14 @@ def test_a_point_without_a_velocity_runs_ahead() -> None:
 
 
 def test_a_leader_that_is_not_heard_is_approached_slowly() -> None:
-    """From 4 m behind where it should be: Guided makes 1.5 m/s of a point 1.5 m ahead."""
+    """From 4 m behind where it should be: at 1.5 m/s, and no place ahead that would be overshot."""
     follow = session()
     follow.receive(from_vehicle(FOLLOWER, position(0.9, displace(HERE, (-8.0, 0.0, 0.0)))), 0.9)
     follow.receive(from_vehicle(LEADER, position(1.0, HERE)), 1.0)
 
-    assert metres_from_here(targets(follow, 1.0)[0])[0] == pytest.approx(-6.5, abs=0.03)
+    (target,) = targets(follow, 1.0)
+    assert metres_from_here(target)[0] == pytest.approx(-8.0, abs=0.03)
+    assert target.vx == pytest.approx(1.5, abs=0.02)
 
 
 def test_what_the_point_is_late_by_its_vehicle_is_carried_on_too() -> None:
@@ -310,14 +312,14 @@ def test_an_answer_too_old_for_clocks_that_drift_is_forgotten() -> None:
     assert clock.to_ours(1.0, 99.0) == pytest.approx(11.1)
 
 
-def aged(settings: GuidanceSettings) -> FollowSession:
+def aged(settings: GuidanceSettings, north_m: float = -3.0) -> FollowSession:
     """The leader booted with our clock, and its answers and reports take 0.46 s each way."""
     follow = session(settings)
     # Only what was asked is an answer of ours.
     follow.tick(5.0)
     answer = mavlink.MAVLink_timesync_message(round(5.46e9), round(5.0e9))
     follow.receive(from_vehicle(LEADER, answer), 5.92)
-    follow.receive(from_vehicle(FOLLOWER, position(6.4, displace(HERE, (-3.0, 0.0, 0.0)))), 6.4)
+    follow.receive(from_vehicle(FOLLOWER, position(6.4, displace(HERE, (north_m, 0.0, 0.0)))), 6.4)
     follow.receive(from_vehicle(LEADER, position(6.0, HERE, (2.0, 0.0))), 6.46)
     assert follow.leader.fix is not None
     assert follow.leader.fix.time_s == pytest.approx(6.0)
@@ -336,7 +338,7 @@ def test_the_leaders_age_is_measured_through_timesync() -> None:
 
 def test_the_velocity_fades_as_the_leaders_report_grows_old() -> None:
     """All of it up to half a second, none from one second on."""
-    speeds = {now_s: targets(aged(PLAIN), now_s)[0].vx for now_s in (6.48, 6.75, 6.99)}
+    speeds = {now_s: targets(aged(PLAIN, -1.5), now_s)[0].vx for now_s in (6.48, 6.75, 6.99)}
 
     assert speeds == pytest.approx({6.48: 2.0, 6.75: 1.0, 6.99: 0.04}, abs=0.02)
 

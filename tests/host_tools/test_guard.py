@@ -11,6 +11,7 @@ from echowing.flight.guard import (
     REMEMBERED_S,
     REMIND_S,
     STILL_FOR_S,
+    STUCK_FOR_S,
     UNHEARD_S,
     WATCHDOG,
     WATCHDOG_ASKS,
@@ -194,8 +195,9 @@ def test_beyond_the_greatest_distance_it_holds_until_well_inside() -> None:
     there.north_m[FOLLOWER] = -19.0  # inside, but not by a tenth
     assert north_of(there.points()[-1]) == pytest.approx(-21.0, abs=0.02)
     there.north_m[FOLLOWER] = -17.0
-    # A leader that is not heard is approached 1.5 m at a time.
-    assert north_of(there.points()[-1]) == pytest.approx(-15.5, abs=0.02)
+    # A leader that is not heard is approached at 1.5 m/s.
+    last = there.points()[-1]
+    assert (north_of(last), last.vx) == pytest.approx((-17.0, 1.5), abs=0.02)
     assert there.events()[-1] == "follower 2: clear again, following"
 
 
@@ -699,3 +701,18 @@ def test_stop_switches_are_read() -> None:
 def test_other_stop_switches_are_refused(text: str) -> None:
     with pytest.raises(EchowingError, match="stop switch"):
         parse_stop_switch(text)
+
+
+def test_one_that_stands_though_it_is_sent_on_is_held() -> None:
+    """A fence takes a place inside it and stops the vehicle there: nothing is read back as off."""
+    there = Field(Limits(max_distance_m=50.0))
+    there.north_m[FOLLOWER] = -20.0
+    there.speed_mps[FOLLOWER] = 1.5
+    there.fly(STUCK_FOR_S + 1.0)
+    assert there.state == "following"
+    there.speed_mps[FOLLOWER] = 0.0
+    there.fly(STUCK_FOR_S - 0.5)
+    assert there.state == "following"
+    there.fly(1.0)
+    assert there.state == "holding: its points are refused"
+    assert sum("did not take the points" in text for text in there.events()) == 1

@@ -64,7 +64,7 @@ def test_what_is_not_heard_of_late_is_not_known() -> None:
     yard.fly(HEALTH_FRESH_S + 1.0)
     row = yard.row()
     assert words(its_health(row)) == "GPS not known, battery not known, clock 0.00 s"
-    assert words(leaders_health(row)).startswith("?, ")
+    assert words(leaders_health(row)).startswith("-, ")
 
 
 def test_an_unknown_clock_and_words_for_not_known_are_no_numbers() -> None:

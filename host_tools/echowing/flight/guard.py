@@ -45,6 +45,8 @@ LOWEST_M = 2.0
 # Read back: positions travel as 1e-7 degrees (1 cm), so this far from everything sent is refused.
 REFUSED_M = 0.5
 REFUSED_FOR_S = 2.0
+# Sent on this fast it moves within a second; one that stands for so long may not go on.
+SENT_ON_MPS, STUCK_FOR_S = 1.0, 4.0
 # A target without a position, by its type mask; reports so near in time are of one place (at
 # 5 m/s 0.1 m apart).
 NO_POSITION = 0x7
@@ -103,6 +105,7 @@ class _Watch:
 
     sent: deque[tuple[float, GlobalPosition]] = field(default_factory=deque)
     off_since_s: float | None = None
+    stuck_since_s: float | None = None
     refused: bool = False
     applet_state: int = 0
     released: bool = False
@@ -211,13 +214,8 @@ class Guard:
             watch.off_since_s = None
         elif watch.off_since_s is None:
             watch.off_since_s = now_s
-        elif now_s - watch.off_since_s >= REFUSED_FOR_S and not watch.refused:
-            watch.refused = True
-            self._say(
-                now_s,
-                f"follower {system_id}: its autopilot did not take the points sent "
-                "(a fence in the way?)",
-            )
+        elif now_s - watch.off_since_s >= REFUSED_FOR_S:
+            self._refuse(system_id, watch, now_s)
 
     def entered_guided(self, system_id: int, now_s: float) -> None:
         """The pilot has put a follower in Guided: what was held against it is forgotten."""
@@ -367,10 +365,12 @@ class Guard:
             )
         return True
 
-    def sent(self, system_id: int, point: GlobalPosition, now_s: float) -> None:
+    def sent(self, follower: "FollowerState", point: GlobalPosition, now_s: float) -> None:
         """A point has gone to a follower."""
+        system_id = follower.plan.system_id
         watch = self._watches[system_id]
         watch.sent.append((now_s, point))
+        self._note_stuck(follower, watch, point, now_s)
         if watch.led_since_s is None:
             watch.led_since_s = now_s
         if watch.read_back or watch.unread_told or now_s - watch.led_since_s < READ_BACK_S:
@@ -381,6 +381,30 @@ class Guard:
             f"follower {system_id}: its target is not read back (no POSITION_TARGET_GLOBAL_INT): "
             "a point that a fence refuses would go unnoticed",
         )
+
+    def _note_stuck(
+        self, follower: "FollowerState", watch: _Watch, point: GlobalPosition, now_s: float
+    ) -> None:
+        """A fence takes a point where the vehicle is, but not its way: it stands, sent on."""
+        sent_mps = 0.0 if follower.feed_mps is None else math.hypot(*follower.feed_mps)
+        own = follower.position is not None and _apart_m(point, follower.position) < REFUSED_M
+        sent_on = own and sent_mps > SENT_ON_MPS and follower.held_at is None
+        moves = follower.ground_speed_mps > STILL_MPS or watch.applet_state in APPLET_FLIES
+        if moves or not sent_on:
+            watch.stuck_since_s = None
+        elif watch.stuck_since_s is None:
+            watch.stuck_since_s = now_s
+        elif now_s - watch.stuck_since_s >= STUCK_FOR_S:
+            self._refuse(follower.plan.system_id, watch, now_s)
+
+    def _refuse(self, system_id: int, watch: _Watch, now_s: float) -> None:
+        if not watch.refused:
+            watch.refused = True
+            self._say(
+                now_s,
+                f"follower {system_id}: its autopilot did not take the points sent "
+                "(a fence in the way?)",
+            )
 
     def moving(self, system_id: int) -> None:
         """A follower is flown again: its next stop has to be verified anew."""

@@ -59,15 +59,26 @@ def _towed(
 
 
 def _joined_slowly(follower: FollowerState, guided: GuidedPoint, now_s: float) -> GuidedPoint:
-    """With a point no further ahead than makes a fast approach to a leader that is not heard."""
+    """To a leader that is not heard a long way leads as a velocity, `JOIN_MPS`.
+
+    A place ahead would be overshot: it moves on with the vehicle that flies towards it.
+    """
     here = follower.on_arrival(now_s)
     if here is None or follower.estimate.offset.unheard_s(now_s) < HEARD_LATELY_S:
         return guided
-    if distance_m(guided.point, guided.leader) >= distance_m(here, guided.leader):
-        return guided  # away from it nothing is too fast
     north, east, down = ned_between(here, guided.point)
-    share = min(1.0, JOIN_MPS / POSITION_GAIN_PER_S / max(math.hypot(north, east), 1e-6))
-    return replace(guided, point=displace(here, (share * north, share * east, down)))
+    far_m = math.hypot(north, east)
+    # Away from the leader nothing is too fast, and near its slot Guided is slow by itself.
+    away = distance_m(guided.point, guided.leader) >= distance_m(here, guided.leader)
+    if away or far_m <= JOIN_MPS / POSITION_GAIN_PER_S:
+        return guided
+    slot_north, slot_east = guided.velocity_mps
+    pace = JOIN_MPS / far_m
+    return replace(
+        guided,
+        point=displace(here, (0.0, 0.0, down)),
+        velocity_mps=(slot_north + pace * north, slot_east + pace * east),
+    )
 
 
 def _looking_around(follower: FollowerState, guided: GuidedPoint, now_s: float) -> GuidedPoint:

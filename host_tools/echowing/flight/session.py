@@ -205,7 +205,7 @@ class FollowSession:
         command = self._command(follower, point, now_s)
         follower.flown = True
         if self.guard is not None:
-            self.guard.sent(follower.plan.system_id, point, now_s)
+            self.guard.sent(follower, point, now_s)
             if follower.held_at is not None:
                 self.guard.holding(follower, now_s)
         return [(follower.plan.system_id, command)]

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from rich.text import Text
 
 from echowing.flight.engage import LEAST_BATTERY_PERCENT
-from echowing.tool.panel import Health, Row
+from echowing.tool.panel import NO_MODE, Health, Row
 
 WRONG, UNKNOWN = "bold red", "yellow"
 
@@ -21,7 +21,7 @@ def health(rows: Sequence[Row]) -> Text:
 def leaders_health(row: Row) -> Health:
     """The leader's, which all rows share."""
     return Health(
-        mode=row.leader_mode or "mode not known",
+        mode=row.leader_mode or NO_MODE,
         altitude_m=row.leader_altitude_m,
         gps=row.leader_gps,
         battery_percent=row.leader_battery_percent,
