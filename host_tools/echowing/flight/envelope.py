@@ -53,8 +53,8 @@ class Other:
     name: for messages; from_it_m: from it to here, NED; velocity_mps: its, NED; sigma_m: standard
     deviation of the distance; age_s: of what is known of it when the order takes effect;
     in_the_way: the plan leads to beyond it (see `is_in_the_way`), so it is passed; brakes_mps2:
-    it may brake, turn round and come nearer at this acceleration from now on, 0: it is led by the
-    same tool, and does not.
+    it may brake, turn round and come nearer at this acceleration from now on, 0: it does not;
+    led: by the same tool, which keeps it away from here too.
     """
 
     name: str
@@ -64,6 +64,7 @@ class Other:
     age_s: float
     in_the_way: bool = False
     brakes_mps2: float = 0.0
+    led: bool = False
 
 
 def is_in_the_way(to_it_m: Ned, to_goal_m: Ned) -> bool:
@@ -186,4 +187,7 @@ def _left_m(other: Other, way: tuple[float, float]) -> float:
     north = other.from_it_m[0] + (way[0] - other.velocity_mps[0]) * LOOK_AHEAD_S
     east = other.from_it_m[1] + (way[1] - other.velocity_mps[1]) * LOOK_AHEAD_S
     lost_m = math.hypot(*other.from_it_m) - certain_distance_m(other)
+    if other.led:
+        # It makes room itself: one standard deviation is held against a way out, no more.
+        lost_m = min(lost_m, other.sigma_m)
     return math.hypot(north, east, other.from_it_m[2]) - lost_m

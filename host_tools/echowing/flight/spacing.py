@@ -126,6 +126,7 @@ class Spacing:
             UNRANGED_SIGMA_M,
             arrives_s - other.position_at_s,
             is_in_the_way(ned_between(here, there), ned_between(here, goal)),
+            led=other.sent_to,
         )
 
     def _between_m(
