@@ -233,7 +233,7 @@ class TestTrouble:
         with talking(beat) as port:
             done = Done("--port", port, "info")
         assert done.code == 2
-        assert "not the co-processor: heard an autopilot (ArduPilot, quadrotor," in done.err
+        assert "not the co-processor but an autopilot (ArduPilot, quadrotor," in done.err
 
     def test_no_such_device(self) -> None:
         done = Done("--port", "/dev/ttyACM99", "info")

@@ -24,6 +24,8 @@ PILOT_PORT = 2
 PILOT_LINK = "pilot"
 HIGHEST_PORT = 65_535
 LED = (SubMode.POSITION, SubMode.POSITION_VELOCITY)
+# Of a slot of a scenario, what `follow --formation` needs.
+PLACE = {"radius_m", "angle_deg", "altitude_step_m"}
 
 
 class WaitingPilot(LeaderPilot):
@@ -183,6 +185,6 @@ def _as_toml(formation: FormationSection) -> str:
         lines += [
             "",
             "[[slots]]",
-            *(f"{key} = {value}" for key, value in slot.model_dump().items()),
+            *(f"{key} = {value}" for key, value in slot.model_dump(include=PLACE).items()),
         ]
     return "\n".join(lines) + "\n"
