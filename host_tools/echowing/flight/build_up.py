@@ -15,6 +15,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.flight.engage import DIST
 from echowing.flight.guidance import Slot, SlotGuide
+from echowing.mavlink.messages import read_parameter
 
 if TYPE_CHECKING:
     from echowing.flight.session import FollowSession
@@ -94,9 +95,7 @@ class AppletDistance:
             return []
         self._tries += 1
         self._asked_at_s = now_s
-        ask = mavlink.MAVLink_param_request_read_message(
-            system_id, mavlink.MAV_COMP_ID_AUTOPILOT1, DIST.encode(), -1
-        )
+        ask = read_parameter(system_id, DIST)
         if self._heard_m is None:
             return [ask]
         if self.before_m is None:

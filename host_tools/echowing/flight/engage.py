@@ -6,7 +6,7 @@ wrong no point goes to the follower that it concerns. Some of it stops a followe
 
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -15,13 +15,13 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from echowing.flight.guidance import MOVING_MPS, Horizontal, slot_offset_m
 from echowing.flight.handling import least_slot_m
 from echowing.flight.sonar import DETECTION_LIMIT_M
+from echowing.flight.state import FollowerState, Say
 from echowing.geo import GlobalPosition, ned_between
+from echowing.mavlink.messages import read_parameter
 
 if TYPE_CHECKING:
     from echowing.flight.session import FollowSession
-    from echowing.flight.state import FollowerState
 
-Say = Callable[[float, str], None]
 
 # The applet's parameters that are looked at (lua/echowing.md).
 ENABLE, LAW, DIST, INSET, WATCHDOG = APPLET = (
@@ -258,11 +258,11 @@ class Engagement:
         return [(system_id, *item) for system_id in self._vehicles for item in rates.items()]
 
     def messages(
-        self, followers: Mapping[int, "FollowerState"], now_s: float
+        self, followers: Mapping[int, FollowerState], now_s: float
     ) -> list[tuple[int, Any]]:
         """Questions for the parameters of applets and autopilots."""
         asked = self._ask_rtl(now_s) + [
-            (system_id, _read_parameter(system_id, name))
+            (system_id, read_parameter(system_id, name))
             for system_id, follower in followers.items()
             for name in follower.handling.asks(now_s)
         ]
@@ -278,7 +278,7 @@ class Engagement:
             if not (missing or doubted) or now_s - vehicle.asked_at_s < period_s:
                 continue
             vehicle.asked_at_s = now_s
-            asked += [(system_id, _read_parameter(system_id, name)) for name in missing or APPLET]
+            asked += [(system_id, read_parameter(system_id, name)) for name in missing or APPLET]
         return asked
 
     def _ask_rtl(self, now_s: float) -> list[tuple[int, Any]]:
@@ -289,7 +289,7 @@ class Engagement:
         if now_s - leader.asked_at_s < period_s:
             return []
         leader.asked_at_s = now_s
-        return [(self._leader_id, _read_parameter(self._leader_id, name)) for name in RTL]
+        return [(self._leader_id, read_parameter(self._leader_id, name)) for name in RTL]
 
     def entered_guided(self, system_id: int) -> None:
         """The pilot has put a follower in Guided: it is judged anew."""
@@ -322,7 +322,7 @@ class Engagement:
         return None if turn.cleared or not turn.wrong else turn.wrong[0].wrong.partition(":")[0]
 
     def _judge(
-        self, session: "FollowSession", follower: "FollowerState", turn: _Turn, now_s: float
+        self, session: "FollowSession", follower: FollowerState, turn: _Turn, now_s: float
     ) -> None:
         system_id = follower.plan.system_id
         turn.wrong = [one for one in self.findings(session, follower, now_s) if one.wrong]
@@ -339,7 +339,7 @@ class Engagement:
             )
 
     def objection_to_take_off(
-        self, session: "FollowSession", follower: "FollowerState", now_s: float
+        self, session: "FollowSession", follower: FollowerState, now_s: float
     ) -> str | None:
         """The same of one on the ground, where heights and places say nothing yet."""
         airborne = ("height", "side")
@@ -350,7 +350,7 @@ class Engagement:
         )
         return next((text.partition(":")[0] for text in wrong), None)
 
-    def reason_to_stop(self, session: "FollowSession", follower: "FollowerState") -> str | None:
+    def reason_to_stop(self, session: "FollowSession", follower: FollowerState) -> str | None:
         """Why a follower that is flown has to be held; None: nothing is known."""
         system_id = follower.plan.system_id
         for name, one, clock in (
@@ -385,7 +385,7 @@ class Engagement:
                     self._say(now_s, f"{name}: {one.wrong}")
 
     def _warn_of_return(
-        self, session: "FollowSession", follower: "FollowerState", turn: _Turn, now_s: float
+        self, session: "FollowSession", follower: FollowerState, turn: _Turn, now_s: float
     ) -> None:
         """Say it when a leader would come back at this follower's height."""
         note = "".join(one.note for one in self._return(session, follower))
@@ -428,7 +428,7 @@ class Engagement:
     def findings(
         self,
         session: "FollowSession",
-        follower: "FollowerState",
+        follower: FollowerState,
         now_s: float,
         *,
         own: bool = False,
@@ -464,7 +464,7 @@ class Engagement:
         return [Finding("switch", "?" if shown == "not seen" else shown, wrong.get(shown, ""))]
 
     def _applet(
-        self, system_id: int, session: "FollowSession", follower: "FollowerState"
+        self, system_id: int, session: "FollowSession", follower: FollowerState
     ) -> list[Finding]:
         if not self.readiness.applet:
             return []
@@ -475,11 +475,11 @@ class Engagement:
             findings += [] if distance is None else [distance]
         return findings
 
-    def objection_to_radius(self, follower: "FollowerState", radius_m: float) -> str | None:
+    def objection_to_radius(self, follower: FollowerState, radius_m: float) -> str | None:
         """Why its slot may not be so near to the leader; None: it may."""
         return next((one.wrong for one in self._reversal(follower, radius_m) if one.wrong), None)
 
-    def _reversal(self, follower: "FollowerState", radius_m: float) -> list[Finding]:
+    def _reversal(self, follower: FollowerState, radius_m: float) -> list[Finding]:
         """The least distance at which it survives that the leader turns round."""
         if not self.readiness.reversal:
             return []
@@ -496,7 +496,7 @@ class Engagement:
             )
         return [Finding("least", f"{least_m:.1f} m", wrong)]
 
-    def _homes(self, session: "FollowSession", follower: "FollowerState") -> list[Finding]:
+    def _homes(self, session: "FollowSession", follower: FollowerState) -> list[Finding]:
         guard = session.guard
         if guard is None or guard.limits.home_difference_m is None:
             return []
@@ -512,7 +512,7 @@ class Engagement:
             )
         return [Finding("home", f"{higher_m:+.1f} m", wrong)]
 
-    def _height(self, session: "FollowSession", follower: "FollowerState") -> list[Finding]:
+    def _height(self, session: "FollowSession", follower: FollowerState) -> list[Finding]:
         wanted_m, height_m = session.heights.wanted_m(follower), follower.altitude_m
         if wanted_m is None or height_m is None:
             return [Finding("height", "?", "its height or the leader's is not known")]
@@ -528,7 +528,7 @@ class Engagement:
             )
         return [Finding("height", f"{height_m:.1f} m", wrong)]
 
-    def _return(self, session: "FollowSession", follower: "FollowerState") -> list[Finding]:
+    def _return(self, session: "FollowSession", follower: FollowerState) -> list[Finding]:
         """How high the leader comes back, against this follower's height."""
         least_m = self.readiness.apart_m
         if least_m is None:
@@ -571,7 +571,7 @@ class Engagement:
             _battery(name, vehicle),
         ]
 
-    def _side(self, session: "FollowSession", follower: "FollowerState") -> list[Finding]:
+    def _side(self, session: "FollowSession", follower: FollowerState) -> list[Finding]:
         if not self.readiness.sides or len(session.followers) < 2:
             return []
         way = _way(session, follower)
@@ -628,7 +628,7 @@ def _applet_state(known: Mapping[str, float]) -> tuple[str, str]:
 
 
 def _distance(
-    known: Mapping[str, float], session: "FollowSession", follower: "FollowerState"
+    known: Mapping[str, float], session: "FollowSession", follower: FollowerState
 ) -> Finding | None:
     """The applet's distance against the slot's, where the sonar reaches the leader from there."""
     radius_m, inset_m = follower.plan.slot.radius_m, session.settings.sonar_inset_m
@@ -665,7 +665,7 @@ def _battery(name: str, vehicle: Vehicle) -> Finding:
 Way = tuple[Horizontal, Horizontal]
 
 
-def _way(session: "FollowSession", follower: "FollowerState") -> Way | None:
+def _way(session: "FollowSession", follower: FollowerState) -> Way | None:
     """A follower's straight way to its slot, (north, east) of the leader; None: not known."""
     fix = session.leader.fix
     if fix is None or follower.position is None or not follower.in_guided:
@@ -688,9 +688,3 @@ def _cross(one: Way, other: Way) -> bool:
 def _side_of(a: Horizontal, b: Horizontal, c: Horizontal) -> float:
     """On which side of the line from a to b a point is."""
     return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-
-
-def _read_parameter(system_id: int, name: str) -> Any:
-    return mavlink.MAVLink_param_request_read_message(
-        system_id, mavlink.MAV_COMP_ID_AUTOPILOT1, name.encode(), -1
-    )

@@ -9,18 +9,15 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.flight.engage import Readiness
+from echowing.flight.state import FollowerState, Say
 from echowing.flight.switch import StopSwitch, Switches
 from echowing.geo import GlobalPosition, displace, distance_m, nearer_than, ned_between
-
-if TYPE_CHECKING:
-    from echowing.flight.state import FollowerState
-
-Say = Callable[[float, str], None]
+from echowing.mavlink.messages import read_parameter
 
 # A hovering copter's estimate wanders by a decimetre a second; below this it stands.
 STILL_MPS = 0.3
@@ -231,9 +228,9 @@ class Guard:
 
     def reason_to_stop(
         self,
-        follower: "FollowerState",
+        follower: FollowerState,
         leader: GlobalPosition,
-        followers: Mapping[int, "FollowerState"],
+        followers: Mapping[int, FollowerState],
         now_s: float,
     ) -> str | None:
         """Why this follower may not move now; None: it may. `leader`: where it is believed."""
@@ -265,7 +262,7 @@ class Guard:
             return 0.0
         return self._homes_m[self._leader_id] - self._homes_m[system_id]
 
-    def _other_datum(self, follower: "FollowerState", now_s: float) -> str | None:
+    def _other_datum(self, follower: FollowerState, now_s: float) -> str | None:
         """A home so much higher or lower that the altitude cannot be corrected."""
         system_id = follower.plan.system_id
         most_m = self.limits.home_difference_m
@@ -294,7 +291,7 @@ class Guard:
             f"receivers, so it flies {wanted_m:.1f} m above its own",
         )
 
-    def _too_far(self, follower: "FollowerState", leader: GlobalPosition) -> str | None:
+    def _too_far(self, follower: FollowerState, leader: GlobalPosition) -> str | None:
         most_m = self.limits.max_distance_m
         if most_m is None or follower.position is None:
             return None
@@ -305,9 +302,9 @@ class Guard:
 
     def too_near(
         self,
-        follower: "FollowerState",
+        follower: FollowerState,
         leader: GlobalPosition | None,
-        followers: Mapping[int, "FollowerState"],
+        followers: Mapping[int, FollowerState],
         now_s: float,
     ) -> str | None:
         """Which other vehicle is nearer than it may be, in words; None: nobody is."""
@@ -338,7 +335,7 @@ class Guard:
             return place
         return place._replace(alt_m=place.alt_m - self._homes_m.get(system_id, 0.0))
 
-    def lets(self, follower: "FollowerState", now_s: float) -> bool:
+    def lets(self, follower: FollowerState, now_s: float) -> bool:
         """Whether points may go to this follower at all: it is heard, and not handed back."""
         system_id = follower.plan.system_id
         watch = self._watches[system_id]
@@ -350,7 +347,7 @@ class Guard:
         handed_back = watch.released or (self.switched(system_id) and not follower.flown)
         return not unheard and not handed_back and not self._too_low(follower, watch, now_s)
 
-    def _too_low(self, follower: "FollowerState", watch: _Watch, now_s: float) -> bool:
+    def _too_low(self, follower: FollowerState, watch: _Watch, now_s: float) -> bool:
         """Whether it has just left the ground: a point would end its pilot's take-off there."""
         least_m = min(LOWEST_M, follower.plan.wanted_m / 2.0)
         low = follower.altitude_m is not None and follower.altitude_m < least_m
@@ -365,7 +362,7 @@ class Guard:
             )
         return True
 
-    def sent(self, follower: "FollowerState", point: GlobalPosition, now_s: float) -> None:
+    def sent(self, follower: FollowerState, point: GlobalPosition, now_s: float) -> None:
         """A point has gone to a follower."""
         system_id = follower.plan.system_id
         watch = self._watches[system_id]
@@ -383,7 +380,7 @@ class Guard:
         )
 
     def _note_stuck(
-        self, follower: "FollowerState", watch: _Watch, point: GlobalPosition, now_s: float
+        self, follower: FollowerState, watch: _Watch, point: GlobalPosition, now_s: float
     ) -> None:
         """A fence takes a point where the vehicle is, but not its way: it stands, sent on."""
         sent_mps = 0.0 if follower.feed_mps is None else math.hypot(*follower.feed_mps)
@@ -412,7 +409,7 @@ class Guard:
         watch.still_since_s = watch.told_at_s = None
         watch.verified = False
 
-    def holding(self, follower: "FollowerState", now_s: float) -> None:
+    def holding(self, follower: FollowerState, now_s: float) -> None:
         """A follower is told to hold: see whether it does."""
         system_id = follower.plan.system_id
         watch = self._watches[system_id]
@@ -451,7 +448,7 @@ class Guard:
     # ---- what it asks of the vehicles -----------------------------------------------------------
 
     def messages(
-        self, followers: Mapping[int, "FollowerState"], now_s: float
+        self, followers: Mapping[int, FollowerState], now_s: float
     ) -> list[tuple[int, Any]]:
         """Mode changes that the pilot's switch asks for, and the question for the watchdog."""
         messages: list[tuple[int, Any]] = []
@@ -462,7 +459,7 @@ class Guard:
                 asked = self.switches.message(system_id, follower.mode_at_s, round_trip_s, now_s)
                 messages.extend([] if asked is None else [(system_id, asked)])
             if self.limits.ready is None and self._asks_watchdog(system_id, watch, now_s):
-                messages.append((system_id, _read_parameter(system_id, WATCHDOG)))
+                messages.append((system_id, read_parameter(system_id, WATCHDOG)))
         return messages
 
     def _asks_watchdog(self, system_id: int, watch: _Watch, now_s: float) -> bool:
@@ -508,9 +505,3 @@ def is_flying(heartbeat: Any) -> bool:
 def _apart_m(a: GlobalPosition, b: GlobalPosition) -> float:
     north_m, east_m, _ = ned_between(a, b._replace(alt_m=a.alt_m))
     return math.hypot(north_m, east_m)
-
-
-def _read_parameter(system_id: int, name: str) -> Any:
-    return mavlink.MAVLink_param_request_read_message(
-        system_id, mavlink.MAV_COMP_ID_AUTOPILOT1, name.encode(), -1
-    )

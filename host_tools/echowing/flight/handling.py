@@ -5,7 +5,7 @@ when a leader turns round can be told beforehand, and how near a slot may be at 
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 
 from echowing.flight.envelope import LEAST_M, OTHERS_MPS2, Answer
@@ -37,12 +37,11 @@ class Handling:
     jerk_mps3: float | None = None
     _asked_at_s: float = -math.inf
     _asks: int = 0
-    _answer: Answer = field(default_factory=Answer)
 
     @property
     def answer(self) -> Answer:
         """How it answers; ArduCopter's defaults where it has not said."""
-        return self._answer
+        return answer_of(self.decel_mps2, self.jerk_mps3)
 
     @property
     def known(self) -> bool:
@@ -55,9 +54,6 @@ class Handling:
             self.decel_mps2 = value * ACCELERATIONS[name]
         elif name in JERKS and value > 0.0:
             self.jerk_mps3 = value * JERKS[name]
-        else:
-            return
-        self._answer = answer_of(self.decel_mps2, self.jerk_mps3)
 
     def asks(self, now_s: float) -> list[str]:
         """The parameters to be asked for now."""

@@ -10,16 +10,12 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from enum import Enum, auto
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.flight.state import FollowerState, Say
 from echowing.mavlink.messages import command_long
-
-if TYPE_CHECKING:
-    from echowing.flight.state import FollowerState
-
-Say = Callable[[float, str], None]
 
 # Time to step back, and for the pilot to change his mind, between the word and the deed.
 WARNING_S = 3.0
@@ -100,7 +96,7 @@ class TakeOffs:
         if climber.lift is Lift.STOPPED:
             climber.lift = Lift.LEFT
 
-    def acknowledged(self, follower: "FollowerState", message: Any, now_s: float) -> None:
+    def acknowledged(self, follower: FollowerState, message: Any, now_s: float) -> None:
         """Take a COMMAND_ACK of a follower."""
         system_id = follower.plan.system_id
         climber = self._climbers[system_id]
@@ -118,8 +114,8 @@ class TakeOffs:
 
     def messages(
         self,
-        followers: Mapping[int, "FollowerState"],
-        objection: Callable[["FollowerState"], str | None],
+        followers: Mapping[int, FollowerState],
+        objection: Callable[[FollowerState], str | None],
         now_s: float,
     ) -> list[tuple[int, Any]]:
         """The take-off commands to send now. `objection`: why a follower may not take off."""
@@ -137,7 +133,7 @@ class TakeOffs:
 
     # ---- before it climbs -----------------------------------------------------------------------
 
-    def _whose_turn(self, followers: Mapping[int, "FollowerState"]) -> int | None:
+    def _whose_turn(self, followers: Mapping[int, FollowerState]) -> int | None:
         """The first that waits, when all before it are high enough."""
         for system_id, climber in self._climbers.items():
             if climber.lift in (Lift.WAITING, Lift.WARNED):
@@ -147,7 +143,7 @@ class TakeOffs:
                 return None
         return None
 
-    def _prepare(self, follower: "FollowerState", objection: str | None, now_s: float) -> None:
+    def _prepare(self, follower: FollowerState, objection: str | None, now_s: float) -> None:
         system_id = follower.plan.system_id
         climber = self._climbers[system_id]
         if follower.flying:
@@ -178,7 +174,7 @@ class TakeOffs:
 
     # ---- while it climbs ------------------------------------------------------------------------
 
-    def _asks_now(self, follower: "FollowerState", now_s: float) -> bool:
+    def _asks_now(self, follower: FollowerState, now_s: float) -> bool:
         climber = self._climbers[follower.plan.system_id]
         wanted = climber.lift is Lift.CLIMBING and not climber.accepted and not follower.flying
         if not wanted or climber.asks >= ASKS or now_s - climber.asked_at_s < ASK_PERIOD_S:
@@ -187,7 +183,7 @@ class TakeOffs:
         climber.asked_at_s = now_s
         return True
 
-    def _watch(self, follower: "FollowerState", objection: str | None, now_s: float) -> None:
+    def _watch(self, follower: FollowerState, objection: str | None, now_s: float) -> None:
         system_id = follower.plan.system_id
         climber = self._climbers[system_id]
         height_m = follower.altitude_m or 0.0
@@ -222,7 +218,7 @@ class TakeOffs:
                 climber.lift = Lift.LEFT
 
 
-def _not_ready(follower: "FollowerState", now_s: float) -> str | None:
+def _not_ready(follower: FollowerState, now_s: float) -> str | None:
     """What its pilot has to do first, and what the tool has to hear."""
     if _is_stale(follower, now_s):
         return "no report of its position and mode yet"
@@ -231,7 +227,7 @@ def _not_ready(follower: "FollowerState", now_s: float) -> str | None:
     return None if follower.armed else "until its pilot arms it"
 
 
-def _is_stale(follower: "FollowerState", now_s: float) -> bool:
+def _is_stale(follower: FollowerState, now_s: float) -> bool:
     mode_unknown = now_s - follower.mode_at_s > MODE_KNOWN_S
     return mode_unknown or now_s - follower.position_at_s > STALE_S
 

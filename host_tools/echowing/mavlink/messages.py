@@ -127,3 +127,10 @@ def command_long(
     return mavlink.MAVLink_command_long_message(
         system_id, component_id, command, confirmation, *filled
     )
+
+
+def read_parameter(system_id: int, name: str) -> Any:
+    """Ask a vehicle's autopilot for one parameter."""
+    return mavlink.MAVLink_param_request_read_message(
+        system_id, mavlink.MAV_COMP_ID_AUTOPILOT1, name.encode(), -1
+    )
