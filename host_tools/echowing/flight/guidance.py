@@ -22,9 +22,11 @@ MOVING_MPS = 0.35
 # straight way to it stays clear of the leader (3 m x cos 30 deg = 2.6 m in a 3 m formation).
 FURTHEST_ROUND_RAD = math.radians(60.0)
 # Surer of the leader's bearing than this (standard deviation), the nose points at it; else it
-# sways to both sides, so far and in so many seconds there and back (24 deg/s at the most).
+# sways to both sides, so far and in so many seconds there and back (13 deg/s at the most). A leader
+# further off than SURE_RAD then leaves the beam (14 deg) on one side, and for no longer than that
+# takes: one that brakes meanwhile is seen late.
 SURE_RAD = math.radians(7.0)
-SWAY_SHARE, SWAY_RAD, SWAY_PERIOD_S = 1.3, math.radians(15.0), 4.0
+SWAY_SHARE, SWAY_RAD, SWAY_PERIOD_S = 1.3, math.radians(8.0), 4.0
 
 
 @dataclass(frozen=True, slots=True)
