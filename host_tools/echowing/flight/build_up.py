@@ -14,12 +14,11 @@ from typing import TYPE_CHECKING, Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.flight.engage import DIST
-from echowing.flight.guidance import Slot, SlotGuide
+from echowing.flight.guidance import Slot
 from echowing.mavlink.messages import read_parameter
 
 if TYPE_CHECKING:
     from echowing.flight.session import FollowSession
-    from echowing.flight.state import FollowerState
 
 # Of the outermost slot: its follower trails it by half a metre (Guided flies 1 m/s for each metre
 # that it is off), and 8 m are closed in 6 s to 5 m.
@@ -247,7 +246,8 @@ class BuildUp:
         slots = scaled(self._slots, self.radius_m)
         longest_m = max(slot.radius_m for slot in slots)
         for follower, slot in zip(session.followers.values(), slots, strict=True):
-            replace_slot(follower, slot, longest_m)
+            follower.plan.slot = slot
+            follower.guide.place(slot, longest_m)
 
     # ---- the end --------------------------------------------------------------------------------
 
@@ -278,17 +278,6 @@ class BuildUp:
                 )
             texts.append((text, distance.is_set))
         return texts
-
-
-def replace_slot(follower: "FollowerState", slot: Slot, longest_m: float) -> None:
-    """Give a follower that may be flying another slot; where its bar points stays.
-
-    longest_m: radius of the formation's outermost slot.
-    """
-    follower.plan.slot = slot
-    follower.bar.slot, follower.bar.length_m = slot, longest_m
-    if isinstance(follower.guide, SlotGuide):
-        follower.guide.slot = slot
 
 
 def scaled(slots: Sequence[Slot], radius_m: float) -> list[Slot]:

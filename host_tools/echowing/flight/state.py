@@ -16,7 +16,6 @@ from echowing.flight.guidance import (
     Horizontal,
     LeaderFix,
     Slot,
-    SlotGuide,
     bearing_rad,
     is_stale,
     predicted,
@@ -25,6 +24,7 @@ from echowing.flight.handling import Handling
 from echowing.flight.jumps import OwnJump, RangeMemory
 from echowing.flight.leader_track import LeaderTrack, VehicleClock, is_late
 from echowing.flight.sonar import DETECTION_LIMIT_M
+from echowing.flight.tail import TailSlot
 from echowing.flight.tow_bar import TowBar
 from echowing.geo import GlobalPosition
 from echowing.mavlink.messages import FORWARD, heading_of, sonar_range_m
@@ -58,16 +58,19 @@ class FollowerPlan:
 
 
 class Guide(Protocol):
-    """Where a follower is to be: a `SlotGuide`, or anything that answers like one."""
+    """Where a follower is to be: a `TowBar`, or anything that answers like one."""
 
     def update(
         self,
-        fix: LeaderFix,
+        leader: LeaderFix,
         now_s: float,
         follower: GlobalPosition | None = None,
         least_radius_m: float = 0.0,
     ) -> GuidedPoint:
-        """The guided point at `now_s` from the newest report of the leader."""
+        """See `TowBar.update`."""
+
+    def place(self, slot: Slot, longest_m: float) -> None:
+        """See `TowBar.place`."""
 
 
 @dataclass(slots=True)
@@ -86,7 +89,6 @@ class FollowerState:
 
     plan: FollowerPlan
     guide: Guide
-    bar: TowBar
     clock: VehicleClock = field(default_factory=VehicleClock)
     estimate: Estimate = field(default_factory=Estimate)
     ranges: RangeMemory = field(default_factory=RangeMemory)
@@ -183,14 +185,14 @@ class Known:
         self, leader_id: int, plans: Iterable[FollowerPlan], settings: GuidanceSettings
     ) -> None:
         plans = list(plans)
-        longest_m = max((plan.slot.radius_m for plan in plans), default=None)
+        longest_m = max((plan.slot.radius_m for plan in plans), default=0.0)
         self.leader_id = leader_id
         self.settings = settings
         self.leader = LeaderTrack()
         self.leader_history = History()
         self.followers = {
             plan.system_id: FollowerState(
-                plan, SlotGuide(plan.slot, settings), TowBar(plan.slot, longest_m)
+                plan, TowBar(plan.slot, longest_m) if settings.tow_bar else TailSlot(plan.slot)
             )
             for plan in plans
         }
@@ -210,14 +212,18 @@ class Known:
         """Whether it is so old that nobody may be led by it."""
         return is_stale(self.leader_age_s(now_s), self.settings)
 
+    def seen_by(self, follower: FollowerState, fix: LeaderFix) -> LeaderFix:
+        """A report of the leader in this follower's frame."""
+        if not self.settings.learn_offset:
+            return fix
+        return replace(fix, position=follower.estimate.as_seen(fix.position))
+
     def leader_then(self, follower: FollowerState, at_s: float) -> LeaderFix | None:
         """The leader at a moment, in this follower's frame; None: nothing is known of it."""
         fix = self.leader.fix
         if fix is None or self.leader_age_s(at_s) > LONGEST_CARRY_S:
             return None
-        if self.settings.learn_offset:
-            fix = replace(fix, position=follower.estimate.as_seen(fix.position))
-        return carried_on(fix, at_s)
+        return carried_on(self.seen_by(follower, fix), at_s)
 
     def leader_for(self, follower: FollowerState, fix: LeaderFix, now_s: float) -> GlobalPosition:
         """Where the leader is now, as this follower's receiver would have it."""
