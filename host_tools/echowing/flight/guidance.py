@@ -8,7 +8,7 @@ frame mix-up behind the thesis's north-south fault (Table 8).
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from echowing.geo import GlobalPosition, Ned, displace, ned_between, wrap_angle_rad
 
@@ -198,10 +198,17 @@ def bearing_rad(start: GlobalPosition, end: GlobalPosition) -> float:
 
 def predicted(fix: LeaderFix, age_s: float) -> LeaderFix:
     """The leader `age_s` after its report, at the velocity and the acceleration it had."""
-    velocity, acceleration = fix.velocity_ned_mps, fix.acceleration_ned_mps2
-    north, east, down = (
-        v * age_s + a * age_s * age_s / 2.0 for v, a in zip(velocity, acceleration, strict=True)
+    (vn, ve, vd), (an, ae, ad) = fix.velocity_ned_mps, fix.acceleration_ned_mps2
+    gain_s2 = age_s * age_s
+    moved_m = (
+        vn * age_s + an * gain_s2 / 2.0,
+        ve * age_s + ae * gain_s2 / 2.0,
+        vd * age_s + ad * gain_s2 / 2.0,
     )
-    vn, ve, vd = (v + a * age_s for v, a in zip(velocity, acceleration, strict=True))
-    position = displace(fix.position, (north, east, down))
-    return replace(fix, position=position, velocity_ned_mps=(vn, ve, vd))
+    return LeaderFix(
+        fix.time_s,
+        displace(fix.position, moved_m),
+        (vn + an * age_s, ve + ae * age_s, vd + ad * age_s),
+        fix.heading_rad,
+        fix.acceleration_ned_mps2,
+    )

@@ -44,7 +44,8 @@ class Holds:
 
 def _stopping_place(follower: FollowerState, now_s: float) -> GlobalPosition | None:
     """Where a follower comes to a stop: a place it has to come back to would take longer."""
-    mps = math.hypot(*follower.velocity_mps)
+    arrives_s = now_s + follower.way_s
+    mps = math.hypot(*follower.velocity_then(arrives_s))
     decel_mps2 = follower.handling.answer.decel_mps2
     share_s = LEAN_S + mps / (2.0 * decel_mps2) if mps > STANDS_MPS else 0.0
-    return follower.then(now_s + follower.way_s + share_s) or follower.position
+    return follower.then(arrives_s + share_s) or follower.position

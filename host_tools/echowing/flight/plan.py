@@ -12,11 +12,10 @@ from echowing.flight.guidance import (
     lead_share,
     sway_rad,
 )
+from echowing.flight.own_motion import POSITION_GAIN_PER_S
 from echowing.flight.state import FollowerState, Known
 from echowing.geo import displace, distance_m, ned_between, wrap_angle_rad
 
-# Guided's answer to a place off its own: 1 m/s for each metre (PSC_NE_POS_P).
-POSITION_GAIN_PER_S = 1.0
 # A leader that the sonar does not hear is approached no faster than this, for a copter stops from
 # it within the beam's reach less what receivers are off.
 JOIN_MPS, HEARD_LATELY_S = 1.5, 1.5

@@ -200,8 +200,10 @@ class FollowSession:
             self._holds.hold_anew(follower, now_s)
             point = follower.held_at
         if point is None or not follower.sent_to:
+            follower.not_ordered()
             return []
         point = self._spacing.kept_apart(follower, point, now_s)
+        follower.ordered(point, now_s)
         command = self._command(follower, point, now_s)
         follower.flown = True
         if self.guard is not None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 from echowing.flight.alignment import History, Report
-from echowing.flight.estimate import LONGEST_CARRY_S, Estimate, carried_on, place_then
+from echowing.flight.estimate import LONGEST_CARRY_S, Estimate, carried_on
 from echowing.flight.guidance import (
     GuidanceSettings,
     GuidedPoint,
@@ -23,10 +23,11 @@ from echowing.flight.guidance import (
 from echowing.flight.handling import Handling
 from echowing.flight.jumps import OwnJump, RangeMemory
 from echowing.flight.leader_track import LeaderTrack, VehicleClock, is_late
+from echowing.flight.own_motion import OwnMotion
 from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.flight.tail import TailSlot
 from echowing.flight.tow_bar import TowBar
-from echowing.geo import GlobalPosition
+from echowing.geo import GlobalPosition, displace
 from echowing.mavlink.messages import FORWARD, heading_of, sonar_range_m
 
 GUIDED_MODE = 4
@@ -94,6 +95,7 @@ class FollowerState:
     ranges: RangeMemory = field(default_factory=RangeMemory)
     own_jump: OwnJump = field(default_factory=OwnJump)
     handling: Handling = field(default_factory=Handling)
+    motion: OwnMotion = field(default_factory=OwnMotion)
     latched: str | None = None
     reversal_m: float = 0.0
     opens: bool = False
@@ -121,6 +123,7 @@ class FollowerState:
     held_altitude_m: float | None = None
     hold_reason: str | None = None
     guided: GuidedPoint | None = None
+    _motions: dict[float, tuple[GlobalPosition, Horizontal]] = field(default_factory=dict)
 
     @property
     def guided_mode(self) -> bool:
@@ -134,10 +137,42 @@ class FollowerState:
 
     def then(self, at_s: float) -> GlobalPosition | None:
         """Where it is at a moment; None: not known."""
-        since_s = at_s - self.position_at_s
-        if self.position is None or since_s > LONGEST_CARRY_S:
+        if self.position is None or at_s - self.position_at_s > LONGEST_CARRY_S:
             return None
-        return place_then(self.position, (*self.velocity_mps, -self.climb_mps), since_s)
+        return self._motion_at(at_s)[0]
+
+    def velocity_then(self, at_s: float) -> Horizontal:
+        """How it flies at a moment, (north, east)."""
+        return self.velocity_mps if self.position is None else self._motion_at(at_s)[1]
+
+    def _motion_at(self, at_s: float) -> tuple[GlobalPosition, Horizontal]:
+        """Place and velocity; kept, as each step of a tick asks for the same moments."""
+        known = self._motions.get(at_s)
+        if known is None:
+            known = self._motions[at_s] = self._carried_on(at_s)
+        return known
+
+    def _carried_on(self, at_s: float) -> tuple[GlobalPosition, Horizontal]:
+        assert self.position is not None
+        since_s = at_s - self.position_at_s
+        if since_s <= 0.0:
+            return self.position, self.velocity_mps
+        (north_m, east_m), velocity_mps = self.motion.carried_on(
+            self.position, self.velocity_mps, self.position_at_s, at_s
+        )
+        place = displace(self.position, (north_m, east_m, -self.climb_mps * since_s))
+        return place, velocity_mps
+
+    def ordered(self, place: GlobalPosition, now_s: float) -> None:
+        """Note that it is sent to a place now, at the velocity `feed_mps`."""
+        velocity_mps = self.feed_mps or (0.0, 0.0)
+        self.motion.ordered(now_s + self.way_s, place, velocity_mps, self.handling.answer)
+        self._motions.clear()
+
+    def not_ordered(self) -> None:
+        """Note that nothing goes to it now: it is flown by somebody else."""
+        self.motion.forget()
+        self._motions.clear()
 
     def on_arrival(self, now_s: float) -> GlobalPosition | None:
         """Where it is when what is sent now reaches it."""
@@ -150,7 +185,9 @@ class FollowerState:
         if message.time_boot_ms < self.newest_boot_ms:
             self.clock.restarted()
             self.estimate.history.clear()
+            self.motion.forget()
         self.newest_boot_ms = message.time_boot_ms
+        self._motions.clear()
         self.position = GlobalPosition(message.lat / 1e7, message.lon / 1e7, message.alt / 1e3)
         self.position_at_s = self.clock.to_ours(message.time_boot_ms / 1e3, now_s)
         self.altitude_m = message.relative_alt / 1e3
