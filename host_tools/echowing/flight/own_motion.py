@@ -8,6 +8,7 @@ a report is carried on as Guided answers the orders that reach it.
 
 import math
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from echowing.flight.envelope import Answer
@@ -16,6 +17,9 @@ from echowing.geo import GlobalPosition, ned_between
 
 # Guided's answer to a place off its own: 1 m/s for each metre (PSC_NE_POS_P), and no faster.
 POSITION_GAIN_PER_S, CORRECTION_MOST_MPS = 1.0, 5.0
+# Sooner than the first, what orders have changed shows in the reported velocity; from the second on
+# (the lean, and the acceleration that builds up) the orders are all that counts.
+NOT_YET_S, ALL_S = 0.3, 0.6
 # Reports are carried on for two seconds at the most; an order may be in force before that.
 REMEMBERED_S = 5.0
 STEP_S = 0.1
@@ -76,28 +80,33 @@ class OwnMotion:
         self, place: GlobalPosition, velocity_mps: Horizontal, since_s: float, to_s: float
     ) -> tuple[Horizontal, Horizontal]:
         """By how much it moves from a place, and its velocity then, (north, east) each."""
-        moved_m, flown_mps, time_s = (0.0, 0.0), velocity_mps, since_s
-        orders = self._in_force(since_s, to_s)
-        if self._origin is None or not orders:
-            span_s = to_s - since_s
-            return (velocity_mps[0] * span_s, velocity_mps[1] * span_s), velocity_mps
+        span_s = to_s - since_s
+        straight_m = velocity_mps[0] * span_s, velocity_mps[1] * span_s
+        share = min(1.0, (span_s - NOT_YET_S) / (ALL_S - NOT_YET_S))
+        orders = self._in_force(since_s, to_s) if share > 0.0 else []
+        if not orders or self._origin is None:
+            return straight_m, velocity_mps
         begin_m = ned_between(self._origin, place)[:2]
-        for order, until_s in zip(
-            orders, [*(one.begins_s for one in orders[1:]), to_s], strict=True
-        ):
-            if time_s < order.begins_s:
-                moved_m = _moved(moved_m, flown_mps, flown_mps, order.begins_s - time_s)
-                time_s = order.begins_s
-            while time_s < until_s:
-                step_s = min(STEP_S, until_s - time_s)
+        moved_m, flown_mps = self._answered(orders, begin_m, velocity_mps, since_s, to_s)
+        return _between(straight_m, moved_m, share), _between(velocity_mps, flown_mps, share)
+
+    def _answered(
+        self,
+        orders: list[_Order],
+        begin_m: Horizontal,
+        velocity_mps: Horizontal,
+        since_s: float,
+        to_s: float,
+    ) -> tuple[Horizontal, Horizontal]:
+        """The same as Guided answers these orders, from a place seen from the first order's."""
+        moved_m, flown_mps = (0.0, 0.0), velocity_mps
+        for order, time_s, step_s in _steps(orders, since_s, to_s):
+            before_mps = flown_mps
+            if order is not None:
                 at_m = begin_m[0] + moved_m[0], begin_m[1] + moved_m[1]
                 asked_mps = order.asks_mps(at_m, time_s)
-                before_mps, flown_mps = (
-                    flown_mps,
-                    _turned(flown_mps, asked_mps, self._accel_mps2 * step_s),
-                )
-                moved_m = _moved(moved_m, before_mps, flown_mps, step_s)
-                time_s += step_s
+                flown_mps = _turned(flown_mps, asked_mps, self._accel_mps2 * step_s)
+            moved_m = _moved(moved_m, before_mps, flown_mps, step_s)
         return moved_m, flown_mps
 
     def _in_force(self, since_s: float, to_s: float) -> list[_Order]:
@@ -110,6 +119,24 @@ class OwnMotion:
             if order.begins_s <= since_s:
                 break
         return orders[::-1]
+
+
+def _steps(
+    orders: list[_Order], since_s: float, to_s: float
+) -> Iterator[tuple[_Order | None, float, float]]:
+    """The order in force (None: none yet), a step's beginning and its length, in turn."""
+    order, time_s = None, since_s
+    for following in (*orders, None):
+        until_s = to_s if following is None else following.begins_s
+        while time_s < until_s:
+            step_s = min(STEP_S, until_s - time_s)
+            yield order, time_s, step_s
+            time_s += step_s
+        order = following
+
+
+def _between(a: Horizontal, b: Horizontal, share: float) -> Horizontal:
+    return a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])
 
 
 def _moved(by_m: Horizontal, a_mps: Horizontal, b_mps: Horizontal, span_s: float) -> Horizontal:
