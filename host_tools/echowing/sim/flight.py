@@ -13,9 +13,9 @@ from functools import partial
 from pathlib import Path
 
 from echowing.analysis.flight import Flight
-from echowing.flight.engage import Readiness
 from echowing.flight.guard import FIELD_LIMITS, Limits
 from echowing.flight.guidance import MOVING_MPS, slot_offset_m
+from echowing.flight.readiness import Readiness
 from echowing.flight.session import FollowSession
 from echowing.flight.state import FollowerPlan, FollowerState
 from echowing.flight.switch import StopSwitch
