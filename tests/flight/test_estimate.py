@@ -11,7 +11,6 @@ from echowing.flight.estimate import (
     Estimate,
     SenderClock,
     carried_on,
-    place_then,
 )
 from echowing.flight.guidance import Horizontal, LeaderFix
 from echowing.geo import GlobalPosition, displace, ned_between
@@ -161,5 +160,3 @@ def test_a_report_is_carried_on_so_far_and_no_further() -> None:
         assert ned_between(START, carried_on(fix, to_s).position)[0] == pytest.approx(
             north_m, abs=1e-3
         )
-        carried = place_then(START, (2.0, 0.0, 0.0), to_s - 10.0)
-        assert ned_between(START, carried)[0] == pytest.approx(north_m, abs=1e-3)

@@ -7,9 +7,10 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.flight.engage import FLOWN_M, PATIENCE_S, READ_AGAIN_S, Readiness, StuckPosition
+from echowing.flight.engage import FLOWN_M, PATIENCE_S, READ_AGAIN_S, StuckPosition
 from echowing.flight.guard import Limits
 from echowing.flight.guidance import Slot
+from echowing.flight.readiness import Readiness
 from echowing.flight.switch import StopSwitch
 from echowing.geo import distance_m
 from echowing.mavlink.seats import StrangerWatch, parse_seat

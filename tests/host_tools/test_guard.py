@@ -18,7 +18,7 @@ from echowing.flight.guard import (
     Guard,
     Limits,
 )
-from echowing.flight.guidance import GuidanceSettings, Slot, SlotGuide
+from echowing.flight.guidance import GuidanceSettings, Slot
 from echowing.flight.requests import RATE_WINDOW_S, RateWatch
 from echowing.flight.session import FollowSession
 from echowing.flight.state import FollowerPlan, FollowerState
@@ -350,9 +350,7 @@ def test_homes_that_are_not_known_stop_it() -> None:
     limits = Limits(home_difference_m=5.0, leader_flies=False)
     guard = Guard(limits, LEADER, [FOLLOWER], lambda now_s, text: None)
     slot = Slot(3.0)
-    follower = FollowerState(
-        FollowerPlan(FOLLOWER, slot), SlotGuide(slot, GuidanceSettings()), TowBar(slot)
-    )
+    follower = FollowerState(FollowerPlan(FOLLOWER, slot), TowBar(slot))
     follower.position = displace(HERE, (-3.0, 0.0, 0.0))
     followers = {FOLLOWER: follower}
     assert guard.reason_to_stop(follower, HERE, followers, 0.0) == "homes are not known"

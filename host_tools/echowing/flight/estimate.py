@@ -7,7 +7,7 @@ from echowing.flight.alignment import Alignment, History, Report
 from echowing.flight.guidance import LeaderFix, predicted
 from echowing.flight.offset_grid import OffsetGrid
 from echowing.flight.sonar import DETECTION_LIMIT_M
-from echowing.geo import GlobalPosition, Ned, displace
+from echowing.geo import GlobalPosition, displace
 
 # Propellers make single wild readings: one counts when the one before it was like it.
 CONFIRM_S, CONFIRM_M = 0.3, 0.5
@@ -105,10 +105,3 @@ class Estimate:
 def carried_on(leader: LeaderFix, to_s: float) -> LeaderFix:
     """The leader at a moment, from its newest report (see `guidance.predicted`)."""
     return predicted(leader, min(LONGEST_CARRY_S, max(0.0, to_s - leader.time_s)))
-
-
-def place_then(position: GlobalPosition, velocity_ned_mps: Ned, since_s: float) -> GlobalPosition:
-    """A place carried on for so long at a velocity."""
-    since_s = min(LONGEST_CARRY_S, max(0.0, since_s))
-    north, east, down = velocity_ned_mps
-    return displace(position, (north * since_s, east * since_s, down * since_s))
