@@ -1,9 +1,11 @@
 """One flight of a campaign: drawn, flown, judged, and summed up in a row of plain values."""
 
+import gc
 import math
 import traceback
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -24,6 +26,8 @@ from echowing.sim.scenario import Scenario
 Row = dict[str, Any]
 # Every so many flights the logs are written and read: that takes as long as the flight.
 LOGS_EVERY = 20
+# Objects between two looks for rings of them; Python's 700 take a twentieth of a flight's time.
+COLLECTED_EVERY = 50_000
 CRASHED, LOGS = "no error", "logs readable"
 # The applet's states by number (lua/echowing.md).
 _APPLET = (
@@ -56,6 +60,18 @@ def fly_and_judge(scenario: Scenario, seed: int, *, logs: bool = False) -> Judge
         return Judged(judged.record, judged.broken + unread)
 
 
+@contextmanager
+def _seldom_collected() -> Iterator[None]:
+    """A flight leaves no rings of objects behind while it lasts: looking for them is in vain."""
+    before = gc.get_threshold()
+    gc.set_threshold(COLLECTED_EVERY, *before[1:])
+    try:
+        yield
+    finally:
+        gc.set_threshold(*before)
+
+
+@_seldom_collected()
 def _flown(scenario: Scenario, seed: int, out: Path | None) -> Judged:
     flight: FormationFlight | None = None
     try:

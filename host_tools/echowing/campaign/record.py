@@ -144,8 +144,11 @@ class Observer:
         """Look, after a step of the flight."""
         self._steps += 1
         places = [vehicle.position_ned_m for vehicle in self._vehicles]
+        least = self._least
         for number, (a, b) in enumerate(self._pairs):
-            self._least[number] = min(self._least[number], math.dist(places[a], places[b]))
+            apart_m = math.dist(places[a], places[b])
+            if apart_m < least[number]:
+                least[number] = apart_m
         if self._steps % STEPS_PER_SAMPLE == 0:
             self._sample()
 
