@@ -146,9 +146,7 @@ class Observer:
         places = [vehicle.position_ned_m for vehicle in self._vehicles]
         least = self._least
         for number, (a, b) in enumerate(self._pairs):
-            apart_m = math.dist(places[a], places[b])
-            if apart_m < least[number]:
-                least[number] = apart_m
+            least[number] = min(least[number], math.dist(places[a], places[b]))
         if self._steps % STEPS_PER_SAMPLE == 0:
             self._sample()
 

@@ -101,5 +101,5 @@ class MavlinkRangefinder:
 
 @lru_cache(maxsize=64)
 def _metres(value: float, scale: float) -> float:
-    """Rounded because 0.2 as a 32-bit float lies a hair above 20 cm times 0.01; kept: it is slow"""
+    """Rounded because 0.2 as a 32-bit float lies a hair above 20 cm times 0.01."""
     return round(value * scale, 6)
