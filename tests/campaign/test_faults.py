@@ -6,9 +6,10 @@ from functools import cache
 import numpy as np
 import pytest
 
+from echowing.campaign.properties import judge
 from echowing.campaign.record import FlightRecord, fly_recorded
 from echowing.errors import EchowingError
-from echowing.sim.modes import GUIDED, LAND, LOITER
+from echowing.sim.modes import GUIDED, LAND, LOITER, STABILIZE
 from echowing.sim.scenario import Scenario, scenario_of
 
 HOVERS = {"path": "rectangle", "start_s": 1000.0}
@@ -278,3 +279,22 @@ def test_a_flight_without_faults_is_what_it_was() -> None:
     until = between(usual, 0.0, 19.9)
     assert np.array_equal(usual.position_ned_m[until], late.position_ned_m[until])
     assert not np.array_equal(usual.position_ned_m, late.position_ned_m)
+
+
+def test_a_rebooted_autopilot_is_led_again_only_once_its_pilot_has_it_in_the_air() -> None:
+    record = flown(
+        {"kind": "autopilot_rebooted", "vehicle": 2, "at_s": 8.0, "for_s": 20.0},
+        duration_s=38.0,
+        leader={**HOVERS, "altitude_m": 4.0},
+    )
+
+    landed = between(record, 20.0, 28.0)
+    assert not record.flying[landed, 1].any()
+    assert set(record.mode[landed, 1].tolist()) == {STABILIZE}
+    # The applet starts anew with the autopilot, and finds the pilot's speed.
+    assert len(said(record, "ECHO: ready")) == 2
+    assert record.speed_mps[between(record, 20.0, 28.0), 0] == pytest.approx(5.0)
+    assert record.stream_age_s[landed, 0].min() > 8.0
+    assert said(record, "too low to be led, until it is 2 m up")
+    assert record.stream_age_s[between(record, 36.0, 38.0), 0].max() < 1.0
+    assert judge(record) == []

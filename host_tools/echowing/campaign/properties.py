@@ -47,6 +47,8 @@ RANGES_IT_M = 0.5
 PASSES = 10
 # From a change of the mode to the pilot's value: the applet's period and the handing back.
 HANDED_BACK_S = 0.5
+# A vehicle that a point has reached so lately is led; without, its pilot takes off in Guided.
+POINT_ACTS_S = 1.0
 # ArduCopter's Guided flies a velocity on for so long (GUID_TIMEOUT).
 GUIDED_TIMEOUT_S = 3.0
 # A leader heard and ranged, with nothing wrong: README's mean error is 0.12 m over ten flights.
@@ -298,7 +300,8 @@ def not_too_low(record: FlightRecord) -> list[Broken]:
     for number, slot in enumerate(scenario.formation.slots):
         least_m = min(LOWEST_M, scenario.leader.altitude_m + slot.altitude_step_m)
         # Its height wanders in the wind by some decimetres.
-        low = record.guided[:, number] & (record.height_m[:, number + 1] < least_m - 0.3)
+        led = record.guided[:, number] & (record.stream_age_s[:, number] < POINT_ACTS_S)
+        low = led & (record.height_m[:, number + 1] < least_m - 0.3)
         at = _lasting(low, 0.5)
         if at is not None:
             value = float(record.height_m[at, number + 1])
