@@ -6,7 +6,7 @@ import traceback
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -18,6 +18,7 @@ from echowing.analysis.metrics import approach_s, metrics
 from echowing.campaign.draw import Description, draw, flight_seed
 from echowing.campaign.properties import Broken, judge, nothing_wrong
 from echowing.campaign.record import FlightRecord, Observer
+from echowing.campaign.swarm import Swarm, swarm
 from echowing.errors import EchowingError
 from echowing.sim.fault_section import LEADER
 from echowing.sim.flight import SAMPLE_S, FormationFlight
@@ -149,9 +150,17 @@ def _measured(record: FlightRecord) -> Row:
         "mean_error_m": _plain(figures[0].mean_abs_error_m),
         "rmsd_m": _plain(figures[0].rmsd_m),
         "nothing_wrong": nothing_wrong(record),
+        **_formation(record),
         "in_force_s": _rounded(_in_force(record)),
         "states_s": _rounded(_states(record)),
     }
+
+
+def _formation(record: FlightRecord) -> Row:
+    """How it kept together, in columns; None: no formation to speak of."""
+    figures = swarm(record)
+    names = [one.name for one in fields(Swarm)]
+    return {name: None if figures is None else _plain(getattr(figures, name)) for name in names}
 
 
 def _plain(value: float) -> float | None:
