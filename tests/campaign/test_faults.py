@@ -1,12 +1,13 @@
 """Timed faults of a scenario: each does in the flight what it says, for as long as it says."""
 
 import math
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
-from echowing.campaign.properties import judge
+from echowing.campaign.properties import judge, texts_said
 from echowing.campaign.record import FlightRecord, fly_recorded
 from echowing.errors import EchowingError
 from echowing.sim.modes import GUIDED, LAND, LOITER, STABILIZE
@@ -56,7 +57,16 @@ def test_an_outage_up_to_a_follower_loses_its_points_and_not_its_reports() -> No
 
     assert record.stream_age_s[between(record, 15.0, 16.0)].min() > 2.5
     assert said(record, "stream lost, holding here")
-    assert not said(record, "not heard for")
+    assert not said(record, "no report for")
+
+
+def test_a_follower_that_is_heard_no_more_gets_no_points_and_that_is_said() -> None:
+    record = flown({"kind": "outage", "vehicle": 2, "at_s": 12.0, "for_s": 5.0, "way": "down"})
+
+    assert said(record, "follower 2: no report for 2 s, no points sent")
+    assert texts_said(record) == []
+    silent = [(t_s, text) for t_s, text in record.events if "no report for" not in text]
+    assert "no report for" in texts_said(replace(record, events=silent))[0].text
 
 
 def test_a_jump_moves_the_estimate_and_goes_back() -> None:
