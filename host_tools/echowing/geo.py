@@ -1,24 +1,16 @@
-"""Geodesy: between global positions (WGS-84) and local NED metres.
-
-All of it is pymap3d's. What is asked for in each step of a flight is written out in plain floats,
-with the same digits: pymap3d takes arrays too, and numpy's way with one number costs five times as
-much.
-"""
+"""Geodesy: between global positions (WGS-84) and local NED metres. All of it is pymap3d's."""
 
 import math
 from functools import lru_cache
 from typing import NamedTuple
 
-import numpy as np
 import pymap3d
-from pymap3d import Ellipsoid, vincenty
+from pymap3d import Ellipsoid, rcurve, vincenty
 
 Ned = tuple[float, float, float]
 
 # pymap3d's default, made once: by default it is made anew in every call.
 _WGS84 = Ellipsoid.from_name("wgs84")
-_MAJOR_M, _MINOR_M = float(_WGS84.semimajor_axis), float(_WGS84.semiminor_axis)
-_ECCENTRICITY = float(_WGS84.eccentricity)
 
 # Within this distance, and outside the polar caps, the radii of curvature at the start
 # place a point to better than 1 cm; beyond it the exact conversion is used (40 times slower).
@@ -41,26 +33,15 @@ class GlobalPosition(NamedTuple):
 def ned_between(origin: GlobalPosition, point: GlobalPosition) -> Ned:
     """Local NED metres from `origin` to `point`; works across the antimeridian."""
     (ax, ay, az), (bx, by, bz) = _ecef_m(origin), _ecef_m(point)
-    x, y, z = bx - ax, by - ay, bz - az
-    lat_rad, lon_rad = math.radians(origin.lat_deg), math.radians(origin.lon_deg)
-    sin_lat, cos_lat = math.sin(lat_rad), math.cos(lat_rad)
-    sin_lon, cos_lon = math.sin(lon_rad), math.cos(lon_rad)
-    # pymap3d.uvw2enu
-    outwards = cos_lon * x + sin_lon * y
-    east_m = -sin_lon * x + cos_lon * y
-    return -sin_lat * outwards + cos_lat * z, east_m, -(cos_lat * outwards + sin_lat * z)
+    east, north, up = pymap3d.uvw2enu(bx - ax, by - ay, bz - az, origin.lat_deg, origin.lon_deg)
+    return float(north), float(east), -float(up)
 
 
 @lru_cache(maxsize=256)
 def _ecef_m(place: GlobalPosition) -> tuple[float, float, float]:
     """Earth-centred metres; kept, as home and the other vehicles are asked for again and again."""
-    lat_rad, lon_rad, alt_m = math.radians(place[0]), math.radians(place[1]), place[2]
-    sin_lat, cos_lat = math.sin(lat_rad), math.cos(lat_rad)
-    # pymap3d.geodetic2ecef; math.hypot rounds otherwise than numpy's in the last digit
-    normal_m = _MAJOR_M**2 / float(np.hypot(_MAJOR_M * cos_lat, _MINOR_M * sin_lat))
-    level_m = (normal_m + alt_m) * cos_lat
-    z_m = (normal_m * (_MINOR_M / _MAJOR_M) ** 2 + alt_m) * sin_lat
-    return level_m * math.cos(lon_rad), level_m * math.sin(lon_rad), z_m
+    x, y, z = pymap3d.geodetic2ecef(*place, _WGS84)
+    return float(x), float(y), float(z)
 
 
 def displace(origin: GlobalPosition, ned_m: Ned) -> GlobalPosition:
@@ -73,10 +54,8 @@ def displace(origin: GlobalPosition, ned_m: Ned) -> GlobalPosition:
     if not near or abs(origin.lat_deg) > POLAR_LATITUDE_DEG:
         lat, lon, alt = pymap3d.ned2geodetic(north_m, east_m, down_m, *origin, _WGS84)
         return GlobalPosition(float(lat), float(lon), float(alt))
-    # pymap3d.rcurve's meridian and transverse
-    flattened = 1 - (_ECCENTRICITY * math.sin(math.radians(origin.lat_deg))) ** 2
-    meridian_m = _MAJOR_M * (1 - _ECCENTRICITY**2) / math.sqrt(flattened**3) + origin.alt_m
-    transverse_m = _MAJOR_M / math.sqrt(flattened) + origin.alt_m
+    meridian_m = float(rcurve.meridian(origin.lat_deg, _WGS84)) + origin.alt_m
+    transverse_m = float(rcurve.transverse(origin.lat_deg, _WGS84)) + origin.alt_m
     lat_deg = origin.lat_deg + math.degrees(north_m / meridian_m)
     lon_deg = origin.lon_deg + math.degrees(
         east_m / (transverse_m * math.cos(math.radians(lat_deg)))

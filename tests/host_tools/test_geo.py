@@ -1,11 +1,8 @@
 import math
 
-import pymap3d
 import pytest
-from pymap3d import rcurve
 
 from echowing.geo import (
-    POLAR_LATITUDE_DEG,
     GlobalPosition,
     Ned,
     displace,
@@ -107,20 +104,3 @@ def test_nearer_than_is_what_the_distance_says(origin: GlobalPosition, ned_m: Ne
     there = displace(origin, ned_m)
     assert nearer_than(origin, there, 3.0) is (distance_m(origin, there) < 3.0)
     assert nearer_than(there, origin, 3.0) is (distance_m(origin, there) < 3.0)
-
-
-@pytest.mark.parametrize("origin", EVERYWHERE)
-@pytest.mark.parametrize("ned_m", [(3.0, -4.0, 1.5), (-60.0, 40.0, 0.0), (0.123, 150.7, -3.3)])
-def test_what_is_written_out_here_has_pymap3ds_digits(origin: GlobalPosition, ned_m: Ned) -> None:
-    """Equal, not nearly: a flight amplifies the last digit."""
-    there = displace(origin, ned_m)
-    north_m, east_m, down_m = pymap3d.geodetic2ned(*there, *origin)
-    assert ned_between(origin, there) == (north_m, east_m, down_m)
-
-    if abs(origin.lat_deg) <= POLAR_LATITUDE_DEG:
-        meridian_m = float(rcurve.meridian(origin.lat_deg)) + origin.alt_m
-        transverse_m = float(rcurve.transverse(origin.lat_deg)) + origin.alt_m
-        narrow_m = transverse_m * math.cos(math.radians(there.lat_deg))
-        assert there.lat_deg == origin.lat_deg + math.degrees(ned_m[0] / meridian_m)
-        lon_deg = origin.lon_deg + math.degrees(ned_m[1] / narrow_m)
-        assert there.lon_deg == wrap_longitude_deg(lon_deg)
