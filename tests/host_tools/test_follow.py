@@ -396,7 +396,9 @@ def listening_session(range_m: float) -> FollowSession:
         t_s = 10.0 + number * 0.1
         follow.receive(from_vehicle(LEADER, position(t_s, HERE)), t_s)
         follow.receive(from_vehicle(FOLLOWER, position(t_s, FOLLOWER_AT)), t_s)
-        follow.receive(from_vehicle(FOLLOWER, sonar_reading(t_s, range_m)), t_s)
+        # Two vehicles in the air: never long the same to the centimetre.
+        swaying_m = range_m * (1.0 + 0.004 * (number // 5 % 2))
+        follow.receive(from_vehicle(FOLLOWER, sonar_reading(t_s, swaying_m)), t_s)
     return follow
 
 

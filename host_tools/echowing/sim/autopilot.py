@@ -333,7 +333,8 @@ class Autopilot:
         self.reports.t_s = t_s
         self.reports.unix_s = self._unix_s
         for port in self._ports.values():
-            self._listen(port)
+            if port.link.waiting:
+                self._listen(port)
         self.rangefinder.update(self.millis())
         self.modes.step(t_s)
         if self.script is not None:
