@@ -9,6 +9,7 @@ import pytest
 from echowing.flight.envelope import SURE_SIGMAS
 from echowing.flight.health import Cut, Health
 from echowing.tool.moment import Moment, apart_by_plan
+from echowing.tool.panel import VehicleHealth
 from echowing.web.alarms import Level, alarms, headline
 from echowing.web.options import PageAddress
 from echowing.web.snapshot import ellipse, glance, snapshot
@@ -59,16 +60,19 @@ def test_an_oblique_ellipse() -> None:
 
 def test_what_is_not_known_is_null_and_everything_is_json() -> None:
     bare: dict[str, Any] = dict.fromkeys(
-        ("separation_m", "error_m", "sonar_m", "gimbal", "command_mps", "altitude_m", "age_s")
+        ("separation_m", "error_m", "sonar_m", "gimbal", "command_mps", "age_s")
     )
     nowhere: dict[str, Any] = dict.fromkeys(
         ("leader_lat_deg", "leader_lon_deg", "leader_alt_m", "lat_deg", "lon_deg", "alt_m")
     )
-    unheard = Moment(0.0, [row(**bare, leader_age_s=math.inf)], [track(**nowhere)])
+    unheard = Moment(
+        0.0, [row(**bare, own=VehicleHealth(), leader_age_s=math.inf)], [track(**nowhere)]
+    )
     frame = json.loads(json.dumps(snapshot(unheard, HERE), allow_nan=False))
     assert frame["leader"]["at"] is None
     assert frame["followers"][0]["at"] is None
     assert frame["followers"][0]["error"] is None
+    assert frame["followers"][0]["height"] is None
     assert frame["leader"]["age"] is None
 
 
@@ -108,14 +112,17 @@ def test_what_is_wrong_is_said_plainly(changes: dict[str, Any], level: Level, wo
 
 
 @pytest.mark.parametrize(
-    ("share", "wrong"),
-    [("battery_percent", "Follower 2"), ("leader_battery_percent", "The leader")],
+    ("whose", "wrong"),
+    [("own", "Follower 2"), ("leader", "The leader")],
 )
-def test_an_empty_battery(share: str, wrong: str) -> None:
-    low = Moment(0.0, [row(2, **{share: 19.0})], [track()])
+def test_an_empty_battery(whose: str, wrong: str) -> None:
+    low, enough = (
+        Moment(0.0, [row(2, **{whose: VehicleHealth(battery_percent=percent)})], [track()])
+        for percent in (19.0, 20.0)
+    )
     (alarm,) = alarms(low)
     assert alarm.text == f"{wrong} has 19 % of its battery left"
-    assert alarms(Moment(0.0, [row(2, **{share: 20.0})], [track()])) == []
+    assert alarms(enough) == []
 
 
 def test_the_worst_comes_first() -> None:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import BinaryIO, TextIO
 
 from echowing.errors import EchowingError
-from echowing.tool.panel import Row
+from echowing.tool.panel import COLUMNS, Row
 from echowing.tool.track import Track
 
 Say = Callable[[str], None]
@@ -36,8 +36,8 @@ class FollowLog:
             self._tlog = (folder / f"follow-{stamp}.tlog").open("wb")
             self._table = (folder / f"follow-{stamp}.csv").open("w", newline="", encoding="utf-8")
             self._events = (folder / f"follow-{stamp}.txt").open("w", encoding="utf-8")
-            names = [column.name for kind in (Row, Track) for column in fields(kind)]
-            self._writer = csv.DictWriter(self._table, ["unix_time_s", *names])
+            names = ["unix_time_s", *COLUMNS, *(column.name for column in fields(Track))]
+            self._writer = csv.DictWriter(self._table, names)
             self._writer.writeheader()
             self._table.flush()
         except OSError as error:

@@ -35,16 +35,15 @@ LINK_WINDOW_S = 5.0
 MISMATCH_M = 2.0
 MISMATCH_S = 2.0
 UNKNOWN_MV = 0xFFFF  # of SYS_STATUS
-# Before the first heartbeat.
-NO_MODE = "-"
 MOST_LOST = 50  # in a row; more is a restart or another sender, not a gap
 
 
 @dataclass(frozen=True, slots=True)
-class Health:
+class VehicleHealth:
     """What a pilot lands for, of one vehicle; None: not known, or not of late.
 
-    gps: kind of fix and satellites; clock_s: TIMESYNC's round trip; switch: its stop switch.
+    altitude_m: above its own home; gps: kind of fix and satellites; clock_s: TIMESYNC's round
+    trip; switch: its stop switch.
     """
 
     mode: str | None = None
@@ -56,6 +55,10 @@ class Health:
     switch: str | None = None
 
 
+# What the names of a row's two healths begin with where all is laid flat, as in the log.
+PREFIXES = {"own": "", "leader": "leader_"}
+
+
 @dataclass(frozen=True, slots=True)
 class Row:
     """One follower at one moment; None: not known. Times in seconds.
@@ -63,14 +66,12 @@ class Row:
     separation_m, error_m: from the leader by their receivers, heights included, and less the
     wanted radius, where there is one; slot_error_m: horizontally from the slot; leader_age_s:
     of the leader's report in use; age_s: of the follower's, both by their time stamps;
-    command_mps: the applet's limit; switch: its stop switch, where there is one; gps to clock_s,
-    and the same of the leader: as in `Health`.
+    command_mps: the applet's limit; own, leader: the follower's health and its leader's.
     """
 
     time_s: float
     system_id: int
     state: str
-    mode: str
     separation_m: float | None
     error_m: float | None
     slot_error_m: float | None
@@ -81,29 +82,34 @@ class Row:
     command_mps: float | None
     speed_mps: float
     leader_speed_mps: float | None
-    altitude_m: float | None
     link_percent: float | None
     north_offset_m: float
     east_offset_m: float
-    switch: str | None = None
-    gps: str | None = None
-    battery_percent: float | None = None
-    battery_v: float | None = None
-    clock_s: float | None = None
-    leader_mode: str | None = None
-    leader_altitude_m: float | None = None
-    leader_gps: str | None = None
-    leader_battery_percent: float | None = None
-    leader_battery_v: float | None = None
-    leader_clock_s: float | None = None
-    leader_switch: str | None = None
+    own: VehicleHealth = VehicleHealth()
+    leader: VehicleHealth = VehicleHealth()
 
     def as_dict(self) -> dict[str, Any]:
-        """Its fields by name, numbers to the millimetre."""
-        values = ((column.name, getattr(self, column.name)) for column in fields(self))
+        """Its fields and those of its healths by their `COLUMNS`, numbers to the millimetre."""
+        parts = (self, *(getattr(self, name) for name in PREFIXES))
+        values = (
+            getattr(part, name) for part, names in zip(parts, _NAMES, strict=True) for name in names
+        )
         return {
-            name: round(value, 3) if isinstance(value, float) else value for name, value in values
+            name: round(value, 3) if isinstance(value, float) else value
+            for name, value in zip(COLUMNS, values, strict=True)
         }
+
+
+# The names of the fields of a row without its healths, and of each health.
+_NAMES = (
+    [column.name for column in fields(Row) if column.name not in PREFIXES],
+    *([column.name for column in fields(VehicleHealth)] for _ in PREFIXES),
+)
+COLUMNS = [
+    prefix + name
+    for prefix, names in zip(("", *PREFIXES.values()), _NAMES, strict=True)
+    for name in names
+]
 
 
 @dataclass(slots=True)
@@ -134,7 +140,7 @@ class _Readings:
     """The newest of each reading of a vehicle, and when it came."""
 
     quality: _Quality = field(default_factory=_Quality)
-    mode: str = NO_MODE
+    mode: str | None = None
     sonar_m: float | None = None
     sonar_at_s: float = -math.inf
     named: dict[str, tuple[float, float]] = field(default_factory=dict)
@@ -201,15 +207,12 @@ class Panel:
         radius_m = follower.plan.slot.radius_m
         gimbal = readings.newest(GIMBAL_STATE, now_s)
         fresh = now_s - readings.sonar_at_s < SONAR_FRESH_S
-        its = self._health(session, follower.plan.system_id, follower.clock, now_s)
-        leaders = self._health(session, session.leader_id, session.leader.clock, now_s)
         sonar_m = readings.sonar_m if fresh else None
         self._compare(follower.plan.system_id, sonar_m, separation_m, now_s)
         return Row(
             time_s=now_s,
             system_id=follower.plan.system_id,
             state=state_of(session, follower, now_s),
-            mode=readings.mode,
             separation_m=separation_m,
             error_m=None if separation_m is None or radius_m == 0.0 else separation_m - radius_m,
             slot_error_m=_slot_error_m(follower),
@@ -220,34 +223,23 @@ class Panel:
             command_mps=readings.newest(SPEED_LIMIT, now_s),
             speed_mps=follower.ground_speed_mps,
             leader_speed_mps=None if fix is None else fix.speed_mps,
-            altitude_m=follower.altitude_m,
             link_percent=readings.quality.percent,
             north_offset_m=follower.estimate.offset.north_m,
             east_offset_m=follower.estimate.offset.east_m,
-            switch=its.switch,
-            gps=its.gps,
-            battery_percent=its.battery_percent,
-            battery_v=its.battery_v,
-            clock_s=its.clock_s,
-            leader_mode=leaders.mode,
-            leader_altitude_m=leaders.altitude_m,
-            leader_gps=leaders.gps,
-            leader_battery_percent=leaders.battery_percent,
-            leader_battery_v=leaders.battery_v,
-            leader_clock_s=leaders.clock_s,
-            leader_switch=leaders.switch,
+            own=self._health(session, follower.plan.system_id, follower.clock, now_s),
+            leader=self._health(session, session.leader_id, session.leader.clock, now_s),
         )
 
     def _health(
         self, session: FollowSession, system_id: int, clock: VehicleClock, now_s: float
-    ) -> Health:
+    ) -> VehicleHealth:
         readings = self._readings.get(system_id, _Readings())
         gps_at_s, gps = readings.gps
         battery_at_s, percent, volts = readings.battery
         beats = now_s - readings.beat_at_s < HEALTH_FRESH_S
         charged = now_s - battery_at_s < HEALTH_FRESH_S
         guard = session.guard
-        return Health(
+        return VehicleHealth(
             mode=readings.mode if beats else None,
             altitude_m=readings.altitude_m,
             gps=gps if now_s - gps_at_s < HEALTH_FRESH_S else None,

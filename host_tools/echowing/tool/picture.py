@@ -18,10 +18,11 @@ from echowing.commands import follow as verb
 from echowing.stopping import StopRequest
 from echowing.tool.panel import Row
 from echowing.tool.run import FollowTool
-from echowing.tool.view import EVENTS_SHOWN, scene
+from echowing.tool.view import scene
 
 PORT = 5760  # as in the README
 WIDTH_CHARACTERS = 80
+EVENTS_SHOWN = 8
 IN_PLACE_M = 0.6
 # So long both have to be in place, so that the links have been counted and the lines have settled.
 SETTLED_S = 8.0

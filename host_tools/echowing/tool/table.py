@@ -5,6 +5,7 @@ Numbers are never cut. What a state explains about itself stands under the table
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console, ConsoleOptions, RenderResult
@@ -19,9 +20,9 @@ ROOMY, TIGHT = 118, 80
 
 @dataclass(frozen=True, slots=True)
 class Number:
-    """A column of numbers: the field of `Row` it shows, with so many decimals at most."""
+    """A column of numbers: the value of `Row` it shows, with so many decimals at most."""
 
-    field: str
+    value: str
     head: str
     short: str
     unit: str
@@ -37,7 +38,7 @@ OTHERS = (
     Number("age_s", "age", "age", "s", 5),
     Number("speed_mps", "speed", "speed", "m/s", 5, decimals=1),
     Number("command_mps", "limit", "limit", "m/s", 5, decimals=1),
-    Number("altitude_m", "height", "height", "m", 6, decimals=1),
+    Number("own.altitude_m", "height", "height", "m", 6, decimals=1),
     Number("link_percent", "link", "link", "%", 4, decimals=0),
 )
 NUMBERS = (SEPARATION, ERROR, SONAR, *OTHERS)
@@ -129,7 +130,7 @@ def _notes(rows: Sequence[Row]) -> Iterator[Text]:
     """Under the table: why a follower is not led."""
     for row in rows:
         _, _, reason = row.state.partition(": ")
-        _, _, flying = row.mode.partition(", ")
+        _, _, flying = (row.own.mode or "").partition(", ")
         said = ", ".join(text for text in (reason, flying) if text)
         if said:
             yield Text(f"{row.system_id}: {said}", style=_style(row.state))
@@ -140,7 +141,7 @@ def _state(row: Row) -> Text:
 
 
 def _mode(row: Row) -> str:
-    return row.mode.partition(", ")[0]
+    return (row.own.mode or "-").partition(", ")[0]
 
 
 def _style(state: str) -> str:
@@ -152,7 +153,7 @@ def _style(state: str) -> str:
 
 def _cell(row: Row, number: Number) -> str:
     """The number with as many decimals as its column has room for; "-": not known."""
-    value: float | None = getattr(row, number.field)
+    value: float | None = attrgetter(number.value)(row)
     if value is None:
         return "-"
     sign = "+" if number.signed else ""

@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from io import TextIOWrapper
+from textwrap import TextWrapper
 from typing import Protocol
 
 from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
@@ -14,13 +15,16 @@ from rich.segment import Segment
 from rich.text import Text
 
 from echowing.terminal import draws_live
-from echowing.tool.health import health, in_words, its_health, leaders_health
-from echowing.tool.panel import NO_MODE, Row
+from echowing.tool.health import health, in_words, leaders_words
+from echowing.tool.panel import Row
 from echowing.tool.table import FollowerTable
 
 PLAIN_PERIOD_S = 5.0
 JSON_PERIOD_S = 1.0
-EVENTS_SHOWN = 8
+# More than most screens have room for: the table before engaging takes several.
+EVENTS_SHOWN = 24
+# Of an event its time, "   12.3 s  ": its text stays to the right of it.
+TIME_WIDTH = 11
 TABLE_HZ = 4.0
 # Drawing a row takes about 0.6 ms, in which no point is sent; so many rows a second are enough.
 ROWS_PER_S = 40.0
@@ -181,7 +185,25 @@ class LiveView:
 
 def scene(rows: Sequence[Row], events: Iterable[str]) -> RenderableType:
     """The whole view: the table, once there is one, and under it the events."""
-    return Group(*_above(rows, ""), Text("\n".join(events)))
+    return Group(*_above(rows, ""), Events(list(events)))
+
+
+@dataclass(frozen=True, slots=True)
+class Events:
+    """Lines of events; a long one goes on under its text."""
+
+    lines: Sequence[str]
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """Rich's protocol."""
+        del console
+        wrapper = TextWrapper(
+            max(options.max_width, 2 * TIME_WIDTH),
+            subsequent_indent=" " * TIME_WIDTH,
+            break_on_hyphens=False,
+        )
+        for line in self.lines:
+            yield Text("\n".join(wrapper.wrap(line)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,7 +219,7 @@ class Screenful:
         above = Group(*_above(self.rows, self.keys))
         room = console.size.height - len(console.render_lines(above, options, pad=False))
         yield above
-        lines = console.render_lines(Text("\n".join(self.events)), options, pad=False)
+        lines = console.render_lines(Events(self.events), options, pad=False)
         for line in lines[-max(1, room) :]:
             yield from line
             yield Segment.line()
@@ -215,21 +237,21 @@ def _above(rows: Sequence[Row], keys: str) -> list[RenderableType]:
 
 def plain_row(row: Row) -> str:
     """The same in one line."""
-    if row.mode == NO_MODE:
+    if row.own.mode is None and row.age_s is None:
         return f"follower {row.system_id}: no report yet"
     return (
-        f"follower {row.system_id}: {row.state}, {row.mode}, "
+        f"follower {row.system_id}: {row.state}, {row.own.mode or 'mode not known'}, "
         f"separation {_shown(row.separation_m, 'm')} ({_shown(row.error_m, 'm', '+.2f')}), "
         f"sonar {_shown(row.sonar_m, 'm')}, {_shown(row.speed_mps, 'm/s', '.1f')} "
-        f"of {_shown(row.command_mps, 'm/s', '.1f')}, {_shown(row.altitude_m, 'm', '.1f')} up, "
+        f"of {_shown(row.command_mps, 'm/s', '.1f')}, {_shown(row.own.altitude_m, 'm', '.1f')} up, "
         f"leader {_shown(row.leader_age_s, 's')} old, link {_shown(row.link_percent, '%', '.0f')}"
-        + "".join(f", {text}" for text, _ in in_words(its_health(row)))
+        + "".join(f", {text}" for text, _ in in_words(row.own))
     )
 
 
 def plain_leader(row: Row) -> str:
     """The leader in one line."""
-    return "leader: " + ", ".join(text for text, _ in in_words(leaders_health(row)))
+    return "leader: " + ", ".join(text for text, _ in leaders_words(row.leader))
 
 
 def _shown(value: float | None, unit: str, form: str = ".2f") -> str:

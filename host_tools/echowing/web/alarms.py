@@ -64,7 +64,7 @@ def _of_leader(moment: Moment) -> Iterator[Alarm]:
         yield Alarm(
             Level.ACT, moment.leader_id, f"The leader is not heard for {row.leader_age_s:.1f} s"
         )
-    yield from _of_battery("The leader", moment.leader_id, row.leader_battery_percent)
+    yield from _of_battery("The leader", moment.leader_id, row.leader.battery_percent)
 
 
 def _of_followers(rows: Sequence[Row], tracks: Sequence[Track]) -> Iterator[Alarm]:
@@ -74,7 +74,7 @@ def _of_followers(rows: Sequence[Row], tracks: Sequence[Track]) -> Iterator[Alar
         yield from _of_distance(name, row, track)
         if row.gimbal == SONAR_FAULT:
             yield Alarm(Level.LOOK, row.system_id, f"{name}: its sonar has a fault")
-        yield from _of_battery(name, row.system_id, row.battery_percent)
+        yield from _of_battery(name, row.system_id, row.own.battery_percent)
 
 
 def _of_state(name: str, row: Row) -> Iterator[Alarm]:

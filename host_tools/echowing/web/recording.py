@@ -8,9 +8,8 @@ import bisect
 import csv
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import fields
 from pathlib import Path
-from typing import Any, BinaryIO, Protocol, get_type_hints
+from typing import Any, BinaryIO, Protocol, cast, get_type_hints
 
 from echowing.analysis.flight import Flight
 from echowing.analysis.logs import read_flights
@@ -19,7 +18,7 @@ from echowing.flight.health import assess
 from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.geo import GlobalPosition, displace
 from echowing.tool.moment import Moment, members, places
-from echowing.tool.panel import Row
+from echowing.tool.panel import PREFIXES, Row, VehicleHealth
 from echowing.tool.track import Track
 
 # As sim/sonar.py: what makes a sonar read less than the distance between two centres.
@@ -109,7 +108,7 @@ class TableRecording:
             return judged(
                 Moment(
                     self.times_s[index],
-                    [_made(Row, row) for row in rows],
+                    [_row(row) for row in rows],
                     [_made(Track, row) for row in rows],
                 )
             )
@@ -168,23 +167,19 @@ def _lines(text: str) -> Iterator[str]:
     return (line for line in text.split("\n") if line)
 
 
-def _made(kind: type[Any], row: dict[str, str]) -> Any:
-    """A Row or Track of the cells with its fields' names; what is not there is not known."""
-    reads = _readers(kind)
+def _row(cells: dict[str, str]) -> Row:
+    healths = {name: _made(VehicleHealth, cells, prefix) for name, prefix in PREFIXES.items()}
+    return cast("Row", _made(Row, cells, **healths))
+
+
+def _made(kind: type[Any], cells: dict[str, str], prefix: str = "", **made: Any) -> Any:
+    """Of the cells that its fields name, `made` besides; what is not there is not known."""
     values = {
-        column.name: reads[column.name](row.get(column.name) or "") for column in fields(kind)
+        name: read(cells.get(prefix + name) or "")
+        for name, read in _READERS[kind].items()
+        if name not in made
     }
-    return kind(**values)
-
-
-def _readers(kind: type[Any]) -> dict[str, Callable[[str], Any]]:
-    if kind not in _READERS:
-        hints = get_type_hints(kind)
-        _READERS[kind] = {name: _reader(str(hint)) for name, hint in hints.items()}
-    return _READERS[kind]
-
-
-_READERS: dict[type[Any], dict[str, Callable[[str], Any]]] = {}
+    return kind(**values, **made)
 
 
 def _reader(hint: str) -> Callable[[str], Any]:
@@ -194,6 +189,13 @@ def _reader(hint: str) -> Callable[[str], Any]:
     if "int" in hint:
         return lambda cell: int(float(cell))
     return float if "float" in hint else str
+
+
+# How the cells of each are read, by their names.
+_READERS = {
+    kind: {name: _reader(str(hint)) for name, hint in get_type_hints(kind).items()}
+    for kind in (Row, VehicleHealth, Track)
+}
 
 
 # ---- vehicles' own logs -------------------------------------------------------------------------
@@ -237,7 +239,6 @@ def _logged_row(flight: Flight, number: int, at: int, time_s: float) -> Row:
         time_s=time_s,
         system_id=number,
         state="",
-        mode="?",
         separation_m=_known(flight.separation_m[at]),
         error_m=None,
         slot_error_m=None,
@@ -248,10 +249,10 @@ def _logged_row(flight: Flight, number: int, at: int, time_s: float) -> Row:
         command_mps=_known(flight.speed_command_mps[at]),
         speed_mps=math.hypot(*flight.follower_velocity_mps[at, :2].tolist()),
         leader_speed_mps=_known(math.hypot(*flight.leader_velocity_mps[at, :2].tolist())),
-        altitude_m=_known(-float(flight.follower_ned_m[at, 2])),
         link_percent=None,
         north_offset_m=0.0,
         east_offset_m=0.0,
+        own=VehicleHealth(altitude_m=_known(-float(flight.follower_ned_m[at, 2]))),
     )
 
 
