@@ -103,7 +103,7 @@ def test_a_damaged_moment_is_said_and_the_rest_is_shown(tmp_path: Path) -> None:
         ("a,b\n1,2\n", "not a table of echowing follow --log"),
         ("", "not a table of echowing follow --log"),
         ("unix_time_s,time_s,system_id\n", "holds no rows"),
-        ("unix_time_s,time_s,system_id\n1,x,2\n", "'x' is no time"),
+        ("unix_time_s,time_s,system_id\n1,x,2\n", "'x' is not a time"),
     ],
 )
 def test_what_is_no_log_is_refused(content: str, words: str, tmp_path: Path) -> None:

@@ -97,9 +97,9 @@ def test_nothing_wrong() -> None:
 @pytest.mark.parametrize(
     ("changes", "level", "words"),
     [
-        ({"leader_age_s": 1.2}, Level.ACT, "The leader is not heard for 1.2 s"),
-        ({"leader_age_s": None}, Level.ACT, "The leader was not heard yet"),
-        ({"age_s": 4.0}, Level.ACT, "Follower 2 is not heard for 4 s"),
+        ({"leader_age_s": 1.2}, Level.ACT, "Leader: no report for 1.2 s"),
+        ({"leader_age_s": None}, Level.ACT, "Leader: no report yet"),
+        ({"age_s": 4.0}, Level.ACT, "Follower 2: no report for 4 s"),
         ({"state": "holding: stop switch"}, Level.LOOK, "Follower 2: holding: stop switch"),
         ({"state": "no points sent"}, Level.ACT, "Follower 2: no points sent"),
         ({"separation_m": 1.4}, Level.ACT, "Follower 2 is 1.4 m from the leader (wanted 3.0 m)"),
@@ -166,5 +166,5 @@ def test_slots_out_of_sight_are_known_by_the_plan() -> None:
 
 def test_an_address_that_is_not_loopback_is_said() -> None:
     assert PageAddress().said == "page: http://127.0.0.1:8017/"
-    assert "open to everybody on the network" in PageAddress("0.0.0.0").said
+    assert "everybody on the network can open it" in PageAddress("0.0.0.0").said
     assert PageAddress("::1", 80).said == "page: http://[::1]:80/"

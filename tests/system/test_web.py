@@ -145,7 +145,7 @@ def test_what_is_wrong_is_big_and_plain_on_a_phone(live: LivePage, browser: Brow
     small = sight.reads(_SIZE)
     live.show(moment(2.0, leader_age_s=2.4, state="holding: leader is stale"))
     sight.until("document.getElementById('status').className === 'act'")
-    assert sight.text("headline") == "The leader is not heard for 2.4 s"
+    assert sight.text("headline") == "Leader: no report for 2.4 s"
     assert sight.text("alarms") == "Follower 2: holding: leader is stale"
     assert sight.reads(_SIZE) >= 1.25 * small
     # All of it fits the width of a phone.

@@ -107,7 +107,9 @@ def compare_with_truth(
     without those columns or without common time.
     """
     if flight.start_unix_s is None:
-        raise EchowingError(f"flight {flight.name!r} has no date, so truth cannot be set beside it")
+        raise EchowingError(
+            f"flight {flight.name!r} has no date, so the truth cannot be matched with it"
+        )
     truth = _read_columns(path, ("unix_time_s", "separation_m", "follower_speed_mps"))
     time_s = truth[:, 0] - flight.start_unix_s
     shift_s = _clock_shift_s(flight, time_s, truth[:, 2]) if match_clocks else 0.0
@@ -200,7 +202,7 @@ def _leader(vehicles: Sequence[VehicleLog], stated: Path | int | None) -> Vehicl
         )
     raise EchowingError(
         f"the logs do not show which of {_listed(vehicles)} led: exactly one of them must "
-        "have no forward rangefinder, or not fly in Guided; say which one is the leader"
+        "have no forward rangefinder, or not fly in Guided; name the leader with --leader"
     )
 
 
@@ -236,7 +238,8 @@ def _one_clock(vehicles: Sequence[VehicleLog]) -> list[str]:
 
 
 _GROUND_CLOCKS = {
-    "ground": "aligned by TIMESYNC; what the radio is slower one way than the other, halved,",
+    "ground": "aligned by TIMESYNC; half of the difference between the radio's delays in the "
+    "two directions",
     "receive": "aligned by the times of reception; a difference in radio delay",
 }
 

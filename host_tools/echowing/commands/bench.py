@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The verb's options."""
     parser.epilog = EXAMPLES
     parser.add_argument("--only", choices=SECTIONS, help="measure one section only")
-    parser.add_argument("--seeds", type=int, default=20, help="flights a law and path (20)")
+    parser.add_argument("--seeds", type=int, default=20, help="flights per law and path (20)")
     parser.add_argument("--json", action="store_true", help="print one JSON list")
 
 
@@ -194,7 +194,7 @@ def _campaign_speed(flights: int = 6) -> Figure:
     for index in range(1, flights + 1):  # the first has its logs read
         fly_one(description, 1, index)
     per_hour = 2.0 * flights / (time.perf_counter() - started_s) * 3600.0
-    return Figure("campaign on two cores, flights an hour", per_hour, "1/h", "")
+    return Figure("campaign on two cores, flights per hour", per_hour, "1/h", "")
 
 
 def _guidance_time(points: int = 5000) -> Figure:

@@ -54,7 +54,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--firmware",
         choices=["native", "avr"],
         default="avr",
-        help="the co-processor in the flights that are plotted",
+        help="the co-processor of the plotted flights: native is the firmware's core built for "
+        "this machine, avr the mega's binary in an emulator",
     )
 
 

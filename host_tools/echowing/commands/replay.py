@@ -21,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
     parser.epilog = EXAMPLES
     parser.add_argument(
-        "logs", type=Path, nargs="+", metavar="DIR", help="a folder of logs, or the logs"
+        "logs", type=Path, nargs="+", metavar="DIR", help="a folder of logs, or log files"
     )
     add_web_arguments(parser, always=True)
 

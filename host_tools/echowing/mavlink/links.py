@@ -34,8 +34,7 @@ REFUSED_S = 3.0
 # A vehicle sends its heartbeat each second.
 SILENT_S = 3.0
 TAKEN = (
-    "nothing comes; a vehicle's TCP port often takes one tool at a time, "
-    "so see whether another is connected there"
+    "nothing arrives; a vehicle's TCP port often accepts only one tool: is another one connected?"
 )
 
 _STILL_CONNECTING = {errno.EINPROGRESS, errno.EALREADY, errno.EWOULDBLOCK}
@@ -500,8 +499,8 @@ class Link:
         if now_s - self._refused_since_s >= REFUSED_S and not self._refusal_told:
             self._refusal_told = True
             self.news.append(
-                f"link {self.name}: what comes is not signed with the key of --signing-key-file, "
-                "and refused"
+                f"link {self.name}: messages are not signed with the key of "
+                "--signing-key-file, and are refused"
             )
 
 
@@ -517,7 +516,7 @@ def _reason(error: Exception) -> str:
     if number in (errno.EBUSY, errno.EAGAIN):
         return "the device is busy; another tool has it open"
     if number == errno.ECONNREFUSED:
-        return "nobody listens there"
+        return "nothing listens there"
     return getattr(error, "strerror", None) or str(error)
 
 

@@ -117,8 +117,7 @@ class VehicleFinder:
         if len(free) > 1:
             listed = ", ".join(str(system_id) for system_id in sorted(free))
             raise EchowingError(
-                f"{where}: systems {listed} are on it; say which is the {seat.role}: "
-                f"{where}@{min(free)}"
+                f"{where}: systems {listed} are on it; name the {seat.role}: {where}@{min(free)}"
             )
         return free[0]
 
@@ -150,7 +149,8 @@ class VehicleFinder:
         for text in unnamed:
             if unnamed.count(text) > 1:
                 raise EchowingError(
-                    f"{text} is given for several vehicles: say which is which, as {text}@1"
+                    f"{text} is given for several vehicles: give the system id of each, for "
+                    f"example {text}@1"
                 )
 
 
@@ -174,8 +174,8 @@ class StrangerWatch:
             return None
         listed = ", ".join(map(str, sorted((seat.system_id, stranger))))
         return seat.system_id, (
-            f"{link}: systems {listed} are on it, and the {seat.role} was not named: end, "
-            f"and say which it is: {link}@{seat.system_id}"
+            f"{link}: systems {listed} are on it, and you have not said which is the "
+            f"{seat.role}: end the tool and give {link}@{seat.system_id}"
         )
 
 

@@ -33,8 +33,7 @@ def run(args: argparse.Namespace) -> int:
         print_json({"pan_us": args.pan_us, "tilt_us": args.tilt_us})
     else:
         print(
-            f"holds at pan {args.pan_us} us, tilt {args.tilt_us} us; "
-            "`echowing rig scan auto` lets go"
+            f"holds at pan {args.pan_us} us, tilt {args.tilt_us} us, until `echowing rig scan auto`"
         )
     return 0
 

@@ -64,7 +64,7 @@ class Operator:
             while self._lines.empty():
                 show(meanwhile())
         if not self._lines.get():
-            raise EchowingError("nobody answers: the input has ended; --yes asks nothing")
+            raise EchowingError("no answer: the input has ended; with --yes nothing is asked")
 
     @contextlib.contextmanager
     def progress(
@@ -179,7 +179,7 @@ def add_bench_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--out", type=Path, default=Path("out/rig"), metavar="DIR", help="results (out/rig)"
     )
-    parser.add_argument("--yes", action="store_true", help="ask nothing: all is in place")
+    parser.add_argument("--yes", action="store_true", help="ask nothing: everything is in place")
 
 
 def positive(text: str) -> float:

@@ -235,11 +235,11 @@ class Board:
             ANSWER_TIMEOUT_S,
         )
         if answer is None:
-            raise CommandError(f"{self._label()} has not answered to {name} = {value:g}")
+            raise CommandError(f"{self._label()} has not answered {name} = {value:g}")
         in_force = float(answer.param_value)
         if in_force != as_float32(value):
             why = ": not while the autopilot is armed" if self._in_flight() else _allowed(name)
-            raise EchowingError(f"{name} = {value:g} is refused, it stays {in_force:g}{why}")
+            raise EchowingError(f"{name} = {value:g} is refused; it stays {in_force:g}{why}")
         self._adopt(answer)
         if in_force != before:
             self._changed_at_s = self._clock()

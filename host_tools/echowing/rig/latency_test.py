@@ -174,7 +174,9 @@ class LatencyTest:
         """Nearly all of them within the board's limit and the host's share."""
         limit_ms = board_ms + self._host_ms
         most_ms = percentile(values_ms, SHARE)
-        found = f"{SHARE:.0%} within {most_ms:.1f} ms" if values_ms else "none came of a target"
+        found = (
+            f"{SHARE:.0%} within {most_ms:.1f} ms" if values_ms else "no report of a target came"
+        )
         asked = (
             f"under {limit_ms:g} ms: {board_ms:g} ms at the board's pins, "
             f"{self._host_ms:g} ms for the USB serial chip and this computer"
@@ -248,7 +250,11 @@ def add_arguments(parser: ArgumentParser) -> None:
     add_bench_arguments(parser)
     parser.add_argument("--commands", type=whole, default=COMMANDS, metavar="N", help="asked (100)")
     parser.add_argument(
-        "--seconds", type=positive, default=SECONDS, metavar="S", help="listened for (20)"
+        "--seconds",
+        type=positive,
+        default=SECONDS,
+        metavar="S",
+        help="seconds to listen for reports (20)",
     )
     parser.add_argument(
         "--host-ms",

@@ -166,7 +166,7 @@ class AutopilotVehicle:
             for message in self._read(0.1):
                 if _is_autopilot(message):
                     return int(message.get_srcSystem())
-        raise EchowingError(f"{self.name}: no autopilot reports there within {FIND_S:g} s")
+        raise EchowingError(f"{self.name}: no autopilot has reported there for {FIND_S:g} s")
 
     def _read(self, timeout_s: float) -> list[Any]:
         # ArduPilot tells its named floats only where it has heard somebody.

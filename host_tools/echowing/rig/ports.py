@@ -70,8 +70,8 @@ def find_port(devices: Callable[[], Sequence[UsbDevice]] = usb_devices) -> str:
     found = devices()
     if not found:
         raise EchowingError(
-            "no board found: no serial port of this computer is on USB. Plug the board in with a "
-            "cable that carries data (many only charge), or say where it is with --port"
+            "no board found: no serial port is on USB. Plug the board in with a cable that "
+            "carries data (many only charge), or give --port"
         )
     if len(found) > 1:
         raise EchowingError(
@@ -119,7 +119,7 @@ class SerialWire:
             self._port.write(data)
         except serial.SerialTimeoutException as error:
             raise PortLostError(
-                f"{self._name}: the device takes no bytes; unplug it, plug it in and start again"
+                f"{self._name}: the device accepts no bytes; unplug it, plug it in and start again"
             ) from error
         except (OSError, TypeError) as error:
             raise PortLostError(f"{self._name}: {_why_lost(error)}") from error
@@ -171,7 +171,7 @@ _REASONS: tuple[tuple[set[int], str, str], ...] = (
         {errno.EAGAIN, errno.EBUSY},
         "PermissionError",
         "the port is busy: another program has it open (a ground station, a serial monitor, "
-        "another `echowing rig`); close that first",
+        "another `echowing rig`); end that program first",
     ),
     (
         {errno.EACCES, errno.EPERM},
@@ -196,7 +196,7 @@ def _why_not_opened(error: Exception, address: Address) -> str:
         if number in numbers or word in words:
             return reason.format(there_are=_there_are())
     if isinstance(error, ValueError | OverflowError):
-        return f"the port does not do {address.baud} baud; the board's USB port has {USB_BAUD}"
+        return f"the port does not support {address.baud} baud; the board's USB port has {USB_BAUD}"
     return getattr(error, "strerror", None) or words
 
 
@@ -218,7 +218,7 @@ def _why_lost(error: Exception) -> str:
 def _why_hung_up(error: Exception) -> str:
     number = getattr(error, "errno", None)
     if number == errno.ECONNREFUSED:
-        return "nobody listens there; start the other end first"
+        return "nothing listens there; start the other end first"
     if number == errno.EADDRINUSE:
         return "the port is taken; another tool listens there"
     if number in (errno.ECONNRESET, errno.EPIPE):

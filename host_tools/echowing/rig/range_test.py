@@ -147,8 +147,7 @@ class RangeTest:
                 "farther off. Mean, bias and spread are those of the detected single readings. "
                 f"Maximum effective range: the farthest distance with {self._least_rate:.0%} "
                 "detected, there and at every nearer distance set. The thesis does not give its "
-                "own criterion; ours: "
-                f"{RATE_REASON}."
+                f"own criterion; ours: {RATE_REASON}."
             ],
         )
 
@@ -158,8 +157,8 @@ class RangeTest:
         if farthest_m is None or farthest_m < tried_m or tried_m >= self._needed_m:
             return None
         return (
-            f"not tested beyond {tried_m:g} m, and {self._needed_m:g} m are needed: give farther "
-            "distances too"
+            f"not tested beyond {tried_m:g} m, and {self._needed_m:g} m are needed: add farther "
+            "distances"
         )
 
     def _checks(self, farthest_m: float | None) -> list[Check]:
@@ -171,7 +170,7 @@ class RangeTest:
             "not detected at the nearest distance" if farthest_m is None else f"{farthest_m:g} m"
         )
         enough = farthest_m is not None and farthest_m >= self._needed_m
-        asked = f"at least {self._needed_m:g} m: up to there the speed law has to see the leader"
+        asked = f"at least {self._needed_m:g} m: the speed law must detect the leader up to there"
         checks = [Check("maximum effective range", found, asked, enough)]
         return [*checks, *_exactness(within)] if within else checks
 
@@ -316,21 +315,25 @@ def add_arguments(parser: ArgumentParser) -> None:
         help=f"metres ({','.join(f'{distance_m:g}' for distance_m in DISTANCES_M)})",
     )
     parser.add_argument(
-        "--seconds", type=positive, default=SECONDS, metavar="S", help="at each (5)"
+        "--seconds",
+        type=positive,
+        default=SECONDS,
+        metavar="S",
+        help="seconds at each distance (5)",
     )
     parser.add_argument(
         "--need",
         type=positive,
         default=NEEDED_M,
         metavar="M",
-        help=f"pass from this maximum effective range on ({NEEDED_M:g}: Table 6's outer edge)",
+        help=f"least maximum effective range to pass ({NEEDED_M:g}: Table 6's outer edge)",
     )
     parser.add_argument(
         "--rate",
         type=share,
         default=LEAST_RATE,
         metavar="SHARE",
-        help=f"detected means an echo this often ({LEAST_RATE:g})",
+        help=f"a target counts as detected with this share of echoes ({LEAST_RATE:g})",
     )
 
 

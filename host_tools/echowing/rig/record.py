@@ -20,7 +20,8 @@ examples:
       until Ctrl-C; then
   echowing rig replay bench.ewr
   echowing rig record bench.ewr --duration 60 --json
-Whatever comes is kept, also what is no MAVLink; nothing is lost if the computer stops.
+Every byte is kept, also bytes that are not MAVLink. If the computer stops, the file keeps what has
+arrived.
 """
 
 PERIOD_S = 0.1
@@ -30,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The verb's options."""
     parser.epilog = EXAMPLES
     parser.add_argument("file", type=Path, metavar="FILE", help="a new file")
-    parser.add_argument("--duration", type=float, metavar="S", help="end after this long")
+    parser.add_argument("--duration", type=float, metavar="S", help="end after S seconds")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -41,7 +41,7 @@ class Recorder:
             # Unbuffered: each record is one write, and out of our hands when it returns.
             self._file = path.open("xb", buffering=0)
         except FileExistsError as error:
-            raise EchowingError(f"{path}: is there already; give another name") from error
+            raise EchowingError(f"{path}: exists already; give another name") from error
         except OSError as error:
             raise EchowingError(f"{path}: cannot be written ({error.strerror})") from error
         self._write(MAGIC + json.dumps(about).encode() + b"\n")
@@ -88,7 +88,7 @@ def read_recording(path: Path) -> Recording:
         raise EchowingError(f"{path}: cannot be read ({error.strerror})") from error
     header, newline, _ = content[:_LONGEST_HEADER].partition(b"\n")
     if not header.startswith(MAGIC) or not newline:
-        raise EchowingError(f"{path}: is no recording of `echowing rig record`")
+        raise EchowingError(f"{path}: is not a recording of `echowing rig record`")
     try:
         about = dict(json.loads(header.removeprefix(MAGIC)).items())
     except (ValueError, AttributeError) as error:

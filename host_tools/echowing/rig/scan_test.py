@@ -158,7 +158,7 @@ class ScanTest:
         own = (board["PAN_US_DEG"], board["TILT_US_DEG"])
         scales = (self._us_per_deg, self._us_per_deg) if self._us_per_deg else own
         if 0.0 in scales:
-            raise EchowingError("PAN_US_DEG or TILT_US_DEG is 0: say --us-per-deg")
+            raise EchowingError("PAN_US_DEG or TILT_US_DEG is 0: give --us-per-deg")
         return aims(pulses_us, centre_us, scales)
 
     def result(self) -> Result:
@@ -368,19 +368,19 @@ def add_arguments(parser: ArgumentParser) -> None:
         type=whole,
         default=ROUNDS,
         metavar="N",
-        help="of twelve (2)",
+        help="rounds of the twelve points (2)",
     )
     parser.add_argument(
         "--half-angle",
         type=positive,
         metavar="DEG",
-        help="of the sonar's beam (the board's BEAM_WIDTH halved)",
+        help="half-angle of the sonar's beam (half of the board's BEAM_WIDTH)",
     )
     parser.add_argument(
         "--us-per-deg",
         type=positive,
         metavar="US",
-        help="of the servos (the board's PAN_US_DEG and TILT_US_DEG)",
+        help="microseconds per degree of the servos (the board's PAN_US_DEG and TILT_US_DEG)",
     )
 
 

@@ -24,7 +24,7 @@ PERIOD_S = 0.1
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The verb's options."""
     parser.epilog = EXAMPLES
-    parser.add_argument("--duration", type=float, metavar="S", help="end after this long")
+    parser.add_argument("--duration", type=float, metavar="S", help="end after S seconds")
 
 
 def run(args: argparse.Namespace) -> int:

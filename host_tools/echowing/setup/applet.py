@@ -137,8 +137,8 @@ def _find_scripts(card: FtpClient, scripts: str) -> None:
             if not refusal.not_there:
                 raise
             raise EchowingError(
-                f"no folder {parent} on the vehicle: no SD card in it, or the autopilot has not "
-                "been started with it yet"
+                f"no folder {parent} on the vehicle: no SD card is in it, or the autopilot has "
+                "not been started with the card yet"
             ) from refusal
     card.make_folder(scripts)
 
@@ -160,8 +160,8 @@ def _verify_on_card(card: FtpClient, path: str, wanted: bytes, progress: Progres
         return
     card.remove(path)
     raise EchowingError(
-        f"{path}: the card gives back something else than was written; the older applet is still "
-        "in place. Is the card full? Else try another one"
+        f"{path}: the card does not return what was written; the older applet is still in "
+        "place. Is the card full? If not, try another card"
     )
 
 
@@ -192,14 +192,14 @@ def _scripts_folder(mount: Path) -> Path:
         raise EchowingError(f"{mount}: no such folder; where is the card mounted?")
     if not (mount / FIRMWARE_FOLDER).is_dir():
         raise EchowingError(
-            f"{mount}: no {FIRMWARE_FOLDER} folder, so not an autopilot's card; a new card gets "
-            "one when the autopilot has been started with it"
+            f"{mount}: no {FIRMWARE_FOLDER} folder, so this is not an autopilot's card; an "
+            "autopilot makes the folder on a new card when it starts"
         )
     folder = mount / FIRMWARE_FOLDER / SCRIPTS_FOLDER
     try:
         folder.mkdir(exist_ok=True)
     except OSError as error:
-        raise EchowingError(f"{folder}: cannot be made: {error.strerror}") from error
+        raise EchowingError(f"{folder}: cannot be created: {error.strerror}") from error
     return folder
 
 

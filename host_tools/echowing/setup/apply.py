@@ -51,7 +51,7 @@ class Outcome:
 
 
 Write = Callable[[str, float], float]
-"""Writes a parameter and returns what it is then; EchowingError where nobody answers."""
+"""Writes a parameter and returns its new value; raises EchowingError if nobody answers."""
 
 
 def changes_for(readout: Readout) -> list[Change]:
@@ -113,7 +113,7 @@ def save(path: Path, system_id: int, changes: Iterable[Change], now: datetime) -
         arriving.replace(path)
     except OSError as error:
         raise EchowingError(
-            f"{path}: the old values cannot be kept there: {error.strerror}; nothing was changed"
+            f"{path}: the old values cannot be written there: {error.strerror}; nothing was changed"
         ) from error
 
 
@@ -124,7 +124,7 @@ def _older(path: Path, system_id: int) -> Saved:
     saved = load(path)
     if saved.system_id != system_id:
         raise EchowingError(
-            f"{path}: is there already, and is of vehicle {saved.system_id}; name another file"
+            f"{path}: exists already, with values of vehicle {saved.system_id}; name another file"
         )
     return saved
 

@@ -100,7 +100,7 @@ def judge(setting: Setting, readout: Readout) -> Finding | None:
 
 def _hidden(setting: Setting) -> str:
     if setting.name.startswith("SERIAL"):
-        return "has this autopilot such a port?"
+        return "does this autopilot have such a port?"
     if setting.name == "SCR_ENABLE":
         return "this firmware has no scripting: small boards need a custom build"
     if setting.name.startswith("SCR_"):
@@ -122,7 +122,7 @@ def _settings(readout: Readout) -> Iterator[Finding]:
 
 def _coprocessor(readout: Readout) -> Iterator[Finding]:
     if readout.coprocessor is None and readout.signs and readout.takes_range:
-        found = "its range is in the autopilot; unsigned, it is refused on a signed link"
+        found = "the autopilot has its range; a signed link refuses its own, unsigned messages"
         yield Finding("co-processor", Verdict.FINE, found)
     elif readout.coprocessor is None and _is_silenced(readout):
         yield Finding(
@@ -227,7 +227,7 @@ def _reports(readout: Readout) -> Iterator[Finding]:
             Verdict.WRONG,
             f"orientation {reports.orientation}",
             "the autopilot ignores a range of another orientation than RNGFND's",
-            "is it another device's range?",
+            "does another device send it?",
         )
     elif steady and reports.rate_hz >= SLOWEST_REPORT_HZ:
         yield Finding(about, Verdict.FINE, found)
@@ -237,7 +237,7 @@ def _reports(readout: Readout) -> Iterator[Finding]:
             Verdict.WRONG,
             found,
             f"the autopilot drops a range older than {RANGEFINDER_TIMEOUT_S:g} s; over a slow "
-            "radio it may be this link that loses them",
+            "radio this link may lose them",
             "check again over USB; then REPORT_RATE and the wire",
         )
 
@@ -270,7 +270,7 @@ def _tracking_range(readout: Readout) -> Iterator[Finding]:
         "TRACK_RANGE",
         Verdict.YOURS,
         found,
-        "what the gimbal takes for the leader and what the applet does should be the same",
+        "gimbal and applet must take the same readings for the leader",
         f"param set ECHO_DETECT {track_cm / 100.0:g}, or TRACK_RANGE of component "
         f"{readout.coprocessor}",
     )
@@ -289,8 +289,8 @@ def _applet(readout: Readout) -> Iterator[Finding]:
             Verdict.WRONG,
             error,
             "a script has failed, in the autopilot's own words; it refuses to arm",
-            "where it names echowing.lua: echowing setup lua --vehicle …; where another script, "
-            "take that off the card; where memory, SCR_HEAP_SIZE; then restart the autopilot",
+            "if it names echowing.lua: echowing setup lua --vehicle …; if another script: "
+            "remove that from the card; if memory: raise SCR_HEAP_SIZE; then restart the autopilot",
         )
     elif enabled is None:
         yield Finding("applet", Verdict.WRONG, *_why_absent(readout))
@@ -305,7 +305,7 @@ def _applet(readout: Readout) -> Iterator[Finding]:
             "land; look for its last message, then restart the autopilot",
         )
     else:
-        yield Finding("applet", Verdict.FINE, "loaded; it speaks only when in control, in Guided")
+        yield Finding("applet", Verdict.FINE, "loaded; it reports only while in control, in Guided")
 
 
 def _why_absent(readout: Readout) -> tuple[str, str, str]:
@@ -315,11 +315,11 @@ def _why_absent(readout: Readout) -> tuple[str, str, str]:
         why, fix = "scripts run only while SCR_ENABLE is 1", f"param set SCR_ENABLE 1; or {APPLY}"
         return "does not run: scripting is off", why, f"{fix}; then restart the autopilot"
     if readout.applet_on_card is CardApplet.NONE:
-        return "not on the card", "the speed from distance is the applet's work", upload
+        return "not on the card", "without the applet the sonar's distance has no effect", upload
     if readout.applet_on_card is None:
-        why = "whether it is on the card cannot be seen, and the autopilot names no error"
+        why = "the card cannot be read, and the autopilot reports no error"
         return "no ECHO_ parameters", why, f"{upload}; then restart the autopilot"
-    why = "the autopilot names no error: scripts are loaded at its start"
+    why = "the autopilot reports no error; it loads scripts when it starts"
     return "on the card, but it does not run", why, "restart the autopilot"
 
 
@@ -331,7 +331,7 @@ def _applet_file(readout: Readout) -> Iterator[Finding]:
             "applet on the card",
             Verdict.WRONG,
             "another version than this package's",
-            "tools and applet belong together",
+            "tools and applet must have the same version",
             "echowing setup lua --vehicle …, or echowing setup apply",
         )
 
@@ -349,7 +349,7 @@ def _switch(readout: Readout) -> Iterator[Finding]:
         "switch",
         Verdict.WRONG,
         f"ECHO_SWITCH {option:g}, and no channel has this option",
-        "the applet waits for a switch that is not there",
+        "the applet waits for a switch that does not exist",
         f"param set RC7_OPTION {option:g}, or the channel of your switch; or ECHO_SWITCH 0",
     )
 
@@ -373,15 +373,15 @@ def _speed(readout: Readout) -> Iterator[Finding]:
             name,
             Verdict.WRONG,
             f"{value:g}, yours was {mirror:g} (ECHO_MIRROR)",
-            "the applet died in control and has not put your speed back",
-            "restart the autopilot or its scripts: the applet then does",
+            "the applet stopped while in control and has not restored your speed",
+            "restart the autopilot or its scripts: the applet then restores it",
         )
     elif mirror == 0.0 and speed_mps < SLOW_MPS:
         yield Finding(
             name,
             Verdict.YOURS,
             f"{value:g}",
-            "every mission flies this slowly; has a limit of the applet's been left behind?",
+            "every mission flies this slowly; is it a limit that the applet has left?",
             f"param set {name} {10.0 if name == 'WP_SPD' else 1000.0:g} is ArduCopter's own",
         )
     else:
@@ -405,14 +405,15 @@ _CHOICES = (
     _Choice(
         ("FS_GCS_ENABLE",),
         lambda v: v == 0.0,
-        "nothing on board notices a dead ground station",
+        "the vehicle does not react when the ground station fails",
         "param set FS_GCS_ENABLE 1 (return home), or as you fly",
     ),
     _Choice(
         ("MAV_GCS_SYSID", "SYSID_MYGCS"),
         lambda v: v == TOOL_SYSTEM_ID,
-        "echowing itself beats under this id, and would hide that your ground station is dead",
-        "set it to your ground station's id, 255 as a rule",
+        "echowing itself sends heartbeats with this id, so a failed ground station would not "
+        "be detected",
+        "set it to your ground station's id, usually 255",
     ),
     _Choice(
         ("FS_THR_ENABLE",),
@@ -423,7 +424,7 @@ _CHOICES = (
     _Choice(
         ("FS_OPTIONS",),
         lambda v: bool(int(v) & 4),
-        "in Guided the loss of the transmitter is passed over (bit 2)",
+        "in Guided the vehicle ignores the loss of the transmitter (bit 2)",
         "clear bit 2",
     ),
     _Choice(
@@ -435,7 +436,7 @@ _CHOICES = (
     _Choice(
         ("FENCE_ENABLE",),
         lambda v: v == 0.0,
-        "no fence ends a flight away; it keeps vehicles in, not apart",
+        "no fence stops a vehicle that flies away; a fence does not keep vehicles apart",
         "param set FENCE_ENABLE 1 after setting its radius and altitude",
     ),
 )
@@ -443,8 +444,8 @@ _APPLET_CHOICES = (
     _Choice(
         ("ECHO_STREAM_T",),
         lambda v: v == 0.0,
-        "the applet's watchdog is off: a dead ground tool leaves the vehicle flying to its last "
-        "point",
+        "the applet's watchdog is off: if the ground tool fails, the vehicle flies on to its "
+        "last point",
         "param set ECHO_STREAM_T 1",
     ),
     _Choice(
@@ -491,7 +492,7 @@ def _avoidance(readout: Readout) -> Iterator[Finding]:
             "AVOID_ENABLE" if avoids else "OA_TYPE",
             Verdict.YOURS,
             f"avoidance by {present[0]}",
-            "it keeps away from what it sees, and it sees the leader",
+            "it avoids what it detects, and it detects the leader",
             "param set AVOID_ENABLE 1 (fence only) and OA_TYPE 0 for formation flight",
         )
 
@@ -505,7 +506,7 @@ def _arming(readout: Readout) -> Iterator[Finding]:
                 Verdict.YOURS,
                 reason,
                 "the autopilot would not arm now, in its own words",
-                "indoors, without GPS, it has to be so; else see to it before the flight",
+                "this is normal indoors, without GPS; otherwise fix it before the flight",
             )
 
 
@@ -516,7 +517,7 @@ def _leaders_applet(readout: Readout) -> Iterator[Finding]:
             "ECHO_ENABLE",
             Verdict.YOURS,
             "1",
-            "set up as a follower: in Guided its applet takes its speed",
+            "set up as a follower: in Guided its applet changes its speed",
             "param set ECHO_ENABLE 0 while it leads",
         )
 

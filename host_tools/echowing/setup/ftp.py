@@ -175,7 +175,7 @@ class FtpClient:
             before = content.known_bytes
             self._transfer(path, wanted, Op.OPEN_FILE_RO, request, take)
             if content.known_bytes == before:
-                raise EchowingError(f"{path}: the autopilot gives back empty pieces of it")
+                raise EchowingError(f"{path}: the autopilot returns empty pieces of it")
         self._request(path, Op.TERMINATE_SESSION)
         return content.joined()
 
@@ -373,12 +373,12 @@ def _entry(text: bytes) -> Entry:
 _NO_CARD = {errno.EBUSY, errno.ENODEV, errno.ENXIO}
 _REASONS = {
     Fault.FAIL: "refused; is the file open elsewhere?",
-    Fault.INVALID_DATA_SIZE: "the autopilot takes no name of that length",
+    Fault.INVALID_DATA_SIZE: "the autopilot does not accept a name of that length",
     Fault.INVALID_SESSION: "another tool has a file open; end it and try again",
     Fault.NO_SESSIONS_AVAILABLE: "other tools have all file sessions open; end them and try again",
     Fault.END_OF_FILE: "the file is shorter than it should be",
-    Fault.UNKNOWN_COMMAND: "this firmware cannot do that; ArduCopter 4.5 or later can",
-    Fault.FILE_EXISTS: "there is such a file already",
+    Fault.UNKNOWN_COMMAND: "this firmware cannot do that; update to ArduCopter 4.5 or later",
+    Fault.FILE_EXISTS: "the file exists already",
     Fault.FILE_PROTECTED: "the file is write-protected",
     Fault.FILE_NOT_FOUND: "not there",
 }

@@ -98,7 +98,9 @@ class Work:
             return None
         for name, now in outcome.refused.items():
             wanted = dict(values)[name]
-            self.say(f"{name} is {now:g} after writing {wanted:g}: the autopilot does not take it")
+            self.say(
+                f"{name} is {now:g} after writing {wanted:g}: the autopilot does not accept it"
+            )
         self.say(f"{len(outcome.written)} of {len(values)} written and read back")
         return outcome
 
@@ -106,9 +108,9 @@ class Work:
         """Restart the autopilot and wait for it; False: it has to be done by hand."""
         self.say("the autopilot restarts …")
         if restart_autopilot(self.vehicle):
-            self.say("it is up again")
+            self.say("it has restarted")
             return True
-        self.say("it does not restart by command: take its power")
+        self.say("it does not restart by command: switch its power off and on")
         return False
 
 
@@ -191,7 +193,7 @@ class Apply:
                 return INTERRUPTED_EXIT
             self._refused |= set(outcome.refused)
         if plan.upload and not self._uploaded(may_wait="SCR_ENABLE" in plan.waits_for_restart):
-            self.work.say("no folder for scripts yet: it is made when scripting starts")
+            self.work.say("no folder for scripts yet: the autopilot makes it when scripting starts")
         return self._take_effect(plan)
 
     @property
@@ -246,12 +248,12 @@ class Apply:
         if until_applet_runs(vehicle):
             self.work.say("the applet runs")
             return True
-        reason = scripting_error(objections(vehicle)) or "the autopilot names no error"
+        reason = scripting_error(objections(vehicle)) or "the autopilot reports no error"
         self.work.say(f"the applet does not run: {reason}")
         return False
 
     def _by_hand(self, names: Sequence[str]) -> int:
-        count = f": {', '.join(names)} count only then" if names else ""
+        count = f": {', '.join(names)} take effect only then" if names else ""
         self.work.say(f"restart the autopilot{count}")
         port = "" if self.serial_port is None else f" --serial {self.serial_port}"
         self.work.say(
@@ -296,7 +298,7 @@ def restore(work: Work, file: Path, saved: Saved) -> int:
     if work.restart:
         work.restart_now()
     else:
-        work.say("restart the autopilot: some of them count only then")
+        work.say("restart the autopilot: some of them take effect only then")
     return 1 if outcome.refused or absent else 0
 
 
@@ -308,9 +310,9 @@ def _tell_of_others(work: Work, file: Path, saved: Saved) -> None:
     newer = [path for path, when in others if when > saved.when]
     older = [path for path, when in others if when <= saved.when]
     if older:
-        work.say(f"from before an earlier apply, restore next: {', '.join(map(str, older))}")
+        work.say(f"from an earlier apply, restore next: {', '.join(map(str, older))}")
     if newer:
         work.say(
-            f"of a later apply, to be restored before {file}: {', '.join(map(str, newer))}; where "
-            f"that was not done, do it now and then restore {file} again"
+            f"of a later apply, to be restored before {file}: {', '.join(map(str, newer))}; if "
+            f"you have not done that, do it now and then restore {file} again"
         )

@@ -36,8 +36,8 @@ def restart_autopilot(vehicle: Vehicle) -> bool:
         if gone_s < GOING_DOWN_S:
             vehicle.forget()
     raise EchowingError(
-        f"{vehicle.name} has not come back within {RESTART_TIMEOUT_S:g} s after its restart; look "
-        "at it and at the link"
+        f"{vehicle.name} does not report {RESTART_TIMEOUT_S:g} s after its restart; check it "
+        "and the link"
     )
 
 

@@ -123,8 +123,8 @@ class Vehicle:
             self._notice(one)
         if now_s - self._heard_s > silence_s:
             raise EchowingError(
-                f"{self.name} is silent: no report of its autopilot for {silence_s:g} s; "
-                "look at the link, then try again"
+                f"{self.name} is silent: no message of its autopilot for {silence_s:g} s; "
+                "check the link, then try again"
             )
         return heard
 
@@ -238,7 +238,9 @@ class Vehicle:
                 break
         values = self.read([name])
         if name not in values:
-            raise EchowingError(f"{self.name} does not confirm {name}; is there such a parameter?")
+            raise EchowingError(
+                f"{self.name} does not confirm {name}; does it have this parameter?"
+            )
         return values[name]
 
     # ---- commands -------------------------------------------------------------------------------
@@ -369,7 +371,7 @@ def open_vehicle(
             who = "autopilot" if seat.system_id is None else f"system {seat.system_id}"
             raise EchowingError(
                 f"{seat.address.text}: no {who} has reported for {FIND_TIMEOUT_S:g} s; is it "
-                "powered, is the connection string right, is another tool on the port?"
+                "powered, is the connection string right, does another tool use the port?"
             )
         vehicle = Vehicle(link, known_id(seat), clock=clock, say=say)
         vehicle.until_state_known()

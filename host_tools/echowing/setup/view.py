@@ -77,7 +77,7 @@ def _is_dull(finding: Finding) -> bool:
 def changes_as_lines(changes: Sequence[Change]) -> Iterator[str]:
     """What is going to be written."""
     for change in changes:
-        later = ", from the next start on" if change.restart else ""
+        later = ", used from the next start on" if change.restart else ""
         yield _row(change.name, f"{change.old:g} -> {change.new:g}{later}: {change.why}")
 
 
@@ -85,7 +85,7 @@ _ON_CARD = {
     CardApplet.NONE: "not on the card -> this package's",
     CardApplet.ANOTHER: "another version on the card -> this package's",
     CardApplet.OURS: "on the card",
-    None: "the card cannot be seen (no answer to file requests), left alone",
+    None: "the card cannot be read (no answer to file requests); left alone",
 }
 
 
@@ -98,7 +98,7 @@ def differences(
     """
     yield from changes_as_lines(changes)
     for name, value in hidden.items():
-        yield _row(name, f"not shown yet; -> {value:g} after the restart, where it does not fit")
+        yield _row(name, f"not shown yet; -> {value:g} after the restart, if it is wrong")
     told = {change.name for change in changes} | set(hidden)
     for setting in settings_for(readout):
         found = judge(setting, readout)
@@ -106,10 +106,10 @@ def differences(
             yield _row(found.about, f"{found.found}, left alone: {found.why}; {found.fix}")
     for found in examine(readout):
         if found.verdict is Verdict.YOURS:
-            yield _row(found.about, f"{found.found} stays, it is yours to decide: {found.why}")
+            yield _row(found.about, f"{found.found} stays; it is yours to decide: {found.why}")
     yield _row("applet", _ON_CARD[readout.applet_on_card])
     if readout.serial_port is None:
-        yield _row("SERIALn_…", "left alone: say --serial N, the port of the co-processor")
+        yield _row("SERIALn_…", "left alone: give --serial N, the port of the co-processor")
 
 
 def _row(name: str, text: str) -> str:

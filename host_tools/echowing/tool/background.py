@@ -148,8 +148,8 @@ class BackgroundView:
             return
         self._dropped_events = 0
         text = (
-            f"nothing could be shown for a while (a stopped terminal, an unread pipe?): {events} "
-            f"events and {rows} updates of the table were left out; flying went on"
+            "nothing could be shown for a while (stopped terminal, or pipe that nobody reads?): "
+            f"{events} events and {rows} updates of the table were left out; flying went on"
         )
         self._worker.do(lambda: self._view.event(time_s, text))
 
@@ -181,7 +181,7 @@ class BackgroundLog:
         while self._said:
             say(self._said.popleft())
         if self._dropped and self._worker.has_room:
-            say(f"log: {self._dropped} frames and rows are missing: the disk took nothing")
+            say(f"log: {self._dropped} frames and rows are missing: the disk was too slow")
             self._dropped = 0
 
     def close(self) -> None:

@@ -50,7 +50,7 @@ class KeyDesk:
             self._ask_nearer(now_s)
 
     def _engage_question(self) -> str:
-        return "end the hold?" if self._orders.held else "engage, points to all in Guided?"
+        return "end the hold?" if self._orders.held else "engage: send points to all in Guided?"
 
     def _ask_nearer(self, now_s: float) -> None:
         objection = self._orders.objection_to_nearer(now_s)

@@ -124,7 +124,11 @@ class LeaderTool:
         silent = now_s - self._heard_s > UNHEARD_S
         if silent is not self._silent:
             self._silent = silent
-            self._say("the leader is silent; followers stop" if silent else "the leader is back")
+            self._say(
+                "no report from the leader; followers stop"
+                if silent
+                else "the leader reports again"
+            )
 
     def _ask(self, now_s: float) -> None:
         if now_s - self._beat_s >= HEARTBEAT_PERIOD_S:
@@ -146,5 +150,5 @@ def _refuse_loop(vehicle: Address, publish: Address) -> None:
     if leads_back(vehicle, publish):
         raise EchowingError(
             f"--publish to {publish.host}:{publish.port} is where the vehicle's messages arrive "
-            f"({vehicle.text}): all would go round and round; give another port"
+            f"({vehicle.text}): messages would circulate for ever; give another port"
         )

@@ -88,10 +88,11 @@ class FollowLog:
                 if file is not None:
                     file.close()
             except OSError as error:
-                self._say(f"log: its end was lost: {error.strerror}")
+                self._say(f"log: the end is missing: {error.strerror}")
 
     def _give_up(self, error: OSError) -> None:
         self._say(
-            f"log: {error.filename or ''} cannot be written ({error.strerror}); flying on without"
+            f"log: {error.filename or ''} cannot be written ({error.strerror}); flying goes on "
+            "without a log"
         )
         self.close()

@@ -42,7 +42,7 @@ RESTORING_S = 6.0
 UNKNOWN_ALTITUDE_M = 10.0
 # This far behind, the points that were missed are not sent late.
 HOPELESS_S = 0.5
-TAKE_OVER = "Echowing: not known to stand, TAKE OVER"
+TAKE_OVER = "Echowing: not confirmed stopped, TAKE OVER"
 # What another component of a vehicle, the co-processor, may say; all else is its autopilot's.
 _COMPONENTS_SAY = {"DISTANCE_SENSOR", "NAMED_VALUE_FLOAT"}
 
@@ -334,7 +334,7 @@ class FollowTool:
         self._turn()
         while not session.stopped(self._now_s()) and self._now_s() < until_s:
             if self._stop.count > asked:
-                self._say("asked twice: not waiting for the followers to stand")
+                self._say("asked twice: not waiting for the followers to stop")
                 break
             self._turn()
         safe = self._put_back(asked)

@@ -59,11 +59,9 @@ def _of_leader(moment: Moment) -> Iterator[Alarm]:
         return
     row = moment.rows[0]
     if row.leader_age_s is None:
-        yield Alarm(Level.ACT, moment.leader_id, "The leader was not heard yet")
+        yield Alarm(Level.ACT, moment.leader_id, "Leader: no report yet")
     elif row.leader_age_s > STALE_S:
-        yield Alarm(
-            Level.ACT, moment.leader_id, f"The leader is not heard for {row.leader_age_s:.1f} s"
-        )
+        yield Alarm(Level.ACT, moment.leader_id, f"Leader: no report for {row.leader_age_s:.1f} s")
     yield from _of_battery("The leader", moment.leader_id, row.leader.battery_percent)
 
 
@@ -79,9 +77,9 @@ def _of_followers(rows: Sequence[Row], tracks: Sequence[Track]) -> Iterator[Alar
 
 def _of_state(name: str, row: Row) -> Iterator[Alarm]:
     if row.age_s is None:
-        yield Alarm(Level.ACT, row.system_id, f"{name} was not heard yet")
+        yield Alarm(Level.ACT, row.system_id, f"{name}: no report yet")
     elif row.age_s > UNHEARD_S:
-        yield Alarm(Level.ACT, row.system_id, f"{name} is not heard for {row.age_s:.0f} s")
+        yield Alarm(Level.ACT, row.system_id, f"{name}: no report for {row.age_s:.0f} s")
     elif level_of(row) is not Level.GOOD:
         yield Alarm(level_of(row), row.system_id, f"{name}: {row.state}")
 

@@ -22,7 +22,7 @@ def refusal(served_on: str, host: str | None, origin: str | None) -> str | None:
     """
     name = _name(host)
     if name is None or not _is_ours(served_on, name):
-        return f"Host {host!r} is no name of this computer; open the page by its address"
+        return f"Host {host!r} is not a name of this computer; open the page by its address"
     if origin is not None and origin.lower() != f"http://{host}".lower():
         return f"Origin {origin!r} is another site"
     return None

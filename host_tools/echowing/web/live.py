@@ -142,7 +142,7 @@ class LivePage:
         if error is None or self._lost_told:
             return None
         self._lost_told = True
-        return f"the page shows nothing any more ({error!r}); flying goes on"
+        return f"the page has stopped ({error!r}); flying goes on"
 
     def close(self) -> bool:
         """End it; False: it is stuck, and is left behind."""

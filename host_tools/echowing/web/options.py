@@ -33,7 +33,7 @@ class PageAddress:
         """What the operator is told."""
         if self.is_loopback:
             return f"page: {self.url}"
-        return f"page: {self.url}, open to everybody on the network; it shows, it commands nothing"
+        return f"page: {self.url}, everybody on the network can open it; it commands nothing"
 
 
 def is_loopback(host: str) -> bool:
@@ -59,8 +59,8 @@ def add_web_arguments(parser: argparse.ArgumentParser, *, always: bool = False) 
     group.add_argument(
         "--web-address",
         metavar="ADDRESS",
-        help=f"listen on this address of the computer instead of {LOOPBACK}, so that a phone can "
-        "open the page (0.0.0.0: on all); everybody on that network can see it then",
+        help=f"listen on this address of the computer instead of {LOOPBACK}, so that a phone "
+        "can open the page (0.0.0.0: on all). Everybody on that network can see it",
     )
 
 
@@ -68,7 +68,7 @@ def page_address(args: argparse.Namespace) -> PageAddress | None:
     """Where the page was asked for; None: nowhere. Raises EchowingError for what cannot be."""
     if args.web is None:
         if args.web_address is not None:
-            raise EchowingError("--web-address says where the page is served: it needs --web")
+            raise EchowingError("--web-address needs --web")
         return None
     if not 0 <= args.web <= 65_535:
         raise EchowingError(f"--web {args.web}: give a port from 1 to 65535, or 0 for a free one")
@@ -77,6 +77,7 @@ def page_address(args: argparse.Namespace) -> PageAddress | None:
         host = "127.0.0.1" if host == "localhost" else str(ipaddress.ip_address(host))
     except ValueError:
         raise EchowingError(
-            f"--web-address {host}: give an address of this computer, as 192.168.1.10 or 0.0.0.0"
+            f"--web-address {host}: give an address of this computer, for example "
+            "192.168.1.10, or 0.0.0.0"
         ) from None
     return PageAddress(host, args.web)

@@ -93,7 +93,7 @@ class TableRecording:
         except OSError as error:
             raise EchowingError(f"replay: {path}: cannot be read: {error.strerror}") from error
         if not self.times_s:
-            raise EchowingError(f"replay: {path}: holds no rows; was the vehicle ever heard?")
+            raise EchowingError(f"replay: {path}: holds no rows; did the vehicle ever report?")
         self.events = self._read_events()
 
     def moment(self, index: int) -> Moment:
@@ -143,7 +143,9 @@ class TableRecording:
             return float(cell)
         except ValueError:
             shown = cell.decode("utf-8", "replace")
-            raise EchowingError(f"replay: {self._path}: {shown!r} is no time; damaged?") from None
+            raise EchowingError(
+                f"replay: {self._path}: {shown!r} is not a time; is the file damaged?"
+            ) from None
 
     def _read_events(self) -> list[Event]:
         """Those of the text file beside the table; logs of former versions have none."""

@@ -156,4 +156,4 @@ def _origin(recording: Recording) -> GlobalPosition:
         origin = recording.moment(index).origin
         if origin is not None:
             return origin
-    raise EchowingError("replay: no vehicle was ever heard in this flight; nothing to show")
+    raise EchowingError("replay: no vehicle reported in this flight; there is nothing to show")

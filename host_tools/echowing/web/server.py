@@ -135,7 +135,9 @@ class PageServer:
 
     async def _live(self, request: web.Request) -> web.StreamResponse:
         if len(self._browsers) >= MOST_BROWSERS:
-            return web.Response(status=503, text=f"{MOST_BROWSERS} browsers watch already.\n")
+            return web.Response(
+                status=503, text=f"{MOST_BROWSERS} browsers are connected already.\n"
+            )
         browser = Socket(heartbeat=HEARTBEAT_S, max_msg_size=MOST_HEARD, compress=False)
         await browser.prepare(request)
         self._browsers.add(browser)
@@ -174,8 +176,8 @@ def _bound(address: PageAddress) -> socket.socket:
     except OSError as error:
         bound.close()
         raise EchowingError(
-            f"--web {address.port}: {address.host} cannot be listened on: {error.strerror}; "
-            "give another port, as --web 8018"
+            f"--web {address.port}: {address.host} cannot listen there: {error.strerror}; give "
+            "another port, for example --web 8018"
         ) from error
     bound.setblocking(False)
     return bound
