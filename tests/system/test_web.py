@@ -190,6 +190,27 @@ def test_words_of_a_vehicle_are_words(live: LivePage, browser: Browser) -> None:
     sight.close()
 
 
+def test_the_table_before_engaging_stands_as_it_was_said(live: LivePage, browser: Browser) -> None:
+    lines = [
+        "before engaging  clock   applet",
+        "leader 1         0.02 s  -",
+        "follower 2       0.02 s  off!",
+    ]
+    sight = Sight(browser, PHONE)
+    sight.open(live.url)
+    live.event(1.0, "leader is system 1")
+    for line in lines:
+        live.event(1.5, line)
+    live.event(2.5, lines[-1])
+    live.event(2.5, "follower 2: its applet is off")
+    live.show(moment(3.0))
+    sight.until("document.querySelectorAll('#events li').length === 4")
+    tables = sight.reads("[...document.querySelectorAll('#events pre')].map(one => one.innerText)")
+    assert tables == [lines[-1], "\n".join(lines)]  # the newest event is the first one
+    assert sight.reads("document.documentElement.scrollWidth") <= PHONE[0]
+    sight.close()
+
+
 def test_fifty_vehicles_are_all_drawn(live: LivePage, browser: Browser) -> None:
     sight = Sight(browser)
     sight.open(live.url)

@@ -190,7 +190,7 @@ class _Reader:
         except AttributeError as error:  # it looks for the time of a first message
             size = self._path.stat().st_size
             raise EchowingError(
-                f"log {self._path}: no whole message in its {size} bytes; fetch it from the "
+                f"log {self._path}: no whole message in its {size} bytes; download it from the "
                 "vehicle again"
             ) from error
 
