@@ -170,7 +170,7 @@ def test_health_is_marked(live: LivePage, browser: Browser) -> None:
     sight.open(live.url)
     live.show(Moment(1.0, rows, tracks, health))
     sight.until(f"{FRAME} && document.querySelectorAll('article').length === 4")
-    assert sight.field(LEADER, "note") == "Its loss cuts: 2 | 3"
+    assert sight.field(LEADER, "note") == "Its loss splits: 2 | 3"
     assert sight.field(4, "note") == "Sees nobody"
     assert sight.text("headline").startswith("Follower 4 sees nobody any more")
     sight.close()
