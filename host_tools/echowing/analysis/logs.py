@@ -27,7 +27,7 @@ CLOCK_HZ = 10.0
 SHORTEST_S = 1.0  # less in common is no flight
 LONGEST_GAP_S = 1.0  # positions further apart in time are not joined by a line
 SONAR_FRESH_S = 0.5  # ArduPilot's own limit for a MAVLink rangefinder
-GIMBAL_FRESH_S = 2.0  # the co-processor reports its gimbal about once a second
+GIMBAL_FRESH_S = 2.0  # the co-processor reports its gimbal about once per second
 SAME_TRACK_M = 0.3  # two copters cannot be nearer than this on average; one recorded twice is
 DEFAULT_SLOT = Slot(3.0)  # the thesis's formation
 
@@ -308,7 +308,7 @@ def _guided_span(follower: VehicleLog, start_s: float, end_s: float) -> tuple[fl
 
 def _short_of(start_s: float, end_s: float, guided: tuple[float, float]) -> list[str]:
     left_s = (end_s - start_s) - (guided[1] - guided[0])
-    if left_s < 2.0:  # heartbeats come once a second: no more can be told from them
+    if left_s < 2.0:  # heartbeats come once per second: no more can be told from them
         return []
     return [f"{left_s:.0f} s in which the follower was not in Guided are left out"]
 

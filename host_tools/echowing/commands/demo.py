@@ -33,7 +33,7 @@ class Task:
     label: str = ""
 
 
-# The scenarios of the table, in its order; walls and walks are told in a sentence each.
+# The scenarios of the table, in its order; walls and walks get one sentence each.
 TABLED = ("gray", "thesis", "echowing", "thesis-4m", "thesis-initial", "hostile", "many")
 # The leader carried by hand, the slot commanded with and without prediction (thesis 4.2.3).
 WALKS = {

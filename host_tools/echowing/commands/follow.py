@@ -238,7 +238,7 @@ def _add_safety(safety: "argparse._ArgumentGroup") -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Follow until told to end."""
+    """Follow until asked to end."""
     from echowing.web.open import page_of  # noqa: PLC0415
 
     return fly(_options(args), as_json=args.json, page=page_of(args, "follow"))
@@ -287,7 +287,7 @@ def _options(args: argparse.Namespace) -> "FollowOptions":
     _check_numbers(args)
     switch = None if args.stop_switch is None else parse_stop_switch(args.stop_switch)
     seats = _seats(args)
-    VehicleFinder(seats)  # refuses what could never be told apart
+    VehicleFinder(seats)  # refuses what could never be distinguished
     radii_m = _build_up(args)
     slots = _slots(args, radii_m)
     altitude_m = CARRIED_ALTITUDE_M if args.carried_leader else None

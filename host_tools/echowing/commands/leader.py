@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Publish until told to end."""
+    """Publish until asked to end."""
     from echowing.mavlink.links import parse_address  # noqa: PLC0415
     from echowing.mavlink.seats import parse_seat  # noqa: PLC0415
     from echowing.mavlink.signing import read_key  # noqa: PLC0415

@@ -75,7 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Relay until told to end."""
+    """Relay until asked to end."""
     from echowing.flight.engage import Readiness  # noqa: PLC0415
     from echowing.flight.guard import Limits  # noqa: PLC0415
     from echowing.flight.guidance import Slot  # noqa: PLC0415

@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Serve the flight until told to end."""
+    """Serve the flight until asked to end."""
     from echowing.stopping import stop_on_signals  # noqa: PLC0415 (imported when the verb is used)
     from echowing.web.options import PageAddress, page_address  # noqa: PLC0415
     from echowing.web.recording import open_recording  # noqa: PLC0415

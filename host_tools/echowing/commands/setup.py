@@ -324,7 +324,7 @@ def _progress_bar() -> "Iterator[Callable[[str], Progress]]":
 
 
 def _restart_scripts(vehicle: "Vehicle") -> str:
-    """Have the autopilot load its scripts anew; says what came of it."""
+    """Have the autopilot load its scripts again; returns the outcome in words."""
     from echowing.setup.reading import objections  # noqa: PLC0415
     from echowing.setup.restart import (  # noqa: PLC0415
         restart_scripts,

@@ -1,7 +1,7 @@
 """MAVLink links to real vehicles: connection strings as pymavlink writes them.
 
-The transports are our own: pymavlink's block while they reconnect and print as they go, and a
-tool that flies several vehicles may not wait for one. Nothing here blocks.
+The transports are our own: those of pymavlink block while they reconnect, and print messages. A
+tool that flies several vehicles must not wait for one. Nothing here blocks.
 """
 
 import contextlib
@@ -58,7 +58,7 @@ class Address:
 
     @property
     def where(self) -> str:
-        """The connection string, and what it listens on."""
+        """The connection string, and the address on which it listens."""
         if self.kind == "udpin" and self.host == EVERYWHERE:
             return f"{self.text} (listens on all addresses of this computer)"
         if self.kind in ("udpin", "tcpin"):
@@ -67,7 +67,7 @@ class Address:
 
 
 def parse_address(text: str, baud: int = DEFAULT_BAUD) -> Address:
-    """Read a connection string; without a host `udpin` listens on all addresses, `tcpin` here only.
+    """Read a connection string. Without a host `udpin` listens everywhere, `tcpin` on loopback.
 
     Vehicles on Wi-Fi send their datagrams to this computer's address.
 
@@ -99,7 +99,7 @@ def _serial_address(text: str, baud: int) -> Address:
 class Transport(Protocol):
     """An open way to send and receive bytes; OSError: it is lost.
 
-    datagrams: what `read` returns is whole frames, so that nothing is left over for the next.
+    datagrams: `read` returns complete frames, so nothing is kept for the next call.
     """
 
     datagrams: bool
@@ -108,17 +108,17 @@ class Transport(Protocol):
         """For `select`."""
 
     def read(self) -> bytes:
-        """What has come; empty: nothing now."""
+        """New bytes; empty: none."""
 
     def write(self, data: bytes) -> None:
-        """Send; what does not fit is lost, as on a radio."""
+        """Send; bytes that do not fit are lost, as on a radio."""
 
     def close(self) -> None:
-        """Let go."""
+        """Close it."""
 
 
 class UdpListener:
-    """Listens for datagrams; answers everybody in whose datagrams MAVLink was found."""
+    """Listens for datagrams; answers all senders of MAVLink."""
 
     datagrams = True
 
@@ -141,7 +141,7 @@ class UdpListener:
         return data
 
     def understood(self) -> None:
-        """The last datagram held MAVLink: its sender is answered from now on."""
+        """The last datagram contained MAVLink: answer its sender from now on."""
         peer = self._last_peer
         if peer is None:
             return
@@ -161,7 +161,7 @@ class UdpListener:
 
 
 class UdpSender:
-    """Datagrams to one address, and what comes back from it."""
+    """Datagrams to one address, and its answers."""
 
     datagrams = True
 
@@ -192,7 +192,7 @@ class UdpSender:
 
 @cache
 def _number_of(host: str) -> str:
-    """A host's address, looked up once: where the network has gone a lookup waits for seconds."""
+    """A host's address, looked up once: without a network a lookup blocks for seconds."""
     return socket.gethostbyname(host)
 
 
@@ -363,8 +363,8 @@ def open_transport(address: Address) -> Transport:
 class Link:
     """One link: connects, connects again when lost, and turns bytes into MAVLink messages.
 
-    `news` is what the operator should hear of it; the owner empties it. With `signing` it believes
-    only what is signed.
+    `news` holds messages for the operator; the owner empties it. With `signing` it accepts only
+    signed messages.
     """
 
     def __init__(self, address: Address, signing: LinkSigning | None = None) -> None:
@@ -385,9 +385,9 @@ class Link:
         return self.address.text
 
     def open(self) -> None:
-        """Open what has to work at once: listening ports and serial devices.
+        """Open what must work at once: listening ports and serial devices.
 
-        Raises EchowingError that says why it cannot. Who is connected to may come later.
+        Raises EchowingError that says why it cannot. The other end of a connection may come later.
         """
         if self.address.kind == "tcp":
             return
@@ -419,7 +419,7 @@ class Link:
         return messages
 
     def send(self, frame: bytes, now_s: float) -> None:
-        """Send a frame; lost where there is no connection."""
+        """Send a frame; it is lost without a connection."""
         if self._transport is None:
             return
         try:
@@ -428,7 +428,7 @@ class Link:
             self._lost(error, now_s)
 
     def close(self) -> None:
-        """Let go of it."""
+        """Close it."""
         if self._transport is not None:
             self._transport.close()
         self._transport = None
@@ -446,7 +446,7 @@ class Link:
         return self._transport is not None
 
     def _complain_of_silence(self, now_s: float) -> None:
-        """Say once that a vehicle that should send each second sends nothing."""
+        """Report once that a vehicle that should send every second sends nothing."""
         silent = self._transport is not None and now_s - self._opened_at_s >= SILENT_S
         if silent and self._complaint != TAKEN:
             self._complaint = TAKEN
@@ -464,7 +464,7 @@ class Link:
         self._try_at_s = now_s + RETRY_S
 
     def _complain(self, error: Exception) -> None:
-        """Say why there is no connection, once per reason."""
+        """Report why there is no connection, once per reason."""
         reason = _reason(error)
         hung_up = getattr(error, "errno", None) == errno.ECONNRESET
         if hung_up and self.address.kind == "tcp" and not self.connected:
@@ -474,7 +474,7 @@ class Link:
             self.news.append(f"link {self.name}: {reason}; trying again every {RETRY_S:g} s")
 
     def _parse(self, data: bytes, now_s: float) -> list[Any]:
-        """Whole, known, undamaged messages out of what has come."""
+        """The complete, known and undamaged messages in these bytes."""
         if self.signing is not None:
             self.signing.keep_time()
         parsed = self._parser.parse_buffer(data) or ()
@@ -493,7 +493,7 @@ class Link:
         return found
 
     def _refuse(self, now_s: float) -> None:
-        """Tell once, until it is heard again, that what comes is not believed."""
+        """Report once that messages are refused, until a signed one arrives."""
         if self._refused_since_s is None:
             self._refused_since_s = now_s
         if now_s - self._refused_since_s >= REFUSED_S and not self._refusal_told:
@@ -505,7 +505,7 @@ class Link:
 
 
 def _reason(error: Exception) -> str:
-    """Why a link cannot be had, and what to do."""
+    """Why a link cannot be opened, and what to do."""
     number = getattr(error, "errno", None)
     if number == errno.EADDRINUSE:
         return "the port is taken; another tool listens there"
@@ -543,6 +543,6 @@ def _is_here(host: str) -> bool:
 
 
 def wait(links: Iterable[Link], timeout_s: float) -> None:
-    """Wait until something has come on a link, or for `timeout_s`."""
+    """Wait until something arrives on a link, at most `timeout_s`."""
     numbers = [number for link in links if (number := link.fileno()) is not None]
     select.select(numbers, [], [], max(0.0, timeout_s))

@@ -13,7 +13,7 @@ Pulses in microseconds, 800 to 2200. It holds until `echowing rig scan auto`, or
 """
 
 
-# The pulses are told once a second, and when they change.
+# The board reports the pulses once per second, and when they change.
 TOLD_TIMEOUT_S = 3.0
 
 
@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def await_aim(board: Board, pan_us: float, tilt_us: float) -> None:
-    """Wait until the board tells that it points there. Raises CommandError when it does not."""
+    """Wait until the board reports that it points there. Raises CommandError when it does not."""
     deadline_s = board.now_s() + TOLD_TIMEOUT_S
     while (board.state.pan_us, board.state.tilt_us) != (pan_us, tilt_us):
         if board.now_s() > deadline_s:

@@ -54,7 +54,7 @@ class Operator:
         self.console.print(text, highlight=False, markup=False)
 
     def ask(self, text: str, meanwhile: Callable[[], str]) -> None:
-        """Tell what to do and wait for Enter; `meanwhile` keeps the board going and tells of it."""
+        """Say what to do and wait for Enter; `meanwhile` keeps the board going and reports."""
         if self._yes:
             self.tell(text)
             return
@@ -70,7 +70,7 @@ class Operator:
     def progress(
         self, text: str, total: float, unit: str = "s"
     ) -> Iterator[Callable[[float, str], None]]:
-        """A bar that is told how much of `total` is done, and a word on how it stands."""
+        """A bar that gets how much of `total` is done, and a status text."""
         if not self.console.is_terminal:
             self.tell(f"{text}, {total:g} {unit}")
             yield lambda done, words: None
@@ -123,7 +123,7 @@ class Bench:
         self.connected = True
 
     def ask(self, text: str, hear: Callable[[Any], None] = ignore) -> None:
-        """Have the operator do something; what the board says meanwhile goes to `hear`."""
+        """Have the operator do something; the board's messages meanwhile go to `hear`."""
 
         def meanwhile() -> str:
             for message in self.heard(POLL_S):
@@ -135,7 +135,7 @@ class Bench:
             hear(message)
 
     def listen(self, text: str, duration_s: float) -> Iterator[Any]:
-        """The board's messages as they come, for so long."""
+        """The board's messages as they arrive, for this time."""
         start_s = self.clock()
         with self.operator.progress(text, duration_s) as show:
             while (done_s := self.clock() - start_s) < duration_s:
@@ -148,14 +148,14 @@ class Bench:
         return [message for message in board.poll(timeout_s) if board.is_from_board(message)]
 
     def centre(self) -> None:
-        """The gimbal straight ahead and still; what was heard on the way is forgotten."""
+        """The gimbal straight ahead and still; what was received on the way is dropped."""
         self.board.scan(ScanMode.CENTRE)
         end_s = self.clock() + SETTLE_S
         while self.clock() < end_s:
             self.board.poll(POLL_S)
 
     def search(self) -> None:
-        """The gimbal searches, and holds still on what it hears."""
+        """The gimbal searches, and holds still on what it detects."""
         self.board.scan(ScanMode.SCAN)
 
     def leave(self) -> None:

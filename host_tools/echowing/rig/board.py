@@ -20,11 +20,12 @@ Clock = Callable[[], float]
 
 # Opening the port resets a mega; its bootloader waits a second or two before it starts the sketch.
 OPEN_TIMEOUT_S = 8.0
-# Once somebody talks there is no start to wait for: the board would beat every second.
+# Once a device has answered there is no start to wait for: the board would send a heartbeat
+# every second.
 TALKING_S = 4.0
 ASK_PERIOD_S = 1.0
 ANSWER_TIMEOUT_S = 1.0
-STATE_TIMEOUT_S = 2.5  # the firmware tells its state once a second; one may get lost
+STATE_TIMEOUT_S = 2.5  # the firmware reports its state once per second; one report may get lost
 TRIES = 3
 # Parameters are listed as the wire is free between ranges: some 50 a second at 115200 baud.
 LIST_QUIET_S = 0.5
@@ -48,7 +49,7 @@ _INBOX_KEPT = 20_000  # messages nobody has polled; some minutes' worth
 
 
 class ScanMode(IntEnum):
-    """What `scan` tells the board; the numbers are the firmware's."""
+    """What `scan` orders; the numbers are the firmware's."""
 
     AUTO = 0  # as in flight: by what the autopilot does
     SCAN = 1
@@ -149,7 +150,7 @@ class Board:
         return Version.of(answer)
 
     def wait_state(self, timeout_s: float = STATE_TIMEOUT_S) -> None:
-        """Wait until the board has told its state, or the time is over."""
+        """Wait until the board has reported its state, or the time is over."""
         deadline_s = self._clock() + timeout_s
         while self.state.state == UNKNOWN and self._clock() < deadline_s:
             self._pump(deadline_s - self._clock())
@@ -359,7 +360,7 @@ class Board:
         return None
 
     def _follow_identity(self, message: Any) -> None:
-        """The board takes the autopilot's system id when it hears it: go along."""
+        """The board takes the autopilot's system id when it detects it: follow."""
         if self.is_from_board(message) or not is_telling(message):
             return
         silent_s = self.state.silent_s
@@ -396,7 +397,7 @@ def await_board(
     timeout_s: float = OPEN_TIMEOUT_S,
     talking_s: float = TALKING_S,
 ) -> Board:
-    """Wait until a board is heard on an open wire. Raises EchowingError: none is.
+    """Wait until a board reports on an open wire. Raises EchowingError: none is.
 
     timeout_s: for the first byte; talking_s: after it, for the board.
     """
@@ -429,7 +430,7 @@ class _Questions:
         self._ask_at_s: dict[Source, float] = {}
 
     def ask(self, now_s: float) -> None:
-        # An autopilot passes nothing on to a port where it has heard nobody.
+        # An autopilot forwards nothing to a port on which it has received nothing.
         if self.roster.autopilot_heard() and self._is_due(_EVERYBODY, now_s):
             self._board.send(_heartbeat())
         for source in self.roster.candidates():

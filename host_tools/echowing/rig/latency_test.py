@@ -25,7 +25,7 @@ SECONDS = 20.0
 ACK_LIMIT_MS = 20.0
 REPORT_LIMIT_MS = 10.0
 # What lies between the board's pins and this program: a USB serial chip holds bytes back for up to
-# 16 ms (FTDI's latency timer as it comes; CH340 and CDC are quicker), the system some 4 ms.
+# 16 ms (FTDI's default latency timer; CH340 and CDC are quicker), the system some 4 ms.
 HOST_MS = 20.0
 # Of a hundred waits one may be this computer's own.
 SHARE = 0.95
@@ -46,7 +46,7 @@ class Clocks:
     The firmware answers no TIMESYNC. Its NAMED_VALUE_FLOATs carry the time of their sending: of the
     one that came soonest after its stamp, all that is left is its own time on the wire. Times in
     ms; wire_ms: what such a message takes on the serial line. Reports count while there is a
-    range: a sonar that hears nothing takes longer than a report's period, and a reading may wait.
+    range: a sonar that detects nothing takes longer than a report's period, and a reading may wait.
     """
 
     wire_ms: float
@@ -63,7 +63,7 @@ class Clocks:
             self._hear_report(arrival_ms, int(message.time_boot_ms))
 
     def _hear_report(self, arrival_ms: float, reading_ms: int) -> None:
-        """The first report of a reading counts: between readings it is told again."""
+        """The first report of a reading counts: between readings it is repeated."""
         if reading_ms != self._reading_ms:
             self._reports.append((arrival_ms, reading_ms + HALF_STAMP_MS))
         self._reading_ms = reading_ms
@@ -200,7 +200,7 @@ _BAR = 40  # characters
 
 
 def bins(values: Sequence[float], count: int = _BINS) -> list[tuple[float, float, int]]:
-    """Histogram: (from, to, how many) in equal steps over the 99 % that tell something.
+    """Histogram: (from, to, how many) in equal steps over the central 99 %.
 
     The last one also holds all beyond it.
     """

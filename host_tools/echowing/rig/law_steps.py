@@ -9,10 +9,10 @@ from echowing.analysis.thesis import Band
 SAME_MPS = 0.01  # speeds nearer than this are one: 32-bit floats on the way
 # A step falls anywhere in its period, and the first one waits for a whole one: later is no answer.
 PATIENCE_PERIODS = 2.5
-# The applet runs 20 times a second: of samples no farther apart the second shows the range of the
+# The applet runs 20 times per second: of samples no farther apart the second shows the range of the
 # step between them; farther apart it may be that of the first.
 UPDATE_S = 0.05
-MONITOR_PERIODS = 3.0  # so long without a step is a speed that is held
+MONITOR_PERIODS = 3.0  # this long without a step is a speed that is held
 
 
 @dataclass(frozen=True)

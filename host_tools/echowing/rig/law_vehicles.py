@@ -21,11 +21,11 @@ LAW_PARAMETERS = (
 ANSWER_S = 1.0
 TRIES = 3
 HEARTBEAT_S = 1.0
-FIND_S = 5.0  # an autopilot beats once a second
+FIND_S = 5.0  # an autopilot beats once per second
 
 
 class LawVehicle(Protocol):
-    """Runs the applet on what the board tells."""
+    """Runs the applet on the board's reports."""
 
     name: str
 
@@ -143,7 +143,7 @@ class BuiltInVehicle:
 
 
 class AutopilotVehicle:
-    """An autopilot (or SITL) with the applet and the board on it, heard over a link of its own.
+    """An autopilot (or SITL) with the applet and the board on it, on a link of its own.
 
     Nothing is set on it: the operator arms it in Guided, propellers off.
     """

@@ -82,7 +82,7 @@ class _Seen:
 
 @dataclass(slots=True)
 class Roster:
-    """Who is heard, and which of them is an Echowing co-processor."""
+    """Who reports, and which of them is an Echowing co-processor."""
 
     _seen: dict[Source, _Seen] = field(default_factory=dict)
 
@@ -117,7 +117,7 @@ class Roster:
         ]
 
     def autopilot_heard(self) -> bool:
-        """Whether an autopilot beats here: what is behind it may be heard through it."""
+        """Whether an autopilot sends heartbeats here: devices behind it may report through it."""
         beats = [seen.heartbeat for seen in self._seen.values() if seen.heartbeat is not None]
         return any(beat.autopilot != mavlink.MAV_AUTOPILOT_INVALID for beat in beats)
 

@@ -127,7 +127,7 @@ def load(board: Board, wanted: Mapping[str, float], name: str) -> dict[str, floa
     """Set what differs, and read all back. Returns what was changed.
 
     Raises EchowingError: nothing is set when the board lacks a parameter; one that is refused is
-    told when the others are set.
+    reported after the others are set.
     """
     before = board.parameters()
     _check_known(wanted, before, name)

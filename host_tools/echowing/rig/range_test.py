@@ -1,4 +1,4 @@
-"""`echowing rig range-test`: how far, surely and exactly the sonar hears (thesis Table 5)."""
+"""`echowing rig range-test`: how far, surely and exactly the sonar detects (thesis Table 5)."""
 
 import math
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
@@ -25,7 +25,7 @@ SECONDS = 5.0
 # Nearer to the distance set is the target, whose legs and foil are spread over some decimetres.
 TARGET_GATE_M = 0.5
 # The thesis does not say when a target counts as detected. Two misses in a row (MISS_LIMIT) end the
-# tracking: heard nine times in ten, that happens by chance once in 110 readings, five seconds.
+# tracking: detected nine times in ten, that happens by chance once in 110 readings, five seconds.
 LEAST_RATE = 0.9
 RATE_REASON = "a leader detected less often is lost by chance more than once in 5 s"
 # The outer edge of Table 6's bands: nearer than this the law has to see a leader it wants to reach.

@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Record until told to end."""
+    """Record until asked to end."""
     name = args.port or find_port()
     wire = open_wire(name, args.baud)
     with Board(wire, (0, 0), name=name) as board, stop_on_signals() as stop:

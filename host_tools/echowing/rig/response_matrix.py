@@ -65,7 +65,7 @@ class GimbalWatch:
         if self.hold is None or not moved:
             return
         self.hold.gimbal_moves += 1
-        # A search tells its pulses before its state: the next word of the state decides.
+        # In a search the pulses arrive before the state: the next state report decides.
         self._undecided += self._state == TRACKING
 
     def _hear_state(self, value: float) -> None:

@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Watch until told to end."""
+    """Watch until asked to end."""
     with open_board(args.port, args.baud) as board, stop_on_signals() as stop:
         board.ask_parameters()
         board.ask_version()
@@ -58,7 +58,7 @@ def watch(
 
 
 def _tell_texts(board: Board, view: View, start_s: float, told: int) -> int:
-    """Tell what has been said since `told` texts; returns how many there are now."""
+    """Print the texts since the first `told`; returns how many there are now."""
     texts, count = board.state.texts, board.state.counts["STATUSTEXT"]
     new = min(count - told, len(texts))
     for at_s, severity, text in itertools.islice(texts, len(texts) - new, None):

@@ -1,7 +1,7 @@
 """Is this vehicle ready for Echowing? A table of small pure judgements over one read-out.
 
 Each looks at one thing and says whether it is fine, wrong, the pilot's to decide, or cannot be
-told; and where it is wrong, why, and what fixes it. The values expected stand in `settings`.
+determined; and if it is wrong, why and how to fix it. The expected values are in `settings`.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -40,7 +40,7 @@ SCRIPTING = "Scripting:"  # AP_Arming.cpp puts it before what is wrong with a sc
 
 
 class Verdict(Enum):
-    """What came of a check."""
+    """The result of a check."""
 
     FINE = "fine"
     WRONG = "wrong"
@@ -50,7 +50,7 @@ class Verdict(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing looked at. fix: what to type or to do; empty where nothing is to be done."""
+    """One item. fix: what to type or to do; empty: nothing."""
 
     about: str
     verdict: Verdict
@@ -63,12 +63,12 @@ Check = Callable[[Readout], Iterable[Finding]]
 
 
 def examine(readout: Readout, role: Role = Role.FOLLOWER) -> list[Finding]:
-    """Everything there is to say of a vehicle in this role, in the order of the table."""
+    """All findings for a vehicle in this role, in the order of the table."""
     return [finding for check in CHECKS[role] for finding in check(readout)]
 
 
 def exit_code(findings: Iterable[Finding]) -> int:
-    """0: nothing wrong; 1: something is wrong; 2: something could not be told."""
+    """0: nothing wrong; 1: something is wrong; 2: something could not be determined."""
     verdicts = {finding.verdict for finding in findings}
     if Verdict.WRONG in verdicts:
         return 1
@@ -76,7 +76,7 @@ def exit_code(findings: Iterable[Finding]) -> int:
 
 
 def judge(setting: Setting, readout: Readout) -> Finding | None:
-    """One setting against the read-out; None: nothing to say of it."""
+    """Judge one setting by the read-out; None: no finding."""
     value = readout.parameters.get(setting.name)
     if value is None and setting.optional:
         return None
@@ -163,7 +163,7 @@ def signing_option(parameters: Mapping[str, float], serial_port: int) -> str:
 
 
 def _is_silenced(readout: Readout) -> bool:
-    """Whether the autopilot drops unsigned messages where the co-processor is, or may be."""
+    """Whether the autopilot drops unsigned messages on the co-processor's port."""
     if not readout.signs or readout.serial_port is None:
         return readout.signs
     option = signing_option(readout.parameters, readout.serial_port)
@@ -197,7 +197,7 @@ def _how_to_be_heard(readout: Readout) -> str:
 
 
 def ports_at_115200(parameters: Mapping[str, float]) -> list[int]:
-    """The serial ports on which a co-processor can be heard as they are set."""
+    """The serial ports on which a co-processor can report, as they are set."""
     return [
         number
         for number in SERIAL_PORTS
@@ -243,7 +243,7 @@ def _reports(readout: Readout) -> Iterator[Finding]:
 
 
 def _taken(readout: Readout) -> Iterator[Finding]:
-    """Whether the autopilot uses the range: the question behind all of it."""
+    """Whether the autopilot uses the range, which is what all this is for."""
     about = "range in the autopilot"
     if readout.takes_range:
         yield Finding(about, Verdict.FINE, "it reports a forward range itself")
@@ -309,7 +309,7 @@ def _applet(readout: Readout) -> Iterator[Finding]:
 
 
 def _why_absent(readout: Readout) -> tuple[str, str, str]:
-    """What is found, why, and what to do where there are no ECHO_ parameters."""
+    """What was found, why, and what to do if there are no ECHO_ parameters."""
     upload = "echowing setup lua --vehicle …, or echowing setup apply"
     if readout.parameters.get("SCR_ENABLE") == 0.0:
         why, fix = "scripts run only while SCR_ENABLE is 1", f"param set SCR_ENABLE 1; or {APPLY}"
@@ -337,7 +337,7 @@ def _applet_file(readout: Readout) -> Iterator[Finding]:
 
 
 def _switch(readout: Readout) -> Iterator[Finding]:
-    """Without a channel for its switch the applet never acts, and says nothing."""
+    """Without a channel for its switch the applet never acts, and reports nothing."""
     option = readout.parameters.get("ECHO_SWITCH", 0.0)
     if option == 0.0:
         return
@@ -393,7 +393,7 @@ def _speed(readout: Readout) -> Iterator[Finding]:
 
 @dataclass(frozen=True, slots=True)
 class _Choice:
-    """A parameter that is only reported: never written by `apply`, as it is the pilot's net."""
+    """A parameter that is only reported and never written, because it is the pilot's to decide."""
 
     names: tuple[str, ...]
     doubtful: Callable[[float], bool]
@@ -466,7 +466,7 @@ def _choices(readout: Readout) -> Iterator[Finding]:
 
 
 def _applet_choices(readout: Readout) -> Iterator[Finding]:
-    """Where nothing is doubtful these are judged as settings."""
+    """Without doubts these are judged as settings."""
     for choice in _APPLET_CHOICES:
         named = readout.first(*choice.names)
         doubt = None if named is None else _doubt(choice, *named)
@@ -481,7 +481,7 @@ def _doubt(choice: _Choice, name: str, value: float) -> Finding | None:
 
 
 def _avoidance(readout: Readout) -> Iterator[Finding]:
-    """A proximity sensor of its own sees the leader too; those of our range are wrong anyway."""
+    """A proximity sensor of its own detects the leader too; one with our range is always wrong."""
     sensors = [f"PRX{n}_TYPE" for n in PROXIMITY_SENSORS]
     harmless = (0.0, PROXIMITY_MAVLINK, PROXIMITY_RANGEFINDER)
     present = [name for name in sensors if readout.parameters.get(name, 0.0) not in harmless]
@@ -498,7 +498,7 @@ def _avoidance(readout: Readout) -> Iterator[Finding]:
 
 
 def _arming(readout: Readout) -> Iterator[Finding]:
-    """What else the autopilot would refuse to arm for; indoors it has its reasons."""
+    """Other reasons for which the autopilot would refuse to arm; indoors this is normal."""
     for reason in readout.objections:
         if SCRIPTING not in reason:
             yield Finding(

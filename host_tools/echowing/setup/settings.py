@@ -1,4 +1,4 @@
-"""The autopilot's parameters that Echowing needs, what each has to be, and why: one table.
+"""The autopilot's parameters that Echowing needs, the value of each, and why: one table.
 
 `check` judges by it and `apply` writes by it. Fail-safes and fence are not in it, they are the
 pilot's (see `checks`).
@@ -41,11 +41,11 @@ TOLERANCE = 1e-4  # of what a 32-bit float makes of a decimal number
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """A parameter that has to be so.
+    """A required parameter.
 
-    fits: whether a value will do; fixed: what to write instead of one that will not. optional:
-    a vehicle without this parameter lacks nothing. restart: it counts from the next start on.
-    spared: a value that is never overwritten, as something else of the pilot's hangs on it.
+    fits: whether a value is right; fixed: what to write instead of a wrong one. optional: the
+    vehicle does not need this parameter. restart: it takes effect from the next start on. spared:
+    a value that is never overwritten, because something else of the pilot's depends on it.
     """
 
     name: str
@@ -207,7 +207,7 @@ def _guided() -> Iterator[Setting]:
 
 
 def _limits(readout: Readout) -> Iterator[Setting]:
-    """How quickly the vehicle can get away; a higher value is the pilot's own choice.
+    """How quickly the vehicle can get away; higher values of the pilot are kept.
 
     Neither knows 0 as no limit: AC_WPNav.h takes its default of 2.5 m/s^2 for an acceleration of 0,
     and the position controller (AP_Math/control.cpp, shape_accel_xy) stops working at a jerk of 0.

@@ -11,20 +11,20 @@ WRONG, UNKNOWN = "bold red", "yellow"
 
 
 def health(rows: Sequence[Row]) -> Text:
-    """A line per vehicle, the leader first; what is wrong stands out."""
+    """A line per vehicle, the leader first; wrong values are highlighted."""
     lines = [_line("leader", leaders_words(rows[0].leader))]
     lines += [_line(str(row.system_id), in_words(row.own)) for row in rows]
     return Text("\n").join(lines)
 
 
 def leaders_words(one: VehicleHealth) -> list[tuple[str, str]]:
-    """The same of the leader, whose mode and height are in no table."""
+    """The leader's health, with its mode and height, which no table shows."""
     height = "height not known" if one.altitude_m is None else f"{one.altitude_m:.1f} m up"
     return [(one.mode or "mode not known", ""), (height, ""), *in_words(one)]
 
 
 def in_words(one: VehicleHealth) -> list[tuple[str, str]]:
-    """A follower's health but mode and height: each part and its style, empty if all is well."""
+    """A follower's health without mode and height: each part with its style; empty: all is well."""
     parts = [_gps(one.gps), _battery(one)]
     parts.append(("clock not known", WRONG) if one.clock_s is None else _clock(one.clock_s))
     if one.switch is not None:

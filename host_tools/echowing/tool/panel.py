@@ -1,4 +1,4 @@
-"""What the operator sees of each vehicle: readings off the links, and rows made of them. Pure."""
+"""What the operator sees of each vehicle: readings from the links, and rows of them. Pure."""
 
 import math
 from collections.abc import Iterable
@@ -40,7 +40,7 @@ MOST_LOST = 50  # in a row; more is a restart or another sender, not a gap
 
 @dataclass(frozen=True, slots=True)
 class VehicleHealth:
-    """What a pilot lands for, of one vehicle; None: not known, or not of late.
+    """What decides whether a pilot must land, for one vehicle; None: not known, or too old.
 
     altitude_m: above its own home; gps: kind of fix and satellites; clock_s: TIMESYNC's round
     trip; switch: its stop switch.
@@ -63,10 +63,10 @@ PREFIXES = {"own": "", "leader": "leader_"}
 class Row:
     """One follower at one moment; None: not known. Times in seconds.
 
-    separation_m, error_m: from the leader by their receivers, heights included, and less the
-    wanted radius, where there is one; slot_error_m: horizontally from the slot; leader_age_s:
-    of the leader's report in use; age_s: of the follower's, both by their time stamps;
-    command_mps: the applet's limit; own, leader: the follower's health and its leader's.
+    separation_m, error_m: distance to the leader by their receivers, heights included, and the
+    same minus the wanted radius, if there is one; slot_error_m: horizontally from the slot;
+    leader_age_s: of the leader's report in use; age_s: of the follower's, both by their time
+    stamps; command_mps: the applet's limit; own, leader: the follower's and the leader's health.
     """
 
     time_s: float
@@ -89,7 +89,7 @@ class Row:
     leader: VehicleHealth = VehicleHealth()
 
     def as_dict(self) -> dict[str, Any]:
-        """Its fields and those of its healths by their `COLUMNS`, numbers to the millimetre."""
+        """Its fields and those of its healths, named as in `COLUMNS`, rounded to the millimetre."""
         parts = (self, *(getattr(self, name) for name in PREFIXES))
         values = (
             getattr(part, name) for part, names in zip(parts, _NAMES, strict=True) for name in names
@@ -137,7 +137,7 @@ class _Quality:
 
 @dataclass(slots=True)
 class _Readings:
-    """The newest of each reading of a vehicle, and when it came."""
+    """The newest of each reading of a vehicle, and when it arrived."""
 
     quality: _Quality = field(default_factory=_Quality)
     mode: str | None = None
@@ -157,7 +157,7 @@ class _Readings:
 
 
 class Panel:
-    """Readings of the vehicles of one session. `texts` holds what the vehicles warn of."""
+    """Readings of the vehicles of one session. `texts` holds the warnings of the vehicles."""
 
     def __init__(self, system_ids: Iterable[int]) -> None:
         self._readings = {system_id: _Readings() for system_id in system_ids}
@@ -189,15 +189,15 @@ class Panel:
             self.texts.append((message.get_srcSystem(), message.text))
 
     def newest(self, system_id: int, name: str, now_s: float) -> float | None:
-        """A vehicle's newest named float, None when there is none of late."""
+        """A vehicle's newest named float, None when there is no recent one."""
         return self._readings[system_id].newest(name, now_s)
 
     def link_percent(self, system_id: int) -> float | None:
-        """The share of a vehicle's frames that arrive, the leader's too."""
+        """The share of a vehicle's frames that arrive; also of the leader's."""
         return self._readings[system_id].quality.percent
 
     def rows(self, session: FollowSession, now_s: float) -> list[Row]:
-        """A row a follower."""
+        """A row per follower."""
         return [self._row(session, follower, now_s) for follower in session.followers.values()]
 
     def _row(self, session: FollowSession, follower: FollowerState, now_s: float) -> Row:
@@ -252,7 +252,7 @@ class Panel:
     def _compare(
         self, system_id: int, sonar_m: float | None, separation_m: float | None, now_s: float
     ) -> None:
-        """Report a sonar that detects something else than the leader, once each time."""
+        """Report a sonar that detects something other than the leader, once each time."""
         readings = self._readings[system_id]
         agrees = sonar_m is None or separation_m is None
         if sonar_m is not None and separation_m is not None:
@@ -294,7 +294,7 @@ def state_of(session: FollowSession, follower: FollowerState, now_s: float) -> s
 
 
 def _led_state(session: FollowSession, follower: FollowerState) -> str:
-    """The same of one to which points go."""
+    """The state of a follower that receives points."""
     if follower.held_at is not None:
         return f"holding: {follower.hold_reason}"
     if not follower.flown:
@@ -304,7 +304,7 @@ def _led_state(session: FollowSession, follower: FollowerState) -> str:
 
 
 def _separation_m(session: FollowSession, follower: FollowerState, now_s: float) -> float | None:
-    """From the leader, as this follower's receiver would have it."""
+    """Distance to the leader, by this follower's receiver."""
     fix = session.leader.fix
     if follower.position is None or fix is None or is_stale(now_s - fix.time_s, session.settings):
         return None
@@ -316,7 +316,7 @@ def _separation_m(session: FollowSession, follower: FollowerState, now_s: float)
 
 
 def _slot_error_m(follower: FollowerState) -> float | None:
-    """Horizontally from the slot, while it is being led there."""
+    """Horizontal distance to the slot, while it receives points."""
     if follower.position is None or follower.guided is None or follower.held_at is not None:
         return None
     north_m, east_m, _ = ned_between(follower.position, follower.guided.slot)
@@ -342,7 +342,7 @@ def _finite(value: float) -> float | None:
 
 
 def left_as(session: FollowSession, follower: FollowerState, now_s: float) -> tuple[str, bool]:
-    """How a follower is left at the end, and whether that needs nobody's hand."""
+    """How a follower is left at the end; True: nobody has to take over."""
     height = "" if follower.altitude_m is None else f", {follower.altitude_m:.1f} m up"
     speed = f"{follower.ground_speed_mps:.1f} m/s"
     mode = "mode unknown" if follower.mode is None else mode_name(follower.mode)

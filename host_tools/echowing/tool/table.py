@@ -1,6 +1,6 @@
 """The followers as a table that fits the terminal: a line per vehicle, or two on a narrow one.
 
-Numbers are never cut. What a state explains about itself stands under the table.
+Numbers are never cut. The reason of a state stands under the table.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -20,7 +20,7 @@ ROOMY, TIGHT = 118, 80
 
 @dataclass(frozen=True, slots=True)
 class Number:
-    """A column of numbers: the value of `Row` it shows, with so many decimals at most."""
+    """A column of numbers: which value of `Row`, and how many decimals at most."""
 
     value: str
     head: str
@@ -49,7 +49,7 @@ STATE_WIDTH, MODE_WIDTH, GIMBAL_WIDTH, ID_WIDTH = 11, 6, 6, 3
 
 @dataclass(frozen=True, slots=True)
 class FollowerTable:
-    """The rows, laid out for the width of the terminal that they are drawn on."""
+    """The rows, laid out for the width of the terminal."""
 
     rows: Sequence[Row]
 
@@ -65,7 +65,7 @@ class FollowerTable:
 
 
 def _leader(row: Row) -> str:
-    """What the rows share: how fresh the leader is."""
+    """What the rows share: the leader's speed and the age of its report."""
     speed = "-" if row.leader_speed_mps is None else f"{row.leader_speed_mps:.1f} m/s"
     age = "no report" if row.leader_age_s is None else f"last report {row.leader_age_s:.2f} s ago"
     return f"leader: {speed}, {age}"
@@ -100,7 +100,7 @@ def _one_line(rows: Sequence[Row], *, roomy: bool) -> Table:
 
 
 def _add_words(shown: Table, head: str, width: int, *, roomy: bool) -> None:
-    """A column whose words go on in a further line where they have no room."""
+    """A column whose words wrap inside it."""
     shown.add_column(head, width=None if roomy else width, min_width=width, overflow="fold")
 
 
@@ -110,7 +110,7 @@ def _add(shown: Table, number: Number, *, roomy: bool) -> None:
 
 
 def _two_lines(rows: Sequence[Row]) -> Iterator[Text]:
-    """Who does what, and under it the numbers, in columns."""
+    """Per vehicle a line with its state, and under it the numbers, in columns."""
     yield Text(_columns(number.short for number in NUMBERS), style="bold")
     yield Text(_columns(number.unit for number in NUMBERS), style="bold")
     for row in rows:
@@ -145,14 +145,14 @@ def _mode(row: Row) -> str:
 
 
 def _style(state: str) -> str:
-    """Green where all is well, yellow where it is stopped or on its way, red where nothing is."""
+    """Green: following; yellow: stopped or on its way; red: receives no points."""
     if state == "following":
         return "green"
     return "red" if state.startswith(("no points sent", "not engaged")) else "yellow"
 
 
 def _cell(row: Row, number: Number) -> str:
-    """The number with as many decimals as its column has room for; "-": not known."""
+    """The number, with as many decimals as fit into its column; "-": not known."""
     value: float | None = attrgetter(number.value)(row)
     if value is None:
         return "-"

@@ -1,4 +1,4 @@
-"""How `echowing follow` shows itself: a live table, plain lines, or JSON lines."""
+"""The views of `echowing follow`: a live table, plain lines, or JSON lines."""
 
 import json
 import sys
@@ -37,19 +37,19 @@ class View(Protocol):
         """Something has happened."""
 
     def rows(self, time_s: float, rows: Sequence[Row]) -> None:
-        """How it stands; called at 10 Hz."""
+        """The newest rows; called at 10 Hz."""
 
     def keys(self, text: str) -> None:
-        """What keys do now."""
+        """What the keys do now."""
 
     def close(self) -> None:
         """The end."""
 
 
 class LastingView:
-    """A view whose end is no end of the flight: what cannot be shown any more is left out.
+    """A view whose failure does not end the flight: what cannot be shown is left out.
 
-    lost: why nothing is shown, where the terminal or the reader of a pipe has gone.
+    lost: why nothing is shown, after the terminal or the reader of a pipe has gone.
     """
 
     def __init__(self, view: View) -> None:
@@ -92,7 +92,7 @@ def open_view(*, as_json: bool) -> View:
 
 
 class PlainView:
-    """A line an event, and a line a follower now and then."""
+    """A line per event, and a line per follower now and then."""
 
     def __init__(self) -> None:
         self._next_s = 0.0
@@ -112,14 +112,14 @@ class PlainView:
             self.event(time_s, plain_row(row))
 
     def keys(self, text: str) -> None:
-        """As `View`; nobody looks here for them."""
+        """As `View`; keys are not shown here."""
 
     def close(self) -> None:
         """As `View`."""
 
 
 class JsonView:
-    """One JSON object a line: events as they come, rows once a second."""
+    """One JSON object per line: events as they come, rows once per second."""
 
     def __init__(self) -> None:
         self._next_s = 0.0
@@ -137,14 +137,14 @@ class JsonView:
             print(json.dumps(row.as_dict()), flush=True)
 
     def keys(self, text: str) -> None:
-        """As `View`; nobody looks here for them."""
+        """As `View`; keys are not shown here."""
 
     def close(self) -> None:
         """As `View`."""
 
 
 class LiveView:
-    """A table with a row a follower, and the last events under it."""
+    """A table with a row per follower, and the last events under it."""
 
     def __init__(self, console: Console | None = None) -> None:
         self._events: deque[str] = deque(maxlen=EVENTS_SHOWN)
@@ -169,7 +169,7 @@ class LiveView:
             self._update()
 
     def keys(self, text: str) -> None:
-        """As `View`: the first line, drawn at once, for somebody has pressed one."""
+        """As `View`: in the first line, drawn at once, because a key was pressed."""
         self._keys = text
         self._update()
 
@@ -177,20 +177,20 @@ class LiveView:
         self._live.update(Screenful(self._rows, list(self._events), self._keys), refresh=True)
 
     def close(self) -> None:
-        """As `View`: the table stays, the last events under it."""
+        """As `View`: the table stays on the terminal, with the last events under it."""
         self._keys = ""
         self._update()
         self._live.stop()
 
 
 def scene(rows: Sequence[Row], events: Iterable[str]) -> RenderableType:
-    """The whole view: the table, once there is one, and under it the events."""
+    """The whole view: the table, if there is one, and under it the events."""
     return Group(*_above(rows, ""), Events(list(events)))
 
 
 @dataclass(frozen=True, slots=True)
 class Events:
-    """Lines of events; a long one goes on under its text."""
+    """Lines of events; a long one wraps under its text."""
 
     lines: Sequence[str]
 
@@ -208,7 +208,7 @@ class Events:
 
 @dataclass(frozen=True, slots=True)
 class Screenful:
-    """The same with what keys do, where the screen may be too low for all: the newest events."""
+    """The same with the keys. If the screen is too low, only the newest events are shown."""
 
     rows: Sequence[Row]
     events: Sequence[str]

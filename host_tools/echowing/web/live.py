@@ -1,8 +1,7 @@
-"""A flight as it is flown, for browsers. The loop that flies only leaves its newest moment here.
+"""A flight for browsers, while it is flown. The flying loop only leaves its newest moment here.
 
-Nothing that a browser, the network or the page's thread does can hold up the caller: a moment
-replaces the one before, events wait in a bounded list, and at most one call waits in the page's
-event loop.
+No browser, network or page thread can delay the caller: a moment replaces the one before, events
+wait in a bounded list, and at most one call waits in the page's event loop.
 """
 
 import asyncio
@@ -32,7 +31,7 @@ class _Event:
 
 
 class LiveFeed:
-    """Takes moments and events from the thread that flies; serves browsers in the server's.
+    """Takes moments and events from the flying thread; serves browsers in the server's thread.
 
     source: follow or sim. error: why nothing is shown any more.
     """
@@ -60,7 +59,7 @@ class LiveFeed:
         self._wake()
 
     def show(self, moment: Moment) -> None:
-        """How it stands; only the newest is kept."""
+        """The newest moment; only one is kept."""
         self._newest = moment
         self._wake()
 
@@ -137,7 +136,7 @@ class LivePage:
         self.url, self.port = self._server.address.url, self._server.address.port
 
     def lost(self) -> str | None:
-        """Why nothing is shown any more, once."""
+        """Why nothing is shown any more; returned once."""
         error = self._feed.error or self._server.error
         if error is None or self._lost_told:
             return None
@@ -155,5 +154,5 @@ def told(events: Any) -> Json:
 
 
 def encoded(message: Json | Sequence[Any]) -> str:
-    """As JSON, no longer than need be."""
+    """As compact JSON."""
     return json.dumps(message, separators=(",", ":"), allow_nan=False)

@@ -19,7 +19,7 @@ class PageAddress:
 
     @property
     def url(self) -> str:
-        """For the browser on this computer."""
+        """The URL for a browser on this computer."""
         host = f"[{self.host}]" if ":" in self.host else self.host
         return f"http://{host}:{self.port}/"
 
@@ -30,7 +30,7 @@ class PageAddress:
 
     @property
     def said(self) -> str:
-        """What the operator is told."""
+        """What the operator reads."""
         if self.is_loopback:
             return f"page: {self.url}"
         return f"page: {self.url}, everybody on the network can open it; it commands nothing"
@@ -45,7 +45,7 @@ def is_loopback(host: str) -> bool:
 
 
 def add_web_arguments(parser: argparse.ArgumentParser, *, always: bool = False) -> None:
-    """`--web` and `--web-address`; always: the page is what the verb is for."""
+    """`--web` and `--web-address`; always: the verb always serves the page."""
     group = parser.add_argument_group("page")
     group.add_argument(
         "--web",
@@ -65,7 +65,7 @@ def add_web_arguments(parser: argparse.ArgumentParser, *, always: bool = False) 
 
 
 def page_address(args: argparse.Namespace) -> PageAddress | None:
-    """Where the page was asked for; None: nowhere. Raises EchowingError for what cannot be."""
+    """Where to serve the page; None: nowhere. Raises EchowingError for invalid options."""
     if args.web is None:
         if args.web_address is not None:
             raise EchowingError("--web-address needs --web")

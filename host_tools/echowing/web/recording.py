@@ -1,7 +1,7 @@
-"""Flights that were recorded, as moments: what `follow` has logged, or vehicles' own logs.
+"""Recorded flights as moments: the logs of `follow`, or the vehicles' own logs.
 
-A long flight of many vehicles is hundreds of megabytes, so of a table only where its moments begin
-is kept; a moment is read when it is shown.
+A long flight of many vehicles has hundreds of megabytes. So only the places where its moments begin
+are kept; a moment is read when it is shown.
 """
 
 import bisect
@@ -31,17 +31,17 @@ Event = tuple[float, str]
 
 
 class Recording(Protocol):
-    """A flight that can be gone through."""
+    """A flight, moment by moment."""
 
     title: str
 
     @property
     def times_s(self) -> Sequence[float]:
-        """Of its moments, rising."""
+        """The times of its moments, rising."""
 
     @property
     def events(self) -> Sequence[Event]:
-        """What was said: time and text."""
+        """Its events: time and text."""
 
     def moment(self, index: int) -> Moment:
         """The moment at `times_s[index]`."""
@@ -50,7 +50,7 @@ class Recording(Protocol):
 def open_recording(paths: Sequence[Path]) -> Recording:
     """The flight in some paths: a folder or table of `follow --log`, else logs as `analyze` reads.
 
-    Raises EchowingError where there is none.
+    Raises EchowingError if there is none.
     """
     tables = [table for path in paths for table in _tables(path)]
     if not tables:
@@ -68,7 +68,7 @@ def _tables(path: Path) -> list[Path]:
 
 
 def judged(moment: Moment) -> Moment:
-    """The moment with its health, as it is at this moment alone."""
+    """The moment with the formation's health, judged by this moment alone."""
     origin = moment.origin
     if origin is None:
         return moment
@@ -119,7 +119,7 @@ class TableRecording:
             ) from error
 
     def _index(self) -> int:
-        """Where each moment begins; returns where the last ends. A line cut off is left out."""
+        """Find where each moment begins; returns where the last ends. A cut line is left out."""
         self._names = next(csv.reader([self._file.readline().decode("utf-8", "replace")]), [])
         if "time_s" not in self._names or "system_id" not in self._names:
             raise EchowingError(f"replay: {self._path}: not a table of echowing follow --log")
@@ -148,7 +148,7 @@ class TableRecording:
             ) from None
 
     def _read_events(self) -> list[Event]:
-        """Those of the text file beside the table; logs of former versions have none."""
+        """The events of the text file beside the table; logs of older versions have none."""
         path = self._path.with_suffix(".txt")
         try:
             lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
@@ -175,7 +175,7 @@ def _row(cells: dict[str, str]) -> Row:
 
 
 def _made(kind: type[Any], cells: dict[str, str], prefix: str = "", **made: Any) -> Any:
-    """Of the cells that its fields name, `made` besides; what is not there is not known."""
+    """An object of the cells named like its fields, and of `made`; None: a cell is missing."""
     values = {
         name: read(cells.get(prefix + name) or "")
         for name, read in _READERS[kind].items()
@@ -204,7 +204,7 @@ _READERS = {
 
 
 class FlightsRecording:
-    """Flights as `analyze` reads them, of one leader, on the first one's clock."""
+    """Flights as `analyze` reads them, behind one leader, on the clock of the first flight."""
 
     def __init__(self, flights: Sequence[Flight]) -> None:
         self._flights = [flight for flight in flights if len(flight.time_s)]
@@ -305,5 +305,5 @@ def _known(value: float) -> float | None:
 
 
 def index_at(times_s: Sequence[float], time_s: float) -> int:
-    """The last moment that is not later; the first where all are."""
+    """The last moment that is not later than `time_s`; the first one if all are."""
     return max(0, bisect.bisect_right(times_s, time_s) - 1)

@@ -48,10 +48,10 @@ Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 
 class Feed(Protocol):
-    """What browsers are served with."""
+    """The data for the browsers."""
 
     def begin(self, loop: asyncio.AbstractEventLoop) -> None:
-        """The server's loop runs."""
+        """Called when the server's loop runs."""
 
     async def attend(self, browser: Socket) -> None:
         """Serve one browser until it has gone."""
@@ -60,8 +60,8 @@ class Feed(Protocol):
 class PageServer:
     """Serves the page and a feed until it is closed.
 
-    error: what has ended it, where it was not `close`. Raises EchowingError where the address
-    cannot be had.
+    error: what has ended it, other than `close`. Raises EchowingError if it cannot listen on the
+    address.
     """
 
     def __init__(self, address: PageAddress, feed: Feed) -> None:
@@ -150,7 +150,7 @@ class PageServer:
         return browser
 
     async def _send_away(self, app: web.Application) -> None:
-        """Say goodbye; a browser that reads nothing does not take it."""
+        """Close the connection; a browser that reads nothing does not notice it."""
         code, words = WSCloseCode.GOING_AWAY, b"the tool ends"
         goodbyes = [
             asyncio.ensure_future(browser.close(code=code, message=words))
