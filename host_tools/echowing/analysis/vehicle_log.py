@@ -215,7 +215,7 @@ def _ends_whole(log: Any) -> bool:
 def _whole(data: bytes) -> bool:
     """Whether a .tlog is nothing but time stamps and frames, one after the other, to its end.
 
-    pymavlink searches its way over damage without a word.
+    pymavlink skips damage without a message.
     """
     at = 0
     while at < len(data):
@@ -263,7 +263,7 @@ class _Telemetry:
     rebooted: bool = False
 
     def take(self, message: Any, asked_s: dict[int, float]) -> None:
-        """Sort one message in. asked_s: when the ground sent the TIMESYNC of that stamp."""
+        """Take one message. asked_s: when the ground sent the TIMESYNC of that stamp."""
         received_s = float(message._timestamp)
         own = message.get_srcComponent() == AUTOPILOT_COMPONENT
         kind = message.get_type()

@@ -162,7 +162,7 @@ def add_log_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def log_folder(args: argparse.Namespace) -> Path | None:
-    """The folder that was asked for, or one of this moment's; None: no log."""
+    """The folder of --log, or one named by the current time; None: no log."""
     if args.no_log:
         return None
     return args.log or LOG_FOLDER / time.strftime("%Y%m%d-%H%M%S")
@@ -250,7 +250,7 @@ def fly(
     as_json: bool,
     page: "AbstractContextManager[Page | None] | None" = None,
 ) -> int:
-    """Fly what was asked for, with keys where somebody sees what they do; returns the exit code."""
+    """Fly with these options, with keys if a terminal shows their effect; returns the exit code."""
     from echowing.stopping import stop_on_signals  # noqa: PLC0415
     from echowing.terminal import Keyboard, run_in_flight  # noqa: PLC0415
     from echowing.tool.run import FollowTool  # noqa: PLC0415
@@ -269,7 +269,7 @@ def fly(
 
 
 def options_of(arguments: "Sequence[str]") -> "FollowOptions":
-    """What a command line asks for, without the verb."""
+    """The options of a command line, without the verb."""
     parser = argparse.ArgumentParser()
     add_arguments(parser)
     return _options(parser.parse_args(arguments))

@@ -1,4 +1,4 @@
-"""`echowing setup`: see that a vehicle is ready for Echowing, and make it so."""
+"""`echowing setup`: check whether a vehicle is ready for Echowing, and make it ready."""
 
 import argparse
 import json
@@ -185,7 +185,7 @@ def _add_lua(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Do the part that was asked for."""
+    """Run the part."""
     parts = {"check": _check, "apply": _apply, "restore": _restore, "lua": _lua}
     return parts[args.part](args)
 
@@ -265,7 +265,7 @@ def _work(vehicle: "Vehicle", args: argparse.Namespace) -> "Work":
 
 
 def agreed(question: str) -> bool:
-    """Ask the operator, or whoever writes to stdin in his place."""
+    """Ask the operator, or a program that writes to stdin."""
     print(question, end="", flush=True)
     answer = sys.stdin.readline()
     if not answer:

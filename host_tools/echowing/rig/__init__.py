@@ -1,6 +1,6 @@
-"""The bench: what speaks to a co-processor on the desk, and the procedures that measure it.
+"""The bench: talks to a co-processor on the desk, and measures it with guided procedures.
 
-Verbs of `echowing rig`, and what each does in a line. The module `echowing.rig.<verb>` (a dash in
+The verbs of `echowing rig`, with a line on each. The module `echowing.rig.<verb>` (a dash in
 the verb is an underscore there) has `add_arguments(parser)` and `run(args) -> exit code`; `args`
 has `port`, `baud` and `json` from the command line.
 """

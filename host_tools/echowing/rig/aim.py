@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Aim, and see that the board says so."""
+    """Aim, and check the board's report."""
     with open_board(args.port, args.baud) as board:
         board.aim(args.pan_us, args.tilt_us)
         await_aim(board, args.pan_us, args.tilt_us)

@@ -1,4 +1,4 @@
-"""The co-processor at the other end of a connection, as the bench speaks to it."""
+"""The co-processor at the other end of a connection, for the bench."""
 
 import math
 import struct
@@ -61,9 +61,9 @@ class CommandError(EchowingError):
 
 
 class Board:
-    """The co-processor at the other end of a connection, as the bench speaks to it.
+    """The co-processor at the other end of a connection, for the bench.
 
-    Every call that waits keeps `state` up to date meanwhile, and what comes is kept for `poll`.
+    Every call that waits updates `state` meanwhile, and keeps the messages for `poll`.
     All of them raise PortLostError when the cable is pulled.
     """
 
@@ -88,13 +88,13 @@ class Board:
         return list(self.state.texts)
 
     def now_s(self) -> float:
-        """The clock that the messages' `_timestamp` is of."""
+        """The clock of the messages' `_timestamp`."""
         return self._clock()
 
     def poll(self, timeout_s: float) -> list[Any]:
-        """Wait at most `timeout_s` for something to come; returns every message since the last.
+        """Wait at most `timeout_s` for a message; returns all messages since the last call.
 
-        In order, of the board and of everybody else on the wire; `_timestamp` is when it came.
+        In order, from the board and all others on the wire; `_timestamp` is the time of arrival.
         """
         self._pump(0.0 if self._inbox else timeout_s)
         messages = list(self._inbox)
@@ -139,7 +139,7 @@ class Board:
         )
 
     def version(self) -> Version:
-        """Which firmware it runs."""
+        """The version of its firmware."""
 
         def is_answer(message: Any) -> bool:
             return message.get_type() == "AUTOPILOT_VERSION" and self.is_from_board(message)
@@ -156,12 +156,12 @@ class Board:
             self._pump(deadline_s - self._clock())
 
     def ask_version(self) -> None:
-        """Ask for the version, and do not wait: `state.version` fills when it comes."""
+        """Request the version without waiting: `state.version` is filled when it arrives."""
         wanted = mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION
         self.send(self._command(mavlink.MAV_CMD_REQUEST_MESSAGE, wanted))
 
     def parameters(self) -> dict[str, float]:
-        """The whole list, in the board's order; what went missing is asked for again."""
+        """The whole list, in the board's order; missing ones are requested again."""
         heard: dict[int, Any] = {}
         count = None
         self.ask_parameters()
@@ -176,7 +176,7 @@ class Board:
         )
 
     def ask_parameters(self) -> None:
-        """Ask for the whole list, and do not wait: `state.parameters` fills as it comes."""
+        """Request the whole list without waiting: `state.parameters` is filled as they arrive."""
         self.send(mavlink.MAVLink_param_request_list_message(self.system_id, self.component_id))
 
     def _request_missing(self, heard: dict[int, Any], count: int | None) -> None:
@@ -205,7 +205,7 @@ class Board:
         return count
 
     def parameter(self, name: str) -> float:
-        """One parameter; EchowingError where the board has none of that name."""
+        """One parameter; EchowingError if the board has none of that name."""
         answer = self._ask(
             lambda attempt: self.send(self._parameter_request(name)),
             lambda message: self._is_parameter(message, name),
@@ -216,7 +216,7 @@ class Board:
         return float(answer.param_value)
 
     def set_parameter(self, name: str, value: float) -> float:
-        """Set one; returns the value in force. Stored later: see `wait_stored`.
+        """Set one; returns the value in use. Stored later: see `wait_stored`.
 
         Raises EchowingError when the board has no such parameter or refuses the value.
         """
@@ -247,7 +247,7 @@ class Board:
         return in_force
 
     def _in_flight(self) -> bool:
-        """Whether the board has just refused something because the autopilot is armed."""
+        """Whether the board has just refused a change because the autopilot is armed."""
         since_s = self._clock() - ANSWER_TIMEOUT_S
         return any(text == IN_FLIGHT_TEXT and at_s >= since_s for at_s, _, text in self.state.texts)
 
@@ -273,9 +273,9 @@ class Board:
         )
 
     def wait_stored(self, timeout_s: float = 5.0) -> bool:
-        """Wait until what was set is in the board's memory; False: it is not, yet.
+        """Wait until the changes are in the board's memory; False: not yet.
 
-        An armed autopilot beside it holds the storing back until it is disarmed.
+        While the autopilot is armed the board does not store.
         """
         deadline_s = self._clock() + timeout_s
         while not self._is_stored():
@@ -302,11 +302,11 @@ class Board:
         self.command(mavlink.MAV_CMD_DO_SET_SERVO, _TILT_SERVO, tilt_us)
 
     def scan(self, mode: ScanMode) -> None:
-        """Make it scan, stand straight ahead, or decide for itself."""
+        """Make it scan, point straight ahead, or do as in flight."""
         self.command(COMMAND_SCAN, float(mode))
 
     def close(self) -> None:
-        """Let go of the port."""
+        """Close the port."""
         self._wire.close()
 
     def __enter__(self) -> Self:
@@ -316,11 +316,11 @@ class Board:
         self.close()
 
     def is_from_board(self, message: Any) -> bool:
-        """Whether the board has sent it, and nobody else on the wire."""
+        """Whether the board has sent it, not another device on the wire."""
         return source_of(message) == (self.system_id, self.component_id)
 
     def _take(self, data: bytes) -> list[Any]:
-        """Bytes have come: understand them."""
+        """Take received bytes."""
         now_s = self._clock()
         messages = self.frames.parse(data, now_s)
         for message in messages:
@@ -332,7 +332,7 @@ class Board:
         return messages
 
     def recognise(self, source: Source, heard: Iterable[Any]) -> None:
-        """The board is this sender, and has said this before it was known."""
+        """Take this sender for the board; `heard` are its messages until now."""
         self.system_id, self.component_id = source
         for message in filter(self.is_from_board, heard):
             self.state.update(message, message._timestamp)
@@ -349,7 +349,7 @@ class Board:
     def _ask(
         self, ask: Callable[[int], None], is_answer: Callable[[Any], bool], timeout_s: float
     ) -> Any:
-        """Ask until it is answered, TRIES times; None: it was not."""
+        """Request until there is an answer, TRIES times; None: no answer."""
         for attempt in range(TRIES):
             ask(attempt)
             deadline_s = self._clock() + timeout_s
@@ -375,7 +375,7 @@ class Board:
 
 
 def open_board(port: str | None, baud: int = USB_BAUD, clock: Clock = time.monotonic) -> Board:
-    """Find the board (with no `port`), open its port and wait until it is heard.
+    """Find the board (with no `port`), open its port and wait until it reports.
 
     Raises EchowingError that says what is wrong: no such port, busy, forbidden, silent, at another
     baud rate, another device.
@@ -422,7 +422,7 @@ def await_board(
 
 
 class _Questions:
-    """Asks who could be a board whether he is one: each at once, and again every second."""
+    """Asks each possible board whether it is one: at once, and again every second."""
 
     def __init__(self, board: Board) -> None:
         self.roster = Roster()
@@ -484,7 +484,7 @@ def _why_no_board(board: Board, roster: Roster, waited_s: float, baud: int) -> s
 
 
 def as_float32(value: float) -> float:
-    """The value as MAVLink carries it; infinite where it is too large for that."""
+    """The value as MAVLink carries it; infinite if it is too large."""
     try:
         return float(struct.unpack("<f", struct.pack("<f", value))[0])
     except OverflowError:
@@ -492,7 +492,7 @@ def as_float32(value: float) -> float:
 
 
 def _allowed(name: str) -> str:
-    """What the firmware takes for a parameter, where its table is at hand."""
+    """The values that the firmware accepts, if its table is available."""
     from echowing.sim.coprocessor import parameter_table  # noqa: PLC0415 (needs the built core)
 
     try:

@@ -41,7 +41,7 @@ ASKED_FOR = mavlink.MAVLINK_MSG_ID_HEARTBEAT
 
 @dataclass
 class Clocks:
-    """The board's clock against ours, by the quickest message stamped as it was sent.
+    """The board's clock against ours, by the fastest message that carries its time of sending.
 
     The firmware answers no TIMESYNC. Its NAMED_VALUE_FLOATs carry the time of their sending: of the
     one that came soonest after its stamp, all that is left is its own time on the wire. Times in
@@ -55,7 +55,7 @@ class Clocks:
     _reading_ms: int | None = None
 
     def hear(self, message: Any) -> None:
-        """Take any message of the board's."""
+        """Take any message of the board."""
         arrival_ms = message._timestamp * 1000.0
         if named_value(message) is not None:
             self._sent.append((arrival_ms, message.time_boot_ms + HALF_STAMP_MS))
@@ -70,13 +70,13 @@ class Clocks:
 
     @property
     def offset_ms(self) -> float | None:
-        """Our clock less the board's; None before anything was heard."""
+        """Our clock minus the board's; None before the first message."""
         if not self._sent:
             return None
         return min(arrival - stamp for arrival, stamp in self._sent) - self.wire_ms
 
     def report_ages_ms(self) -> list[float]:
-        """Age of the newest reading in each report when it was here."""
+        """Age of the newest reading in each report on arrival."""
         offset_ms = self.offset_ms
         if offset_ms is None:
             return []
@@ -84,7 +84,7 @@ class Clocks:
 
 
 class LatencyTest:
-    """The procedure: ask a hundred times, and listen for a while."""
+    """The procedure: send a hundred commands, and listen for a while."""
 
     def __init__(self, commands: int, seconds: float, host_ms: float, baud: int) -> None:
         self._commands = commands

@@ -1,4 +1,4 @@
-"""The vehicle whose applet answers the bench's sonar: built in, or a real autopilot."""
+"""The vehicle whose applet reads the bench's sonar: built in, or a real autopilot."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -36,20 +36,20 @@ class LawVehicle(Protocol):
         """Whether the applet sets the speed now."""
 
     def idle(self) -> None:
-        """Nothing is measured yet: forget what it says."""
+        """Nothing is measured yet: drop its messages."""
 
     def hear(self, message: Any) -> None:
-        """A message of the board's, as it came."""
+        """Take a message of the board."""
 
     def advance(self, now_s: float) -> list[Sample]:
-        """Go on until now; returns what was seen of it since."""
+        """Run until now; returns the samples since the last call."""
 
     def close(self) -> None:
         """Let go."""
 
 
 def law_of(parameters: Mapping[str, float | None]) -> Law:
-    """The law these applet parameters make; EchowingError when it is another one, or none."""
+    """The law of these applet parameters; EchowingError if it is another law, or none."""
     missing = [name for name in LAW_PARAMETERS if parameters.get(name) is None]
     if missing:
         raise EchowingError(

@@ -124,7 +124,7 @@ def _load(args: argparse.Namespace) -> int:
 
 
 def load(board: Board, wanted: Mapping[str, float], name: str) -> dict[str, float]:
-    """Set what differs, and read all back. Returns what was changed.
+    """Set the values that differ, and read all back. Returns the changes.
 
     Raises EchowingError: nothing is set when the board lacks a parameter; one that is refused is
     reported after the others are set.

@@ -1,4 +1,4 @@
-"""The cable to the board: which port it is on, opening it, and what can be wrong with it."""
+"""The cable to the board: find its port, open it, and explain what is wrong with it."""
 
 import errno
 import select
@@ -20,20 +20,20 @@ _READ_BYTES = 4096
 
 
 class PortLostError(EchowingError):
-    """The connection has gone in the middle of the work."""
+    """The connection was lost during the work."""
 
 
 class Wire(Protocol):
     """An open connection to the board."""
 
     def read(self, timeout_s: float) -> bytes:
-        """What has come, waiting at most `timeout_s` for it. Raises PortLostError."""
+        """New bytes, waiting at most `timeout_s` for them. Raises PortLostError."""
 
     def write(self, data: bytes) -> None:
         """Send. Raises PortLostError."""
 
     def understood(self) -> None:
-        """What was read last held MAVLink."""
+        """The last bytes contained MAVLink."""
 
     def close(self) -> None:
         """Let go."""
@@ -91,7 +91,7 @@ def open_wire(text: str, baud: int = USB_BAUD) -> Wire:
 
 
 class SerialWire:
-    """A serial device, for us alone."""
+    """A serial device, opened exclusively."""
 
     def __init__(self, address: Address) -> None:
         self._name = address.host
@@ -155,7 +155,7 @@ class SocketWire:
             raise PortLostError(f"{self._name}: {_why_hung_up(error)}") from error
 
     def understood(self) -> None:
-        """As `Wire`: who sent it is answered from now on."""
+        """As `Wire`: answer its sender from now on."""
         if isinstance(self._transport, UdpListener):
             self._transport.understood()
 

@@ -39,9 +39,9 @@ MOST_SPREAD_M = MOST_BIAS_M / 2.0
 
 @dataclass
 class Point:
-    """Single readings with the target at one distance, metres; None: nothing was heard.
+    """Single readings with the target at one distance, metres; None: nothing was detected.
 
-    gate_m: readings farther than this from the distance are of something else.
+    gate_m: readings further than this from the distance come from something else.
     """
 
     distance_m: float
@@ -59,12 +59,12 @@ class Point:
 
     @property
     def rate(self) -> float:
-        """Share of the readings that are the target's; 0 of none."""
+        """Share of readings from the target; 0 without readings."""
         return len(self.of_target_m) / len(self.readings) if self.readings else 0.0
 
     @property
     def elsewhere_rate(self) -> float:
-        """Share of the readings that are of something else."""
+        """Share of readings from something else."""
         heard = sum(reading is not None for reading in self.readings)
         return (heard - len(self.of_target_m)) / len(self.readings) if self.readings else 0.0
 
@@ -152,7 +152,7 @@ class RangeTest:
         )
 
     def _untested(self, farthest_m: float | None) -> str | None:
-        """What keeps the range from being known: it was detected as far as was tried."""
+        """Why the range is not known: the target was detected at the farthest tested distance."""
         tried_m = max((point.distance_m for point in self.points), default=0.0)
         if farthest_m is None or farthest_m < tried_m or tried_m >= self._needed_m:
             return None
@@ -162,7 +162,7 @@ class RangeTest:
         )
 
     def _checks(self, farthest_m: float | None) -> list[Check]:
-        """Range, and exactness wherever it detects."""
+        """Range, and exactness at the distances with detection."""
         within = [p for p in self.points if farthest_m is not None and p.distance_m <= farthest_m]
         if self._untested(farthest_m):
             return _exactness(within)
@@ -199,7 +199,7 @@ class RangeTest:
 
 
 def _exactness(points: Sequence[Point]) -> list[Check]:
-    """The worst bias and the worst spread where it detects."""
+    """The worst bias and the worst spread at the distances with detection."""
     found = {point.distance_m: spread(point.of_target_m) for point in points}
     bias_at_m = max(found, key=lambda at_m: abs(found[at_m].mean - at_m))
     spread_at_m = max(found, key=lambda at_m: found[at_m].std)

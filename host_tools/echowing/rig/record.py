@@ -1,4 +1,4 @@
-"""`echowing rig record`: keep every byte the board sends, with its time."""
+"""`echowing rig record`: write every byte from the board to a file, with its time."""
 
 import argparse
 from collections.abc import Callable
@@ -62,7 +62,7 @@ def record(
     stop: Callable[[], bool],
     duration_s: float | None = None,
 ) -> None:
-    """Keep what comes until `stop`, or for `duration_s`. Raises PortLostError."""
+    """Record until `stop`, or for `duration_s`. Raises PortLostError."""
     start_s = board.now_s()
     board.tap = lambda now_s, data: recorder.add(now_s - start_s, data)
     roster = Roster()
@@ -74,7 +74,7 @@ def record(
 
 
 def _ask_once(board: Board, roster: Roster) -> None:
-    """The parameters and the version belong into the recording: a replay draws by them."""
+    """The parameters and the version must be in the recording: a replay needs them for drawing."""
     boards = roster.boards()
     if boards and board.system_id == 0:
         board.recognise(boards[0], ())

@@ -1,8 +1,8 @@
-"""A recording: every byte that came from the board, with the time it came.
+"""A recording: every byte from the board, with its time of arrival.
 
 The file: one line of text, `echowing-recording 1 ` and a JSON object (port, baud, started); then
 records, each of a 64-bit time in microseconds since the start, a 32-bit number of bytes (both
-little endian), and the bytes. Records are flushed as they are written: what a crash cuts short is
+little endian), and the bytes. Records are flushed as they are written: a crash can cut only
 the last record, and a reader stops before it.
 """
 
@@ -25,7 +25,7 @@ _LONGEST_HEADER = 4096
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """What came at once. time_s: since the start of the recording."""
+    """Bytes that arrived together. time_s: since the start of the recording."""
 
     time_s: float
     data: bytes

@@ -44,7 +44,7 @@ class Saved:
 
 @dataclass(slots=True)
 class Outcome:
-    """The result of writing; refused: parameters that did not accept their value, and what they are."""
+    """The result of writing; refused: parameters with another value than the one written."""
 
     written: list[str] = field(default_factory=list)
     refused: dict[str, float] = field(default_factory=dict)
