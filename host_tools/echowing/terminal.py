@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext
 from typing import Any
 
-# Rich draws nothing on these until the very end (Console.is_dumb_terminal).
+# Rich draws nothing on these until the end (Console.is_dumb_terminal).
 _WITHOUT_CURSOR = ("dumb", "unknown")
 
 
@@ -112,7 +112,7 @@ class Keyboard:
         try:
             import termios  # noqa: PLC0415 (not on Windows)
 
-            # Opened anew, for what is set on standard input the shell has too.
+            # Opened again, because the shell shares the settings of standard input.
             number = os.open(str(self._device), os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         except (ImportError, OSError):
             return self
@@ -142,10 +142,10 @@ class Keyboard:
         import tty  # noqa: PLC0415
 
         if self._number is not None and _in_foreground(self._number):
-            # At once: to wait for what is still to be written could last for ever.
+            # At once: waiting for pending output could last for ever.
             tty.setcbreak(self._number, termios.TCSANOW)
             _take_off_xoff(self._number)
-            # What was typed before was not meant for us.
+            # Keys typed before were not meant for this tool.
             termios.tcflush(self._number, termios.TCIFLUSH)
 
     def _put_back(self, before: list[Any]) -> None:

@@ -20,10 +20,10 @@ from echowing.mavlink.signing import LinkSigning, Parser, is_refused
 LOOPBACK, EVERYWHERE = "127.0.0.1", "0.0.0.0"
 DEFAULT_BAUD = 57_600  # of telemetry radios and of ArduPilot's SERIAL1
 RETRY_S = 1.0
-# One datagram, or what a serial port can hold back.
+# One datagram, or the buffer of a serial port.
 CHUNK_BYTES = 65_535
-# Of one link before the others and the points have their turn, however fast it floods in: what
-# fifty vehicles say in a third of a second.
+# Most bytes of one link before the others and the points get their turn: the messages of fifty
+# vehicles in a third of a second.
 MOST_READS = 500
 # More senders than this at one listening port are not vehicles: fifty followers without a router,
 # their leader, and some to spare.
@@ -124,7 +124,7 @@ class UdpListener:
 
     def __init__(self, address: Address) -> None:
         self._socket = _bound(socket.SOCK_DGRAM, address)
-        # In the order in which they were last heard, so that who has gone is forgotten first.
+        # In the order of their last messages, so that senders that have gone are dropped first.
         self._peers: dict[tuple[str, int], None] = {}
         self._last_peer: tuple[str, int] | None = None
 
@@ -311,7 +311,7 @@ class SerialPort:
     def __init__(self, address: Address) -> None:
         import serial  # noqa: PLC0415 (slow import, not needed for sockets)
 
-        # For us alone: two tools on one device would each get half of what comes.
+        # Exclusive: two tools on one device would each get half of the bytes.
         self._port = serial.Serial(address.host, address.baud, timeout=0, exclusive=True)
 
     def fileno(self) -> int:
@@ -324,7 +324,7 @@ class SerialPort:
 
     def write(self, data: bytes) -> None:
         """As `Transport`."""
-        # Not pyserial's write, which waits, however long, where a radio has stopped us.
+        # Not pyserial's write, which waits without limit when a radio stops us.
         with contextlib.suppress(BlockingIOError):
             os.write(self._port.fileno(), data)
 
@@ -482,9 +482,9 @@ class Link:
         refused = any(map(is_refused, parsed))
         transport = self._transport
         if transport is not None and transport.datagrams and self._parser.buf_len() > 0:
-            self._parser = Parser(self.signing)  # half a frame is garbage here, not a beginning
+            self._parser = Parser(self.signing)  # a part of a frame is garbage here
         if (found or refused) and isinstance(transport, UdpListener):
-            # Also where it is not believed: a vehicle learns the time from our signature.
+            # Also if its messages are refused: a vehicle learns the time from our signature.
             transport.understood()
         if found:
             self._refused_since_s, self._refusal_told = None, False

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from echowing.flight.guidance import Horizontal
     from echowing.geo import GlobalPosition
 
-# Not 255: a helper that beats as the pilot's ground station would mask its fail-safe.
+# Not 255: heartbeats with the id of the pilot's ground station would mask its fail-safe.
 TOOL_SYSTEM_ID = 245
 TOOL_COMPONENT_ID = mavlink.MAV_COMP_ID_MISSIONPLANNER
 HEARTBEAT_PERIOD_S = 1.0
@@ -20,7 +20,7 @@ FORWARD = mavlink.MAV_SENSOR_ROTATION_NONE
 
 STATUS_TEXT_BYTES = 50
 
-# GLOBAL_POSITION_INT: the ends of its degrees, and MAVLink's word for no heading.
+# GLOBAL_POSITION_INT: the ends of its degrees, and MAVLink's value for no heading.
 MOST_LAT_E7, MOST_LON_E7 = 900_000_000, 1_800_000_000
 UNKNOWN_HEADING = 65_535
 

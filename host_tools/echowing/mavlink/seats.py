@@ -15,7 +15,7 @@ from echowing.mavlink.messages import (
     tool_heartbeat,
 )
 
-# Heartbeats come once per second: after this long everybody on a link has been heard, even where
+# Heartbeats come once per second: after this time every vehicle on a link has reported, even if
 # three in a row were lost.
 LISTEN_S = 4.0
 WAITING_PERIOD_S = 5.0

@@ -23,9 +23,9 @@ KEY_BYTES = 32
 # Tools that may run at the same time sign under different link ids, else each makes the other's
 # times look old. `follow` counts its links from 1; one verb of `setup` has one link.
 SETUP_LINK_ID = 255
-# What a radio says of itself carries no signature; ArduPilot accepts it all the same.
+# A radio's own status messages carry no signature; ArduPilot accepts them all the same.
 NEEDS_NO_SIGNATURE = {mavlink.MAVLINK_MSG_ID_RADIO, mavlink.MAVLINK_MSG_ID_RADIO_STATUS}
-# pymavlink's word for a frame that it does not believe.
+# pymavlink's name for a frame that it does not accept.
 _REFUSED = "Invalid signature"
 _PRINTABLE = frozenset(string.printable.encode())
 

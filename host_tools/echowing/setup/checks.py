@@ -31,12 +31,12 @@ RC_CHANNELS = range(1, 17)
 MAVLINK_PROTOCOLS = (1.0, MAVLINK2)
 MAVLINK_HIGH_LATENCY = 43.0  # SERIALn_PROTOCOL: a MAVLink port too, where MAVn_* are counted
 NOT_SIGNED = 1  # MAVn_OPTIONS bit 0: this port neither signs nor wants signatures
-# A speed parameter under this is a return home at walking pace: has something been left behind?
+# With a speed parameter under this the vehicle returns home at walking pace.
 SLOW_MPS = 1.0
 LIMITS_DIFFER_M = 0.1
 
 APPLY = "echowing setup apply"
-SCRIPTING = "Scripting:"  # AP_Arming.cpp puts it before what is wrong with a script
+SCRIPTING = "Scripting:"  # AP_Arming.cpp puts it before a script's error
 
 
 class Verdict(Enum):
@@ -538,6 +538,6 @@ CHECKS: Mapping[Role, tuple[Check, ...]] = {
         _choices,
         _applet_choices,
     ),
-    # A leader flies by its own ground station; what a follower carries it does not need.
+    # A leader flies with its own ground station; it needs none of the follower's equipment.
     Role.LEADER: (_arming, _speed, _leaders_applet, _choices),
 }

@@ -21,10 +21,10 @@ from echowing.setup.ftp_format import DATA_BYTES, SEQUENCES, Fault, Op, Packet, 
 BLOCK_BYTES = 200
 # ArduPilot keeps five requests waiting (GCS_FTP.h, requests): one is left for others.
 BLOCKS_AT_ONCE = 4
-# A lost packet is asked again after this; twice as long the next time, up to the second.
+# A lost packet is requested again after the first time, then after twice as long, up to the second.
 RETRY_S, LONGEST_RETRY_S = 0.6, 1.5
 GIVE_UP_S = 15.0
-# Shorter than any request takes, so that numbers by the clock are ahead of those that were used.
+# Shorter than any request, so that numbers by the clock are ahead of the used ones.
 SEQUENCE_STEP_S = 1e-4
 # A request that the server keeps refusing because another has a session is tried this often.
 BUSY_TRIES = 6
@@ -369,7 +369,7 @@ def _entry(text: bytes) -> Entry:
     return Entry(name, is_folder=False, size_bytes=int(size) if size.isdecimal() else 0)
 
 
-# What FatFS gives where the card is missing or broken (AP_Filesystem_FATFS.cpp, fatfs_to_errno).
+# FatFS returns this if the card is missing or broken (AP_Filesystem_FATFS.cpp, fatfs_to_errno).
 _NO_CARD = {errno.EBUSY, errno.ENODEV, errno.ENXIO}
 _REASONS = {
     Fault.FAIL: "refused; is the file open elsewhere?",

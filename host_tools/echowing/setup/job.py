@@ -35,7 +35,7 @@ from echowing.setup.vehicle import Vehicle
 from echowing.setup.view import changes_as_lines, differences
 
 WRITING = "parameters are written"
-# Scripting, then what it shows, then what that shows; one to spare.
+# Scripting, then the parameters behind it, then those behind these; one to spare.
 ROUNDS = 4
 INTERRUPTED_EXIT = 130
 
@@ -140,7 +140,7 @@ class Apply:
         if not self.ask(f"Write these to {self.work.vehicle.name}? [y/N] "):
             self.work.say("nothing was changed")
             return 1
-        self.work.vehicle.look_again()  # the operator may have thought about it for a while
+        self.work.vehicle.look_again()  # the operator may have taken a while to answer
         for _ in range(ROUNDS):
             code = self._carry_out(plan)
             if code is not None:
@@ -285,7 +285,7 @@ def restore(work: Work, file: Path, saved: Saved) -> int:
         )
     vehicle.refuse_armed(WRITING)
     there = vehicle.read(list(saved.parameters))
-    # In reverse: a sensor's TYPE goes last, as its other parameters may hide with it.
+    # In reverse: a sensor's TYPE goes last, because its other parameters may disappear with it.
     values = [one for one in list(saved.parameters.items())[::-1] if one[0] in there]
     absent = [name for name in saved.parameters if name not in there]
     again = f"once more: echowing setup restore {shlex.quote(str(file))} --vehicle {work.where}"

@@ -19,9 +19,9 @@ from echowing.setup.settings import PROXIMITY_SENSORS
 from echowing.setup.vehicle import AUTOPILOT, POLL_S, Heard, Name, Vehicle
 
 LISTEN_S = 3.0  # three heartbeats, 60 ranges, six of the applet's named floats
-SETTLE_S = 0.5  # until our first heartbeat has opened the way for what others send
+SETTLE_S = 0.5  # until our first heartbeat has opened the way for other senders
 OBJECTIONS_S = 1.0  # after the answer to the command, for the texts that come with it
-FILE_TIMEOUT_S = 4.0  # an autopilot without MAVFTP says nothing at all
+FILE_TIMEOUT_S = 4.0  # an autopilot without MAVFTP does not answer at all
 # Ids from here on are proximity sectors (GCS_Common.cpp, PROXIMITY_SENSOR_ID_START).
 PROXIMITY_IDS_FROM = 10
 COPROCESSOR = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER  # 191, the default COMP_ID

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from echowing.setup.applet import applet_parameters
 from echowing.setup.readout import Readout
 
-# ---- what is expected, and where that stands ---------------------------------------------------
+# ---- the expected values, and their sources ---------------------------------------------------
 
 MAVLINK2 = 2.0  # SERIALn_PROTOCOL
 # firmware/echowing/src/board/arduino_board.cpp, kBaud; ArduPilot takes 115 and 115200 for it.
@@ -27,7 +27,7 @@ RANGE_MIN_M, RANGE_MAX_M = 0.2, 7.65
 PROXIMITY_MAVLINK, PROXIMITY_RANGEFINDER = 2.0, 4.0
 PROXIMITY_SENSORS = range(1, 6)
 SCRIPTS_NOT_LOADED = 2  # SCR_DIR_DISABLE bit 1: not from the card
-# lua/how-it-works.md, Figures: 70 KiB on a 64-bit computer, and nearly half as much for others.
+# lua/how-it-works.md, Figures: 80 KiB on a 64-bit computer, and a quarter more for others.
 HEAP_LEAST_BYTES, HEAP_BYTES = 102_400.0, 204_800.0
 INSTRUCTIONS = 10_000.0  # SCR_VM_I_COUNT's default; an update takes a tenth of it
 RTL_SPEED_MPS = 5.0  # WP_SPD's half: what the applet's doc suggests

@@ -28,14 +28,14 @@ from echowing.mavlink.signing import SETUP_LINK_ID, LinkSigning, read_key
 
 AUTOPILOT = mavlink.MAV_COMP_ID_AUTOPILOT1
 FIND_TIMEOUT_S = 15.0
-# Heartbeats come once per second; five in a row missing is no radio's bad luck.
+# Heartbeats come once per second; five missing in a row are not a radio's chance losses.
 SILENCE_S = 6.0
 POLL_S = 0.05
 
 # ArduPilot keeps so many parameter requests waiting (GCS_Param.cpp, param_requests 20).
 ASKED_AT_ONCE = 10
 CHUNK_S = 0.25
-# After a round, what a slow radio still has on its way is waited for.
+# After a round, wait for answers that a slow radio still carries.
 SHORTEST_ROUND_S, LONGEST_ROUND_S = 0.3, 2.0
 # So many rounds in which nothing more comes: what is missing then does not exist. The second where
 # a later round has brought something, so that the link loses messages: of one that loses a fifth
@@ -161,8 +161,8 @@ class Vehicle:
         """Wait for a heartbeat of the autopilot, so that `armed` is right."""
         while self.base_mode is None:
             self.poll()
-        # What was sent while the link came up is lost; nobody's messages are passed on to a link
-        # where nobody has been heard.
+        # Messages sent while the link opened are lost, and an autopilot forwards nothing to a link
+        # on which it has received nothing.
         self._beat_s = -math.inf
 
     def forget(self) -> None:

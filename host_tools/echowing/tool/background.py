@@ -14,13 +14,13 @@ from echowing.tool.panel import Row
 from echowing.tool.track import Track
 from echowing.tool.view import LastingView, View
 
-# Lines of a view that wait: an hour of a quiet flight, half a minute of fifty talking vehicles.
+# Queue of a view, in lines: an hour of a quiet flight, half a minute of fifty reporting vehicles.
 MOST_SHOWN = 500
-# Frames and rows of a log that wait: 20 s of fifty followers, 5 MB.
+# Queue of a log, in frames and rows: 20 s of fifty followers, 5 MB.
 MOST_LOGGED = 20_000
-# Rows come at 10 Hz and only the newest is worth showing; so many dropped are worth a word (2 s).
+# Rows come at 10 Hz, and only the newest is shown. This many dropped rows (2 s) are reported.
 ROWS_WORTH_A_WORD = 20
-# A terminal or a disk that takes nothing for so long at the end is left behind.
+# At the end the tool waits this long for a terminal or a disk that accepts nothing.
 LAST_WORDS_S = 2.0
 
 

@@ -30,8 +30,8 @@ NAMED_FRESH_S = 2.0
 # Battery and GPS come at 0.5 and 1 Hz, the mode at 1 Hz: five of them missed.
 HEALTH_FRESH_S = 10.0
 LINK_WINDOW_S = 5.0
-# Another vehicle, the ground or another sonar is in the beam where the sonar is off what the
-# receivers make of it by more than a beam's width and a GPS can explain, for so long.
+# If sonar and receivers disagree by more than a beam's width and a GPS can explain, for this long,
+# another vehicle, the ground or another sonar is in the beam.
 MISMATCH_M = 2.0
 MISMATCH_S = 2.0
 UNKNOWN_MV = 0xFFFF  # of SYS_STATUS
@@ -55,7 +55,7 @@ class VehicleHealth:
     switch: str | None = None
 
 
-# What the names of a row's two healths begin with where all is laid flat, as in the log.
+# Prefixes of the names of a row's two healths in a flat table, as in the log.
 PREFIXES = {"own": "", "leader": "leader_"}
 
 
@@ -331,7 +331,7 @@ def _note_health(readings: _Readings, kind: str, message: Any, now_s: float) -> 
     elif kind == "GPS_RAW_INT":
         readings.gps = now_s, f"{FIXES.get(message.fix_type, '3D')} {message.satellites_visible}"
     elif kind == "SYS_STATUS":
-        # MAVLink's words for not known: -1 % and 65535 mV.
+        # MAVLink's values for not known: -1 % and 65535 mV.
         percent = None if message.battery_remaining < 0 else float(message.battery_remaining)
         volts = None if message.voltage_battery == UNKNOWN_MV else message.voltage_battery / 1e3
         readings.battery = now_s, percent, volts

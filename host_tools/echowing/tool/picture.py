@@ -24,7 +24,7 @@ PORT = 5760  # as in the README
 WIDTH_CHARACTERS = 80
 EVENTS_SHOWN = 8
 IN_PLACE_M = 0.6
-# So long both have to be in place, so that the links have been counted and the lines have settled.
+# Both must be in place this long, so that the link quality is known and the lines have settled.
 SETTLED_S = 8.0
 LONGEST_S = 120.0
 # Nearer than receivers demand: the built-in simulator's are good enough for a picture.

@@ -34,16 +34,16 @@ from echowing.tool.view import View
 ROWS_PERIOD_S = 0.1
 # Changes of the formation's health count after 2 s; judging fifty followers takes milliseconds.
 HEALTH_PERIOD_S = 1.0
-# A copter at 5 m/s stands within 5 s; the stop has to be seen for a second, over a slow link.
+# A copter at 5 m/s stops within 5 s; its stop must show for a second, over a slow link.
 STOPPING_S = 10.0
-# Five questions for a parameter, a second apart, over a slow radio.
+# Five requests for a parameter, a second apart, over a slow radio.
 RESTORING_S = 6.0
-# Until the leader's height is known, which is before anything is engaged.
+# Used until the leader's height is known, before anything is engaged.
 UNKNOWN_ALTITUDE_M = 10.0
-# This far behind, the points that were missed are not sent late.
+# If the loop is this late, the missed points are not sent.
 HOPELESS_S = 0.5
 TAKE_OVER = "Echowing: not confirmed stopped, TAKE OVER"
-# What another component of a vehicle, the co-processor, may say; all else is its autopilot's.
+# Messages accepted from another component of a vehicle, the co-processor.
 _COMPONENTS_SAY = {"DISTANCE_SENSOR", "NAMED_VALUE_FLOAT"}
 
 
@@ -149,7 +149,7 @@ class FollowTool:
             try:
                 self._fly()
             except Exception as error:
-                # A fault of ours is no reason to leave them flying.
+                # After a fault of this tool the followers must be stopped too.
                 self._warn(f"fault of this tool, stopping: {error!r}")
                 self._end()
                 raise
@@ -219,7 +219,7 @@ class FollowTool:
 
     def _over(self) -> bool:
         duration_s = self._options.duration_s
-        # Where nobody sees what is done nothing is done.
+        # Without a view the tool ends.
         ended = self._stop() or self._view.lost is not None
         return ended or (duration_s is not None and self._now_s() >= duration_s)
 
@@ -243,7 +243,7 @@ class FollowTool:
             late = now_s - self._next_tick_s > HOPELESS_S
             self._next_tick_s = (now_s if late else self._next_tick_s) + 1.0 / self._options.rate_hz
             ordered = self._orders.prepare(now_s)
-            # Points first: what else is to be asked or told can wait for them.
+            # Points first: other messages can wait for them.
             for system_id, message in sorted(self._session.tick(now_s) + ordered, key=_is_no_point):
                 self._write(now_s, self._ways[system_id].send(message, now_s))
         if now_s >= self._next_rows_s:

@@ -14,7 +14,7 @@ from rich.text import Text
 
 from echowing.tool.panel import Row
 
-# Characters of the terminal from which the layout fits; under the second, two lines per vehicle.
+# Least width of the terminal for each layout; below the second, two lines per vehicle.
 ROOMY, TIGHT = 118, 80
 
 
@@ -42,7 +42,7 @@ OTHERS = (
     Number("link_percent", "link", "link", "%", 4, decimals=0),
 )
 NUMBERS = (SEPARATION, ERROR, SONAR, *OTHERS)
-# Narrow words for a narrow column.
+# Short words for a narrow column.
 GIMBAL = {"starting": "start", "searching": "search", "tracking": "track", "sonar fault": "fault"}
 STATE_WIDTH, MODE_WIDTH, GIMBAL_WIDTH, ID_WIDTH = 11, 6, 6, 3
 

@@ -23,10 +23,10 @@ PLAIN_PERIOD_S = 5.0
 JSON_PERIOD_S = 1.0
 # More than most screens have room for: the table before engaging takes several.
 EVENTS_SHOWN = 24
-# Of an event its time, "   12.3 s  ": its text stays to the right of it.
+# Width of an event's time, "   12.3 s  "; its text stays to the right of it.
 TIME_WIDTH = 11
 TABLE_HZ = 4.0
-# Drawing a row takes about 0.6 ms, in which no point is sent; so many rows a second are enough.
+# Drawing a row takes about 0.6 ms; this many rows per second are enough.
 ROWS_PER_S = 40.0
 
 
@@ -84,7 +84,7 @@ class LastingView:
 def open_view(*, as_json: bool) -> View:
     """JSON lines when asked for, a live table on a terminal, plain lines elsewhere."""
     if isinstance(sys.stdout, TextIOWrapper):
-        # What a vehicle says may hold letters that the terminal has not.
+        # A vehicle's text may contain characters that the terminal does not have.
         sys.stdout.reconfigure(errors="backslashreplace")
     if as_json:
         return JsonView()
@@ -151,7 +151,7 @@ class LiveView:
         self._rows: Sequence[Row] = ()
         self._keys = ""
         self._next_s = 0.0
-        # Drawn between points, not by a thread of its own that would hold them up.
+        # Drawn by the caller: Rich's own thread would delay the points.
         self._live = Live(console=console, auto_refresh=False, transient=False)
         self._live.start()
 

@@ -18,7 +18,7 @@ from echowing.web.options import PageAddress
 from echowing.web.server import PageServer, Socket, until_gone
 from echowing.web.snapshot import BEAM, Json, glance, snapshot
 
-# What a browser that has just come is shown of what was: a minute, for plots and tracks.
+# How much of the past a new browser receives: a minute, for plots and tracks.
 PAST_S, GLANCE_S = 60.0, 0.5
 MOST_EVENTS = 500
 
@@ -44,7 +44,7 @@ class LiveFeed:
         self._events: deque[_Event] = deque(maxlen=MOST_EVENTS)
         self._said = 0
         self.error: Exception | None = None
-        # Of the server's thread alone:
+        # Used by the server's thread only:
         self._origin: GlobalPosition | None = None
         self._frame, self._frames, self._watched = "", 0, 0
         self._past: deque[Json] = deque(maxlen=round(PAST_S / GLANCE_S))

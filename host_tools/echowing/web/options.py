@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from echowing.errors import EchowingError
 
-DEFAULT_PORT = 8017  # of nobody's in IANA's list
+DEFAULT_PORT = 8017  # not assigned in IANA's list
 LOOPBACK = "127.0.0.1"
 
 

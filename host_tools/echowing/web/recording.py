@@ -21,9 +21,9 @@ from echowing.tool.moment import Moment, members, places
 from echowing.tool.panel import PREFIXES, Row, VehicleHealth
 from echowing.tool.track import Track
 
-# As sim/sonar.py: what makes a sonar read less than the distance between two centres.
+# As sim/sonar.py: a sonar reads this much less than the distance between two centres.
 INSET_M = 0.2
-# Where logs in metres are put on the globe: nothing that is shown depends on it.
+# Place on the globe for logs in metres; nothing that is shown depends on it.
 NOWHERE = GlobalPosition(0.0, 0.0, 0.0)
 HEIGHTS = "heights are above the place where the leader's log begins"
 
@@ -193,7 +193,7 @@ def _reader(hint: str) -> Callable[[str], Any]:
     return float if "float" in hint else str
 
 
-# How the cells of each are read, by their names.
+# How to read the cells of each, by their names.
 _READERS = {
     kind: {name: _reader(str(hint)) for name, hint in get_type_hints(kind).items()}
     for kind in (Row, VehicleHealth, Track)

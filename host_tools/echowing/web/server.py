@@ -19,7 +19,7 @@ ASSETS = {
     "/page.css": ("page.css", "text/css"),
     "/page.js": ("page.js", "text/javascript"),
 }
-# Nothing is loaded from elsewhere, and no other page may hold this one in a frame.
+# The page loads nothing from elsewhere, and no other page may show it in a frame.
 HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; "
@@ -29,16 +29,16 @@ HEADERS = {
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
 }
-# Browsers that watch at once: the operator's, the pilots' phones, and some to spare.
+# Most browsers at once: the operator's, the pilots' phones, and some to spare.
 MOST_BROWSERS = 16
-# A browser that has not answered a ping for so long is gone.
+# A browser that has not answered a ping for this long is gone.
 HEARTBEAT_S = 10.0
 # What a browser may send at once, bytes: a replay's speed and place.
 MOST_HEARD = 1024
-# Of one connection in the kernel, bytes: a slow browser is to see the present, not what was then.
+# Kernel buffer per connection, bytes: small, so that a slow browser shows the present.
 SEND_BUFFER = 65_536
 START_S, END_S = 10.0, 2.0
-# What browsers send wrong is nothing for the operator's terminal.
+# Invalid requests of browsers are not shown on the operator's terminal.
 SILENT = logging.getLogger("echowing.page")
 SILENT.addHandler(logging.NullHandler())
 SILENT.propagate = False
@@ -167,7 +167,7 @@ def _bound(address: PageAddress) -> socket.socket:
     family = socket.AF_INET6 if ":" in address.host else socket.AF_INET
     bound = socket.socket(family, socket.SOCK_STREAM)
     try:
-        # A tool that is started again takes its port again; on Windows this would steal another's.
+        # A restarted tool reuses its port; on Windows this would take another tool's port.
         if hasattr(socket, "SO_REUSEPORT"):
             bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         bound.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
