@@ -34,7 +34,8 @@ REFUSED_S = 3.0
 # A vehicle sends its heartbeat each second.
 SILENT_S = 3.0
 TAKEN = (
-    "nothing arrives; a vehicle's TCP port often accepts only one tool: is another one connected?"
+    "nothing arrives; a vehicle's TCP port often accepts only one tool, and another may be "
+    "connected"
 )
 
 _STILL_CONNECTING = {errno.EINPROGRESS, errno.EALREADY, errno.EWOULDBLOCK}
