@@ -10,8 +10,8 @@ def repository_root() -> Path:
     root = Path(__file__).resolve().parents[2]
     if not (root / "lua").is_dir():
         raise EchowingError(
-            "this needs the firmware and its emulators, which an installed package does not have: "
-            "clone the repository and run `make setup core emulated` there"
+            "this needs the firmware and its emulators, which an installed package does not "
+            "contain: clone the repository and run `make setup core emulated` there"
         )
     return root
 

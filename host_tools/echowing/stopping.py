@@ -1,6 +1,6 @@
-"""Ending a long-running verb: Ctrl-C, SIGTERM and a closed terminal ask.
+"""Ending a long-running verb: Ctrl-C, SIGTERM and a closed terminal ask it to end.
 
-The verb finishes what it has to.
+The verb finishes its work first.
 """
 
 import signal
@@ -15,13 +15,13 @@ _SIGNALS = tuple(
 
 
 class StopRequest:
-    """Counts the requests to end; the signal handlers only ever write here."""
+    """Counts the requests to end; the signal handlers only write here."""
 
     def __init__(self) -> None:
         self.count = 0
 
     def __call__(self) -> bool:
-        """Whether the end has been asked for."""
+        """Whether the end was requested."""
         return self.count > 0
 
     def ask(self, number: int, frame: FrameType | None) -> None:
@@ -31,10 +31,10 @@ class StopRequest:
 
 @contextmanager
 def stop_on_signals() -> Iterator[StopRequest]:
-    """Signals to end count into the request instead of ending the process.
+    """Signals to end count as requests instead of ending the process.
 
-    One that is to be ignored stays so: `nohup` keeps a verb going without its terminal. Where the
-    end was asked for, the verb has done what it had to: a further signal changes nothing.
+    An ignored signal stays ignored: `nohup` keeps a verb running without its terminal. After the
+    requested end the verb has done its work: another signal changes nothing.
     """
     request = StopRequest()
     heeded = [number for number in _SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]

@@ -7,17 +7,17 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext
 from typing import Any
 
-# Rich draws nothing on these until the very end (Console.is_dumb_terminal).
+# Rich draws nothing on these until the end (Console.is_dumb_terminal).
 _WITHOUT_CURSOR = ("dumb", "unknown")
 
 
 def draws_live() -> bool:
-    """Whether stdout is a terminal on which a picture can be drawn again and again."""
+    """Whether stdout is a terminal that can redraw a picture."""
     return sys.stdout.isatty() and os.environ.get("TERM", "").lower() not in _WITHOUT_CURSOR
 
 
 def ring() -> None:
-    """Ring the bell of the terminal, where there is one."""
+    """Ring the bell of the terminal, if there is one."""
     if sys.stderr.isatty():
         sys.stderr.write("\a")
         sys.stderr.flush()
@@ -26,9 +26,9 @@ def ring() -> None:
 def run_in_flight(
     run: Callable[[], int], stuck: Callable[[], bool], keyboard: "Keyboard | None" = None
 ) -> int:
-    """Run a tool that flies on this process's terminal, which then cannot stop it.
+    """Run a flying tool on this process's terminal, so that the terminal cannot stop it.
 
-    Where the terminal still takes nothing at the end (`stuck`) the process ends without it.
+    If the terminal still accepts nothing at the end (`stuck`), the process ends without it.
     keyboard: what the tool reads keys from, if it does. Returns the tool's exit code.
     """
     code = 1
@@ -43,9 +43,9 @@ def run_in_flight(
 
 @contextmanager
 def flying_terminal() -> Iterator[None]:
-    """While something flies, no key stops it: neither Ctrl-S (XOFF) nor Ctrl-Z.
+    """In flight no key stops the process: neither Ctrl-S (XOFF) nor Ctrl-Z.
 
-    SIGQUIT asks for the end as SIGTERM does. Put back as it was at the end.
+    SIGQUIT requests the end, as SIGTERM does. Everything is restored at the end.
     """
     with ExitStack() as stack:
         if (quit_number := getattr(signal, "SIGQUIT", None)) is not None:
@@ -68,7 +68,7 @@ def _device(number: int) -> str | None:
 
 
 def _without_flow_control(device: str, stack: ExitStack) -> None:
-    """Take XOFF off a terminal, and have the stack put it back."""
+    """Disable XOFF on a terminal; the stack restores it."""
     try:
         import termios  # noqa: PLC0415 (not on Windows)
 
@@ -92,8 +92,8 @@ def _take_off_xoff(number: int) -> None:
 class Keyboard:
     """Single keys of this process's terminal, without Enter and without an echo.
 
-    As a context: the terminal is put back at the end. `read` never waits: neither for a key nor
-    for a terminal that takes nothing. In the background (`&`, `bg`) the terminal is the shell's:
+    As a context: the terminal is restored at the end. `read` never waits: neither for a key nor
+    for a terminal that accepts nothing. In the background (`&`, `bg`) the terminal is the shell's:
     nothing is read or set; after `fg` it is ours again.
     """
 
@@ -112,7 +112,7 @@ class Keyboard:
         try:
             import termios  # noqa: PLC0415 (not on Windows)
 
-            # Opened anew, for what is set on standard input the shell has too.
+            # Opened again, because the shell shares the settings of standard input.
             number = os.open(str(self._device), os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         except (ImportError, OSError):
             return self
@@ -129,7 +129,7 @@ class Keyboard:
         self._number = None
 
     def read(self) -> bytes:
-        """The keys since the last time, as the terminal sends them."""
+        """The keys since the last call, as the terminal sends them."""
         if self._number is None or not _in_foreground(self._number):
             return b""
         try:
@@ -142,10 +142,10 @@ class Keyboard:
         import tty  # noqa: PLC0415
 
         if self._number is not None and _in_foreground(self._number):
-            # At once: to wait for what is still to be written could last for ever.
+            # At once: waiting for pending output could last for ever.
             tty.setcbreak(self._number, termios.TCSANOW)
             _take_off_xoff(self._number)
-            # What was typed before was not meant for us.
+            # Keys typed before were not meant for this tool.
             termios.tcflush(self._number, termios.TCIFLUSH)
 
     def _put_back(self, before: list[Any]) -> None:

@@ -177,7 +177,7 @@ class TestMemory:
     def test_corrupt_memory_falls_back_to_defaults_and_says_so(self, elf: Path) -> None:
         bench = Bench(elf, eeprom=random.Random(5).randbytes(MEMORY_BYTES))
         bench.run(1.0)
-        assert "Echowing: memory corrupt, default parameters" in bench.texts()
+        assert "Echowing: memory corrupt, defaults in use" in bench.texts()
         assert bench.set_parameter("SCAN_DWELL", float("nan")).param_value == 300
 
     def test_one_flipped_bit_is_found(self, elf: Path) -> None:
@@ -190,7 +190,7 @@ class TestMemory:
         image[used[len(used) // 2]] ^= 0x10
         again = Bench(elf, eeprom=bytes(image))
         again.run(1.0)
-        assert "Echowing: memory corrupt, default parameters" in again.texts()
+        assert "Echowing: memory corrupt, defaults in use" in again.texts()
 
 
 class TestLight:

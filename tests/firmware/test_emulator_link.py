@@ -187,7 +187,7 @@ class TestCommands:
         assert bench.command(246, 1).result == ACCEPTED
         bench.run(1.5)
         # A frame that the restart cuts short swallows the next in a receiver that waits for it.
-        assert b"Echowing: started, as ordered" in bench.raw[sent:]
+        assert b"Echowing: started, by command" in bench.raw[sent:]
         assert bench.board.meters().restarts == 1
         assert bench.ranges_cm()[-1] == 200
 

@@ -6,7 +6,7 @@ from typing import Any
 from echowing.flight.health import Health
 from echowing.geo import GlobalPosition, displace
 from echowing.tool.moment import Moment
-from echowing.tool.panel import Row
+from echowing.tool.panel import Row, VehicleHealth
 from echowing.tool.track import Track
 
 HERE = GlobalPosition(39.34, -86.03, 250.0)
@@ -20,7 +20,6 @@ def row(system_id: int = FOLLOWER, **changes: Any) -> Row:
         time_s=0.0,
         system_id=system_id,
         state="following",
-        mode="GUIDED",
         separation_m=3.0,
         error_m=0.0,
         slot_error_m=0.0,
@@ -31,13 +30,11 @@ def row(system_id: int = FOLLOWER, **changes: Any) -> Row:
         command_mps=3.0,
         speed_mps=2.0,
         leader_speed_mps=2.0,
-        altitude_m=10.0,
         link_percent=100.0,
         north_offset_m=0.0,
         east_offset_m=0.0,
-        battery_percent=80.0,
-        leader_mode="AUTO",
-        leader_battery_percent=70.0,
+        own=VehicleHealth(mode="GUIDED", altitude_m=10.0, battery_percent=80.0),
+        leader=VehicleHealth(mode="AUTO", battery_percent=70.0),
     )
     return replace(well, **changes)
 

@@ -51,7 +51,7 @@ def test_a_card_that_gives_back_something_else_keeps_the_older_one(
 
 
 def test_a_folder_that_is_no_card_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(EchowingError, match="no APM folder, so not an autopilot's card"):
+    with pytest.raises(EchowingError, match="no APM folder, so this is not an autopilot's card"):
         install_on_card(tmp_path)
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(EchowingError, match="no such folder"):
@@ -60,7 +60,7 @@ def test_a_folder_that_is_no_card_is_refused(tmp_path: Path) -> None:
 
 def test_what_cannot_be_written_is_told(card: Path) -> None:
     (card / "APM" / "scripts").write_text("a file in the way")
-    with pytest.raises(EchowingError, match=r"scripts: cannot be made"):
+    with pytest.raises(EchowingError, match=r"scripts: cannot be created"):
         install_on_card(card)
 
 

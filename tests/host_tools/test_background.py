@@ -133,7 +133,7 @@ def test_a_slow_disk_holds_up_nobody_and_what_is_missing_is_said(
     # Ten wait, and the first may have been taken out before the eleventh came.
     missing = 100 - len(disks[0].frames)
     assert missing in (89, 90)
-    assert said[-1] == f"log: {missing} frames and rows are missing: the disk took nothing"
+    assert said[-1] == f"log: {missing} frames and rows are missing: the disk was too slow"
     assert said[0] == "log: a word"
 
 

@@ -1,13 +1,21 @@
 """Before anything moves: what has to be known and right, and what stops a follower later."""
 
 import math
+import re
 from dataclasses import replace
 from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.flight.engage import FLOWN_M, PATIENCE_S, READ_AGAIN_S, StuckPosition
+from echowing.flight.engage import (
+    FLOWN_M,
+    PATIENCE_S,
+    READ_AGAIN_S,
+    Finding,
+    StuckPosition,
+    table,
+)
 from echowing.flight.guard import Limits
 from echowing.flight.guidance import Slot
 from echowing.flight.readiness import Readiness
@@ -24,18 +32,45 @@ def test_where_all_is_right_points_go_within_two_seconds_and_the_table_comes_fir
     yard = Yard()
     assert len(yard.fly(2.0)) > 4
     assert yard.state() == "following"
-    head, leader, follower = yard.events()[1:4]
-    assert (
-        head.split()
-        == [
-            *("before", "engaging", "clock", "GPS", "EKF", "battery"),
-            *("applet", "distance", "least", "home", "height", "side"),
-        ][: len(head.split())]
-    )
+    head, leader, follower, more, _, its_rest = shown = yard.events()[1:7]
+    assert head.split() == [
+        *("before", "engaging", "clock", "GPS", "EKF", "battery"),
+        *("applet", "distance"),
+    ]
+    assert more.split() == ["least", "home", "height"]
     assert leader.startswith("leader 1 ")
     assert "3D 10  ok   80 %" in leader
-    assert "law 2, 1.0 s  3.0 m     2.6 m  +0.0 m  10.0 m" in follower
-    assert not any("!" in line for line in (head, leader, follower))
+    assert "law 2, 1.0 s  3.0 m" in follower
+    assert its_rest.split() == ["follower", "2", "2.6", "m", "+0.0", "m", "10.0", "m"]
+    assert not any("!" in line for line in shown)
+
+
+# The widest cell of each column of a follower, as `findings` and its helpers give it.
+WIDEST = {
+    **{"clock": "0.46 s", "switch": "not seen", "applet": "law 2, 10.0 s", "distance": "3.0 m"},
+    **{"least": "4.6 m", "home": "-123.4 m", "height": "4810.2 m", "RTL": "4810.0 m"},
+    **{"GPS": "3D 255", "EKF": "no position", "battery": "not reported", "side": "crosses"},
+    **{"who": "doubtful"},
+}
+
+
+def test_the_table_fits_a_terminal_of_80_columns_and_cuts_nothing() -> None:
+    wrong = [Finding(name, shown, "!") for name, shown in WIDEST.items()]
+    lines = table([("leader 255", wrong[8:11]), ("follower 254", wrong), ("follower 2", wrong)])
+    time = f"{12345.6:7.1f} s  "
+    assert max(len(time + line) for line in lines) <= 80
+    assert "before engaging" in lines[0]
+    words = [word for line in lines for word in re.split(r" {2,}", line.strip())]
+    for name, shown in WIDEST.items():
+        assert words.count(name) == 1
+        assert words.count(f"{shown}!") >= 2
+    # Every part has its line of names, and names each vehicle again.
+    assert len(lines) % 4 == 0
+    assert [line.split("  ")[0] for line in lines[5:8]] == [
+        "leader 255",
+        "follower 254",
+        "follower 2",
+    ]
 
 
 WRONG: dict[str, tuple[int, dict[str, Any], str]] = {

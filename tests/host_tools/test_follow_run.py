@@ -2,7 +2,7 @@ import io
 import json
 import math
 import re
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -19,7 +19,7 @@ from echowing.flight.state import FollowerPlan
 from echowing.mavlink.seats import LISTEN_S, VehicleFinder, parse_seat
 from echowing.stopping import StopRequest
 from echowing.tool.log import FollowLog
-from echowing.tool.panel import LINK_WINDOW_S, SONAR_FRESH_S, Panel, Row
+from echowing.tool.panel import LINK_WINDOW_S, SONAR_FRESH_S, Panel, Row, VehicleHealth
 from echowing.tool.picture import SETTLED_S, Photographer, drawn
 from echowing.tool.track import Track
 from echowing.tool.view import (
@@ -197,7 +197,7 @@ def test_the_link_is_the_share_of_frames_that_came() -> None:
             panel.receive(received(FOLLOWER, message, sequence=(250 + step) % 256), now_s)
     (row,) = panel.rows(session(), LINK_WINDOW_S)
     assert row.link_percent == pytest.approx(80.0, abs=2.0)
-    assert row.mode == "LOITER"
+    assert row.own.mode == "LOITER"
 
 
 def test_warnings_of_the_vehicles_are_passed_on_and_chatter_is_not() -> None:
@@ -208,21 +208,23 @@ def test_warnings_of_the_vehicles_are_passed_on_and_chatter_is_not() -> None:
     assert panel.texts == [(FOLLOWER, "too close")]
 
 
+OWN = VehicleHealth(mode="GUIDED", altitude_m=10.0)
+
+
 def row(**changes: Any) -> Row:
     known: dict[str, Any] = {
-        **{"time_s": 1.0, "system_id": 2, "state": "following", "mode": "GUIDED"},
+        **{"time_s": 1.0, "system_id": 2, "state": "following"},
         **{"separation_m": 3.214, "error_m": 0.214, "slot_error_m": 0.3, "sonar_m": 3.05},
         **{"gimbal": "tracking", "leader_age_s": 0.24, "age_s": 0.06, "command_mps": 1.9},
-        **{"speed_mps": 2.0, "leader_speed_mps": 2.0, "altitude_m": 10.0, "link_percent": 97.0},
-        **{"north_offset_m": 0.1, "east_offset_m": -0.1},
+        **{"speed_mps": 2.0, "leader_speed_mps": 2.0, "link_percent": 97.0},
+        **{"north_offset_m": 0.1, "east_offset_m": -0.1, "own": OWN},
     }
     return Row(**{**known, **changes})
 
 
-LEADERS = {
-    **{"leader_mode": "GUIDED", "leader_altitude_m": 12.3, "leader_gps": "3D 14"},
-    **{"leader_battery_percent": 77.0, "leader_battery_v": 11.9, "leader_clock_s": 0.05},
-}
+LEADERS = VehicleHealth(
+    mode="GUIDED", altitude_m=12.3, gps="3D 14", battery_percent=77.0, battery_v=11.9, clock_s=0.05
+)
 
 # Rich draws by the terminal it is told of, and not by the one that the tests run in.
 XTERM: dict[str, Any] = {"_environ": {"TERM": "xterm"}}
@@ -269,11 +271,14 @@ def lines_of(rows: list[Row], width: int) -> list[str]:
 # The widest that each can be in the air, and more: a separation in another country.
 WIDE = row(
     **{"system_id": 255, "state": "holding: the leader's telemetry is stale"},
-    **{"mode": "GUIDED_NOGPS, not flying", "separation_m": 123.46, "error_m": -120.46},
+    **{"separation_m": 123.46, "error_m": -120.46},
     **{"sonar_m": 7.65, "gimbal": "sonar fault", "age_s": 61.234, "speed_mps": 12.3},
-    **{"command_mps": 12.5, "altitude_m": 4810.2, "link_percent": 100.0, "switch": "not seen"},
+    **{"command_mps": 12.5, "link_percent": 100.0},
+    own=VehicleHealth(mode="GUIDED_NOGPS, not flying", altitude_m=4810.2, switch="not seen"),
 )
-FAR = row(system_id=3, separation_m=8_765_432.1, error_m=-8_765_432.1, altitude_m=-3.2)
+FAR = row(
+    system_id=3, separation_m=8_765_432.1, error_m=-8_765_432.1, own=replace(OWN, altitude_m=-3.2)
+)
 
 
 @pytest.mark.parametrize(("width", "lines"), [(200, 1), (120, 1), (80, 1), (79, 2), (60, 2)])
@@ -292,8 +297,21 @@ def test_the_table_fits_the_terminal_and_cuts_no_number(width: int, lines: int) 
     assert any(re.match(r"255 +holding", line) for line in shown)
 
 
+def test_a_long_event_goes_on_under_its_text() -> None:
+    said = "follower 2: its slot is 2 m from the leader, and 4.6 m is the least at which it turns"
+    console = Console(file=io.StringIO(), force_terminal=True, width=60, **XTERM)
+    with console.capture() as shown:
+        console.print(scene([], [f"{12.3:7.1f} s  {said}", f"{12.4:7.1f} s  engaged"]))
+    first, second, third = shown.get().splitlines()
+    assert first.startswith("   12.3 s  follower 2: ")
+    assert second.startswith(" " * 11 + "4.6 m is")
+    assert third == "   12.4 s  engaged"
+    assert f"{first.strip()[8:]} {second.strip()}" == said
+    assert max(map(len, (first, second))) <= 60
+
+
 def test_reasons_stand_under_the_table_and_the_switch_in_the_lines_of_health() -> None:
-    shown = lines_of([row(switch="off"), WIDE], 80)
+    shown = lines_of([row(own=replace(OWN, switch="off"), leader=OWN), WIDE], 80)
     reason = shown.index("255: the leader's telemetry is stale, not flying")
     assert shown[reason + 1].startswith("leader: ")
     assert shown[reason + 2].endswith("switch off")
@@ -345,7 +363,7 @@ def test_plain_lines_come_now_and_then_and_events_at_once(
 ) -> None:
     view = PlainView()
     for tenth in range(round(2 * PLAIN_PERIOD_S * 10)):
-        view.rows(tenth / 10, [row(link_percent=None, **LEADERS)])
+        view.rows(tenth / 10, [row(link_percent=None, leader=LEADERS)])
     view.event(10.0, "stands")
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 5

@@ -343,7 +343,7 @@ class ForgetfulServer(FtpServer):
 
 def test_a_card_that_gives_back_something_else_keeps_the_older_applet(card: Path) -> None:
     card_with(card, b"-- older")
-    with pytest.raises(EchowingError, match="gives back something else"):
+    with pytest.raises(EchowingError, match="does not return what was written"):
         install_over_link(FtpClient(Wire(ForgetfulServer(card))), no_bar)
     assert scripts_of(card) == {"echowing.lua": b"-- older"}
 

@@ -9,8 +9,8 @@ from rich.console import Console
 
 from echowing.flight.guard import Limits
 from echowing.flight.switch import StopSwitch
-from echowing.tool.health import in_words, its_health, leaders_health
-from echowing.tool.panel import HEALTH_FRESH_S, Health, Panel, Row
+from echowing.tool.health import in_words, leaders_words
+from echowing.tool.panel import HEALTH_FRESH_S, Panel, Row, VehicleHealth
 from echowing.tool.view import LiveView
 
 from .yard import FOLLOWER, LEADER, LOITER, Vehicle, Yard
@@ -34,8 +34,8 @@ class Watched(Yard):
         return row
 
 
-def words(one: Health) -> str:
-    return ", ".join(text for text, _ in in_words(one))
+def words(parts: list[tuple[str, str]]) -> str:
+    return ", ".join(text for text, _ in parts)
 
 
 def test_a_row_knows_what_a_pilot_lands_for() -> None:
@@ -50,10 +50,12 @@ def test_a_row_knows_what_a_pilot_lands_for() -> None:
     yard.tell(LEADER, on)
     row = yard.row()
     leader = "LOITER, 12.0 m up, GPS 3D 10, battery 55 % 12.6 V, clock 0.00 s, switch on"
-    assert words(leaders_health(row)) == leader
+    assert words(leaders_words(row.leader)) == leader
     its = "GPS 3D 10, battery 80 % 12.6 V, clock 0.00 s, switch not seen"
-    assert words(its_health(row)) == its
-    assert row.as_dict()["leader_battery_percent"] == 55.0
+    assert words(in_words(row.own)) == its
+    flat = row.as_dict()
+    assert (flat["battery_percent"], flat["leader_battery_percent"]) == (80.0, 55.0)
+    assert (flat["mode"], flat["leader_mode"]) == ("GUIDED", "LOITER")
 
 
 def test_what_is_not_heard_of_late_is_not_known() -> None:
@@ -63,8 +65,8 @@ def test_what_is_not_heard_of_late_is_not_known() -> None:
         vehicle.silent = True
     yard.fly(HEALTH_FRESH_S + 1.0)
     row = yard.row()
-    assert words(its_health(row)) == "GPS not known, battery not known, clock 0.00 s"
-    assert words(leaders_health(row)).startswith("-, ")
+    assert words(in_words(row.own)) == "GPS not known, battery not known, clock 0.00 s"
+    assert words(leaders_words(row.leader)).startswith("mode not known, ")
 
 
 def test_an_unknown_clock_and_words_for_not_known_are_no_numbers() -> None:
@@ -72,20 +74,23 @@ def test_an_unknown_clock_and_words_for_not_known_are_no_numbers() -> None:
     yard.vehicles[FOLLOWER].says_clock = False
     yard.vehicles[FOLLOWER].battery_percent = -1
     yard.fly(2.0)
-    assert words(its_health(yard.row())) == "GPS 3D 10, battery 12.6 V, clock not known"
+    assert words(in_words(yard.row().own)) == "GPS 3D 10, battery 12.6 V, clock not known"
 
 
 @pytest.mark.parametrize(
     ("one", "wrong"),
     [
-        (Health(gps="2D 5", battery_percent=50.0, clock_s=0.1), "GPS 2D 5"),
-        (Health(gps="none 0", battery_percent=50.0, clock_s=0.1), "GPS none 0"),
-        (Health(gps="3D 9", battery_percent=19.0, clock_s=0.1), "battery 19 %"),
-        (Health(gps="3D 9", battery_percent=50.0), "clock not known"),
-        (Health(gps="3D 9", battery_percent=50.0, clock_s=0.1, switch="was on"), "switch was on"),
+        (VehicleHealth(gps="2D 5", battery_percent=50.0, clock_s=0.1), "GPS 2D 5"),
+        (VehicleHealth(gps="none 0", battery_percent=50.0, clock_s=0.1), "GPS none 0"),
+        (VehicleHealth(gps="3D 9", battery_percent=19.0, clock_s=0.1), "battery 19 %"),
+        (VehicleHealth(gps="3D 9", battery_percent=50.0), "clock not known"),
+        (
+            VehicleHealth(gps="3D 9", battery_percent=50.0, clock_s=0.1, switch="was on"),
+            "switch was on",
+        ),
     ],
 )
-def test_what_is_wrong_stands_out(one: Health, wrong: str) -> None:
+def test_what_is_wrong_stands_out(one: VehicleHealth, wrong: str) -> None:
     assert [text for text, style in in_words(one) if style] == [wrong]
 
 

@@ -71,11 +71,11 @@ def test_engage_asks_first(turns: tuple[bytes, ...], engaged: bool) -> None:
 def test_a_question_is_shown_and_said_and_lapses() -> None:
     desk = Desk(engaged=False)
     desk.press(b"e")
-    assert desk.said == ["engage, points to all in Guided? press y within 5 s"]
-    assert desk.line() == "engage, points to all in Guided? y: yes, any other key: no"
+    assert desk.said == ["engage: send points to all in Guided? press y within 5 s"]
+    assert desk.line() == "engage: send points to all in Guided? y: yes, any other key: no"
     desk.field.fly(QUESTION_S)
     assert desk.line().startswith("keys: e engage")
-    assert desk.said[-1] == "engage, points to all in Guided? no answer: no"
+    assert desk.said[-1] == "engage: send points to all in Guided? no answer: no"
     desk.press(b"y")
     assert not desk.field.session.engaged
 
@@ -185,7 +185,7 @@ def test_a_flight_by_keys_from_engaging_to_the_next_radius_and_back_to_what_was_
     screen, flight, code = fly(
         [
             ("press e, or give --engage", b"e"),
-            ("engage, points to all", b"y"),
+            ("engage: send points to all", b"y"),
             ("engaged by key", b"n"),  # too early
             ("following", b"n"),
             ("nearer, from 6 to 4 m?", b"y"),
@@ -204,7 +204,7 @@ def test_stop_all_stops_it_and_the_tool_goes_on_until_it_is_ended() -> None:
     screen, flight, code = fly(
         [
             ("press e, or give --engage", b"e"),
-            ("engage, points to all", b"y"),
+            ("engage: send points to all", b"y"),
             ("engaged by key", b" "),
         ]
     )
@@ -228,7 +228,9 @@ def test_a_build_up_begins_at_its_widest() -> None:
 
 @pytest.mark.parametrize("radii", ["8", "3,4", "8,x", "8,8", "", "nan,3", "8,0.5"])
 def test_radii_that_do_not_come_nearer_are_refused(radii: str) -> None:
-    with pytest.raises(EchowingError, match=r"give two radii or more, each smaller than the last"):
+    with pytest.raises(
+        EchowingError, match=r"give two radii or more, each smaller than the one before"
+    ):
         options_of([*ENDS, "--build-up", radii])
 
 
@@ -239,7 +241,7 @@ def test_a_build_up_inside_the_least_separation_is_refused() -> None:
 
 def test_a_build_up_without_a_terminal_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["follow", *ENDS, "--build-up", "8,3", "--duration", "0", "--no-log"]) == 2
-    assert "--build-up goes by keys: run it on a terminal" in capsys.readouterr().err
+    assert "--build-up needs keys: run it on a terminal" in capsys.readouterr().err
 
 
 # ---- the terminal --------------------------------------------------------------------------------

@@ -242,7 +242,9 @@ def test_tcp_waits_for_a_listener_and_comes_back_to_the_next() -> None:
     link = opened(f"tcp:127.0.0.1:{port}")
     now_s = 0.0
     until(lambda: not link.receive(now_s) and link.news)
-    assert link.news == [f"link tcp:127.0.0.1:{port}: nobody listens there; trying again every 1 s"]
+    assert link.news == [
+        f"link tcp:127.0.0.1:{port}: nothing listens there; trying again every 1 s"
+    ]
     link.news.clear()
     for _ in range(2):
         now_s += RETRY_S
@@ -410,7 +412,7 @@ def test_a_leader_is_not_published_to_where_it_is_heard(
         LeaderTool, parse_seat("leader", vehicle), parse_address(publish), 4.0, StopRequest()
     )
     if loops:
-        with pytest.raises(EchowingError, match="go round and round; give another port"):
+        with pytest.raises(EchowingError, match="circulate for ever; give another port"):
             make()
     else:
         make()

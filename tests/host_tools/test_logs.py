@@ -119,7 +119,7 @@ def test_a_log_that_was_cut_off_says_so(tmp_path: Path, kind: str, bytes_gone: i
     cut = tmp_path / f"cut.{kind}"
     cut.write_bytes((DATA / f"follower.{kind}").read_bytes()[:-bytes_gone])
     (flight,) = read_flights([DATA / "leader.BIN", cut])
-    note = f"{cut}: damaged or cut off; what could be read is used"
+    note = f"{cut}: damaged or cut off; the readable part is used"
     assert note in flight.warnings
     assert not any("cut off" in text for text in whole)
 

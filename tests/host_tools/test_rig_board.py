@@ -187,7 +187,7 @@ class TestParameters:
         with pytest.raises(EchowingError) as refusal:
             board.set_parameter("TRACK_RANGE", 400)
         assert str(refusal.value) == (
-            "TRACK_RANGE = 400 is refused, it stays 450: not while the autopilot is armed"
+            "TRACK_RANGE = 400 is refused; it stays 450: not while the autopilot is armed"
         )
 
     def test_a_refusal_names_the_value_in_force_and_the_limits(self, wire: CoreWire) -> None:
@@ -195,10 +195,10 @@ class TestParameters:
         with pytest.raises(EchowingError) as refusal:
             board.set_parameter("SCAN_DWELL", 20)
         assert str(refusal.value) == (
-            "SCAN_DWELL = 20 is refused, it stays 300; it takes whole numbers from 50 to 5000 ms"
+            "SCAN_DWELL = 20 is refused; it stays 300; it takes whole numbers from 50 to 5000 ms"
         )
         for senseless in (1e39, float("nan"), float("-inf"), 60.5):
-            with pytest.raises(EchowingError, match="is refused, it stays 300"):
+            with pytest.raises(EchowingError, match="is refused; it stays 300"):
                 board.set_parameter("SCAN_DWELL", senseless)
         assert wire.core.parameter("SCAN_DWELL") == 300.0
 

@@ -833,7 +833,7 @@ def test_a_board_that_never_comes_back_leaves_the_test_incomplete(tmp_path: Path
     board = FakeBoard(world)
     result, code = run_to_result(soak_test(tmp_path, reopen=reopen), bench_of(board))
     assert (result.verdict, code) == ("INCOMPLETE", 2)
-    assert "did not come back" in str(result.incomplete)
+    assert "not connected again" in str(result.incomplete)
 
 
 def test_a_gap_over_the_wrap_is_a_gap() -> None:

@@ -52,7 +52,7 @@ class TestParameterFile:
             (b"prose " * 40, "not 'prose prose prose prose prose prose prose prose prose …'"),
             (b"A,nan\n", "line 1: A has to be a number, not nan"),
             (b"A,1e99\n", "line 1: A has to be a number"),
-            (b"A,1\nA,2\n", "line 2: A is there twice"),
+            (b"A,1\nA,2\n", "line 2: A is given twice"),
             (b"# nothing\n", "holds no parameters"),
             (b"\xff\xfe\x00", "is not a text file"),
         ],
@@ -300,7 +300,7 @@ class TestRecording:
     def test_nothing_is_written_over(self, tmp_path: Path) -> None:
         path = tmp_path / "bench.ewr"
         Recorder(path, {}).close()
-        with pytest.raises(EchowingError, match="is there already"):
+        with pytest.raises(EchowingError, match="exists already"):
             Recorder(path, {})
         with pytest.raises(EchowingError, match="cannot be written"):
             Recorder(tmp_path / "no" / "folder", {})
@@ -319,9 +319,9 @@ class TestRecording:
     @pytest.mark.parametrize(
         ("content", "words"),
         [
-            (b"", "is no recording"),
-            (b"\xfd" * 5000, "is no recording"),
-            (MAGIC + b"{}", "is no recording"),  # cut in its first line
+            (b"", "is not a recording"),
+            (b"\xfd" * 5000, "is not a recording"),
+            (MAGIC + b"{}", "is not a recording"),  # cut in its first line
             (MAGIC + b"{\n", "first line is damaged"),
             (MAGIC + b"[]\n", "first line is damaged"),
             (MAGIC + b"{}\n" + b"\xff" * 12, "damaged at its byte 0"),

@@ -13,7 +13,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from echowing.errors import EchowingError
 from echowing.sim.autopilot import Autopilot
 from echowing.sim.copter import Copter
+from echowing.sim.scenario import load_scenario
 from echowing.sim.serve import HOPELESS_S, STEP_S, Server, open_port
+from echowing.sim.serve_flight import set_up
 
 SYSTEM_ID = 3
 PATIENCE_S = 60.0  # what is heard ends it early
@@ -174,3 +176,12 @@ def test_a_taken_port_is_named() -> None:
     with pytest.raises(EchowingError, match=str(first.port)):
         open_port(f"udpin:{first.port}")
     first.close()
+
+
+def test_served_applets_keep_the_distance_of_their_slots_or_as_the_scenario_says() -> None:
+    slots = "formation.slots=[{radius_m=4.0}, {radius_m=8.0}, {radius_m=12.0, echo_dist_m=3.5}]"
+    served = set_up(load_scenario("echowing", [slots]))
+    # 8 m is more than the applet accepts, and beyond the sonar.
+    assert [slot.echo_dist_m for slot in served.formation.slots] == [4.0, None, 3.5]
+    given = load_scenario("echowing", [slots, "applet.ECHO_DIST=2.0"])
+    assert set_up(given) == given

@@ -144,7 +144,7 @@ WRONG = [
     ),
     ({"ECHO_ENABLE": None, "applet_on_card": None}, "applet", "echowing setup lua"),
     ({"ECHO_ENABLE": None}, "applet", "restart the autopilot"),
-    ({"objections": ["Scripting: Error: ./x.lua:9: boom"]}, "applet", "take that off the card"),
+    ({"objections": ["Scripting: Error: ./x.lua:9: boom"]}, "applet", "remove that from the card"),
     (
         {"coprocessor": None, "reports": None, "signs": True, "takes_range": False},
         "co-processor",
@@ -198,7 +198,7 @@ def test_the_pilots_own_is_reported_and_never_written(changes: dict[str, Any], a
     assert odd[about].verdict is Verdict.YOURS
     assert exit_code(examine(readout)) == 0
     assert changes_for(readout) == []
-    assert any("stays, it is yours" in line for line in differences(readout, [], {}))
+    assert any("stays; it is yours" in line for line in differences(readout, [], {}))
 
 
 def test_what_does_well_enough_is_let_be() -> None:
@@ -351,7 +351,7 @@ def test_lines_say_why_and_what_to_type_and_fold_what_is_dull() -> None:
     assert lines[0] == "vehicle 2, ArduCopter 4.8, disarmed, as a follower"
     at = next(i for i, line in enumerate(lines) if line.startswith("WRONG"))
     assert lines[at].split() == ["WRONG", "RTL_SPEED_MS", "0"]
-    assert "flies at the speed parameter" in lines[at + 1]
+    assert "returns home at the speed parameter" in lines[at + 1]
     assert "param set RTL_SPEED_MS 5" in lines[at + 2]
     assert not any("ECHO_TAU" in line for line in lines)
     folded = len(applet_parameters()) - 1  # ECHO_MIRROR is no setting
@@ -471,7 +471,7 @@ def test_the_oldest_values_stay_where_a_file_is_added_to(tmp_path: Path) -> None
 def test_a_file_of_anything_else_is_never_overwritten(tmp_path: Path) -> None:
     path = tmp_path / "old.json"
     save(path, 2, CHANGES, NOW)
-    with pytest.raises(EchowingError, match="is of vehicle 2; name another file"):
+    with pytest.raises(EchowingError, match="with values of vehicle 2; name another file"):
         save(path, 3, CHANGES, NOW)
     assert load(path).system_id == 2
     letter = tmp_path / "letter.txt"
@@ -559,7 +559,7 @@ def test_the_answer_may_come_through_a_pipe(
 
 def test_where_nobody_answers_nothing_is_taken_for_granted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stdin", io.StringIO(""))
-    with pytest.raises(EchowingError, match="nobody is there to ask; give --yes"):
+    with pytest.raises(EchowingError, match="no answer: the input has ended; give --yes"):
         setup.agreed("? ")
 
 

@@ -241,7 +241,7 @@ def test_where_the_scripts_folder_comes_with_scripting_the_applet_waits_for_it(
     desk.autopilot.reboot = reboot_and_make  # type: ignore[method-assign]
     job = Job(desk, tmp_path / "old.params.json")
     assert job.apply.run() == 0, job.told
-    assert "no folder for scripts yet: it is made when scripting starts" in job.told
+    assert "no folder for scripts yet: the autopilot makes it when scripting starts" in job.told
     assert wrong(desk) == []
 
 
@@ -308,7 +308,7 @@ def test_a_vehicle_that_does_not_come_back_is_reported(make_desk: MakeDesk) -> N
     desk = make_desk()
     gone_s = desk.t_s + 1.0
     desk.lose = lambda: desk.t_s > gone_s
-    with pytest.raises(EchowingError, match="has not come back within 60 s"):
+    with pytest.raises(EchowingError, match="does not report 60 s after its restart"):
         restart_autopilot(desk.vehicle)
 
 
@@ -326,7 +326,7 @@ def test_restore_names_the_files_of_other_applies(make_desk: MakeDesk, tmp_path:
     work = Work(desk.vehicle, "CONN", told.append, restart=False)
     assert restore(work, newer, load(newer)) == 1
     assert "left out, as the vehicle does not have them now: GONE" in told
-    assert f"from before an earlier apply, restore next: {older}" in told
+    assert f"from an earlier apply, restore next: {older}" in told
     assert restore(work, older, load(older)) == 0
     assert any(f"to be restored before {older}: {newer}" in line for line in told)
     assert desk.vehicle.read(["RTL_ALT_M"]) == {"RTL_ALT_M": 10.0}

@@ -8,6 +8,7 @@ import pytest
 from echowing.analysis.logs import read_flights
 from echowing.errors import EchowingError
 from echowing.tool.log import FollowLog
+from echowing.tool.panel import VehicleHealth
 from echowing.web.recording import TableRecording, index_at, open_recording
 from echowing.web.replay import ReplayFeed, TimeLine
 from echowing.web.snapshot import snapshot
@@ -26,7 +27,12 @@ def logged(folder: Path, moments: int = 20) -> Path:
         time_s = 0.5 + tenth / 10.0
         rows = [
             row(2, time_s=time_s, sonar_m=None),
-            row(3, time_s=time_s, state="hands off", leader_mode="GUIDED, not flying"),
+            row(
+                3,
+                time_s=time_s,
+                state="pilot has control",
+                leader=VehicleHealth(mode="GUIDED, not flying"),
+            ),
         ]
         tracks = [track(-3.0 + time_s), track(-6.0)]
         log.rows(START_UNIX_S + time_s, rows, tracks)
@@ -46,8 +52,8 @@ def test_what_was_logged_is_what_is_replayed(tmp_path: Path) -> None:
     moment = recording.moment(3)
     assert [one.system_id for one in moment.rows] == [2, 3]
     assert moment.rows[0] == row(2, time_s=0.8, sonar_m=None)
-    assert moment.rows[1].state == "hands off"
-    assert moment.rows[1].leader_mode == "GUIDED, not flying"
+    assert moment.rows[1].state == "pilot has control"
+    assert moment.rows[1].leader == VehicleHealth(mode="GUIDED, not flying")
     # To the 1e-7 deg of the log.
     frame = snapshot(moment, HERE)
     assert frame["followers"][0]["at"] == pytest.approx([-2.2, 0.0], abs=0.02)
@@ -97,7 +103,7 @@ def test_a_damaged_moment_is_said_and_the_rest_is_shown(tmp_path: Path) -> None:
         ("a,b\n1,2\n", "not a table of echowing follow --log"),
         ("", "not a table of echowing follow --log"),
         ("unix_time_s,time_s,system_id\n", "holds no rows"),
-        ("unix_time_s,time_s,system_id\n1,x,2\n", "'x' is no time"),
+        ("unix_time_s,time_s,system_id\n1,x,2\n", "'x' is not a time"),
     ],
 )
 def test_what_is_no_log_is_refused(content: str, words: str, tmp_path: Path) -> None:

@@ -104,14 +104,16 @@ def test_nothing_can_be_asked_of_it(page: LivePage, method: str) -> None:
 
 
 def test_a_taken_port_is_said(page: LivePage) -> None:
-    with pytest.raises(EchowingError, match=r"127.0.0.1 cannot be listened on: .*--web 8018"):
+    with pytest.raises(
+        EchowingError, match=r"127.0.0.1 cannot listen there: .*for example --web 8018"
+    ):
         LivePage(PageAddress(HERE, page.port), "follow")
 
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--web-address", "0.0.0.0"], "it needs --web"),
+        (["--web-address", "0.0.0.0"], "--web-address needs --web"),
         (["--web", "70000"], "--web 70000: give a port"),
         (["--web", "--web-address", "field"], "--web-address field: give an address"),
     ],

@@ -9,6 +9,7 @@ import pytest
 from echowing.flight.envelope import SURE_SIGMAS
 from echowing.flight.health import Cut, Health
 from echowing.tool.moment import Moment, apart_by_plan
+from echowing.tool.panel import VehicleHealth
 from echowing.web.alarms import Level, alarms, headline
 from echowing.web.options import PageAddress
 from echowing.web.snapshot import ellipse, glance, snapshot
@@ -59,16 +60,19 @@ def test_an_oblique_ellipse() -> None:
 
 def test_what_is_not_known_is_null_and_everything_is_json() -> None:
     bare: dict[str, Any] = dict.fromkeys(
-        ("separation_m", "error_m", "sonar_m", "gimbal", "command_mps", "altitude_m", "age_s")
+        ("separation_m", "error_m", "sonar_m", "gimbal", "command_mps", "age_s")
     )
     nowhere: dict[str, Any] = dict.fromkeys(
         ("leader_lat_deg", "leader_lon_deg", "leader_alt_m", "lat_deg", "lon_deg", "alt_m")
     )
-    unheard = Moment(0.0, [row(**bare, leader_age_s=math.inf)], [track(**nowhere)])
+    unheard = Moment(
+        0.0, [row(**bare, own=VehicleHealth(), leader_age_s=math.inf)], [track(**nowhere)]
+    )
     frame = json.loads(json.dumps(snapshot(unheard, HERE), allow_nan=False))
     assert frame["leader"]["at"] is None
     assert frame["followers"][0]["at"] is None
     assert frame["followers"][0]["error"] is None
+    assert frame["followers"][0]["height"] is None
     assert frame["leader"]["age"] is None
 
 
@@ -93,9 +97,9 @@ def test_nothing_wrong() -> None:
 @pytest.mark.parametrize(
     ("changes", "level", "words"),
     [
-        ({"leader_age_s": 1.2}, Level.ACT, "The leader is not heard for 1.2 s"),
-        ({"leader_age_s": None}, Level.ACT, "The leader was not heard yet"),
-        ({"age_s": 4.0}, Level.ACT, "Follower 2 is not heard for 4 s"),
+        ({"leader_age_s": 1.2}, Level.ACT, "Leader: no report for 1.2 s"),
+        ({"leader_age_s": None}, Level.ACT, "Leader: no report yet"),
+        ({"age_s": 4.0}, Level.ACT, "Follower 2: no report for 4 s"),
         ({"state": "holding: stop switch"}, Level.LOOK, "Follower 2: holding: stop switch"),
         ({"state": "no points sent"}, Level.ACT, "Follower 2: no points sent"),
         ({"separation_m": 1.4}, Level.ACT, "Follower 2 is 1.4 m from the leader (wanted 3.0 m)"),
@@ -108,14 +112,17 @@ def test_what_is_wrong_is_said_plainly(changes: dict[str, Any], level: Level, wo
 
 
 @pytest.mark.parametrize(
-    ("share", "wrong"),
-    [("battery_percent", "Follower 2"), ("leader_battery_percent", "The leader")],
+    ("whose", "wrong"),
+    [("own", "Follower 2"), ("leader", "The leader")],
 )
-def test_an_empty_battery(share: str, wrong: str) -> None:
-    low = Moment(0.0, [row(2, **{share: 19.0})], [track()])
+def test_an_empty_battery(whose: str, wrong: str) -> None:
+    low, enough = (
+        Moment(0.0, [row(2, **{whose: VehicleHealth(battery_percent=percent)})], [track()])
+        for percent in (19.0, 20.0)
+    )
     (alarm,) = alarms(low)
     assert alarm.text == f"{wrong} has 19 % of its battery left"
-    assert alarms(Moment(0.0, [row(2, **{share: 20.0})], [track()])) == []
+    assert alarms(enough) == []
 
 
 def test_the_worst_comes_first() -> None:
@@ -159,5 +166,5 @@ def test_slots_out_of_sight_are_known_by_the_plan() -> None:
 
 def test_an_address_that_is_not_loopback_is_said() -> None:
     assert PageAddress().said == "page: http://127.0.0.1:8017/"
-    assert "open to everybody on the network" in PageAddress("0.0.0.0").said
+    assert "everybody on the network can open it" in PageAddress("0.0.0.0").said
     assert PageAddress("::1", 80).said == "page: http://[::1]:80/"

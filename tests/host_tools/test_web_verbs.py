@@ -134,7 +134,7 @@ def test_a_page_without_a_flight_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["sim", "echowing", "--web"]) == 2
-    assert "--web goes with --serve" in capsys.readouterr().err
+    assert "--web needs --serve" in capsys.readouterr().err
     assert main(["replay", str(tmp_path)]) == 2
     assert "a folder without" in capsys.readouterr().err
     assert main(["replay", str(tmp_path / "no.csv")]) == 2

@@ -370,7 +370,7 @@ ENDS = ["follow", "--leader", LEADERS, "--follower", FOLLOWERS, "--duration", "0
         (["--radius", "1.0"], "inside --min-separation"),
         (["--follower", "udpin:14570"], "2 followers need --formation"),
         (["--formation", "/nowhere.toml"], "nowhere.toml: cannot be read: No such file"),
-        (["--follower", FOLLOWERS], "say which is which"),
+        (["--follower", FOLLOWERS], "give the system id of each"),
         (["--follower", "nonsense"], "no such kind"),
         (["--follower", "tcp:5760"], "which host"),
         (["--follower", "udpin:14570@300"], "system id from 1 to 255"),

@@ -384,7 +384,7 @@ def test_soak_survives_the_cable_being_pulled(tmp_path: Path) -> None:
     def pull(line: str, process: "subprocess.Popen[str]") -> None:
         if "soaking" in line:
             emulators[0].stop()
-        if "waiting for it to come back" in line:
+        if "waiting for the board" in line:
             emulators.append(Emulator("--range-cm", "300"))
             plug.unlink()
             plug.symlink_to(emulators[1].port)

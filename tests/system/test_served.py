@@ -13,7 +13,9 @@ def test_the_printed_command_flies_and_the_leader_has_waited_for_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    world = World("--set", "leader.start_s=0")
+    # Slots at another radius than the applet's own ECHO_DIST of 3 m.
+    slots = "formation.slots=[{radius_m=4.0, angle_deg=40.0}, {radius_m=4.0, angle_deg=-40.0}]"
+    world = World("--set", "leader.start_s=0", "--set", slots)
     sim = world.process
     printed = sim.lines[sim.wait_for(lambda line: line.strip().startswith("echowing follow"))]
     formation = tmp_path / "out" / f"formation-{world.port}.toml"
@@ -35,7 +37,7 @@ def test_a_second_tool_on_a_taken_port_is_told_and_the_first_goes_on() -> None:
     first = Process("follow", *ends, "--json", "--no-log")
     first.row(lambda row: row["state"] == "only watched")
     second = Process("follow", *ends, "--json", "--no-log")
-    second.event("see whether another is connected there")
+    second.event("another may be connected")
     seen = len(first.lines)
     first.row(lambda row: row["age_s"] is not None and row["age_s"] < 1.0, since=seen)
     first.end(signal.SIGINT)

@@ -99,7 +99,7 @@ def test_a_new_vehicle_is_made_ready(parked: Served, tmp_path: Path) -> None:
     said = "\n".join(tool.lines)
     assert f"Write these to vehicle {FOLLOWER} on " in said
     assert "FS_GCS_ENABLE     0 stays, it is yours to decide" in said
-    assert "it is up again" in said
+    assert "it has restarted" in said
     assert "all is set; next: echowing setup check" in said
     assert load(file).parameters["RNGFND1_MAX_CM"] == 700.0
     assert load(file).parameters["ECHO_ENABLE"] == 0.0
@@ -133,7 +133,7 @@ def test_a_vehicle_lost_in_the_middle_of_a_check_is_told(parked: Served) -> None
     try:
         assert tool.exit_code() == 2
         assert f"vehicle {FOLLOWER}" in tool.lines[-1]
-        assert "is silent: no report of its autopilot" in tool.lines[-1]
+        assert "is silent: no message of its autopilot" in tool.lines[-1]
     finally:
         parked.process.send_signal(signal.SIGCONT)
 
@@ -156,4 +156,4 @@ def test_a_flying_vehicle_is_looked_at_but_not_touched(tmp_path: Path) -> None:
 def test_parked_vehicles_are_for_serving_only() -> None:
     tool = Process("sim", "echowing", "--parked")
     assert tool.exit_code() == 2
-    assert tool.lines == ["echowing sim: --parked and --card go with --serve PORT"]
+    assert tool.lines == ["echowing sim: --parked and --card need --serve PORT"]

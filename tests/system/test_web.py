@@ -145,7 +145,7 @@ def test_what_is_wrong_is_big_and_plain_on_a_phone(live: LivePage, browser: Brow
     small = sight.reads(_SIZE)
     live.show(moment(2.0, leader_age_s=2.4, state="holding: leader is stale"))
     sight.until("document.getElementById('status').className === 'act'")
-    assert sight.text("headline") == "The leader is not heard for 2.4 s"
+    assert sight.text("headline") == "Leader: no report for 2.4 s"
     assert sight.text("alarms") == "Follower 2: holding: leader is stale"
     assert sight.reads(_SIZE) >= 1.25 * small
     # All of it fits the width of a phone.
@@ -170,7 +170,7 @@ def test_health_is_marked(live: LivePage, browser: Browser) -> None:
     sight.open(live.url)
     live.show(Moment(1.0, rows, tracks, health))
     sight.until(f"{FRAME} && document.querySelectorAll('article').length === 4")
-    assert sight.field(LEADER, "note") == "Its loss cuts: 2 | 3"
+    assert sight.field(LEADER, "note") == "Its loss splits: 2 | 3"
     assert sight.field(4, "note") == "Sees nobody"
     assert sight.text("headline").startswith("Follower 4 sees nobody any more")
     sight.close()
@@ -187,6 +187,27 @@ def test_words_of_a_vehicle_are_words(live: LivePage, browser: Browser) -> None:
     assert sight.field(FOLLOWER, "state") == evil
     assert evil in sight.text("events")
     assert sight.reads("document.images.length") == 0
+    sight.close()
+
+
+def test_the_table_before_engaging_stands_as_it_was_said(live: LivePage, browser: Browser) -> None:
+    lines = [
+        "before engaging  clock   applet",
+        "leader 1         0.02 s  -",
+        "follower 2       0.02 s  off!",
+    ]
+    sight = Sight(browser, PHONE)
+    sight.open(live.url)
+    live.event(1.0, "leader is system 1")
+    for line in lines:
+        live.event(1.5, line)
+    live.event(2.5, lines[-1])
+    live.event(2.5, "follower 2: its applet is off")
+    live.show(moment(3.0))
+    sight.until("document.querySelectorAll('#events li').length === 4")
+    tables = sight.reads("[...document.querySelectorAll('#events pre')].map(one => one.innerText)")
+    assert tables == [lines[-1], "\n".join(lines)]  # the newest event is the first one
+    assert sight.reads("document.documentElement.scrollWidth") <= PHONE[0]
     sight.close()
 
 

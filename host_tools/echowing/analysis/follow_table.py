@@ -67,7 +67,7 @@ def _rows(path: Path) -> tuple[list[Row], list[str]]:
     if not whole:
         raise EchowingError(f"log {path}: holds no rows; did the vehicle ever report?")
     cut = len(rows) - len(whole)
-    return whole, [f"{path}: damaged or cut off; what could be read is used"] if cut else []
+    return whole, [f"{path}: damaged or cut off; the readable part is used"] if cut else []
 
 
 def _flight(
@@ -121,7 +121,7 @@ def _flown(label: str, rows: Sequence[Row]) -> tuple[Sequence[Row], list[str]]:
     if len(flown) < SHORTEST_ROWS:
         raise EchowingError(f"log {label}: followed for less than a second")
     if other:
-        notes.append(f"held or in its pilot's hands for {other / 10:.0f} s of the flight")
+        notes.append(f"held or flown by its pilot for {other / 10:.0f} s of the flight")
     return flown, notes
 
 

@@ -27,7 +27,7 @@ CLOCK_HZ = 10.0
 SHORTEST_S = 1.0  # less in common is no flight
 LONGEST_GAP_S = 1.0  # positions further apart in time are not joined by a line
 SONAR_FRESH_S = 0.5  # ArduPilot's own limit for a MAVLink rangefinder
-GIMBAL_FRESH_S = 2.0  # the co-processor reports its gimbal about once a second
+GIMBAL_FRESH_S = 2.0  # the co-processor reports its gimbal about once per second
 SAME_TRACK_M = 0.3  # two copters cannot be nearer than this on average; one recorded twice is
 DEFAULT_SLOT = Slot(3.0)  # the thesis's formation
 
@@ -107,7 +107,9 @@ def compare_with_truth(
     without those columns or without common time.
     """
     if flight.start_unix_s is None:
-        raise EchowingError(f"flight {flight.name!r} has no date, so truth cannot be set beside it")
+        raise EchowingError(
+            f"flight {flight.name!r} has no date, so the truth cannot be matched with it"
+        )
     truth = _read_columns(path, ("unix_time_s", "separation_m", "follower_speed_mps"))
     time_s = truth[:, 0] - flight.start_unix_s
     shift_s = _clock_shift_s(flight, time_s, truth[:, 2]) if match_clocks else 0.0
@@ -200,7 +202,7 @@ def _leader(vehicles: Sequence[VehicleLog], stated: Path | int | None) -> Vehicl
         )
     raise EchowingError(
         f"the logs do not show which of {_listed(vehicles)} led: exactly one of them must "
-        "have no forward rangefinder, or not fly in Guided; say which one is the leader"
+        "have no forward rangefinder, or not fly in Guided; name the leader with --leader"
     )
 
 
@@ -236,7 +238,8 @@ def _one_clock(vehicles: Sequence[VehicleLog]) -> list[str]:
 
 
 _GROUND_CLOCKS = {
-    "ground": "aligned by TIMESYNC; what the radio is slower one way than the other, halved,",
+    "ground": "aligned by TIMESYNC; half of the difference between the radio's delays in the "
+    "two directions",
     "receive": "aligned by the times of reception; a difference in radio delay",
 }
 
@@ -305,7 +308,7 @@ def _guided_span(follower: VehicleLog, start_s: float, end_s: float) -> tuple[fl
 
 def _short_of(start_s: float, end_s: float, guided: tuple[float, float]) -> list[str]:
     left_s = (end_s - start_s) - (guided[1] - guided[0])
-    if left_s < 2.0:  # heartbeats come once a second: no more can be told from them
+    if left_s < 2.0:  # heartbeats come once per second: no more can be told from them
         return []
     return [f"{left_s:.0f} s in which the follower was not in Guided are left out"]
 

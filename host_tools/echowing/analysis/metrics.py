@@ -64,7 +64,7 @@ class Metrics:
     wanted_m: float = math.nan
 
     def to_json(self) -> dict[str, float | int | None]:
-        """The same as plain values, to a tenth of a millimetre; None where unknown."""
+        """The same as plain values, rounded to a tenth of a millimetre; None: unknown."""
         return {name: _plain(value) for name, value in asdict(self).items()}
 
 
@@ -80,10 +80,10 @@ class Spread:
 
 
 def approach_s(flight: Flight) -> float:
-    """How long the follower took until it was first near its slot; 0 where it never was.
+    """Time until the follower was first near its slot; 0 if it never was.
 
-    The one rule for simulated and for real flights: figures are about keeping a place, and the way
-    to it is as long as the start was far. Near is within `APPROACHED_M` of the slot by positions,
+    One rule for simulated and for real flights: the figures describe how well a place is kept, and
+    the approach depends only on the start. Near is within `APPROACHED_M` of the slot by positions,
     or of the wanted separation by the sonar for a second: two receivers that disagree by metres may
     have the follower off its slot for the whole of a good flight.
     """

@@ -21,6 +21,7 @@ header h1 { margin: 0 0 4px; font-size: 28px; letter-spacing: -0.01em; }
 h2 { margin: 40px 0 4px; font-size: 20px; scroll-margin-top: 12px; }
 p, li { max-width: 110ch; }
 .facts, .notes { color: var(--quiet); margin: 0 0 12px; }
+.card .notes { margin-top: 12px; }
 .notes { font-size: 13px; padding-left: 18px; }
 .warning { color: #9a3412; }
 nav ol { columns: 3 260px; margin: 8px 0 0; padding-left: 22px; }

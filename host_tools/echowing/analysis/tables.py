@@ -1,6 +1,6 @@
 """Results beside the thesis's figures: for the terminal (rich), for the README (Markdown).
 
-Both are made from the same `Grid`s of text, so that they cannot tell different stories.
+Both are made from the same `Grid`s of text, so that they agree.
 """
 
 import math
@@ -69,7 +69,7 @@ def grids(results: Sequence[Result]) -> list[Grid]:
 
 
 def footnotes(results: Sequence[Result]) -> list[str]:
-    """What must be known about the figures of the thesis that stand in these tables."""
+    """Footnotes on the figures of the thesis in these tables."""
     keys = {
         key for name in _names(results) for printed in BESIDE.get(name, ()) for key in printed.notes
     }
@@ -88,7 +88,7 @@ def footnotes(results: Sequence[Result]) -> list[str]:
 
 
 def _approach_note(results: Sequence[Result]) -> list[str]:
-    """How much of the flights is left out."""
+    """A note on the seconds left out of the flights."""
     times_s = sorted(result.metrics.settle_s for result in results)
     if not times_s or times_s[-1] == 0.0:
         return []

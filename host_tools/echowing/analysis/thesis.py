@@ -110,7 +110,7 @@ BESIDE = {
 
 @dataclass(frozen=True)
 class SeenTo:
-    """How far a sonar sees an X8, metres: as it comes, and with 50 square inches of foil."""
+    """How far a sonar detects an X8, metres: without foil, and with 50 square inches of it."""
 
     stock_m: float
     foil_m: float

@@ -176,7 +176,7 @@ class _Reader:
         """A warning, if some of the file could not be read; to be asked at the end."""
         if not self._damaged:
             return []
-        return [f"{self._path}: damaged or cut off; what could be read is used"]
+        return [f"{self._path}: damaged or cut off; the readable part is used"]
 
     def _open(self) -> Any:
         from pymavlink import DFReader, mavutil  # noqa: PLC0415 (slow to import)
@@ -190,7 +190,7 @@ class _Reader:
         except AttributeError as error:  # it looks for the time of a first message
             size = self._path.stat().st_size
             raise EchowingError(
-                f"log {self._path}: no whole message in its {size} bytes; fetch it from the "
+                f"log {self._path}: no whole message in its {size} bytes; download it from the "
                 "vehicle again"
             ) from error
 
@@ -202,7 +202,7 @@ class _Reader:
         except Exception as error:  # pymavlink raises whatever damage makes it trip over
             raise EchowingError(
                 f"log {self._path}: cannot be read as a {self._kind} file "
-                f"({type(error).__name__}); fetch it from the vehicle again"
+                f"({type(error).__name__}); download it from the vehicle again"
             ) from error
 
 
@@ -215,7 +215,7 @@ def _ends_whole(log: Any) -> bool:
 def _whole(data: bytes) -> bool:
     """Whether a .tlog is nothing but time stamps and frames, one after the other, to its end.
 
-    pymavlink searches its way over damage without a word.
+    pymavlink skips damage without a message.
     """
     at = 0
     while at < len(data):
@@ -263,7 +263,7 @@ class _Telemetry:
     rebooted: bool = False
 
     def take(self, message: Any, asked_s: dict[int, float]) -> None:
-        """Sort one message in. asked_s: when the ground sent the TIMESYNC of that stamp."""
+        """Take one message. asked_s: when the ground sent the TIMESYNC of that stamp."""
         received_s = float(message._timestamp)
         own = message.get_srcComponent() == AUTOPILOT_COMPONENT
         kind = message.get_type()
@@ -347,7 +347,7 @@ def _from_telemetry(path: Path, number: int, heard: _Telemetry) -> VehicleLog:
         own_minus_boot_s = ground_minus_boot_s
         log.clock = "ground" if heard.ground_clock.known else "receive"
     if heard.rebooted:
-        log.warnings.append(f"{log.label}: rebooted; only what follows the last boot is used")
+        log.warnings.append(f"{log.label}: rebooted; only the part after the last boot is used")
     log.to_ground_s = ground_minus_boot_s - own_minus_boot_s
     delay_s = receive_minus_boot_s - own_minus_boot_s
     for boot_s, _, message in heard.fixes:
@@ -449,7 +449,8 @@ def _check_track(log: VehicleLog, clock: _DataflashClock) -> None:
         raise EchowingError(f"log {log.path}: no POS message in it, so no track to analyse")
     if clock.rtc is None and not clock.gps:
         raise EchowingError(
-            f"log {log.path}: no RTC and no GPS time in it, so it cannot be set beside another log"
+            f"log {log.path}: no RTC and no GPS time in it, so it cannot be matched with "
+            "another log"
         )
 
 

@@ -44,20 +44,30 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--radius",
         type=float,
         metavar="M",
-        help="wanted separation; without, as follow's CSV says, else 3",
+        help="wanted separation (as in the CSV of follow, else 3)",
     )
     parser.add_argument(
-        "--angle", type=float, metavar="DEG", help="off the tail, counter-clockwise"
+        "--angle",
+        type=float,
+        metavar="DEG",
+        help="wanted angle off the leader's tail, counter-clockwise",
     )
     parser.add_argument(
         "--settle",
         type=float,
         metavar="S",
-        help="seconds left out at the beginning (until first within 1 m of the slot)",
+        help="leave out the first S seconds (the time until first within 1 m of the slot)",
     )
-    parser.add_argument("--truth", type=Path, metavar="CSV", help="compare with a truth.csv")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="write report.html here")
-    parser.add_argument("--json", action="store_true", help="print one JSON object a follower")
+    parser.add_argument(
+        "--truth",
+        type=Path,
+        metavar="CSV",
+        help="compare with the truth.csv of `echowing sim --out`",
+    )
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="write report.html into this folder"
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object per follower")
 
 
 def run(args: argparse.Namespace) -> int:

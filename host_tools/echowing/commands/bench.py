@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = EXAMPLES
     parser.add_argument("--only", choices=SECTIONS, help="measure one section only")
     parser.add_argument(
-        "--seeds", type=int, default=20, help="flights a law and path, or a row (20)"
+        "--seeds", type=int, default=20, help="flights per law and path, or per row (20)"
     )
     parser.add_argument("--json", action="store_true", help="print one JSON list")
 
@@ -262,7 +262,7 @@ def _campaign_speed(flights: int = 6) -> Figure:
     for index in range(1, flights + 1):  # the first has its logs read
         fly_one(description, 1, index)
     per_hour = 2.0 * flights / (time.perf_counter() - started_s) * 3600.0
-    return Figure("campaign on two cores, flights an hour", per_hour, "1/h", "")
+    return Figure("campaign on two cores, flights per hour", per_hour, "1/h", "")
 
 
 def _guidance_time(duration_s: float = 60.0) -> Figure:

@@ -12,10 +12,10 @@ examples:
   echowing calibrate recordings/
   echowing calibrate recordings/ --generation 4.6 --json
 
-A recording is a CSV with time_s, north_m, east_m, down_m, vn_mps, ve_mps, vd_mps, yaw_rad and the
-command in force: cmd_n, cmd_e, cmd_vn, cmd_ve, speed_cap. Without command columns it is taken as
-an Auto mission, whose corners are found in the track. Folders in DIR that are named after a
-generation (4.5, 4.6, 4.7, 4.8) are replayed with it; other recordings with 4.8, or as asked.
+A recording is a CSV with the columns time_s, north_m, east_m, down_m, vn_mps, ve_mps, vd_mps,
+yaw_rad and the command in force: cmd_n, cmd_e, cmd_vn, cmd_ve, speed_cap. A recording without
+command columns is an Auto mission; its corners are found in the track. Recordings in a folder named
+after a generation (4.5, 4.6, 4.7, 4.8) are replayed with it, all others with --generation, or 4.8.
 """
 
 
@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--generation",
         choices=("4.5", "4.6", "4.7", "4.8"),
-        help="which ArduCopter flew all of them",
+        help="the ArduCopter generation that flew all of them",
     )
     parser.add_argument(
         "--wind",
@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs=2,
         metavar=("M/S", "FROM_DEG"),
         default=(0.0, 0.0),
-        help="mean wind of all of them: speed, and the bearing it came from",
+        help="mean wind during all of them: speed, and the bearing it came from",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON list")
 
@@ -64,9 +64,9 @@ def run(args: argparse.Namespace) -> int:
     print(f"{'recording':<{width}}  {'kind':<8}  ArduCopter  RMS error  largest  length")
     for result in results:
         print(
-            f"{result.name:<{width}}  {result.kind:<8}  {result.generation:<10}"
-            f"  {result.rms_position_error_m:7.3f} m"
-            f"  {result.max_error_m:5.2f} m  {result.duration_s:4.0f} s"
+            f"{result.name:<{width}}  {result.kind:<8}  {result.generation:<10}  "
+            f"{result.rms_position_error_m:7.3f} m  {result.max_error_m:5.2f} m  "
+            f"{result.duration_s:4.0f} s"
         )
     return 0
 

@@ -33,7 +33,7 @@ class Task:
     label: str = ""
 
 
-# The scenarios of the table, in its order; walls and walks are told in a sentence each.
+# The scenarios of the table, in its order; walls and walks get one sentence each.
 TABLED = ("gray", "thesis", "echowing", "thesis-4m", "thesis-initial", "hostile", "many")
 # The leader carried by hand, the slot commanded with and without prediction (thesis 4.2.3).
 WALKS = {
@@ -54,7 +54,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--firmware",
         choices=["native", "avr"],
         default="avr",
-        help="the co-processor in the flights that are plotted",
+        help="the co-processor of the plotted flights: native is the firmware's core built for "
+        "this machine, avr the mega's binary in an emulator",
     )
 
 

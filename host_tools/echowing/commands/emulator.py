@@ -33,22 +33,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="mega",
         help="the board to emulate: mega (default), blackpill_f411, bluepill_f103, nucleo_f446",
     )
-    parser.add_argument("--elf", type=Path, help="another binary than build/firmware's")
+    parser.add_argument("--elf", type=Path, help="run this binary (build/firmware's)")
     parser.add_argument(
         "--link",
         default="pty",
         metavar="CONN",
-        help="the autopilot port: tcp:HOST:PORT connects, tcpin:PORT listens, pty (default)",
+        help="the port to the autopilot: tcp:HOST:PORT connects, tcpin:PORT listens, pty (default)",
     )
     parser.add_argument(
-        "--usb", metavar="CONN", help="the USB port, likewise (default: nowhere; not of the Pills)"
+        "--usb",
+        metavar="CONN",
+        help="the USB port, as --link (default: not connected; the Pills have none)",
     )
     seen = parser.add_mutually_exclusive_group()
-    seen.add_argument("--range-cm", type=int, metavar="N", help="the sonar always reads this")
+    seen.add_argument("--range-cm", type=int, metavar="N", help="the sonar always reads N cm")
     seen.add_argument(
         "--target",
         metavar="udp:PORT",
-        help="the sonar detects the leader where datagrams say that it is",
+        help="the sonar detects the leader at the place that datagrams give",
     )
     seen.add_argument(
         "--vehicles",
@@ -60,7 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--eeprom", type=Path, metavar="FILE", help="keep the board's stored parameters here"
     )
-    parser.add_argument("--duration", type=float, metavar="S", help="stop after this long")
+    parser.add_argument("--duration", type=float, metavar="S", help="end after S seconds")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -30,7 +30,7 @@ LOG_FOLDER = Path("out/flights")
 EXAMPLES = """\
 examples:
   echowing follow --leader udpin:14550 --follower udpin:14560
-      only watches; add --engage, and points go to followers that fly in Guided
+      only watches; with --engage it sends points to followers that fly in Guided
   echowing follow --leader /dev/ttyUSB0 --follower /dev/ttyUSB1 --baud 57600 --radius 8 --engage
   echowing follow --leader udpin:14550@1 --follower udpin:14550@2 --follower udpin:14550@3 \\
       --formation vee.toml --stop-switch 7:1700 --log out/vee-7 --engage
@@ -42,14 +42,14 @@ examples:
           radius_m = 4.0
           angle_deg = -40.0
   echowing follow --leader udpin:14550 --follower udpin:14560 --web
-      only watches, and shows it in the browser too; --web-address 0.0.0.0 for a phone
+      only watches, and shows the flight in the browser; add --web-address 0.0.0.0 for a phone
   echowing follow --leader udpin:14550 --follower udpin:14560 --take-off 10 --engage
-      takes off first: each pilot arms his vehicle in Guided, on the ground; the tool never arms
+      takes off first: each pilot arms the vehicle in Guided, on the ground; the tool never arms
   echowing follow --leader udpin:14550 --follower udpin:14560 \\
       --signing-key-file field.key --engage
   echowing follow --leader udpin:14550 --follower udpin:14560 --build-up 8,5,4,3
-      on a terminal keys engage, hold, come nearer and stop: host_tools/KEYS.md
-The pilot takes over by any change of mode; points go on when he puts the vehicle in Guided again.
+      keys of the live view engage, hold, go nearer and stop: host_tools/KEYS.md
+The pilot takes over by any change of mode. When the pilot returns to Guided, points go on.
 """
 
 
@@ -65,70 +65,88 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         f"CONN: {CONN}; CONN@ID where several vehicles share a link",
     )
     leader = links.add_mutually_exclusive_group(required=True)
-    leader.add_argument("--leader", metavar="CONN")
+    leader.add_argument("--leader", metavar="CONN", help="the leader")
     leader.add_argument(
         "--leader-from",
         dest="leader",
         metavar="udp:[HOST:]PORT",
-        help="the leader as published by `echowing leader` on another computer; HOST: the only "
-        "address to listen on",
+        help="receive the leader from `echowing leader` on another computer; with HOST: listen "
+        "on this address only",
     )
-    links.add_argument("--follower", action="append", required=True, metavar="CONN")
-    links.add_argument("--baud", type=int, default=DEFAULT_BAUD, help="of serial devices")
+    links.add_argument(
+        "--follower",
+        action="append",
+        required=True,
+        metavar="CONN",
+        help="a follower; give one --follower for each",
+    )
+    links.add_argument("--baud", type=int, default=DEFAULT_BAUD, help="baud rate of serial devices")
     place = parser.add_argument_group("formation")
     radius = place.add_mutually_exclusive_group()
-    radius.add_argument("--radius", type=float, metavar="M", help="from the leader (3)")
+    radius.add_argument("--radius", type=float, metavar="M", help="distance from the leader (3)")
     radius.add_argument(
         "--build-up",
         metavar="M,M,...",
-        help="radii to go through in flight, the widest first (8,5,4,3): keys n and b of the live "
-        "view go to the next and back. ECHO_DIST is set along and put back at the end. With "
-        "--formation the radius of its nearest slot",
+        help="radii to fly one after the other, the largest first (8,5,4,3). Key n of the live "
+        "view goes to the next radius, key b back. The tool sets ECHO_DIST to each radius and "
+        "restores it at the end. With --formation: the radii of its nearest slot",
     )
     place.add_argument(
-        "--angle", type=float, default=0.0, metavar="DEG", help="off its tail, counter-clockwise"
+        "--angle",
+        type=float,
+        default=0.0,
+        metavar="DEG",
+        help="angle off the leader's tail, counter-clockwise (0)",
     )
-    place.add_argument("--formation", type=Path, metavar="FILE", help="a slot a follower, TOML")
+    place.add_argument(
+        "--formation", type=Path, metavar="FILE", help="a TOML file with one slot per follower"
+    )
     place.add_argument(
         "--altitude",
         type=float,
         metavar="M",
-        help="above the leader's home (as high as the leader is when a follower is engaged; with "
-        "--carried-leader 10); a follower that is more than 3 m away from that needs --altitude",
+        help="height of the followers above the leader's home (the leader's height when a follower "
+        "is engaged; with --carried-leader: 10). A follower that is more than 3 m above or below "
+        "that is engaged only if you give --altitude",
     )
     place.add_argument(
         "--lead-time",
         type=float,
         default=GuidanceSettings().lead_time_s,
         metavar="S",
-        help="with --position-only: how far points run ahead; a copter trails them by about 1.4 s",
+        help="with --position-only: how far points lie ahead of the slot, in seconds of flight; a "
+        "copter trails its points by about 1.4 s",
     )
-    place.add_argument("--rate", type=float, default=8.0, metavar="HZ", help="of points, up to 20")
+    place.add_argument(
+        "--rate", type=float, default=8.0, metavar="HZ", help="points per second, up to 20 (8)"
+    )
     links.add_argument(
         "--leader-rate",
         type=float,
         default=4.0,
         metavar="HZ",
-        help="of the leader's positions, up to 20 (4): what its radio can carry",
+        help="leader positions per second, up to 20 (4); choose what its radio can carry",
     )
     place.add_argument(
         "--position-only",
         action="store_true",
-        help="points carry no velocity: the applet then holds the follower by its speed limit",
+        help="send points without a velocity; the applet then keeps the distance by its "
+        "speed limit",
     )
     _add_safety(parser.add_argument_group("safety"))
     links.add_argument(
         "--signing-key-file",
         type=Path,
         metavar="FILE",
-        help="sign what is sent and refuse what is not signed (MAVLink 2); FILE holds 32 bytes, 64 "
-        "hexadecimal digits or a pass phrase. What a co-processor says itself nobody signs: ranges "
-        "come by the autopilot's DISTANCE_SENSOR then, and the gimbal's state does not",
+        help="sign all messages, and refuse messages that are not signed with the same key "
+        "(MAVLink 2). FILE holds 32 bytes, 64 hexadecimal digits or a pass phrase. Co-processors "
+        "do not sign: the range then comes from the autopilot's DISTANCE_SENSOR, and the gimbal's "
+        "state is not known",
     )
     add_log_arguments(parser)
     add_web_arguments(parser)
-    parser.add_argument("--duration", type=float, metavar="S", help="end after this long")
-    parser.add_argument("--json", action="store_true", help="print JSON, an object a line")
+    parser.add_argument("--duration", type=float, metavar="S", help="end after S seconds")
+    parser.add_argument("--json", action="store_true", help="print one JSON object per line")
 
 
 def add_log_arguments(parser: argparse.ArgumentParser) -> None:
@@ -138,79 +156,89 @@ def add_log_arguments(parser: argparse.ArgumentParser) -> None:
         "--log",
         type=Path,
         metavar="DIR",
-        help=f"write a .tlog and a CSV here ({LOG_FOLDER}/DATE-TIME)",
+        help=f"write the logs of the flight here ({LOG_FOLDER}/DATE-TIME)",
     )
     log.add_argument("--no-log", action="store_true", help="write no log")
 
 
 def log_folder(args: argparse.Namespace) -> Path | None:
-    """The folder that was asked for, or one of this moment's; None: no log."""
+    """The folder of --log, or one named by the current time; None: no log."""
     if args.no_log:
         return None
     return args.log or LOG_FOLDER / time.strftime("%Y%m%d-%H%M%S")
 
 
 def _add_safety(safety: "argparse._ArgumentGroup") -> None:
-    safety.add_argument("--engage", action="store_true", help="send points; without, only watch")
+    safety.add_argument(
+        "--engage", action="store_true", help="send points; without --engage the tool only watches"
+    )
     safety.add_argument(
         "--take-off",
         type=float,
         metavar="M",
-        help="before that, let the followers take off to this altitude, one after the other: only "
-        "those that their pilots have armed in Guided on the ground; 3 s after it was announced",
+        help="first let the followers take off to this altitude, one after the other: only those "
+        "that their pilots have armed in Guided on the ground. Each take-off begins 3 s after the "
+        "tool has announced it",
     )
     safety.add_argument(
         "--next-at",
         type=float,
         metavar="M",
-        help="with --take-off: so high each has to be before the next follows (80%% of --take-off)",
+        help="with --take-off: height of one follower from which the next one takes off (80%% of "
+        "--take-off)",
     )
     safety.add_argument(
         "--stop-switch",
         metavar="CH:PWM[:MODE]",
-        help="stop while this channel of a follower's transmitter (of the leader's: all) is above "
-        "PWM us; MODE: LOITER, BRAKE, LAND or RTL",
+        help="stop a follower while channel CH of its transmitter is above PWM microseconds; the "
+        "leader's transmitter stops all followers. With MODE (LOITER, BRAKE, LAND or RTL) the "
+        "follower also changes to this mode",
     )
     safety.add_argument(
-        "--max-distance", type=float, default=100.0, metavar="M", help="stop beyond this (100)"
+        "--max-distance",
+        type=float,
+        default=100.0,
+        metavar="M",
+        help="stop a follower that is further away (100)",
     )
     safety.add_argument(
         "--min-separation",
         type=float,
         default=1.0,
         metavar="M",
-        help="what is to be certain of the distance between any two vehicles (1.0): a follower "
-        "that would come nearer slows down, gives way or backs off",
+        help="distance that is certain to remain between any two vehicles (1.0): a follower that "
+        "would come nearer slows down, gives way or backs off",
     )
     safety.add_argument(
         "--home-difference",
         type=float,
         default=5.0,
         metavar="M",
-        help="stop where leader's and follower's homes differ more in altitude (5); up to this "
-        "the follower's altitude is corrected by the difference",
+        help="stop a follower whose home is more than this above or below the leader's (5)",
     )
     homes = safety.add_mutually_exclusive_group()
     homes.add_argument(
         "--level-homes",
         action="store_true",
-        help="the homes are level: what they differ by is the receivers' error, correct nothing",
+        help="the homes are at one height: a difference is an error of the GPS receivers; do not "
+        "correct the altitude by it",
     )
     homes.add_argument(
         "--correct-homes",
         action="store_true",
-        help="the homes are not level: correct the altitude by what they differ by. Without either "
-        "nobody is engaged whose home differs by more than 1 m",
+        help="the homes are not at one height: correct the altitude by the difference. Without "
+        "--level-homes or --correct-homes a follower whose home differs by more than 1 m is not "
+        "engaged",
     )
     safety.add_argument(
         "--carried-leader",
         action="store_true",
-        help="the leader need not fly: it is carried on foot, or stands on the ground",
+        help="the leader does not fly: it is carried on foot, or stands on the ground",
     )
 
 
 def run(args: argparse.Namespace) -> int:
-    """Follow until told to end."""
+    """Follow until asked to end."""
     from echowing.web.open import page_of  # noqa: PLC0415
 
     return fly(_options(args), as_json=args.json, page=page_of(args, "follow"))
@@ -222,7 +250,7 @@ def fly(
     as_json: bool,
     page: "AbstractContextManager[Page | None] | None" = None,
 ) -> int:
-    """Fly what was asked for, with keys where somebody sees what they do; returns the exit code."""
+    """Fly with these options, with keys if a terminal shows their effect; returns the exit code."""
     from echowing.stopping import stop_on_signals  # noqa: PLC0415
     from echowing.terminal import Keyboard, run_in_flight  # noqa: PLC0415
     from echowing.tool.run import FollowTool  # noqa: PLC0415
@@ -231,7 +259,7 @@ def fly(
     pressed = Keyboard()
     seen = pressed.is_there and sys.stdout.isatty() and not as_json
     if options.build_up and not seen:
-        raise EchowingError("--build-up goes by keys: run it on a terminal, without --json")
+        raise EchowingError("--build-up needs keys: run it on a terminal, without --json")
     keyboard = pressed if seen else None
     with stop_on_signals() as stop, page or nullcontext() as shown:
         keys = None if keyboard is None else keyboard.read
@@ -241,7 +269,7 @@ def fly(
 
 
 def options_of(arguments: "Sequence[str]") -> "FollowOptions":
-    """What a command line asks for, without the verb."""
+    """The options of a command line, without the verb."""
     parser = argparse.ArgumentParser()
     add_arguments(parser)
     return _options(parser.parse_args(arguments))
@@ -259,7 +287,7 @@ def _options(args: argparse.Namespace) -> "FollowOptions":
     _check_numbers(args)
     switch = None if args.stop_switch is None else parse_stop_switch(args.stop_switch)
     seats = _seats(args)
-    VehicleFinder(seats)  # refuses what could never be told apart
+    VehicleFinder(seats)  # refuses what could never be distinguished
     radii_m = _build_up(args)
     slots = _slots(args, radii_m)
     altitude_m = CARRIED_ALTITUDE_M if args.carried_leader else None
@@ -299,7 +327,7 @@ def _take_off(args: argparse.Namespace) -> "TakeOff | None":
     altitude_m, next_at_m = args.take_off, args.next_at
     if altitude_m is None:
         if next_at_m is not None:
-            raise EchowingError("--next-at says when the next takes off: it needs --take-off")
+            raise EchowingError("--next-at needs --take-off")
         return None
     if not 2.0 <= altitude_m <= 100.0:
         raise EchowingError(f"--take-off {altitude_m:g}: give 2 to 100")
@@ -367,7 +395,8 @@ def _build_up(args: argparse.Namespace) -> tuple[float, ...]:
     falling = all(one > after for one, after in pairwise(radii_m))
     if len(radii_m) < 2 or not falling or not all(1.0 <= one <= 1_000.0 for one in radii_m):
         raise EchowingError(
-            f"--build-up {text}: give two radii or more, each smaller than the last, as 8,5,4,3"
+            f"--build-up {text}: give two radii or more, each smaller than the one before, for "
+            "example 8,5,4,3"
         )
     return radii_m
 

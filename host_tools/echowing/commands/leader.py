@@ -10,7 +10,7 @@ examples:
   echowing leader --vehicle /dev/ttyUSB0 --publish udp:192.168.1.20:14600
       and on 192.168.1.20:
   echowing follow --leader-from udp:14600 --follower /dev/ttyUSB0 --engage
-Only questions for the leader's clock come back this way: nothing can move the leader.
+Only requests for the leader's clock come back: nothing on the other computer can move the leader.
 """
 
 
@@ -25,19 +25,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="CONN",
         help=f"{CONN}; CONN@ID where several vehicles share the link",
     )
-    parser.add_argument("--publish", required=True, metavar="udp:HOST:PORT")
-    parser.add_argument("--baud", type=int, default=DEFAULT_BAUD, help="of a serial device")
     parser.add_argument(
-        "--rate", type=float, default=4.0, metavar="HZ", help="of positions, up to 20 (4)"
+        "--publish",
+        required=True,
+        metavar="udp:HOST:PORT",
+        help="the computer on which `echowing follow` runs",
+    )
+    parser.add_argument(
+        "--baud", type=int, default=DEFAULT_BAUD, help="baud rate of a serial device"
+    )
+    parser.add_argument(
+        "--rate", type=float, default=4.0, metavar="HZ", help="positions per second, up to 20 (4)"
     )
     parser.add_argument(
         "--signing-key-file", type=Path, metavar="FILE", help="as for `echowing follow`"
     )
-    parser.add_argument("--duration", type=float, metavar="S", help="end after this long")
+    parser.add_argument("--duration", type=float, metavar="S", help="end after S seconds")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Publish until told to end."""
+    """Publish until asked to end."""
     from echowing.mavlink.links import parse_address  # noqa: PLC0415
     from echowing.mavlink.seats import parse_seat  # noqa: PLC0415
     from echowing.mavlink.signing import read_key  # noqa: PLC0415

@@ -11,9 +11,9 @@ ALTITUDE_M = 30.0
 EXAMPLES = """\
 examples:
   echowing relay --remote udpin:14550 --vehicle udpin:14560 --ground 39.3400,-86.0300 --altitude 40
-      only watches; add --engage, and points go to the relay while it flies in Guided
-In what is printed the remote vehicle is the leader and the relay its follower. The relay's pilot
-takes over by any change of mode.
+      only watches; with --engage it sends points to the relay while it flies in Guided
+The messages call the remote vehicle the leader and the relay its follower. The relay's pilot takes
+over by any change of mode.
 """
 
 
@@ -29,45 +29,53 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="CONN",
         help=f"the relay; CONN: {CONN}; CONN@ID on a shared link",
     )
-    parser.add_argument("--ground", required=True, metavar="LAT,LON", help="the ground station")
+    parser.add_argument(
+        "--ground", required=True, metavar="LAT,LON", help="place of the ground station"
+    )
     parser.add_argument(
         "--altitude",
         type=float,
         metavar="M",
-        help="above the relay's home (30); a relay that is more than 3 m away from that needs it. "
-        "Choose it 5 m or more off the height at which the remote vehicle flies and comes back "
-        "(RTL_ALT): the tool warns where it is not",
+        help="height above the relay's home (30). A relay that is more than 3 m above or below "
+        "that is engaged only if you give --altitude. Keep it 5 m or more away from the heights at "
+        "which the remote vehicle flies and comes back (RTL_ALT); the tool warns if it is not",
     )
-    parser.add_argument("--baud", type=int, default=DEFAULT_BAUD, help="of serial devices")
-    parser.add_argument("--rate", type=float, default=4.0, metavar="HZ", help="of points (4)")
-    parser.add_argument("--engage", action="store_true", help="send points; without, only watch")
+    parser.add_argument(
+        "--baud", type=int, default=DEFAULT_BAUD, help="baud rate of serial devices"
+    )
+    parser.add_argument(
+        "--rate", type=float, default=4.0, metavar="HZ", help="points per second (4)"
+    )
+    parser.add_argument(
+        "--engage", action="store_true", help="send points; without --engage the tool only watches"
+    )
     parser.add_argument("--stop-switch", metavar="CH:PWM[:MODE]", help="as for `echowing follow`")
     parser.add_argument(
         "--max-distance",
         type=float,
         default=5_000.0,
         metavar="M",
-        help="stop where the remote vehicle is further from the relay (5000)",
+        help="stop the relay if the remote vehicle is further away (5000)",
     )
     parser.add_argument(
         "--min-separation",
         type=float,
         default=10.0,
         metavar="M",
-        help="what is to be certain of the distance between the two (10): the relay gives way. It "
-        "flies this and 5 m beside the line to the remote vehicle, so that one that comes back "
-        "along it does not fly through the relay",
+        help="distance that is certain to remain between the two vehicles (10): the relay gives "
+        "way. It flies at this distance and 5 m more beside the line to the remote vehicle, so "
+        "that a remote vehicle that comes back along the line does not meet it",
     )
     parser.add_argument(
         "--signing-key-file", type=Path, metavar="FILE", help="as for `echowing follow`"
     )
     add_log_arguments(parser)
-    parser.add_argument("--duration", type=float, metavar="S", help="end after this long")
-    parser.add_argument("--json", action="store_true", help="print JSON, an object a line")
+    parser.add_argument("--duration", type=float, metavar="S", help="end after S seconds")
+    parser.add_argument("--json", action="store_true", help="print one JSON object per line")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Relay until told to end."""
+    """Relay until asked to end."""
     from echowing.flight.guard import Limits  # noqa: PLC0415
     from echowing.flight.guidance import Slot  # noqa: PLC0415
     from echowing.flight.readiness import Readiness  # noqa: PLC0415

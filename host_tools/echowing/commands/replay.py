@@ -21,13 +21,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
     parser.epilog = EXAMPLES
     parser.add_argument(
-        "logs", type=Path, nargs="+", metavar="DIR", help="a folder of logs, or the logs"
+        "logs", type=Path, nargs="+", metavar="DIR", help="a folder of logs, or log files"
     )
     add_web_arguments(parser, always=True)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Serve the flight until told to end."""
+    """Serve the flight until asked to end."""
     from echowing.stopping import stop_on_signals  # noqa: PLC0415 (imported when the verb is used)
     from echowing.web.options import PageAddress, page_address  # noqa: PLC0415
     from echowing.web.recording import open_recording  # noqa: PLC0415

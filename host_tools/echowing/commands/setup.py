@@ -1,4 +1,4 @@
-"""`echowing setup`: see that a vehicle is ready for Echowing, and make it so."""
+"""`echowing setup`: check whether a vehicle is ready for Echowing, and make it ready."""
 
 import argparse
 import json
@@ -17,13 +17,13 @@ if TYPE_CHECKING:
 
 EXAMPLES = """\
 examples, in the order of a new vehicle:
-  echowing setup lua --vehicle /dev/ttyACM0              the applet, onto the autopilot's SD card
+  echowing setup lua --vehicle /dev/ttyACM0              copies the applet to its SD card
   echowing setup apply --vehicle /dev/ttyACM0 --serial 2 --restart
   echowing setup check --vehicle /dev/ttyACM0 --serial 2
 and in the field, over the radio:
   echowing setup check --vehicle udpin:14550@2
   echowing setup check --vehicle udpin:14550@1 --role leader
-`echowing setup PART --help` has more. Exit code of check: 0 fine, 1 wrong, 2 could not be checked.
+`echowing setup PART --help` has more. Exit code of check: 0 fine, 1 wrong, 2 not checked.
 """
 LUA_EXAMPLES = """\
 examples:
@@ -37,14 +37,14 @@ examples:
   echowing setup check --vehicle /dev/ttyACM0            over USB
   echowing setup check --vehicle udpin:14550@2 --serial 2      co-processor on SERIAL2 (TELEM2)
   echowing setup check --vehicle tcp:192.168.4.1:5760 --json | jq '.findings[]'
-exit code: 0 all is fine, 1 something is wrong, 2 something could not be checked
+Exit code: 0 all is fine, 1 something is wrong, 2 something could not be checked.
 """
 APPLY_EXAMPLES = """\
 examples:
   echowing setup apply --vehicle /dev/ttyACM0 --serial 2       shows the changes and asks
   echowing setup apply --vehicle /dev/ttyACM0 --serial 2 --yes --restart
   echowing setup restore echowing-2-20261121-093000.params.json --vehicle /dev/ttyACM0
-Fail-safes and fence are never written, only reported: they are the pilot's.
+Fail-safes and fence are reported, never written: they are the pilot's to decide.
 """
 RESTORE_EXAMPLES = """\
 example:
@@ -58,10 +58,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The verb's options."""
     parser.epilog = EXAMPLES
     parts = parser.add_subparsers(dest="part", metavar="PART", required=True)
-    _add_check(_part(parts, "check", "is the vehicle ready? what is wrong, and how to fix it"))
-    _add_apply(_part(parts, "apply", "write what is wrong, the old values kept in a file"))
-    _add_restore(_part(parts, "restore", "put back the values that apply has kept"))
-    _add_lua(_part(parts, "lua", "the applet, onto the autopilot's SD card"))
+    _add_check(_part(parts, "check", "report each item as fine or wrong, with reason and fix"))
+    _add_apply(_part(parts, "apply", "write what is wrong; the old values are kept in a file"))
+    _add_restore(_part(parts, "restore", "write back the values that apply has kept"))
+    _add_lua(_part(parts, "lua", "copy the applet to the autopilot's SD card"))
 
 
 def _part(parts: "argparse._SubParsersAction[argparse.ArgumentParser]", name: str, text: str):  # type: ignore[no-untyped-def]
@@ -88,13 +88,15 @@ def _add_vehicle(parser: argparse.ArgumentParser) -> None:
 def _add_link(parser: argparse.ArgumentParser) -> None:
     from echowing.mavlink.links import DEFAULT_BAUD  # noqa: PLC0415 (imported when the verb is used)
 
-    parser.add_argument("--baud", type=int, default=DEFAULT_BAUD, help="of a serial device")
+    parser.add_argument(
+        "--baud", type=int, default=DEFAULT_BAUD, help="baud rate of a serial device"
+    )
     parser.add_argument(
         "--signing-key-file",
         type=Path,
         metavar="FILE",
-        help="as for `echowing follow`; on an autopilot with a key the co-processor's port has to "
-        "be left unsigned (host_tools/SETUP.md, Signing)",
+        help="as for `echowing follow`. An autopilot with a key must accept unsigned messages on "
+        "the co-processor's port (host_tools/SETUP.md, Signing)",
     )
 
 
@@ -112,7 +114,7 @@ def _add_wiring(parser: argparse.ArgumentParser) -> None:
         choices=RANGEFINDERS,
         default=1,
         metavar="N",
-        help="use RNGFNDn, where another sensor has the first (1)",
+        help="use RNGFNDn, if another sensor uses RNGFND1 (1)",
     )
 
 
@@ -124,7 +126,7 @@ def _add_check(parser: argparse.ArgumentParser) -> None:
         "--role",
         choices=("follower", "leader"),
         default="follower",
-        help="what the vehicle is to be: a leader needs no sonar and no applet (follower)",
+        help="check the vehicle as this (follower); a leader needs no sonar and no applet",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
@@ -137,24 +139,25 @@ def _add_apply(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--restart",
         action="store_true",
-        help="restart the autopilot, wait for it, and write what shows only then",
+        help="restart the autopilot, wait for it, and write the parameters that exist only then",
     )
     parser.add_argument(
         "--save",
         type=Path,
         metavar="FILE",
-        help="for the old values (echowing-ID-DATE.params.json); a file of this vehicle that is "
-        "there already is added to",
+        help="keep the old values in this file (echowing-ID-DATE.params.json); a file of the same "
+        "vehicle is extended",
     )
     parser.add_argument(
         "--folder",
-        help="the scripts' folder on the vehicle (found: APM/scripts, or scripts in SITL)",
+        help="folder of the scripts on the vehicle (found by itself: APM/scripts, or "
+        "scripts in SITL)",
     )
 
 
 def _add_restore(parser: argparse.ArgumentParser) -> None:
     parser.epilog = RESTORE_EXAMPLES
-    parser.add_argument("file", type=Path, metavar="FILE", help="what apply has written")
+    parser.add_argument("file", type=Path, metavar="FILE", help="the file that apply has written")
     _add_vehicle(parser)
     parser.add_argument("--restart", action="store_true", help="restart the autopilot afterwards")
 
@@ -176,13 +179,13 @@ def _add_lua(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--folder",
         default="APM/scripts",
-        help="with --vehicle: the scripts' folder on the vehicle (APM/scripts; scripts in SITL)",
+        help="with --vehicle: folder of the scripts on the vehicle (APM/scripts; in SITL: scripts)",
     )
     _add_link(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Do the part that was asked for."""
+    """Run the part."""
     parts = {"check": _check, "apply": _apply, "restore": _restore, "lua": _lua}
     return parts[args.part](args)
 
@@ -262,11 +265,11 @@ def _work(vehicle: "Vehicle", args: argparse.Namespace) -> "Work":
 
 
 def agreed(question: str) -> bool:
-    """Ask the operator, or whoever writes to stdin in his place."""
+    """Ask the operator, or a program that writes to stdin."""
     print(question, end="", flush=True)
     answer = sys.stdin.readline()
     if not answer:
-        raise EchowingError("nobody is there to ask; give --yes to write without asking")
+        raise EchowingError("no answer: the input has ended; give --yes to write without asking")
     return answer.strip().lower() in ("y", "yes")
 
 
@@ -298,7 +301,7 @@ def _lua_over_link(args: argparse.Namespace) -> int:
         with _progress_bar() as bar:
             written = install_over_link(FtpClient(vehicle), bar, folder)
         crc = ardupilot_crc32(applet_path().read_bytes())
-        state = "written, read back" if written else "the same applet was there already"
+        state = "written, read back" if written else "the same applet is there already"
         print(f"{folder}/echowing.lua: {state}, ArduPilot's CRC-32 {crc:08x}")
         print(_restart_scripts(vehicle))
     return 0
@@ -321,7 +324,7 @@ def _progress_bar() -> "Iterator[Callable[[str], Progress]]":
 
 
 def _restart_scripts(vehicle: "Vehicle") -> str:
-    """Have the autopilot load its scripts anew; says what came of it."""
+    """Have the autopilot load its scripts again; returns the outcome in words."""
     from echowing.setup.reading import objections  # noqa: PLC0415
     from echowing.setup.restart import (  # noqa: PLC0415
         restart_scripts,
@@ -332,9 +335,9 @@ def _restart_scripts(vehicle: "Vehicle") -> str:
     if vehicle.read(["SCR_ENABLE"]).get("SCR_ENABLE") != 1.0:
         return "scripting is off; next: echowing setup apply --restart"
     if vehicle.armed:
-        return "it has been armed meanwhile: restart the autopilot when it is disarmed"
+        return "the vehicle is armed now: restart the autopilot when it is disarmed"
     if not restart_scripts(vehicle):
-        return "restart the autopilot: it does not restart its scripts by command"
+        return "restart the autopilot: it does not restart scripts by command"
     if until_applet_runs(vehicle):
         return "the applet runs; next: echowing setup apply, then echowing setup check"
     error = scripting_error(objections(vehicle))

@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--list", action="store_true", help="list the scenarios and stop")
     parser.add_argument(
-        "--seed", default="1", metavar="N", help="the seed of all chance, or a range as 1-10"
+        "--seed", default="1", metavar="N", help="seed of the random numbers, or a range: 1-10"
     )
     parser.add_argument("--law", choices=["none", *LAWS], help="the applet's speed law")
     parser.add_argument("--duration", type=float, metavar="S", help="simulated seconds to fly")
@@ -44,39 +44,40 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="KEY=VALUE",
         dest="changes",
-        help="change a key of the scenario, as gps.sigma_m=0.5 (may be repeated)",
+        help="change a key of the scenario, for example gps.sigma_m=0.5 (may be repeated)",
     )
     parser.add_argument("--out", type=Path, metavar="DIR", help="write logs, truth and report here")
     parser.add_argument(
         "--firmware",
         choices=["native", "avr"],
         default="native",
-        help="co-processor: the core built for this machine, or the board's binary emulated",
+        help="the co-processor: native is the firmware's core built for this machine, avr the "
+        "mega's binary in an emulator",
     )
     parser.add_argument(
         "--serve",
         type=int,
         metavar="PORT",
-        help="fly in real time and let other tools connect: leader on tcp PORT, "
-        "followers on PORT+10, PORT+20 …; guidance is then theirs",
+        help="fly in real time, and let `echowing follow` and other tools connect: the leader on "
+        "TCP PORT, followers on PORT+10, PORT+20 …; the tools guide the followers",
     )
     parser.add_argument(
         "--signing-key-file",
         type=Path,
         metavar="FILE",
-        help="with --serve: sign the telemetry, and accept only what is signed",
+        help="with --serve: sign the telemetry, and accept only signed messages",
     )
     parser.add_argument(
         "--parked",
         action="store_true",
-        help="with --serve: vehicles on the ground, disarmed, nothing set up on them",
+        help="with --serve: the vehicles stand on the ground, disarmed and not set up",
     )
     parser.add_argument(
         "--card",
         type=Path,
         metavar="DIR",
-        help="with --serve: the followers' SD cards, in folders of DIR named by system id; the "
-        "applet found there is the one that runs",
+        help="with --serve: the followers' SD cards are folders of DIR, named by system id; the "
+        "applet in them is the one that runs",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object per flight")
     add_web_arguments(parser)
@@ -99,11 +100,11 @@ def run(args: argparse.Namespace) -> int:
             return serve(scenario, seeds[0], args.serve, key, **where, page=page)
     if args.web is not None:
         raise EchowingError(
-            "--web goes with --serve PORT; a flight that was written with --out is shown by "
-            "`echowing replay DIR`"
+            "--web needs --serve PORT; `echowing replay DIR` shows a flight that was written with "
+            "--out DIR"
         )
     if args.parked or args.card is not None:
-        raise EchowingError("--parked and --card go with --serve PORT")
+        raise EchowingError("--parked and --card need --serve PORT")
     flown = list(_fly_all(scenario, seeds, args))
     if not args.json:
         _print_table(flown)
@@ -141,7 +142,7 @@ def _seeds(text: str) -> list[int]:
     try:
         low, high = int(first), int(last) if dash else int(first)
     except ValueError:
-        raise EchowingError(f"--seed {text!r}: give a whole number, or a range as 1-10") from None
+        raise EchowingError(f"--seed {text!r}: give a whole number, or a range: 1-10") from None
     if high < low:
         raise EchowingError(f"--seed {text!r}: the range is empty")
     return list(range(low, high + 1))

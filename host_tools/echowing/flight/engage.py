@@ -58,6 +58,8 @@ LEAST_BATTERY_PERCENT = 20
 GOOD_HDOP, GOOD_SATELLITES = 1.4, 6
 DOUBTED_VARIANCE = 0.8
 UNKNOWN_EPH = 65_535
+# Characters of a line of the table: a terminal of 80 columns, less the time before each event.
+TABLE_WIDTH = 80 - 11
 # A position that has not moved by the first while its velocities add up to the second is stuck.
 STAYS_M, FLOWN_M = 0.5, 2.0
 # Positions further apart in time say nothing of what was flown between.
@@ -566,17 +568,39 @@ class Engagement:
 
 
 def table(rows: Iterable[tuple[str, Iterable[Finding]]]) -> list[str]:
-    """Lines of the table: a row per vehicle, `!` after what is wrong."""
+    """Lines of the table: a row per vehicle, `!` after what is wrong.
+
+    Columns for which a line has no room go on in a second table below.
+    """
     listed = [(name, {one.name: one for one in findings}) for name, findings in rows]
     names = list(dict.fromkeys(name for _, findings in listed for name in findings))
-    cells = [["before engaging", *names]]
-    for vehicle, findings in listed:
-        cells.append([vehicle, *(_cell(findings.get(name)) for name in names)])
-    widths = [max(len(row[column]) for row in cells) for column in range(len(names) + 1)]
-    return [
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-        for row in cells
+    vehicles = _padded(["before engaging", *(vehicle for vehicle, _ in listed)])
+    columns = [
+        _padded([name, *(_cell(findings.get(name)) for _, findings in listed)]) for name in names
     ]
+    lines: list[str] = []
+    while columns:
+        count = _that_fit(vehicles, columns)
+        rows_of_part = zip(vehicles, *columns[:count], strict=True)
+        lines += ["  ".join(cells).rstrip() for cells in rows_of_part]
+        vehicles = [" " * len(vehicles[0]), *vehicles[1:]]
+        columns = columns[count:]
+    return lines
+
+
+def _padded(cells: list[str]) -> list[str]:
+    width = max(map(len, cells))
+    return [cell.ljust(width) for cell in cells]
+
+
+def _that_fit(vehicles: list[str], columns: list[list[str]]) -> int:
+    """How many columns have room beside the vehicles' names; at least one."""
+    room = TABLE_WIDTH - len(vehicles[0])
+    for count, column in enumerate(columns):
+        room -= 2 + len(column[0])
+        if room < 0:
+            return max(1, count)
+    return len(columns)
 
 
 def _cell(finding: Finding | None) -> str:

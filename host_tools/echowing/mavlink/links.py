@@ -1,7 +1,7 @@
 """MAVLink links to real vehicles: connection strings as pymavlink writes them.
 
-The transports are our own: pymavlink's block while they reconnect and print as they go, and a
-tool that flies several vehicles may not wait for one. Nothing here blocks.
+The transports are our own: those of pymavlink block while they reconnect, and print messages. A
+tool that flies several vehicles must not wait for one. Nothing here blocks.
 """
 
 import contextlib
@@ -20,10 +20,10 @@ from echowing.mavlink.signing import LinkSigning, Parser, is_refused
 LOOPBACK, EVERYWHERE = "127.0.0.1", "0.0.0.0"
 DEFAULT_BAUD = 57_600  # of telemetry radios and of ArduPilot's SERIAL1
 RETRY_S = 1.0
-# One datagram, or what a serial port can hold back.
+# One datagram, or the buffer of a serial port.
 CHUNK_BYTES = 65_535
-# Of one link before the others and the points have their turn, however fast it floods in: what
-# fifty vehicles say in a third of a second.
+# Most bytes of one link before the others and the points get their turn: the messages of fifty
+# vehicles in a third of a second.
 MOST_READS = 500
 # More senders than this at one listening port are not vehicles: fifty followers without a router,
 # their leader, and some to spare.
@@ -34,8 +34,8 @@ REFUSED_S = 3.0
 # A vehicle sends its heartbeat each second.
 SILENT_S = 3.0
 TAKEN = (
-    "nothing comes; a vehicle's TCP port often takes one tool at a time, "
-    "so see whether another is connected there"
+    "nothing arrives; a vehicle's TCP port often accepts only one tool, and another may be "
+    "connected"
 )
 
 _STILL_CONNECTING = {errno.EINPROGRESS, errno.EALREADY, errno.EWOULDBLOCK}
@@ -59,7 +59,7 @@ class Address:
 
     @property
     def where(self) -> str:
-        """The connection string, and what it listens on."""
+        """The connection string, and the address on which it listens."""
         if self.kind == "udpin" and self.host == EVERYWHERE:
             return f"{self.text} (listens on all addresses of this computer)"
         if self.kind in ("udpin", "tcpin"):
@@ -68,7 +68,7 @@ class Address:
 
 
 def parse_address(text: str, baud: int = DEFAULT_BAUD) -> Address:
-    """Read a connection string; without a host `udpin` listens on all addresses, `tcpin` here only.
+    """Read a connection string. Without a host `udpin` listens everywhere, `tcpin` on loopback.
 
     Vehicles on Wi-Fi send their datagrams to this computer's address.
 
@@ -100,7 +100,7 @@ def _serial_address(text: str, baud: int) -> Address:
 class Transport(Protocol):
     """An open way to send and receive bytes; OSError: it is lost.
 
-    datagrams: what `read` returns is whole frames, so that nothing is left over for the next.
+    datagrams: `read` returns complete frames, so nothing is kept for the next call.
     """
 
     datagrams: bool
@@ -109,23 +109,23 @@ class Transport(Protocol):
         """For `select`."""
 
     def read(self) -> bytes:
-        """What has come; empty: nothing now."""
+        """New bytes; empty: none."""
 
     def write(self, data: bytes) -> None:
-        """Send; what does not fit is lost, as on a radio."""
+        """Send; bytes that do not fit are lost, as on a radio."""
 
     def close(self) -> None:
-        """Let go."""
+        """Close it."""
 
 
 class UdpListener:
-    """Listens for datagrams; answers everybody in whose datagrams MAVLink was found."""
+    """Listens for datagrams; answers all senders of MAVLink."""
 
     datagrams = True
 
     def __init__(self, address: Address) -> None:
         self._socket = _bound(socket.SOCK_DGRAM, address)
-        # In the order in which they were last heard, so that who has gone is forgotten first.
+        # In the order of their last messages, so that senders that have gone are dropped first.
         self._peers: dict[tuple[str, int], None] = {}
         self._last_peer: tuple[str, int] | None = None
 
@@ -142,7 +142,7 @@ class UdpListener:
         return data
 
     def understood(self) -> None:
-        """The last datagram held MAVLink: its sender is answered from now on."""
+        """The last datagram contained MAVLink: answer its sender from now on."""
         peer = self._last_peer
         if peer is None:
             return
@@ -162,7 +162,7 @@ class UdpListener:
 
 
 class UdpSender:
-    """Datagrams to one address, and what comes back from it."""
+    """Datagrams to one address, and its answers."""
 
     datagrams = True
 
@@ -193,7 +193,7 @@ class UdpSender:
 
 @cache
 def _number_of(host: str) -> str:
-    """A host's address, looked up once: where the network has gone a lookup waits for seconds."""
+    """A host's address, looked up once: without a network a lookup blocks for seconds."""
     return socket.gethostbyname(host)
 
 
@@ -312,7 +312,7 @@ class SerialPort:
     def __init__(self, address: Address) -> None:
         import serial  # noqa: PLC0415 (slow import, not needed for sockets)
 
-        # For us alone: two tools on one device would each get half of what comes.
+        # Exclusive: two tools on one device would each get half of the bytes.
         self._port = serial.Serial(address.host, address.baud, timeout=0, exclusive=True)
 
     def fileno(self) -> int:
@@ -325,7 +325,7 @@ class SerialPort:
 
     def write(self, data: bytes) -> None:
         """As `Transport`."""
-        # Not pyserial's write, which waits, however long, where a radio has stopped us.
+        # Not pyserial's write, which waits without limit when a radio stops us.
         with contextlib.suppress(BlockingIOError):
             os.write(self._port.fileno(), data)
 
@@ -364,8 +364,8 @@ def open_transport(address: Address) -> Transport:
 class Link:
     """One link: connects, connects again when lost, and turns bytes into MAVLink messages.
 
-    `news` is what the operator should hear of it; the owner empties it. With `signing` it believes
-    only what is signed.
+    `news` holds messages for the operator; the owner empties it. With `signing` it accepts only
+    signed messages.
     """
 
     def __init__(self, address: Address, signing: LinkSigning | None = None) -> None:
@@ -386,9 +386,9 @@ class Link:
         return self.address.text
 
     def open(self) -> None:
-        """Open what has to work at once: listening ports and serial devices.
+        """Open what must work at once: listening ports and serial devices.
 
-        Raises EchowingError that says why it cannot. Who is connected to may come later.
+        Raises EchowingError that says why it cannot. The other end of a connection may come later.
         """
         if self.address.kind == "tcp":
             return
@@ -420,7 +420,7 @@ class Link:
         return messages
 
     def send(self, frame: bytes, now_s: float) -> None:
-        """Send a frame; lost where there is no connection."""
+        """Send a frame; it is lost without a connection."""
         if self._transport is None:
             return
         try:
@@ -429,7 +429,7 @@ class Link:
             self._lost(error, now_s)
 
     def close(self) -> None:
-        """Let go of it."""
+        """Close it."""
         if self._transport is not None:
             self._transport.close()
         self._transport = None
@@ -447,7 +447,7 @@ class Link:
         return self._transport is not None
 
     def _complain_of_silence(self, now_s: float) -> None:
-        """Say once that a vehicle that should send each second sends nothing."""
+        """Report once that a vehicle that should send every second sends nothing."""
         silent = self._transport is not None and now_s - self._opened_at_s >= SILENT_S
         if silent and self._complaint != TAKEN:
             self._complaint = TAKEN
@@ -465,7 +465,7 @@ class Link:
         self._try_at_s = now_s + RETRY_S
 
     def _complain(self, error: Exception) -> None:
-        """Say why there is no connection, once per reason."""
+        """Report why there is no connection, once per reason."""
         reason = _reason(error)
         hung_up = getattr(error, "errno", None) == errno.ECONNRESET
         if hung_up and self.address.kind == "tcp" and not self.connected:
@@ -475,7 +475,7 @@ class Link:
             self.news.append(f"link {self.name}: {reason}; trying again every {RETRY_S:g} s")
 
     def _parse(self, data: bytes, now_s: float) -> list[Any]:
-        """Whole, known, undamaged messages out of what has come."""
+        """The complete, known and undamaged messages in these bytes."""
         if self.signing is not None:
             self.signing.keep_time()
         parsed = self._parser.parse_buffer(data) or ()
@@ -483,9 +483,9 @@ class Link:
         refused = any(map(is_refused, parsed))
         transport = self._transport
         if transport is not None and transport.datagrams and self._parser.buf_len() > 0:
-            self._parser = Parser(self.signing)  # half a frame is garbage here, not a beginning
+            self._parser = Parser(self.signing)  # a part of a frame is garbage here
         if (found or refused) and isinstance(transport, UdpListener):
-            # Also where it is not believed: a vehicle learns the time from our signature.
+            # Also if its messages are refused: a vehicle learns the time from our signature.
             transport.understood()
         if found:
             self._refused_since_s, self._refusal_told = None, False
@@ -494,19 +494,19 @@ class Link:
         return found
 
     def _refuse(self, now_s: float) -> None:
-        """Tell once, until it is heard again, that what comes is not believed."""
+        """Report once that messages are refused, until a signed one arrives."""
         if self._refused_since_s is None:
             self._refused_since_s = now_s
         if now_s - self._refused_since_s >= REFUSED_S and not self._refusal_told:
             self._refusal_told = True
             self.news.append(
-                f"link {self.name}: what comes is not signed with the key of --signing-key-file, "
-                "and refused"
+                f"link {self.name}: messages are not signed with the key of "
+                "--signing-key-file, and are refused"
             )
 
 
 def _reason(error: Exception) -> str:
-    """Why a link cannot be had, and what to do."""
+    """Why a link cannot be opened, and what to do."""
     number = getattr(error, "errno", None)
     if number == errno.EADDRINUSE:
         return "the port is taken; another tool listens there"
@@ -517,7 +517,7 @@ def _reason(error: Exception) -> str:
     if number in (errno.EBUSY, errno.EAGAIN):
         return "the device is busy; another tool has it open"
     if number == errno.ECONNREFUSED:
-        return "nobody listens there"
+        return "nothing listens there"
     return getattr(error, "strerror", None) or str(error)
 
 
@@ -544,6 +544,6 @@ def _is_here(host: str) -> bool:
 
 
 def wait(links: Iterable[Link], timeout_s: float) -> None:
-    """Wait until something has come on a link, or for `timeout_s`."""
+    """Wait until something arrives on a link, at most `timeout_s`."""
     numbers = [number for link in links if (number := link.fileno()) is not None]
     select.select(numbers, [], [], max(0.0, timeout_s))

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from echowing.flight.guidance import Horizontal
     from echowing.geo import GlobalPosition
 
-# Not 255: a helper that beats as the pilot's ground station would mask its fail-safe.
+# Not 255: heartbeats with the id of the pilot's ground station would mask its fail-safe.
 TOOL_SYSTEM_ID = 245
 TOOL_COMPONENT_ID = mavlink.MAV_COMP_ID_MISSIONPLANNER
 HEARTBEAT_PERIOD_S = 1.0
@@ -20,7 +20,7 @@ FORWARD = mavlink.MAV_SENSOR_ROTATION_NONE
 
 STATUS_TEXT_BYTES = 50
 
-# GLOBAL_POSITION_INT: the ends of its degrees, and MAVLink's word for no heading.
+# GLOBAL_POSITION_INT: the ends of its degrees, and MAVLink's value for no heading.
 MOST_LAT_E7, MOST_LON_E7 = 900_000_000, 1_800_000_000
 UNKNOWN_HEADING = 65_535
 
@@ -70,9 +70,9 @@ def position_target(
 
 
 def is_nonsense(kind: str, message: Any) -> bool:
-    """Whether a message says what cannot be: a number that is none, a place that is nowhere.
+    """Whether a message is nonsense: a value that is not a number, an impossible position.
 
-    Scripts and filters make such when they fail.
+    Failing scripts and filters send such messages.
     """
     if kind == "NAMED_VALUE_FLOAT":
         return not math.isfinite(message.value)
@@ -82,19 +82,19 @@ def is_nonsense(kind: str, message: Any) -> bool:
 
 
 def heading_of(message: Any, before_rad: float) -> float:
-    """The heading in a GLOBAL_POSITION_INT; the one before where it is not known."""
+    """The heading in a GLOBAL_POSITION_INT; the one before if it is not known."""
     return before_rad if message.hdg == UNKNOWN_HEADING else math.radians(message.hdg / 100.0)
 
 
 def sonar_range_m(message: Any) -> float | None:
-    """The range in a DISTANCE_SENSOR; None: the sonar hears no target."""
+    """The range in a DISTANCE_SENSOR; None: the sonar detects no target."""
     range_m = float(message.current_distance) / 100.0
     nothing = range_m >= min(DETECTION_LIMIT_M, message.max_distance / 100.0)
     return None if nothing else range_m
 
 
 def tool_heartbeat() -> Any:
-    """HEARTBEAT of a ground tool that is no ground station."""
+    """HEARTBEAT of a ground tool that is not a ground station."""
     return mavlink.MAVLink_heartbeat_message(
         mavlink.MAV_TYPE_ONBOARD_CONTROLLER,
         mavlink.MAV_AUTOPILOT_INVALID,

@@ -1,4 +1,4 @@
-"""Which vehicle is heard where: seats, the links they sit on, and how they are found."""
+"""Which vehicle is on which link: seats, and how the vehicles are found."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from echowing.mavlink.messages import (
     tool_heartbeat,
 )
 
-# Heartbeats come once a second: after this long everybody on a link has been heard, even where
+# Heartbeats come once per second: after this time every vehicle on a link has reported, even if
 # three in a row were lost.
 LISTEN_S = 4.0
 WAITING_PERIOD_S = 5.0
@@ -26,7 +26,7 @@ Say = Callable[[str], None]
 
 @dataclass(slots=True)
 class Seat:
-    """A vehicle's place in the session: where it is heard, and its system id once known."""
+    """A vehicle's place in the session: its link, and its system id once known."""
 
     role: str
     address: Address
@@ -44,7 +44,7 @@ def parse_seat(role: str, text: str, baud: int = DEFAULT_BAUD) -> Seat:
 
 
 class OpenLink:
-    """A link and who we are on it: each link has sequence numbers of its own."""
+    """A link and our identity on it: each link has sequence numbers of its own."""
 
     def __init__(self, link: Link) -> None:
         self.link = link
@@ -55,7 +55,7 @@ class OpenLink:
             link.signing.apply(self._packer)
 
     def receive(self, now_s: float, say: Say) -> list[Any]:
-        """The messages that have come; what the link has to tell is said."""
+        """The new messages; the link's own news is reported."""
         messages = self.link.receive(now_s)
         for news in self.link.news:
             say(news)
@@ -73,7 +73,7 @@ class OpenLink:
 
 
 class VehicleFinder:
-    """Finds out which vehicle is heard where, from autopilots' heartbeats. Pure.
+    """Finds out which vehicle is on which link, from autopilots' heartbeats. Pure.
 
     A seat without a system id takes the only vehicle on its link; several there are refused.
     """
@@ -85,7 +85,7 @@ class VehicleFinder:
 
     @property
     def complete(self) -> bool:
-        """Whether every seat has its system id, and that system is heard on its link."""
+        """Whether every seat has its system id, and that system reports on its link."""
         return not self._missing()
 
     def waiting(self) -> str:
@@ -98,7 +98,7 @@ class VehicleFinder:
             self._heard.setdefault(link, {}).setdefault(message.get_srcSystem(), now_s)
 
     def decide(self, now_s: float) -> None:
-        """Fill seats from what was heard long enough. Raises EchowingError where it is unclear."""
+        """Fill the seats after listening long enough. Raises EchowingError if it is ambiguous."""
         for seat in self._open_seats():
             vehicles = self._heard.get(seat.address.text, {})
             if vehicles and now_s - min(vehicles.values()) >= LISTEN_S:
@@ -117,8 +117,7 @@ class VehicleFinder:
         if len(free) > 1:
             listed = ", ".join(str(system_id) for system_id in sorted(free))
             raise EchowingError(
-                f"{where}: systems {listed} are on it; say which is the {seat.role}: "
-                f"{where}@{min(free)}"
+                f"{where}: systems {listed} are on it; name the {seat.role}: {where}@{min(free)}"
             )
         return free[0]
 
@@ -130,7 +129,7 @@ class VehicleFinder:
         ]
 
     def _described(self, seat: Seat) -> str:
-        """A missing vehicle; where it was named, also who is heard in its place."""
+        """A missing vehicle; if it was named, also the systems that report in its place."""
         if seat.system_id is None:
             return f"{seat.role} on {seat.address.where}"
         others = sorted(self._heard.get(seat.address.text, {}))
@@ -150,12 +149,13 @@ class VehicleFinder:
         for text in unnamed:
             if unnamed.count(text) > 1:
                 raise EchowingError(
-                    f"{text} is given for several vehicles: say which is which, as {text}@1"
+                    f"{text} is given for several vehicles: give the system id of each, for "
+                    f"example {text}@1"
                 )
 
 
 class StrangerWatch:
-    """Goes on watching links on which a vehicle was not named: another one may turn up late. Pure.
+    """Watches links on which a vehicle was not named: another one may appear later. Pure.
 
     Made before the seats are filled.
     """
@@ -165,7 +165,7 @@ class StrangerWatch:
         self._unnamed = {seat.address.text: seat for seat in seats if seat.system_id is None}
 
     def heard(self, link: str, message: Any) -> tuple[int, str] | None:
-        """Whose seat another vehicle may have been meant for, and what to do; None: nobody's."""
+        """The seat for which another vehicle may have been meant, and what to do; None: no seat."""
         seat = self._unnamed.get(link)
         stranger = message.get_srcSystem()
         if seat is None or seat.system_id is None or not _is_vehicle(message):
@@ -174,8 +174,8 @@ class StrangerWatch:
             return None
         listed = ", ".join(map(str, sorted((seat.system_id, stranger))))
         return seat.system_id, (
-            f"{link}: systems {listed} are on it, and the {seat.role} was not named: end, "
-            f"and say which it is: {link}@{seat.system_id}"
+            f"{link}: systems {listed} are on it, and you have not said which is the "
+            f"{seat.role}: end the tool and give {link}@{seat.system_id}"
         )
 
 
@@ -194,9 +194,9 @@ def find_vehicles(
     over: Callable[[], bool],
     say: Say,
 ) -> bool:
-    """Wait until every seat has its system id; False: `over` said so before.
+    """Wait until every seat has its system id; False: `over` was true before.
 
-    links: by connection string. Raises EchowingError where it is unclear who is who.
+    links: by connection string. Raises EchowingError if it is ambiguous.
     """
     finder = VehicleFinder(seats)
     beat_s = told_s = 0.0

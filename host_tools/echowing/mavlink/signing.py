@@ -1,4 +1,4 @@
-"""MAVLink 2 signing: keys out of files, who is believed on a link, times that never go back.
+"""MAVLink 2 signing: keys from files, which messages a link accepts, times that never go back.
 
 Facts from MAVLink's page on message signing: times count 10 us since 2015-01-01 and only ever
 rise on one link of one sender; a link id tells the links of one sender apart.
@@ -23,9 +23,9 @@ KEY_BYTES = 32
 # Tools that may run at the same time sign under different link ids, else each makes the other's
 # times look old. `follow` counts its links from 1; one verb of `setup` has one link.
 SETUP_LINK_ID = 255
-# What a radio says of itself carries no signature; ArduPilot accepts it all the same.
+# A radio's own status messages carry no signature; ArduPilot accepts them all the same.
 NEEDS_NO_SIGNATURE = {mavlink.MAVLINK_MSG_ID_RADIO, mavlink.MAVLINK_MSG_ID_RADIO_STATUS}
-# pymavlink's word for a frame that it does not believe.
+# pymavlink's name for a frame that it does not accept.
 _REFUSED = "Invalid signature"
 _PRINTABLE = frozenset(string.printable.encode())
 
@@ -38,8 +38,8 @@ def read_key(path: Path | None) -> bytes | None:
 def load_key(path: Path, warn: Callable[[str], None]) -> bytes:
     """Read a key: 32 bytes as they are, 64 hexadecimal digits, or a pass phrase.
 
-    A phrase becomes a key by SHA-256, as ground stations make it. `warn` is told of a file that
-    others may read. Raises EchowingError.
+    A phrase becomes a key by SHA-256, as ground stations make it. `warn` gets a message about a
+    file that others may read. Raises EchowingError.
     """
     try:
         content = path.read_bytes()
@@ -76,9 +76,9 @@ def _is_text(content: bytes) -> bool:
 
 
 class LinkSigning:
-    """Signing on one link: shared by who packs and who parses there.
+    """Signing on one link, shared by its packer and its parser.
 
-    What is heard moves the time on, as a clock ahead of ours would refuse us otherwise.
+    Received messages advance the time: otherwise a clock ahead of ours would refuse our messages.
     `unix_clock` is UTC seconds.
     """
 
@@ -93,17 +93,17 @@ class LinkSigning:
         self._unix_clock = unix_clock
 
     def apply(self, mav: Any) -> None:
-        """Sign what `mav` packs, and let it believe only what is signed."""
+        """Sign what `mav` packs, and let it accept only signed messages."""
         mav.signing = self._state
 
     def keep_time(self) -> None:
-        """Bring the time up to now; never back, whatever the computer's clock does."""
+        """Advance the time to now; never back, whatever the computer's clock does."""
         ticks = round((self._unix_clock() - SIGNING_EPOCH_UNIX_S) * SIGNING_TICKS_PER_S)
         self._state.timestamp = max(self._state.timestamp, ticks)
 
 
 class Parser(mavlink.MAVLink):  # type: ignore[misc]
-    """A parser that skips garbage; with a `LinkSigning` it believes only what is signed."""
+    """A parser that skips garbage; with a `LinkSigning` it accepts only signed messages."""
 
     def __init__(self, signing: LinkSigning | None = None) -> None:
         super().__init__(None)
@@ -112,10 +112,10 @@ class Parser(mavlink.MAVLink):  # type: ignore[misc]
             signing.apply(self)
 
     def check_signature(self, msgbuf: bytearray, srcSystem: int, srcComponent: int) -> bool:  # noqa: N803
-        """As pymavlink, but a forged frame leaves no mark.
+        """As pymavlink, but a forged frame has no effect.
 
         pymavlink notes a frame's time before it looks at the signature, so that one forged frame
-        with a time in the future would silence its victim.
+        with a time in the future would block the real sender.
         """
         times = self.signing.stream_timestamps
         stream = (msgbuf[-13], srcSystem, srcComponent)
@@ -129,5 +129,5 @@ class Parser(mavlink.MAVLink):  # type: ignore[misc]
 
 
 def is_refused(message: Any) -> bool:
-    """Whether a parser's answer is a whole frame that it did not believe."""
+    """Whether a parser's answer is a complete frame that it did not accept."""
     return bool(message.get_type() == "BAD_DATA" and message.reason == _REFUSED)

@@ -13,7 +13,7 @@ Pulses in microseconds, 800 to 2200. It holds until `echowing rig scan auto`, or
 """
 
 
-# The pulses are told once a second, and when they change.
+# The board reports the pulses once per second, and when they change.
 TOLD_TIMEOUT_S = 3.0
 
 
@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Aim, and see that the board says so."""
+    """Aim, and check the board's report."""
     with open_board(args.port, args.baud) as board:
         board.aim(args.pan_us, args.tilt_us)
         await_aim(board, args.pan_us, args.tilt_us)
@@ -33,14 +33,13 @@ def run(args: argparse.Namespace) -> int:
         print_json({"pan_us": args.pan_us, "tilt_us": args.tilt_us})
     else:
         print(
-            f"holds at pan {args.pan_us} us, tilt {args.tilt_us} us; "
-            "`echowing rig scan auto` lets go"
+            f"holds at pan {args.pan_us} us, tilt {args.tilt_us} us, until `echowing rig scan auto`"
         )
     return 0
 
 
 def await_aim(board: Board, pan_us: float, tilt_us: float) -> None:
-    """Wait until the board tells that it points there. Raises CommandError when it does not."""
+    """Wait until the board reports that it points there. Raises CommandError when it does not."""
     deadline_s = board.now_s() + TOLD_TIMEOUT_S
     while (board.state.pan_us, board.state.tilt_us) != (pan_us, tilt_us):
         if board.now_s() > deadline_s:

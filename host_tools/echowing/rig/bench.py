@@ -1,4 +1,4 @@
-"""The bench on which a procedure runs: the board, the operator, the clock; and how it is run."""
+"""The bench on which a procedure runs: board, operator and clock; and how to run it."""
 
 import contextlib
 import json
@@ -30,17 +30,17 @@ SETTLE_S = 0.25
 
 
 class Procedure(Protocol):
-    """A guided test: measures step by step, and can say at any time what it has found so far."""
+    """A guided test: measures step by step, and can report its findings at any time."""
 
     def run(self, bench: "Bench") -> None:
-        """Measure; EchowingError or KeyboardInterrupt break it off."""
+        """Measure; EchowingError or KeyboardInterrupt stop it."""
 
     def result(self) -> Result:
-        """What has been measured until now, judged."""
+        """The judged measurements so far."""
 
 
 class Operator:
-    """Whoever moves the target. Answers are lines of `answers`; `yes`: nobody is asked."""
+    """The person who moves the target. Answers are lines of `answers`; `yes`: no questions."""
 
     def __init__(self, console: Console, answers: TextIO, *, yes: bool = False) -> None:
         self.console = console
@@ -50,11 +50,11 @@ class Operator:
         self._reader: threading.Thread | None = None
 
     def tell(self, text: str) -> None:
-        """A line for the operator."""
+        """Print a line for the operator."""
         self.console.print(text, highlight=False, markup=False)
 
     def ask(self, text: str, meanwhile: Callable[[], str]) -> None:
-        """Tell what to do and wait for Enter; `meanwhile` keeps the board going and tells of it."""
+        """Say what to do and wait for Enter; `meanwhile` keeps the board going and reports."""
         if self._yes:
             self.tell(text)
             return
@@ -64,13 +64,13 @@ class Operator:
             while self._lines.empty():
                 show(meanwhile())
         if not self._lines.get():
-            raise EchowingError("nobody answers: the input has ended; --yes asks nothing")
+            raise EchowingError("no answer: the input has ended; with --yes nothing is asked")
 
     @contextlib.contextmanager
     def progress(
         self, text: str, total: float, unit: str = "s"
     ) -> Iterator[Callable[[float, str], None]]:
-        """A bar that is told how much of `total` is done, and a word on how it stands."""
+        """A bar that gets how much of `total` is done, and a status text."""
         if not self.console.is_terminal:
             self.tell(f"{text}, {total:g} {unit}")
             yield lambda done, words: None
@@ -91,7 +91,7 @@ class Operator:
             yield status.update
 
     def _listen(self) -> None:
-        """Lines are read aside: a terminal that waits must not keep the board waiting."""
+        """A thread reads the lines, so that a waiting terminal does not keep the board waiting."""
         if self._reader is None:
             self._reader = threading.Thread(target=self._read, daemon=True)
             self._reader.start()
@@ -103,7 +103,7 @@ class Operator:
 
 
 def ignore(message: Any) -> None:
-    """Hear nothing."""
+    """Ignore the message."""
 
 
 class Bench:
@@ -123,7 +123,7 @@ class Bench:
         self.connected = True
 
     def ask(self, text: str, hear: Callable[[Any], None] = ignore) -> None:
-        """Have the operator do something; what the board says meanwhile goes to `hear`."""
+        """Have the operator do something; the board's messages meanwhile go to `hear`."""
 
         def meanwhile() -> str:
             for message in self.heard(POLL_S):
@@ -135,7 +135,7 @@ class Bench:
             hear(message)
 
     def listen(self, text: str, duration_s: float) -> Iterator[Any]:
-        """The board's messages as they come, for so long."""
+        """The board's messages as they arrive, for this time."""
         start_s = self.clock()
         with self.operator.progress(text, duration_s) as show:
             while (done_s := self.clock() - start_s) < duration_s:
@@ -148,18 +148,18 @@ class Bench:
         return [message for message in board.poll(timeout_s) if board.is_from_board(message)]
 
     def centre(self) -> None:
-        """The gimbal straight ahead and still; what was heard on the way is forgotten."""
+        """Centre the gimbal and wait; messages received meanwhile are dropped."""
         self.board.scan(ScanMode.CENTRE)
         end_s = self.clock() + SETTLE_S
         while self.clock() < end_s:
             self.board.poll(POLL_S)
 
     def search(self) -> None:
-        """The gimbal searches, and holds still on what it hears."""
+        """The gimbal searches, and holds still on what it detects."""
         self.board.scan(ScanMode.SCAN)
 
     def leave(self) -> None:
-        """The gimbal centred, and scanning left to the board itself, if it is there."""
+        """Centre the gimbal, and let the board scan as in flight, if it is connected."""
         if not self.connected:
             return
         self.board.scan(ScanMode.CENTRE)
@@ -167,7 +167,7 @@ class Bench:
 
 
 def standing(board: Board) -> str:
-    """How the board stands, in a few words."""
+    """The board's state, in a few words."""
     state = board.state
     raw = "nothing detected" if state.raw_m is None else f"{state.raw_m:.2f} m"
     average = "" if state.range_m is None else f", average {state.range_m:.2f} m"
@@ -179,7 +179,7 @@ def add_bench_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--out", type=Path, default=Path("out/rig"), metavar="DIR", help="results (out/rig)"
     )
-    parser.add_argument("--yes", action="store_true", help="ask nothing: all is in place")
+    parser.add_argument("--yes", action="store_true", help="ask nothing: everything is in place")
 
 
 def positive(text: str) -> float:
@@ -201,7 +201,7 @@ def whole(text: str) -> int:
 
 
 def perform(procedure: Procedure, args: Namespace) -> int:
-    """Run a procedure on the board; the result is written however it ends. Returns exit code."""
+    """Run a procedure on the board; the result is always written. Returns exit code."""
     console = Console(stderr=args.json, soft_wrap=True)
     # Whoever stops it shall find the result and the gimbal as after Ctrl-C.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
@@ -224,7 +224,7 @@ def perform(procedure: Procedure, args: Namespace) -> int:
 
 
 def run_to_result(procedure: Procedure, bench: Bench) -> tuple[Result, int]:
-    """Run it; returns what was found, broken off or not, and the exit code. Leaves the board."""
+    """Run it; returns the result, complete or not, and the exit code. Releases the board."""
     started = datetime.now(UTC).isoformat(timespec="seconds")
     why, code = None, None
     try:

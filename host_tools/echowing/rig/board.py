@@ -1,4 +1,4 @@
-"""The co-processor at the other end of a connection, as the bench speaks to it."""
+"""The co-processor at the other end of a connection, for the bench."""
 
 import math
 import struct
@@ -20,11 +20,12 @@ Clock = Callable[[], float]
 
 # Opening the port resets a mega; its bootloader waits a second or two before it starts the sketch.
 OPEN_TIMEOUT_S = 8.0
-# Once somebody talks there is no start to wait for: the board would beat every second.
+# Once a device has answered there is no start to wait for: the board would send a heartbeat
+# every second.
 TALKING_S = 4.0
 ASK_PERIOD_S = 1.0
 ANSWER_TIMEOUT_S = 1.0
-STATE_TIMEOUT_S = 2.5  # the firmware tells its state once a second; one may get lost
+STATE_TIMEOUT_S = 2.5  # the firmware reports its state once per second; one report may get lost
 TRIES = 3
 # Parameters are listed as the wire is free between ranges: some 50 a second at 115200 baud.
 LIST_QUIET_S = 0.5
@@ -48,7 +49,7 @@ _INBOX_KEPT = 20_000  # messages nobody has polled; some minutes' worth
 
 
 class ScanMode(IntEnum):
-    """What `scan` tells the board; the numbers are the firmware's."""
+    """What `scan` orders; the numbers are the firmware's."""
 
     AUTO = 0  # as in flight: by what the autopilot does
     SCAN = 1
@@ -60,9 +61,9 @@ class CommandError(EchowingError):
 
 
 class Board:
-    """The co-processor at the other end of a connection, as the bench speaks to it.
+    """The co-processor at the other end of a connection, for the bench.
 
-    Every call that waits keeps `state` up to date meanwhile, and what comes is kept for `poll`.
+    Every call that waits updates `state` meanwhile, and keeps the messages for `poll`.
     All of them raise PortLostError when the cable is pulled.
     """
 
@@ -87,13 +88,13 @@ class Board:
         return list(self.state.texts)
 
     def now_s(self) -> float:
-        """The clock that the messages' `_timestamp` is of."""
+        """The clock of the messages' `_timestamp`."""
         return self._clock()
 
     def poll(self, timeout_s: float) -> list[Any]:
-        """Wait at most `timeout_s` for something to come; returns every message since the last.
+        """Wait at most `timeout_s` for a message; returns all messages since the last call.
 
-        In order, of the board and of everybody else on the wire; `_timestamp` is when it came.
+        In order, from the board and all others on the wire; `_timestamp` is the time of arrival.
         """
         self._pump(0.0 if self._inbox else timeout_s)
         messages = list(self._inbox)
@@ -138,7 +139,7 @@ class Board:
         )
 
     def version(self) -> Version:
-        """Which firmware it runs."""
+        """The version of its firmware."""
 
         def is_answer(message: Any) -> bool:
             return message.get_type() == "AUTOPILOT_VERSION" and self.is_from_board(message)
@@ -149,18 +150,18 @@ class Board:
         return Version.of(answer)
 
     def wait_state(self, timeout_s: float = STATE_TIMEOUT_S) -> None:
-        """Wait until the board has told its state, or the time is over."""
+        """Wait until the board has reported its state, or the time is over."""
         deadline_s = self._clock() + timeout_s
         while self.state.state == UNKNOWN and self._clock() < deadline_s:
             self._pump(deadline_s - self._clock())
 
     def ask_version(self) -> None:
-        """Ask for the version, and do not wait: `state.version` fills when it comes."""
+        """Request the version without waiting: `state.version` is filled when it arrives."""
         wanted = mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION
         self.send(self._command(mavlink.MAV_CMD_REQUEST_MESSAGE, wanted))
 
     def parameters(self) -> dict[str, float]:
-        """The whole list, in the board's order; what went missing is asked for again."""
+        """The whole list, in the board's order; missing ones are requested again."""
         heard: dict[int, Any] = {}
         count = None
         self.ask_parameters()
@@ -175,7 +176,7 @@ class Board:
         )
 
     def ask_parameters(self) -> None:
-        """Ask for the whole list, and do not wait: `state.parameters` fills as it comes."""
+        """Request the whole list without waiting: `state.parameters` is filled as they arrive."""
         self.send(mavlink.MAVLink_param_request_list_message(self.system_id, self.component_id))
 
     def _request_missing(self, heard: dict[int, Any], count: int | None) -> None:
@@ -204,7 +205,7 @@ class Board:
         return count
 
     def parameter(self, name: str) -> float:
-        """One parameter; EchowingError where the board has none of that name."""
+        """One parameter; EchowingError if the board has none of that name."""
         answer = self._ask(
             lambda attempt: self.send(self._parameter_request(name)),
             lambda message: self._is_parameter(message, name),
@@ -215,7 +216,7 @@ class Board:
         return float(answer.param_value)
 
     def set_parameter(self, name: str, value: float) -> float:
-        """Set one; returns the value in force. Stored later: see `wait_stored`.
+        """Set one; returns the value in use. Stored later: see `wait_stored`.
 
         Raises EchowingError when the board has no such parameter or refuses the value.
         """
@@ -235,18 +236,18 @@ class Board:
             ANSWER_TIMEOUT_S,
         )
         if answer is None:
-            raise CommandError(f"{self._label()} has not answered to {name} = {value:g}")
+            raise CommandError(f"{self._label()} has not answered {name} = {value:g}")
         in_force = float(answer.param_value)
         if in_force != as_float32(value):
             why = ": not while the autopilot is armed" if self._in_flight() else _allowed(name)
-            raise EchowingError(f"{name} = {value:g} is refused, it stays {in_force:g}{why}")
+            raise EchowingError(f"{name} = {value:g} is refused; it stays {in_force:g}{why}")
         self._adopt(answer)
         if in_force != before:
             self._changed_at_s = self._clock()
         return in_force
 
     def _in_flight(self) -> bool:
-        """Whether the board has just refused something because the autopilot is armed."""
+        """Whether the board has just refused a change because the autopilot is armed."""
         since_s = self._clock() - ANSWER_TIMEOUT_S
         return any(text == IN_FLIGHT_TEXT and at_s >= since_s for at_s, _, text in self.state.texts)
 
@@ -272,9 +273,9 @@ class Board:
         )
 
     def wait_stored(self, timeout_s: float = 5.0) -> bool:
-        """Wait until what was set is in the board's memory; False: it is not, yet.
+        """Wait until the changes are in the board's memory; False: not yet.
 
-        An armed autopilot beside it holds the storing back until it is disarmed.
+        While the autopilot is armed the board does not store.
         """
         deadline_s = self._clock() + timeout_s
         while not self._is_stored():
@@ -301,11 +302,11 @@ class Board:
         self.command(mavlink.MAV_CMD_DO_SET_SERVO, _TILT_SERVO, tilt_us)
 
     def scan(self, mode: ScanMode) -> None:
-        """Make it scan, stand straight ahead, or decide for itself."""
+        """Make it scan, point straight ahead, or do as in flight."""
         self.command(COMMAND_SCAN, float(mode))
 
     def close(self) -> None:
-        """Let go of the port."""
+        """Close the port."""
         self._wire.close()
 
     def __enter__(self) -> Self:
@@ -315,11 +316,11 @@ class Board:
         self.close()
 
     def is_from_board(self, message: Any) -> bool:
-        """Whether the board has sent it, and nobody else on the wire."""
+        """Whether the board has sent it, not another device on the wire."""
         return source_of(message) == (self.system_id, self.component_id)
 
     def _take(self, data: bytes) -> list[Any]:
-        """Bytes have come: understand them."""
+        """Take received bytes."""
         now_s = self._clock()
         messages = self.frames.parse(data, now_s)
         for message in messages:
@@ -331,7 +332,7 @@ class Board:
         return messages
 
     def recognise(self, source: Source, heard: Iterable[Any]) -> None:
-        """The board is this sender, and has said this before it was known."""
+        """Take this sender for the board; `heard` are its messages until now."""
         self.system_id, self.component_id = source
         for message in filter(self.is_from_board, heard):
             self.state.update(message, message._timestamp)
@@ -348,7 +349,7 @@ class Board:
     def _ask(
         self, ask: Callable[[int], None], is_answer: Callable[[Any], bool], timeout_s: float
     ) -> Any:
-        """Ask until it is answered, TRIES times; None: it was not."""
+        """Request until there is an answer, TRIES times; None: no answer."""
         for attempt in range(TRIES):
             ask(attempt)
             deadline_s = self._clock() + timeout_s
@@ -359,7 +360,7 @@ class Board:
         return None
 
     def _follow_identity(self, message: Any) -> None:
-        """The board takes the autopilot's system id when it hears it: go along."""
+        """The board takes the autopilot's system id when it detects it: follow."""
         if self.is_from_board(message) or not is_telling(message):
             return
         silent_s = self.state.silent_s
@@ -374,7 +375,7 @@ class Board:
 
 
 def open_board(port: str | None, baud: int = USB_BAUD, clock: Clock = time.monotonic) -> Board:
-    """Find the board (with no `port`), open its port and wait until it is heard.
+    """Find the board (with no `port`), open its port and wait until it reports.
 
     Raises EchowingError that says what is wrong: no such port, busy, forbidden, silent, at another
     baud rate, another device.
@@ -396,7 +397,7 @@ def await_board(
     timeout_s: float = OPEN_TIMEOUT_S,
     talking_s: float = TALKING_S,
 ) -> Board:
-    """Wait until a board is heard on an open wire. Raises EchowingError: none is.
+    """Wait until a board reports on an open wire. Raises EchowingError: none is.
 
     timeout_s: for the first byte; talking_s: after it, for the board.
     """
@@ -421,7 +422,7 @@ def await_board(
 
 
 class _Questions:
-    """Asks who could be a board whether he is one: each at once, and again every second."""
+    """Asks each possible board whether it is one: at once, and again every second."""
 
     def __init__(self, board: Board) -> None:
         self.roster = Roster()
@@ -429,7 +430,7 @@ class _Questions:
         self._ask_at_s: dict[Source, float] = {}
 
     def ask(self, now_s: float) -> None:
-        # An autopilot passes nothing on to a port where it has heard nobody.
+        # An autopilot forwards nothing to a port on which it has received nothing.
         if self.roster.autopilot_heard() and self._is_due(_EVERYBODY, now_s):
             self._board.send(_heartbeat())
         for source in self.roster.candidates():
@@ -483,7 +484,7 @@ def _why_no_board(board: Board, roster: Roster, waited_s: float, baud: int) -> s
 
 
 def as_float32(value: float) -> float:
-    """The value as MAVLink carries it; infinite where it is too large for that."""
+    """The value as MAVLink carries it; infinite if it is too large."""
     try:
         return float(struct.unpack("<f", struct.pack("<f", value))[0])
     except OverflowError:
@@ -491,7 +492,7 @@ def as_float32(value: float) -> float:
 
 
 def _allowed(name: str) -> str:
-    """What the firmware takes for a parameter, where its table is at hand."""
+    """The values that the firmware accepts, if its table is available."""
     from echowing.sim.coprocessor import parameter_table  # noqa: PLC0415 (needs the built core)
 
     try:

@@ -1,4 +1,4 @@
-"""The gimbal drawn on its search: the points of the figure 8, and where it looks now."""
+"""Draws the gimbal on its search: the points of the figure 8, and its direction."""
 
 from collections.abc import Mapping, Sequence
 
@@ -15,12 +15,12 @@ _POINT, _HERE, _ELSEWHERE = "cyan", "bold black on green", "bold yellow"
 
 
 def completed(parameters: Mapping[str, float]) -> dict[str, float]:
-    """The board's parameters as far as they have been told, defaults for the others."""
+    """The board's parameters as far as they are known, defaults for the others."""
     return {**parameter_defaults(), **parameters}
 
 
 def direction(parameters: Mapping[str, float], pan_us: float, tilt_us: float) -> Aim:
-    """Where these pulses look, degrees right and up of straight ahead."""
+    """The direction of these pulses, degrees right and up of straight ahead."""
     return _aims(completed(parameters), [(pan_us, tilt_us)])[0]
 
 
@@ -38,8 +38,8 @@ def draw(
 ) -> Text:
     """The search as seen from behind the gimbal: each point by its numbers.
 
-    The present one is lit, and in brackets. Between the points the gimbal is a plus, at the edge
-    where it looks beyond the search.
+    The current one is highlighted, in brackets. Between the points the gimbal is a plus sign, at
+    the edge if it points beyond the search.
     """
     values = completed(parameters)
     pulses = scan_pulses_us(values)

@@ -1,4 +1,4 @@
-"""`echowing rig info`: what board this is, what it runs, how it is set."""
+"""`echowing rig info`: the board, its firmware and its parameters."""
 
 import argparse
 from typing import Any
@@ -35,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def facts(board: Board) -> dict[str, Any]:
-    """What the board says of itself."""
+    """The board's own data."""
     version = board.version()
     parameters = board.parameters()
     board.wait_state()
@@ -54,7 +54,7 @@ def facts(board: Board) -> dict[str, Any]:
 
 
 def show(known: dict[str, Any], console: Console) -> None:
-    """The same for people."""
+    """The same as text."""
     usb = f", {known['usb']}" if known["usb"] else ""
     console.print(f"port       {known['port']}{usb}", highlight=False)
     console.print(
@@ -69,7 +69,7 @@ def show(known: dict[str, Any], console: Console) -> None:
 
 
 def parameter_table(parameters: dict[str, float]) -> Table:
-    """Parameters beside their defaults; what differs stands out."""
+    """Parameters beside their defaults; differences are highlighted."""
     defaults = parameter_defaults()
     table = Table("parameter", "value", "default", box=None, pad_edge=False)
     for name, value in parameters.items():

@@ -25,7 +25,7 @@ SECONDS = 20.0
 ACK_LIMIT_MS = 20.0
 REPORT_LIMIT_MS = 10.0
 # What lies between the board's pins and this program: a USB serial chip holds bytes back for up to
-# 16 ms (FTDI's latency timer as it comes; CH340 and CDC are quicker), the system some 4 ms.
+# 16 ms (FTDI's default latency timer; CH340 and CDC are quicker), the system some 4 ms.
 HOST_MS = 20.0
 # Of a hundred waits one may be this computer's own.
 SHARE = 0.95
@@ -41,12 +41,12 @@ ASKED_FOR = mavlink.MAVLINK_MSG_ID_HEARTBEAT
 
 @dataclass
 class Clocks:
-    """The board's clock against ours, by the quickest message stamped as it was sent.
+    """The board's clock against ours, by the fastest message that carries its time of sending.
 
     The firmware answers no TIMESYNC. Its NAMED_VALUE_FLOATs carry the time of their sending: of the
     one that came soonest after its stamp, all that is left is its own time on the wire. Times in
     ms; wire_ms: what such a message takes on the serial line. Reports count while there is a
-    range: a sonar that hears nothing takes longer than a report's period, and a reading may wait.
+    range: a sonar that detects nothing takes longer than a report's period, and a reading may wait.
     """
 
     wire_ms: float
@@ -55,7 +55,7 @@ class Clocks:
     _reading_ms: int | None = None
 
     def hear(self, message: Any) -> None:
-        """Take any message of the board's."""
+        """Take any message of the board."""
         arrival_ms = message._timestamp * 1000.0
         if named_value(message) is not None:
             self._sent.append((arrival_ms, message.time_boot_ms + HALF_STAMP_MS))
@@ -63,20 +63,20 @@ class Clocks:
             self._hear_report(arrival_ms, int(message.time_boot_ms))
 
     def _hear_report(self, arrival_ms: float, reading_ms: int) -> None:
-        """The first report of a reading counts: between readings it is told again."""
+        """The first report of a reading counts: between readings it is repeated."""
         if reading_ms != self._reading_ms:
             self._reports.append((arrival_ms, reading_ms + HALF_STAMP_MS))
         self._reading_ms = reading_ms
 
     @property
     def offset_ms(self) -> float | None:
-        """Our clock less the board's; None before anything was heard."""
+        """Our clock minus the board's; None before the first message."""
         if not self._sent:
             return None
         return min(arrival - stamp for arrival, stamp in self._sent) - self.wire_ms
 
     def report_ages_ms(self) -> list[float]:
-        """Age of the newest reading in each report when it was here."""
+        """Age of the newest reading in each report on arrival."""
         offset_ms = self.offset_ms
         if offset_ms is None:
             return []
@@ -84,7 +84,7 @@ class Clocks:
 
 
 class LatencyTest:
-    """The procedure: ask a hundred times, and listen for a while."""
+    """The procedure: send a hundred commands, and listen for a while."""
 
     def __init__(self, commands: int, seconds: float, host_ms: float, baud: int) -> None:
         self._commands = commands
@@ -174,7 +174,9 @@ class LatencyTest:
         """Nearly all of them within the board's limit and the host's share."""
         limit_ms = board_ms + self._host_ms
         most_ms = percentile(values_ms, SHARE)
-        found = f"{SHARE:.0%} within {most_ms:.1f} ms" if values_ms else "none came of a target"
+        found = (
+            f"{SHARE:.0%} within {most_ms:.1f} ms" if values_ms else "no report of a target came"
+        )
         asked = (
             f"under {limit_ms:g} ms: {board_ms:g} ms at the board's pins, "
             f"{self._host_ms:g} ms for the USB serial chip and this computer"
@@ -198,7 +200,7 @@ _BAR = 40  # characters
 
 
 def bins(values: Sequence[float], count: int = _BINS) -> list[tuple[float, float, int]]:
-    """Histogram: (from, to, how many) in equal steps over the 99 % that tell something.
+    """Histogram: (from, to, how many) in equal steps over the central 99 %.
 
     The last one also holds all beyond it.
     """
@@ -248,7 +250,11 @@ def add_arguments(parser: ArgumentParser) -> None:
     add_bench_arguments(parser)
     parser.add_argument("--commands", type=whole, default=COMMANDS, metavar="N", help="asked (100)")
     parser.add_argument(
-        "--seconds", type=positive, default=SECONDS, metavar="S", help="listened for (20)"
+        "--seconds",
+        type=positive,
+        default=SECONDS,
+        metavar="S",
+        help="seconds to listen for reports (20)",
     )
     parser.add_argument(
         "--host-ms",

@@ -1,4 +1,4 @@
-"""Does the speed answer the range as law 0 says (thesis Table 6)? Pure: samples in, verdicts."""
+"""Does the speed respond to the range as law 0 says (thesis Table 6)? Pure: samples to verdicts."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -9,10 +9,10 @@ from echowing.analysis.thesis import Band
 SAME_MPS = 0.01  # speeds nearer than this are one: 32-bit floats on the way
 # A step falls anywhere in its period, and the first one waits for a whole one: later is no answer.
 PATIENCE_PERIODS = 2.5
-# The applet runs 20 times a second: of samples no farther apart the second shows the range of the
+# The applet runs 20 times per second: of samples no farther apart the second shows the range of the
 # step between them; farther apart it may be that of the first.
 UPDATE_S = 0.05
-MONITOR_PERIODS = 3.0  # so long without a step is a speed that is held
+MONITOR_PERIODS = 3.0  # this long without a step is a speed that is held
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Law:
     def of(cls, parameters: Mapping[str, float]) -> "Law":
         """From the applet's parameters by name; KeyError names one that is missing.
 
-        As the board's range has them: ECHO_DIST is centre to centre, the range ECHO_INSET less.
+        In terms of the board's range: ECHO_DIST is centre to centre, the range is ECHO_INSET less.
         """
         distance_m = parameters["ECHO_DIST"] - parameters["ECHO_INSET"]
         names = ("BAND_IN", "BAND_OUT", "DETECT", "STEP_SML", "STEP_BIG", "PERIOD")
@@ -54,22 +54,22 @@ class Law:
         )
 
     def band_at(self, range_m: float) -> Band | None:
-        """The band a range lies in; None: beyond the detection limit."""
+        """The band of a range; None: beyond the detection limit."""
         # The applet's edges are 32-bit floats: a centimetre on one counts as in the farther band.
         nearly_m = range_m + 1e-4
         return next((b for b in self.bands() if b.from_m <= nearly_m < b.to_m), None)
 
     def refuses(self, speed_mps: float, step_mps: float) -> bool:
-        """Whether a step would reach a limit: then it is not made."""
+        """Whether a step would reach a limit; the law does not make it then."""
         after_mps = speed_mps + step_mps
         return after_mps >= self.most_mps - SAME_MPS or after_mps <= self.least_mps + SAME_MPS
 
 
 @dataclass(frozen=True)
 class Sample:
-    """How it stood at a time. range_m: None for no target.
+    """One sample. range_m: None for no target.
 
-    guarded: the applet's too-close guard is at work, which is no part of the law.
+    guarded: the applet's too-close guard sets the speed, not the law.
     """
 
     t_s: float
@@ -92,7 +92,7 @@ class Step:
 
 @dataclass
 class BandRecord:
-    """What was seen while the range was in one band.
+    """The observations while the range was in one band.
 
     still_s: the longest time without a step though one could be made; refused: at a limit there;
     held_s: the longest time without a step.

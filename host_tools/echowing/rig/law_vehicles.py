@@ -1,4 +1,4 @@
-"""The vehicle whose applet answers the bench's sonar: built in, or a real autopilot."""
+"""The vehicle whose applet reads the bench's sonar: built in, or a real autopilot."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -21,11 +21,11 @@ LAW_PARAMETERS = (
 ANSWER_S = 1.0
 TRIES = 3
 HEARTBEAT_S = 1.0
-FIND_S = 5.0  # an autopilot beats once a second
+FIND_S = 5.0  # an autopilot beats once per second
 
 
 class LawVehicle(Protocol):
-    """Runs the applet on what the board tells."""
+    """Runs the applet on the board's reports."""
 
     name: str
 
@@ -36,20 +36,20 @@ class LawVehicle(Protocol):
         """Whether the applet sets the speed now."""
 
     def idle(self) -> None:
-        """Nothing is measured yet: forget what it says."""
+        """Nothing is measured yet: drop its messages."""
 
     def hear(self, message: Any) -> None:
-        """A message of the board's, as it came."""
+        """Take a message of the board."""
 
     def advance(self, now_s: float) -> list[Sample]:
-        """Go on until now; returns what was seen of it since."""
+        """Run until now; returns the samples since the last call."""
 
     def close(self) -> None:
         """Let go."""
 
 
 def law_of(parameters: Mapping[str, float | None]) -> Law:
-    """The law these applet parameters make; EchowingError when it is another one, or none."""
+    """The law of these applet parameters; EchowingError if it is another law, or none."""
     missing = [name for name in LAW_PARAMETERS if parameters.get(name) is None]
     if missing:
         raise EchowingError(
@@ -143,7 +143,7 @@ class BuiltInVehicle:
 
 
 class AutopilotVehicle:
-    """An autopilot (or SITL) with the applet and the board on it, heard over a link of its own.
+    """An autopilot (or SITL) with the applet and the board on it, on a link of its own.
 
     Nothing is set on it: the operator arms it in Guided, propellers off.
     """
@@ -166,7 +166,7 @@ class AutopilotVehicle:
             for message in self._read(0.1):
                 if _is_autopilot(message):
                     return int(message.get_srcSystem())
-        raise EchowingError(f"{self.name}: no autopilot reports there within {FIND_S:g} s")
+        raise EchowingError(f"{self.name}: no autopilot has reported there for {FIND_S:g} s")
 
     def _read(self, timeout_s: float) -> list[Any]:
         # ArduPilot tells its named floats only where it has heard somebody.

@@ -1,6 +1,6 @@
-"""MAVLink out of the board's bytes, with the books kept: what came whole, damaged, or not at all.
+"""MAVLink from the board's bytes, with counts of complete, damaged and lost frames.
 
-`links.Link` drops damaged frames without a word; on the bench their number is a measurement.
+`links.Link` drops damaged frames silently; on the bench their number is a measurement.
 """
 
 from collections.abc import Iterable
@@ -27,7 +27,7 @@ _AUTOPILOTS = {
 
 @dataclass(slots=True)
 class Counts:
-    """What has come over the wire so far."""
+    """Counts of what has arrived so far."""
 
     bytes: int = 0
     frames: int = 0  # whole and undamaged
@@ -45,13 +45,13 @@ class Frames:
         self._sequences: dict[Source, int] = {}
 
     def parse(self, data: bytes, now_s: float) -> list[Any]:
-        """Whole, known messages in the order they came; each gets `_timestamp` = now_s."""
+        """Complete, known messages in their order; each gets `_timestamp` = now_s."""
         self.counts.bytes += len(data)
         parsed = self._parser.parse_buffer(data) or ()
         return [message for message in parsed if self._is_good(message, now_s)]
 
     def _is_good(self, message: Any, now_s: float) -> bool:
-        """Count it; whether it is a message that stood its checksum."""
+        """Count it; returns whether it is a message with a right checksum."""
         message._timestamp = now_s
         if message.get_type() == "BAD_DATA":
             self._count_bad(message)
@@ -82,12 +82,12 @@ class _Seen:
 
 @dataclass(slots=True)
 class Roster:
-    """Who is heard, and which of them is an Echowing co-processor."""
+    """Who reports, and which of them is an Echowing co-processor."""
 
     _seen: dict[Source, _Seen] = field(default_factory=dict)
 
     def note(self, messages: Iterable[Any]) -> None:
-        """Messages have come."""
+        """Take messages."""
         for message in messages:
             seen = self._seen.setdefault(source_of(message), _Seen())
             if message.get_type() == "HEARTBEAT":
@@ -95,7 +95,7 @@ class Roster:
             seen.telling = seen.telling or is_telling(message)
 
     def boards(self) -> list[Source]:
-        """The co-processors, in the order they were heard."""
+        """The co-processors, in the order of their first messages."""
         return [
             source
             for source, seen in self._seen.items()
@@ -103,7 +103,7 @@ class Roster:
         ]
 
     def candidates(self) -> list[Source]:
-        """Devices of which it is not known yet what they are."""
+        """Devices that are not identified yet."""
         return [
             source
             for source, seen in self._seen.items()
@@ -111,18 +111,18 @@ class Roster:
         ]
 
     def unbeaten(self) -> list[Source]:
-        """Who sends as a co-processor does, and has not beaten yet."""
+        """Senders like a co-processor, without a heartbeat yet."""
         return [
             source for source, seen in self._seen.items() if seen.telling and not seen.heartbeat
         ]
 
     def autopilot_heard(self) -> bool:
-        """Whether an autopilot beats here: what is behind it may be heard through it."""
+        """Whether an autopilot sends heartbeats here: devices behind it may report through it."""
         beats = [seen.heartbeat for seen in self._seen.values() if seen.heartbeat is not None]
         return any(beat.autopilot != mavlink.MAV_AUTOPILOT_INVALID for beat in beats)
 
     def others(self) -> list[str]:
-        """What else beats on the wire, in words."""
+        """Other senders of heartbeats on the wire, in words."""
         return [
             describe(source, seen.heartbeat)
             for source, seen in self._seen.items()
@@ -144,7 +144,7 @@ def is_telling(message: Any) -> bool:
 
 
 def _is_device(heartbeat: Any) -> bool:
-    """Whether it beats as the firmware does; the applet on an autopilot sends like names."""
+    """Whether its heartbeat is the firmware's; the applet on an autopilot sends similar names."""
     return (
         heartbeat is not None
         and heartbeat.type == mavlink.MAV_TYPE_ONBOARD_CONTROLLER

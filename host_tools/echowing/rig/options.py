@@ -14,20 +14,20 @@ def add_common_options(parser: argparse.ArgumentParser) -> None:
         "--port",
         metavar="CONN",
         default=argparse.SUPPRESS,
-        help=f"where the board is: {CONN} (default: the only serial port on USB)",
+        help=f"the board's connection: {CONN} (the only serial port on USB)",
     )
     parser.add_argument(
         "--baud",
         type=int,
         metavar="N",
         default=argparse.SUPPRESS,
-        help=f"of a serial device ({USB_BAUD})",
+        help=f"baud rate of a serial device ({USB_BAUD})",
     )
     parser.add_argument(
         "--json",
         action="store_true",
         default=argparse.SUPPRESS,
-        help="for scripts: JSON on standard output",
+        help="print JSON, for scripts",
     )
 
 

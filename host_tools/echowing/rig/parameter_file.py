@@ -39,7 +39,7 @@ def read_parameters(path: Path) -> dict[str, float]:
             continue
         name, value = _row(words, f"{path}, line {number}")
         if name in values:
-            raise EchowingError(f"{path}, line {number}: {name} is there twice")
+            raise EchowingError(f"{path}, line {number}: {name} is given twice")
         values[name] = value
     if not values:
         raise EchowingError(f"{path}: holds no parameters; a line is NAME,VALUE")

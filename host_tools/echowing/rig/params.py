@@ -27,8 +27,8 @@ examples:
 
 STORE_TIMEOUT_S = 8.0  # 2 s of calm, and up to 2 s of erasing on the larger boards
 NOT_STORED = (
-    "in force, but not stored: with an armed autopilot beside it the board stores after disarming; "
-    "`echowing rig watch` shows when it does"
+    "in use, but not stored: the autopilot is armed, and the board stores after disarming; "
+    "`echowing rig watch` shows when"
 )
 
 
@@ -124,10 +124,10 @@ def _load(args: argparse.Namespace) -> int:
 
 
 def load(board: Board, wanted: Mapping[str, float], name: str) -> dict[str, float]:
-    """Set what differs, and read all back. Returns what was changed.
+    """Set the values that differ, and read all back. Returns the changes.
 
     Raises EchowingError: nothing is set when the board lacks a parameter; one that is refused is
-    told when the others are set.
+    reported after the others are set.
     """
     before = board.parameters()
     _check_known(wanted, before, name)
@@ -144,7 +144,9 @@ def load(board: Board, wanted: Mapping[str, float], name: str) -> dict[str, floa
     after = board.parameters()
     wrong = [parameter for parameter, value in wanted.items() if after[parameter] != value]
     if wrong:
-        raise EchowingError(f"{name}: set but read back otherwise: {', '.join(wrong)}; try again")
+        raise EchowingError(
+            f"{name}: set, but the board returns other values: {', '.join(wrong)}; try again"
+        )
     return {name: value for name, value in after.items() if value != before[name]}
 
 

@@ -1,4 +1,4 @@
-"""The cable to the board: which port it is on, opening it, and what can be wrong with it."""
+"""The cable to the board: find its port, open it, and explain what is wrong with it."""
 
 import errno
 import select
@@ -20,20 +20,20 @@ _READ_BYTES = 4096
 
 
 class PortLostError(EchowingError):
-    """The connection has gone in the middle of the work."""
+    """The connection was lost during the work."""
 
 
 class Wire(Protocol):
     """An open connection to the board."""
 
     def read(self, timeout_s: float) -> bytes:
-        """What has come, waiting at most `timeout_s` for it. Raises PortLostError."""
+        """New bytes, waiting at most `timeout_s` for them. Raises PortLostError."""
 
     def write(self, data: bytes) -> None:
         """Send. Raises PortLostError."""
 
     def understood(self) -> None:
-        """What was read last held MAVLink."""
+        """The last bytes contained MAVLink."""
 
     def close(self) -> None:
         """Let go."""
@@ -70,8 +70,8 @@ def find_port(devices: Callable[[], Sequence[UsbDevice]] = usb_devices) -> str:
     found = devices()
     if not found:
         raise EchowingError(
-            "no board found: no serial port of this computer is on USB. Plug the board in with a "
-            "cable that carries data (many only charge), or say where it is with --port"
+            "no board found: no serial port is on USB. Plug the board in with a cable that "
+            "carries data (many only charge), or give --port"
         )
     if len(found) > 1:
         raise EchowingError(
@@ -91,7 +91,7 @@ def open_wire(text: str, baud: int = USB_BAUD) -> Wire:
 
 
 class SerialWire:
-    """A serial device, for us alone."""
+    """A serial device, opened exclusively."""
 
     def __init__(self, address: Address) -> None:
         self._name = address.host
@@ -119,7 +119,7 @@ class SerialWire:
             self._port.write(data)
         except serial.SerialTimeoutException as error:
             raise PortLostError(
-                f"{self._name}: the device takes no bytes; unplug it, plug it in and start again"
+                f"{self._name}: the device accepts no bytes; unplug it, plug it in and start again"
             ) from error
         except (OSError, TypeError) as error:
             raise PortLostError(f"{self._name}: {_why_lost(error)}") from error
@@ -155,7 +155,7 @@ class SocketWire:
             raise PortLostError(f"{self._name}: {_why_hung_up(error)}") from error
 
     def understood(self) -> None:
-        """As `Wire`: who sent it is answered from now on."""
+        """As `Wire`: answer its sender from now on."""
         if isinstance(self._transport, UdpListener):
             self._transport.understood()
 
@@ -171,7 +171,7 @@ _REASONS: tuple[tuple[set[int], str, str], ...] = (
         {errno.EAGAIN, errno.EBUSY},
         "PermissionError",
         "the port is busy: another program has it open (a ground station, a serial monitor, "
-        "another `echowing rig`); close that first",
+        "another `echowing rig`); end that program first",
     ),
     (
         {errno.EACCES, errno.EPERM},
@@ -196,7 +196,7 @@ def _why_not_opened(error: Exception, address: Address) -> str:
         if number in numbers or word in words:
             return reason.format(there_are=_there_are())
     if isinstance(error, ValueError | OverflowError):
-        return f"the port does not do {address.baud} baud; the board's USB port has {USB_BAUD}"
+        return f"the port does not support {address.baud} baud; the board's USB port has {USB_BAUD}"
     return getattr(error, "strerror", None) or words
 
 
@@ -218,7 +218,7 @@ def _why_lost(error: Exception) -> str:
 def _why_hung_up(error: Exception) -> str:
     number = getattr(error, "errno", None)
     if number == errno.ECONNREFUSED:
-        return "nobody listens there; start the other end first"
+        return "nothing listens there; start the other end first"
     if number == errno.EADDRINUSE:
         return "the port is taken; another tool listens there"
     if number in (errno.ECONNRESET, errno.EPIPE):

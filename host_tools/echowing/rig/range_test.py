@@ -1,4 +1,4 @@
-"""`echowing rig range-test`: how far, surely and exactly the sonar hears (thesis Table 5)."""
+"""`echowing rig range-test`: how far, surely and exactly the sonar detects (thesis Table 5)."""
 
 import math
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
@@ -25,7 +25,7 @@ SECONDS = 5.0
 # Nearer to the distance set is the target, whose legs and foil are spread over some decimetres.
 TARGET_GATE_M = 0.5
 # The thesis does not say when a target counts as detected. Two misses in a row (MISS_LIMIT) end the
-# tracking: heard nine times in ten, that happens by chance once in 110 readings, five seconds.
+# tracking: detected nine times in ten, that happens by chance once in 110 readings, five seconds.
 LEAST_RATE = 0.9
 RATE_REASON = "a leader detected less often is lost by chance more than once in 5 s"
 # The outer edge of Table 6's bands: nearer than this the law has to see a leader it wants to reach.
@@ -39,9 +39,9 @@ MOST_SPREAD_M = MOST_BIAS_M / 2.0
 
 @dataclass
 class Point:
-    """Single readings with the target at one distance, metres; None: nothing was heard.
+    """Single readings with the target at one distance, metres; None: nothing was detected.
 
-    gate_m: readings farther than this from the distance are of something else.
+    gate_m: readings further than this from the distance come from something else.
     """
 
     distance_m: float
@@ -59,12 +59,12 @@ class Point:
 
     @property
     def rate(self) -> float:
-        """Share of the readings that are the target's; 0 of none."""
+        """Share of readings from the target; 0 without readings."""
         return len(self.of_target_m) / len(self.readings) if self.readings else 0.0
 
     @property
     def elsewhere_rate(self) -> float:
-        """Share of the readings that are of something else."""
+        """Share of readings from something else."""
         heard = sum(reading is not None for reading in self.readings)
         return (heard - len(self.of_target_m)) / len(self.readings) if self.readings else 0.0
 
@@ -147,23 +147,22 @@ class RangeTest:
                 "farther off. Mean, bias and spread are those of the detected single readings. "
                 f"Maximum effective range: the farthest distance with {self._least_rate:.0%} "
                 "detected, there and at every nearer distance set. The thesis does not give its "
-                "own criterion; ours: "
-                f"{RATE_REASON}."
+                f"own criterion; ours: {RATE_REASON}."
             ],
         )
 
     def _untested(self, farthest_m: float | None) -> str | None:
-        """What keeps the range from being known: it was detected as far as was tried."""
+        """Why the range is not known: the target was detected at the farthest tested distance."""
         tried_m = max((point.distance_m for point in self.points), default=0.0)
         if farthest_m is None or farthest_m < tried_m or tried_m >= self._needed_m:
             return None
         return (
-            f"not tested beyond {tried_m:g} m, and {self._needed_m:g} m are needed: give farther "
-            "distances too"
+            f"not tested beyond {tried_m:g} m, and {self._needed_m:g} m are needed: add farther "
+            "distances"
         )
 
     def _checks(self, farthest_m: float | None) -> list[Check]:
-        """Range, and exactness wherever it detects."""
+        """Range, and exactness at the distances with detection."""
         within = [p for p in self.points if farthest_m is not None and p.distance_m <= farthest_m]
         if self._untested(farthest_m):
             return _exactness(within)
@@ -171,7 +170,7 @@ class RangeTest:
             "not detected at the nearest distance" if farthest_m is None else f"{farthest_m:g} m"
         )
         enough = farthest_m is not None and farthest_m >= self._needed_m
-        asked = f"at least {self._needed_m:g} m: up to there the speed law has to see the leader"
+        asked = f"at least {self._needed_m:g} m: the speed law must detect the leader up to there"
         checks = [Check("maximum effective range", found, asked, enough)]
         return [*checks, *_exactness(within)] if within else checks
 
@@ -200,7 +199,7 @@ class RangeTest:
 
 
 def _exactness(points: Sequence[Point]) -> list[Check]:
-    """The worst bias and the worst spread where it detects."""
+    """The worst bias and the worst spread at the distances with detection."""
     found = {point.distance_m: spread(point.of_target_m) for point in points}
     bias_at_m = max(found, key=lambda at_m: abs(found[at_m].mean - at_m))
     spread_at_m = max(found, key=lambda at_m: found[at_m].std)
@@ -316,21 +315,25 @@ def add_arguments(parser: ArgumentParser) -> None:
         help=f"metres ({','.join(f'{distance_m:g}' for distance_m in DISTANCES_M)})",
     )
     parser.add_argument(
-        "--seconds", type=positive, default=SECONDS, metavar="S", help="at each (5)"
+        "--seconds",
+        type=positive,
+        default=SECONDS,
+        metavar="S",
+        help="seconds at each distance (5)",
     )
     parser.add_argument(
         "--need",
         type=positive,
         default=NEEDED_M,
         metavar="M",
-        help=f"pass from this maximum effective range on ({NEEDED_M:g}: Table 6's outer edge)",
+        help=f"least maximum effective range to pass ({NEEDED_M:g}: Table 6's outer edge)",
     )
     parser.add_argument(
         "--rate",
         type=share,
         default=LEAST_RATE,
         metavar="SHARE",
-        help=f"detected means an echo this often ({LEAST_RATE:g})",
+        help=f"a target counts as detected with this share of echoes ({LEAST_RATE:g})",
     )
 
 

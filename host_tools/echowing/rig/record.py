@@ -1,4 +1,4 @@
-"""`echowing rig record`: keep every byte the board sends, with its time."""
+"""`echowing rig record`: write every byte from the board to a file, with its time."""
 
 import argparse
 from collections.abc import Callable
@@ -20,7 +20,8 @@ examples:
       until Ctrl-C; then
   echowing rig replay bench.ewr
   echowing rig record bench.ewr --duration 60 --json
-Whatever comes is kept, also what is no MAVLink; nothing is lost if the computer stops.
+Every byte is kept, also bytes that are not MAVLink. If the computer stops, the file keeps what has
+arrived.
 """
 
 PERIOD_S = 0.1
@@ -30,11 +31,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The verb's options."""
     parser.epilog = EXAMPLES
     parser.add_argument("file", type=Path, metavar="FILE", help="a new file")
-    parser.add_argument("--duration", type=float, metavar="S", help="end after this long")
+    parser.add_argument("--duration", type=float, metavar="S", help="end after S seconds")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Record until told to end."""
+    """Record until asked to end."""
     name = args.port or find_port()
     wire = open_wire(name, args.baud)
     with Board(wire, (0, 0), name=name) as board, stop_on_signals() as stop:
@@ -61,7 +62,7 @@ def record(
     stop: Callable[[], bool],
     duration_s: float | None = None,
 ) -> None:
-    """Keep what comes until `stop`, or for `duration_s`. Raises PortLostError."""
+    """Record until `stop`, or for `duration_s`. Raises PortLostError."""
     start_s = board.now_s()
     board.tap = lambda now_s, data: recorder.add(now_s - start_s, data)
     roster = Roster()
@@ -73,7 +74,7 @@ def record(
 
 
 def _ask_once(board: Board, roster: Roster) -> None:
-    """The parameters and the version belong into the recording: a replay draws by them."""
+    """The parameters and the version must be in the recording: a replay needs them for drawing."""
     boards = roster.boards()
     if boards and board.system_id == 0:
         board.recognise(boards[0], ())

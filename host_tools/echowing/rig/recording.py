@@ -1,8 +1,8 @@
-"""A recording: every byte that came from the board, with the time it came.
+"""A recording: every byte from the board, with its time of arrival.
 
 The file: one line of text, `echowing-recording 1 ` and a JSON object (port, baud, started); then
 records, each of a 64-bit time in microseconds since the start, a 32-bit number of bytes (both
-little endian), and the bytes. Records are flushed as they are written: what a crash cuts short is
+little endian), and the bytes. Records are flushed as they are written: a crash can cut only
 the last record, and a reader stops before it.
 """
 
@@ -25,7 +25,7 @@ _LONGEST_HEADER = 4096
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """What came at once. time_s: since the start of the recording."""
+    """Bytes that arrived together. time_s: since the start of the recording."""
 
     time_s: float
     data: bytes
@@ -41,7 +41,7 @@ class Recorder:
             # Unbuffered: each record is one write, and out of our hands when it returns.
             self._file = path.open("xb", buffering=0)
         except FileExistsError as error:
-            raise EchowingError(f"{path}: is there already; give another name") from error
+            raise EchowingError(f"{path}: exists already; give another name") from error
         except OSError as error:
             raise EchowingError(f"{path}: cannot be written ({error.strerror})") from error
         self._write(MAGIC + json.dumps(about).encode() + b"\n")
@@ -88,7 +88,7 @@ def read_recording(path: Path) -> Recording:
         raise EchowingError(f"{path}: cannot be read ({error.strerror})") from error
     header, newline, _ = content[:_LONGEST_HEADER].partition(b"\n")
     if not header.startswith(MAGIC) or not newline:
-        raise EchowingError(f"{path}: is no recording of `echowing rig record`")
+        raise EchowingError(f"{path}: is not a recording of `echowing rig record`")
     try:
         about = dict(json.loads(header.removeprefix(MAGIC)).items())
     except (ValueError, AttributeError) as error:

@@ -15,7 +15,7 @@ from echowing.stopping import stop_on_signals
 EXAMPLES = """\
 examples:
   echowing rig replay bench.ewr
-      as long as it lasted
+      at the speed of the recording
   echowing rig replay bench.ewr --fast --json | jq -c '[.time_s, .raw_m]'
 """
 
@@ -27,8 +27,8 @@ SHORT_S = 2.0
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The verb's options."""
     parser.epilog = EXAMPLES
-    parser.add_argument("file", type=Path, metavar="FILE", help="of `echowing rig record`")
-    parser.add_argument("--fast", action="store_true", help="do not wait: as fast as it goes")
+    parser.add_argument("file", type=Path, metavar="FILE", help="the file of `echowing rig record`")
+    parser.add_argument("--fast", action="store_true", help="show it as fast as possible")
 
 
 def run(args: argparse.Namespace) -> int:

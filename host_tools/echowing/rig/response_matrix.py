@@ -65,7 +65,7 @@ class GimbalWatch:
         if self.hold is None or not moved:
             return
         self.hold.gimbal_moves += 1
-        # A search tells its pulses before its state: the next word of the state decides.
+        # In a search the pulses arrive before the state: the next state report decides.
         self._undecided += self._state == TRACKING
 
     def _hear_state(self, value: float) -> None:
@@ -390,9 +390,11 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--autopilot",
         metavar="CONN",
-        help="the applet runs on this autopilot (or SITL), with the board on one of its ports",
+        help="the autopilot (or SITL) that runs the applet, with the board on one of its ports",
     )
-    parser.add_argument("--hold", type=positive, default=HOLD_S, metavar="S", help="each band (5)")
+    parser.add_argument(
+        "--hold", type=positive, default=HOLD_S, metavar="S", help="seconds in each band (5)"
+    )
 
 
 def run(args: Namespace) -> int:

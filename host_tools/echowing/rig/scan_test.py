@@ -23,11 +23,11 @@ ROUNDS = 2
 # A point is left only after a reading that was begun when the servos had arrived: at worst one full
 # ranging later (100 ms between readings, datasheet PD11848).
 LATEST_MS = 100.0
-# A changed pulse is told between two readings: at most one to the sonar's full range (65 ms) and a
-# turn later. Over rounds that averages out, to this.
+# A changed pulse is reported between two readings: at most one to the sonar's full range (65 ms)
+# and a turn later. Over rounds that averages out, to this.
 STAMP_MS = 70.0
 MEAN_STAMP_MS = 5.0
-LONGEST_STAND = 6  # dwells; then something is heard that it stays with
+LONGEST_STAND = 6  # dwells; a longer stay means that it has detected something
 CURVE_STEP_DEG = 0.5  # good enough for a line
 HALF_ANGLES_DEG = tuple(range(10, 46, 5))
 
@@ -38,7 +38,7 @@ Pulses = tuple[float, float]
 class Visit:
     """The gimbal at one point: pulses in us, when they were commanded (board's clock, ms).
 
-    disturbed: it heard something there, and stayed.
+    disturbed: it detected something there, and stayed.
     """
 
     pulses_us: Pulses
@@ -71,7 +71,7 @@ class Visits:
 
     @property
     def whole(self) -> list[tuple[Visit, float]]:
-        """Visits that have ended, each with its dwell in ms; where it heard something, not."""
+        """Visits that have ended with nothing detected, each with its dwell in ms."""
         pairs = zip(self.visits, self.visits[1:], strict=False)
         return [(a, b.start_ms - a.start_ms) for a, b in pairs if not a.disturbed]
 
@@ -131,7 +131,7 @@ class ScanTest:
         within_m = parameters["TRACK_RANGE"] / 100.0
         bench.ask(f"Point the sonar at open space: nothing within {within_m:g} m.")
         bench.centre()
-        for message in bench.listen("gimbal centred", 1.2):  # standing values come once a second
+        for message in bench.listen("gimbal centred", 1.2):  # standing values come once per second
             self.visits.hear(message)
         self.visits.visits.clear()
         bench.search()
@@ -158,7 +158,7 @@ class ScanTest:
         own = (board["PAN_US_DEG"], board["TILT_US_DEG"])
         scales = (self._us_per_deg, self._us_per_deg) if self._us_per_deg else own
         if 0.0 in scales:
-            raise EchowingError("PAN_US_DEG or TILT_US_DEG is 0: say --us-per-deg")
+            raise EchowingError("PAN_US_DEG or TILT_US_DEG is 0: give --us-per-deg")
         return aims(pulses_us, centre_us, scales)
 
     def result(self) -> Result:
@@ -368,19 +368,19 @@ def add_arguments(parser: ArgumentParser) -> None:
         type=whole,
         default=ROUNDS,
         metavar="N",
-        help="of twelve (2)",
+        help="rounds of the twelve points (2)",
     )
     parser.add_argument(
         "--half-angle",
         type=positive,
         metavar="DEG",
-        help="of the sonar's beam (the board's BEAM_WIDTH halved)",
+        help="half-angle of the sonar's beam (half of the board's BEAM_WIDTH)",
     )
     parser.add_argument(
         "--us-per-deg",
         type=positive,
         metavar="US",
-        help="of the servos (the board's PAN_US_DEG and TILT_US_DEG)",
+        help="microseconds per degree of the servos (the board's PAN_US_DEG and TILT_US_DEG)",
     )
 
 

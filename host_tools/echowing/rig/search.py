@@ -39,7 +39,7 @@ class Coverage:
 
 @cache
 def parameter_defaults() -> Mapping[str, float]:
-    """The co-processor's parameters as it comes, by name.
+    """The co-processor's default parameters by name.
 
     Raises EchowingError when the firmware's parameter table is missing or has no rows.
     """
@@ -68,7 +68,7 @@ def point_parameters() -> tuple[tuple[str, str], ...]:
 def scan_pulses_us(parameters: Mapping[str, float] | None = None) -> list[tuple[float, float]]:
     """The search's points in order, (pan, tilt) pulses, of a board with these parameters.
 
-    Without parameters: of a board as it comes.
+    Without parameters: of a board with its defaults.
     """
     values = parameter_defaults() if parameters is None else parameters
     return [(values[pan], values[tilt]) for pan, tilt in point_parameters()]

@@ -16,7 +16,7 @@ EXAMPLES = """\
 examples:
   echowing rig self-test
   echowing rig self-test --yes --json
-      asks nothing: the servos are taken to have swept
+      asks nothing, and assumes that the servos swept
 Exit code 1 when a part has failed.
 """
 
@@ -82,7 +82,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The verb's options."""
     parser.epilog = EXAMPLES
     parser.add_argument(
-        "--yes", action="store_true", help="do not ask whether the servos swept: they did"
+        "--yes", action="store_true", help="do not ask whether the servos swept; they did"
     )
 
 
@@ -115,7 +115,7 @@ def hear_test(board: Board) -> list[str]:
             return told
         if board.now_s() > deadline_s:
             raise EchowingError(
-                "the self test has not ended: was the autopilot armed meanwhile? Disarm, try again"
+                "the self test has not ended: was the autopilot armed? Disarm it and try again"
             )
         board.poll(0.1)
 
@@ -148,7 +148,9 @@ def ask_swept(console: Console) -> bool:
     console.print(QUESTION, end="", markup=False, highlight=False)
     answer = sys.stdin.readline()
     if not answer:
-        raise EchowingError("nobody answers whether the servos swept; --yes takes it for granted")
+        raise EchowingError(
+            "no answer whether the servos swept; with --yes the question is not asked"
+        )
     return answer.strip().lower() in ("y", "yes")
 
 

@@ -24,7 +24,7 @@ from echowing.rig.state import STATE_NAMES
 EXAMPLES = """\
 examples:
   echowing rig soak --hours 12 --out out/soak
-      soak.csv has a row a minute, readable while it runs
+      soak.csv gets one row per minute; you can read it while the test runs
 """
 
 ROW_S = 60.0
@@ -233,7 +233,7 @@ class SoakTest:
         except PortLostError as error:
             soak.unplugged()
             words = str(error).removesuffix(START_AGAIN)
-            bench.operator.tell(f"{words}; waiting for it to come back")
+            bench.operator.tell(f"{words}; waiting for the board")
             self._await(bench, soak)
             return False
         return True
@@ -255,9 +255,9 @@ class SoakTest:
             counts = bench.board.frames.counts
             self._counted_before = (damaged - counts.damaged, lost - counts.lost)
             soak.replugged()
-            bench.operator.tell("it is back")
+            bench.operator.tell("the board is connected again")
             return
-        raise EchowingError("the board was unplugged and did not come back")
+        raise EchowingError("the board was unplugged and not connected again")
 
     def _start_counting(self, board: Board) -> None:
         """What was damaged while the port was opened does not count."""
@@ -383,7 +383,7 @@ def _range_figure(rows: Sequence[Minute]) -> plots.Figure:
     trace = {
         "type": "scatter",
         "mode": "lines+markers",
-        "name": "mean range of a row",
+        "name": "mean range of each row",
         "x": [round(row.end_s / 60.0, 3) for row in rows],
         "y": [None if row.range_m is None else round(row.range_m, 4) for row in rows],
         "line": {"color": plots.FOLLOWER_COLOUR, "width": 1.8},
@@ -402,7 +402,7 @@ def _counts_figure(rows: Sequence[Minute]) -> plots.Figure:
         }
         for name in shown
     ]
-    figure = plots.chart("Faults a row", "time, min", "how many", data)
+    figure = plots.chart("Faults per row", "time, min", "how many", data)
     figure["layout"]["barmode"] = "stack"
     return figure
 
@@ -412,11 +412,15 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.epilog = EXAMPLES
     add_bench_arguments(parser)
     length = parser.add_mutually_exclusive_group()
-    length.add_argument("--hours", type=positive, metavar="H", help=f"how long ({HOURS:g})")
-    length.add_argument("--duration", type=positive, metavar="S", help="how long, in seconds")
-    parser.add_argument("--row", type=positive, default=ROW_S, metavar="S", help="a row each (60)")
+    length.add_argument("--hours", type=positive, metavar="H", help=f"hours ({HOURS:g})")
+    length.add_argument("--duration", type=positive, metavar="S", help="seconds, instead of hours")
     parser.add_argument(
-        "--still", action="store_true", help="the target stands still: a drift of the range fails"
+        "--row", type=positive, default=ROW_S, metavar="S", help="seconds per row (60)"
+    )
+    parser.add_argument(
+        "--still",
+        action="store_true",
+        help="the target stands still: a drift of the range is a fault",
     )
 
 

@@ -12,7 +12,7 @@ STATE_NAMES = ("starting", "searching", "tracking", "sonar fault")
 UNKNOWN = "unknown"
 # ArduPilot's own patience with a MAVLink rangefinder (firmware/README.md).
 STALE_S = 0.5
-# Rates are counted over this long: values repeat once a second.
+# Rates are counted over this long: values repeat once per second.
 RATE_WINDOW_S = 3.0
 # A reading at or beyond what the sonar can tell (7.65 m) is an echo that was not there.
 NOTHING_HEARD_M = 7.65

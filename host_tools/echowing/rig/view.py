@@ -56,7 +56,7 @@ def open_view(*, as_json: bool) -> View:
 
 
 class JsonView:
-    """One JSON object a line."""
+    """One JSON object per line."""
 
     def event(self, time_s: float, severity: int, text: str) -> None:
         """As `View`."""

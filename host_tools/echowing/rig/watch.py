@@ -24,11 +24,11 @@ PERIOD_S = 0.1
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The verb's options."""
     parser.epilog = EXAMPLES
-    parser.add_argument("--duration", type=float, metavar="S", help="end after this long")
+    parser.add_argument("--duration", type=float, metavar="S", help="end after S seconds")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Watch until told to end."""
+    """Watch until asked to end."""
     with open_board(args.port, args.baud) as board, stop_on_signals() as stop:
         board.ask_parameters()
         board.ask_version()
@@ -58,7 +58,7 @@ def watch(
 
 
 def _tell_texts(board: Board, view: View, start_s: float, told: int) -> int:
-    """Tell what has been said since `told` texts; returns how many there are now."""
+    """Print the texts since the first `told`; returns how many there are now."""
     texts, count = board.state.texts, board.state.counts["STATUSTEXT"]
     new = min(count - told, len(texts))
     for at_s, severity, text in itertools.islice(texts, len(texts) - new, None):

@@ -1,1 +1,1 @@
-"""Setting a vehicle up: what has to be set on it, checked, changed and put back."""
+"""Setting up a vehicle: check what must be set, write it, and restore the old values."""

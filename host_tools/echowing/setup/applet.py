@@ -1,4 +1,4 @@
-"""The applet's way onto an autopilot's SD card."""
+"""Copies the applet to an autopilot's SD card."""
 
 import os
 import re
@@ -31,7 +31,7 @@ def applet_path() -> Path:
 
 @dataclass(frozen=True, slots=True)
 class AppletParameter:
-    """One of the applet's parameters, as its table has it."""
+    """One of the applet's parameters, from its table."""
 
     name: str
     default: float
@@ -40,7 +40,7 @@ class AppletParameter:
 
 
 def applet_parameters() -> list[AppletParameter]:
-    """The applet's parameters, read out of its own table: that is where they are written down."""
+    """The applet's parameters, read from its own table, the only place that lists them."""
     text = applet_path().read_text(encoding="utf-8")
     constants = {name: float(value) for name, value in _CONSTANT.findall(text)}
 
@@ -59,9 +59,9 @@ def applet_parameters() -> list[AppletParameter]:
 def install_on_card(mount: Path) -> Path:
     """Copy the applet into APM/scripts of the card mounted at `mount`, and read it back.
 
-    An applet that is there already is replaced only once the new one is whole on the card.
-    Raises EchowingError if `mount` is no autopilot's card, cannot be written, or gives back
-    something else than was written.
+    An older applet is replaced only when the new one is completely on the card.
+    Raises EchowingError if `mount` is no autopilot's card, cannot be written, or does not
+    return what was written.
     """
     folder = _scripts_folder(mount)
     target, arriving = folder / APPLET, folder / f"{APPLET}.new"
@@ -82,12 +82,12 @@ def install_over_link(
     progress: Callable[[str], Progress],
     scripts: str = CARD_SCRIPTS,
 ) -> bool:
-    """Put the applet into the folder `scripts` of an autopilot's card, over MAVLink.
+    """Copy the applet to the folder `scripts` of an autopilot's card, over MAVLink.
 
-    Written beside the one that is there, checked by checksum and read back, then put in its place:
-    whatever goes wrong, the card holds the old applet or the new one whole, or (where power fails
-    between two renames, as FAT has no renaming onto a file) none. `progress` makes a progress bar
-    out of a title. False: the same applet was there already. Raises EchowingError.
+    It is written beside the old one, checked by checksum and read back, and then replaces it. If
+    anything fails, the card holds the complete old or the complete new applet, or none if power
+    fails between two renames (FAT cannot rename onto a file). `progress` makes a progress bar
+    with a title. False: the same applet is there already. Raises EchowingError.
     """
     wanted = applet_path().read_bytes()
     target = f"{scripts}/{APPLET}"
@@ -112,7 +112,7 @@ def install_over_link(
 
 
 def scripts_folder(card: FtpClient) -> str | None:
-    """Where this vehicle has its scripts: on its SD card, or as ArduPilot's SITL has them.
+    """The vehicle's folder of scripts: on its SD card, or the one of ArduPilot's SITL.
 
     None: neither is there, as SITL makes the folder when scripting starts.
     """
@@ -128,7 +128,7 @@ def scripts_folder(card: FtpClient) -> str | None:
 
 
 def _find_scripts(card: FtpClient, scripts: str) -> None:
-    """See that there is a card, and make the folder on it."""
+    """Check that there is a card, and make the folder on it."""
     parent = scripts.rpartition("/")[0]
     if parent:
         try:
@@ -137,8 +137,8 @@ def _find_scripts(card: FtpClient, scripts: str) -> None:
             if not refusal.not_there:
                 raise
             raise EchowingError(
-                f"no folder {parent} on the vehicle: no SD card in it, or the autopilot has not "
-                "been started with it yet"
+                f"no folder {parent} on the vehicle: no SD card is in it, or the autopilot has "
+                "not been started with the card yet"
             ) from refusal
     card.make_folder(scripts)
 
@@ -153,20 +153,20 @@ def _is_whole(card: FtpClient, path: str, wanted: bytes) -> bool:
 
 
 def _verify_on_card(card: FtpClient, path: str, wanted: bytes, progress: Progress) -> None:
-    """Compare what the autopilot reads of it, and what we do; remove it where it differs."""
+    """Compare the autopilot's checksum and our own reading; remove the file if it differs."""
     found = card.checksum(path)
     whole = found in (None, ardupilot_crc32(wanted))
     if whole and card.download(path, progress) == wanted:
         return
     card.remove(path)
     raise EchowingError(
-        f"{path}: the card gives back something else than was written; the older applet is still "
-        "in place. Is the card full? Else try another one"
+        f"{path}: the card does not return what was written; the older applet is still in "
+        "place. Is the card full? If not, try another card"
     )
 
 
 def _replace(card: FtpClient, arriving: str, target: str, leaving: str) -> None:
-    """Swap; on failure the older one is put back."""
+    """Swap the files; on failure restore the older one."""
     try:
         card.rename(target, leaving)
         had_one = True
@@ -192,19 +192,19 @@ def _scripts_folder(mount: Path) -> Path:
         raise EchowingError(f"{mount}: no such folder; where is the card mounted?")
     if not (mount / FIRMWARE_FOLDER).is_dir():
         raise EchowingError(
-            f"{mount}: no {FIRMWARE_FOLDER} folder, so not an autopilot's card; a new card gets "
-            "one when the autopilot has been started with it"
+            f"{mount}: no {FIRMWARE_FOLDER} folder, so this is not an autopilot's card; an "
+            "autopilot makes the folder on a new card when it starts"
         )
     folder = mount / FIRMWARE_FOLDER / SCRIPTS_FOLDER
     try:
         folder.mkdir(exist_ok=True)
     except OSError as error:
-        raise EchowingError(f"{folder}: cannot be made: {error.strerror}") from error
+        raise EchowingError(f"{folder}: cannot be created: {error.strerror}") from error
     return folder
 
 
 def _write_through(path: Path, content: bytes) -> None:
-    """Written and on the card, not in this computer's memory only."""
+    """Write, and flush to the card."""
     with path.open("wb") as file:
         file.write(content)
         file.flush()

@@ -1,7 +1,7 @@
-"""Writes what `check` finds wrong, after the old values are safe in a file; and puts them back.
+"""Writes what `check` finds wrong, after storing the old values in a file; and restores them.
 
-Fail-safes and fence are never written: they are the pilot's net, and what is right for them
-depends on the field and on how he flies. `check` says what it thinks of them.
+Fail-safes and fence are never written: their right values depend on the field and on how the pilot
+flies. `check` only reports them.
 """
 
 import json
@@ -24,7 +24,7 @@ MOST_VALUE, NAME_BYTES = 3.402823e38, 16
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """One parameter to write. restart: it counts from the autopilot's next start on."""
+    """One parameter to write. restart: it takes effect from the autopilot's next start on."""
 
     name: str
     old: float
@@ -35,7 +35,7 @@ class Change:
 
 @dataclass(frozen=True, slots=True)
 class Saved:
-    """Old values of a vehicle, as they stand in a file. when: saved, in ISO 8601."""
+    """Old values of a vehicle, from a file. when: time of saving, ISO 8601."""
 
     system_id: int
     parameters: Mapping[str, float]
@@ -44,18 +44,18 @@ class Saved:
 
 @dataclass(slots=True)
 class Outcome:
-    """What became of the writing: names that did not take their value, with what they are now."""
+    """The result of writing; refused: parameters with another value than the one written."""
 
     written: list[str] = field(default_factory=list)
     refused: dict[str, float] = field(default_factory=dict)
 
 
 Write = Callable[[str, float], float]
-"""Writes a parameter and returns what it is then; EchowingError where nobody answers."""
+"""Writes a parameter and returns its new value; raises EchowingError if nobody answers."""
 
 
 def changes_for(readout: Readout) -> list[Change]:
-    """What has to be written: settings that are there and do not fit, but not what is spared."""
+    """What must be written: settings that exist and are wrong, except spared ones."""
     return [
         Change(one.name, value, one.fixed(value), one.why, one.restart)
         for one in settings_for(readout)
@@ -66,7 +66,7 @@ def changes_for(readout: Readout) -> list[Change]:
 
 
 def hidden_for(readout: Readout) -> dict[str, float]:
-    """Settings that show only after a restart, with the value each gets then unless it fits."""
+    """Settings that exist only after a restart, with the value to write if one is wrong then."""
     hidden = {
         one.name: one.fixed(0.0)
         for one in settings_for(readout)
@@ -78,21 +78,21 @@ def hidden_for(readout: Readout) -> dict[str, float]:
 
 
 def _shows_later(name: str, readout: Readout) -> bool:
-    """Whether a switch that is in the read-out hides this parameter."""
+    """Whether a switch in the read-out hides this parameter."""
     switch = f"RNGFND{readout.rangefinder}_TYPE" if name.startswith("RNGFND") else "SCR_ENABLE"
     return name != switch and name.startswith(("RNGFND", "SCR_")) and switch in readout
 
 
 def default_file(system_id: int, now: datetime) -> Path:
-    """Where old values are kept unless the operator says otherwise."""
+    """Default file for the old values."""
     return Path(f"echowing-{system_id}-{now:%Y%m%d-%H%M%S}{SUFFIX}")
 
 
 def save(path: Path, system_id: int, changes: Iterable[Change], now: datetime) -> None:
-    """Put the old values into a file: there and whole when this returns.
+    """Store the old values in a file; it is complete when this returns.
 
-    A file of this vehicle that is there already is added to; the values that it holds are older
-    and stay. Raises EchowingError for a file of anything else, or one that cannot be written.
+    An existing file of this vehicle is extended; its values are older and are kept. Raises
+    EchowingError for any other file, or if it cannot be written.
     """
     older = _older(path, system_id)
     news = {change.name: change.old for change in changes if change.name not in older.parameters}
@@ -113,18 +113,18 @@ def save(path: Path, system_id: int, changes: Iterable[Change], now: datetime) -
         arriving.replace(path)
     except OSError as error:
         raise EchowingError(
-            f"{path}: the old values cannot be kept there: {error.strerror}; nothing was changed"
+            f"{path}: the old values cannot be written there: {error.strerror}; nothing was changed"
         ) from error
 
 
 def _older(path: Path, system_id: int) -> Saved:
-    """What a file holds already; nothing where there is none."""
+    """The values in an existing file; none if there is no file."""
     if not path.exists():
         return Saved(system_id, {})
     saved = load(path)
     if saved.system_id != system_id:
         raise EchowingError(
-            f"{path}: is there already, and is of vehicle {saved.system_id}; name another file"
+            f"{path}: exists already, with values of vehicle {saved.system_id}; name another file"
         )
     return saved
 
@@ -145,7 +145,7 @@ def others_of(file: Path, system_id: int) -> list[tuple[Path, str]]:
 
 
 def load(path: Path) -> Saved:
-    """Old values out of a file. Raises EchowingError that says what is wrong with it."""
+    """Old values from a file. Raises EchowingError that says what is wrong with it."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -175,9 +175,9 @@ def _are_values(parameters: Any) -> bool:
 def write_all(
     values: Sequence[tuple[str, float]], write: Write, progress: Callable[[str], None]
 ) -> Outcome:
-    """Write values one after the other, each read back. `progress` is told each name before.
+    """Write values one after the other, each read back. `progress` gets each name before.
 
-    Raises EchowingError where the vehicle is lost; those written until then stay written.
+    Raises EchowingError if the vehicle is lost; values written before that stay written.
     """
     outcome = Outcome()
     for name, value in values:

@@ -1,7 +1,7 @@
 """Is this vehicle ready for Echowing? A table of small pure judgements over one read-out.
 
 Each looks at one thing and says whether it is fine, wrong, the pilot's to decide, or cannot be
-told; and where it is wrong, why, and what fixes it. The values expected stand in `settings`.
+determined; and if it is wrong, why and how to fix it. The expected values are in `settings`.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -31,16 +31,16 @@ RC_CHANNELS = range(1, 17)
 MAVLINK_PROTOCOLS = (1.0, MAVLINK2)
 MAVLINK_HIGH_LATENCY = 43.0  # SERIALn_PROTOCOL: a MAVLink port too, where MAVn_* are counted
 NOT_SIGNED = 1  # MAVn_OPTIONS bit 0: this port neither signs nor wants signatures
-# A speed parameter under this is a return home at walking pace: has something been left behind?
+# With a speed parameter under this the vehicle returns home at walking pace.
 SLOW_MPS = 1.0
 LIMITS_DIFFER_M = 0.1
 
 APPLY = "echowing setup apply"
-SCRIPTING = "Scripting:"  # AP_Arming.cpp puts it before what is wrong with a script
+SCRIPTING = "Scripting:"  # AP_Arming.cpp puts it before a script's error
 
 
 class Verdict(Enum):
-    """What came of a check."""
+    """The result of a check."""
 
     FINE = "fine"
     WRONG = "wrong"
@@ -50,7 +50,7 @@ class Verdict(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing looked at. fix: what to type or to do; empty where nothing is to be done."""
+    """One item. fix: what to type or to do; empty: nothing."""
 
     about: str
     verdict: Verdict
@@ -63,12 +63,12 @@ Check = Callable[[Readout], Iterable[Finding]]
 
 
 def examine(readout: Readout, role: Role = Role.FOLLOWER) -> list[Finding]:
-    """Everything there is to say of a vehicle in this role, in the order of the table."""
+    """All findings for a vehicle in this role, in the order of the table."""
     return [finding for check in CHECKS[role] for finding in check(readout)]
 
 
 def exit_code(findings: Iterable[Finding]) -> int:
-    """0: nothing wrong; 1: something is wrong; 2: something could not be told."""
+    """0: nothing wrong; 1: something is wrong; 2: something could not be determined."""
     verdicts = {finding.verdict for finding in findings}
     if Verdict.WRONG in verdicts:
         return 1
@@ -76,7 +76,7 @@ def exit_code(findings: Iterable[Finding]) -> int:
 
 
 def judge(setting: Setting, readout: Readout) -> Finding | None:
-    """One setting against the read-out; None: nothing to say of it."""
+    """Judge one setting by the read-out; None: no finding."""
     value = readout.parameters.get(setting.name)
     if value is None and setting.optional:
         return None
@@ -100,7 +100,7 @@ def judge(setting: Setting, readout: Readout) -> Finding | None:
 
 def _hidden(setting: Setting) -> str:
     if setting.name.startswith("SERIAL"):
-        return "has this autopilot such a port?"
+        return "does this autopilot have such a port?"
     if setting.name == "SCR_ENABLE":
         return "this firmware has no scripting: small boards need a custom build"
     if setting.name.startswith("SCR_"):
@@ -122,7 +122,7 @@ def _settings(readout: Readout) -> Iterator[Finding]:
 
 def _coprocessor(readout: Readout) -> Iterator[Finding]:
     if readout.coprocessor is None and readout.signs and readout.takes_range:
-        found = "its range is in the autopilot; unsigned, it is refused on a signed link"
+        found = "the autopilot has its range; a signed link refuses its own, unsigned messages"
         yield Finding("co-processor", Verdict.FINE, found)
     elif readout.coprocessor is None and _is_silenced(readout):
         yield Finding(
@@ -163,7 +163,7 @@ def signing_option(parameters: Mapping[str, float], serial_port: int) -> str:
 
 
 def _is_silenced(readout: Readout) -> bool:
-    """Whether the autopilot drops unsigned messages where the co-processor is, or may be."""
+    """Whether the autopilot drops unsigned messages on the co-processor's port."""
     if not readout.signs or readout.serial_port is None:
         return readout.signs
     option = signing_option(readout.parameters, readout.serial_port)
@@ -197,7 +197,7 @@ def _how_to_be_heard(readout: Readout) -> str:
 
 
 def ports_at_115200(parameters: Mapping[str, float]) -> list[int]:
-    """The serial ports on which a co-processor can be heard as they are set."""
+    """The serial ports on which a co-processor can report, as they are set."""
     return [
         number
         for number in SERIAL_PORTS
@@ -227,7 +227,7 @@ def _reports(readout: Readout) -> Iterator[Finding]:
             Verdict.WRONG,
             f"orientation {reports.orientation}",
             "the autopilot ignores a range of another orientation than RNGFND's",
-            "is it another device's range?",
+            "does another device send it?",
         )
     elif steady and reports.rate_hz >= SLOWEST_REPORT_HZ:
         yield Finding(about, Verdict.FINE, found)
@@ -237,13 +237,13 @@ def _reports(readout: Readout) -> Iterator[Finding]:
             Verdict.WRONG,
             found,
             f"the autopilot drops a range older than {RANGEFINDER_TIMEOUT_S:g} s; over a slow "
-            "radio it may be this link that loses them",
+            "radio this link may lose them",
             "check again over USB; then REPORT_RATE and the wire",
         )
 
 
 def _taken(readout: Readout) -> Iterator[Finding]:
-    """Whether the autopilot uses the range: the question behind all of it."""
+    """Whether the autopilot uses the range, which is what all this is for."""
     about = "range in the autopilot"
     if readout.takes_range:
         yield Finding(about, Verdict.FINE, "it reports a forward range itself")
@@ -270,7 +270,7 @@ def _tracking_range(readout: Readout) -> Iterator[Finding]:
         "TRACK_RANGE",
         Verdict.YOURS,
         found,
-        "what the gimbal takes for the leader and what the applet does should be the same",
+        "gimbal and applet must take the same readings for the leader",
         f"param set ECHO_DETECT {track_cm / 100.0:g}, or TRACK_RANGE of component "
         f"{readout.coprocessor}",
     )
@@ -289,8 +289,8 @@ def _applet(readout: Readout) -> Iterator[Finding]:
             Verdict.WRONG,
             error,
             "a script has failed, in the autopilot's own words; it refuses to arm",
-            "where it names echowing.lua: echowing setup lua --vehicle …; where another script, "
-            "take that off the card; where memory, SCR_HEAP_SIZE; then restart the autopilot",
+            "if it names echowing.lua: echowing setup lua --vehicle …; if another script: "
+            "remove that from the card; if memory: raise SCR_HEAP_SIZE; then restart the autopilot",
         )
     elif enabled is None:
         yield Finding("applet", Verdict.WRONG, *_why_absent(readout))
@@ -305,21 +305,21 @@ def _applet(readout: Readout) -> Iterator[Finding]:
             "land; look for its last message, then restart the autopilot",
         )
     else:
-        yield Finding("applet", Verdict.FINE, "loaded; it speaks only when in control, in Guided")
+        yield Finding("applet", Verdict.FINE, "loaded; it reports only while in control, in Guided")
 
 
 def _why_absent(readout: Readout) -> tuple[str, str, str]:
-    """What is found, why, and what to do where there are no ECHO_ parameters."""
+    """What was found, why, and what to do if there are no ECHO_ parameters."""
     upload = "echowing setup lua --vehicle …, or echowing setup apply"
     if readout.parameters.get("SCR_ENABLE") == 0.0:
         why, fix = "scripts run only while SCR_ENABLE is 1", f"param set SCR_ENABLE 1; or {APPLY}"
         return "does not run: scripting is off", why, f"{fix}; then restart the autopilot"
     if readout.applet_on_card is CardApplet.NONE:
-        return "not on the card", "the speed from distance is the applet's work", upload
+        return "not on the card", "without the applet the sonar's distance has no effect", upload
     if readout.applet_on_card is None:
-        why = "whether it is on the card cannot be seen, and the autopilot names no error"
+        why = "the card cannot be read, and the autopilot reports no error"
         return "no ECHO_ parameters", why, f"{upload}; then restart the autopilot"
-    why = "the autopilot names no error: scripts are loaded at its start"
+    why = "the autopilot reports no error; it loads scripts when it starts"
     return "on the card, but it does not run", why, "restart the autopilot"
 
 
@@ -331,13 +331,13 @@ def _applet_file(readout: Readout) -> Iterator[Finding]:
             "applet on the card",
             Verdict.WRONG,
             "another version than this package's",
-            "tools and applet belong together",
+            "tools and applet must have the same version",
             "echowing setup lua --vehicle …, or echowing setup apply",
         )
 
 
 def _switch(readout: Readout) -> Iterator[Finding]:
-    """Without a channel for its switch the applet never acts, and says nothing."""
+    """Without a channel for its switch the applet never acts, and reports nothing."""
     option = readout.parameters.get("ECHO_SWITCH", 0.0)
     if option == 0.0:
         return
@@ -349,7 +349,7 @@ def _switch(readout: Readout) -> Iterator[Finding]:
         "switch",
         Verdict.WRONG,
         f"ECHO_SWITCH {option:g}, and no channel has this option",
-        "the applet waits for a switch that is not there",
+        "the applet waits for a switch that does not exist",
         f"param set RC7_OPTION {option:g}, or the channel of your switch; or ECHO_SWITCH 0",
     )
 
@@ -373,15 +373,15 @@ def _speed(readout: Readout) -> Iterator[Finding]:
             name,
             Verdict.WRONG,
             f"{value:g}, yours was {mirror:g} (ECHO_MIRROR)",
-            "the applet died in control and has not put your speed back",
-            "restart the autopilot or its scripts: the applet then does",
+            "the applet stopped while in control and has not restored your speed",
+            "restart the autopilot or its scripts: the applet then restores it",
         )
     elif mirror == 0.0 and speed_mps < SLOW_MPS:
         yield Finding(
             name,
             Verdict.YOURS,
             f"{value:g}",
-            "every mission flies this slowly; has a limit of the applet's been left behind?",
+            "every mission flies this slowly; is it a limit that the applet has left?",
             f"param set {name} {10.0 if name == 'WP_SPD' else 1000.0:g} is ArduCopter's own",
         )
     else:
@@ -393,7 +393,7 @@ def _speed(readout: Readout) -> Iterator[Finding]:
 
 @dataclass(frozen=True, slots=True)
 class _Choice:
-    """A parameter that is only reported: never written by `apply`, as it is the pilot's net."""
+    """A parameter that is only reported and never written, because it is the pilot's to decide."""
 
     names: tuple[str, ...]
     doubtful: Callable[[float], bool]
@@ -405,14 +405,15 @@ _CHOICES = (
     _Choice(
         ("FS_GCS_ENABLE",),
         lambda v: v == 0.0,
-        "nothing on board notices a dead ground station",
+        "the vehicle does not react when the ground station fails",
         "param set FS_GCS_ENABLE 1 (return home), or as you fly",
     ),
     _Choice(
         ("MAV_GCS_SYSID", "SYSID_MYGCS"),
         lambda v: v == TOOL_SYSTEM_ID,
-        "echowing itself beats under this id, and would hide that your ground station is dead",
-        "set it to your ground station's id, 255 as a rule",
+        "echowing itself sends heartbeats with this id, so a failed ground station would not "
+        "be detected",
+        "set it to your ground station's id, usually 255",
     ),
     _Choice(
         ("FS_THR_ENABLE",),
@@ -423,7 +424,7 @@ _CHOICES = (
     _Choice(
         ("FS_OPTIONS",),
         lambda v: bool(int(v) & 4),
-        "in Guided the loss of the transmitter is passed over (bit 2)",
+        "in Guided the vehicle ignores the loss of the transmitter (bit 2)",
         "clear bit 2",
     ),
     _Choice(
@@ -435,7 +436,7 @@ _CHOICES = (
     _Choice(
         ("FENCE_ENABLE",),
         lambda v: v == 0.0,
-        "no fence ends a flight away; it keeps vehicles in, not apart",
+        "no fence stops a vehicle that flies away; a fence does not keep vehicles apart",
         "param set FENCE_ENABLE 1 after setting its radius and altitude",
     ),
 )
@@ -443,8 +444,8 @@ _APPLET_CHOICES = (
     _Choice(
         ("ECHO_STREAM_T",),
         lambda v: v == 0.0,
-        "the applet's watchdog is off: a dead ground tool leaves the vehicle flying to its last "
-        "point",
+        "the applet's watchdog is off: if the ground tool fails, the vehicle flies on to its "
+        "last point",
         "param set ECHO_STREAM_T 1",
     ),
     _Choice(
@@ -465,7 +466,7 @@ def _choices(readout: Readout) -> Iterator[Finding]:
 
 
 def _applet_choices(readout: Readout) -> Iterator[Finding]:
-    """Where nothing is doubtful these are judged as settings."""
+    """Without doubts these are judged as settings."""
     for choice in _APPLET_CHOICES:
         named = readout.first(*choice.names)
         doubt = None if named is None else _doubt(choice, *named)
@@ -480,7 +481,7 @@ def _doubt(choice: _Choice, name: str, value: float) -> Finding | None:
 
 
 def _avoidance(readout: Readout) -> Iterator[Finding]:
-    """A proximity sensor of its own sees the leader too; those of our range are wrong anyway."""
+    """A proximity sensor of its own detects the leader too; one with our range is always wrong."""
     sensors = [f"PRX{n}_TYPE" for n in PROXIMITY_SENSORS]
     harmless = (0.0, PROXIMITY_MAVLINK, PROXIMITY_RANGEFINDER)
     present = [name for name in sensors if readout.parameters.get(name, 0.0) not in harmless]
@@ -491,13 +492,13 @@ def _avoidance(readout: Readout) -> Iterator[Finding]:
             "AVOID_ENABLE" if avoids else "OA_TYPE",
             Verdict.YOURS,
             f"avoidance by {present[0]}",
-            "it keeps away from what it sees, and it sees the leader",
+            "it avoids what it detects, and it detects the leader",
             "param set AVOID_ENABLE 1 (fence only) and OA_TYPE 0 for formation flight",
         )
 
 
 def _arming(readout: Readout) -> Iterator[Finding]:
-    """What else the autopilot would refuse to arm for; indoors it has its reasons."""
+    """Other reasons for which the autopilot would refuse to arm; indoors this is normal."""
     for reason in readout.objections:
         if SCRIPTING not in reason:
             yield Finding(
@@ -505,7 +506,7 @@ def _arming(readout: Readout) -> Iterator[Finding]:
                 Verdict.YOURS,
                 reason,
                 "the autopilot would not arm now, in its own words",
-                "indoors, without GPS, it has to be so; else see to it before the flight",
+                "this is normal indoors, without GPS; otherwise fix it before the flight",
             )
 
 
@@ -516,7 +517,7 @@ def _leaders_applet(readout: Readout) -> Iterator[Finding]:
             "ECHO_ENABLE",
             Verdict.YOURS,
             "1",
-            "set up as a follower: in Guided its applet takes its speed",
+            "set up as a follower: in Guided its applet changes its speed",
             "param set ECHO_ENABLE 0 while it leads",
         )
 
@@ -537,6 +538,6 @@ CHECKS: Mapping[Role, tuple[Check, ...]] = {
         _choices,
         _applet_choices,
     ),
-    # A leader flies by its own ground station; what a follower carries it does not need.
+    # A leader flies with its own ground station; it needs none of the follower's equipment.
     Role.LEADER: (_arming, _speed, _leaders_applet, _choices),
 }

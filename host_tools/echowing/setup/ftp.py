@@ -1,4 +1,4 @@
-"""Files onto the autopilot's SD card over MAVLink (MAVFTP), surely and with lost packets.
+"""Files on the autopilot's SD card over MAVLink (MAVFTP); works with lost packets.
 
 A client of our own, and not pymavlink's `mavftp`: that one wants a blocking `mavutil` connection
 (ours are non-blocking, may be signed and come back by themselves), keeps the checksum it asked for
@@ -21,10 +21,10 @@ from echowing.setup.ftp_format import DATA_BYTES, SEQUENCES, Fault, Op, Packet, 
 BLOCK_BYTES = 200
 # ArduPilot keeps five requests waiting (GCS_FTP.h, requests): one is left for others.
 BLOCKS_AT_ONCE = 4
-# A lost packet is asked again after this; twice as long the next time, up to the second.
+# A lost packet is requested again after the first time, then after twice as long, up to the second.
 RETRY_S, LONGEST_RETRY_S = 0.6, 1.5
 GIVE_UP_S = 15.0
-# Shorter than any request takes, so that numbers by the clock are ahead of those that were used.
+# Shorter than any request, so that numbers by the clock are ahead of the used ones.
 SEQUENCE_STEP_S = 1e-4
 # A request that the server keeps refusing because another has a session is tried this often.
 BUSY_TRIES = 6
@@ -38,7 +38,7 @@ Progress = Callable[[int, int], None]
 
 
 class Wire(Protocol):
-    """How packets come and go: a `Vehicle`."""
+    """Sends and receives packets: a `Vehicle`."""
 
     def now_s(self) -> float:
         """The time."""
@@ -47,7 +47,7 @@ class Wire(Protocol):
         """Send a request."""
 
     def file_answers(self, timeout_s: float) -> list[bytes]:
-        """Answers that have come; waits at most `timeout_s` for the first."""
+        """New answers; waits at most `timeout_s` for the first."""
 
 
 class FtpRefusedError(EchowingError):
@@ -59,7 +59,7 @@ class FtpRefusedError(EchowingError):
 
     @property
     def not_there(self) -> bool:
-        """Whether it was refused because the file or folder is not there."""
+        """Whether the reason is that the file or folder does not exist."""
         return self.fault == Fault.FILE_NOT_FOUND
 
 
@@ -78,14 +78,14 @@ class Entry:
 
 @dataclass(slots=True)
 class _Sent:
-    """When a piece of a file was asked for, and how long to wait for the answer."""
+    """When a piece of a file was requested, and how long to wait for the answer."""
 
     at_s: float
     retry_s: float = RETRY_S
 
 
 class FtpClient:
-    """Asks for one thing after the other; a transfer keeps a few blocks on the way.
+    """Sends one request after the other; a transfer keeps a few blocks in flight.
 
     `session` is a number from 1 to 255 of our own: 0, which leaves the choice to the autopilot,
     makes newer ones open a session for every request. `give_up_s`: of silence, ends the work.
@@ -100,11 +100,11 @@ class FtpClient:
         self._sequence = int(wire.now_s() / SEQUENCE_STEP_S) % SEQUENCES
 
     def reset(self) -> None:
-        """End what a former run of ours may have left open."""
+        """Close what an earlier run may have left open."""
         self._request("file transfer", Op.RESET_SESSIONS)
 
     def entries(self, folder: str) -> list[Entry]:
-        """What is in a folder. Raises FtpRefusedError."""
+        """The contents of a folder. Raises FtpRefusedError."""
         found: list[Entry] = []
         while True:
             try:
@@ -116,7 +116,7 @@ class FtpClient:
             found += [_entry(text) for text in data.split(b"\0") if text]
 
     def make_folder(self, folder: str) -> None:
-        """Make a folder; one that is there already is fine."""
+        """Make a folder; it may exist already."""
         try:
             self._request(folder, Op.CREATE_DIRECTORY, folder.encode())
         except FtpRefusedError as refusal:
@@ -124,7 +124,7 @@ class FtpClient:
                 raise
 
     def remove(self, path: str) -> None:
-        """Remove a file; one that is not there is fine."""
+        """Remove a file; it need not exist."""
         try:
             self._request(path, Op.REMOVE_FILE, path.encode())
         except FtpRefusedError as refusal:
@@ -132,11 +132,11 @@ class FtpClient:
                 raise
 
     def rename(self, before: str, after: str) -> None:
-        """Rename a file; onto one that is there is refused, on FAT."""
+        """Rename a file; FAT refuses to rename onto an existing file."""
         self._request(after, Op.RENAME, before.encode() + b"\0" + after.encode())
 
     def checksum(self, path: str) -> int | None:
-        """CRC-32 as `ardupilot_crc32`; None where the autopilot cannot work it out."""
+        """CRC-32 as `ardupilot_crc32`; None if the autopilot cannot compute it."""
         try:
             reply = self._request(path, Op.CALC_FILE_CRC32, path.encode())
         except FtpRefusedError as refusal:
@@ -146,7 +146,7 @@ class FtpClient:
         return int.from_bytes(reply.data[:4], "little")
 
     def upload(self, path: str, content: bytes, progress: Progress) -> None:
-        """Write a file. What is at `path` is lost, also where this fails in the middle."""
+        """Write a file. The old content of `path` is lost, also if writing fails."""
         self._request(path, Op.CREATE_FILE, path.encode())
         offsets = range(0, len(content), BLOCK_BYTES)
 
@@ -161,7 +161,7 @@ class FtpClient:
         self._request(path, Op.TERMINATE_SESSION)
 
     def download(self, path: str, progress: Progress) -> bytes:
-        """Read a file; some boards give less at a time than they are asked for."""
+        """Read a file; some boards return less at a time than was requested."""
         content = _Patchwork(self._open_to_read(path))
 
         def request(offset: int) -> Packet:
@@ -175,7 +175,7 @@ class FtpClient:
             before = content.known_bytes
             self._transfer(path, wanted, Op.OPEN_FILE_RO, request, take)
             if content.known_bytes == before:
-                raise EchowingError(f"{path}: the autopilot gives back empty pieces of it")
+                raise EchowingError(f"{path}: the autopilot returns empty pieces of it")
         self._request(path, Op.TERMINATE_SESSION)
         return content.joined()
 
@@ -193,7 +193,7 @@ class FtpClient:
         return Packet(self._sequence, self._session, operation, data, offset, size)
 
     def _request(self, what: str, operation: Op, data: bytes = b"", offset: int = 0) -> Packet:
-        """Ask until it is answered. Raises FtpRefusedError or NoAnswerError."""
+        """Repeat the request until it is answered. Raises FtpRefusedError or NoAnswerError."""
         if len(data) > DATA_BYTES:
             raise EchowingError(f"{what}: the name is longer than {DATA_BYTES} characters")
         for _ in range(BUSY_TRIES):
@@ -369,16 +369,16 @@ def _entry(text: bytes) -> Entry:
     return Entry(name, is_folder=False, size_bytes=int(size) if size.isdecimal() else 0)
 
 
-# What FatFS gives where the card is missing or broken (AP_Filesystem_FATFS.cpp, fatfs_to_errno).
+# FatFS returns this if the card is missing or broken (AP_Filesystem_FATFS.cpp, fatfs_to_errno).
 _NO_CARD = {errno.EBUSY, errno.ENODEV, errno.ENXIO}
 _REASONS = {
     Fault.FAIL: "refused; is the file open elsewhere?",
-    Fault.INVALID_DATA_SIZE: "the autopilot takes no name of that length",
+    Fault.INVALID_DATA_SIZE: "the autopilot does not accept a name of that length",
     Fault.INVALID_SESSION: "another tool has a file open; end it and try again",
     Fault.NO_SESSIONS_AVAILABLE: "other tools have all file sessions open; end them and try again",
     Fault.END_OF_FILE: "the file is shorter than it should be",
-    Fault.UNKNOWN_COMMAND: "this firmware cannot do that; ArduCopter 4.5 or later can",
-    Fault.FILE_EXISTS: "there is such a file already",
+    Fault.UNKNOWN_COMMAND: "this firmware cannot do that; update to ArduCopter 4.5 or later",
+    Fault.FILE_EXISTS: "the file exists already",
     Fault.FILE_PROTECTED: "the file is write-protected",
     Fault.FILE_NOT_FOUND: "not there",
 }

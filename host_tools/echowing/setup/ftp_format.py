@@ -99,5 +99,5 @@ def next_sequence(sequence: int) -> int:
 
 
 def ardupilot_crc32(content: bytes) -> int:
-    """CRC-32 of a file as ArduPilot tells it: begun at 0 and not inverted, unlike zlib's."""
+    """CRC-32 of a file as ArduPilot computes it: begun at 0 and not inverted, unlike zlib's."""
     return zlib.crc32(content, 0xFFFFFFFF) ^ 0xFFFFFFFF

@@ -1,7 +1,7 @@
-"""`setup apply` and `setup restore` at work: write, restart, wait, and go on until all is set.
+"""Carries out `setup apply` and `setup restore`: write, restart, wait, until everything is set.
 
-What a parameter hides (a sensor's TYPE, scripting, the applet) shows only after a restart, so a new
-vehicle takes two rounds; the old values of both are in one file.
+Some parameters exist only after a restart (those behind a sensor's TYPE, scripting, the applet), so
+a new vehicle takes two rounds. The old values of both are in one file.
 """
 
 import shlex
@@ -35,7 +35,7 @@ from echowing.setup.vehicle import Vehicle
 from echowing.setup.view import changes_as_lines, differences
 
 WRITING = "parameters are written"
-# Scripting, then what it shows, then what that shows; one to spare.
+# Scripting, then the parameters behind it, then those behind these; one to spare.
 ROUNDS = 4
 INTERRUPTED_EXIT = 130
 
@@ -45,7 +45,7 @@ Bar = Callable[[str], Progress]
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What one round does. upload: the applet onto the card; start: it has to be loaded yet."""
+    """What one round does. upload: the applet onto the card; start: it must still be loaded."""
 
     readout: Readout
     changes: Sequence[Change]
@@ -59,15 +59,15 @@ class Plan:
 
     @property
     def waits_for_restart(self) -> list[str]:
-        """Parameters that count from the next start on."""
+        """Parameters that take effect from the next start on."""
         return [change.name for change in self.changes if change.restart]
 
 
 @dataclass(slots=True)
 class Work:
-    """What both jobs need: the vehicle, how it is named, and who is told and asked.
+    """What both jobs need: the vehicle, its name, and who gets messages and questions.
 
-    restart: the autopilot may be restarted. bar: makes a progress bar out of a title.
+    restart: the autopilot may be restarted. bar: makes a progress bar with a title.
     """
 
     vehicle: Vehicle
@@ -76,7 +76,7 @@ class Work:
     restart: bool
 
     def write(self, values: Sequence[tuple[str, float]], way_back: str) -> Outcome | None:
-        """Write, and whatever ends it in the middle, say how to go back. None: interrupted."""
+        """Write; if that is interrupted or fails, say how to go back. None: interrupted."""
 
         def one(name: str, value: float) -> float:
             self.vehicle.refuse_armed(WRITING)
@@ -98,23 +98,25 @@ class Work:
             return None
         for name, now in outcome.refused.items():
             wanted = dict(values)[name]
-            self.say(f"{name} is {now:g} after writing {wanted:g}: the autopilot does not take it")
+            self.say(
+                f"{name} is {now:g} after writing {wanted:g}: the autopilot does not accept it"
+            )
         self.say(f"{len(outcome.written)} of {len(values)} written and read back")
         return outcome
 
     def restart_now(self) -> bool:
-        """Restart the autopilot and wait for it; False: it has to be done by hand."""
+        """Restart the autopilot and wait for it; False: restart it by hand."""
         self.say("the autopilot restarts …")
         if restart_autopilot(self.vehicle):
-            self.say("it is up again")
+            self.say("it has restarted")
             return True
-        self.say("it does not restart by command: take its power")
+        self.say("it does not restart by command: switch its power off and on")
         return False
 
 
 @dataclass(slots=True)
 class Apply:
-    """Makes a follower ready. ask: whether to go on; folder: of the scripts, found if not given."""
+    """Makes a follower ready. ask: whether to continue; folder: of the scripts, None: find it."""
 
     work: Work
     ask: Ask
@@ -128,7 +130,7 @@ class Apply:
     _announced: set[str] = field(default_factory=set)
 
     def run(self) -> int:
-        """0: all is set; 1: not all, and why has been said; 130: interrupted."""
+        """0: everything is set; 1: not everything, the reason was reported; 130: interrupted."""
         self.work.vehicle.refuse_armed(WRITING)
         plan = self._plan()
         self._show(plan)
@@ -138,7 +140,7 @@ class Apply:
         if not self.ask(f"Write these to {self.work.vehicle.name}? [y/N] "):
             self.work.say("nothing was changed")
             return 1
-        self.work.vehicle.look_again()  # the operator may have thought about it for a while
+        self.work.vehicle.look_again()  # the operator may have taken a while to answer
         for _ in range(ROUNDS):
             code = self._carry_out(plan)
             if code is not None:
@@ -172,14 +174,14 @@ class Apply:
             self.work.say(line)
 
     def _agreed_again(self, plan: Plan) -> bool:
-        """What was announced is written without another question."""
+        """Announced changes are written without another question."""
         news = [change for change in plan.changes if change.name not in self._announced]
         for line in changes_as_lines(plan.changes):
             self.work.say(line)
         return not news or self.ask(f"Write these too to {self.work.vehicle.name}? [y/N] ")
 
     def _carry_out(self, plan: Plan) -> int | None:
-        """One round; an exit code where it is the last."""
+        """One round; an exit code if it is the last one."""
         vehicle, say = self.work.vehicle, self.work.say
         vehicle.refuse_armed(WRITING)
         if plan.changes:
@@ -191,7 +193,7 @@ class Apply:
                 return INTERRUPTED_EXIT
             self._refused |= set(outcome.refused)
         if plan.upload and not self._uploaded(may_wait="SCR_ENABLE" in plan.waits_for_restart):
-            self.work.say("no folder for scripts yet: it is made when scripting starts")
+            self.work.say("no folder for scripts yet: the autopilot makes it when scripting starts")
         return self._take_effect(plan)
 
     @property
@@ -200,7 +202,7 @@ class Apply:
         return f"back: echowing setup restore {file} --vehicle {self.work.where}"
 
     def _uploaded(self, *, may_wait: bool) -> bool:
-        """Put the applet onto the card; False: the next round has to, as there is no folder yet."""
+        """Copy the applet to the card; False: the next round must do it, there is no folder yet."""
         card = FtpClient(self.work.vehicle)
         try:
             folder = self.folder or scripts_folder(card)
@@ -216,7 +218,7 @@ class Apply:
         return True
 
     def _take_effect(self, plan: Plan) -> int | None:
-        """Restart what has to be, and wait for the applet; an exit code where it ends here."""
+        """Restart what is necessary, and wait for the applet; an exit code if the job ends here."""
         names = plan.waits_for_restart
         if not (names or plan.upload or plan.start):
             return None
@@ -230,7 +232,7 @@ class Apply:
         return 1
 
     def _reload(self, names: Sequence[str]) -> bool:
-        """Have it take what was written; False: the autopilot has to be restarted by hand."""
+        """Make the written values take effect; False: restart the autopilot by hand."""
         if self.work.restart:
             return self.work.restart_now()
         return not names and restart_scripts(self.work.vehicle)
@@ -246,12 +248,12 @@ class Apply:
         if until_applet_runs(vehicle):
             self.work.say("the applet runs")
             return True
-        reason = scripting_error(objections(vehicle)) or "the autopilot names no error"
+        reason = scripting_error(objections(vehicle)) or "the autopilot reports no error"
         self.work.say(f"the applet does not run: {reason}")
         return False
 
     def _by_hand(self, names: Sequence[str]) -> int:
-        count = f": {', '.join(names)} count only then" if names else ""
+        count = f": {', '.join(names)} take effect only then" if names else ""
         self.work.say(f"restart the autopilot{count}")
         port = "" if self.serial_port is None else f" --serial {self.serial_port}"
         self.work.say(
@@ -274,7 +276,7 @@ class Apply:
 
 
 def restore(work: Work, file: Path, saved: Saved) -> int:
-    """Put the values of a file back. 0: all; 1: some could not be; 130: interrupted."""
+    """Write back the values of a file. 0: all; 1: some could not be; 130: interrupted."""
     vehicle = work.vehicle
     if vehicle.system_id != saved.system_id:
         raise EchowingError(
@@ -283,7 +285,7 @@ def restore(work: Work, file: Path, saved: Saved) -> int:
         )
     vehicle.refuse_armed(WRITING)
     there = vehicle.read(list(saved.parameters))
-    # In reverse: a sensor's TYPE goes last, as its other parameters may hide with it.
+    # In reverse: a sensor's TYPE goes last, because its other parameters may disappear with it.
     values = [one for one in list(saved.parameters.items())[::-1] if one[0] in there]
     absent = [name for name in saved.parameters if name not in there]
     again = f"once more: echowing setup restore {shlex.quote(str(file))} --vehicle {work.where}"
@@ -296,21 +298,21 @@ def restore(work: Work, file: Path, saved: Saved) -> int:
     if work.restart:
         work.restart_now()
     else:
-        work.say("restart the autopilot: some of them count only then")
+        work.say("restart the autopilot: some of them take effect only then")
     return 1 if outcome.refused or absent else 0
 
 
 def _tell_of_others(work: Work, file: Path, saved: Saved) -> None:
-    """Files of other `apply`s: the way back leads through them from the newest to the oldest."""
+    """Report files of other `apply`s: they are restored from the newest to the oldest."""
     others = others_of(file, saved.system_id)
     if not others:
         return
     newer = [path for path, when in others if when > saved.when]
     older = [path for path, when in others if when <= saved.when]
     if older:
-        work.say(f"from before an earlier apply, restore next: {', '.join(map(str, older))}")
+        work.say(f"from an earlier apply, restore next: {', '.join(map(str, older))}")
     if newer:
         work.say(
-            f"of a later apply, to be restored before {file}: {', '.join(map(str, newer))}; where "
-            f"that was not done, do it now and then restore {file} again"
+            f"of a later apply, to be restored before {file}: {', '.join(map(str, newer))}; if "
+            f"you have not done that, do it now and then restore {file} again"
         )

@@ -1,4 +1,4 @@
-"""Makes a read-out of a vehicle: asks for its parameters, and listens to what comes from it."""
+"""Reads out a vehicle: requests its parameters, and listens to its messages."""
 
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -19,12 +19,12 @@ from echowing.setup.settings import PROXIMITY_SENSORS
 from echowing.setup.vehicle import AUTOPILOT, POLL_S, Heard, Name, Vehicle
 
 LISTEN_S = 3.0  # three heartbeats, 60 ranges, six of the applet's named floats
-SETTLE_S = 0.5  # until our first heartbeat has opened the way for what others send
+SETTLE_S = 0.5  # until our first heartbeat has opened the way for other senders
 OBJECTIONS_S = 1.0  # after the answer to the command, for the texts that come with it
-FILE_TIMEOUT_S = 4.0  # an autopilot without MAVFTP says nothing at all
+FILE_TIMEOUT_S = 4.0  # an autopilot without MAVFTP does not answer at all
 # Ids from here on are proximity sectors (GCS_Common.cpp, PROXIMITY_SENSOR_ID_START).
 PROXIMITY_IDS_FROM = 10
-COPROCESSOR = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER  # 191, COMP_ID as it comes
+COPROCESSOR = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER  # 191, the default COMP_ID
 APPLET_STATE = "ECHO_STATE"
 PREARM = "PreArm: "
 
@@ -70,7 +70,7 @@ def read_parameters(
 ) -> dict[str, float]:
     """The autopilot's parameters that matter, the applet's among them.
 
-    Raises EchowingError where it tells none at all.
+    Raises EchowingError if it reports none at all.
     """
     found = vehicle.read(names_to_read(serial_port, rangefinder))
     if not found:
@@ -96,7 +96,7 @@ def read_out(
     rangefinder: int = 1,
     listen_s: float = LISTEN_S,
 ) -> Readout:
-    """Everything the checks need. Raises EchowingError where the vehicle is lost meanwhile."""
+    """Everything the checks need. Raises EchowingError if the vehicle is lost meanwhile."""
     _listen(vehicle, SETTLE_S)
     start_s = vehicle.now_s()
     heard = _listen(vehicle, listen_s)
@@ -123,7 +123,7 @@ def read_out(
 
 
 def only_port(parameters: Mapping[str, float]) -> int | None:
-    """The port on which a co-processor that is heard has to be: the only one that can be."""
+    """The port on which a co-processor that reports must be: the only possible one."""
     ports = ports_at_115200(parameters)
     return ports[0] if len(ports) == 1 else None
 
@@ -137,7 +137,7 @@ def _listen(vehicle: Vehicle, listen_s: float) -> list[Heard]:
 
 
 def of_messages(heard: Sequence[Heard], start_s: float, end_s: float) -> Readout:
-    """What can be told from what came by itself between two times."""
+    """What follows from the messages that came unrequested between two times."""
     controllers = {
         one.message.get_srcComponent(): one.message.system_status
         for one in heard
@@ -155,7 +155,7 @@ def of_messages(heard: Sequence[Heard], start_s: float, end_s: float) -> Readout
 
 
 def _coprocessor(controllers: Container[int], reporting: Iterable[int]) -> int | None:
-    """Which onboard controller is ours: the one that tells a range, else the usual id."""
+    """Which onboard controller is ours: the one that reports a range, else the usual id."""
     candidates = [*reporting, COPROCESSOR]
     return next((one for one in candidates if one in controllers), None)
 
@@ -190,7 +190,7 @@ def _reports(heard: Sequence[Heard], start_s: float, end_s: float) -> Reports | 
 def applet_on_card(vehicle: Vehicle, folder: str | None = None) -> CardApplet | None:
     """Compare the applet on the card with ours by its checksum; None: no answer.
 
-    folder: of the scripts; where it is not given, those that ArduPilot uses are looked at.
+    folder: of the scripts; None: the folders that ArduPilot uses.
     """
     card = FtpClient(vehicle, give_up_s=FILE_TIMEOUT_S)
     ours = ardupilot_crc32(applet_path().read_bytes())
@@ -229,7 +229,7 @@ def _version(vehicle: Vehicle) -> tuple[int, int] | None:
 
 
 def _takes_range(vehicle: Vehicle) -> bool:
-    """Whether the autopilot tells a forward range of its own: only then has it one."""
+    """Whether the autopilot reports a forward range of its own: only then it has one."""
     wanted = mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR
     return _requested(vehicle, wanted, _is_forward_rangefinder) is not None
 
@@ -239,7 +239,7 @@ def _is_forward_rangefinder(message: Any) -> bool:
 
 
 def _requested(vehicle: Vehicle, message_id: int, fits: Callable[[Any], bool]) -> Any | None:
-    """A message of the autopilot, asked for a few times; None where it does not come."""
+    """A message of the autopilot, requested a few times; None if it does not come."""
     ask = command_long(vehicle.system_id, mavlink.MAV_CMD_REQUEST_MESSAGE, message_id)
     for _ in range(3):
         vehicle.send(ask)

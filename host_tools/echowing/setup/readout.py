@@ -1,4 +1,4 @@
-"""What has been read and heard of a vehicle: all that the checks go by."""
+"""What was read and received from a vehicle: everything that the checks use."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -6,7 +6,7 @@ from enum import Enum
 
 
 class Role(Enum):
-    """What a vehicle is to do: what it needs hangs on it."""
+    """The vehicle's role; it decides what the vehicle needs."""
 
     FOLLOWER = "follower"
     LEADER = "leader"
@@ -22,9 +22,9 @@ class CardApplet(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Reports:
-    """The co-processor's DISTANCE_SENSOR messages of some seconds, as they came here.
+    """The co-processor's DISTANCE_SENSOR messages of some seconds, as they arrived here.
 
-    Over a radio some are lost: the rate is the least it can be, the longest gap the most.
+    A radio loses some: the true rate may be higher, and the longest gap shorter.
     """
 
     count: int
@@ -35,7 +35,7 @@ class Reports:
 
     @property
     def rate_hz(self) -> float:
-        """Messages a second."""
+        """Messages per second."""
         return self.count / self.heard_for_s if self.heard_for_s > 0.0 else 0.0
 
 
@@ -43,14 +43,14 @@ class Reports:
 class Readout:
     """One vehicle at one time.
 
-    parameters: of the autopilot, those it has of the ones asked for. serial_port: the SERIALn the
-    co-processor is wired to, where the operator has said so. rangefinder: which RNGFNDn is meant.
-    coprocessor: its component id, None where it is not heard; coprocessor_status its MAV_STATE.
-    takes_range: whether the autopilot itself tells a forward range, None where it was not asked.
-    in_guided: armed and in Guided, where an enabled applet is in control and heard. applet_on_card:
-    None where the autopilot does not answer file requests. objections: why the autopilot would not
-    arm, in its own words. signs: whether it signs what it sends, and so believes only what is
-    signed.
+    parameters: of the autopilot, those of the requested ones that it has. serial_port: the SERIALn
+    to which the co-processor is wired, if the operator has given it. rangefinder: the number of
+    RNGFNDn. coprocessor: its component id, None if it does not report; coprocessor_status its
+    MAV_STATE. takes_range: whether the autopilot itself reports a forward range, None if it was
+    not asked. in_guided: armed and in Guided, so that an enabled applet is in control and reports.
+    applet_on_card: None if the autopilot does not answer file requests. objections: why the
+    autopilot would not arm, in its own words. signs: whether it signs its messages, and so accepts
+    only signed ones.
     """
 
     parameters: Mapping[str, float]

@@ -10,7 +10,7 @@ from echowing.setup.reading import objections
 from echowing.setup.vehicle import POLL_S, Vehicle
 
 # The autopilot goes on for a moment after it has acknowledged the command (GCS_Common.cpp,
-# handle_preflight_reboot): what is heard in this time is from before.
+# handle_preflight_reboot): what arrives in this time is from before the restart.
 GOING_DOWN_S = 3.0
 # A board with a bootloader and many sensors takes 10 to 20 s, and so does a radio after it.
 RESTART_TIMEOUT_S = 60.0
@@ -20,9 +20,9 @@ READY_TEXT = "ECHO: ready"
 
 
 def restart_autopilot(vehicle: Vehicle) -> bool:
-    """Restart it and wait until it is up again; False: it does not restart by command.
+    """Restart it and wait until it reports again; False: it does not restart by command.
 
-    Raises EchowingError where it does not come back.
+    Raises EchowingError if it does not report again.
     """
     result = vehicle.command(mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1)
     if result != mavlink.MAV_RESULT_ACCEPTED:
@@ -36,13 +36,13 @@ def restart_autopilot(vehicle: Vehicle) -> bool:
         if gone_s < GOING_DOWN_S:
             vehicle.forget()
     raise EchowingError(
-        f"{vehicle.name} has not come back within {RESTART_TIMEOUT_S:g} s after its restart; look "
-        "at it and at the link"
+        f"{vehicle.name} does not report {RESTART_TIMEOUT_S:g} s after its restart; check it "
+        "and the link"
     )
 
 
 def _is_up(message: object) -> bool:
-    """Whether it is an autopilot's heartbeat that says it has started."""
+    """Whether it is an autopilot's heartbeat after its start."""
     kind = getattr(message, "get_type", str)()
     if kind != "HEARTBEAT" or getattr(message, "autopilot", 0) == mavlink.MAV_AUTOPILOT_INVALID:
         return False
@@ -50,7 +50,7 @@ def _is_up(message: object) -> bool:
 
 
 def restart_scripts(vehicle: Vehicle) -> bool:
-    """Have the card's scripts loaded anew; False: it does not do so by command."""
+    """Have the card's scripts loaded again; False: it does not accept the command."""
     vehicle.texts.clear()
     result = vehicle.command_int(mavlink.MAV_CMD_SCRIPTING, mavlink.SCRIPTING_CMD_STOP_AND_RESTART)
     return bool(result == mavlink.MAV_RESULT_ACCEPTED)
@@ -68,5 +68,5 @@ def until_applet_runs(vehicle: Vehicle) -> bool:
 
 
 def scripting_error(told: Sequence[str]) -> str:
-    """What the autopilot says of a script that has failed; empty: nothing."""
+    """The autopilot's message about a failed script; empty: none."""
     return next((text for text in told if SCRIPTING in text), "")

@@ -1,4 +1,4 @@
-"""The autopilot's parameters that Echowing needs, what each has to be, and why: one table.
+"""The autopilot's parameters that Echowing needs, the value of each, and why: one table.
 
 `check` judges by it and `apply` writes by it. Fail-safes and fence are not in it, they are the
 pilot's (see `checks`).
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from echowing.setup.applet import applet_parameters
 from echowing.setup.readout import Readout
 
-# ---- what is expected, and where that stands ---------------------------------------------------
+# ---- the expected values, and their sources ---------------------------------------------------
 
 MAVLINK2 = 2.0  # SERIALn_PROTOCOL
 # firmware/echowing/src/board/arduino_board.cpp, kBaud; ArduPilot takes 115 and 115200 for it.
@@ -27,7 +27,7 @@ RANGE_MIN_M, RANGE_MAX_M = 0.2, 7.65
 PROXIMITY_MAVLINK, PROXIMITY_RANGEFINDER = 2.0, 4.0
 PROXIMITY_SENSORS = range(1, 6)
 SCRIPTS_NOT_LOADED = 2  # SCR_DIR_DISABLE bit 1: not from the card
-# lua/how-it-works.md, Figures: 70 KiB on a 64-bit computer, and nearly half as much for others.
+# lua/how-it-works.md, Figures: 80 KiB on a 64-bit computer, and a quarter more for others.
 HEAP_LEAST_BYTES, HEAP_BYTES = 102_400.0, 204_800.0
 INSTRUCTIONS = 10_000.0  # SCR_VM_I_COUNT's default; an update takes a tenth of it
 RTL_SPEED_MPS = 5.0  # WP_SPD's half: what the applet's doc suggests
@@ -41,11 +41,11 @@ TOLERANCE = 1e-4  # of what a 32-bit float makes of a decimal number
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """A parameter that has to be so.
+    """A required parameter.
 
-    fits: whether a value will do; fixed: what to write instead of one that will not. optional:
-    a vehicle without this parameter lacks nothing. restart: it counts from the next start on.
-    spared: a value that is never overwritten, as something else of the pilot's hangs on it.
+    fits: whether a value is right; fixed: what to write instead of a wrong one. optional: the
+    vehicle does not need this parameter. restart: it takes effect from the next start on. spared:
+    a value that is never overwritten, because something else of the pilot's depends on it.
     """
 
     name: str
@@ -105,7 +105,7 @@ def _serial(port: int) -> Iterator[Setting]:
     yield _bit_off(
         f"{name}_OPTIONS",
         NOT_FORWARDED,
-        "the co-processor's messages have to be passed on to the ground",
+        "the autopilot must pass the co-processor's messages on to the ground",
         restart=True,
     )
 
@@ -128,14 +128,17 @@ def _rangefinder(readout: Readout) -> Iterator[Setting]:
     )
     yield from _span(f"{name}_MIN", RANGE_MIN_M, readout, "the sonar's nearest range")
     yield from _span(
-        f"{name}_MAX", RANGE_MAX_M, readout, "the sonar's farthest range; what lies beyond is none"
+        f"{name}_MAX",
+        RANGE_MAX_M,
+        readout,
+        "the sonar's farthest range; anything beyond is no range",
     )
     known = None if readout.reports is None else readout.reports.sensor_id
     yield Setting(
         f"{name}_ADDR",
         lambda v: v in (0.0, known),
         lambda v: 0.0,
-        "another value filters the range away, silently, from 4.8 on",
+        "from 4.8 on another value discards the range without a message",
         optional=True,
     )
 
@@ -154,8 +157,7 @@ def _proximity() -> Iterator[Setting]:
             f"PRX{number}_TYPE",
             lambda v: v not in (PROXIMITY_MAVLINK, PROXIMITY_RANGEFINDER),
             lambda v: 0.0,
-            "this proximity sensor takes the forward range for itself, and the leader for an "
-            "obstacle to keep away from",
+            "this proximity sensor uses the forward range, and avoids the leader as an obstacle",
             optional=True,
             restart=True,
         )
@@ -177,7 +179,7 @@ def _scripting() -> Iterator[Setting]:
         "SCR_VM_I_COUNT",
         lambda v: v >= INSTRUCTIONS,
         lambda v: INSTRUCTIONS,
-        "with fewer instructions the applet may be ended in the middle of an update",
+        "with fewer instructions the autopilot may stop the applet in the middle of an update",
     )
 
 
@@ -185,13 +187,13 @@ def _guided() -> Iterator[Setting]:
     yield _bit_off(
         "GUID_OPTIONS",
         GUIDED_BY_WAYPOINTS,
-        "waypoint navigation for guided points (bit 6) does not follow the applet's limit",
+        "with waypoint navigation for guided points (bit 6) the applet's limit has no effect",
     )
     yield Setting(
         "GUID_TIMEOUT",
         lambda v: 0.0 < v <= LONGEST_GUIDED_TIMEOUT_S,
         lambda v: GUIDED_TIMEOUT_S,
-        "a vehicle whose velocity commands end has to stop soon",
+        "a vehicle must stop soon after its velocity commands end",
         optional=True,
     )
     for name, units_per_mps in (("RTL_SPEED", 100.0), ("RTL_SPEED_MS", 1.0)):
@@ -199,13 +201,13 @@ def _guided() -> Iterator[Setting]:
             name,
             lambda v: v > 0.0,
             lambda v, units=units_per_mps: RTL_SPEED_MPS * units,  # type: ignore[misc]
-            "with 0 a return home flies at the speed parameter, which the applet lowers",
+            "with 0 the vehicle returns home at the speed parameter, which the applet lowers",
             optional=True,
         )
 
 
 def _limits(readout: Readout) -> Iterator[Setting]:
-    """How quickly the vehicle can get away; a higher value is the pilot's own choice.
+    """How quickly the vehicle can get away; higher values of the pilot are kept.
 
     Neither knows 0 as no limit: AC_WPNav.h takes its default of 2.5 m/s^2 for an acceleration of 0,
     and the position controller (AP_Math/control.cpp, shape_accel_xy) stops working at a jerk of 0.
@@ -214,13 +216,13 @@ def _limits(readout: Readout) -> Iterator[Setting]:
         readout,
         {"WP_ACC": 1.0, "WPNAV_ACCEL": 100.0},
         ACCELERATION_MPS2,
-        "the follower has to brake and fly back as quickly as this when its leader reverses",
+        "the follower must brake and fly back this quickly when its leader reverses",
     )
     yield _at_least(
         readout,
         {"PSC_JERK_NE": 1.0, "PSC_JERK_XY": 1.0},
         JERK_MPS3,
-        "the acceleration has to build up as quickly as this when the leader reverses",
+        "the acceleration must build up this quickly when the leader reverses",
     )
 
 
@@ -244,5 +246,5 @@ def _applet(readout: Readout) -> Iterator[Setting]:
             row.name,
             lambda v, low=row.low, high=row.high: low - TOLERANCE <= v <= high + TOLERANCE,  # type: ignore[misc]
             lambda v, default=row.default: default,  # type: ignore[misc]
-            f"the applet takes {row.low:g} to {row.high:g} only",
+            f"the applet accepts {row.low:g} to {row.high:g} only",
         )

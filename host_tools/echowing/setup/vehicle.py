@@ -1,7 +1,7 @@
-"""One vehicle at the other end of a link, for tools that ask it something and wait for the answer.
+"""One vehicle at the other end of a link, for tools that send requests and wait for answers.
 
-The clock is an argument; nothing here waits on anything but the link. A vehicle that falls silent
-ends the work with an error that says so.
+The clock is an argument; nothing here waits except for the link. If the vehicle stops reporting,
+the work ends with an error that says so.
 """
 
 import math
@@ -28,14 +28,14 @@ from echowing.mavlink.signing import SETUP_LINK_ID, LinkSigning, read_key
 
 AUTOPILOT = mavlink.MAV_COMP_ID_AUTOPILOT1
 FIND_TIMEOUT_S = 15.0
-# Heartbeats come once a second; five in a row missing is no radio's bad luck.
+# Heartbeats come once per second; five missing in a row are not a radio's chance losses.
 SILENCE_S = 6.0
 POLL_S = 0.05
 
 # ArduPilot keeps so many parameter requests waiting (GCS_Param.cpp, param_requests 20).
 ASKED_AT_ONCE = 10
 CHUNK_S = 0.25
-# After a round, what a slow radio still has on its way is waited for.
+# After a round, wait for answers that a slow radio still carries.
 SHORTEST_ROUND_S, LONGEST_ROUND_S = 0.3, 2.0
 # So many rounds in which nothing more comes: what is missing then does not exist. The second where
 # a later round has brought something, so that the link loses messages: of one that loses a fifth
@@ -88,7 +88,7 @@ class Vehicle:
 
     @property
     def armed(self) -> bool:
-        """Motors armed, by the newest heartbeat; True while none has come lately, to be safe."""
+        """Motors armed, by the newest heartbeat; True if there is no recent one, to be safe."""
         if self.base_mode is None or self._state_is_old():
             return True
         return bool(self.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
@@ -105,9 +105,9 @@ class Vehicle:
         self._link.send(message, self._clock())
 
     def poll(self, timeout_s: float = POLL_S, silence_s: float = SILENCE_S) -> list[Heard]:
-        """What has come from the vehicle's system; waits at most `timeout_s` for something.
+        """New messages of the vehicle's system; waits at most `timeout_s` for one.
 
-        Raises EchowingError once its autopilot has been silent for `silence_s`.
+        Raises EchowingError if its autopilot has not reported for `silence_s`.
         """
         if self._clock() - self._beat_s >= HEARTBEAT_PERIOD_S:
             self._beat_s = self._clock()
@@ -123,8 +123,8 @@ class Vehicle:
             self._notice(one)
         if now_s - self._heard_s > silence_s:
             raise EchowingError(
-                f"{self.name} is silent: no report of its autopilot for {silence_s:g} s; "
-                "look at the link, then try again"
+                f"{self.name} is silent: no message of its autopilot for {silence_s:g} s; "
+                "check the link, then try again"
             )
         return heard
 
@@ -158,20 +158,20 @@ class Vehicle:
         return None
 
     def until_state_known(self) -> None:
-        """Wait for a heartbeat of the autopilot, so that `armed` is the truth."""
+        """Wait for a heartbeat of the autopilot, so that `armed` is right."""
         while self.base_mode is None:
             self.poll()
-        # What was sent while the link came up is lost; nobody's messages are passed on to a link
-        # where nobody has been heard.
+        # Messages sent while the link opened are lost, and an autopilot forwards nothing to a link
+        # on which it has received nothing.
         self._beat_s = -math.inf
 
     def forget(self) -> None:
-        """Know nothing of the vehicle's state, as it is starting again; `armed` until heard."""
+        """Forget the vehicle's state, because it restarts; `armed` until it reports."""
         self.base_mode = self.mode = None
         self.texts.clear()
 
     def look_again(self) -> None:
-        """Wait for a new heartbeat, after a time in which nobody has listened."""
+        """Wait for a new heartbeat, after a time without listening."""
         self.poll(0.0)
         self.base_mode = None
         self.until_state_known()
@@ -191,10 +191,10 @@ class Vehicle:
     # ---- parameters -----------------------------------------------------------------------------
 
     def read(self, names: Sequence[Name], component: int = AUTOPILOT) -> dict[str, float]:
-        """Values of parameters; one that the vehicle does not have is not in it.
+        """Values of parameters, without those that the vehicle does not have.
 
-        Asked by name, as a whole list takes half a minute over a radio; a name that is still
-        unanswered after some rounds without any answer is one that does not exist.
+        They are requested by name, because the whole list takes half a minute over a radio. A name
+        that is still unanswered after some rounds without any answer does not exist.
         """
         answers = _Answers(names, component)
         in_vain = -1
@@ -217,17 +217,17 @@ class Vehicle:
         )
 
     def _collect(self, answers: "_Answers", wanted: Sequence[str], timeout_s: float) -> None:
-        """Take answers until there is none to wait for among `wanted`, or for so long."""
+        """Take answers until all `wanted` ones are there, or the time is over."""
         until_s = self._clock() + timeout_s
         while self._clock() < until_s and not set(wanted).isdisjoint(answers.missing()):
             for heard in self.poll():
                 answers.take(heard)
 
     def write(self, name: str, value: float) -> float:
-        """Set a parameter; returns what it is then, asked anew.
+        """Set a parameter; returns its value, requested again.
 
-        The confirmation alone may be of what was asked for. Raises EchowingError where the vehicle
-        does not tell the parameter at all.
+        The confirmation alone may only repeat the request. Raises EchowingError if the vehicle does
+        not report the parameter at all.
         """
         change = mavlink.MAVLink_param_set_message(
             self.system_id, AUTOPILOT, name.encode(), value, mavlink.MAV_PARAM_TYPE_REAL32
@@ -238,13 +238,15 @@ class Vehicle:
                 break
         values = self.read([name])
         if name not in values:
-            raise EchowingError(f"{self.name} does not confirm {name}; is there such a parameter?")
+            raise EchowingError(
+                f"{self.name} does not confirm {name}; does it have this parameter?"
+            )
         return values[name]
 
     # ---- commands -------------------------------------------------------------------------------
 
     def command(self, number: int, *params: float) -> int | None:
-        """Send a COMMAND_LONG; returns the MAV_RESULT, None where no answer comes."""
+        """Send a COMMAND_LONG; returns the MAV_RESULT, None if no answer comes."""
         return self._commanded(number, command_long(self.system_id, number, *params))
 
     def command_int(self, number: int, *params: float) -> int | None:
@@ -275,7 +277,7 @@ class Vehicle:
         )
 
     def file_answers(self, timeout_s: float) -> list[bytes]:
-        """Payloads that have come for us; waits at most `timeout_s` for the first."""
+        """New payloads for us; waits at most `timeout_s` for the first."""
         return [
             bytes(heard.message.payload)
             for heard in self.poll(timeout_s)
@@ -286,7 +288,7 @@ class Vehicle:
 
 
 class _Answers:
-    """Parameters asked for by name, and what has been answered."""
+    """Parameters requested by name, and their answers."""
 
     def __init__(self, names: Sequence[Name], component: int) -> None:
         self.found: dict[str, float] = {}
@@ -297,7 +299,7 @@ class _Answers:
         self._slowest_s: float | None = None
 
     def missing(self) -> list[str]:
-        """What still has to be asked: every name of those parameters of which none has come."""
+        """What must still be requested: all names of the parameters without an answer."""
         return [
             name
             for alternatives in self._names
@@ -307,7 +309,7 @@ class _Answers:
         ]
 
     def take(self, heard: Heard) -> None:
-        """Any message; a newer autopilot says it where a parameter does not exist."""
+        """Take any message; a newer autopilot reports a parameter that does not exist."""
         message = heard.message
         if message.get_srcComponent() != self._component:
             return
@@ -321,14 +323,14 @@ class _Answers:
 
     @property
     def patience_s(self) -> float:
-        """How long to wait for those still missing: by how long the others took."""
+        """How long to wait for the missing ones, by the time that the others took."""
         if self._slowest_s is None:
             return LONGEST_ROUND_S
         return min(max(3.0 * self._slowest_s, SHORTEST_ROUND_S), LONGEST_ROUND_S)
 
 
 def _is_signed(message: Any) -> bool:
-    """Whether a message carries a signature, whether or not we have the key to check it."""
+    """Whether a message carries a signature, with or without our having the key."""
     flags = message.get_header().incompat_flags
     return bool(flags & mavlink.MAVLINK_IFLAG_SIGNED)
 
@@ -356,7 +358,7 @@ def open_vehicle(
 ) -> Iterator[Vehicle]:
     """The vehicle at `CONNECTION` or `CONNECTION@SYSTEM`, found and waiting.
 
-    Raises EchowingError where nobody is heard, or several are and none is named.
+    Raises EchowingError if no vehicle reports, or several do and none is named.
     """
     seat = parse_seat("vehicle", where, baud)
     key = read_key(signing_key_file)
@@ -369,7 +371,7 @@ def open_vehicle(
             who = "autopilot" if seat.system_id is None else f"system {seat.system_id}"
             raise EchowingError(
                 f"{seat.address.text}: no {who} has reported for {FIND_TIMEOUT_S:g} s; is it "
-                "powered, is the connection string right, is another tool on the port?"
+                "powered, is the connection string right, does another tool use the port?"
             )
         vehicle = Vehicle(link, known_id(seat), clock=clock, say=say)
         vehicle.until_state_known()

@@ -49,7 +49,7 @@ def as_json(
 def as_lines(
     system_id: int, readout: Readout, findings: Sequence[Finding], role: Role = Role.FOLLOWER
 ) -> Iterator[str]:
-    """A check's result to read: what is not fine with why, and what fixes it."""
+    """A check's result as lines: what is not fine, why, and how to fix it."""
     firmware = "" if readout.version is None else " {}.{}".format(*readout.version)
     state = "armed" if readout.armed else "disarmed"
     yield f"vehicle {system_id}, ArduCopter{firmware}, {state}, as a {role.value}"
@@ -70,14 +70,14 @@ def as_lines(
 
 
 def _is_dull(finding: Finding) -> bool:
-    """One of the applet's many parameters, with nothing wrong about it."""
+    """Whether it is one of the applet's many parameters, and is fine."""
     return finding.verdict is Verdict.FINE and finding.about.startswith(PARAMETER_PREFIX)
 
 
 def changes_as_lines(changes: Sequence[Change]) -> Iterator[str]:
-    """What is going to be written."""
+    """The changes to write."""
     for change in changes:
-        later = ", from the next start on" if change.restart else ""
+        later = ", used from the next start on" if change.restart else ""
         yield _row(change.name, f"{change.old:g} -> {change.new:g}{later}: {change.why}")
 
 
@@ -85,20 +85,20 @@ _ON_CARD = {
     CardApplet.NONE: "not on the card -> this package's",
     CardApplet.ANOTHER: "another version on the card -> this package's",
     CardApplet.OURS: "on the card",
-    None: "the card cannot be seen (no answer to file requests), left alone",
+    None: "the card cannot be read (no answer to file requests); left alone",
 }
 
 
 def differences(
     readout: Readout, changes: Sequence[Change], hidden: Mapping[str, float]
 ) -> Iterator[str]:
-    """What is going to be written, and what is left alone although something may be said of it.
+    """The changes to write, and what is left as it is although it is not fine.
 
-    hidden: what is written once the vehicle shows it.
+    hidden: values to write when the parameter exists.
     """
     yield from changes_as_lines(changes)
     for name, value in hidden.items():
-        yield _row(name, f"not shown yet; -> {value:g} after the restart, where it does not fit")
+        yield _row(name, f"not shown yet; -> {value:g} after the restart, if it is wrong")
     told = {change.name for change in changes} | set(hidden)
     for setting in settings_for(readout):
         found = judge(setting, readout)
@@ -106,10 +106,10 @@ def differences(
             yield _row(found.about, f"{found.found}, left alone: {found.why}; {found.fix}")
     for found in examine(readout):
         if found.verdict is Verdict.YOURS:
-            yield _row(found.about, f"{found.found} stays, it is yours to decide: {found.why}")
+            yield _row(found.about, f"{found.found} stays; it is yours to decide: {found.why}")
     yield _row("applet", _ON_CARD[readout.applet_on_card])
     if readout.serial_port is None:
-        yield _row("SERIALn_…", "left alone: say --serial N, the port of the co-processor")
+        yield _row("SERIALn_…", "left alone: give --serial N, the port of the co-processor")
 
 
 def _row(name: str, text: str) -> str:

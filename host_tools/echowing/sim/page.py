@@ -13,7 +13,7 @@ from echowing.sim.flight import FormationWorld, speed_parameter_mps
 from echowing.sim.sonar import LEVER_ARM_M, TARGET_RADIUS_M
 from echowing.sim.vehicles import SimFollower, SimVehicle
 from echowing.tool.moment import Moment, members, places
-from echowing.tool.panel import Row
+from echowing.tool.panel import Row, VehicleHealth
 from echowing.tool.run import Page
 from echowing.tool.track import Track
 
@@ -78,7 +78,6 @@ def _row(world: FormationWorld, follower: SimFollower) -> Row:
         time_s=world.t_s,
         system_id=follower.autopilot.system_id,
         state="",
-        mode=_mode(follower),
         separation_m=math.dist(leader.position_ned_m, follower.position_ned_m),
         error_m=None,
         slot_error_m=None,
@@ -89,11 +88,11 @@ def _row(world: FormationWorld, follower: SimFollower) -> Row:
         command_mps=speed_parameter_mps(follower.autopilot),
         speed_mps=math.hypot(*follower.velocity_ned_mps[:2]),
         leader_speed_mps=math.hypot(*leader.velocity_ned_mps[:2]),
-        altitude_m=-follower.position_ned_m[2],
         link_percent=None,
         north_offset_m=0.0,
         east_offset_m=0.0,
-        leader_mode=_mode(leader),
+        own=VehicleHealth(mode=_mode(follower), altitude_m=-follower.position_ned_m[2]),
+        leader=VehicleHealth(mode=_mode(leader)),
     )
 
 

@@ -23,9 +23,12 @@ VEHICLE_PORTS = 10
 PILOT_PORT = 2
 PILOT_LINK = "pilot"
 HIGHEST_PORT = 65_535
+STARTS = "The leader starts to fly when follow sends the first points."
 LED = (SubMode.POSITION, SubMode.POSITION_VELOCITY)
 # Of a slot of a scenario, what `follow --formation` needs.
 PLACE = {"radius_m", "angle_deg", "altitude_step_m"}
+# What the applet accepts for ECHO_DIST (lua/echowing.md, Parameters).
+LEAST_DIST_M, MOST_DIST_M = 1.5, 6.0
 
 
 class WaitingPilot(LeaderPilot):
@@ -92,7 +95,7 @@ def serve(
     if scenario.fault:
         raise EchowingError(f"--serve: the faults of {scenario.name} are flown without it only")
     _check_ports(port, 1 + len(scenario.slots()))
-    world = _world(scenario, seed, parked=parked)
+    world = _world(scenario if parked else set_up(scenario), seed, parked=parked)
     if cards is not None:
         insert_cards(world.followers, cards)
     step = world.step if page is None else WorldOnPage(world, page).step
@@ -107,6 +110,23 @@ def serve(
         server.run(stop)
     print("stopped", flush=True)
     return 0
+
+
+def set_up(scenario: Scenario) -> Scenario:
+    """With each applet's ECHO_DIST at its slot's radius, unless the scenario gives another.
+
+    As a pilot sets it before the flight: `follow` does not engage where the two differ.
+    """
+    if "ECHO_DIST" in scenario.applet:
+        return scenario
+    slots = tuple(
+        slot.model_copy(update={"echo_dist_m": slot.radius_m})
+        if slot.echo_dist_m is None and LEAST_DIST_M <= slot.radius_m <= MOST_DIST_M
+        else slot
+        for slot in scenario.formation.slots
+    )
+    formation = scenario.formation.model_copy(update={"slots": slots})
+    return scenario.model_copy(update={"formation": formation})
 
 
 def _world(scenario: Scenario, seed: int, *, parked: bool) -> FormationWorld:
@@ -156,7 +176,7 @@ def _say_how_to_go_on(scenario: Scenario, port: int, *, parked: bool, signed: bo
     leader = f"--leader tcp:127.0.0.1:{port}"
     print("To fly the formation, in another terminal:")
     print(f"  echowing follow {leader} {ends} {_places(scenario, port)}{key} --engage")
-    print("The leader sets out when the first follower is led. Ctrl-C ends it.", flush=True)
+    print(f"{STARTS} Ctrl-C ends it.", flush=True)
 
 
 def _indices(scenario: Scenario) -> range:

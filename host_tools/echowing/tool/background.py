@@ -1,7 +1,7 @@
-"""Work that may block, done by a thread: a stopped terminal, an unread pipe, a slow disk.
+"""A thread for work that may block: a stopped terminal, an unread pipe, a slow disk.
 
-The loop that flies only ever puts something into a bounded queue. What does not fit is dropped and
-counted, and said when there is room again.
+The flying loop only puts work into a bounded queue. What does not fit is dropped and counted, and
+reported when there is room again.
 """
 
 import threading
@@ -14,20 +14,20 @@ from echowing.tool.panel import Row
 from echowing.tool.track import Track
 from echowing.tool.view import LastingView, View
 
-# Lines of a view that wait: an hour of a quiet flight, half a minute of fifty talking vehicles.
+# Queue of a view, in lines: an hour of a quiet flight, half a minute of fifty reporting vehicles.
 MOST_SHOWN = 500
-# Frames and rows of a log that wait: 20 s of fifty followers, 5 MB.
+# Queue of a log, in frames and rows: 20 s of fifty followers, 5 MB.
 MOST_LOGGED = 20_000
-# Rows come at 10 Hz and only the newest is worth showing; so many dropped are worth a word (2 s).
+# Rows come at 10 Hz, and only the newest is shown. This many dropped rows (2 s) are reported.
 ROWS_WORTH_A_WORD = 20
-# A terminal or a disk that takes nothing for so long at the end is left behind.
+# At the end the tool waits this long for a terminal or a disk that accepts nothing.
 LAST_WORDS_S = 2.0
 
 
 class Worker:
-    """Does what it is given, in order, in a daemon thread; never makes the giver wait.
+    """Does its work in order, in a daemon thread; the caller never waits.
 
-    error: the first exception of what it was given; all after it is still done.
+    error: the first exception of its work; the work after it is still done.
     """
 
     def __init__(self, most: int) -> None:
@@ -40,7 +40,7 @@ class Worker:
         self._thread.start()
 
     def do(self, work: Callable[[], None]) -> bool:
-        """Have it done later; False: too much is waiting, it is dropped."""
+        """Queue the work; False: the queue is full and the work is dropped."""
         with self._news:
             if len(self._work) >= self._most or self._ending:
                 return False
@@ -50,16 +50,16 @@ class Worker:
 
     @property
     def has_room(self) -> bool:
-        """Whether less than half of what may wait is waiting."""
+        """Whether the queue is less than half full."""
         return 2 * len(self._work) < self._most
 
     def settle(self, timeout_s: float) -> bool:
-        """Wait until all is done; False: it is not, after `timeout_s`."""
+        """Wait until all work is done; False: it is not, after `timeout_s`."""
         with self._news:
             return self._news.wait_for(lambda: not self._work and not self._busy, timeout_s)
 
     def end(self, last: Callable[[], None], timeout_s: float) -> bool:
-        """End the thread once all is done, and `last`; False: it is stuck, and is left behind."""
+        """End the thread after all work and `last`; False: it is stuck, and is left behind."""
         with self._news:
             self._work.append(last)
             self._ending = True
@@ -84,9 +84,9 @@ class Worker:
 
 
 class BackgroundView:
-    """A view drawn by a thread. Of rows only the newest wait; events wait in their order.
+    """A view that a thread draws. Only the newest rows wait; events wait in order.
 
-    lost: why nothing is shown any more; stuck: what shows it took nothing until the end.
+    lost: why nothing is shown any more; stuck: the output accepted nothing until the end.
     """
 
     def __init__(self, view: View, most: int = MOST_SHOWN) -> None:
@@ -99,7 +99,7 @@ class BackgroundView:
 
     @property
     def lost(self) -> Exception | None:
-        """The error that ended it; None: it still shows."""
+        """The error that ended the view; None: it works."""
         return self._view.lost or self._worker.error
 
     def event(self, time_s: float, text: str) -> None:
@@ -127,7 +127,7 @@ class BackgroundView:
         self._worker.do(ring)
 
     def settle(self, timeout_s: float = LAST_WORDS_S) -> None:
-        """Give it time to show what waits."""
+        """Give it time to show the queue."""
         self._worker.settle(timeout_s)
 
     def close(self) -> None:
@@ -148,8 +148,8 @@ class BackgroundView:
             return
         self._dropped_events = 0
         text = (
-            f"nothing could be shown for a while (a stopped terminal, an unread pipe?): {events} "
-            f"events and {rows} updates of the table were left out; flying went on"
+            "nothing could be shown for a while (stopped terminal, or pipe that nobody reads?): "
+            f"{events} events and {rows} updates of the table were left out; flying went on"
         )
         self._worker.do(lambda: self._view.event(time_s, text))
 
@@ -177,11 +177,11 @@ class BackgroundLog:
         self._do(lambda: self._log.event(unix_s, text))
 
     def tell(self, say: Callable[[str], None]) -> None:
-        """Say what the log has had to say since the last time."""
+        """Report what the log has reported since the last call."""
         while self._said:
             say(self._said.popleft())
         if self._dropped and self._worker.has_room:
-            say(f"log: {self._dropped} frames and rows are missing: the disk took nothing")
+            say(f"log: {self._dropped} frames and rows are missing: the disk was too slow")
             self._dropped = 0
 
     def close(self) -> None:

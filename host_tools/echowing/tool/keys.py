@@ -1,7 +1,7 @@
 """The keys of the live view: what each does, and which of them ask first. Pure.
 
-No key needs Enter. What makes vehicles move asks, and takes only `y`, pressed later than the key
-itself: text that was pasted, or a key that is held down, answers nothing.
+No key needs Enter. Keys that make vehicles move ask first and accept only `y`, pressed later than
+the key itself: pasted text, or a key that is held down, is no answer.
 """
 
 from collections.abc import Callable
@@ -14,7 +14,7 @@ ESCAPE = 0x1B  # begins what arrow and function keys send
 
 
 class KeyDesk:
-    """Turns keys into orders; `say(now_s, text)` tells the operator."""
+    """Turns keys into orders; `say(now_s, text)` reports to the operator."""
 
     def __init__(self, orders: Orders, say: Callable[[float, str], None]) -> None:
         self._orders = orders
@@ -22,7 +22,7 @@ class KeyDesk:
         self._asked: tuple[float, str, Callable[[float], None]] | None = None
 
     def press(self, data: bytes, now_s: float) -> None:
-        """Take what the terminal has: any number of keys since the last time."""
+        """Take the keys that were pressed since the last call, any number."""
         self._forget(now_s)
         for byte in data:
             if byte == ESCAPE:
@@ -50,7 +50,7 @@ class KeyDesk:
             self._ask_nearer(now_s)
 
     def _engage_question(self) -> str:
-        return "end the hold?" if self._orders.held else "engage, points to all in Guided?"
+        return "end the hold?" if self._orders.held else "engage: send points to all in Guided?"
 
     def _ask_nearer(self, now_s: float) -> None:
         objection = self._orders.objection_to_nearer(now_s)
@@ -71,7 +71,7 @@ class KeyDesk:
             self._say(now_s, f"{question} no answer: no")
 
     def line(self, now_s: float) -> str:
-        """What the keys do now, in one line of a terminal."""
+        """The keys and what they do now, in one line."""
         self._forget(now_s)
         if self._asked is not None:
             return f"{self._asked[1]} y: yes, any other key: no"

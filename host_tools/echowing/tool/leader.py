@@ -1,4 +1,4 @@
-"""The leader's half of following: its telemetry passed on as it is, MAVLink in datagrams."""
+"""`echowing leader`: passes the leader's telemetry on unchanged, as MAVLink datagrams."""
 
 import time
 from collections.abc import Callable
@@ -23,9 +23,9 @@ VEHICLE_LINK_ID, PUBLISHED_LINK_ID = 101, 102
 
 
 class LeaderTool:
-    """Publishes one vehicle. Back to it go only questions for its clock.
+    """Publishes one vehicle. Only requests for its clock go back to it.
 
-    Frames are passed on as they are, with the signature of who has sent them.
+    Frames are passed on unchanged, with the sender's signature.
     """
 
     def __init__(
@@ -58,11 +58,11 @@ class LeaderTool:
 
     @property
     def stuck(self) -> bool:
-        """Whether the terminal took nothing until the end, and still blocks."""
+        """Whether the terminal accepted nothing until the end, and still blocks."""
         return self._view.stuck
 
     def run(self, duration_s: float | None) -> int:
-        """Until the end is asked for; returns the exit code."""
+        """Run until asked to end; returns the exit code."""
 
         def over() -> bool:
             return (
@@ -100,7 +100,7 @@ class LeaderTool:
         self._say(f"leader is system {self._system_id}, published to {self._follow.link.name}")
 
     def _turn(self) -> None:
-        """Pass on what has come, both ways; keep the vehicle sending."""
+        """Pass on new messages, both ways; keep the vehicle sending."""
         now_s = self._now_s()
         for message in self._vehicle.receive(now_s, self._say):
             self._pass_on(message, now_s)
@@ -124,7 +124,11 @@ class LeaderTool:
         silent = now_s - self._heard_s > UNHEARD_S
         if silent is not self._silent:
             self._silent = silent
-            self._say("the leader is silent; followers stop" if silent else "the leader is back")
+            self._say(
+                "no report from the leader; followers stop"
+                if silent
+                else "the leader reports again"
+            )
 
     def _ask(self, now_s: float) -> None:
         if now_s - self._beat_s >= HEARTBEAT_PERIOD_S:
@@ -142,9 +146,9 @@ def _open_link(address: Address, key: bytes | None, link_id: int) -> OpenLink:
 
 
 def _refuse_loop(vehicle: Address, publish: Address) -> None:
-    """What is published must not come in again as the vehicle's."""
+    """Published messages must not arrive again as the vehicle's."""
     if leads_back(vehicle, publish):
         raise EchowingError(
             f"--publish to {publish.host}:{publish.port} is where the vehicle's messages arrive "
-            f"({vehicle.text}): all would go round and round; give another port"
+            f"({vehicle.text}): messages would circulate for ever; give another port"
         )

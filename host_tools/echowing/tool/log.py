@@ -1,7 +1,7 @@
 """What `echowing follow` writes down: a .tlog of all frames, a CSV of all rows, events as text.
 
-A log that cannot be begun is refused; one that cannot be gone on with is said once and given up:
-it never stops the flying.
+A log that cannot be opened is refused. If writing fails later, that is reported once and the log
+ends: it never stops the flight.
 """
 
 import csv
@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import BinaryIO, TextIO
 
 from echowing.errors import EchowingError
-from echowing.tool.panel import Row
+from echowing.tool.panel import COLUMNS, Row
 from echowing.tool.track import Track
 
 Say = Callable[[str], None]
@@ -22,7 +22,7 @@ Say = Callable[[str], None]
 class FollowLog:
     """Logs of one flight in `folder`, named by the UTC time of the start.
 
-    Raises EchowingError where nothing can be written.
+    Raises EchowingError if nothing can be written.
     """
 
     def __init__(self, folder: Path, start_unix_s: float, say: Say) -> None:
@@ -36,8 +36,8 @@ class FollowLog:
             self._tlog = (folder / f"follow-{stamp}.tlog").open("wb")
             self._table = (folder / f"follow-{stamp}.csv").open("w", newline="", encoding="utf-8")
             self._events = (folder / f"follow-{stamp}.txt").open("w", encoding="utf-8")
-            names = [column.name for kind in (Row, Track) for column in fields(kind)]
-            self._writer = csv.DictWriter(self._table, ["unix_time_s", *names])
+            names = ["unix_time_s", *COLUMNS, *(column.name for column in fields(Track))]
+            self._writer = csv.DictWriter(self._table, names)
             self._writer.writeheader()
             self._table.flush()
         except OSError as error:
@@ -56,7 +56,7 @@ class FollowLog:
             self._give_up(error)
 
     def event(self, unix_s: float, text: str) -> None:
-        """Something that was said: a line, its UTC time in seconds first."""
+        """An event: one line that begins with its UTC time in seconds."""
         if self._events is None:
             return
         try:
@@ -66,7 +66,7 @@ class FollowLog:
             self._give_up(error)
 
     def rows(self, unix_s: float, rows: Sequence[Row], tracks: Sequence[Track]) -> None:
-        """The rows of one moment; all that was written until now is on the disk after this."""
+        """The rows of one moment; then everything written so far is flushed to the disk."""
         if self._tlog is None or self._table is None:
             return
         try:
@@ -88,10 +88,11 @@ class FollowLog:
                 if file is not None:
                     file.close()
             except OSError as error:
-                self._say(f"log: its end was lost: {error.strerror}")
+                self._say(f"log: the end is missing: {error.strerror}")
 
     def _give_up(self, error: OSError) -> None:
         self._say(
-            f"log: {error.filename or ''} cannot be written ({error.strerror}); flying on without"
+            f"log: {error.filename or ''} cannot be written ({error.strerror}); flying goes on "
+            "without a log"
         )
         self.close()

@@ -1,4 +1,4 @@
-"""One moment of a flight as it is shown and judged: all rows and tracks, one origin. Pure."""
+"""One moment of a flight, to show and to judge: all rows and tracks about one origin. Pure."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -32,7 +32,7 @@ class Moment:
 
     @property
     def origin(self) -> GlobalPosition | None:
-        """A place that is known: the leader's, else a follower's."""
+        """A known position: the leader's, else a follower's."""
         for track in self.tracks:
             if track.leader_lat_deg is not None:
                 return _global(track.leader_lat_deg, track.leader_lon_deg, track.leader_alt_m)
@@ -57,7 +57,7 @@ class Places:
 
 
 def places(moment: Moment, origin: GlobalPosition) -> Places:
-    """Where everybody is and is to be; all at once, as one conversion costs as much as fifty."""
+    """Where all vehicles are and should be; in one call, which costs as much as for one vehicle."""
     first = moment.tracks[0] if moment.tracks else None
     known: list[tuple[float | None, float | None, float | None]] = []
     if first is not None:
@@ -76,7 +76,7 @@ def places(moment: Moment, origin: GlobalPosition) -> Places:
 
 
 def _carried_on(place: Ned, row: Row, track: Track) -> Ned:
-    """A follower's report carried on over its age, as the leader's is."""
+    """A follower's position extrapolated over the age of its report, as the leader's is."""
     age_s = min(_age(row.age_s), LONGEST_CARRY_S)
     return place[0] + track.north_mps * age_s, place[1] + track.east_mps * age_s, place[2]
 
@@ -93,7 +93,7 @@ def _ned(
 
 
 def members(moment: Moment, where: Places, inset_m: float) -> list[Member]:
-    """The vehicles as `flight.health` judges them; `inset_m`: the sonar reads so much less."""
+    """The vehicles as `flight.health` judges them; `inset_m`: the sonar reads this much less."""
     leader_age_s = moment.rows[0].leader_age_s if moment.rows else None
     leader = Member(moment.leader_id, where.leader, _age(leader_age_s))
     followers = [
@@ -114,7 +114,7 @@ def members(moment: Moment, where: Places, inset_m: float) -> list[Member]:
 
 
 def apart_by_plan(tracks: Sequence[Track]) -> list[bool]:
-    """Which slots are out of a sonar's reach of the leader's place and of all other slots."""
+    """Which slots are beyond a sonar's range from the leader and from all other slots."""
     north, east = np.array([slot_offset_m(_slot(track), 0.0) for track in tracks]).reshape(-1, 2).T
     down = np.array([-track.wanted_step_m for track in tracks])
     places_m = np.vstack([np.zeros(3), np.column_stack([north, east, down])])
@@ -133,12 +133,12 @@ def _slot(track: Track) -> Slot:
 
 
 def _apart_m(sonar_m: float | None, inset_m: float) -> float | None:
-    """The distance between centres that a range stands for."""
+    """The distance between centres for a range."""
     return None if sonar_m is None or sonar_m >= DETECTION_LIMIT_M else sonar_m + inset_m
 
 
 def seen_leader(track: Track, leader: Ned | None) -> Ned | None:
-    """Where a follower takes the leader to be; None: it has learnt nothing of that."""
+    """Where a follower estimates the leader; None: it has no estimate."""
     if leader is None or track.seen_north_m is None or track.seen_east_m is None:
         return None
     return leader[0] + track.seen_north_m, leader[1] + track.seen_east_m, leader[2]

@@ -1,4 +1,4 @@
-"""What the operator sees of each vehicle: readings off the links, and rows made of them. Pure."""
+"""What the operator sees of each vehicle: readings from the links, and rows of them. Pure."""
 
 import math
 from collections.abc import Iterable
@@ -30,21 +30,20 @@ NAMED_FRESH_S = 2.0
 # Battery and GPS come at 0.5 and 1 Hz, the mode at 1 Hz: five of them missed.
 HEALTH_FRESH_S = 10.0
 LINK_WINDOW_S = 5.0
-# Another vehicle, the ground or another sonar is in the beam where the sonar is off what the
-# receivers make of it by more than a beam's width and a GPS can explain, for so long.
+# If sonar and receivers disagree by more than a beam's width and a GPS can explain, for this long,
+# another vehicle, the ground or another sonar is in the beam.
 MISMATCH_M = 2.0
 MISMATCH_S = 2.0
 UNKNOWN_MV = 0xFFFF  # of SYS_STATUS
-# Before the first heartbeat.
-NO_MODE = "-"
 MOST_LOST = 50  # in a row; more is a restart or another sender, not a gap
 
 
 @dataclass(frozen=True, slots=True)
-class Health:
-    """What a pilot lands for, of one vehicle; None: not known, or not of late.
+class VehicleHealth:
+    """What decides whether a pilot must land, for one vehicle; None: not known, or too old.
 
-    gps: kind of fix and satellites; clock_s: TIMESYNC's round trip; switch: its stop switch.
+    altitude_m: above its own home; gps: kind of fix and satellites; clock_s: TIMESYNC's round
+    trip; switch: its stop switch.
     """
 
     mode: str | None = None
@@ -56,21 +55,23 @@ class Health:
     switch: str | None = None
 
 
+# Prefixes of the names of a row's two healths in a flat table, as in the log.
+PREFIXES = {"own": "", "leader": "leader_"}
+
+
 @dataclass(frozen=True, slots=True)
 class Row:
     """One follower at one moment; None: not known. Times in seconds.
 
-    separation_m, error_m: from the leader by their receivers, heights included, and less the
-    wanted radius, where there is one; slot_error_m: horizontally from the slot; leader_age_s:
-    of the leader's report in use; age_s: of the follower's, both by their time stamps;
-    command_mps: the applet's limit; switch: its stop switch, where there is one; gps to clock_s,
-    and the same of the leader: as in `Health`.
+    separation_m, error_m: distance to the leader by their receivers, heights included, and the
+    same minus the wanted radius, if there is one; slot_error_m: horizontally from the slot;
+    leader_age_s: of the leader's report in use; age_s: of the follower's, both by their time
+    stamps; command_mps: the applet's limit; own, leader: the follower's and the leader's health.
     """
 
     time_s: float
     system_id: int
     state: str
-    mode: str
     separation_m: float | None
     error_m: float | None
     slot_error_m: float | None
@@ -81,29 +82,34 @@ class Row:
     command_mps: float | None
     speed_mps: float
     leader_speed_mps: float | None
-    altitude_m: float | None
     link_percent: float | None
     north_offset_m: float
     east_offset_m: float
-    switch: str | None = None
-    gps: str | None = None
-    battery_percent: float | None = None
-    battery_v: float | None = None
-    clock_s: float | None = None
-    leader_mode: str | None = None
-    leader_altitude_m: float | None = None
-    leader_gps: str | None = None
-    leader_battery_percent: float | None = None
-    leader_battery_v: float | None = None
-    leader_clock_s: float | None = None
-    leader_switch: str | None = None
+    own: VehicleHealth = VehicleHealth()
+    leader: VehicleHealth = VehicleHealth()
 
     def as_dict(self) -> dict[str, Any]:
-        """Its fields by name, numbers to the millimetre."""
-        values = ((column.name, getattr(self, column.name)) for column in fields(self))
+        """Its fields and those of its healths, named as in `COLUMNS`, rounded to the millimetre."""
+        parts = (self, *(getattr(self, name) for name in PREFIXES))
+        values = (
+            getattr(part, name) for part, names in zip(parts, _NAMES, strict=True) for name in names
+        )
         return {
-            name: round(value, 3) if isinstance(value, float) else value for name, value in values
+            name: round(value, 3) if isinstance(value, float) else value
+            for name, value in zip(COLUMNS, values, strict=True)
         }
+
+
+# The names of the fields of a row without its healths, and of each health.
+_NAMES = (
+    [column.name for column in fields(Row) if column.name not in PREFIXES],
+    *([column.name for column in fields(VehicleHealth)] for _ in PREFIXES),
+)
+COLUMNS = [
+    prefix + name
+    for prefix, names in zip(("", *PREFIXES.values()), _NAMES, strict=True)
+    for name in names
+]
 
 
 @dataclass(slots=True)
@@ -131,10 +137,10 @@ class _Quality:
 
 @dataclass(slots=True)
 class _Readings:
-    """The newest of each reading of a vehicle, and when it came."""
+    """The newest of each reading of a vehicle, and when it arrived."""
 
     quality: _Quality = field(default_factory=_Quality)
-    mode: str = NO_MODE
+    mode: str | None = None
     sonar_m: float | None = None
     sonar_at_s: float = -math.inf
     named: dict[str, tuple[float, float]] = field(default_factory=dict)
@@ -151,7 +157,7 @@ class _Readings:
 
 
 class Panel:
-    """Readings of the vehicles of one session. `texts` holds what the vehicles warn of."""
+    """Readings of the vehicles of one session. `texts` holds the warnings of the vehicles."""
 
     def __init__(self, system_ids: Iterable[int]) -> None:
         self._readings = {system_id: _Readings() for system_id in system_ids}
@@ -183,15 +189,15 @@ class Panel:
             self.texts.append((message.get_srcSystem(), message.text))
 
     def newest(self, system_id: int, name: str, now_s: float) -> float | None:
-        """A vehicle's newest named float, None when there is none of late."""
+        """A vehicle's newest named float, None when there is no recent one."""
         return self._readings[system_id].newest(name, now_s)
 
     def link_percent(self, system_id: int) -> float | None:
-        """The share of a vehicle's frames that arrive, the leader's too."""
+        """The share of a vehicle's frames that arrive; also of the leader's."""
         return self._readings[system_id].quality.percent
 
     def rows(self, session: FollowSession, now_s: float) -> list[Row]:
-        """A row a follower."""
+        """A row per follower."""
         return [self._row(session, follower, now_s) for follower in session.followers.values()]
 
     def _row(self, session: FollowSession, follower: FollowerState, now_s: float) -> Row:
@@ -201,15 +207,12 @@ class Panel:
         radius_m = follower.plan.slot.radius_m
         gimbal = readings.newest(GIMBAL_STATE, now_s)
         fresh = now_s - readings.sonar_at_s < SONAR_FRESH_S
-        its = self._health(session, follower.plan.system_id, follower.clock, now_s)
-        leaders = self._health(session, session.leader_id, session.leader.clock, now_s)
         sonar_m = readings.sonar_m if fresh else None
         self._compare(follower.plan.system_id, sonar_m, separation_m, now_s)
         return Row(
             time_s=now_s,
             system_id=follower.plan.system_id,
             state=state_of(session, follower, now_s),
-            mode=readings.mode,
             separation_m=separation_m,
             error_m=None if separation_m is None or radius_m == 0.0 else separation_m - radius_m,
             slot_error_m=_slot_error_m(follower),
@@ -220,34 +223,23 @@ class Panel:
             command_mps=readings.newest(SPEED_LIMIT, now_s),
             speed_mps=follower.ground_speed_mps,
             leader_speed_mps=None if fix is None else fix.speed_mps,
-            altitude_m=follower.altitude_m,
             link_percent=readings.quality.percent,
             north_offset_m=follower.estimate.offset.north_m,
             east_offset_m=follower.estimate.offset.east_m,
-            switch=its.switch,
-            gps=its.gps,
-            battery_percent=its.battery_percent,
-            battery_v=its.battery_v,
-            clock_s=its.clock_s,
-            leader_mode=leaders.mode,
-            leader_altitude_m=leaders.altitude_m,
-            leader_gps=leaders.gps,
-            leader_battery_percent=leaders.battery_percent,
-            leader_battery_v=leaders.battery_v,
-            leader_clock_s=leaders.clock_s,
-            leader_switch=leaders.switch,
+            own=self._health(session, follower.plan.system_id, follower.clock, now_s),
+            leader=self._health(session, session.leader_id, session.leader.clock, now_s),
         )
 
     def _health(
         self, session: FollowSession, system_id: int, clock: VehicleClock, now_s: float
-    ) -> Health:
+    ) -> VehicleHealth:
         readings = self._readings.get(system_id, _Readings())
         gps_at_s, gps = readings.gps
         battery_at_s, percent, volts = readings.battery
         beats = now_s - readings.beat_at_s < HEALTH_FRESH_S
         charged = now_s - battery_at_s < HEALTH_FRESH_S
         guard = session.guard
-        return Health(
+        return VehicleHealth(
             mode=readings.mode if beats else None,
             altitude_m=readings.altitude_m,
             gps=gps if now_s - gps_at_s < HEALTH_FRESH_S else None,
@@ -260,7 +252,7 @@ class Panel:
     def _compare(
         self, system_id: int, sonar_m: float | None, separation_m: float | None, now_s: float
     ) -> None:
-        """Report a sonar that detects something else than the leader, once each time."""
+        """Report a sonar that detects something other than the leader, once each time."""
         readings = self._readings[system_id]
         agrees = sonar_m is None or separation_m is None
         if sonar_m is not None and separation_m is not None:
@@ -302,7 +294,7 @@ def state_of(session: FollowSession, follower: FollowerState, now_s: float) -> s
 
 
 def _led_state(session: FollowSession, follower: FollowerState) -> str:
-    """The same of one to which points go."""
+    """The state of a follower that receives points."""
     if follower.held_at is not None:
         return f"holding: {follower.hold_reason}"
     if not follower.flown:
@@ -312,7 +304,7 @@ def _led_state(session: FollowSession, follower: FollowerState) -> str:
 
 
 def _separation_m(session: FollowSession, follower: FollowerState, now_s: float) -> float | None:
-    """From the leader, as this follower's receiver would have it."""
+    """Distance to the leader, by this follower's receiver."""
     fix = session.leader.fix
     if follower.position is None or fix is None or is_stale(now_s - fix.time_s, session.settings):
         return None
@@ -324,7 +316,7 @@ def _separation_m(session: FollowSession, follower: FollowerState, now_s: float)
 
 
 def _slot_error_m(follower: FollowerState) -> float | None:
-    """Horizontally from the slot, while it is being led there."""
+    """Horizontal distance to the slot, while it receives points."""
     if follower.position is None or follower.guided is None or follower.held_at is not None:
         return None
     north_m, east_m, _ = ned_between(follower.position, follower.guided.slot)
@@ -339,7 +331,7 @@ def _note_health(readings: _Readings, kind: str, message: Any, now_s: float) -> 
     elif kind == "GPS_RAW_INT":
         readings.gps = now_s, f"{FIXES.get(message.fix_type, '3D')} {message.satellites_visible}"
     elif kind == "SYS_STATUS":
-        # MAVLink's words for not known: -1 % and 65535 mV.
+        # MAVLink's values for not known: -1 % and 65535 mV.
         percent = None if message.battery_remaining < 0 else float(message.battery_remaining)
         volts = None if message.voltage_battery == UNKNOWN_MV else message.voltage_battery / 1e3
         readings.battery = now_s, percent, volts
@@ -350,7 +342,7 @@ def _finite(value: float) -> float | None:
 
 
 def left_as(session: FollowSession, follower: FollowerState, now_s: float) -> tuple[str, bool]:
-    """How a follower is left at the end, and whether that needs nobody's hand."""
+    """How a follower is left at the end; True: nobody has to take over."""
     height = "" if follower.altitude_m is None else f", {follower.altitude_m:.1f} m up"
     speed = f"{follower.ground_speed_mps:.1f} m/s"
     mode = "mode unknown" if follower.mode is None else mode_name(follower.mode)

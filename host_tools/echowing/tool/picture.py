@@ -1,7 +1,7 @@
 """The README's picture of the live table: `python -m echowing.tool.picture FILE.svg`.
 
-Two simulated vehicles follow a third in real time, led by the real tool; what its view shows once
-both are in their places is the picture.
+The real tool leads two simulated vehicles behind a third, in real time. The picture is what its
+view shows once both are in their slots.
 """
 
 import contextlib
@@ -18,12 +18,13 @@ from echowing.commands import follow as verb
 from echowing.stopping import StopRequest
 from echowing.tool.panel import Row
 from echowing.tool.run import FollowTool
-from echowing.tool.view import EVENTS_SHOWN, scene
+from echowing.tool.view import scene
 
 PORT = 5760  # as in the README
 WIDTH_CHARACTERS = 80
+EVENTS_SHOWN = 8
 IN_PLACE_M = 0.6
-# So long both have to be in place, so that the links have been counted and the lines have settled.
+# Both must be in place this long, so that the link quality is known and the lines have settled.
 SETTLED_S = 8.0
 LONGEST_S = 120.0
 # Nearer than receivers demand: the built-in simulator's are good enough for a picture.
@@ -38,7 +39,7 @@ WORLD = (
 
 
 class Photographer:
-    """A view that remembers how it looked when all were in place, and then asks for the end."""
+    """A view that keeps its rows and events when all are in place, and then asks for the end."""
 
     def __init__(self, stop: StopRequest) -> None:
         self._stop = stop
@@ -74,7 +75,7 @@ def _in_place(row: Row) -> bool:
 
 
 def photograph(formation: Path) -> Photographer:
-    """Fly, and return what was seen. Raises TimeoutError when they never were in place."""
+    """Fly, and return what was seen. Raises TimeoutError if they never were in place."""
     stop = StopRequest()
     photographer = Photographer(stop)
     with _served():
@@ -108,7 +109,7 @@ def _served() -> Iterator[None]:
 
 
 def drawn(rows: Sequence[Row], events: Sequence[str]) -> str:
-    """The view as an SVG that names no font of another server and no file of this machine."""
+    """The view as an SVG, without fonts of other servers and without local file names."""
     console = Console(
         record=True,
         width=WIDTH_CHARACTERS,

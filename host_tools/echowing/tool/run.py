@@ -33,24 +33,24 @@ from echowing.tool.view import View
 ROWS_PERIOD_S = 0.1
 # Changes of the formation's health count after 2 s; judging fifty followers takes milliseconds.
 HEALTH_PERIOD_S = 1.0
-# A copter at 5 m/s stands within 5 s; the stop has to be seen for a second, over a slow link.
+# A copter at 5 m/s stops within 5 s; its stop must show for a second, over a slow link.
 STOPPING_S = 10.0
-# Five questions for a parameter, a second apart, over a slow radio.
+# Five requests for a parameter, a second apart, over a slow radio.
 RESTORING_S = 6.0
-# Until the leader's height is known, which is before anything is engaged.
+# Used until the leader's height is known, before anything is engaged.
 UNKNOWN_ALTITUDE_M = 10.0
-# This far behind, the points that were missed are not sent late.
+# If the loop is this late, the missed points are not sent.
 HOPELESS_S = 0.5
-TAKE_OVER = "Echowing: not known to stand, TAKE OVER"
-# What another component of a vehicle, the co-processor, may say; all else is its autopilot's.
+TAKE_OVER = "Echowing: not confirmed stopped, TAKE OVER"
+# Messages accepted from another component of a vehicle, the co-processor.
 _COMPONENTS_SAY = {"DISTANCE_SENSOR", "NAMED_VALUE_FLOAT"}
 
 
 @dataclass(slots=True)
 class FollowOptions:
-    """What the operator has asked for; the first seat is the leader's.
+    """The operator's options; the first seat is the leader's.
 
-    make_guide: what leads a follower, where it is not its slot; altitude_m: above the leader's
+    make_guide: what leads a follower, if not its slot; altitude_m: above the leader's
     home, None: as high as the leader is when a follower is engaged.
     """
 
@@ -75,7 +75,7 @@ def _is_no_point(addressed: tuple[int, Any]) -> bool:
 
 
 class Page(Protocol):
-    """Where a flight is shown beside the terminal; nothing here makes the caller wait."""
+    """Where a flight is shown besides the terminal; no call here blocks."""
 
     said: str
 
@@ -83,18 +83,18 @@ class Page(Protocol):
         """Something has happened."""
 
     def show(self, moment: Moment) -> None:
-        """How it stands; called at 10 Hz."""
+        """The newest moment; called at 10 Hz."""
 
     def lost(self) -> str | None:
-        """Why it shows nothing any more; said once."""
+        """Why it shows nothing any more; returned once."""
 
 
 class FollowTool:
-    """Finds the vehicles, flies the followers, and leaves them standing.
+    """Finds the vehicles, flies the followers, and stops them at the end.
 
-    `clock` is monotonic seconds and `unix_clock` UTC; `make_link` opens what points go through;
-    `keys` returns what was pressed since the last time, at once; None: nobody can press any. `page`
-    shows the flight in a browser.
+    `clock` gives monotonic seconds, `unix_clock` UTC. `make_link` opens a link. `keys` returns the
+    keys pressed since the last call, at once; None: there is no keyboard. `page` shows the flight
+    in a browser.
     """
 
     def __init__(
@@ -128,9 +128,9 @@ class FollowTool:
         self._events_told = self._alerts_told = 0
 
     def run(self) -> int:
-        """Until the end is asked for; 0: every follower that was moved is known to stand.
+        """Run until asked to end; 0: every follower that was moved is confirmed stopped.
 
-        1: one is not, or the duration was over before all vehicles were heard.
+        1: one is not, or the duration ended before all vehicles had reported.
         """
         options = self._options
         try:
@@ -148,7 +148,7 @@ class FollowTool:
             try:
                 self._fly()
             except Exception as error:
-                # A fault of ours is no reason to leave them flying.
+                # After a fault of this tool the followers must be stopped too.
                 self._warn(f"fault of this tool, stopping: {error!r}")
                 self._end()
                 raise
@@ -175,7 +175,7 @@ class FollowTool:
             self._log.event(self._start_unix_s + time_s, text)
 
     def _warn(self, text: str) -> None:
-        """Say what somebody should look up for."""
+        """Report something that needs the operator's attention."""
         self._say(text)
         self._view.ring()
 
@@ -218,12 +218,12 @@ class FollowTool:
 
     def _over(self) -> bool:
         duration_s = self._options.duration_s
-        # Where nobody sees what is done nothing is done.
+        # Without a view the tool ends.
         ended = self._stop() or self._view.lost is not None
         return ended or (duration_s is not None and self._now_s() >= duration_s)
 
     def _unheard_code(self) -> int:
-        """0 where the operator has ended it; a time that ran out in vain is no success."""
+        """0 if the operator has ended it; 1 if the duration has ended."""
         return 0 if self._stop() or self._view.lost is not None else 1
 
     def _fly(self) -> None:
@@ -232,7 +232,7 @@ class FollowTool:
             self._turn()
 
     def _turn(self) -> None:
-        """Take what has come; send and show when it is time; wait for what comes next."""
+        """Take new messages; send and show when due; wait for what comes next."""
         for link in self._links.values():
             for message in link.receive(self._now_s(), self._say):
                 self._take(link, message, self._now_s())
@@ -242,7 +242,7 @@ class FollowTool:
             late = now_s - self._next_tick_s > HOPELESS_S
             self._next_tick_s = (now_s if late else self._next_tick_s) + 1.0 / self._options.rate_hz
             ordered = self._orders.prepare(now_s)
-            # Points first: what else is to be asked or told can wait for them.
+            # Points first: other messages can wait for them.
             for system_id, message in sorted(self._session.tick(now_s) + ordered, key=_is_no_point):
                 self._write(now_s, self._ways[system_id].send(message, now_s))
         if now_s >= self._next_rows_s:
@@ -257,7 +257,7 @@ class FollowTool:
             self._view.keys(self._desk.line(now_s))
 
     def _take(self, link: OpenLink, message: Any, now_s: float) -> None:
-        """Hand on what a vehicle of ours has said on its own link."""
+        """Pass on a message that one of our vehicles has sent on its own link."""
         doubt = self._strangers.heard(link.link.name, message)
         if doubt is not None and self._session.engagement is not None:
             self._session.engagement.doubt(*doubt, now_s)
@@ -292,7 +292,7 @@ class FollowTool:
             self._page.show(moment)
 
     def _judged(self, moment: Moment) -> Moment:
-        """The moment with the formation's health, of which changes are said."""
+        """The moment with the formation's health; changes of it are reported."""
         origin = moment.origin
         if origin is None:
             return moment
@@ -325,7 +325,7 @@ class FollowTool:
     # ---- the end --------------------------------------------------------------------------------
 
     def _end(self) -> int:
-        """Stop what was moved, see that it stands, and say how each follower was left."""
+        """Stop the followers, wait until they have stopped, and report how each was left."""
         session, asked = self._session, self._stop.count
         session.stop("the tool ends")
         until_s = self._now_s() + STOPPING_S
@@ -333,7 +333,7 @@ class FollowTool:
         self._turn()
         while not session.stopped(self._now_s()) and self._now_s() < until_s:
             if self._stop.count > asked:
-                self._say("asked twice: not waiting for the followers to stand")
+                self._say("asked twice: not waiting for the followers to stop")
                 break
             self._turn()
         safe = self._put_back(asked)
@@ -347,7 +347,7 @@ class FollowTool:
         return 0 if safe and self._view.lost is None else 1
 
     def _tell_how_left(self, system_id: int, text: str, *, well: bool, now_s: float) -> None:
-        """Say how a follower was left; where a hand is needed its pilot's display says so too."""
+        """Report how a follower was left; to its pilot's display too if the pilot must act."""
         tell = self._say if well else self._warn
         tell(f"follower {system_id}: {text}")
         if not well:
@@ -355,7 +355,7 @@ class FollowTool:
             self._write(now_s, self._ways[system_id].send(take_over, now_s))
 
     def _put_back(self, asked: int) -> bool:
-        """Put ECHO_DIST back where keys have changed it; returns whether that is confirmed."""
+        """Restore ECHO_DIST if keys have changed it; returns whether that is confirmed."""
         build_up = self._orders.build_up
         if build_up is None:
             return True
@@ -381,5 +381,5 @@ class FollowTool:
 
     @property
     def stuck(self) -> bool:
-        """Whether something that shows or logs took nothing until the end, and still blocks."""
+        """Whether a view or a log accepted nothing until the end, and still blocks."""
         return self._view.stuck or (self._log is not None and self._log.stuck)

@@ -1,10 +1,11 @@
 """The followers as a table that fits the terminal: a line per vehicle, or two on a narrow one.
 
-Numbers are never cut. What a state explains about itself stands under the table.
+Numbers are never cut. The reason of a state stands under the table.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console, ConsoleOptions, RenderResult
@@ -13,15 +14,15 @@ from rich.text import Text
 
 from echowing.tool.panel import Row
 
-# Characters of the terminal from which the layout fits; under the second, two lines per vehicle.
+# Least width of the terminal for each layout; below the second, two lines per vehicle.
 ROOMY, TIGHT = 118, 80
 
 
 @dataclass(frozen=True, slots=True)
 class Number:
-    """A column of numbers: the field of `Row` it shows, with so many decimals at most."""
+    """A column of numbers: which value of `Row`, and how many decimals at most."""
 
-    field: str
+    value: str
     head: str
     short: str
     unit: str
@@ -37,18 +38,18 @@ OTHERS = (
     Number("age_s", "age", "age", "s", 5),
     Number("speed_mps", "speed", "speed", "m/s", 5, decimals=1),
     Number("command_mps", "limit", "limit", "m/s", 5, decimals=1),
-    Number("altitude_m", "height", "height", "m", 6, decimals=1),
+    Number("own.altitude_m", "height", "height", "m", 6, decimals=1),
     Number("link_percent", "link", "link", "%", 4, decimals=0),
 )
 NUMBERS = (SEPARATION, ERROR, SONAR, *OTHERS)
-# Narrow words for a narrow column.
+# Short words for a narrow column.
 GIMBAL = {"starting": "start", "searching": "search", "tracking": "track", "sonar fault": "fault"}
 STATE_WIDTH, MODE_WIDTH, GIMBAL_WIDTH, ID_WIDTH = 11, 6, 6, 3
 
 
 @dataclass(frozen=True, slots=True)
 class FollowerTable:
-    """The rows, laid out for the width of the terminal that they are drawn on."""
+    """The rows, laid out for the width of the terminal."""
 
     rows: Sequence[Row]
 
@@ -64,7 +65,7 @@ class FollowerTable:
 
 
 def _leader(row: Row) -> str:
-    """What the rows share: how fresh the leader is."""
+    """What the rows share: the leader's speed and the age of its report."""
     speed = "-" if row.leader_speed_mps is None else f"{row.leader_speed_mps:.1f} m/s"
     age = "no report" if row.leader_age_s is None else f"last report {row.leader_age_s:.2f} s ago"
     return f"leader: {speed}, {age}"
@@ -99,7 +100,7 @@ def _one_line(rows: Sequence[Row], *, roomy: bool) -> Table:
 
 
 def _add_words(shown: Table, head: str, width: int, *, roomy: bool) -> None:
-    """A column whose words go on in a further line where they have no room."""
+    """A column whose words wrap inside it."""
     shown.add_column(head, width=None if roomy else width, min_width=width, overflow="fold")
 
 
@@ -109,7 +110,7 @@ def _add(shown: Table, number: Number, *, roomy: bool) -> None:
 
 
 def _two_lines(rows: Sequence[Row]) -> Iterator[Text]:
-    """Who does what, and under it the numbers, in columns."""
+    """Per vehicle a line with its state, and under it the numbers, in columns."""
     yield Text(_columns(number.short for number in NUMBERS), style="bold")
     yield Text(_columns(number.unit for number in NUMBERS), style="bold")
     for row in rows:
@@ -129,7 +130,7 @@ def _notes(rows: Sequence[Row]) -> Iterator[Text]:
     """Under the table: why a follower is not led."""
     for row in rows:
         _, _, reason = row.state.partition(": ")
-        _, _, flying = row.mode.partition(", ")
+        _, _, flying = (row.own.mode or "").partition(", ")
         said = ", ".join(text for text in (reason, flying) if text)
         if said:
             yield Text(f"{row.system_id}: {said}", style=_style(row.state))
@@ -140,19 +141,19 @@ def _state(row: Row) -> Text:
 
 
 def _mode(row: Row) -> str:
-    return row.mode.partition(", ")[0]
+    return (row.own.mode or "-").partition(", ")[0]
 
 
 def _style(state: str) -> str:
-    """Green where all is well, yellow where it is stopped or on its way, red where nothing is."""
+    """Green: following; yellow: stopped or on its way; red: receives no points."""
     if state == "following":
         return "green"
     return "red" if state.startswith(("no points sent", "not engaged")) else "yellow"
 
 
 def _cell(row: Row, number: Number) -> str:
-    """The number with as many decimals as its column has room for; "-": not known."""
-    value: float | None = getattr(row, number.field)
+    """The number, with as many decimals as fit into its column; "-": not known."""
+    value: float | None = attrgetter(number.value)(row)
     if value is None:
         return "-"
     sign = "+" if number.signed else ""

@@ -1,4 +1,4 @@
-"""Where everybody was and was to be, for the follow tool's CSV and its analysis. Pure."""
+"""Where all vehicles were and should be, for the follow tool's CSV and its analysis. Pure."""
 
 import math
 from dataclasses import dataclass, fields
@@ -18,12 +18,12 @@ class Track:
     """One follower's place in the formation at one moment; None: not known.
 
     Degrees are WGS-84, `alt_m` above sea level, speeds over ground, headings clockwise from north.
-    wanted_*: its slot. leader_*: carried on over the age of its report, by its own receiver.
-    lat_deg to heading_deg: the follower's newest report. slot_*, point_*: what the guidance made
-    of them, the learnt offset and the lead included; yaw_deg: where it was to look. pan_us,
+    wanted_*: its slot. leader_*: extrapolated over the age of its report, by its own receiver.
+    lat_deg to heading_deg: the follower's newest report. slot_*, point_*: slot and point of
+    the guidance, the learnt offset and the lead included; yaw_deg: the commanded heading. pan_us,
     tilt_us: the gimbal's pulses. leader_height_m: above the leader's home, wanted_height_m: of
-    this follower above its own. seen_*: from the leader's place by its own receiver to where this
-    follower takes it to be, metres, with the covariance of that, square metres.
+    this follower above its own. seen_*: from the leader's position by its own receiver to
+    where this follower estimates it, metres, and the covariance, square metres.
     """
 
     wanted_radius_m: float
@@ -113,7 +113,7 @@ def track(session: FollowSession, follower: FollowerState, panel: Panel, now_s: 
 
 
 def _of_leader(session: FollowSession, panel: Panel) -> dict[str, Any]:
-    """What the leader says of itself."""
+    """The leader's own report."""
     fix = session.leader.fix
     home_m = None if session.guard is None else session.guard.home_m(session.leader_id)
     return {
@@ -126,7 +126,7 @@ def _of_leader(session: FollowSession, panel: Panel) -> dict[str, Any]:
 def _seen(
     session: FollowSession, follower: FollowerState, leader: LeaderFix | None, now_s: float
 ) -> dict[str, Any]:
-    """Where this follower takes the leader to be, and how sure it is of that."""
+    """Where this follower estimates the leader, and how sure it is."""
     if leader is None or not session.settings.learn_offset or session.leader.fix is None:
         return {}
     seen = session.leader_for(follower, session.leader.fix, now_s)
@@ -145,7 +145,7 @@ def _seen(
 
 
 def _leader(session: FollowSession, now_s: float) -> LeaderFix | None:
-    """Where it is now; nothing while it is stale."""
+    """Where the leader is now; None while its report is stale."""
     fix = session.leader.fix
     if fix is None or is_stale(now_s - fix.time_s, session.settings):
         return None

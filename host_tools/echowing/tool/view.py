@@ -1,4 +1,4 @@
-"""How `echowing follow` shows itself: a live table, plain lines, or JSON lines."""
+"""The views of `echowing follow`: a live table, plain lines, or JSON lines."""
 
 import json
 import sys
@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from io import TextIOWrapper
+from textwrap import TextWrapper
 from typing import Protocol
 
 from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
@@ -14,15 +15,18 @@ from rich.segment import Segment
 from rich.text import Text
 
 from echowing.terminal import draws_live
-from echowing.tool.health import health, in_words, its_health, leaders_health
-from echowing.tool.panel import NO_MODE, Row
+from echowing.tool.health import health, in_words, leaders_words
+from echowing.tool.panel import Row
 from echowing.tool.table import FollowerTable
 
 PLAIN_PERIOD_S = 5.0
 JSON_PERIOD_S = 1.0
-EVENTS_SHOWN = 8
+# More than most screens have room for: the table before engaging takes several.
+EVENTS_SHOWN = 24
+# Width of an event's time, "   12.3 s  "; its text stays to the right of it.
+TIME_WIDTH = 11
 TABLE_HZ = 4.0
-# Drawing a row takes about 0.6 ms, in which no point is sent; so many rows a second are enough.
+# Drawing a row takes about 0.6 ms; this many rows per second are enough.
 ROWS_PER_S = 40.0
 
 
@@ -33,19 +37,19 @@ class View(Protocol):
         """Something has happened."""
 
     def rows(self, time_s: float, rows: Sequence[Row]) -> None:
-        """How it stands; called at 10 Hz."""
+        """The newest rows; called at 10 Hz."""
 
     def keys(self, text: str) -> None:
-        """What keys do now."""
+        """What the keys do now."""
 
     def close(self) -> None:
         """The end."""
 
 
 class LastingView:
-    """A view whose end is no end of the flight: what cannot be shown any more is left out.
+    """A view whose failure does not end the flight: what cannot be shown is left out.
 
-    lost: why nothing is shown, where the terminal or the reader of a pipe has gone.
+    lost: why nothing is shown, after the terminal or the reader of a pipe has gone.
     """
 
     def __init__(self, view: View) -> None:
@@ -80,7 +84,7 @@ class LastingView:
 def open_view(*, as_json: bool) -> View:
     """JSON lines when asked for, a live table on a terminal, plain lines elsewhere."""
     if isinstance(sys.stdout, TextIOWrapper):
-        # What a vehicle says may hold letters that the terminal has not.
+        # A vehicle's text may contain characters that the terminal does not have.
         sys.stdout.reconfigure(errors="backslashreplace")
     if as_json:
         return JsonView()
@@ -88,7 +92,7 @@ def open_view(*, as_json: bool) -> View:
 
 
 class PlainView:
-    """A line an event, and a line a follower now and then."""
+    """A line per event, and a line per follower now and then."""
 
     def __init__(self) -> None:
         self._next_s = 0.0
@@ -108,14 +112,14 @@ class PlainView:
             self.event(time_s, plain_row(row))
 
     def keys(self, text: str) -> None:
-        """As `View`; nobody looks here for them."""
+        """As `View`; keys are not shown here."""
 
     def close(self) -> None:
         """As `View`."""
 
 
 class JsonView:
-    """One JSON object a line: events as they come, rows once a second."""
+    """One JSON object per line: events as they come, rows once per second."""
 
     def __init__(self) -> None:
         self._next_s = 0.0
@@ -133,21 +137,21 @@ class JsonView:
             print(json.dumps(row.as_dict()), flush=True)
 
     def keys(self, text: str) -> None:
-        """As `View`; nobody looks here for them."""
+        """As `View`; keys are not shown here."""
 
     def close(self) -> None:
         """As `View`."""
 
 
 class LiveView:
-    """A table with a row a follower, and the last events under it."""
+    """A table with a row per follower, and the last events under it."""
 
     def __init__(self, console: Console | None = None) -> None:
         self._events: deque[str] = deque(maxlen=EVENTS_SHOWN)
         self._rows: Sequence[Row] = ()
         self._keys = ""
         self._next_s = 0.0
-        # Drawn between points, not by a thread of its own that would hold them up.
+        # Drawn by the caller: Rich's own thread would delay the points.
         self._live = Live(console=console, auto_refresh=False, transient=False)
         self._live.start()
 
@@ -165,7 +169,7 @@ class LiveView:
             self._update()
 
     def keys(self, text: str) -> None:
-        """As `View`: the first line, drawn at once, for somebody has pressed one."""
+        """As `View`: in the first line, drawn at once, because a key was pressed."""
         self._keys = text
         self._update()
 
@@ -173,20 +177,38 @@ class LiveView:
         self._live.update(Screenful(self._rows, list(self._events), self._keys), refresh=True)
 
     def close(self) -> None:
-        """As `View`: the table stays, the last events under it."""
+        """As `View`: the table stays on the terminal, with the last events under it."""
         self._keys = ""
         self._update()
         self._live.stop()
 
 
 def scene(rows: Sequence[Row], events: Iterable[str]) -> RenderableType:
-    """The whole view: the table, once there is one, and under it the events."""
-    return Group(*_above(rows, ""), Text("\n".join(events)))
+    """The whole view: the table, if there is one, and under it the events."""
+    return Group(*_above(rows, ""), Events(list(events)))
+
+
+@dataclass(frozen=True, slots=True)
+class Events:
+    """Lines of events; a long one wraps under its text."""
+
+    lines: Sequence[str]
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """Rich's protocol."""
+        del console
+        wrapper = TextWrapper(
+            max(options.max_width, 2 * TIME_WIDTH),
+            subsequent_indent=" " * TIME_WIDTH,
+            break_on_hyphens=False,
+        )
+        for line in self.lines:
+            yield Text("\n".join(wrapper.wrap(line)))
 
 
 @dataclass(frozen=True, slots=True)
 class Screenful:
-    """The same with what keys do, where the screen may be too low for all: the newest events."""
+    """The same with the keys. If the screen is too low, only the newest events are shown."""
 
     rows: Sequence[Row]
     events: Sequence[str]
@@ -197,7 +219,7 @@ class Screenful:
         above = Group(*_above(self.rows, self.keys))
         room = console.size.height - len(console.render_lines(above, options, pad=False))
         yield above
-        lines = console.render_lines(Text("\n".join(self.events)), options, pad=False)
+        lines = console.render_lines(Events(self.events), options, pad=False)
         for line in lines[-max(1, room) :]:
             yield from line
             yield Segment.line()
@@ -215,21 +237,21 @@ def _above(rows: Sequence[Row], keys: str) -> list[RenderableType]:
 
 def plain_row(row: Row) -> str:
     """The same in one line."""
-    if row.mode == NO_MODE:
+    if row.own.mode is None and row.age_s is None:
         return f"follower {row.system_id}: no report yet"
     return (
-        f"follower {row.system_id}: {row.state}, {row.mode}, "
+        f"follower {row.system_id}: {row.state}, {row.own.mode or 'mode not known'}, "
         f"separation {_shown(row.separation_m, 'm')} ({_shown(row.error_m, 'm', '+.2f')}), "
         f"sonar {_shown(row.sonar_m, 'm')}, {_shown(row.speed_mps, 'm/s', '.1f')} "
-        f"of {_shown(row.command_mps, 'm/s', '.1f')}, {_shown(row.altitude_m, 'm', '.1f')} up, "
+        f"of {_shown(row.command_mps, 'm/s', '.1f')}, {_shown(row.own.altitude_m, 'm', '.1f')} up, "
         f"leader {_shown(row.leader_age_s, 's')} old, link {_shown(row.link_percent, '%', '.0f')}"
-        + "".join(f", {text}" for text, _ in in_words(its_health(row)))
+        + "".join(f", {text}" for text, _ in in_words(row.own))
     )
 
 
 def plain_leader(row: Row) -> str:
     """The leader in one line."""
-    return "leader: " + ", ".join(text for text, _ in in_words(leaders_health(row)))
+    return "leader: " + ", ".join(text for text, _ in leaders_words(row.leader))
 
 
 def _shown(value: float | None, unit: str, form: str = ".2f") -> str:

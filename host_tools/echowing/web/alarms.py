@@ -1,4 +1,4 @@
-"""What is wrong at one moment, worst first, in words that are read from a metre away. Pure."""
+"""What is wrong at one moment, most serious first, in words for large letters. Pure."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ SONAR_FAULT = GIMBAL[3]
 
 
 class Level(IntEnum):
-    """How bad it is: nothing to do, look, act."""
+    """How serious it is: nothing to do, look, act."""
 
     GOOD = 0
     LOOK = 1
@@ -28,7 +28,7 @@ class Level(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Alarm:
-    """One thing that is wrong; system_id: of which vehicle."""
+    """One thing that is wrong; system_id: the vehicle."""
 
     level: Level
     system_id: int
@@ -36,14 +36,14 @@ class Alarm:
 
 
 def alarms(moment: Moment) -> list[Alarm]:
-    """All that is wrong now, worst first."""
+    """Everything that is wrong now, most serious first."""
     found = [*_of_leader(moment), *_of_followers(moment.rows, moment.tracks)]
     found += _of_health(moment.health)
     return sorted(found, key=lambda alarm: (-alarm.level, alarm.system_id))
 
 
 def headline(moment: Moment) -> str:
-    """All in a few words, for when nothing is wrong."""
+    """A summary, for when nothing is wrong."""
     followers = len(moment.rows)
     if not any(row.state for row in moment.rows):  # nobody leads them, or it is not known
         return f"{followers} follower" + ("" if followers == 1 else "s")
@@ -59,12 +59,10 @@ def _of_leader(moment: Moment) -> Iterator[Alarm]:
         return
     row = moment.rows[0]
     if row.leader_age_s is None:
-        yield Alarm(Level.ACT, moment.leader_id, "The leader was not heard yet")
+        yield Alarm(Level.ACT, moment.leader_id, "Leader: no report yet")
     elif row.leader_age_s > STALE_S:
-        yield Alarm(
-            Level.ACT, moment.leader_id, f"The leader is not heard for {row.leader_age_s:.1f} s"
-        )
-    yield from _of_battery("The leader", moment.leader_id, row.leader_battery_percent)
+        yield Alarm(Level.ACT, moment.leader_id, f"Leader: no report for {row.leader_age_s:.1f} s")
+    yield from _of_battery("The leader", moment.leader_id, row.leader.battery_percent)
 
 
 def _of_followers(rows: Sequence[Row], tracks: Sequence[Track]) -> Iterator[Alarm]:
@@ -74,20 +72,20 @@ def _of_followers(rows: Sequence[Row], tracks: Sequence[Track]) -> Iterator[Alar
         yield from _of_distance(name, row, track)
         if row.gimbal == SONAR_FAULT:
             yield Alarm(Level.LOOK, row.system_id, f"{name}: its sonar has a fault")
-        yield from _of_battery(name, row.system_id, row.battery_percent)
+        yield from _of_battery(name, row.system_id, row.own.battery_percent)
 
 
 def _of_state(name: str, row: Row) -> Iterator[Alarm]:
     if row.age_s is None:
-        yield Alarm(Level.ACT, row.system_id, f"{name} was not heard yet")
+        yield Alarm(Level.ACT, row.system_id, f"{name}: no report yet")
     elif row.age_s > UNHEARD_S:
-        yield Alarm(Level.ACT, row.system_id, f"{name} is not heard for {row.age_s:.0f} s")
+        yield Alarm(Level.ACT, row.system_id, f"{name}: no report for {row.age_s:.0f} s")
     elif level_of(row) is not Level.GOOD:
         yield Alarm(level_of(row), row.system_id, f"{name}: {row.state}")
 
 
 def level_of(row: Row) -> Level:
-    """How a follower's state is to be taken; its pilot's own doing is nothing wrong."""
+    """How serious a follower's state is; what its pilot does is not wrong."""
     if row.state.startswith(("holding", "not engaged", "gives way")):
         return Level.LOOK
     return Level.ACT if row.state == "no points sent" else Level.GOOD

@@ -1,8 +1,8 @@
-"""Who may open the page: requests that a foreign web page has brought about are refused. Pure.
+"""Who may open the page: requests that another web site has caused are refused. Pure.
 
-A page on the internet can have its own name resolve to this computer's address (DNS rebinding) and
-then read what is served here. Its requests carry its name as Host, and its own Origin. So the Host
-has to be an address or a name of this computer, and the Origin, where there is one, the page's own.
+A web site can make its own name resolve to this computer's address (DNS rebinding) and then read
+what is served here. Its requests carry its name as Host, and its own Origin. So the Host must be an
+address or a name of this computer, and the Origin, if there is one, must be the page's own.
 """
 
 import ipaddress
@@ -16,26 +16,26 @@ _HOST = re.compile(r"(\[(?P<address>[0-9a-f:.]+)\]|(?P<name>[a-z0-9._-]+))(:\d{1
 
 
 def refusal(served_on: str, host: str | None, origin: str | None) -> str | None:
-    """Why a request with these headers is refused; None: it is not.
+    """Why a request with these headers is refused; None: it is accepted.
 
-    served_on: the address that is listened on.
+    served_on: the address on which the server listens.
     """
     name = _name(host)
     if name is None or not _is_ours(served_on, name):
-        return f"Host {host!r} is no name of this computer; open the page by its address"
+        return f"Host {host!r} is not a name of this computer; open the page by its address"
     if origin is not None and origin.lower() != f"http://{host}".lower():
         return f"Origin {origin!r} is another site"
     return None
 
 
 def _name(host: str | None) -> str | None:
-    """The name or address in a Host header. It goes into our headers: nothing else may be in it."""
+    """The name or address in a Host header. Our headers contain it, so it may hold nothing else."""
     found = _HOST.fullmatch((host or "").lower())
     return None if found is None else found["address"] or found["name"]
 
 
 def _is_ours(served_on: str, name: str) -> bool:
-    """An address literal cannot be made to mean another computer; a name can."""
+    """An address cannot be redirected to another computer; a name can."""
     if is_loopback(served_on):
         return is_loopback(name)
     own = socket.gethostname().lower()

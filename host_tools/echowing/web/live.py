@@ -1,8 +1,7 @@
-"""A flight as it is flown, for browsers. The loop that flies only leaves its newest moment here.
+"""A flight for browsers, while it is flown. The flying loop only leaves its newest moment here.
 
-Nothing that a browser, the network or the page's thread does can hold up the caller: a moment
-replaces the one before, events wait in a bounded list, and at most one call waits in the page's
-event loop.
+No browser, network or page thread can delay the caller: a moment replaces the one before, events
+wait in a bounded list, and at most one call waits in the page's event loop.
 """
 
 import asyncio
@@ -19,7 +18,7 @@ from echowing.web.options import PageAddress
 from echowing.web.server import PageServer, Socket, until_gone
 from echowing.web.snapshot import BEAM, Json, glance, snapshot
 
-# What a browser that has just come is shown of what was: a minute, for plots and tracks.
+# How much of the past a new browser receives: a minute, for plots and tracks.
 PAST_S, GLANCE_S = 60.0, 0.5
 MOST_EVENTS = 500
 
@@ -32,7 +31,7 @@ class _Event:
 
 
 class LiveFeed:
-    """Takes moments and events from the thread that flies; serves browsers in the server's.
+    """Takes moments and events from the flying thread; serves browsers in the server's thread.
 
     source: follow or sim. error: why nothing is shown any more.
     """
@@ -45,7 +44,7 @@ class LiveFeed:
         self._events: deque[_Event] = deque(maxlen=MOST_EVENTS)
         self._said = 0
         self.error: Exception | None = None
-        # Of the server's thread alone:
+        # Used by the server's thread only:
         self._origin: GlobalPosition | None = None
         self._frame, self._frames, self._watched = "", 0, 0
         self._past: deque[Json] = deque(maxlen=round(PAST_S / GLANCE_S))
@@ -60,7 +59,7 @@ class LiveFeed:
         self._wake()
 
     def show(self, moment: Moment) -> None:
-        """How it stands; only the newest is kept."""
+        """The newest moment; only one is kept."""
         self._newest = moment
         self._wake()
 
@@ -137,12 +136,12 @@ class LivePage:
         self.url, self.port = self._server.address.url, self._server.address.port
 
     def lost(self) -> str | None:
-        """Why nothing is shown any more, once."""
+        """Why nothing is shown any more; returned once."""
         error = self._feed.error or self._server.error
         if error is None or self._lost_told:
             return None
         self._lost_told = True
-        return f"the page shows nothing any more ({error!r}); flying goes on"
+        return f"the page has stopped ({error!r}); flying goes on"
 
     def close(self) -> bool:
         """End it; False: it is stuck, and is left behind."""
@@ -155,5 +154,5 @@ def told(events: Any) -> Json:
 
 
 def encoded(message: Json | Sequence[Any]) -> str:
-    """As JSON, no longer than need be."""
+    """As compact JSON."""
     return json.dumps(message, separators=(",", ":"), allow_nan=False)

@@ -1,4 +1,4 @@
-"""Opening the page for a verb that was asked for it."""
+"""Opens the page for a verb with `--web`."""
 
 import argparse
 from collections.abc import Iterator
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 @contextmanager
 def page_of(args: argparse.Namespace, source: str) -> "Iterator[LivePage | None]":
-    """The live page while a verb runs; None where it was not asked for."""
+    """The live page while a verb runs; None without `--web`."""
     address = page_address(args)
     if address is None:
         yield None

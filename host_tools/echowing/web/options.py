@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from echowing.errors import EchowingError
 
-DEFAULT_PORT = 8017  # of nobody's in IANA's list
+DEFAULT_PORT = 8017  # not assigned in IANA's list
 LOOPBACK = "127.0.0.1"
 
 
@@ -19,7 +19,7 @@ class PageAddress:
 
     @property
     def url(self) -> str:
-        """For the browser on this computer."""
+        """The URL for a browser on this computer."""
         host = f"[{self.host}]" if ":" in self.host else self.host
         return f"http://{host}:{self.port}/"
 
@@ -30,10 +30,10 @@ class PageAddress:
 
     @property
     def said(self) -> str:
-        """What the operator is told."""
+        """What the operator reads."""
         if self.is_loopback:
             return f"page: {self.url}"
-        return f"page: {self.url}, open to everybody on the network; it shows, it commands nothing"
+        return f"page: {self.url}, everybody on the network can open it; it commands nothing"
 
 
 def is_loopback(host: str) -> bool:
@@ -45,7 +45,7 @@ def is_loopback(host: str) -> bool:
 
 
 def add_web_arguments(parser: argparse.ArgumentParser, *, always: bool = False) -> None:
-    """`--web` and `--web-address`; always: the page is what the verb is for."""
+    """`--web` and `--web-address`; always: the verb always serves the page."""
     group = parser.add_argument_group("page")
     group.add_argument(
         "--web",
@@ -59,16 +59,16 @@ def add_web_arguments(parser: argparse.ArgumentParser, *, always: bool = False) 
     group.add_argument(
         "--web-address",
         metavar="ADDRESS",
-        help=f"listen on this address of the computer instead of {LOOPBACK}, so that a phone can "
-        "open the page (0.0.0.0: on all); everybody on that network can see it then",
+        help=f"listen on this address of the computer instead of {LOOPBACK}, so that a phone "
+        "can open the page (0.0.0.0: on all). Everybody on that network can see it",
     )
 
 
 def page_address(args: argparse.Namespace) -> PageAddress | None:
-    """Where the page was asked for; None: nowhere. Raises EchowingError for what cannot be."""
+    """Where to serve the page; None: nowhere. Raises EchowingError for invalid options."""
     if args.web is None:
         if args.web_address is not None:
-            raise EchowingError("--web-address says where the page is served: it needs --web")
+            raise EchowingError("--web-address needs --web")
         return None
     if not 0 <= args.web <= 65_535:
         raise EchowingError(f"--web {args.web}: give a port from 1 to 65535, or 0 for a free one")
@@ -77,6 +77,7 @@ def page_address(args: argparse.Namespace) -> PageAddress | None:
         host = "127.0.0.1" if host == "localhost" else str(ipaddress.ip_address(host))
     except ValueError:
         raise EchowingError(
-            f"--web-address {host}: give an address of this computer, as 192.168.1.10 or 0.0.0.0"
+            f"--web-address {host}: give an address of this computer, for example "
+            "192.168.1.10, or 0.0.0.0"
         ) from None
     return PageAddress(host, args.web)

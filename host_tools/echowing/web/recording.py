@@ -1,16 +1,15 @@
-"""Flights that were recorded, as moments: what `follow` has logged, or vehicles' own logs.
+"""Recorded flights as moments: the logs of `follow`, or the vehicles' own logs.
 
-A long flight of many vehicles is hundreds of megabytes, so of a table only where its moments begin
-is kept; a moment is read when it is shown.
+A long flight of many vehicles has hundreds of megabytes. So only the places where its moments begin
+are kept; a moment is read when it is shown.
 """
 
 import bisect
 import csv
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import fields
 from pathlib import Path
-from typing import Any, BinaryIO, Protocol, get_type_hints
+from typing import Any, BinaryIO, Protocol, cast, get_type_hints
 
 from echowing.analysis.flight import Flight
 from echowing.analysis.logs import read_flights
@@ -19,12 +18,12 @@ from echowing.flight.health import assess
 from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.geo import GlobalPosition, displace
 from echowing.tool.moment import Moment, members, places
-from echowing.tool.panel import Row
+from echowing.tool.panel import PREFIXES, Row, VehicleHealth
 from echowing.tool.track import Track
 
-# As sim/sonar.py: what makes a sonar read less than the distance between two centres.
+# As sim/sonar.py: a sonar reads this much less than the distance between two centres.
 INSET_M = 0.2
-# Where logs in metres are put on the globe: nothing that is shown depends on it.
+# Place on the globe for logs in metres; nothing that is shown depends on it.
 NOWHERE = GlobalPosition(0.0, 0.0, 0.0)
 HEIGHTS = "heights are above the place where the leader's log begins"
 
@@ -32,17 +31,17 @@ Event = tuple[float, str]
 
 
 class Recording(Protocol):
-    """A flight that can be gone through."""
+    """A flight, moment by moment."""
 
     title: str
 
     @property
     def times_s(self) -> Sequence[float]:
-        """Of its moments, rising."""
+        """The times of its moments, rising."""
 
     @property
     def events(self) -> Sequence[Event]:
-        """What was said: time and text."""
+        """Its events: time and text."""
 
     def moment(self, index: int) -> Moment:
         """The moment at `times_s[index]`."""
@@ -51,7 +50,7 @@ class Recording(Protocol):
 def open_recording(paths: Sequence[Path]) -> Recording:
     """The flight in some paths: a folder or table of `follow --log`, else logs as `analyze` reads.
 
-    Raises EchowingError where there is none.
+    Raises EchowingError if there is none.
     """
     tables = [table for path in paths for table in _tables(path)]
     if not tables:
@@ -69,7 +68,7 @@ def _tables(path: Path) -> list[Path]:
 
 
 def judged(moment: Moment) -> Moment:
-    """The moment with its health, as it is at this moment alone."""
+    """The moment with the formation's health, judged by this moment alone."""
     origin = moment.origin
     if origin is None:
         return moment
@@ -94,7 +93,7 @@ class TableRecording:
         except OSError as error:
             raise EchowingError(f"replay: {path}: cannot be read: {error.strerror}") from error
         if not self.times_s:
-            raise EchowingError(f"replay: {path}: holds no rows; was the vehicle ever heard?")
+            raise EchowingError(f"replay: {path}: holds no rows; did the vehicle ever report?")
         self.events = self._read_events()
 
     def moment(self, index: int) -> Moment:
@@ -109,7 +108,7 @@ class TableRecording:
             return judged(
                 Moment(
                     self.times_s[index],
-                    [_made(Row, row) for row in rows],
+                    [_row(row) for row in rows],
                     [_made(Track, row) for row in rows],
                 )
             )
@@ -120,7 +119,7 @@ class TableRecording:
             ) from error
 
     def _index(self) -> int:
-        """Where each moment begins; returns where the last ends. A line cut off is left out."""
+        """Find where each moment begins; returns where the last ends. A cut line is left out."""
         self._names = next(csv.reader([self._file.readline().decode("utf-8", "replace")]), [])
         if "time_s" not in self._names or "system_id" not in self._names:
             raise EchowingError(f"replay: {self._path}: not a table of echowing follow --log")
@@ -144,10 +143,12 @@ class TableRecording:
             return float(cell)
         except ValueError:
             shown = cell.decode("utf-8", "replace")
-            raise EchowingError(f"replay: {self._path}: {shown!r} is no time; damaged?") from None
+            raise EchowingError(
+                f"replay: {self._path}: {shown!r} is not a time; is the file damaged?"
+            ) from None
 
     def _read_events(self) -> list[Event]:
-        """Those of the text file beside the table; logs of former versions have none."""
+        """The events of the text file beside the table; logs of older versions have none."""
         path = self._path.with_suffix(".txt")
         try:
             lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
@@ -168,23 +169,19 @@ def _lines(text: str) -> Iterator[str]:
     return (line for line in text.split("\n") if line)
 
 
-def _made(kind: type[Any], row: dict[str, str]) -> Any:
-    """A Row or Track of the cells with its fields' names; what is not there is not known."""
-    reads = _readers(kind)
+def _row(cells: dict[str, str]) -> Row:
+    healths = {name: _made(VehicleHealth, cells, prefix) for name, prefix in PREFIXES.items()}
+    return cast("Row", _made(Row, cells, **healths))
+
+
+def _made(kind: type[Any], cells: dict[str, str], prefix: str = "", **made: Any) -> Any:
+    """An object of the cells named like its fields, and of `made`; None: a cell is missing."""
     values = {
-        column.name: reads[column.name](row.get(column.name) or "") for column in fields(kind)
+        name: read(cells.get(prefix + name) or "")
+        for name, read in _READERS[kind].items()
+        if name not in made
     }
-    return kind(**values)
-
-
-def _readers(kind: type[Any]) -> dict[str, Callable[[str], Any]]:
-    if kind not in _READERS:
-        hints = get_type_hints(kind)
-        _READERS[kind] = {name: _reader(str(hint)) for name, hint in hints.items()}
-    return _READERS[kind]
-
-
-_READERS: dict[type[Any], dict[str, Callable[[str], Any]]] = {}
+    return kind(**values, **made)
 
 
 def _reader(hint: str) -> Callable[[str], Any]:
@@ -196,11 +193,18 @@ def _reader(hint: str) -> Callable[[str], Any]:
     return float if "float" in hint else str
 
 
+# How to read the cells of each, by their names.
+_READERS = {
+    kind: {name: _reader(str(hint)) for name, hint in get_type_hints(kind).items()}
+    for kind in (Row, VehicleHealth, Track)
+}
+
+
 # ---- vehicles' own logs -------------------------------------------------------------------------
 
 
 class FlightsRecording:
-    """Flights as `analyze` reads them, of one leader, on the first one's clock."""
+    """Flights as `analyze` reads them, behind one leader, on the clock of the first flight."""
 
     def __init__(self, flights: Sequence[Flight]) -> None:
         self._flights = [flight for flight in flights if len(flight.time_s)]
@@ -237,7 +241,6 @@ def _logged_row(flight: Flight, number: int, at: int, time_s: float) -> Row:
         time_s=time_s,
         system_id=number,
         state="",
-        mode="?",
         separation_m=_known(flight.separation_m[at]),
         error_m=None,
         slot_error_m=None,
@@ -248,10 +251,10 @@ def _logged_row(flight: Flight, number: int, at: int, time_s: float) -> Row:
         command_mps=_known(flight.speed_command_mps[at]),
         speed_mps=math.hypot(*flight.follower_velocity_mps[at, :2].tolist()),
         leader_speed_mps=_known(math.hypot(*flight.leader_velocity_mps[at, :2].tolist())),
-        altitude_m=_known(-float(flight.follower_ned_m[at, 2])),
         link_percent=None,
         north_offset_m=0.0,
         east_offset_m=0.0,
+        own=VehicleHealth(altitude_m=_known(-float(flight.follower_ned_m[at, 2]))),
     )
 
 
@@ -302,5 +305,5 @@ def _known(value: float) -> float | None:
 
 
 def index_at(times_s: Sequence[float], time_s: float) -> int:
-    """The last moment that is not later; the first where all are."""
+    """The last moment that is not later than `time_s`; the first one if all are."""
     return max(0, bisect.bisect_right(times_s, time_s) - 1)

@@ -1,4 +1,4 @@
-"""A recorded flight for browsers, each with a time line of its own: place, speed, pause."""
+"""A recorded flight for browsers; each browser has its own time line: time, speed, pause."""
 
 import asyncio
 import json
@@ -22,7 +22,7 @@ LEAST_SPEED, MOST_SPEED = 0.01, 1000.0
 
 @dataclass(slots=True)
 class TimeLine:
-    """Where in the flight a browser is. `now_s` are seconds on any rising clock."""
+    """Where in the flight a browser is. `now_s` is any monotonic clock in seconds."""
 
     from_s: float
     to_s: float
@@ -36,14 +36,14 @@ class TimeLine:
         self._place_s, self._since_s = self.from_s, now_s
 
     def place_s(self, now_s: float) -> float:
-        """The time of the flight that is shown now; at the end it stays there."""
+        """The time of the flight that is shown now; it stops at the end."""
         gone_s = 0.0 if self.paused else (now_s - self._since_s) * self.speed
         return min(self.to_s, self._place_s + gone_s)
 
     def wish(self, wish: Any, now_s: float) -> bool:
-        """Take a wish off the browser: speed, paused or seek; True: it is elsewhere now.
+        """Take a request of the browser: speed, paused or seek; True: the time has jumped.
 
-        What is no wish is left aside.
+        Anything else is ignored.
         """
         if not isinstance(wish, dict):
             return False
@@ -67,7 +67,7 @@ def _number(value: Any) -> float | None:
 
 
 class ReplayFeed:
-    """Serves browsers with a recording. `clock`: rising seconds."""
+    """Serves browsers with a recording. `clock`: monotonic seconds."""
 
     def __init__(self, recording: Recording, clock: Callable[[], float] | None = None) -> None:
         self._recording = recording
@@ -141,7 +141,7 @@ class ReplayFeed:
             return None
 
     def _past(self, to_s: float) -> list[Json]:
-        """The minute before, for plots and tracks."""
+        """The last minute, for plots and tracks."""
         times_s = self._recording.times_s
         from_s = max(times_s[0], to_s - PAST_S)
         steps = range(round((to_s - from_s) / GLANCE_S))
@@ -151,9 +151,9 @@ class ReplayFeed:
 
 
 def _origin(recording: Recording) -> GlobalPosition:
-    """The first place that is known. Raises EchowingError where none is."""
+    """The first known position. Raises EchowingError if there is none."""
     for index in range(len(recording.times_s)):
         origin = recording.moment(index).origin
         if origin is not None:
             return origin
-    raise EchowingError("replay: no vehicle was ever heard in this flight; nothing to show")
+    raise EchowingError("replay: no vehicle reported in this flight; there is nothing to show")

@@ -19,7 +19,7 @@ ASSETS = {
     "/page.css": ("page.css", "text/css"),
     "/page.js": ("page.js", "text/javascript"),
 }
-# Nothing is loaded from elsewhere, and no other page may hold this one in a frame.
+# The page loads nothing from elsewhere, and no other page may show it in a frame.
 HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; "
@@ -29,16 +29,16 @@ HEADERS = {
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
 }
-# Browsers that watch at once: the operator's, the pilots' phones, and some to spare.
+# Most browsers at once: the operator's, the pilots' phones, and some to spare.
 MOST_BROWSERS = 16
-# A browser that has not answered a ping for so long is gone.
+# A browser that has not answered a ping for this long is gone.
 HEARTBEAT_S = 10.0
 # What a browser may send at once, bytes: a replay's speed and place.
 MOST_HEARD = 1024
-# Of one connection in the kernel, bytes: a slow browser is to see the present, not what was then.
+# Kernel buffer per connection, bytes: small, so that a slow browser shows the present.
 SEND_BUFFER = 65_536
 START_S, END_S = 10.0, 2.0
-# What browsers send wrong is nothing for the operator's terminal.
+# Invalid requests of browsers are not shown on the operator's terminal.
 SILENT = logging.getLogger("echowing.page")
 SILENT.addHandler(logging.NullHandler())
 SILENT.propagate = False
@@ -48,10 +48,10 @@ Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 
 class Feed(Protocol):
-    """What browsers are served with."""
+    """The data for the browsers."""
 
     def begin(self, loop: asyncio.AbstractEventLoop) -> None:
-        """The server's loop runs."""
+        """Called when the server's loop runs."""
 
     async def attend(self, browser: Socket) -> None:
         """Serve one browser until it has gone."""
@@ -60,8 +60,8 @@ class Feed(Protocol):
 class PageServer:
     """Serves the page and a feed until it is closed.
 
-    error: what has ended it, where it was not `close`. Raises EchowingError where the address
-    cannot be had.
+    error: what has ended it, other than `close`. Raises EchowingError if it cannot listen on the
+    address.
     """
 
     def __init__(self, address: PageAddress, feed: Feed) -> None:
@@ -135,7 +135,9 @@ class PageServer:
 
     async def _live(self, request: web.Request) -> web.StreamResponse:
         if len(self._browsers) >= MOST_BROWSERS:
-            return web.Response(status=503, text=f"{MOST_BROWSERS} browsers watch already.\n")
+            return web.Response(
+                status=503, text=f"{MOST_BROWSERS} browsers are connected already.\n"
+            )
         browser = Socket(heartbeat=HEARTBEAT_S, max_msg_size=MOST_HEARD, compress=False)
         await browser.prepare(request)
         self._browsers.add(browser)
@@ -148,7 +150,7 @@ class PageServer:
         return browser
 
     async def _send_away(self, app: web.Application) -> None:
-        """Say goodbye; a browser that reads nothing does not take it."""
+        """Close the connection; a browser that reads nothing does not notice it."""
         code, words = WSCloseCode.GOING_AWAY, b"the tool ends"
         goodbyes = [
             asyncio.ensure_future(browser.close(code=code, message=words))
@@ -165,7 +167,7 @@ def _bound(address: PageAddress) -> socket.socket:
     family = socket.AF_INET6 if ":" in address.host else socket.AF_INET
     bound = socket.socket(family, socket.SOCK_STREAM)
     try:
-        # A tool that is started again takes its port again; on Windows this would steal another's.
+        # A restarted tool reuses its port; on Windows this would take another tool's port.
         if hasattr(socket, "SO_REUSEPORT"):
             bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         bound.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
@@ -174,8 +176,8 @@ def _bound(address: PageAddress) -> socket.socket:
     except OSError as error:
         bound.close()
         raise EchowingError(
-            f"--web {address.port}: {address.host} cannot be listened on: {error.strerror}; "
-            "give another port, as --web 8018"
+            f"--web {address.port}: {address.host} cannot listen there: {error.strerror}; give "
+            "another port, for example --web 8018"
         ) from error
     bound.setblocking(False)
     return bound

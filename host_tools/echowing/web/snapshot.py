@@ -9,7 +9,7 @@ from echowing.flight.offset_grid import BEAM_HALF_RAD
 from echowing.flight.sonar import DETECTION_LIMIT_M, pan_rad
 from echowing.geo import GlobalPosition, Ned
 from echowing.tool.moment import Moment, places, seen_leader
-from echowing.tool.panel import Row
+from echowing.tool.panel import Row, VehicleHealth
 from echowing.tool.track import Track
 from echowing.web.alarms import alarms, headline, level_of
 
@@ -62,13 +62,13 @@ def _leader(moment: Moment, at_ned_m: Ned | None) -> Json | None:
         "height": _number(track.leader_height_m),
         "velocity": _pair(track.leader_north_mps, track.leader_east_mps),
         "heading": _number(track.leader_heading_deg, 1),
-        "mode": row.leader_mode or "?",
+        "mode": row.leader.mode or "?",
         "speed": _number(row.leader_speed_mps),
         "age": _number(row.leader_age_s),
         "link": _number(track.leader_link_percent, 0),
-        "battery": _battery(row.leader_battery_percent, row.leader_battery_v),
-        "gps": row.leader_gps,
-        "switch": row.leader_switch,
+        "battery": _battery(row.leader),
+        "gps": row.leader.gps,
+        "switch": row.leader.switch,
     }
 
 
@@ -80,9 +80,9 @@ def _follower(row: Row, track: Track, where: tuple[Ned | None, ...]) -> Json:
         "id": row.system_id,
         "state": row.state,
         "level": int(level_of(row)),
-        "mode": row.mode,
+        "mode": row.own.mode or "?",
         "at": _level(at_ned_m),
-        "height": _number(row.altitude_m),
+        "height": _number(row.own.altitude_m),
         "wanted_height": _number(track.wanted_height_m),
         "velocity": _pair(track.north_mps, track.east_mps),
         "heading": _number(track.heading_deg, 1),
@@ -102,9 +102,9 @@ def _follower(row: Row, track: Track, where: tuple[Ned | None, ...]) -> Json:
         "limit": _number(row.command_mps),
         "age": _number(row.age_s),
         "link": _number(row.link_percent, 0),
-        "battery": _battery(row.battery_percent, row.battery_v),
-        "gps": row.gps,
-        "switch": row.switch,
+        "battery": _battery(row.own),
+        "gps": row.own.gps,
+        "switch": row.own.switch,
     }
 
 
@@ -185,7 +185,7 @@ def _number(value: float | None, places: int = 2) -> float | None:
     return None if value is None or not math.isfinite(value) else round(value, places)
 
 
-def _battery(percent: float | None, volts: float | None) -> str | None:
-    if percent is not None:
-        return f"{percent:.0f} %"
-    return None if volts is None else f"{volts:.1f} V"
+def _battery(one: VehicleHealth) -> str | None:
+    if one.battery_percent is not None:
+        return f"{one.battery_percent:.0f} %"
+    return None if one.battery_v is None else f"{one.battery_v:.1f} V"

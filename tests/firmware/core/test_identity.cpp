@@ -11,8 +11,8 @@ namespace {
 constexpr Microseconds ms(uint32_t count) { return count * 1000; }
 
 constexpr uint8_t kStation = 255, kLeader = 1, kOwn = 7, kNobody = 250;
-constexpr const char* kSeveral = "several vehicles heard";
-constexpr const char* kOnlyOthers = "only other vehicles heard";
+constexpr const char* kSeveral = "several vehicles detected";
+constexpr const char* kOnlyOthers = "other vehicles detected";
 
 uint16_t nothing(Microseconds) { return 765; }
 
@@ -138,7 +138,7 @@ TEST_CASE("station, leader, own: a board that knows its vehicle is never the lea
   CHECK(rig.acks().size() == 1);
   hear_all(rig, 1, false, true);
   CHECK(scans(rig));
-  CHECK_FALSE(rig.said("vehicles heard"));
+  CHECK_FALSE(rig.said("vehicles detected"));
 }
 
 TEST_CASE("station, leader, own: a board that learns takes neither, says so, and plays safe") {

@@ -215,7 +215,7 @@ TEST_CASE("the start notice says why it started") {
                       {ResetCause::kBrownOut, "Echowing: started, supply was too low"},
                       {ResetCause::kPin, "Echowing: started, reset pin"},
                       {ResetCause::kWatchdog, "Echowing: started, watchdog"},
-                      {ResetCause::kOrdered, "Echowing: started, as ordered"}};
+                      {ResetCause::kOrdered, "Echowing: started, by command"}};
   for (const Row& row : rows) {
     Rig rig(0, rig::FakeMemory(), 0, 1, row.cause);
     rig.run(ms(100));

@@ -3,9 +3,9 @@
 namespace echowing {
 namespace {
 
-// Our own autopilot is on a wire and beats once a second: four seconds in which only one vehicle
-// is heard leave no room for another that is ours. Five beats, as a burst out of a radio's buffer
-// says nothing of who else is there.
+// Our own autopilot is on a wire and sends a heartbeat every second. If only one vehicle reports
+// for four seconds, it is ours. Five heartbeats, because a burst from a radio's buffer does not
+// show who else is there.
 constexpr uint8_t kBeatsToLearn = 5;
 constexpr Milliseconds kTimeToLearn = 3800;  // four beats' time, less what a busy port shifts them
 constexpr Milliseconds kNoticePeriod = 30000;
@@ -79,7 +79,7 @@ bool AutopilotWatch::take_learned() {
   return learned;
 }
 
-// Either several vehicles are heard and ours is not known, or others are heard and ours is not.
+// Either several vehicles report and ours is not known, or only others report.
 bool AutopilotWatch::take_conflict(const Instant& now) {
   const bool waiting = grace_.running(now);
   const bool only_others = own_ != 0 && !own_heard_ && others_heard_ && !waiting;

@@ -1,4 +1,4 @@
-// Which vehicle this is, whether its autopilot is heard, and whether it is armed.
+// Which vehicle this is, whether its autopilot reports, and whether it is armed.
 #pragma once
 
 #include <stdint.h>
@@ -9,9 +9,9 @@
 namespace echowing {
 
 // A vehicle forwards the heartbeats of other vehicles to the co-processor's port, in any order.
-// Our own system id is therefore fixed by parameter, or learned once: from a vehicle that is heard
-// several times in a row, with no other between. While our own vehicle is not heard, or not known,
-// every vehicle counts as if it were ours: one that is armed is enough for "armed".
+// Our own system id is therefore fixed by parameter, or learned once: from a vehicle that reports
+// several times in a row, with no other between. While our own vehicle does not report, or is not
+// known, every vehicle counts as ours: one that is armed is enough for "armed".
 class AutopilotWatch {
  public:
   explicit AutopilotWatch(const Instant& now) { grace_.start(now, kSilence); }
@@ -32,7 +32,7 @@ class AutopilotWatch {
 
   bool heard() const { return own_ != 0 ? own_heard_ : others_heard_; }
   bool armed() const { return own_heard_ ? own_armed_ : others_armed_; }
-  // Armed when last heard: silence may be a broken wire in flight.
+  // Armed in its last heartbeat: silence may be a broken wire in flight.
   bool maybe_flying() const { return flying_; }
 
  private:
@@ -43,14 +43,14 @@ class AutopilotWatch {
   void on_other(const Instant& now, uint8_t system, bool armed);
 
   uint8_t own_ = 0;
-  bool own_armed_ = false;  // when last heard
+  bool own_armed_ = false;  // in the last heartbeat
   bool own_heard_ = false;
   bool others_heard_ = false;
   bool others_armed_ = false;
   bool flying_ = false;
   bool learned_ = false;
-  bool several_ = false;   // vehicles heard while ours is not known
-  uint8_t candidate_ = 0;  // the vehicle heard last
+  bool several_ = false;   // vehicles report while ours is not known
+  uint8_t candidate_ = 0;  // the vehicle of the last heartbeat
   uint8_t beats_ = 0;      // of it, with no other between
   Milliseconds alone_since_ = 0;
   Timeout own_silence_;

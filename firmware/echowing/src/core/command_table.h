@@ -8,7 +8,7 @@ ECHOWING_COMMAND(restore_defaults, 245, false, "2: default parameters; the sonar
 ECHOWING_COMMAND(restart, 246, false, "1: restart, 3: into the bootloader")
 ECHOWING_COMMAND(set_message_interval, 511, false, "message id, interval in us (0 usual, -1 off). Arming ends it")
 ECHOWING_COMMAND(request_message, 512, true, "message id")
-ECHOWING_COMMAND(report_capabilities, 520, true, "1; older ground stations ask for the version like this")
+ECHOWING_COMMAND(report_capabilities, 520, true, "1; older ground stations request the version like this")
 ECHOWING_COMMAND(set_gimbal_angles, 1000, false, "pitch up, yaw right in degrees. Holds the gimbal there")
 ECHOWING_COMMAND(set_scan, 31010, false, "USER_1. 0: automatic, 1: scan, 2: stop, centred")
 ECHOWING_COMMAND(change_sonar_address, 31011, false, "USER_2. new 7-bit address")

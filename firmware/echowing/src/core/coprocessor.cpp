@@ -8,8 +8,8 @@ namespace {
 // Longest message that may go out before the range: 66 bytes of STATUSTEXT at 115200 baud, and
 // a turn.
 constexpr Microseconds kClearWire = milliseconds(8);
-// Until our vehicle's system id is known, we speak as an id that is nobody's: vehicles are numbered
-// from 1 up, ground stations from 255 down.
+// Until our vehicle's system id is known, we send with an id that no vehicle has: vehicles are
+// numbered from 1 up, ground stations from 255 down.
 constexpr uint8_t kUnknownSystem = 250;
 
 Notice start_notice(ResetCause cause) {

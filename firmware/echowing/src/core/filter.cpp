@@ -7,7 +7,8 @@ namespace {
 constexpr uint16_t kSpread_cm = 10;
 // Readings come up to some milliseconds off their period.
 constexpr uint16_t kOffBeat_ms = 10;
-// One reading may be missing at the longest SONAR_PERIOD; after a longer gap all begins anew.
+// One reading may be missing at the longest SONAR_PERIOD; after a longer gap the average starts
+// again.
 constexpr uint16_t kLongestGap_ms = 450;
 
 uint16_t apart(uint16_t a, uint16_t b) { return a > b ? a - b : b - a; }

@@ -1,4 +1,4 @@
-// Constant tables: on AVR they would be copied to RAM unless told to stay in flash.
+// Constant tables: on AVR they would be copied to RAM unless declared to stay in flash.
 #pragma once
 
 #include <stdint.h>

@@ -25,7 +25,7 @@ class I2cBus {
   virtual bool read(uint8_t address, uint8_t* bytes, uint8_t count) = 0;
   // True once after a transfer that ended by time-out: the bus is held, or the peripheral hangs.
   virtual bool take_timeout() = 0;
-  // Initialises the peripheral anew.
+  // Initialises the peripheral again.
   virtual void restart() = 0;
 
   // Between take_lines and return_lines the peripheral is off and the lines are open drain.

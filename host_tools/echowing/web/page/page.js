@@ -66,14 +66,29 @@ function past(message) {
 function events(message) {
   for (const [at, text] of message.events) {
     model.events.push([at, text]);
-    const time = element("time", at.toFixed(1));
-    const item = element("li");
-    item.append(time, element("span", text));
-    item.onclick = () => ask({ seek: at });
-    byId("events").prepend(item);
+    if (!joinsTable(at, text)) showEvent(at, text);
   }
   model.events.splice(0, model.events.length - MOST_EVENTS);
   while (byId("events").children.length > MOST_EVENTS) byId("events").lastChild.remove();
+}
+
+function showEvent(at, text) {
+  const item = element("li");
+  item.append(element("time", at.toFixed(1)), element(isTable(text) ? "pre" : "span", text));
+  item.onclick = () => ask({ seek: at });
+  byId("events").prepend(item);
+}
+
+// A line of a table, its columns apart by two spaces.
+const isTable = text => / {2}/.test(text);
+
+// The lines of one table stand together, the first one on top; whether this one has gone there.
+function joinsTable(at, text) {
+  const newest = byId("events").firstChild;
+  if (!newest || !isTable(text) || newest.lastChild.tagName !== "PRE") return false;
+  if (newest.firstChild.textContent !== at.toFixed(1)) return false;
+  newest.lastChild.textContent += `\n${text}`;
+  return true;
 }
 
 function frame(message) {
@@ -211,7 +226,7 @@ function noteOf(id) {
   const health = model.frame.health;
   const notes = [];
   const cut = health.cuts.find(one => one.id === id);
-  if (cut) notes.push(`Its loss cuts: ${cut.parts.map(part => part.map(nameOf).join(", ")).join(" | ")}`);
+  if (cut) notes.push(`Its loss splits: ${cut.parts.map(part => part.map(nameOf).join(", ")).join(" | ")}`);
   if (health.alone.includes(id)) notes.push("Sees nobody");
   return notes.join(". ");
 }
@@ -497,7 +512,7 @@ function drawSeparation(box) {
   put(byId("separation-title"), few
     ? "Separation from the leader, last minute" : "Error of the separation, last minute");
   put(byId("separation-legend"), few
-    ? "line: by receivers; dots: sonar; dashed: wanted" : "separation less what is wanted, by receivers");
+    ? "line: by GPS; dots: by sonar; dashed: wanted" : "separation minus wanted separation, by GPS");
   const shown = f => f[SEPARATION] === null ? null : f[SEPARATION] - (few ? 0 : f[WANTED] ?? 0);
   const all = model.past.flatMap(one => one.followers.flatMap(f => [shown(f), few ? f[WANTED] : null]))
     .filter(value => value !== null);
