@@ -385,7 +385,7 @@ class Copter(EstimatedPosition):
         self.navigator = None
         self.target_ned_m = None
         self._target_velocity: Ned = (0.0, 0.0, 0.0)
-        self._target_acceleration: Ned = (0.0, 0.0, 0.0)
+        self._target_acceleration = (0.0, 0.0, 0.0)
         self._target_age_s = 0.0
         self._yaw_command: float | None = None
         self._pos_n, self._pos_e, self._pos_d = self.est_north_m, self.est_east_m, self.est_down_m
