@@ -447,6 +447,12 @@ do
     local function fly_to(position, north_m, east_m)
         position:x(position:x() + north_m)
         position:y(position:y() + east_m)
+        -- In the way that it is flown: Guided starts another with the lean of the moment for its steady part, and a
+        -- vehicle that brakes or speeds up would swing by metres.
+        if stream.moving then
+            return vehicle:set_target_posvelaccel_NED(position, Vector3f(), Vector3f(), true, math.deg(yaw_rad(ahrs)),
+                false, 0.0, false)
+        end
         return vehicle:set_target_pos_NED(position, true, math.deg(yaw_rad(ahrs)), false, 0.0, false, false)
     end
 
@@ -905,8 +911,9 @@ do
             math.deg(stream.yaw_rad or yaw), false, 0.0, false)
     end
 
+    -- A point with no velocity at all is where the ground tool has stopped it: there it stays.
     function hold.is_wanted()
-        return stream.moving and C.LAW >= 2
+        return stream.moving and C.LAW >= 2 and (stream.north_mps ~= 0.0 or stream.east_mps ~= 0.0)
     end
 
     -- Whether the distance is held: points carry a velocity, and there is a leader to hold on to.

@@ -200,7 +200,19 @@ def test_a_stale_leader_stops_the_follower_where_it_is() -> None:
     # It goes on looking at where the leader is: that way it sees it come.
     assert not held.type_mask & mavlink.POSITION_TARGET_TYPEMASK_YAW_IGNORE
     assert held.yaw == pytest.approx(0.0, abs=0.01)
-    assert held.type_mask & mavlink.POSITION_TARGET_TYPEMASK_VX_IGNORE
+
+
+@pytest.mark.parametrize("settings", [PLAIN, BY_POSITION])
+def test_a_hold_is_flown_in_the_same_way_as_what_it_stops(settings: GuidanceSettings) -> None:
+    """Guided starts a new way with the lean of braking for its steady part: it swings back."""
+    follow = session(settings)
+    follow.receive(from_vehicle(LEADER, position(1.0, HERE, (2.0, 0.0))), 1.0)
+
+    (flown,), (held,) = targets(follow, 1.9), targets(follow, 2.1)
+
+    assert follow.followers[FOLLOWER].held_at is not None
+    assert held.type_mask == flown.type_mask
+    assert (held.vx, held.vy) == (0.0, 0.0)
 
 
 def test_a_hold_keeps_looking_at_a_leader_of_which_nothing_is_known_any_more() -> None:

@@ -250,8 +250,7 @@ def test_a_hold_gives_way_and_is_then_where_it_has_been_moved_to() -> None:
 
     there.north_m[LEADER], there.speed_mps[LEADER] = -4.0, -2.0
     point = there.points(0.5)[-1]
-    assert point.type_mask & mavlink.POSITION_TARGET_TYPEMASK_VX_IGNORE
-    assert north_of(point) < -9.0  # a point 2 m back and more, for that is Guided's 2 m/s
+    assert flown_mps(point, -7.0)[0] < -2.0
     assert point.yaw == pytest.approx(0.0, abs=0.01)
     assert there.state == "holding: leader is not known to fly"
 

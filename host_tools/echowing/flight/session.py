@@ -222,7 +222,9 @@ class FollowSession:
     def _point_for(self, follower: FollowerState, now_s: float) -> GlobalPosition | None:
         """Where it is to be; None: not known."""
         fix = self.leader.fix
-        follower.feed_mps = None
+        # A hold is flown in the same way: Guided starts each way anew, with the lean of the moment
+        # for its steady part (init_xy_controller); one that brakes would swing back for seconds.
+        follower.feed_mps = (0.0, 0.0) if self.settings.feed_forward else None
         reason = self._reason_to_stop(follower, fix, now_s)
         if reason is not None:
             self._hold(follower, reason, now_s)
