@@ -167,7 +167,7 @@ class Rig:
     def target_ahead_m(self) -> float:
         """How far ahead (north) the applet's last own target lies."""
         kind, target = self.vehicle.targets[-1]
-        assert kind == "position"
+        assert kind in ("position", "posvel")
         assert isinstance(target[0], float)
         assert self.vehicle.position is not None
         return target[0] - self.vehicle.position[0]

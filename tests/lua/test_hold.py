@@ -18,6 +18,7 @@ HOLDING, BACKING_OFF, TOO_CLOSE = 7, 6, 3
 SPD_MAX, SPD_LOST = 5.0, 3.0
 FLOOR_MPS = pytest.approx(0.2)
 LEADER_MPS = 2.0
+REST_MPS = 0.001  # a leader that rests: no velocity at all is a hold
 
 
 @dataclass(frozen=True)
@@ -266,7 +267,7 @@ class Loop:
     """A vehicle that goes where it is told (1 m/s a metre and the point's velocity, 2.5 m/s2)."""
 
     def __init__(self, r: Rig, leader_m: float) -> None:
-        self.rig, self.leader_m, self.leader_mps = r, leader_m, 0.0
+        self.rig, self.leader_m, self.leader_mps = r, leader_m, REST_MPS
         self.place_m = self.mps = 0.0
         self.point_m = 0.0
         self.nearest_m = leader_m
@@ -436,7 +437,7 @@ def test_the_watchdog_holds_when_the_stream_ends(rig: MakeRig) -> None:
     r = led(rig(LAW=2), 3.0, 0.0)
     r.run(1.3)
 
-    assert r.vehicle.targets[-1][0] == "position"
+    assert (newest(r).north_mps, newest(r).east_mps) == (0.0, 0.0)
     # Where it comes to a stop from 2 m/s: 0.3 s of lean, then ECHO_DECEL 2.5 m/s2.
     assert r.target_ahead_m() == pytest.approx(2.0 * (0.3 + 2.0 / 5.0), abs=0.01)
     assert r.texts[-1] == "stream lost, holding here"
@@ -462,7 +463,21 @@ def test_nor_does_a_retreat_of_before_keep_the_watchdog_from_it(rig: MakeRig) ->
 
     r.range(7.66, HIGH).run(3.0)
     assert "stream lost, holding here" in r.texts
-    assert r.vehicle.targets[-1][0] == "position"
+    assert (newest(r).north_mps, newest(r).east_mps) == (0.0, 0.0)
+
+
+def test_a_point_without_any_velocity_is_a_hold(rig: MakeRig) -> None:
+    """The ground tool has stopped it: the sonar's error of 0.5 m moves it no more."""
+    r = led(rig(LAW=2), 2.5, 0.0)
+    assert r.state == HOLDING
+    r.vehicle.velocity = (0.0, 0.0, 0.0)
+    r.send_target(0.0, 0.0)
+    r.run(0.1)
+    targets = len(r.vehicle.targets)
+    stream(r, 0.0, 1.2, mps=0.0)
+
+    assert len(r.vehicle.targets) == targets
+    assert r.state != HOLDING
 
 
 def test_points_without_a_velocity_again_end_it(rig: MakeRig) -> None:

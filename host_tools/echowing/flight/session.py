@@ -37,6 +37,8 @@ from echowing.mavlink.messages import TOOL_SYSTEM_ID, is_nonsense, position_targ
 
 STALE = "leader is stale"
 DISTANCE_HZ = 5.0
+# So slow is a slot that stands.
+LEAST_MPS = 0.001
 # A slot that has opened for a fast leader has closed again when it is less by this.
 SLACK_M = 0.3
 
@@ -237,7 +239,9 @@ class FollowSession:
             self._let_go(follower, now_s)
         follower.guided = planned(self.known, follower, fix, now_s)
         if self.settings.feed_forward:
-            follower.feed_mps = follower.guided.velocity_mps
+            north_mps, east_mps = follower.guided.velocity_mps
+            # The applet takes a point without any velocity for a hold.
+            follower.feed_mps = north_mps or LEAST_MPS, east_mps
         return follower.guided.point
 
     def _allow_for_reversal(self, follower: FollowerState, fix: LeaderFix, now_s: float) -> None:
