@@ -560,13 +560,12 @@ do
         return math.max(-HARDEST_MPS2, track.leader_mps2)
     end
 
-    -- The leader's speed, carried on over dt_s to a moment that long after a reading.
+    -- The leader's speed, carried on over dt_s to a moment that long after a reading. Not seen, it speeds up no further.
     local function carried_mps(unseen_ms, t_ms, dt_s)
         if unseen_ms <= UNSEEN_MS then return track.leader_mps + track.leader_mps2 * dt_s end
         if unseen_ms > KNOWN_MS then return track.seen_mps end
-        if track.range_m >= C.DIST or track.leader_mps <= BACK_MPS or track.leader_mps2 > -CORNER_MPS2 then
-            return track.leader_mps
-        end
+        local near = track.range_m < C.DIST and track.leader_mps > BACK_MPS
+        if not near or track.leader_mps2 > -CORNER_MPS2 then return math.min(track.leader_mps, track.seen_mps) end
         return math.max(BACK_MPS, track.leader_mps + track.braking_mps2(t_ms) * dt_s)
     end
 
@@ -858,7 +857,7 @@ do
     -- from it; more away from the leader. A sonar that is stuck then moves the vehicle no further.
     local FORWARD_M, BACK_M = 1.0, 5.0
     local UNSEEN_MS = 300
-    local GENTLE_MPS2, NEARER_M = 2.0, 0.7 -- 12 degrees of lean; 1 m/s for each metre
+    local GENTLE_MPS2, NEARER_M = 1.5, 0.4 -- 9 degrees of lean, and what the air takes; 1 m/s for each metre
     local LEAD_S = 0.3 -- until this vehicle leans against its motion
 
     -- Where the point belongs along the beam (metres ahead of here), and its speed there: at the wanted distance from

@@ -123,7 +123,7 @@ def test_five_metres_back_from_the_point_and_no_more(rig: MakeRig) -> None:
 
 
 def test_towards_the_leader_gently_so_that_it_stays_in_the_beam(rig: MakeRig) -> None:
-    """A leader that flies off at 2 m/s: no more than 0.7 m ahead, and 2 m/s2 (12 degrees)."""
+    """A leader that flies off at 2 m/s: no more than 0.4 m ahead, and 1.5 m/s2 (9 degrees)."""
     r = led(rig(LAW=2), 3.0, 0.0)
     speeds = [newest(r).north_mps]
     for number in range(12):
@@ -131,10 +131,10 @@ def test_towards_the_leader_gently_so_that_it_stays_in_the_beam(rig: MakeRig) ->
         r.send_target(0.12 * number, 3.2)
         r.run(0.1)
         speeds.append(newest(r).north_mps)
-        assert newest(r).north_m <= 0.7 + 1e-3
+        assert newest(r).north_m <= 0.4 + 1e-3
 
     # An update every 50 ms, and the observer's speed between them.
-    assert max(b - a for a, b in pairwise(speeds)) <= 0.2 + 0.05
+    assert max(b - a for a, b in pairwise(speeds)) <= 0.15 + 0.05
     assert speeds[-1] == pytest.approx(3.2, abs=0.3)
 
 
@@ -154,13 +154,13 @@ def test_along_the_beam_and_not_across_it(rig: MakeRig) -> None:
     r.vehicle.yaw = math.pi / 2  # facing east
     r.vehicle.velocity = (0.0, LEADER_MPS, 0.0)
     r.raw_every_ms = 100
-    r.range(3.5)
+    r.range(3.3)
     for _ in range(16):
         r.send_target(0.4, 0.3, aside_m=0.1, aside_mps=LEADER_MPS)
         r.run(0.12)
 
     target = newest(r)
-    assert target.east_m == pytest.approx(0.5, abs=0.03)
+    assert target.east_m == pytest.approx(0.3, abs=0.03)
     assert target.north_m == pytest.approx(0.4, abs=0.05)
     assert target.north_mps == pytest.approx(0.3, abs=0.01)
     assert target.east_mps == pytest.approx(LEADER_MPS, abs=0.05)
