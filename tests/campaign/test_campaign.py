@@ -284,6 +284,16 @@ def test_ctrl_c_keeps_what_is_done(tmp_path: Path) -> None:
     assert (out / "report.html").exists()
 
 
+def test_a_folder_that_is_gone_or_full_is_named(tmp_path: Path) -> None:
+    folder = Folder(tmp_path / "gone")
+    row = {"index": 0, "in_force_s": {}, "states_s": {}}
+    for write in (lambda: folder.add(row), lambda: folder.sort([row])):
+        with pytest.raises(EchowingError, match="--out .*gone: cannot be written: No such file"):
+            write()
+    with pytest.raises(EchowingError, match="--out .*gone: cannot be written: "):
+        folder.write_parquet([row])
+
+
 @pytest.mark.parametrize(
     ("options", "says"),
     [
