@@ -286,11 +286,12 @@ def test_ctrl_c_keeps_what_is_done(tmp_path: Path) -> None:
 
 def test_a_folder_that_is_gone_or_full_is_named(tmp_path: Path) -> None:
     folder = Folder(tmp_path / "gone")
-    row = {"index": 0, "in_force_s": {}, "states_s": {}}
-    for write in (lambda: folder.add(row), lambda: folder.sort([row])):
-        with pytest.raises(EchowingError, match="--out .*gone: cannot be written: No such file"):
-            write()
-    with pytest.raises(EchowingError, match="--out .*gone: cannot be written: "):
+    row: dict[str, Any] = {"index": 0, "in_force_s": {}, "states_s": {}}
+    with pytest.raises(EchowingError, match=r"--out .*gone: cannot be written: No such file"):
+        folder.add(row)
+    with pytest.raises(EchowingError, match=r"--out .*gone: cannot be written: No such file"):
+        folder.sort([row])
+    with pytest.raises(EchowingError, match=r"--out .*gone: cannot be written: "):
         folder.write_parquet([row])
 
 
