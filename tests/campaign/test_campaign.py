@@ -284,6 +284,17 @@ def test_ctrl_c_keeps_what_is_done(tmp_path: Path) -> None:
     assert (out / "report.html").exists()
 
 
+def test_a_folder_that_is_gone_or_full_is_named(tmp_path: Path) -> None:
+    folder = Folder(tmp_path / "gone")
+    row: dict[str, Any] = {"index": 0, "in_force_s": {}, "states_s": {}}
+    with pytest.raises(EchowingError, match=r"--out .*gone: cannot be written: No such file"):
+        folder.add(row)
+    with pytest.raises(EchowingError, match=r"--out .*gone: cannot be written: No such file"):
+        folder.sort([row])
+    with pytest.raises(EchowingError, match=r"--out .*gone: cannot be written: "):
+        folder.write_parquet([row])
+
+
 @pytest.mark.parametrize(
     ("options", "says"),
     [

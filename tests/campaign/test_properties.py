@@ -21,7 +21,7 @@ from echowing.campaign.properties import (
 )
 from echowing.campaign.record import FlightRecord, Point, fly_recorded
 from echowing.sim.modes import GUIDED, LOITER
-from echowing.sim.scenario import scenario_of
+from echowing.sim.scenario import Scenario, scenario_of
 
 STEP_S = 0.1
 
@@ -200,6 +200,26 @@ def test_a_lost_stream_and_a_switch_stop_too() -> None:
     mode = record.mode.copy()
     mode[100:, 1] = LOITER
     assert stopped(moving(replace(record, switched=on, mode=mode), 100, 1.0)) == []
+
+
+def test_one_that_holds_alone_goes_along_with_its_own_receiver() -> None:
+    record = quiet()
+    age_s = record.stream_age_s.copy()
+    age_s[60:, 0] = 5.0
+    flown = moving(replace(record, stream_age_s=age_s), 150, 1.0)
+    assert stopped(flown)
+
+    jump = {"kind": "gps_jump", "at_s": 14.5, "jump_ned_m": (5.0, 0.0, 0.0)}
+    own = scenario_of({"title": "t", "fault": [{**jump, "vehicle": 2}]}, "test")
+    others = scenario_of({"title": "t", "fault": [{**jump, "vehicle": 1}]}, "test")
+    earlier = scenario_of({"title": "t", "fault": [{**jump, "vehicle": 2, "at_s": 3.0}]}, "test")
+
+    def with_faults(of: Scenario) -> FlightRecord:
+        return replace(flown, scenario=record.scenario.model_copy(update={"fault": of.fault}))
+
+    assert stopped(with_faults(own)) == []
+    assert stopped(with_faults(others))
+    assert stopped(with_faults(earlier))
 
 
 def test_a_point_to_a_vehicle_that_said_it_is_the_pilots() -> None:

@@ -21,8 +21,8 @@ from echowing.sim.scenario import Scenario, scenario_of
 SHIPPED = ("field", "many")
 # The applet's range of ECHO_DIST, and the sonar's reach less its inset (lua/echowing.md).
 ECHO_DIST_M, REACH_M = (1.5, 6.0), 4.5
-_SHAPES = ("column", "vee", "echelon")
-# Rows of a vee and an echelon go back by this share of the spacing.
+_SHAPES = ("column", "vee", "echelon", "wedge")
+# Rows of a vee, an echelon and a wedge go back by this share of the spacing.
 _ROW_SHARE = 0.7
 _FORMATION = {"followers", "shape", "radius_m", "spacing_m", "altitude_step_m", "crossing"}
 _ABSENT = object()
@@ -171,6 +171,10 @@ def _place(shape: str, number: int, spacing_m: float) -> tuple[float, float]:
         return number * spacing_m, 0.0
     if shape == "echelon":
         return number * _ROW_SHARE * spacing_m, number * spacing_m
+    if shape == "wedge":  # a vee that is filled: rows of one, two, three, …
+        row = (math.isqrt(8 * number + 1) - 1) // 2
+        within = number - row * (row + 1) // 2
+        return row * _ROW_SHARE * spacing_m, (0.5 * row - within) * spacing_m
     row = (number + 1) // 2
     side = 1.0 if number % 2 else -1.0
     return row * _ROW_SHARE * spacing_m, side * row * spacing_m

@@ -1,7 +1,8 @@
 """What a campaign keeps in its folder: its description, a row for each flight, finds, a report."""
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -82,14 +83,15 @@ class Folder:
         return rows
 
     def add(self, row: Row) -> None:
-        """Keep a flight: on the disk after this."""
-        with (self.path / ROWS).open("a", encoding="utf-8") as file:
+        """Keep a flight: on the disk after this. Raises EchowingError where it cannot be."""
+        with self._writing(), (self.path / ROWS).open("a", encoding="utf-8") as file:
             file.write(json.dumps(row) + "\n")
 
     def sort(self, rows: Iterable[Row]) -> None:
         """Put the rows in the flights' order, so that a folder does not show who flew what when."""
         lines = [json.dumps(row) + "\n" for row in sorted(rows, key=lambda row: row["index"])]
-        (self.path / ROWS).write_text("".join(lines), encoding="utf-8")
+        with self._writing():
+            (self.path / ROWS).write_text("".join(lines), encoding="utf-8")
 
     def write_parquet(self, rows: Iterable[Row]) -> None:
         """flights.parquet: a column for each plain value; lists and tables as Parquet has them."""
@@ -98,7 +100,16 @@ class Folder:
 
         ordered = sorted(rows, key=lambda row: row["index"])
         table = pyarrow.Table.from_pylist([_column_ready(row) for row in ordered])
-        parquet.write_table(table, self.path / TABLE)
+        with self._writing():
+            parquet.write_table(table, self.path / TABLE)
+
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            why = error.strerror or error
+            raise EchowingError(f"--out {self.path}: cannot be written: {why}") from error
 
 
 def _column_ready(row: Row) -> Row:

@@ -41,6 +41,8 @@ BETWEEN_FOLLOWERS_M = LEAST_M + SURE_SIGMAS * UNRANGED_SIGMA_M
 MAKING_ROOM_M = 0.5
 # In wind: a vehicle that leans so far has nothing left to brake with (30 degrees are all it has).
 ALL_LEAN_RAD, BLOWN_WIND_MPS, BLOWN_S = math.radians(28.5), 4.0, 3.0
+# Faults after which a receiver has its vehicle elsewhere, when they begin and when they end.
+_RECEIVERS = {"gps_jump", "gps_lost"}
 # A reading this near to the leader's distance is the leader's.
 RANGES_IT_M = 0.5
 # So many samples before two vehicles were nearest the leader may have passed already.
@@ -226,14 +228,34 @@ def must_stand(record: FlightRecord, number: int) -> Bools:
     # Without the applet nothing on board knows of a lost stream but Guided's own time-out.
     silence = np.where(record.applet[:, number], silence_s, silence_s + GUIDED_TIMEOUT_S)
     stale = record.tool & (record.leader_age_s > stale_s)
+    silent = streams & (record.stream_age_s[:, number] > silence)
     reason = (
         (stale & streams)
         | (record.switched[:, number] & record.tool)
-        | (streams & (record.stream_age_s[:, number] > silence))
+        | (silent & ~_elsewhere(record, number, silent))
     )
     reason &= record.guided[:, number]
     reason[: round(STOPS_WITHIN_S / SAMPLE_S)] = False
     return _lasted(reason, STOPS_WITHIN_S)
+
+
+def _elsewhere(record: FlightRecord, number: int, silent: Bools) -> Bools:
+    """When a follower's receiver has jumped since its points fell silent, (n,).
+
+    It holds a place by nothing but its receiver then, and goes to where that has it now.
+    """
+    jumps_s = [
+        edge_s
+        for fault in record.scenario.fault
+        if fault.kind in _RECEIVERS and fault.vehicle == number + 2
+        for edge_s in (fault.at_s, fault.ends_s)
+    ]
+    elsewhere = np.zeros(len(silent), dtype=np.bool_)
+    for at in range(1, len(silent)):
+        before_s, now_s = record.time_s[at - 1], record.time_s[at]
+        jumped = any(before_s < edge_s <= now_s for edge_s in jumps_s)
+        elsewhere[at] = silent[at] and (elsewhere[at - 1] or jumped)
+    return elsewhere
 
 
 def _making_room(record: FlightRecord, vehicle: int) -> Bools:

@@ -62,6 +62,11 @@ class Estimate:
         self._alike = 0
         self._jumped_m = (0.0, 0.0)
 
+    @property
+    def is_stuck(self) -> bool:
+        """Whether the sonar goes on giving the same range."""
+        return self._alike >= STUCK_READINGS and self._before[1] < DETECTION_LIMIT_M
+
     def reported(self, report: Report) -> None:
         """Take a report of the follower itself."""
         self.history.add(report)
@@ -71,7 +76,7 @@ class Estimate:
         before_s, before_m = self._before
         self._before = (time_s, range_m)
         self._alike = self._alike + 1 if range_m == before_m else 0
-        if self._alike >= STUCK_READINGS and range_m < DETECTION_LIMIT_M:
+        if self.is_stuck:
             return
         if not time_s - before_s < CONFIRM_S:
             return

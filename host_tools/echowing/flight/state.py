@@ -210,9 +210,9 @@ class FollowerState:
                 self._take_range(now_s - self.way_s - AVERAGE_AGE_S, range_m, inset_m)
 
     def _take_range(self, time_s: float, range_m: float, inset_m: float) -> None:
-        if 0.0 < range_m < DETECTION_LIMIT_M:
-            self.ranges.add(time_s, range_m)
         self.estimate.heard(time_s, range_m, inset_m)
+        if 0.0 < range_m < DETECTION_LIMIT_M and not self.estimate.is_stuck:
+            self.ranges.add(time_s, range_m)
 
 
 class Known:

@@ -38,6 +38,7 @@ class Trust:
         self._known, self._say, self._alert, self._doubt = known, say, alert, doubt
         self._strict = strict
         self._leader_jumps = self._two_leaders = False
+        self._stuck: set[int] = set()
 
     def leader_reported(self, message: Any, now_s: float) -> None:
         """Take the leader's GLOBAL_POSITION_INT."""
@@ -68,6 +69,7 @@ class Trust:
 
     def settle(self, follower: FollowerState, now_s: float) -> None:
         """Decide on a follower's own jump once the sonar has had time to deny it."""
+        self._note_stuck_sonar(follower, now_s)
         jump = follower.own_jump
         if jump.since_s is None:
             return
@@ -89,6 +91,17 @@ class Trust:
             now_s,
             f"follower {follower.plan.system_id}: its receiver jumped by {far_m:.1f} m: {text}",
         )
+
+    def _note_stuck_sonar(self, follower: FollowerState, now_s: float) -> None:
+        """Say it once when a sonar sticks, and once when it moves again."""
+        system_id, stuck = follower.plan.system_id, follower.estimate.is_stuck
+        if not self._strict or stuck is (system_id in self._stuck):
+            return
+        self._stuck ^= {system_id}
+        text = "sonar is stuck, not believed" if stuck else "sonar moves again"
+        self._say(now_s, f"follower {system_id}: {text}")
+        if stuck:
+            self._alert(system_id, text)
 
     def _sonar_denies(self, follower: FollowerState, since_s: float) -> bool:
         """Whether its sonar, which detected the leader, ranges it as before that moment."""
