@@ -197,7 +197,7 @@ local PARAMETERS = {
       // @Units: s
       // @User: Advanced
     --]]
-    { 'TAU', 0.1, 0.05, 1.0 },
+    { 'TAU', 0.12, 0.05, 1.0 },
     --[[
       // @Param: ECHO_SPD_MIN
       // @DisplayName: Echowing lowest speed
@@ -447,6 +447,12 @@ do
     local function fly_to(position, north_m, east_m)
         position:x(position:x() + north_m)
         position:y(position:y() + east_m)
+        -- In the way that it is flown: Guided starts another with the lean of the moment for its steady part, and a
+        -- vehicle that brakes or speeds up would swing by metres.
+        if stream.moving then
+            return vehicle:set_target_posvelaccel_NED(position, Vector3f(), Vector3f(), true, math.deg(yaw_rad(ahrs)),
+                false, 0.0, false)
+        end
         return vehicle:set_target_pos_NED(position, true, math.deg(yaw_rad(ahrs)), false, 0.0, false, false)
     end
 
@@ -476,15 +482,18 @@ do
     local RAW_NAME = 'SNR_RAW\0\0\0' -- ten characters on the wire
     -- A single reading this far from the prediction, or after so long without one, waits for a second one like it:
     -- readings 0.1 s apart differ by less even where both vehicles change their speed at 5 m/s2.
-    local SPIKE_M, SPIKE_MS = 0.3, 300
+    local SPIKE_M, SPIKE_MS = 0.15, 300
     local MOST_MPS = 5.0 -- two vehicles close no faster
     local TRUST_READINGS = 3 -- so many readings in agreement are a target
     local TRACK_GAP_MS = 700 -- after a gap this long the tracker starts again
-    -- A leader that was near and braking when it was lost goes on braking, no harder than ArduCopter's default, to no
-    -- faster back than that, for as long as the ground tool does not know of it yet (1 s of radio). Braking is more than
-    -- the tracker's noise once it has had readings enough.
-    local UNSEEN_MS, KNOWN_MS, BRAKES_MPS2, HARDEST_MPS2, BACK_MPS, BRAKE_S = 150, 1000, -1.5, -2.5, -2.0, 0.2
-    local SETTLED_READINGS = 10
+    local READING_S = 0.05 -- age of a single reading: ping, wire, and until the applet looks
+    -- The leader's acceleration is noise of the sonar (1 cm) within the first, and no copter brakes harder than the
+    -- second. It needs readings enough.
+    local NOISE_MPS2, HARDEST_MPS2, SETTLED_READINGS = 0.8, 4.0, 5
+    -- A leader that was near and braking when it was lost goes on braking, to no faster back than this, for as long as
+    -- the ground tool does not know of it yet (1 s of radio). Braking is more than what a corner takes of the speed along
+    -- the beam (1 m/s2 at 2 m/s).
+    local UNSEEN_MS, KNOWN_MS, BACK_MPS, CORNER_MPS2 = 150, 1000, -2.0, 1.5
 
     -- Distance by the rangefinder's running average, nil where it is no measurement; and the status. All distances here
     -- are between the two vehicles' centres.
@@ -524,8 +533,8 @@ do
         end
     end
 
-    -- Range of the target and the leader's speed along the line of sight: a critically damped observer that knows the
-    -- own speed, so that own braking is not taken for the leader's.
+    -- Range of the target, the leader's speed along the line of sight, and its acceleration: a critically damped observer
+    -- that knows the own speed, so that own braking is not taken for the leader's.
     local function start(range_m, t_ms)
         track.range_m, track.leader_mps, track.own_mps, track.at_ms = range_m, own.mps, own.mps, t_ms
         track.seen_ms, track.readings, track.spike_m = t_ms, 1, nil
@@ -545,29 +554,46 @@ do
         return fresh(t_ms) and track.readings >= TRUST_READINGS
     end
 
+    -- How hard the leader brakes, or speeds up towards this vehicle, by what was seen last: 0 or less.
+    function track.braking_mps2(t_ms)
+        if t_ms - track.seen_ms > KNOWN_MS or track.leader_mps2 > -NOISE_MPS2 then return 0.0 end
+        return math.max(-HARDEST_MPS2, track.leader_mps2)
+    end
+
+    -- The leader's speed, carried on over dt_s to a moment that long after a reading.
+    local function carried_mps(unseen_ms, t_ms, dt_s)
+        if unseen_ms <= UNSEEN_MS then return track.leader_mps + track.leader_mps2 * dt_s end
+        if unseen_ms > KNOWN_MS then return track.seen_mps end
+        if track.range_m >= C.DIST or track.leader_mps <= BACK_MPS or track.leader_mps2 > -CORNER_MPS2 then
+            return track.leader_mps
+        end
+        return math.max(BACK_MPS, track.leader_mps + track.braking_mps2(t_ms) * dt_s)
+    end
+
     -- Carries the range on to now.
     function track.carry(t_ms)
         if not track.range_m then return end
         local dt_s = (t_ms - track.at_ms) * 0.001
-        local unseen_ms = t_ms - track.seen_ms
-        if unseen_ms > KNOWN_MS then
-            track.leader_mps = track.seen_mps
-        elseif unseen_ms > UNSEEN_MS and track.range_m < C.DIST and track.leader_mps2 < BRAKES_MPS2 then
-            track.leader_mps = math.max(BACK_MPS, track.leader_mps + math.max(HARDEST_MPS2, track.leader_mps2) * dt_s)
-        end
-        track.range_m = track.range_m + (track.leader_mps - 0.5 * (track.own_mps + own.mps)) * dt_s
-        track.own_mps, track.at_ms = own.mps, t_ms
+        local leader_mps = carried_mps(t_ms - track.seen_ms, t_ms, dt_s)
+        track.range_m = track.range_m + 0.5 * (track.leader_mps + leader_mps - track.own_mps - own.mps) * dt_s
+        track.leader_mps, track.own_mps, track.at_ms = leader_mps, own.mps, t_ms
+    end
+
+    -- What a distance has changed by since it was read, at a rate of now.
+    local function since_read_m(rate_mps)
+        return rate_mps * READING_S
     end
 
     -- A reading that was not foreseen counts only when the next one is like it: propellers make single wild ones. The two
-    -- tell range and rate anew.
+    -- tell range and rate anew, with the own speed between them.
     local function spike(range_m, t_ms)
         local dt_s = track.spike_m and (t_ms - track.spike_ms) * 0.001 or math.huge
         local alike = dt_s > 0.0 and dt_s < SPIKE_MS * 0.001
         if alike and math.abs(range_m - track.spike_m) < SPIKE_M + MOST_MPS * dt_s then
-            track.range_m, track.seen_ms = range_m, t_ms
-            track.leader_mps = own.mps + (range_m - track.spike_m) / dt_s
-            track.seen_mps = track.leader_mps
+            local rate_mps = (range_m - track.spike_m) / dt_s
+            track.leader_mps = rate_mps + own.mps - own.accel_mps2 * (READING_S + 0.5 * dt_s)
+            track.range_m, track.seen_ms = range_m + since_read_m(track.leader_mps - own.mps), t_ms
+            track.seen_mps, track.leader_mps2, track.readings = track.leader_mps, 0.0, TRUST_READINGS
             track.spike_m = nil
         else
             track.spike_m, track.spike_ms = range_m, t_ms
@@ -579,19 +605,19 @@ do
         local dt_s = (t_ms - track.seen_ms) * 0.001
         if dt_s <= 0.0 then return end
         track.carry(t_ms)
-        local residual_m = range_m - track.range_m
+        local residual_m = range_m + since_read_m(track.leader_mps - own.mps) - track.range_m
         if math.abs(residual_m) > SPIKE_M or dt_s > SPIKE_MS * 0.001 then return spike(range_m, t_ms) end
         local keep = math.exp(-dt_s / C.TAU)
+        local lose = 1.0 - keep
         local n = track.readings + 1 -- the first readings count as in a straight line through all of them
-        local range_share = math.max(1.0 - keep * keep, 2.0 * (2.0 * n - 1.0) / (n * (n + 1.0)))
-        local rate_share = math.max((1.0 - keep) * (1.0 - keep), 6.0 / (n * (n + 1.0)))
+        local range_share = math.max(1.0 - keep * keep * keep, 2.0 * (2.0 * n - 1.0) / (n * (n + 1.0)))
+        local rate_share = math.max(1.5 * lose * lose * (1.0 + keep), 6.0 / (n * (n + 1.0)))
         track.range_m = track.range_m + range_share * residual_m
-        local change_mps = rate_share / dt_s * residual_m
-        track.leader_mps = track.leader_mps + change_mps
-        track.seen_mps = track.leader_mps
+        track.leader_mps = track.leader_mps + rate_share / dt_s * residual_m
         if n > SETTLED_READINGS then
-            track.leader_mps2 = track.leader_mps2 + (change_mps - track.leader_mps2 * dt_s) / (dt_s + BRAKE_S)
+            track.leader_mps2 = track.leader_mps2 + lose * lose * lose / (dt_s * dt_s) * residual_m
         end
+        track.seen_mps = track.leader_mps
         track.seen_ms, track.readings, track.spike_m = t_ms, n, nil
     end
 end
@@ -833,6 +859,7 @@ do
     local FORWARD_M, BACK_M = 1.0, 5.0
     local UNSEEN_MS = 300
     local GENTLE_MPS2, NEARER_M = 2.0, 0.7 -- 12 degrees of lean; 1 m/s for each metre
+    local LEAD_S = 0.3 -- until this vehicle leans against its motion
 
     -- Where the point belongs along the beam (metres ahead of here), and its speed there: at the wanted distance from
     -- the leader and as fast as the leader. ahead_m, mps: the same of the streamed point. While the sonar sees nothing,
@@ -867,6 +894,10 @@ do
         local cos, sin = math.cos(yaw), math.sin(yaw)
         local ahead_m, mps = north_m * cos + east_m * sin, stream.north_mps * cos + stream.east_mps * sin
         local wanted_m, wanted_mps = gently(t_ms, along_beam(ahead_m, mps, t_ms))
+        -- A leader that brakes is answered with its own deceleration, from where both will be once this vehicle leans.
+        local braking_mps2 = track.braking_mps2(t_ms)
+        wanted_m = wanted_m + 0.5 * braking_mps2 * LEAD_S * LEAD_S
+        wanted_mps = wanted_mps + braking_mps2 * LEAD_S
         local by_m, by_mps = wanted_m - ahead_m, wanted_mps - mps
         position:x(position:x() + north_m + by_m * cos)
         position:y(position:y() + east_m + by_m * sin)
@@ -874,12 +905,15 @@ do
         local velocity, acceleration = Vector3f(), Vector3f()
         velocity:x(stream.north_mps + by_mps * cos)
         velocity:y(stream.east_mps + by_mps * sin)
+        acceleration:x(braking_mps2 * cos)
+        acceleration:y(braking_mps2 * sin)
         return vehicle:set_target_posvelaccel_NED(position, velocity, acceleration, true,
             math.deg(stream.yaw_rad or yaw), false, 0.0, false)
     end
 
+    -- A point with no velocity at all is where the ground tool has stopped it: there it stays.
     function hold.is_wanted()
-        return stream.moving and C.LAW >= 2
+        return stream.moving and C.LAW >= 2 and (stream.north_mps ~= 0.0 or stream.east_mps ~= 0.0)
     end
 
     -- Whether the distance is held: points carry a velocity, and there is a leader to hold on to.

@@ -1,16 +1,21 @@
-"""Geodesy: between global positions (WGS-84) and local NED metres. All of it is pymap3d's."""
+"""Geodesy: between global positions (WGS-84) and local NED metres.
+
+What is asked for many times a tick is worked out here, one place at a time (the tests hold it
+against pymap3d); the rest is pymap3d's.
+"""
 
 import math
 from functools import lru_cache
 from typing import NamedTuple
 
 import pymap3d
-from pymap3d import Ellipsoid, rcurve, vincenty
+from pymap3d import Ellipsoid, vincenty
 
 Ned = tuple[float, float, float]
 
 # pymap3d's default, made once: by default it is made anew in every call.
 _WGS84 = Ellipsoid.from_name("wgs84")
+_A_M, _E2 = float(_WGS84.semimajor_axis), float(_WGS84.eccentricity) ** 2
 
 # Within this distance, and outside the polar caps, the radii of curvature at the start
 # place a point to better than 1 cm; beyond it the exact conversion is used (40 times slower).
@@ -32,16 +37,41 @@ class GlobalPosition(NamedTuple):
 
 def ned_between(origin: GlobalPosition, point: GlobalPosition) -> Ned:
     """Local NED metres from `origin` to `point`; works across the antimeridian."""
-    (ax, ay, az), (bx, by, bz) = _ecef_m(origin), _ecef_m(point)
-    east, north, up = pymap3d.uvw2enu(bx - ax, by - ay, bz - az, origin.lat_deg, origin.lon_deg)
-    return float(north), float(east), -float(up)
+    here, there = _frame(origin), _frame(point)
+    x_m, y_m, z_m = there.x_m - here.x_m, there.y_m - here.y_m, there.z_m - here.z_m
+    outward_m = here.cos_lon * x_m + here.sin_lon * y_m
+    return (
+        here.cos_lat * z_m - here.sin_lat * outward_m,
+        here.cos_lon * y_m - here.sin_lon * x_m,
+        -here.cos_lat * outward_m - here.sin_lat * z_m,
+    )
+
+
+class _Frame(NamedTuple):
+    """A place in earth-centred metres, and which way up and north are there."""
+
+    x_m: float
+    y_m: float
+    z_m: float
+    sin_lat: float
+    cos_lat: float
+    sin_lon: float
+    cos_lon: float
 
 
 @lru_cache(maxsize=256)
-def _ecef_m(place: GlobalPosition) -> tuple[float, float, float]:
-    """Earth-centred metres; kept, as home and the other vehicles are asked for again and again."""
-    x, y, z = pymap3d.geodetic2ecef(*place, _WGS84)
-    return float(x), float(y), float(z)
+def _frame(place: GlobalPosition) -> _Frame:
+    """Kept, as home and the other vehicles are asked for again and again.
+
+    As `pymap3d.geodetic2ecef`, which goes through NumPy and takes ten times as long for one place.
+    """
+    lat_rad, lon_rad = math.radians(place.lat_deg), math.radians(place.lon_deg)
+    sin_lat, cos_lat = math.sin(lat_rad), math.cos(lat_rad)
+    sin_lon, cos_lon = math.sin(lon_rad), math.cos(lon_rad)
+    transverse_m = _A_M / math.sqrt(1.0 - _E2 * sin_lat * sin_lat)
+    level_m = (transverse_m + place.alt_m) * cos_lat
+    z_m = (transverse_m * (1.0 - _E2) + place.alt_m) * sin_lat
+    return _Frame(level_m * cos_lon, level_m * sin_lon, z_m, sin_lat, cos_lat, sin_lon, cos_lon)
 
 
 def displace(origin: GlobalPosition, ned_m: Ned) -> GlobalPosition:
@@ -54,11 +84,13 @@ def displace(origin: GlobalPosition, ned_m: Ned) -> GlobalPosition:
     if not near or abs(origin.lat_deg) > POLAR_LATITUDE_DEG:
         lat, lon, alt = pymap3d.ned2geodetic(north_m, east_m, down_m, *origin, _WGS84)
         return GlobalPosition(float(lat), float(lon), float(alt))
-    meridian_m = float(rcurve.meridian(origin.lat_deg, _WGS84)) + origin.alt_m
-    transverse_m = float(rcurve.transverse(origin.lat_deg, _WGS84)) + origin.alt_m
+    sin_lat = math.sin(math.radians(origin.lat_deg))
+    flat = 1.0 - _E2 * sin_lat * sin_lat
+    transverse_m = _A_M / math.sqrt(flat)
+    meridian_m = transverse_m * (1.0 - _E2) / flat + origin.alt_m
     lat_deg = origin.lat_deg + math.degrees(north_m / meridian_m)
     lon_deg = origin.lon_deg + math.degrees(
-        east_m / (transverse_m * math.cos(math.radians(lat_deg)))
+        east_m / ((transverse_m + origin.alt_m) * math.cos(math.radians(lat_deg)))
     )
     return GlobalPosition(lat_deg, wrap_longitude_deg(lon_deg), origin.alt_m - down_m)
 

@@ -1,14 +1,16 @@
 """Timed faults of a scenario: each does in the flight what it says, for as long as it says."""
 
 import math
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
+from echowing.campaign.properties import judge, texts_said
 from echowing.campaign.record import FlightRecord, fly_recorded
 from echowing.errors import EchowingError
-from echowing.sim.modes import GUIDED, LAND, LOITER
+from echowing.sim.modes import GUIDED, LAND, LOITER, STABILIZE
 from echowing.sim.scenario import Scenario, scenario_of
 
 HOVERS = {"path": "rectangle", "start_s": 1000.0}
@@ -55,7 +57,16 @@ def test_an_outage_up_to_a_follower_loses_its_points_and_not_its_reports() -> No
 
     assert record.stream_age_s[between(record, 15.0, 16.0)].min() > 2.5
     assert said(record, "stream lost, holding here")
-    assert not said(record, "not heard for")
+    assert not said(record, "no report for")
+
+
+def test_a_follower_that_is_heard_no_more_gets_no_points_and_that_is_said() -> None:
+    record = flown({"kind": "outage", "vehicle": 2, "at_s": 12.0, "for_s": 5.0, "way": "down"})
+
+    assert said(record, "follower 2: no report for 2 s, no points sent")
+    assert texts_said(record) == []
+    silent = [(t_s, text) for t_s, text in record.events if "no report for" not in text]
+    assert "no report for" in texts_said(replace(record, events=silent))[0].text
 
 
 def test_a_jump_moves_the_estimate_and_goes_back() -> None:
@@ -278,3 +289,22 @@ def test_a_flight_without_faults_is_what_it_was() -> None:
     until = between(usual, 0.0, 19.9)
     assert np.array_equal(usual.position_ned_m[until], late.position_ned_m[until])
     assert not np.array_equal(usual.position_ned_m, late.position_ned_m)
+
+
+def test_a_rebooted_autopilot_is_led_again_only_once_its_pilot_has_it_in_the_air() -> None:
+    record = flown(
+        {"kind": "autopilot_rebooted", "vehicle": 2, "at_s": 8.0, "for_s": 20.0},
+        duration_s=38.0,
+        leader={**HOVERS, "altitude_m": 4.0},
+    )
+
+    landed = between(record, 20.0, 28.0)
+    assert not record.flying[landed, 1].any()
+    assert set(record.mode[landed, 1].tolist()) == {STABILIZE}
+    # The applet starts anew with the autopilot, and finds the pilot's speed.
+    assert len(said(record, "ECHO: ready")) == 2
+    assert record.speed_mps[between(record, 20.0, 28.0), 0] == pytest.approx(5.0)
+    assert record.stream_age_s[landed, 0].min() > 8.0
+    assert said(record, "too low to be led, until it is 2 m up")
+    assert record.stream_age_s[between(record, 36.0, 38.0), 0].max() < 1.0
+    assert judge(record) == []

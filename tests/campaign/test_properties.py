@@ -121,6 +121,45 @@ def test_in_wind_that_takes_all_lean_it_is_counted_apart() -> None:
     assert separation(replace(record, lean_rad=lean))[0].name == "separation"
 
 
+def test_what_pilots_fly_is_theirs_to_keep_apart_until_the_tool_leads_again() -> None:
+    taken = with_pilot(quiet(), 80, 140, followers=(1,))
+    leaders, others = quiet().pairs.index((0, 1)), quiet().pairs.index((1, 2))
+
+    assert separation(with_least(taken, leaders, 100, 0.5)) == []
+    # The other follower is led, and has to keep away from one that its pilot flies.
+    assert separation(with_least(taken, others, 100, 0.5))
+    both = with_pilot(quiet(), 80, 140, followers=(1, 2))
+    assert separation(with_least(both, others, 100, 0.5)) == []
+
+    # Back in Guided at 0.8 m: it may take its time to part, and is not to come nearer.
+    back = taken.least_m.copy()
+    back[130:160, leaders] = 0.8
+    parting = replace(taken, least_m=back)
+    assert separation(parting) == []
+    assert separation(with_least(parting, leaders, 155, 0.7))[0].value == pytest.approx(0.7)
+    # Once apart, the whole is promised again.
+    assert separation(with_least(parting, leaders, 180, 0.9))
+
+
+def with_pilot(
+    record: FlightRecord, begin: int, end: int, *, followers: tuple[int, ...]
+) -> FlightRecord:
+    """Pilots fly these followers (vehicles' indices) in Loiter from one sample to another."""
+    mode = record.mode.copy()
+    mode[begin:end, followers] = LOITER
+    return replace(record, mode=mode)
+
+
+def test_a_retreat_begins_once_it_is_led() -> None:
+    """The same approach, with its pilot flying it until shortly before they meet."""
+    record = approached(2.0, 0.0, 4.0)
+    meets = 100 + round(4.0 / 2.0 / STEP_S)
+    led = retreat_bound_m(record, meets, 1)
+    flown = retreat_bound_m(with_pilot(record, 90, meets - 2, followers=(1,)), meets, 1)
+
+    assert flown < led - 0.5
+
+
 def moving(record: FlightRecord, begin: int, mps: float, *, away: bool = False) -> FlightRecord:
     """The first follower moves towards its leader, north of it, or away."""
     velocity = record.velocity_ned_mps.copy()

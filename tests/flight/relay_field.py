@@ -7,9 +7,9 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.flight.engage import Readiness
 from echowing.flight.guard import Limits
 from echowing.flight.guidance import Slot
+from echowing.flight.readiness import Readiness
 from echowing.flight.relay import BESIDE_M, RELAY_SETTINGS, RelayGuide
 from echowing.flight.session import FollowSession
 from echowing.flight.state import FollowerPlan

@@ -110,10 +110,10 @@ def test_points_with_a_velocity_and_without_follow_and_what_was_learnt_stays(
     field = Field(settings=settings)
     field.fly(3.0)
     follower = field.session.followers[FOLLOWER]
-    clock, estimate, bar = follower.clock, follower.estimate, follower.bar
+    clock, estimate, bar = follower.clock, follower.estimate, follower.guide
     field.orders.nearer(field.now_s)
     field.fly(8.0)
-    assert (follower.clock, follower.estimate, follower.bar) == (clock, estimate, bar)
+    assert (follower.clock, follower.estimate, follower.guide) == (clock, estimate, bar)
     guided = follower.guided
     assert guided is not None
     north_m, east_m, _ = ned_between(guided.leader, guided.slot)

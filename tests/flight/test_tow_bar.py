@@ -113,7 +113,9 @@ def test_a_leader_that_turns_its_nose_moves_nobody() -> None:
         point = leader.fly(bar, TICK_S, 0.0)[-1]
         assert point.slot == stood.slot
         assert point.velocity_mps == (0.0, 0.0)
-    assert seen_from_leader(before) == pytest.approx(seen_from_leader(stood))
+    (far_m, before_rad), (stood_m, stood_rad) = seen_from_leader(before), seen_from_leader(stood)
+    assert far_m == pytest.approx(stood_m)
+    assert wrap_angle_rad(before_rad - stood_rad) == pytest.approx(0.0, abs=1e-6)
 
 
 def test_noise_of_a_hovering_leaders_course_does_not_turn_the_bar() -> None:

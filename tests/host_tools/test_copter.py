@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 
@@ -85,6 +86,41 @@ def test_position_and_velocity_settles_on_the_target() -> None:
         copter, 20.0, lambda time_s: copter.guided_posvel((2.0 * time_s, 0, -10), (2.0, 0, 0))
     )
     assert track[-1][1] == pytest.approx(2.0 * track[-1][0], abs=0.1)
+
+
+@pytest.mark.parametrize("generation", [Generation.V4_6, Generation.V4_8])
+def test_a_point_that_brakes_is_followed_sooner_with_its_acceleration(
+    generation: Generation,
+) -> None:
+    """From 2 m/s at 2.5 m/s2: by WP_ACC / PSC_JERK_NE, the time by which shaping is late.
+
+    input_pos_vel_accel of AC_PosControl adds the acceleration to what corrects, and carries the
+    point on with it.
+    """
+    late_m = furthest_past_m(generation, 0.0) - furthest_past_m(generation, 2.5)
+    assert 0.15 < late_m < 0.5  # 2.5 m/s2 / (20 m/s3 / 5 m/s2) = 0.25 s at up to 2 m/s
+
+
+def furthest_past_m(generation: Generation, told_mps2: float) -> float:
+    """How far the vehicle flies past a point that brakes to a stop."""
+    limits = replace(TrackLimits(), acceleration_mps2=5.0, shaping_jerk_mps3=20.0)
+    copter = Copter(START, tuning=tuning_of(generation), flying=True)
+    copter.set_limits(limits)
+    copter.start_guided(5.0)
+    past_m = 0.0
+    for count in range(round(14.0 / STEP_S)):
+        time_s = count * STEP_S
+        braking_s = min(0.8, max(0.0, time_s - 10.0))
+        mps = 2.0 - 2.5 * braking_s
+        place_m = 2.0 * min(time_s, 10.0 + braking_s) - 1.25 * braking_s**2
+        acceleration = (-told_mps2 if 0.0 < braking_s < 0.8 else 0.0, 0.0, 0.0)
+        copter.guided_posvel(
+            (place_m, 0.0, -10.0), (mps, 0.0, 0.0), acceleration_ned_mps2=acceleration
+        )
+        copter.step(STEP_S)
+        if time_s > 9.0:
+            past_m = max(past_m, copter.north_m - place_m)
+    return past_m
 
 
 def test_limit_holds_back_only_the_correction_of_a_moving_target() -> None:

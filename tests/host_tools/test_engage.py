@@ -13,12 +13,12 @@ from echowing.flight.engage import (
     PATIENCE_S,
     READ_AGAIN_S,
     Finding,
-    Readiness,
     StuckPosition,
     table,
 )
 from echowing.flight.guard import Limits
 from echowing.flight.guidance import Slot
+from echowing.flight.readiness import Readiness
 from echowing.flight.switch import StopSwitch
 from echowing.geo import distance_m
 from echowing.mavlink.seats import StrangerWatch, parse_seat

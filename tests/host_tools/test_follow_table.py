@@ -62,7 +62,8 @@ def write(
     changed: from when on the radius is another, and which.
     """
     plans = [FollowerPlan(one, Slot(radius_m, math.radians(angle_deg)), 10.0) for one in followers]
-    settings = GuidanceSettings(learn_offset=False, feed_forward=False)
+    # A relay, radius 0, has no bar.
+    settings = GuidanceSettings(tow_bar=radius_m > 0.0, learn_offset=False, feed_forward=False)
     session = FollowSession(LEADER, plans, settings)
     panel = Panel([LEADER, *followers])
     log = FollowLog(folder, START_UNIX_S, pytest.fail)

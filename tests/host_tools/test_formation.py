@@ -11,9 +11,8 @@ from echowing.flight.formation import (
     check_formation,
     receivers_demand_m,
     slot_distance_m,
-    turning_together,
 )
-from echowing.flight.guidance import GRAY, GuidanceSettings, Slot
+from echowing.flight.guidance import Slot
 from echowing.flight.spacing import UNRANGED_SIGMA_M
 
 
@@ -46,16 +45,6 @@ def test_a_slot_ahead_of_the_leader_is_refused(angle_deg: float) -> None:
 def test_an_empty_formation_is_refused() -> None:
     with pytest.raises(EchowingError, match="no slots"):
         check_formation([])
-
-
-def test_a_wide_formation_turns_as_slowly_as_its_outermost_follower_can() -> None:
-    alone = turning_together([Slot(3.0)], GuidanceSettings())
-    wide = turning_together([Slot(3.0), Slot(32.0)], GuidanceSettings())
-
-    assert alone.slot_rate_rps == pytest.approx(math.radians(30.0))
-    # 1.6 m/s at 32 m.
-    assert wide.slot_rate_rps == pytest.approx(0.05)
-    assert turning_together([Slot(32.0)], GRAY).slot_rate_rps is None
 
 
 def test_receivers_demand_what_is_certain_once_both_are_in_their_slots() -> None:

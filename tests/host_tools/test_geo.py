@@ -1,5 +1,6 @@
 import math
 
+import pymap3d
 import pytest
 
 from echowing.geo import (
@@ -34,6 +35,17 @@ def test_a_displaced_position_is_found_where_it_was_put(origin: GlobalPosition, 
     # 1 cm: the resolution of a MAVLink latitude.
     assert ned_between(origin, there) == pytest.approx(ned_m, abs=0.01)
     assert -180.0 <= there.lon_deg <= 180.0
+
+
+@pytest.mark.parametrize("origin", EVERYWHERE)
+@pytest.mark.parametrize("apart_deg", [1e-5, 0.01, 3.0])
+def test_places_are_apart_as_pymap3d_has_it(origin: GlobalPosition, apart_deg: float) -> None:
+    towards_equator = -math.copysign(apart_deg, origin.lat_deg)
+    there = GlobalPosition(origin.lat_deg + towards_equator, origin.lon_deg + 0.7 * apart_deg, 70.0)
+    expected = pymap3d.geodetic2ned(*there, *origin)
+
+    # Earth-centred metres are millions: 1e-9 of them is left of 16 digits.
+    assert ned_between(origin, there) == pytest.approx([float(m) for m in expected], abs=1e-8)
 
 
 def test_across_the_antimeridian_east_is_still_east() -> None:

@@ -8,9 +8,9 @@ from echowing.flight.guidance import (
     GRAY,
     Course,
     GuidanceSettings,
+    GuidedPoint,
     LeaderFix,
     Slot,
-    SlotGuide,
     bearing_rad,
     held_behind,
     lead_share,
@@ -18,10 +18,35 @@ from echowing.flight.guidance import (
     slot_offset_m,
     sway_rad,
 )
-from echowing.geo import GlobalPosition, Ned, displace, ned_between, wrap_angle_rad
+from echowing.flight.plan import planned
+from echowing.flight.state import FollowerPlan, Known
+from echowing.geo import GlobalPosition, Ned, displace, ned_between
 
 HERE = GlobalPosition(39.34, -86.03, 260.0)
 COURSES_DEG = range(0, 360, 15)
+BY_POSITION = GuidanceSettings(feed_forward=False, learn_offset=False)
+FOLLOWER = 2
+
+
+class Planner:
+    """Points for one follower, which gets them at once; heading north at first."""
+
+    def __init__(self, settings: GuidanceSettings, slot: Slot | None = None) -> None:
+        self.known = Known(1, [FollowerPlan(FOLLOWER, slot or Slot(3.0))], settings)
+        self.follower = self.known.followers[FOLLOWER]
+        self.follower.clock.answered(0.0, 0.0, 0.0)
+
+    def point(
+        self, fix: LeaderFix, now_s: float = 0.0, at: GlobalPosition | None = None
+    ) -> GuidedPoint:
+        """The point from this report; `at`: where the follower is."""
+        self.known.leader.fix = fix
+        self.follower.position, self.follower.position_at_s = at, now_s
+        return planned(self.known, self.follower, fix, now_s)
+
+
+def grays(fix: LeaderFix, now_s: float = 0.0, slot: Slot | None = None) -> GuidedPoint:
+    return Planner(GRAY, slot).point(fix, now_s)
 
 
 def fix_on_course(
@@ -50,14 +75,14 @@ def seen_from_leader(
 @pytest.mark.parametrize("course_deg", COURSES_DEG)
 def test_on_every_course_the_slot_is_straight_behind(course_deg: int) -> None:
     """The thesis's frame fault (Table 8) put it abeam on north and south courses."""
-    guided = SlotGuide(Slot(3.0), GRAY).update(fix_on_course(course_deg), 0.0)
+    guided = grays(fix_on_course(course_deg))
 
     assert seen_from_leader(guided.slot, course_deg) == pytest.approx((-3.0, 0.0), abs=0.02)
 
 
 @pytest.mark.parametrize("course_deg", COURSES_DEG)
 def test_on_every_course_the_guided_point_is_the_slot_moved_ahead_by_l1(course_deg: int) -> None:
-    guided = SlotGuide(Slot(5.0), GRAY).update(fix_on_course(course_deg, 1.5), 0.0)
+    guided = grays(fix_on_course(course_deg, 1.5), slot=Slot(5.0))
 
     # L1 = 1.0 s x 1.5 m/s.
     assert seen_from_leader(guided.point, course_deg) == pytest.approx((-3.5, 0.0), abs=0.02)
@@ -67,14 +92,14 @@ def test_on_every_course_the_guided_point_is_the_slot_moved_ahead_by_l1(course_d
 def test_a_positive_angle_is_counter_clockwise_seen_from_above(course_deg: int) -> None:
     slot = Slot(4.0, math.radians(90.0))
 
-    guided = SlotGuide(slot, GRAY).update(fix_on_course(course_deg), 0.0)
+    guided = grays(fix_on_course(course_deg), slot=slot)
 
     # The tail turned counter-clockwise is the leader's right.
     assert seen_from_leader(guided.slot, course_deg) == pytest.approx((0.0, 4.0), abs=0.02)
 
 
 def test_the_altitude_step_is_upwards() -> None:
-    guided = SlotGuide(Slot(3.0, 0.0, 2.5), GRAY).update(fix_on_course(0.0), 0.0)
+    guided = grays(fix_on_course(0.0), slot=Slot(3.0, 0.0, 2.5))
 
     assert guided.point.alt_m == pytest.approx(HERE.alt_m + 2.5)
 
@@ -87,15 +112,13 @@ def test_the_slot_is_right_at_high_latitude_and_across_the_antimeridian(
     place = GlobalPosition(latitude_deg, longitude_deg, 100.0)
     fix = fix_on_course(270.0, position=place)
 
-    guided = SlotGuide(Slot(3.0), GRAY).update(fix, 0.0)
+    guided = grays(fix)
 
     assert seen_from_leader(guided.slot, 270.0, place) == pytest.approx((-3.0, 0.0), abs=0.02)
 
 
 def test_the_leader_is_predicted_over_the_age_of_its_report() -> None:
-    settings = GuidanceSettings(keep_behind=False, fresh_age_s=None, stale_age_s=None)
-
-    guided = SlotGuide(Slot(3.0), settings).update(fix_on_course(90.0, time_s=10.0), 10.46)
+    guided = Planner(BY_POSITION).point(fix_on_course(90.0, time_s=10.0), 10.46)
 
     # 0.46 s at 2 m/s.
     assert ned_between(HERE, guided.leader) == pytest.approx((0.0, 0.92, 0.0), abs=0.02)
@@ -103,7 +126,7 @@ def test_the_leader_is_predicted_over_the_age_of_its_report() -> None:
 
 
 def test_without_prediction_the_slot_is_where_the_report_says() -> None:
-    guided = SlotGuide(Slot(3.0), GRAY).update(fix_on_course(90.0, time_s=10.0), 10.46)
+    guided = grays(fix_on_course(90.0, time_s=10.0), 10.46)
 
     assert guided.leader == HERE
 
@@ -140,10 +163,11 @@ def test_exactly_a_quarter_metre_a_second_is_still_moving() -> None:
 def test_a_guided_point_is_never_ahead_of_the_leader_nor_within_a_metre(
     lead_time_s: float, angle_deg: float, course_deg: int
 ) -> None:
-    settings = GuidanceSettings(lead_time_s=lead_time_s)
-    slot = Slot(3.0, math.radians(angle_deg))
+    planner = Planner(
+        replace(BY_POSITION, lead_time_s=lead_time_s), Slot(3.0, math.radians(angle_deg))
+    )
 
-    guided = SlotGuide(slot, settings).update(fix_on_course(course_deg, 4.0), 0.2)
+    guided = planner.point(fix_on_course(course_deg, 4.0, heading_deg=course_deg), 0.2)
 
     ahead_m, right_m = seen_from_leader(guided.point, course_deg, guided.leader)
     assert ahead_m <= 0.02
@@ -167,46 +191,42 @@ def test_grays_scheme_keeps_its_lead_however_old_the_report() -> None:
     assert lead_share(100.0, GRAY) == 1.0
 
 
-def test_a_leader_that_reverses_does_not_send_its_follower_through_itself() -> None:
-    """The slot swings round at its limited rate and stays a radius away all the way."""
-    guide = SlotGuide(Slot(3.0), GuidanceSettings())
-    guide.update(fix_on_course(0.0), 0.0)
-    bearings = []
+def test_a_leader_that_reverses_pushes_its_points_straight_back() -> None:
+    """By position too: the slot stays on its side, and the lead points away from the leader."""
+    planner = Planner(BY_POSITION)
+    planner.point(fix_on_course(0.0), 0.0)
     for step in range(1, 8 * 8):
         now_s = step / 8.0
-        fix = fix_on_course(180.0, time_s=now_s)
-        guided = guide.update(fix, now_s)
-        north, east, _ = ned_between(guided.leader, guided.slot)
-        point = ned_between(guided.leader, guided.point)
-        assert math.hypot(north, east) == pytest.approx(3.0, abs=0.02)
-        assert math.hypot(point[0], point[1]) >= 0.98
-        bearings.append(math.atan2(east, north))
-
-    turns = [abs(wrap_angle_rad(b - a)) for a, b in itertools.pairwise(bearings)]
-    # 30 deg/s at 8 Hz is 3.75 deg a point; positions are rounded to about a degree at 3 m.
-    assert max(turns) <= math.radians(3.75) + 0.02
-    # After 6 s it is behind the reversed leader: to its north.
-    assert bearings[-1] == pytest.approx(0.0, abs=0.05)
+        guided = planner.point(fix_on_course(180.0, time_s=now_s), now_s)
+        # The slot is 3 m south, the leader comes south at 2 m/s: with 1.4 s of lead the point
+        # is 2.8 m further south.
+        assert ned_between(guided.leader, guided.slot)[:2] == pytest.approx((-3.0, 0.0), abs=0.02)
+        assert ned_between(guided.leader, guided.point)[:2] == pytest.approx((-5.8, 0.0), abs=0.1)
 
 
-def test_while_the_slot_swings_round_the_lead_points_away_from_a_reversed_leader() -> None:
-    guide = SlotGuide(Slot(3.0), GuidanceSettings())
-    guide.update(fix_on_course(0.0), 0.0)
-
-    guided = guide.update(fix_on_course(180.0, time_s=0.1), 0.1)
-
-    # The slot is 3 m south, the leader comes south at 2 m/s: with 1.4 s of lead the point
-    # is 2.8 m further south.
-    assert ned_between(guided.leader, guided.point)[0] == pytest.approx(-5.8, abs=0.1)
+@pytest.mark.parametrize("feed_forward", [True, False])
+def test_both_ways_of_flying_have_the_same_slot(feed_forward: bool) -> None:
+    """Through a corner, from reports of half a second ago; the lead is all that differs."""
+    ours = Planner(replace(BY_POSITION, feed_forward=feed_forward))
+    other = Planner(replace(BY_POSITION, feed_forward=not feed_forward))
+    turned = 0.0
+    for step in range(40):
+        now_s = step / 8.0
+        fix = fix_on_course(0.0 if step < 10 else 90.0, time_s=now_s - 0.5)
+        guided = ours.point(fix, now_s)
+        assert guided.slot == other.point(fix, now_s).slot
+        turned = guided.course_rad
+    assert turned > math.radians(60.0)
 
 
 def test_the_follower_looks_at_the_leader_from_where_it_is() -> None:
     follower = displace(HERE, (-3.0, -3.0, 0.0))
 
-    guided = SlotGuide(Slot(3.0), GuidanceSettings()).update(fix_on_course(0.0), 0.0, follower)
+    guided = Planner(BY_POSITION).point(fix_on_course(0.0), 0.0, follower)
 
     assert guided.yaw_rad == pytest.approx(math.radians(45.0), abs=0.01)
-    assert SlotGuide(Slot(3.0), GRAY).update(fix_on_course(0.0), 0.0, follower).yaw_rad is None
+    for settings in (GRAY, replace(GuidanceSettings(), face_leader=False)):
+        assert Planner(settings).point(fix_on_course(0.0), 0.0, follower).yaw_rad is None
 
 
 @pytest.mark.parametrize(
@@ -221,20 +241,6 @@ def test_bearings_are_clockwise_from_north(offset: Ned, degrees: float) -> None:
 def test_slot_offsets_turn_with_the_course() -> None:
     assert slot_offset_m(Slot(3.0), 0.0) == pytest.approx((-3.0, 0.0))
     assert slot_offset_m(Slot(3.0), math.pi / 2) == pytest.approx((0.0, -3.0))
-
-
-def test_the_slot_waits_for_a_follower_on_the_other_side() -> None:
-    """A northbound leader with its follower ahead of it: the way to the slot leads round it."""
-    guide = SlotGuide(Slot(3.0), GuidanceSettings())
-    follower = displace(HERE, (3.0, 0.5, 0.0))
-
-    for step in range(100):
-        now_s = step / 8.0
-        guided = guide.update(fix_on_course(0.0, time_s=now_s), now_s, follower)
-        start = ned_between(guided.leader, follower)
-        end = ned_between(guided.leader, guided.slot)
-        apart = math.atan2(end[1], end[0]) - math.atan2(start[1], start[0])
-        assert abs(wrap_angle_rad(apart)) <= math.radians(60.0) + 0.02
 
 
 def test_an_accelerating_leader_is_predicted_with_its_acceleration() -> None:
@@ -258,7 +264,13 @@ def test_the_nose_sways_to_both_sides_while_the_bearing_is_unsure() -> None:
     assert all(sway_rad(math.radians(6.0), t / 10.0) == 0.0 for t in range(40))
 
 
-def test_the_slot_is_further_out_where_the_caller_says_so() -> None:
-    guided = SlotGuide(Slot(3.0), GRAY).update(fix_on_course(0.0), 0.0, least_radius_m=4.0)
-
-    assert ned_between(HERE, guided.slot)[0] == pytest.approx(-4.0, abs=0.02)
+@pytest.mark.parametrize("feed_forward", [True, False])
+@pytest.mark.parametrize("learn_offset", [True, False])
+def test_the_slot_is_further_out_where_a_reversal_asks_for_it(
+    feed_forward: bool, learn_offset: bool
+) -> None:
+    settings = GuidanceSettings(feed_forward=feed_forward, learn_offset=learn_offset)
+    planner = Planner(settings)
+    planner.follower.reversal_m = 6.0
+    guided = planner.point(fix_on_course(0.0))
+    assert ned_between(HERE, guided.slot)[0] == pytest.approx(-6.0, abs=0.02)

@@ -5,12 +5,14 @@ import pytest
 
 from echowing.cli import main
 from echowing.errors import EchowingError
-from echowing.flight.guidance import LeaderFix
-from echowing.flight.relay import RelayGuide, parse_ground
+from echowing.flight.guidance import LeaderFix, Slot
+from echowing.flight.plan import planned
+from echowing.flight.relay import RELAY_SETTINGS, RelayGuide, parse_ground
+from echowing.flight.state import FollowerPlan, Known
 from echowing.geo import GlobalPosition, Ned, displace, ned_between
 from echowing.sim.copter import Copter
 
-from ..flight.relay_field import REMOTE, RelayField
+from ..flight.relay_field import RELAY, REMOTE, RelayField
 
 GROUND = GlobalPosition(39.34, -86.03, 250.0)
 
@@ -20,19 +22,24 @@ CLEAR_M = 15.0
 
 def guided(guide: RelayGuide, remote_m: Ned, way_mps: Ned, here_m: Ned | None = None) -> Ned:
     """Where the relay is led, from the ground station."""
-    fix = LeaderFix(10.0, displace(GROUND, remote_m), way_mps, 0.0)
+    remote = LeaderFix(10.0, displace(GROUND, remote_m), way_mps, 0.0)
     here = None if here_m is None else displace(GROUND, here_m)
-    return ned_between(GROUND, guide.update(fix, 10.5, here).point)
+    return ned_between(GROUND, guide.update(remote, 10.0, here).point)
 
 
 def test_the_point_is_midway_to_where_the_remote_vehicle_is_now_beside_the_line() -> None:
     fix = LeaderFix(10.0, displace(GROUND, (200.0, 0.0, 0.0)), (4.0, 0.0, 0.0), 0.0)
-    point = RelayGuide(GROUND, CLEAR_M).update(fix, 10.5)
-    # Half a second at 4 m/s is 2 m more to the north, of which the relay goes half; to the right
-    # of somebody who comes back along the line is west.
+    known = Known(REMOTE, [FollowerPlan(RELAY, Slot(0.0))], RELAY_SETTINGS)
+    known.leader.fix = fix
+    relay = known.followers[RELAY]
+    relay.guide = RelayGuide(GROUND, CLEAR_M)
+    relay.clock.answered(10.0, 0.0, 10.2)
+    point = planned(known, relay, fix, 10.4)
+    # Half a second until the point is there at 4 m/s is 2 m more to the north, of which the relay
+    # goes half; to the right of somebody who comes back along the line is west.
     assert ned_between(GROUND, point.point)[:2] == pytest.approx((101.0, -CLEAR_M), abs=0.05)
     assert point.yaw_rad is None
-    assert point.age_s == pytest.approx(0.5)
+    assert point.age_s == pytest.approx(0.4)
 
 
 @pytest.mark.parametrize(("east_m", "side"), [(-3.0, -1.0), (3.0, 1.0), (0.2, -1.0)])
@@ -50,8 +57,7 @@ def test_it_gives_way_to_one_that_flies_at_it_from_beside_the_line_while_it_is_t
     way = (place_m[0] - 200.0, place_m[1], 0.0)
     far_m = math.hypot(*way)
     way_mps = (8.0 * way[0] / far_m, 8.0 * way[1] / far_m, 0.0)
-    fix_m = (200.0 - 0.5 * way_mps[0], -0.5 * way_mps[1], 0.0)  # half a second before
-    north_m, east_m, _ = guided(RelayGuide(GROUND, CLEAR_M), fix_m, way_mps)
+    north_m, east_m, _ = guided(RelayGuide(GROUND, CLEAR_M), (200.0, 0.0, 0.0), way_mps)
     beside_m = ((north_m - 200.0) * way[1] - east_m * way[0]) / far_m
     assert abs(beside_m) == pytest.approx(CLEAR_M, abs=0.1)
     slow_m = guided(RelayGuide(GROUND, CLEAR_M), (200.0, 0.0, 0.0), (-3.0, -0.5, 0.0))

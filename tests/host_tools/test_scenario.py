@@ -49,8 +49,7 @@ def test_the_theses_flights_have_none_of_our_protections(name: str) -> None:
     settings = load_scenario(name).guidance.settings()
 
     assert settings.lead_time_s == 1.0
-    assert not (settings.predict or settings.keep_behind or settings.face_leader)
-    assert settings.slot_rate_rps is None
+    assert not (settings.predict or settings.tow_bar or settings.face_leader)
     assert settings.stale_age_s is None
 
 

@@ -7,9 +7,9 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.flight.engage import Readiness
 from echowing.flight.guard import Limits
 from echowing.flight.guidance import GuidanceSettings, Slot
+from echowing.flight.readiness import Readiness
 from echowing.flight.session import FollowSession
 from echowing.flight.state import FollowerPlan
 from echowing.geo import GlobalPosition, displace

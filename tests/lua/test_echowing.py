@@ -341,23 +341,34 @@ def test_no_data_with_distance_0_is_nothing(rig: MakeRig) -> None:
     assert r.speed_mps == 2.5
 
 
-def close_in(r: Rig, start_m: float, closing_mps: float, seconds: float, own_mps: float) -> None:
-    """The range shrinks steadily: a single reading every 50 ms."""
+def close_in(r: Rig, start_m: float, closing_mps: float, seconds: float, own_mps: float) -> float:
+    """The range shrinks steadily: a single reading every 50 ms. Gives where it ends."""
+    return brake(r, start_m, closing_mps, closing_mps, seconds, own_mps)
+
+
+def brake(
+    r: Rig, start_m: float, from_mps: float, to_mps: float, seconds: float, own_mps: float
+) -> float:
+    """The leader brakes by 2.5 m/s2, from one closing speed to another. Gives where it ends."""
     r.vehicle.velocity = (own_mps, 0.0, 0.0)
+    metres, closing_mps = start_m, from_mps
     for i in range(round(seconds * 100)):
-        metres = start_m - closing_mps * i / 100.0
         r.range(metres)
         if i % 5 == 0:
             r.send_raw(round(metres, 2))
         r.step()
+        closing_mps = min(to_mps, closing_mps + 0.025)
+        metres -= closing_mps / 100.0
+    return metres
 
 
 def test_closing_distance_counts(rig: MakeRig) -> None:
     """At 1.5 m/s: 1.5 x 0.6 + 1.5^2 / 5 = 1.35 m, so too close under 1.5 + 1.35 = 2.85 m."""
     r = flying_along(rig(LAW=1, BAND_IN=0.5, BAND_OUT=1.5), 1.5, 4.4).run(2.0)
-    close_in(r, 4.4, 1.5, 0.9, own_mps=1.5)  # to 3.05 m
+    near_m = brake(r, 4.4, 0.0, 1.5, 0.6, own_mps=1.5)
+    near_m = close_in(r, near_m, 1.5, (near_m - 3.05) / 1.5, own_mps=1.5)
     assert r.speed_mps > 1.0
-    close_in(r, 3.05, 1.5, 0.3, own_mps=1.5)  # to 2.6 m
+    close_in(r, near_m, 1.5, 0.3, own_mps=1.5)  # to 2.6 m
     assert r.speed_mps == FLOOR_MPS
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import random
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -29,15 +30,21 @@ class Target:
     north_mps: float
     east_mps: float
     yaw_rad: float
+    north_mps2: float
+    east_mps2: float
 
 
 def newest(r: Rig) -> Target:
     kind, values = r.vehicle.targets[-1]
     assert kind == "posvel"
     assert r.vehicle.position is not None
-    north_m, east_m, down_m, north_mps, east_mps, _, yaw_rad = (float(v or 0.0) for v in values)
+    north_m, east_m, down_m, north_mps, east_mps, _, yaw_rad, *rest = (
+        float(v or 0.0) for v in values
+    )
     here = r.vehicle.position
-    return Target(north_m - here[0], east_m - here[1], down_m, north_mps, east_mps, yaw_rad)
+    return Target(
+        north_m - here[0], east_m - here[1], down_m, north_mps, east_mps, yaw_rad, rest[0], rest[1]
+    )
 
 
 def led(
@@ -307,6 +314,55 @@ def test_a_leader_that_flies_back_is_flown_back_from_at_once(rig: MakeRig) -> No
 
     assert loop.nearest_m > 1.8
     assert loop.mps == pytest.approx(-2.0, abs=0.5)
+
+
+def braked(r: Rig, seconds: float, mps2: float) -> Rig:
+    """The leader 3 m ahead brakes for so long; the follower keeps its speed."""
+    led(r, 3.0, 0.0)
+    for number in range(round(seconds * 100)):
+        time_s = 0.01 * (number + 1)
+        r.range(3.0 - 0.5 * mps2 * time_s * time_s)
+        if r.vehicle.t_ms % 120 == 0:
+            r.send_target(0.0, LEADER_MPS)
+        r.step()
+    return r
+
+
+@pytest.mark.parametrize("mps2", [1.5, 2.5])
+def test_a_leaders_braking_is_answered_with_as_much(rig: MakeRig, mps2: float) -> None:
+    """0.5 s on, with the acceleration itself, and the velocity that the leader will then have.
+
+    Guided answers a velocity alone a quarter of a second later (WP_ACC / PSC_JERK_NE), and leans
+    0.3 s after that. The tracker is 0.3 s behind a change of the acceleration.
+    """
+    r = braked(rig(LAW=2), 0.5, mps2)
+
+    assert newest(r).north_mps2 == pytest.approx(-mps2, rel=0.35)
+    assert newest(r).north_mps <= LEADER_MPS - 0.5 * mps2
+    assert newest(r).east_mps2 == pytest.approx(0.0, abs=0.01)
+
+
+def test_a_sonars_noise_is_no_braking(rig: MakeRig) -> None:
+    """Steps of 1 cm, up and down at random: the point's velocity stays, without acceleration."""
+    r = led(rig(LAW=2), 3.0, 0.0)
+    steps = random.Random(1)
+    for _ in range(200):
+        r.range(3.0 + 0.01 * steps.choice((-1, 0, 1)))
+        stream(r, 0.0, 0.12)
+        assert newest(r).north_mps2 == 0.0
+
+
+def test_a_leader_lost_while_it_brakes_goes_on_braking_for_a_second(rig: MakeRig) -> None:
+    """Then the ground tool knows, and the leader counts as fast as when it was last seen."""
+    r = braked(rig(LAW=2), 0.6, 2.5)
+    seen_mps = newest(r).north_mps
+    r.range(7.66, HIGH)
+    stream(r, 0.0, 0.6)
+    assert newest(r).north_mps < seen_mps - 0.7
+    stream(r, 0.0, 0.6)
+    leader_mps = r.host.local_value("track").leader_mps
+    assert leader_mps == pytest.approx(LEADER_MPS - 0.6 * 2.5, abs=0.45)
+    assert newest(r).north_mps2 == 0.0
 
 
 def test_backing_off_is_told(rig: MakeRig) -> None:

@@ -12,6 +12,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from echowing.analysis.flight import Flight, Floats
 from echowing.errors import EchowingError
@@ -22,6 +23,8 @@ SIGHT_TOLERANCE_M = 2.0
 # The approach ends where a follower has first come this near to its slot.
 APPROACHED_M = 1.0
 STEADY_S = 1.0
+# A reading is up to 0.1 s old, and a leader that turns round is 0.4 m elsewhere by then.
+FOUND_M = 0.5
 # One sweep of the figure 8 takes 3.6 s (thesis Appendix A: 12 points, 0.3 s each): after more
 # than five of them in vain the leader is gone.
 DEAD_LOCK_WINDOW_S = 20.0
@@ -98,12 +101,28 @@ def _ranged_s(flight: Flight) -> list[float]:
     Longer than any single echo of something else; empty where there is none.
     """
     ranged = np.abs(flight.sonar_m - flight.wanted_separation_m) <= APPROACHED_M
+    first_s = _first_steady_s(flight, ranged)
+    return [] if first_s is None else [first_s]
+
+
+def found_s(flight: Flight, inset_m: float) -> float | None:
+    """After how long the sonar has had the true leader for a second; None: never.
+
+    inset_m: how much less than the separation it reads.
+    """
+    off_m = flight.sonar_m + inset_m - flight.separation_m
+    first_s = _first_steady_s(flight, np.abs(off_m) <= FOUND_M)
+    return None if first_s is None else first_s - float(flight.time_s[0])
+
+
+def _first_steady_s(flight: Flight, holds: NDArray[np.bool_]) -> float | None:
+    """The first moment from which on something holds for a second; None: never."""
     ends = np.searchsorted(flight.time_s, flight.time_s + STEADY_S, side="right")
-    for first in np.flatnonzero(ranged).tolist():
+    for first in np.flatnonzero(holds).tolist():
         last = int(ends[first])
-        if last < len(ranged) and ranged[first:last].all():
-            return [float(flight.time_s[first])]
-    return []
+        if last < len(holds) and holds[first:last].all():
+            return float(flight.time_s[first])
+    return None
 
 
 def by_sonar(flight: Flight, settle_s: float = 0.0) -> Metrics | None:

@@ -18,7 +18,7 @@ from echowing.errors import EchowingError
 from echowing.sim.fault_section import LEADER
 from echowing.sim.scenario import Scenario, scenario_of
 
-SHIPPED = "field"
+SHIPPED = ("field", "many")
 # The applet's range of ECHO_DIST, and the sonar's reach less its inset (lua/echowing.md).
 ECHO_DIST_M, REACH_M = (1.5, 6.0), 4.5
 _SHAPES = ("column", "vee", "echelon")
@@ -42,19 +42,21 @@ class Description:
         return list(dict.fromkeys(str(one["kind"]) for one in self.table.get("fault", [])))
 
 
-def load_description(name_or_path: str = SHIPPED) -> Description:
-    """The shipped description, or a user's file; EchowingError says what is wrong in it."""
+def load_description(name_or_path: str = SHIPPED[0]) -> Description:
+    """A shipped description, or a user's file; EchowingError says what is wrong in it."""
     path = Path(name_or_path)
     if path.suffix == ".toml":
         try:
             text = path.read_text(encoding="utf-8")
         except (OSError, UnicodeDecodeError) as error:
             raise EchowingError(f"{path}: cannot read the description: {error}") from error
-    elif name_or_path == SHIPPED:
-        shipped = resources.files("echowing") / "campaigns" / f"{SHIPPED}.toml"
+    elif name_or_path in SHIPPED:
+        shipped = resources.files("echowing") / "campaigns" / f"{name_or_path}.toml"
         text = shipped.read_text(encoding="utf-8")
     else:
-        raise EchowingError(f"no description {name_or_path!r}: {SHIPPED}, or a .toml file")
+        raise EchowingError(
+            f"no description {name_or_path!r}: {' or '.join(SHIPPED)}, or a .toml file"
+        )
     return parse_description(text, str(path))
 
 

@@ -35,7 +35,7 @@ class Promise:
 
 PROMISES = (
     Promise("outage", r"leader is stale, holding", False, 1.0, 4.0),
-    Promise("outage", r"follower {id}: not heard for", False, 2.0, 4.0),
+    Promise("outage", r"follower {id}: no report for", False, 2.0, 4.0),
     Promise("tool_killed", r"stream lost, holding here", True, 1.5, 3.0),
     Promise("tool_stopped", r"follower {id}: the tool ends, holding", False, 0.5, 0.0),
     Promise("pilot_takes_over", r"follower {id}: left Guided for", False, 1.5, 3.0),

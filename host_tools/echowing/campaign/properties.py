@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from echowing.analysis.flight import Floats
 from echowing.analysis.metrics import approach_s, metrics
 from echowing.campaign.promises import broken_promises
 from echowing.campaign.record import Bools, FlightRecord
@@ -46,6 +47,8 @@ RANGES_IT_M = 0.5
 PASSES = 10
 # From a change of the mode to the pilot's value: the applet's period and the handing back.
 HANDED_BACK_S = 0.5
+# A vehicle that a point has reached so lately is led; without, its pilot takes off in Guided.
+POINT_ACTS_S = 1.0
 # ArduCopter's Guided flies a velocity on for so long (GUID_TIMEOUT).
 GUIDED_TIMEOUT_S = 3.0
 # A leader heard and ranged, with nothing wrong: README's mean error is 0.12 m over ten flights.
@@ -75,11 +78,13 @@ def separation(record: FlightRecord) -> list[Broken]:
     broken = []
     for number, (a, b) in enumerate(record.pairs):
         least_m = record.least_m[:, number]
-        sample = int(np.argmin(least_m))
-        if least_m[sample] >= LEAST_M:
+        promised_m = promised_apart_m(record, number)
+        short = np.flatnonzero(least_m < promised_m)
+        if not len(short):
             continue
+        sample = int(short[np.argmin(least_m[short])])
         bound_m = retreat_bound_m(record, sample, b) if a == 0 else math.inf
-        if bound_m < LEAST_M:
+        if bound_m < promised_m[sample]:
             continue
         name = "the leader" if a == 0 else f"follower {a + 1}"
         blown = _blown(record, sample, a) or _blown(record, sample, b)
@@ -93,6 +98,28 @@ def separation(record: FlightRecord) -> list[Broken]:
             )
         )
     return sorted(broken, key=lambda one: one.value)
+
+
+def promised_apart_m(record: FlightRecord, number: int) -> Floats:
+    """The distance that a pair (by its number) is promised, sample by sample, (n,).
+
+    Where pilots fly both of them, or the one that follows the leader, it is theirs to keep: nothing
+    is promised, nor until Guided can have answered. What they left is then not to get less, until
+    they are LEAST_M apart again.
+    """
+    least_m, followers = record.least_m[:, number], [one for one in record.pairs[number] if one]
+    answers = [_lasted(record.guided[:, one - 1], Answer().dead_s) for one in followers]
+    # It begins in Guided: what it has answered to before is not in the record.
+    begins = [np.logical_and.accumulate(record.guided[:, one - 1]) for one in followers]
+    led = np.logical_or.reduce([*answers, *begins])
+    promised_m, left_m = np.full(len(least_m), -math.inf), LEAST_M
+    for at, distance_m in enumerate(least_m.tolist()):
+        if not led[at]:
+            left_m = min(LEAST_M, distance_m)
+        else:
+            promised_m[at] = left_m
+            left_m = LEAST_M if distance_m >= LEAST_M else left_m
+    return promised_m
 
 
 def _blown(record: FlightRecord, sample: int, vehicle: int) -> bool:
@@ -109,7 +136,8 @@ def retreat_bound_m(record: FlightRecord, sample: int, follower: int) -> float:
     The leader's own approach is what it flew towards the follower's place, sample by sample, in the
     while before `sample` in which it did. The follower began it closing no faster than could be
     stopped within the promise; its retreat begins once a report of the approach, or the sonar's
-    second reading of it, has had the time to act, and is no faster than the core's.
+    second reading of it, has had the time to act, and is no faster than the core's. While its pilot
+    flies it, it goes where he flies it.
     """
     apart = record.position_ned_m[:, follower] - record.position_ned_m[:, 0]
     distance_m = np.linalg.norm(apart, axis=1)
@@ -127,11 +155,15 @@ def retreat_bound_m(record: FlightRecord, sample: int, follower: int) -> float:
     while first > 0 and towards[first - 1] > STANDS_MPS:
         first -= 1
     known = _known_from(record, first, follower) + round(Answer().dead_s / SAMPLE_S)
+    led = record.guided[:, follower - 1]
+    answers = _lasted(led, Answer().dead_s)
     left_m = float(distance_m[first])
     away_mps = max(float(own[first]), -closing_limit_mps(left_m, Answer(), LEAST_M))
     bound_m = left_m
     for at in range(first, last + 1):
-        if at >= known:
+        if not led[at]:
+            away_mps = float(own[at])
+        elif at >= known and answers[at]:
             away_mps = min(RETREAT_MOST_MPS, away_mps + OTHERS_MPS2 * SAMPLE_S)
         left_m += (away_mps - float(towards[at])) * SAMPLE_S
         bound_m = min(bound_m, left_m)
@@ -268,7 +300,8 @@ def not_too_low(record: FlightRecord) -> list[Broken]:
     for number, slot in enumerate(scenario.formation.slots):
         least_m = min(LOWEST_M, scenario.leader.altitude_m + slot.altitude_step_m)
         # Its height wanders in the wind by some decimetres.
-        low = record.guided[:, number] & (record.height_m[:, number + 1] < least_m - 0.3)
+        led = record.guided[:, number] & (record.stream_age_s[:, number] < POINT_ACTS_S)
+        low = led & (record.height_m[:, number + 1] < least_m - 0.3)
         at = _lasting(low, 0.5)
         if at is not None:
             value = float(record.height_m[at, number + 1])

@@ -144,8 +144,9 @@ class Observer:
         """Look, after a step of the flight."""
         self._steps += 1
         places = [vehicle.position_ned_m for vehicle in self._vehicles]
+        least = self._least
         for number, (a, b) in enumerate(self._pairs):
-            self._least[number] = min(self._least[number], math.dist(places[a], places[b]))
+            least[number] = min(least[number], math.dist(places[a], places[b]))
         if self._steps % STEPS_PER_SAMPLE == 0:
             self._sample()
 

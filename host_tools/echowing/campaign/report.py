@@ -1,6 +1,7 @@
 """The report of a campaign: one HTML page, readable without a network."""
 
 import html
+import math
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -19,6 +20,15 @@ from echowing.campaign.run import ORDER, finds_of
 WORST = 20
 MOST_PAIRS = 60
 NOTHING = "-"
+# Columns of a formation (campaign.swarm.Swarm), and what they are called.
+_FORMATION = {
+    "nearest_m": "nearest neighbour, m",
+    "spread": "spread, of the slots'",
+    "misaligned_mps": "off the mean velocity, m/s",
+    "polarisation": "polarisation",
+    "rotation": "rotation",
+    "held": "held, of the time",
+}
 
 
 def write_report(folder: Path, rows: Sequence[Row], seed: int, kinds: Sequence[str]) -> Path:
@@ -37,6 +47,7 @@ def write_report(folder: Path, rows: Sequence[Row], seed: int, kinds: Sequence[s
             f'<div class="plots">{box("closest")}{box("error")}</div>',
             f"<h2>Finds</h2>{_finds(folder)}",
             f"<h2>By fault</h2>{_card(_by_fault(flown, kinds))}",
+            f"<h2>Formations</h2>{_card(_formations(flown))}",
             f"<h2>Worst flights</h2>{_worst(folder, flown)}",
             f"<h2>Coverage</h2>{_card(_states(flown))}{_card(_pairs(flown, kinds))}",
         ]
@@ -116,6 +127,22 @@ def _by_fault(rows: Sequence[Row], kinds: Sequence[str]) -> Grid:
         )
     head = ("fault", "flights", "in force, min", "broke", "least, m", "5 %, m")
     return Grid("Each fault", (*head, "error, median, m", "95 %, m"), tuple(lines))
+
+
+def _formations(rows: Sequence[Row]) -> Grid:
+    """How formations of three and more kept together, by the share of messages lost, in tenths."""
+    groups: dict[int, list[Row]] = defaultdict(list)
+    for row in rows:
+        if row.get("polarisation") is not None:
+            groups[math.ceil(row["loss"] * 10.0 - 1e-9)].append(row)
+    lines = []
+    for tenths, mine in sorted(groups.items()):
+        least = min(_values(mine, "closest_followers_m"))
+        means = [float(np.mean(_values(mine, name))) for name in _FORMATION]
+        cells = (f"{one:.2f}" for one in (least, *means))
+        lines.append(TableRow((f"up to {10 * tenths} %", str(len(mine)), *cells)))
+    head = ("messages lost", "flights", "least between followers, m", *_FORMATION.values())
+    return Grid("Formations of three followers and more, means", head, tuple(lines))
 
 
 def _finds(folder: Path) -> str:

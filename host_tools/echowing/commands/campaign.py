@@ -23,6 +23,7 @@ examples:
   echowing campaign --flights 200 --workers 1 --json
   echowing campaign --scheduler tcp://10.0.0.7:8786 --flights 100000 --out out/large
   echowing campaign my-field.toml --flights 500
+  echowing campaign many --flights 16 --no-shrink --out out/many
 The exit code is 1 where a flight broke a property, 130 where it was interrupted.
 """
 EXIT_FOUND, EXIT_INTERRUPTED = 1, 130
@@ -38,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "description",
         nargs="?",
         default="field",
-        help="what flights are drawn from: field (default), or a TOML file",
+        help="what flights are drawn from: field (default), many, or a TOML file",
     )
     parser.add_argument("--flights", type=int, default=1000, metavar="N", help="how many (1000)")
     parser.add_argument("--seed", type=int, default=1, metavar="S", help="of all chance (1)")

@@ -276,9 +276,9 @@ def options_of(arguments: "Sequence[str]") -> "FollowOptions":
 
 
 def _options(args: argparse.Namespace) -> "FollowOptions":
-    from echowing.flight.engage import Readiness  # noqa: PLC0415
     from echowing.flight.guard import Limits  # noqa: PLC0415
     from echowing.flight.guidance import GuidanceSettings  # noqa: PLC0415
+    from echowing.flight.readiness import Readiness  # noqa: PLC0415
     from echowing.flight.switch import parse_stop_switch  # noqa: PLC0415
     from echowing.mavlink.seats import VehicleFinder  # noqa: PLC0415
     from echowing.mavlink.signing import read_key  # noqa: PLC0415

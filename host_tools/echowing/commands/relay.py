@@ -76,9 +76,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Relay until asked to end."""
-    from echowing.flight.engage import Readiness  # noqa: PLC0415
     from echowing.flight.guard import Limits  # noqa: PLC0415
     from echowing.flight.guidance import Slot  # noqa: PLC0415
+    from echowing.flight.readiness import Readiness  # noqa: PLC0415
     from echowing.flight.relay import (  # noqa: PLC0415
         BESIDE_M,
         HEIGHTS_APART_M,

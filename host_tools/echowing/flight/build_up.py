@@ -7,19 +7,18 @@ nothing. What ECHO_DIST was before is put back at the end (`restore`).
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.flight.engage import DIST
-from echowing.flight.guidance import Slot, SlotGuide
+from echowing.flight.guidance import Slot
+from echowing.flight.state import FollowerState, Say
 from echowing.mavlink.messages import read_parameter
 
-if TYPE_CHECKING:
-    from echowing.flight.session import FollowSession
-    from echowing.flight.state import FollowerState
+Followers = Mapping[int, FollowerState]
 
 # Of the outermost slot: its follower trails it by half a metre (Guided flies 1 m/s for each metre
 # that it is off), and 8 m are closed in 6 s to 5 m.
@@ -155,47 +154,48 @@ class BuildUp:
         """Whether the slots are not yet where they are to be."""
         return self._waits or self.radius_m != self.target_m
 
-    def objection(self, session: "FollowSession", now_s: float) -> str | None:
-        """Why the slots cannot come nearer now; None: they can."""
+    def objection(
+        self,
+        followers: Followers,
+        led: Sequence[FollowerState],
+        objection_to_radius: Callable[[FollowerState, float], str | None],
+    ) -> str | None:
+        """Why the slots cannot come nearer now; None: they can.
+
+        led: those whom points go to; objection_to_radius: as before engaging (see `engage`).
+        """
         if self.nearer_m is None:
             return f"{self.target_m:g} m is the last radius of --build-up"
         if self.moves:
             return f"still on the way to {self.target_m:g} m"
-        led = [one for one in session.followers.values() if session.sends_to(one, now_s)]
         if not led:
             return "nobody is led yet"
         for follower in led:
             if follower.held_at is not None:
                 return f"follower {follower.plan.system_id} holds: {follower.hold_reason}"
-        return self._too_near(session, self.nearer_m)
-
-    def _too_near(self, session: "FollowSession", radius_m: float) -> str | None:
-        """Whose slot would be nearer than is survived, and why: as before engaging."""
-        if session.engagement is None:
-            return None
-        slots = scaled(self._slots, radius_m)
-        for follower, slot in zip(session.followers.values(), slots, strict=True):
-            text = session.engagement.objection_to_radius(follower, slot.radius_m)
+        slots = scaled(self._slots, self.nearer_m)
+        for follower, slot in zip(followers.values(), slots, strict=True):
+            text = objection_to_radius(follower, slot.radius_m)
             if text is not None:
                 return f"follower {follower.plan.system_id}: {text}"
         return None
 
-    def nearer(self, session: "FollowSession") -> None:
+    def nearer(self, followers: Followers) -> None:
         """Aim at the next radius: the applets' distance first, the slots once that is confirmed."""
         if self.nearer_m is not None:
-            self._aim(session, self._step + 1)
+            self._aim(followers, self._step + 1)
             self._waits = True
 
-    def further(self, session: "FollowSession") -> None:
+    def further(self, followers: Followers) -> None:
         """Aim at the radius before, at once."""
         if self.further_m is not None:
-            self._aim(session, self._step - 1)
+            self._aim(followers, self._step - 1)
             self._waits = False
 
-    def _aim(self, session: "FollowSession", step: int) -> None:
+    def _aim(self, followers: Followers, step: int) -> None:
         self._step, self._told = step, False
         slots = scaled(self._slots, self.target_m)
-        for system_id, slot in zip(session.followers, slots, strict=True):
+        for system_id, slot in zip(followers, slots, strict=True):
             wanted_m = min(MOST_DIST_M, max(LEAST_DIST_M, slot.radius_m))
             self.distances.setdefault(system_id, AppletDistance()).want(wanted_m)
 
@@ -207,8 +207,8 @@ class BuildUp:
         if distance is not None:
             distance.receive(message.param_value)
 
-    def advance(self, session: "FollowSession", now_s: float) -> list[tuple[int, Any]]:
-        """Once a tick: move the slots; returns what to send."""
+    def advance(self, followers: Followers, say: Say, now_s: float) -> list[tuple[int, Any]]:
+        """Once a tick: move the slots; returns what to send. say(now_s, text): to the operator."""
         elapsed_s = 0.0 if self._at_s is None else now_s - self._at_s
         self._at_s = now_s
         messages = []
@@ -217,37 +217,38 @@ class BuildUp:
             messages += [(system_id, one) for one in distance.messages(system_id, now_s)]
             if untouched and distance.is_ours:
                 text = f"{DIST} was {distance.before_m:g} and is put back at the end"
-                _say(session, now_s, f"follower {system_id}: {text}")
-        self._judge(session, now_s)
+                say(now_s, f"follower {system_id}: {text}")
+        self._judge(followers, say, now_s)
         if not self._waits and self.radius_m != self.target_m:
             step_m = SLOT_MPS / self._spread * min(elapsed_s, LONGEST_STEP_S)
             far_m = self.target_m - self.radius_m
             self.radius_m += math.copysign(min(step_m, abs(far_m)), far_m)
-            self._place(session)
+            self._place(followers)
         if not self.moves and not self._told:
             self._told = True
-            _say(session, now_s, f"radius {self.target_m:g} m")
+            say(now_s, f"radius {self.target_m:g} m")
         return messages
 
-    def _judge(self, session: "FollowSession", now_s: float) -> None:
+    def _judge(self, followers: Followers, say: Say, now_s: float) -> None:
         """Let the slots come nearer once every applet has confirmed, or go back where one fails."""
         failed = [(who, one) for who, one in self.distances.items() if one.failed and not one.told]
         for system_id, one in failed:
             one.told = True
-            _say(session, now_s, f"follower {system_id}: {DIST} {one.wanted_m:g} is not confirmed")
+            say(now_s, f"follower {system_id}: {DIST} {one.wanted_m:g} is not confirmed")
         if not self._waits:
             return
         if failed:
-            self.further(session)
-            _say(session, now_s, f"the radius stays {self.target_m:g} m")
+            self.further(followers)
+            say(now_s, f"the radius stays {self.target_m:g} m")
         elif all(distance.is_set for distance in self.distances.values()):
             self._waits = False
 
-    def _place(self, session: "FollowSession") -> None:
+    def _place(self, followers: Followers) -> None:
         slots = scaled(self._slots, self.radius_m)
         longest_m = max(slot.radius_m for slot in slots)
-        for follower, slot in zip(session.followers.values(), slots, strict=True):
-            replace_slot(follower, slot, longest_m)
+        for follower, slot in zip(followers.values(), slots, strict=True):
+            follower.plan.slot = slot
+            follower.guide.place(slot, longest_m)
 
     # ---- the end --------------------------------------------------------------------------------
 
@@ -280,22 +281,7 @@ class BuildUp:
         return texts
 
 
-def replace_slot(follower: "FollowerState", slot: Slot, longest_m: float) -> None:
-    """Give a follower that may be flying another slot; where its bar points stays.
-
-    longest_m: radius of the formation's outermost slot.
-    """
-    follower.plan.slot = slot
-    follower.bar.slot, follower.bar.length_m = slot, longest_m
-    if isinstance(follower.guide, SlotGuide):
-        follower.guide.slot = slot
-
-
 def scaled(slots: Sequence[Slot], radius_m: float) -> list[Slot]:
     """A formation's slots, the nearest of them `radius_m` from the leader."""
     share = radius_m / min(slot.radius_m for slot in slots)
     return [replace(slot, radius_m=share * slot.radius_m) for slot in slots]
-
-
-def _say(session: "FollowSession", now_s: float, text: str) -> None:
-    session.events.append((now_s, text))

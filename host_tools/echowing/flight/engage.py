@@ -6,22 +6,21 @@ wrong no point goes to the follower that it concerns. Some of it stops a followe
 
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.flight.guidance import MOVING_MPS, Horizontal, slot_offset_m
+from echowing.flight.guard import Guard
+from echowing.flight.guidance import MOVING_MPS, Horizontal, LeaderFix, slot_offset_m
 from echowing.flight.handling import least_slot_m
+from echowing.flight.heights import Heights
+from echowing.flight.readiness import Readiness
 from echowing.flight.sonar import DETECTION_LIMIT_M
-from echowing.flight.state import FollowerState, Say
+from echowing.flight.state import FollowerState, Known, Say
 from echowing.geo import GlobalPosition, ned_between
 from echowing.mavlink.messages import read_parameter
-
-if TYPE_CHECKING:
-    from echowing.flight.session import FollowSession
-
 
 # The applet's parameters that are looked at (lua/echowing.md).
 ENABLE, LAW, DIST, INSET, WATCHDOG = APPLET = (
@@ -67,26 +66,6 @@ STAYS_M, FLOWN_M = 0.5, 2.0
 LONGEST_GAP_MS = 2_000
 _NUMBERS = re.compile(r"[-+]?\d+(\.\d+)?")
 _EKF_OFF = mavlink.EKF_CONST_POS_MODE | mavlink.EKF_UNINITIALIZED
-
-
-@dataclass(frozen=True, slots=True)
-class Readiness:
-    """Which checks are made beyond clocks, receivers, EKF, battery and switch.
-
-    applet: the applet runs, with its stream watchdog; distance: its distance and inset are the
-    tool's; reversal: its slot is far enough away for the leader to turn round; sides: no follower's
-    way to its slot crosses another's; homes_told: what homes that differ by their receivers mean
-    was said; height_told: so was the altitude to fly at; apart_m: warn where the leader comes back
-    (RTL) less than this above or below a follower, None: no.
-    """
-
-    applet: bool = True
-    distance: bool = True
-    reversal: bool = True
-    sides: bool = True
-    homes_told: bool = False
-    height_told: bool = False
-    apart_m: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,16 +201,26 @@ class _Turn:
 
 
 class Engagement:
-    """Judges the vehicles of one session; `say(now_s, text)` tells the operator."""
+    """Judges the vehicles that are known.
+
+    say(now_s, text) is for the operator, alert(system_id, text) for a follower's pilot.
+    """
 
     def __init__(
-        self, readiness: Readiness, leader_id: int, follower_ids: Iterable[int], say: Say
+        self,
+        readiness: Readiness,
+        known: Known,
+        guard: Guard,
+        heights: Heights,
+        say: Say,
+        alert: Callable[[int, str], None],
     ) -> None:
         self.readiness = readiness
-        self._leader_id = leader_id
-        self._turns = {system_id: _Turn() for system_id in follower_ids}
-        self._vehicles = {system_id: Vehicle() for system_id in (leader_id, *self._turns)}
-        self._say = say
+        self._known, self._guard, self._heights = known, guard, heights
+        self._leader_id = known.leader_id
+        self._turns = {system_id: _Turn() for system_id in known.followers}
+        self._vehicles = {system_id: Vehicle() for system_id in (known.leader_id, *self._turns)}
+        self._say, self._alert = say, alert
         self._since_s: float | None = None
         self._table_shown = False
         self._doubts: dict[int, str] = {}
@@ -259,13 +248,11 @@ class Engagement:
         }
         return [(system_id, *item) for system_id in self._vehicles for item in rates.items()]
 
-    def messages(
-        self, followers: Mapping[int, FollowerState], now_s: float
-    ) -> list[tuple[int, Any]]:
+    def messages(self, now_s: float) -> list[tuple[int, Any]]:
         """Questions for the parameters of applets and autopilots."""
         asked = self._ask_rtl(now_s) + [
             (system_id, read_parameter(system_id, name))
-            for system_id, follower in followers.items()
+            for system_id, follower in self._known.followers.items()
             for name in follower.handling.asks(now_s)
         ]
         return asked + (self._questions_to_applets(now_s) if self.readiness.applet else [])
@@ -299,20 +286,20 @@ class Engagement:
 
     # ---- what comes of it -----------------------------------------------------------------------
 
-    def prepare(self, session: "FollowSession", now_s: float) -> None:
+    def prepare(self, now_s: float, *, engaged: bool) -> None:
         """Once a tick, before any point: show the table, and judge who is not engaged yet."""
         if self._since_s is None:
             self._since_s = now_s
         if not self._table_shown:
-            self._show_table(session, now_s)
-        for system_id, follower in session.followers.items():
+            self._show_table(now_s)
+        for system_id, follower in self._known.followers.items():
             turn = self._turns[system_id]
-            self._warn_of_return(session, follower, turn, now_s)
+            self._warn_of_return(follower, turn, now_s)
             if turn.cleared:
                 continue
-            session.heights.take_leaders(follower)
-            if self._table_shown and session.engaged and follower.in_guided:
-                self._judge(session, follower, turn, now_s)
+            self._heights.take_leaders(follower)
+            if self._table_shown and engaged and follower.in_guided:
+                self._judge(follower, turn, now_s)
 
     def cleared(self, system_id: int) -> bool:
         """Whether points may go to a follower: once they may, they may until it leaves Guided."""
@@ -323,40 +310,36 @@ class Engagement:
         turn = self._turns[system_id]
         return None if turn.cleared or not turn.wrong else turn.wrong[0].wrong.partition(":")[0]
 
-    def _judge(
-        self, session: "FollowSession", follower: FollowerState, turn: _Turn, now_s: float
-    ) -> None:
+    def _judge(self, follower: FollowerState, turn: _Turn, now_s: float) -> None:
         system_id = follower.plan.system_id
-        turn.wrong = [one for one in self.findings(session, follower, now_s) if one.wrong]
+        turn.wrong = [one for one in self.findings(follower, now_s) if one.wrong]
         if turn.wrong:
             for text in self._tell(system_id, turn, now_s):
-                session.alert(system_id, f"not engaged, {text}")
+                self._alert(system_id, f"not engaged, {text}")
             return
         turn.cleared = True
-        if session.heights.leaders:
+        if self._heights.leaders:
             self._say(
                 now_s,
                 f"follower {system_id}: flies {follower.plan.wanted_m:.1f} m above the leader's "
                 "home, by the leader's height now; --altitude chooses another",
             )
 
-    def objection_to_take_off(
-        self, session: "FollowSession", follower: FollowerState, now_s: float
-    ) -> str | None:
+    def objection_to_take_off(self, follower: FollowerState, now_s: float) -> str | None:
         """The same of one on the ground, where heights and places say nothing yet."""
         airborne = ("height", "side")
         wrong = (
             one.wrong
-            for one in self.findings(session, follower, now_s)
+            for one in self.findings(follower, now_s)
             if one.wrong and one.name not in airborne
         )
         return next((text.partition(":")[0] for text in wrong), None)
 
-    def reason_to_stop(self, session: "FollowSession", follower: FollowerState) -> str | None:
+    def reason_to_stop(self, follower: FollowerState) -> str | None:
         """Why a follower that is flown has to be held; None: nothing is known."""
         system_id = follower.plan.system_id
         for name, one, clock in (
-            ("leader", self._leader_id, session.leader.clock),
+            ("leader", self._leader_id, self._known.leader.clock),
             ("it", system_id, follower.clock),
         ):
             fault = self._vehicles[one].fault
@@ -368,12 +351,12 @@ class Engagement:
                 return f"{name} may not be the vehicle that was meant"
         return None
 
-    def _show_table(self, session: "FollowSession", now_s: float) -> None:
+    def _show_table(self, now_s: float) -> None:
         """Say the table once all is known or has had its time, and what is wrong in it."""
-        rows = [(f"leader {self._leader_id}", self.leader_findings(session, now_s))]
+        rows = [(f"leader {self._leader_id}", self.leader_findings(now_s))]
         rows += [
-            (f"follower {system_id}", self.findings(session, follower, now_s, own=True))
-            for system_id, follower in session.followers.items()
+            (f"follower {system_id}", self.findings(follower, now_s, own=True))
+            for system_id, follower in self._known.followers.items()
         ]
         known = all(one.shown != "?" for _, findings in rows for one in findings)
         if not known and not self._waited(now_s):
@@ -386,15 +369,13 @@ class Engagement:
                 if one.wrong:
                     self._say(now_s, f"{name}: {one.wrong}")
 
-    def _warn_of_return(
-        self, session: "FollowSession", follower: FollowerState, turn: _Turn, now_s: float
-    ) -> None:
+    def _warn_of_return(self, follower: FollowerState, turn: _Turn, now_s: float) -> None:
         """Say it when a leader would come back at this follower's height."""
-        note = "".join(one.note for one in self._return(session, follower))
+        note = "".join(one.note for one in self._return(follower))
         if note and not turn.level and self._table_shown:
             system_id = follower.plan.system_id
             self._say(now_s, f"follower {system_id}: {note}")
-            session.alert(system_id, note)
+            self._alert(system_id, note)
         turn.level = bool(note) and self._table_shown
 
     def _waited(self, now_s: float) -> bool:
@@ -417,19 +398,18 @@ class Engagement:
 
     # ---- the checks -----------------------------------------------------------------------------
 
-    def leader_findings(self, session: "FollowSession", now_s: float) -> list[Finding]:
+    def leader_findings(self, now_s: float) -> list[Finding]:
         """The leader's row of the table."""
         system_id = self._leader_id
         return [
-            _clock("leader", session.leader.clock),
-            *self._switch("leader", system_id, session, now_s),
+            _clock("leader", self._known.leader.clock),
+            *self._switch("leader", system_id, now_s),
             *self._state("leader", system_id),
             *self._stranger("leader", system_id),
         ]
 
     def findings(
         self,
-        session: "FollowSession",
         follower: FollowerState,
         now_s: float,
         *,
@@ -438,23 +418,21 @@ class Engagement:
         """All that concerns a follower; `own`: its row of the table, without the leader's."""
         system_id = follower.plan.system_id
         return [
-            *([] if own else self.leader_findings(session, now_s)),
+            *([] if own else self.leader_findings(now_s)),
             _clock("its", follower.clock),
-            *self._switch("its", system_id, session, now_s),
-            *self._applet(system_id, session, follower),
+            *self._switch("its", system_id, now_s),
+            *self._applet(system_id, follower),
             *self._reversal(follower, follower.plan.slot.radius_m),
-            *self._homes(session, follower),
-            *self._height(session, follower),
+            *self._homes(follower),
+            *self._height(follower),
             *self._state("its", system_id),
-            *self._return(session, follower),
-            *self._side(session, follower),
+            *self._return(follower),
+            *self._side(follower),
             *self._stranger("it", system_id),
         ]
 
-    def _switch(
-        self, whose: str, system_id: int, session: "FollowSession", now_s: float
-    ) -> list[Finding]:
-        shown = None if session.guard is None else session.guard.switches.shown(system_id, now_s)
+    def _switch(self, whose: str, system_id: int, now_s: float) -> list[Finding]:
+        shown = self._guard.switches.shown(system_id, now_s)
         if shown is None:
             return []
         whose = "the leader's" if whose == "leader" else whose
@@ -465,15 +443,13 @@ class Engagement:
         }
         return [Finding("switch", "?" if shown == "not seen" else shown, wrong.get(shown, ""))]
 
-    def _applet(
-        self, system_id: int, session: "FollowSession", follower: FollowerState
-    ) -> list[Finding]:
+    def _applet(self, system_id: int, follower: FollowerState) -> list[Finding]:
         if not self.readiness.applet:
             return []
         known = self._vehicles[system_id].parameters
         findings = [Finding("applet", *_applet_state(known))]
         if self.readiness.distance and DIST in known and INSET in known:
-            distance = _distance(known, session, follower)
+            distance = _distance(known, follower, self._known.settings.sonar_inset_m)
             findings += [] if distance is None else [distance]
         return findings
 
@@ -498,11 +474,10 @@ class Engagement:
             )
         return [Finding("least", f"{least_m:.1f} m", wrong)]
 
-    def _homes(self, session: "FollowSession", follower: FollowerState) -> list[Finding]:
-        guard = session.guard
-        if guard is None or guard.limits.home_difference_m is None:
+    def _homes(self, follower: FollowerState) -> list[Finding]:
+        if self._guard.limits.home_difference_m is None:
             return []
-        higher_m = guard.home_above_leaders_m(follower.plan.system_id)
+        higher_m = self._guard.home_above_leaders_m(follower.plan.system_id)
         if higher_m is None:
             return [Finding("home", "?", "homes are not known: no positions yet")]
         wrong = ""
@@ -514,8 +489,8 @@ class Engagement:
             )
         return [Finding("home", f"{higher_m:+.1f} m", wrong)]
 
-    def _height(self, session: "FollowSession", follower: FollowerState) -> list[Finding]:
-        wanted_m, height_m = session.heights.wanted_m(follower), follower.altitude_m
+    def _height(self, follower: FollowerState) -> list[Finding]:
+        wanted_m, height_m = self._heights.wanted_m(follower), follower.altitude_m
         if wanted_m is None or height_m is None:
             return [Finding("height", "?", "its height or the leader's is not known")]
         wrong = ""
@@ -530,16 +505,16 @@ class Engagement:
             )
         return [Finding("height", f"{height_m:.1f} m", wrong)]
 
-    def _return(self, session: "FollowSession", follower: FollowerState) -> list[Finding]:
+    def _return(self, follower: FollowerState) -> list[Finding]:
         """How high the leader comes back, against this follower's height."""
         least_m = self.readiness.apart_m
         if least_m is None:
             return []
         rtl_m = self._vehicles[self._leader_id].rtl_m
-        fix, guard = session.leader.fix, session.guard
-        higher_m = None if guard is None else guard.home_above_leaders_m(follower.plan.system_id)
-        home_m = None if guard is None else guard.home_m(self._leader_id)
-        wanted_m = session.heights.wanted_m(follower)
+        fix = self._known.leader.fix
+        higher_m = self._guard.home_above_leaders_m(follower.plan.system_id)
+        home_m = self._guard.home_m(self._leader_id)
+        wanted_m = self._heights.wanted_m(follower)
         if rtl_m is None:
             note = f"how high the leader comes back is not known ({RTL_M} does not answer)"
             return [Finding("RTL", "?", note=note)]
@@ -573,12 +548,12 @@ class Engagement:
             _battery(name, vehicle),
         ]
 
-    def _side(self, session: "FollowSession", follower: FollowerState) -> list[Finding]:
-        if not self.readiness.sides or len(session.followers) < 2:
+    def _side(self, follower: FollowerState) -> list[Finding]:
+        if not self.readiness.sides or len(self._known.followers) < 2:
             return []
-        way = _way(session, follower)
-        for system_id, other in session.followers.items():
-            others_way = None if other is follower else _way(session, other)
+        way = _way(self._known.leader.fix, follower)
+        for system_id, other in self._known.followers.items():
+            others_way = None if other is follower else _way(self._known.leader.fix, other)
             if way is not None and others_way is not None and _cross(way, others_way):
                 wrong = (
                     f"its way to its slot crosses follower {system_id}'s: change the order of "
@@ -652,10 +627,10 @@ def _applet_state(known: Mapping[str, float]) -> tuple[str, str]:
 
 
 def _distance(
-    known: Mapping[str, float], session: "FollowSession", follower: FollowerState
+    known: Mapping[str, float], follower: FollowerState, inset_m: float
 ) -> Finding | None:
     """The applet's distance against the slot's, where the sonar reaches the leader from there."""
-    radius_m, inset_m = follower.plan.slot.radius_m, session.settings.sonar_inset_m
+    radius_m = follower.plan.slot.radius_m
     shown = f"{known[DIST]:.1f} m"
     if not 0.0 < radius_m - inset_m < DETECTION_LIMIT_M:
         return None
@@ -689,9 +664,8 @@ def _battery(name: str, vehicle: Vehicle) -> Finding:
 Way = tuple[Horizontal, Horizontal]
 
 
-def _way(session: "FollowSession", follower: FollowerState) -> Way | None:
+def _way(fix: LeaderFix | None, follower: FollowerState) -> Way | None:
     """A follower's straight way to its slot, (north, east) of the leader; None: not known."""
-    fix = session.leader.fix
     if fix is None or follower.position is None or not follower.in_guided:
         return None
     north_mps, east_mps, _ = fix.velocity_ned_mps

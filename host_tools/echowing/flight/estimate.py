@@ -7,10 +7,13 @@ from echowing.flight.alignment import Alignment, History, Report
 from echowing.flight.guidance import LeaderFix, predicted
 from echowing.flight.offset_grid import OffsetGrid
 from echowing.flight.sonar import DETECTION_LIMIT_M
-from echowing.geo import GlobalPosition, Ned, displace
+from echowing.geo import GlobalPosition, displace
 
 # Propellers make single wild readings: one counts when the one before it was like it.
 CONFIRM_S, CONFIRM_M = 0.3, 0.5
+# A range to the centimetre changes within as many readings (3 s) wherever two vehicles fly: one
+# that does not is a sensor's that is stuck.
+STUCK_READINGS = 30
 # Triggered, flown there and back at 343 m/s, read and packed: a range is this old when it is sent
 # (firmware/README.md: reading to wire 5 ms, and half of the 20 ms and the flight before it).
 SONAR_AGE_S = 0.03
@@ -56,6 +59,7 @@ class Estimate:
         self.sonar_clock = SenderClock()
         self._alignment = Alignment()
         self._before = (-math.inf, math.nan)
+        self._alike = 0
         self._jumped_m = (0.0, 0.0)
 
     def reported(self, report: Report) -> None:
@@ -66,6 +70,9 @@ class Estimate:
         """Take a sonar reading of a moment; `inset_m`: how much less than the separation it is."""
         before_s, before_m = self._before
         self._before = (time_s, range_m)
+        self._alike = self._alike + 1 if range_m == before_m else 0
+        if self._alike >= STUCK_READINGS and range_m < DETECTION_LIMIT_M:
+            return
         if not time_s - before_s < CONFIRM_S:
             return
         time_s -= SONAR_AGE_S
@@ -105,10 +112,3 @@ class Estimate:
 def carried_on(leader: LeaderFix, to_s: float) -> LeaderFix:
     """The leader at a moment, from its newest report (see `guidance.predicted`)."""
     return predicted(leader, min(LONGEST_CARRY_S, max(0.0, to_s - leader.time_s)))
-
-
-def place_then(position: GlobalPosition, velocity_ned_mps: Ned, since_s: float) -> GlobalPosition:
-    """A place carried on for so long at a velocity."""
-    since_s = min(LONGEST_CARRY_S, max(0.0, since_s))
-    north, east, down = velocity_ned_mps
-    return displace(position, (north * since_s, east * since_s, down * since_s))

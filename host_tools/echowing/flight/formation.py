@@ -2,12 +2,11 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from itertools import combinations
 
 from echowing.errors import EchowingError
 from echowing.flight.envelope import SURE_SIGMAS
-from echowing.flight.guidance import GuidanceSettings, Slot, slot_offset_m
+from echowing.flight.guidance import Slot, slot_offset_m
 from echowing.flight.spacing import UNRANGED_SIGMA_M
 
 # Two X8s are 0.5 m across (thesis Table 3) and each GPS may be a metre or two out.
@@ -16,9 +15,6 @@ DEFAULT_SLOT_SEPARATION_M = 2.0
 IN_SLOT_M = 0.5
 # The guided point is never nearer to the leader than this; a slot inside could not be flown.
 SMALLEST_RADIUS_M = 1.0
-# How fast the outermost slot may move round the leader: what a follower at 3 m does at 30 deg/s.
-# Faster, and the outer followers would cut across the others to catch up.
-SLOT_SPEED_MPS = 1.6
 
 
 def slot_distance_m(a: Slot, b: Slot) -> float:
@@ -51,16 +47,6 @@ def check_formation(slots: Sequence[Slot], separation_m: float = DEFAULT_SLOT_SE
                 f"less than {separation_m:.2f} m; move one of them, or allow it by "
                 "slot_separation_m"
             )
-
-
-def turning_together(slots: Sequence[Slot], settings: GuidanceSettings) -> GuidanceSettings:
-    """The settings with the one rate at which all slots of a formation can turn as one body."""
-    if settings.slot_rate_rps is None:
-        return settings
-    outermost_m = max(slot.radius_m for slot in slots)
-    return replace(
-        settings, slot_rate_rps=min(settings.slot_rate_rps, SLOT_SPEED_MPS / outermost_m)
-    )
 
 
 def _check_slot(number: int, slot: Slot) -> None:

@@ -8,7 +8,7 @@ frame mix-up behind the thesis's north-south fault (Table 8).
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from echowing.geo import GlobalPosition, Ned, displace, ned_between, wrap_angle_rad
 
@@ -18,13 +18,12 @@ Horizontal = tuple[float, float]
 SLOW_MPS = 0.25
 # Back to the course only here, so that a leader near the limit does not swap between the two.
 MOVING_MPS = 0.35
-# The slot waits for its follower: it is never further round the leader than this, so that the
-# straight way to it stays clear of the leader (3 m x cos 30 deg = 2.6 m in a 3 m formation).
-FURTHEST_ROUND_RAD = math.radians(60.0)
 # Surer of the leader's bearing than this (standard deviation), the nose points at it; else it
-# sways to both sides, so far and in so many seconds there and back (24 deg/s at the most).
+# sways to both sides, so far and in so many seconds there and back (13 deg/s at the most). A leader
+# further off than SURE_RAD then leaves the beam (14 deg) on one side, and for no longer than that
+# takes: one that brakes meanwhile is seen late.
 SURE_RAD = math.radians(7.0)
-SWAY_SHARE, SWAY_RAD, SWAY_PERIOD_S = 1.3, math.radians(15.0), 4.0
+SWAY_SHARE, SWAY_RAD, SWAY_PERIOD_S = 1.3, math.radians(8.0), 4.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,48 +64,44 @@ class LeaderFix:
 class GuidanceSettings:
     """How guided points are made. The defaults are ours; `GRAY` is the thesis's scheme.
 
-    lead_time_s: L1 = lead time x leader speed, the slot moved ahead (thesis Appendix B).
+    tow_bar: the leader draws the slot along on a bar (`flight.tow_bar`), and no point is ahead of
+        the leader or within `clearance_m` of it. Without it the slot is fixed to the leader's tail.
+    feed_forward: points carry the slot's velocity, and no lead.
+    lead_time_s: of points without a velocity, L1 = lead time x leader speed: so far ahead of the
+        slot they run (thesis Appendix B).
     predict: carry the leader on, at its velocity and acceleration, over the age of the report.
-    keep_behind: hold the guided point behind the leader and `clearance_m` away from it.
     face_leader: send the bearing of the leader as yaw, so that the sonar looks at it.
-    slot_rate_rps: how fast the slot may move round the leader (None: at once). At 3 m and
-        30 deg/s the slot moves at 1.6 m/s, which a follower under its speed limit can follow
-        without cutting through the circle.
     learn_offset: learn from the sonar how far the two receivers disagree (`flight`), move the
         leader by it, and stand off by `standoff_sigmas` of what is not known of it, so that
         even then `clearance_m` is left.
     sonar_inset_m: how much less than the separation the sonar reads: its face is ahead of the
         follower's centre, the leader's reflecting legs are around its own. Measure yours.
-    feed_forward: points carry the slot's velocity, on a tow bar (`flight.tow_bar`), and no lead;
-        `predict`, `keep_behind`, `lead_time_s` and `slot_rate_rps` are of points without it.
     fresh_age_s, stale_age_s: the lead shrinks to nothing between these ages of the report;
         beyond the second the follower is stopped.
     """
 
+    tow_bar: bool = True
+    feed_forward: bool = True
     # A copter trails a moving point by 1.1 s (2.2 m at 2 m/s); half a period of the points, the
     # link and the share of the lead in force at this latency make it 1.4 s.
     lead_time_s: float = 1.4
     predict: bool = True
-    keep_behind: bool = True
     clearance_m: float = 1.0
     face_leader: bool = True
-    slot_rate_rps: float | None = math.radians(30.0)
     learn_offset: bool = True
     standoff_sigmas: float = 2.5
     sonar_inset_m: float = 0.2
-    feed_forward: bool = True
     fresh_age_s: float | None = 0.5
     stale_age_s: float | None = 1.0
 
 
 GRAY = GuidanceSettings(
+    tow_bar=False,
+    feed_forward=False,
     lead_time_s=1.0,  # thesis 3.4.1
     predict=False,
-    keep_behind=False,
     face_leader=False,
-    slot_rate_rps=None,
     learn_offset=False,
-    feed_forward=False,
     fresh_age_s=None,
     stale_age_s=None,
 )
@@ -116,16 +111,17 @@ GRAY = GuidanceSettings(
 class GuidedPoint:
     """What one follower is told: a point, and the bearing to look at (None: autopilot's choice).
 
-    `slot` is the same without the lead; `leader` is where the leader is believed to be now.
-    Altitudes are on the leader's datum and carry the slot's altitude step. velocity_mps: the
-    leader's, (north, east); course_rad: the formation's.
+    `slot` is the same without the lead; `leader` is where the leader is believed to be; `offset_m`
+    is from there to the slot, (north, east). Altitudes are on the leader's datum and carry the
+    slot's altitude step. velocity_mps: the slot's, (north, east); course_rad: the formation's.
     """
 
     point: GlobalPosition
     slot: GlobalPosition
     leader: GlobalPosition
     yaw_rad: float | None
-    age_s: float
+    age_s: float = 0.0
+    offset_m: Horizontal = (0.0, 0.0)
     velocity_mps: Horizontal = (0.0, 0.0)
     course_rad: float = 0.0
 
@@ -196,77 +192,6 @@ def is_stale(age_s: float, settings: GuidanceSettings) -> bool:
     return settings.stale_age_s is not None and age_s > settings.stale_age_s
 
 
-class SlotGuide:
-    """Guided points for one slot. Holds the one thing with memory: where round the leader it is."""
-
-    def __init__(self, slot: Slot, settings: GuidanceSettings) -> None:
-        self.slot = slot
-        self.settings = settings
-        self._course = Course()
-        self._course_rad: float | None = None
-        self._turned_at_s = 0.0
-
-    def update(
-        self,
-        fix: LeaderFix,
-        now_s: float,
-        follower: GlobalPosition | None = None,
-        least_radius_m: float = 0.0,
-    ) -> GuidedPoint:
-        """The guided point at `now_s` from the newest report of the leader.
-
-        `follower` is where the follower is (for the bearing to the leader; the slot if unknown);
-        the slot is `least_radius_m` away from the leader at least.
-        """
-        settings = self.settings
-        age_s = max(0.0, now_s - fix.time_s)
-        now = predicted(fix, age_s) if settings.predict else fix
-        course_rad = self._turn(self._course.update(now), now_s, self._course_of(follower, now))
-        offset_m = slot_offset_m(self._slot(least_radius_m), course_rad)
-        lead_s = settings.lead_time_s * lead_share(age_s, settings)
-        point_m = _led(offset_m, now, course_rad, lead_s)
-        if settings.keep_behind:
-            point_m = held_behind(point_m, course_rad, settings.clearance_m)
-        slot = self._at(now.position, offset_m)
-        return GuidedPoint(
-            point=self._at(now.position, point_m),
-            slot=slot,
-            leader=now.position,
-            yaw_rad=bearing_rad(follower or slot, now.position) if settings.face_leader else None,
-            age_s=age_s,
-            velocity_mps=now.velocity_ned_mps[:2],
-            course_rad=course_rad,
-        )
-
-    def _slot(self, least_radius_m: float) -> Slot:
-        if self.slot.radius_m >= least_radius_m:
-            return self.slot
-        return replace(self.slot, radius_m=least_radius_m)
-
-    def _course_of(self, follower: GlobalPosition | None, leader: LeaderFix) -> float | None:
-        """The course with which the follower would be in its slot where it is now."""
-        if follower is None:
-            return None
-        return bearing_rad(leader.position, follower) + math.pi + self.slot.angle_rad
-
-    def _turn(self, wanted_rad: float, now_s: float, followers_rad: float | None) -> float:
-        """Turn the formation's course, so fast at the most, and not away from the follower."""
-        elapsed_s = now_s - self._turned_at_s
-        self._turned_at_s = now_s
-        rate_rps = self.settings.slot_rate_rps
-        if rate_rps is None:
-            return wanted_rad
-        if self._course_rad is None:
-            self._course_rad = wanted_rad if followers_rad is None else followers_rad
-        self._course_rad = turned_towards(self._course_rad, wanted_rad, rate_rps * elapsed_s)
-        if followers_rad is not None:
-            self._course_rad = turned_towards(followers_rad, self._course_rad, FURTHEST_ROUND_RAD)
-        return self._course_rad
-
-    def _at(self, leader: GlobalPosition, offset_m: Horizontal) -> GlobalPosition:
-        return displace(leader, (offset_m[0], offset_m[1], -self.slot.altitude_step_m))
-
-
 def bearing_rad(start: GlobalPosition, end: GlobalPosition) -> float:
     """Bearing from one position to another nearby."""
     north_m, east_m, _ = ned_between(start, end)
@@ -275,21 +200,17 @@ def bearing_rad(start: GlobalPosition, end: GlobalPosition) -> float:
 
 def predicted(fix: LeaderFix, age_s: float) -> LeaderFix:
     """The leader `age_s` after its report, at the velocity and the acceleration it had."""
-    velocity, acceleration = fix.velocity_ned_mps, fix.acceleration_ned_mps2
-    north, east, down = (
-        v * age_s + a * age_s * age_s / 2.0 for v, a in zip(velocity, acceleration, strict=True)
+    (vn, ve, vd), (an, ae, ad) = fix.velocity_ned_mps, fix.acceleration_ned_mps2
+    gain_s2 = age_s * age_s
+    moved_m = (
+        vn * age_s + an * gain_s2 / 2.0,
+        ve * age_s + ae * gain_s2 / 2.0,
+        vd * age_s + ad * gain_s2 / 2.0,
     )
-    vn, ve, vd = (v + a * age_s for v, a in zip(velocity, acceleration, strict=True))
-    position = displace(fix.position, (north, east, down))
-    return replace(fix, position=position, velocity_ned_mps=(vn, ve, vd))
-
-
-def _led(offset_m: Horizontal, fix: LeaderFix, course_rad: float, lead_s: float) -> Horizontal:
-    """The slot moved along the formation's course by L1.
-
-    The leader's speed is taken along that course: while the slot still swings round behind a
-    leader that has reversed, this is negative and moves the point back, away from the leader.
-    """
-    cos, sin = math.cos(course_rad), math.sin(course_rad)
-    lead_m = lead_s * (fix.velocity_ned_mps[0] * cos + fix.velocity_ned_mps[1] * sin)
-    return offset_m[0] + lead_m * cos, offset_m[1] + lead_m * sin
+    return LeaderFix(
+        fix.time_s,
+        displace(fix.position, moved_m),
+        (vn + an * age_s, ve + ae * age_s, vd + ad * age_s),
+        fix.heading_rad,
+        fix.acceleration_ned_mps2,
+    )

@@ -5,7 +5,7 @@ import math
 from echowing.flight.guard import Guard
 from echowing.flight.heights import Heights
 from echowing.flight.state import FollowerState
-from echowing.geo import GlobalPosition
+from echowing.geo import GlobalPosition, displace
 
 # A stop begins once it leans against its motion; a follower that hardly moves stops where it is.
 LEAN_S, STANDS_MPS = 0.3, 0.3
@@ -44,7 +44,13 @@ class Holds:
 
 def _stopping_place(follower: FollowerState, now_s: float) -> GlobalPosition | None:
     """Where a follower comes to a stop: a place it has to come back to would take longer."""
-    mps = math.hypot(*follower.velocity_mps)
-    decel_mps2 = follower.handling.answer.decel_mps2
-    share_s = LEAN_S + mps / (2.0 * decel_mps2) if mps > STANDS_MPS else 0.0
-    return follower.then(now_s + follower.way_s + share_s) or follower.position
+    arrives_s = now_s + follower.way_s
+    here = follower.then(arrives_s)
+    if here is None:
+        return follower.position
+    north, east = follower.velocity_then(arrives_s)
+    mps = math.hypot(north, east)
+    if mps <= STANDS_MPS:
+        return here
+    share_s = LEAN_S + mps / (2.0 * follower.handling.answer.decel_mps2)
+    return displace(here, (north * share_s, east * share_s, -follower.climb_mps * share_s))

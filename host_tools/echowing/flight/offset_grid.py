@@ -56,9 +56,9 @@ class OffsetGrid:
         self._tau_s = wandering.tau_s
         self._prior_m2 = 2.0 * wandering.sigma_m**2
         cells = round(HALF_WIDTH_M / CELL_M)
-        axis = np.arange(-cells, cells + 1) * CELL_M
-        self._north, self._east = np.meshgrid(axis, axis, indexing="ij")
-        self._square = self._north**2 + self._east**2
+        # Of both sides of the map: a row is one difference to the north, a column one to the east.
+        self._axis = np.arange(-cells, cells + 1) * CELL_M
+        self._square = self._axis[:, np.newaxis] ** 2 + self._axis**2
         self._map: Map = np.exp(-0.5 * self._square / self._prior_m2)
         self._advanced_s: float | None = None
         self._heard_at_s = -math.inf
@@ -142,10 +142,10 @@ class OffsetGrid:
 
     def _seen_from(self, axis_rad: float, believed: Horizontal, half_rad: float) -> tuple[Map, Map]:
         """How far the leader is for each difference, and how surely it is in a beam (0 to 1)."""
-        north, east = believed[0] - self._north, believed[1] - self._east
-        far_m = np.hypot(north, east)
-        ahead = north * math.cos(axis_rad) + east * math.sin(axis_rad)
-        off_rad = np.arccos(np.clip(ahead / np.maximum(far_m, CELL_M), -1.0, 1.0))
+        north, east = believed[0] - self._axis[:, np.newaxis], believed[1] - self._axis
+        far_m = np.sqrt(north * north + east * east)
+        ahead = (north * math.cos(axis_rad) + east * math.sin(axis_rad)) / np.maximum(far_m, CELL_M)
+        off_rad = np.arccos(np.minimum(np.maximum(ahead, -1.0), 1.0))
         return far_m, 1.0 / (1.0 + np.exp((off_rad - half_rad) / (0.5 * EDGE_RAD)))
 
     def _update(self, likelihood: Map) -> None:
@@ -155,16 +155,16 @@ class OffsetGrid:
     def _summarise(self) -> None:
         """Mean and covariance of the map, and its sum back to one."""
         self._map = np.maximum(self._map / self._map.sum(), LEAST_LIKELIHOOD)
-        weights = self._map / self._map.sum()
-        self.north_m = float((weights * self._north).sum())
-        self.east_m = float((weights * self._east).sum())
-        most = int(weights.argmax())
-        self.most_likely_m = (float(self._north.flat[most]), float(self._east.flat[most]))
-        off_n, off_e = self._north - self.north_m, self._east - self.east_m
+        weights, axis = self._map / self._map.sum(), self._axis
+        of_north, of_east = weights.sum(axis=1), weights.sum(axis=0)
+        self.north_m, self.east_m = float(of_north @ axis), float(of_east @ axis)
+        row, column = divmod(int(weights.argmax()), len(axis))
+        self.most_likely_m = (float(axis[row]), float(axis[column]))
+        off_n, off_e = axis - self.north_m, axis - self.east_m
         self._covariance = (
-            float((weights * off_n * off_n).sum()),
-            float((weights * off_n * off_e).sum()),
-            float((weights * off_e * off_e).sum()),
+            float(of_north @ (off_n * off_n)),
+            float(off_n @ weights @ off_e),
+            float(of_east @ (off_e * off_e)),
         )
 
 
@@ -176,8 +176,9 @@ def _ring_share(distance_m: float) -> float:
 def _blurred(values: Map, variance_m2: float) -> Map:
     """The map after a random walk with this variance an axis, by a three point kernel."""
     share = min(1.0 / 3.0, 0.5 * variance_m2 / (CELL_M * CELL_M))
-    for axis in (0, 1):
-        padded = np.pad(values, [(1, 1) if one == axis else (0, 0) for one in (0, 1)], mode="edge")
-        low, high = (padded[:-2], padded[2:]) if axis == 0 else (padded[:, :-2], padded[:, 2:])
-        values = (1.0 - 2.0 * share) * values + share * (low + high)
+    for _ in range(2):  # down the columns, and turned over, along the rows
+        beside = np.empty_like(values)
+        beside[1:-1] = values[:-2] + values[2:]
+        beside[0], beside[-1] = values[0] + values[1], values[-2] + values[-1]
+        values = ((1.0 - 2.0 * share) * values + share * beside).T
     return values

@@ -10,6 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.flight.build_up import BuildUp
 from echowing.flight.session import FollowSession
+from echowing.flight.state import FollowerState
 
 HELD = "held by the operator"
 STOPPED = "stopped by the operator"
@@ -34,7 +35,9 @@ class Orders:
             # A pilot who comes back to Guided meanwhile finds the hold that was ordered.
             if self.held and follower.latched is None:
                 follower.latched = HELD
-        return [] if self.build_up is None else self.build_up.advance(self._session, now_s)
+        if self.build_up is None:
+            return []
+        return self.build_up.advance(self._session.followers, self._say, now_s)
 
     # ---- orders ---------------------------------------------------------------------------------
 
@@ -77,7 +80,7 @@ class Orders:
         if objection is not None or self.build_up is None:
             self._say(now_s, f"not nearer: {objection}")
             return
-        self.build_up.nearer(self._session)
+        self.build_up.nearer(self._session.followers)
         self._say_radius(now_s, "nearer", self.build_up)
 
     def further(self, now_s: float) -> None:
@@ -85,7 +88,7 @@ class Orders:
         if self.build_up is None or self.build_up.further_m is None:
             self._say(now_s, "not further: there is no wider radius (--build-up)")
             return
-        self.build_up.further(self._session)
+        self.build_up.further(self._session.followers)
         self._say_radius(now_s, "back out", self.build_up)
 
     def objection_to_nearer(self, now_s: float) -> str | None:
@@ -94,7 +97,13 @@ class Orders:
             return "no --build-up was given"
         if self.stopped or self.held or not self._session.engaged:
             return "not engaged"
-        return self.build_up.objection(self._session, now_s)
+        session = self._session
+        led = [one for one in session.followers.values() if session.sends_to(one, now_s)]
+        return self.build_up.objection(session.followers, led, self._objection_to_radius)
+
+    def _objection_to_radius(self, follower: FollowerState, radius_m: float) -> str | None:
+        engagement = self._session.engagement
+        return None if engagement is None else engagement.objection_to_radius(follower, radius_m)
 
     def _say_radius(self, now_s: float, how: str, build_up: BuildUp) -> None:
         text = f"{how}, to {build_up.target_m:g} m"

@@ -3,12 +3,19 @@
 import math
 from dataclasses import replace
 
-from echowing.flight.guidance import GuidedPoint, LeaderFix, bearing_rad, lead_share, sway_rad
+from echowing.flight.guidance import (
+    GuidanceSettings,
+    GuidedPoint,
+    LeaderFix,
+    bearing_rad,
+    held_behind,
+    lead_share,
+    sway_rad,
+)
+from echowing.flight.own_motion import POSITION_GAIN_PER_S
 from echowing.flight.state import FollowerState, Known
 from echowing.geo import displace, distance_m, ned_between, wrap_angle_rad
 
-# Guided's answer to a place off its own: 1 m/s for each metre (PSC_NE_POS_P).
-POSITION_GAIN_PER_S = 1.0
 # A leader that the sonar does not hear is approached no faster than this, for a copter stops from
 # it within the beam's reach less what receivers are off.
 JOIN_MPS, HEARD_LATELY_S = 1.5, 1.5
@@ -17,23 +24,30 @@ LOST_S = 1.0
 
 
 def planned(known: Known, follower: FollowerState, fix: LeaderFix, now_s: float) -> GuidedPoint:
-    """The slot and what leads to it, from the newest report of the leader.
+    """The slot when the point reaches the vehicle, and what leads to it.
 
-    Position and velocity: the slot on its bar when the point reaches the vehicle. Position alone:
-    a point ahead of the slot.
+    Position and velocity: the slot and its velocity. Position alone: a point ahead of the slot.
     """
     settings, least_m = known.settings, follower.reversal_m
     if settings.learn_offset:
         least_m = max(least_m, _least_radius_m(known, follower, now_s))
+    arrives_s = now_s + follower.way_s
+    leader = _leader(known, follower, fix, arrives_s)
+    guided = follower.guide.update(leader, arrives_s, follower.then(arrives_s), least_m)
+    guided = replace(guided, age_s=max(0.0, now_s - fix.time_s))
     if settings.feed_forward:
-        guided = _towed(known, follower, fix, now_s, least_m)
-        guided = _joined_slowly(follower, guided, now_s)
-    elif settings.learn_offset:
-        seen = replace(fix, position=follower.estimate.as_seen(fix.position))
-        guided = follower.guide.update(seen, now_s, follower.position, least_m)
-    else:
-        return follower.guide.update(fix, now_s, follower.position)
+        guided = _joined_slowly(follower, _fading(guided, settings), now_s)
+    elif settings.lead_time_s > 0.0:
+        guided = _led(guided, leader, settings)
+    if not settings.face_leader:
+        return replace(guided, yaw_rad=None)
     return _looking_around(follower, guided, now_s)
+
+
+def _leader(known: Known, follower: FollowerState, fix: LeaderFix, at_s: float) -> LeaderFix:
+    """The leader at a moment, in this follower's frame."""
+    then = known.leader_then(follower, at_s) if known.settings.predict else None
+    return then or known.seen_by(follower, fix)
 
 
 def _least_radius_m(known: Known, follower: FollowerState, now_s: float) -> float:
@@ -45,17 +59,28 @@ def _least_radius_m(known: Known, follower: FollowerState, now_s: float) -> floa
     return settings.clearance_m + unsure_m + offset.unproven_shift_m(line_rad, now_s)
 
 
-def _towed(
-    known: Known, follower: FollowerState, fix: LeaderFix, now_s: float, least_m: float
-) -> GuidedPoint:
-    """The slot on its bar; its velocity fades as the leader's report grows old."""
-    arrives_s = now_s + follower.way_s
-    leader = known.leader_then(follower, arrives_s) or fix
-    guided = follower.bar.update(leader, arrives_s, follower.then(arrives_s), least_m)
-    age_s = max(0.0, now_s - fix.time_s)
-    share = lead_share(age_s, known.settings)
+def _fading(guided: GuidedPoint, settings: GuidanceSettings) -> GuidedPoint:
+    """The slot's velocity, which fades as the leader's report grows old."""
+    share = lead_share(guided.age_s, settings)
     north, east = guided.velocity_mps
-    return replace(guided, age_s=age_s, velocity_mps=(share * north, share * east))
+    return replace(guided, velocity_mps=(share * north, share * east))
+
+
+def _led(guided: GuidedPoint, leader: LeaderFix, settings: GuidanceSettings) -> GuidedPoint:
+    """The slot moved along the formation's course by L1, for a point without a velocity.
+
+    The leader's speed is taken along that course: of a leader that flies back at its follower it is
+    negative, and the point is further back than the slot.
+    """
+    cos, sin = math.cos(guided.course_rad), math.sin(guided.course_rad)
+    north_mps, east_mps, _ = leader.velocity_ned_mps
+    lead_s = settings.lead_time_s * lead_share(guided.age_s, settings)
+    lead_m = lead_s * (north_mps * cos + east_mps * sin)
+    offset_m = guided.offset_m[0] + lead_m * cos, guided.offset_m[1] + lead_m * sin
+    if settings.tow_bar:
+        offset_m = held_behind(offset_m, guided.course_rad, settings.clearance_m)
+    up_m = guided.slot.alt_m - guided.leader.alt_m
+    return replace(guided, point=displace(guided.leader, (*offset_m, -up_m)))
 
 
 def _joined_slowly(follower: FollowerState, guided: GuidedPoint, now_s: float) -> GuidedPoint:

@@ -11,17 +11,15 @@ from echowing.flight.guidance import (
     GuidedPoint,
     Horizontal,
     LeaderFix,
-    predicted,
+    Slot,
 )
 from echowing.flight.state import Guide
 from echowing.geo import GlobalPosition, displace, ned_between, relay_pos
 
-# Nothing here looks at the remote vehicle with a sonar, and nothing runs ahead of it.
+# Nothing here looks at the remote vehicle with a sonar, and no point runs ahead.
 RELAY_SETTINGS = GuidanceSettings(
     lead_time_s=0.0,
-    keep_behind=False,
     face_leader=False,
-    slot_rate_rps=None,
     learn_offset=False,
     feed_forward=False,
 )
@@ -58,24 +56,24 @@ class RelayGuide(Guide):
 
     def update(
         self,
-        fix: LeaderFix,
+        leader: LeaderFix,
         now_s: float,
         follower: GlobalPosition | None = None,
         least_radius_m: float = 0.0,
     ) -> GuidedPoint:
-        """As `SlotGuide.update`; the place depends on the relay's only for the side it takes."""
-        age_s = max(0.0, now_s - fix.time_s)
-        remote = predicted(fix, age_s)
-        middle = relay_pos(self._ground, remote.position)
-        middle_m = ned_between(remote.position, middle)[:2]
-        here_m = None if follower is None else ned_between(remote.position, follower)[:2]
-        place_m = self._beside(middle_m, remote.velocity_ned_mps[:2], here_m)
+        """As `TowBar.update`; the place depends on the relay's only for the side it takes."""
+        remote = leader.position
+        middle = relay_pos(self._ground, remote)
+        middle_m = ned_between(remote, middle)[:2]
+        here_m = None if follower is None else ned_between(remote, follower)[:2]
+        place_m = self._beside(middle_m, leader.velocity_ned_mps[:2], here_m)
         place_m = _out(place_m, here_m, self._clear_m)
         shift_m = place_m[0] - middle_m[0], place_m[1] - middle_m[1], 0.0
         place = displace(middle, shift_m)
-        return GuidedPoint(
-            point=place, slot=place, leader=remote.position, yaw_rad=None, age_s=age_s
-        )
+        return GuidedPoint(point=place, slot=place, leader=remote, yaw_rad=None)
+
+    def place(self, slot: Slot, longest_m: float) -> None:
+        """As `TowBar.place`; a relay has no slot."""
 
     def _beside(
         self, middle_m: Horizontal, velocity_mps: Horizontal, here_m: Horizontal | None

@@ -71,11 +71,18 @@ class FollowSession:
         self.guard = None
         if limits is not None:
             self.guard = Guard(limits, leader_id, self.followers, self._say, self.alert)
-        self.engagement: Engagement | None = None
-        if limits is not None and limits.ready is not None:
-            self.engagement = Engagement(limits.ready, leader_id, self.followers, self._say)
         self.take_offs = None if take_off is None else TakeOffs(take_off, self.followers, self._say)
         self.heights = Heights(self.known, self.guard, leaders=leaders_height)
+        self.engagement: Engagement | None = None
+        if self.guard is not None and self.guard.limits.ready is not None:
+            self.engagement = Engagement(
+                self.guard.limits.ready,
+                self.known,
+                self.guard,
+                self.heights,
+                self._say,
+                self.alert,
+            )
         self.alerts = 0
         """How much has been said that somebody should look up for."""
         self._hud: list[tuple[int, Any]] = []
@@ -179,8 +186,8 @@ class FollowSession:
         """The messages to send now: guided points, time synchronisation, heartbeat, rates."""
         messages = self._requests.messages(now_s)
         if self.engagement is not None:
-            self.engagement.prepare(self, now_s)
-            messages.extend(self.engagement.messages(self.followers, now_s))
+            self.engagement.prepare(now_s, engaged=self.engaged)
+            messages.extend(self.engagement.messages(now_s))
         if self.take_offs is not None:
             messages.extend(self._lift(self.take_offs, now_s))
         for follower in self.followers.values():
@@ -200,8 +207,10 @@ class FollowSession:
             self._holds.hold_anew(follower, now_s)
             point = follower.held_at
         if point is None or not follower.sent_to:
+            follower.not_ordered()
             return []
         point = self._spacing.kept_apart(follower, point, now_s)
+        follower.ordered(point, now_s)
         command = self._command(follower, point, now_s)
         follower.flown = True
         if self.guard is not None:
@@ -213,7 +222,9 @@ class FollowSession:
     def _point_for(self, follower: FollowerState, now_s: float) -> GlobalPosition | None:
         """Where it is to be; None: not known."""
         fix = self.leader.fix
-        follower.feed_mps = None
+        # A hold is flown in the same way: Guided starts each way anew, with the lean of the moment
+        # for its steady part (init_xy_controller); one that brakes would swing back for seconds.
+        follower.feed_mps = (0.0, 0.0) if self.settings.feed_forward else None
         reason = self._reason_to_stop(follower, fix, now_s)
         if reason is not None:
             self._hold(follower, reason, now_s)
@@ -297,7 +308,7 @@ class FollowSession:
             return follower.latched or "its position jumps"
         if self.engagement is None or not self._cleared(follower):
             return None
-        return self.engagement.reason_to_stop(self, follower)
+        return self.engagement.reason_to_stop(follower)
 
     def _hold(self, follower: FollowerState, reason: str, now_s: float) -> None:
         if self._holds.hold(follower, reason, now_s) and self._moves(follower):
@@ -368,7 +379,7 @@ class FollowSession:
         fix = self.leader.fix
         leader = None if fix is None else self.leader_for(follower, fix, now_s)
         if self.engagement is not None and not follower.flying:
-            unready = self.engagement.objection_to_take_off(self, follower, now_s)
+            unready = self.engagement.objection_to_take_off(follower, now_s)
             if unready is not None:
                 return unready
         return self.guard.too_near(follower, leader, self.followers, now_s)

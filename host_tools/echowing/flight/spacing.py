@@ -7,12 +7,10 @@ from echowing.flight.envelope import OTHERS_MPS2, Other, is_in_the_way, keep_apa
 from echowing.flight.guard import Guard
 from echowing.flight.guidance import Horizontal, bearing_rad
 from echowing.flight.offset_grid import Wandering
-from echowing.flight.plan import POSITION_GAIN_PER_S
+from echowing.flight.own_motion import POSITION_GAIN_PER_S, correction_pace_per_s
 from echowing.flight.state import FollowerState, Known
 from echowing.geo import GlobalPosition, Ned, displace, distance_m, ned_between
 
-# Guided corrects a place off its own no faster than this.
-CORRECTION_MOST_MPS = 5.0
 # A hold that had to give way is from then on where the vehicle has been moved to.
 MOVED_M = 0.5
 # A sonar that has detected the leader within this (readings are used a second late) is sure of it.
@@ -44,7 +42,7 @@ class Spacing:
             return point
         wanted = _wanted_mps(here, point, follower.feed_mps)
         others = self._others(follower, here, now_s)
-        own_mps = (*follower.velocity_mps, -follower.climb_mps)
+        own_mps = (*follower.velocity_then(now_s + follower.way_s), -follower.climb_mps)
         answer = follower.handling.answer
         flown, other = keep_apart(wanted, others, answer, self._least_m, own_mps)
         self._give_way(follower, other, now_s)
@@ -122,7 +120,7 @@ class Spacing:
         return Other(
             f"follower {system_id}",
             self._between_m(system_id, there, follower, here),
-            (*other.velocity_mps, -other.climb_mps),
+            (*other.velocity_then(arrives_s), -other.climb_mps),
             UNRANGED_SIGMA_M,
             arrives_s - other.position_at_s,
             is_in_the_way(ned_between(here, there), ned_between(here, goal)),
@@ -149,9 +147,6 @@ def _moved_off(follower: FollowerState) -> bool:
 def _wanted_mps(here: GlobalPosition, point: GlobalPosition, feed_mps: Horizontal | None) -> Ned:
     """The velocity with which Guided answers a point, and its velocity, from here."""
     north, east, _ = ned_between(here, point)
-    pace = POSITION_GAIN_PER_S
-    far_m = math.hypot(north, east)
-    if far_m * pace > CORRECTION_MOST_MPS:
-        pace = CORRECTION_MOST_MPS / far_m
+    pace = correction_pace_per_s(math.hypot(north, east))
     feed_north, feed_east = feed_mps or (0.0, 0.0)
     return feed_north + pace * north, feed_east + pace * east, 0.0

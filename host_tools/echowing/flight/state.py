@@ -9,14 +9,13 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 from echowing.flight.alignment import History, Report
-from echowing.flight.estimate import LONGEST_CARRY_S, Estimate, carried_on, place_then
+from echowing.flight.estimate import LONGEST_CARRY_S, Estimate, carried_on
 from echowing.flight.guidance import (
     GuidanceSettings,
     GuidedPoint,
     Horizontal,
     LeaderFix,
     Slot,
-    SlotGuide,
     bearing_rad,
     is_stale,
     predicted,
@@ -24,9 +23,11 @@ from echowing.flight.guidance import (
 from echowing.flight.handling import Handling
 from echowing.flight.jumps import OwnJump, RangeMemory
 from echowing.flight.leader_track import LeaderTrack, VehicleClock, is_late
+from echowing.flight.own_motion import OwnMotion
 from echowing.flight.sonar import DETECTION_LIMIT_M
+from echowing.flight.tail import TailSlot
 from echowing.flight.tow_bar import TowBar
-from echowing.geo import GlobalPosition
+from echowing.geo import GlobalPosition, displace
 from echowing.mavlink.messages import FORWARD, heading_of, sonar_range_m
 
 GUIDED_MODE = 4
@@ -58,16 +59,19 @@ class FollowerPlan:
 
 
 class Guide(Protocol):
-    """Where a follower is to be: a `SlotGuide`, or anything that answers like one."""
+    """Where a follower is to be: a `TowBar`, or anything that answers like one."""
 
     def update(
         self,
-        fix: LeaderFix,
+        leader: LeaderFix,
         now_s: float,
         follower: GlobalPosition | None = None,
         least_radius_m: float = 0.0,
     ) -> GuidedPoint:
-        """The guided point at `now_s` from the newest report of the leader."""
+        """See `TowBar.update`."""
+
+    def place(self, slot: Slot, longest_m: float) -> None:
+        """See `TowBar.place`."""
 
 
 @dataclass(slots=True)
@@ -86,12 +90,12 @@ class FollowerState:
 
     plan: FollowerPlan
     guide: Guide
-    bar: TowBar
     clock: VehicleClock = field(default_factory=VehicleClock)
     estimate: Estimate = field(default_factory=Estimate)
     ranges: RangeMemory = field(default_factory=RangeMemory)
     own_jump: OwnJump = field(default_factory=OwnJump)
     handling: Handling = field(default_factory=Handling)
+    motion: OwnMotion = field(default_factory=OwnMotion)
     latched: str | None = None
     reversal_m: float = 0.0
     opens: bool = False
@@ -119,6 +123,7 @@ class FollowerState:
     held_altitude_m: float | None = None
     hold_reason: str | None = None
     guided: GuidedPoint | None = None
+    _motions: dict[float, tuple[GlobalPosition, Horizontal]] = field(default_factory=dict)
 
     @property
     def guided_mode(self) -> bool:
@@ -132,10 +137,42 @@ class FollowerState:
 
     def then(self, at_s: float) -> GlobalPosition | None:
         """Where it is at a moment; None: not known."""
-        since_s = at_s - self.position_at_s
-        if self.position is None or since_s > LONGEST_CARRY_S:
+        if self.position is None or at_s - self.position_at_s > LONGEST_CARRY_S:
             return None
-        return place_then(self.position, (*self.velocity_mps, -self.climb_mps), since_s)
+        return self._motion_at(at_s)[0]
+
+    def velocity_then(self, at_s: float) -> Horizontal:
+        """How it flies at a moment, (north, east)."""
+        return self.velocity_mps if self.position is None else self._motion_at(at_s)[1]
+
+    def _motion_at(self, at_s: float) -> tuple[GlobalPosition, Horizontal]:
+        """Place and velocity; kept, as each step of a tick asks for the same moments."""
+        known = self._motions.get(at_s)
+        if known is None:
+            known = self._motions[at_s] = self._carried_on(at_s)
+        return known
+
+    def _carried_on(self, at_s: float) -> tuple[GlobalPosition, Horizontal]:
+        assert self.position is not None
+        since_s = at_s - self.position_at_s
+        if since_s <= 0.0:
+            return self.position, self.velocity_mps
+        (north_m, east_m), velocity_mps = self.motion.carried_on(
+            self.position, self.velocity_mps, self.position_at_s, at_s
+        )
+        place = displace(self.position, (north_m, east_m, -self.climb_mps * since_s))
+        return place, velocity_mps
+
+    def ordered(self, place: GlobalPosition, now_s: float) -> None:
+        """Note that it is sent to a place now, at the velocity `feed_mps`."""
+        velocity_mps = self.feed_mps or (0.0, 0.0)
+        self.motion.ordered(now_s + self.way_s, place, velocity_mps, self.handling.answer)
+        self._motions.clear()
+
+    def not_ordered(self) -> None:
+        """Note that nothing goes to it now: it is flown by somebody else."""
+        self.motion.forget()
+        self._motions.clear()
 
     def on_arrival(self, now_s: float) -> GlobalPosition | None:
         """Where it is when what is sent now reaches it."""
@@ -148,7 +185,9 @@ class FollowerState:
         if message.time_boot_ms < self.newest_boot_ms:
             self.clock.restarted()
             self.estimate.history.clear()
+            self.motion.forget()
         self.newest_boot_ms = message.time_boot_ms
+        self._motions.clear()
         self.position = GlobalPosition(message.lat / 1e7, message.lon / 1e7, message.alt / 1e3)
         self.position_at_s = self.clock.to_ours(message.time_boot_ms / 1e3, now_s)
         self.altitude_m = message.relative_alt / 1e3
@@ -183,14 +222,14 @@ class Known:
         self, leader_id: int, plans: Iterable[FollowerPlan], settings: GuidanceSettings
     ) -> None:
         plans = list(plans)
-        longest_m = max((plan.slot.radius_m for plan in plans), default=None)
+        longest_m = max((plan.slot.radius_m for plan in plans), default=0.0)
         self.leader_id = leader_id
         self.settings = settings
         self.leader = LeaderTrack()
         self.leader_history = History()
         self.followers = {
             plan.system_id: FollowerState(
-                plan, SlotGuide(plan.slot, settings), TowBar(plan.slot, longest_m)
+                plan, TowBar(plan.slot, longest_m) if settings.tow_bar else TailSlot(plan.slot)
             )
             for plan in plans
         }
@@ -210,14 +249,18 @@ class Known:
         """Whether it is so old that nobody may be led by it."""
         return is_stale(self.leader_age_s(now_s), self.settings)
 
+    def seen_by(self, follower: FollowerState, fix: LeaderFix) -> LeaderFix:
+        """A report of the leader in this follower's frame."""
+        if not self.settings.learn_offset:
+            return fix
+        return replace(fix, position=follower.estimate.as_seen(fix.position))
+
     def leader_then(self, follower: FollowerState, at_s: float) -> LeaderFix | None:
         """The leader at a moment, in this follower's frame; None: nothing is known of it."""
         fix = self.leader.fix
         if fix is None or self.leader_age_s(at_s) > LONGEST_CARRY_S:
             return None
-        if self.settings.learn_offset:
-            fix = replace(fix, position=follower.estimate.as_seen(fix.position))
-        return carried_on(fix, at_s)
+        return carried_on(self.seen_by(follower, fix), at_s)
 
     def leader_for(self, follower: FollowerState, fix: LeaderFix, now_s: float) -> GlobalPosition:
         """Where the leader is now, as this follower's receiver would have it."""

@@ -45,6 +45,10 @@ class TowBar:
         self._course_rad: float | None = None
         self._at_s = 0.0
 
+    def place(self, slot: Slot, longest_m: float) -> None:
+        """Another slot, in a formation whose outermost slot has that radius; the bar stays."""
+        self.slot, self.length_m = slot, longest_m
+
     def update(
         self,
         leader: LeaderFix,
@@ -69,7 +73,7 @@ class TowBar:
             slot=place,
             leader=leader.position,
             yaw_rad=bearing_rad(follower or place, leader.position),
-            age_s=0.0,
+            offset_m=offset_m,
             velocity_mps=_carried(leader.velocity_ned_mps[:2], rate_rps, offset_m),
             course_rad=course_rad,
         )

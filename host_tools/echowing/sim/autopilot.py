@@ -333,7 +333,8 @@ class Autopilot:
         self.reports.t_s = t_s
         self.reports.unix_s = self._unix_s
         for port in self._ports.values():
-            self._listen(port)
+            if port.link.waiting:
+                self._listen(port)
         self.rangefinder.update(self.millis())
         self.modes.step(t_s)
         if self.script is not None:
@@ -605,12 +606,18 @@ class Autopilot:
         return self.modes.guided.position(position_ned_m, yaw_rad)
 
     def set_target_posvel_ned(
-        self, position_ned_m: Ned, velocity_ned_mps: Ned, yaw_rad: float | None = None
+        self,
+        position_ned_m: Ned,
+        velocity_ned_mps: Ned,
+        yaw_rad: float | None = None,
+        acceleration_ned_mps2: Ned = (0.0, 0.0, 0.0),
     ) -> bool:
-        """Guided position and velocity target."""
+        """Guided position and velocity target, and how the velocity changes."""
         if self.modes.mode != GUIDED:
             return False
-        return self.modes.guided.position_velocity(position_ned_m, velocity_ned_mps, yaw_rad)
+        return self.modes.guided.position_velocity(
+            position_ned_m, velocity_ned_mps, yaw_rad, acceleration_ned_mps2
+        )
 
     def set_target_velocity_ned(self, velocity_ned_mps: Ned) -> bool:
         """Guided velocity target; times out after 3 s."""

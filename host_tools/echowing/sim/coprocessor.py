@@ -148,7 +148,7 @@ class NativeCoprocessor:
         """Take what a port has sent since the last call."""
         taken = b""
         while count := self._library.ew_take(self._handle, port, self._buffer, _TAKE_BYTES):
-            taken += bytes(self._buffer[:count])
+            taken += ctypes.string_at(self._buffer, count)
         return taken
 
     def run_until(self, t_us: int) -> None:
@@ -177,7 +177,7 @@ class NativeCoprocessor:
         self, t_us: int, address: int, data: "ctypes._Pointer[ctypes.c_uint8]", n: int
     ) -> int:
         try:
-            return self._bus.write(t_us, address, bytes(data[:n]))
+            return self._bus.write(t_us, address, ctypes.string_at(data, n))
         except BaseException as error:
             self._fault = error
             return False

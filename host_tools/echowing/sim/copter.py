@@ -141,6 +141,7 @@ class Copter(EstimatedPosition):
         "_slope_n",
         "_speed_limit",
         "_steepest_mps2",
+        "_target_acceleration",
         "_target_age_s",
         "_target_velocity",
         "_vel_d",
@@ -236,15 +237,21 @@ class Copter(EstimatedPosition):
         self._aim(target_ned_m, (0.0, 0.0, 0.0), yaw_rad)
 
     def guided_posvel(
-        self, target_ned_m: Ned, velocity_ned_mps: Ned, yaw_rad: float | None = None
+        self,
+        target_ned_m: Ned,
+        velocity_ned_mps: Ned,
+        yaw_rad: float | None = None,
+        acceleration_ned_mps2: Ned = (0.0, 0.0, 0.0),
     ) -> None:
         """Follow a moving point (estimated frame). The limit caps the correction only.
 
+        The point's velocity changes at the acceleration, which comes on top of what corrects.
         Without another command for GUID_TIMEOUT the point stops where it got to.
         """
         if self._mode != self._shape_posvel:
             self._enter(self._shape_posvel)
         self._aim(target_ned_m, velocity_ned_mps, yaw_rad)
+        self._target_acceleration = acceleration_ned_mps2
 
     def guided_velocity(self, velocity_ned_mps: Ned, yaw_rad: float | None = None) -> None:
         """Fly at a velocity; without another command for GUID_TIMEOUT, stop."""
@@ -378,6 +385,7 @@ class Copter(EstimatedPosition):
         self.navigator = None
         self.target_ned_m = None
         self._target_velocity: Ned = (0.0, 0.0, 0.0)
+        self._target_acceleration = (0.0, 0.0, 0.0)
         self._target_age_s = 0.0
         self._yaw_command: float | None = None
         self._pos_n, self._pos_e, self._pos_d = self.est_north_m, self.est_east_m, self.est_down_m
@@ -420,13 +428,22 @@ class Copter(EstimatedPosition):
         if target is None:
             return
         if self._target_age_s > self.tuning.guided_timeout_s:
-            self._target_velocity = (0.0, 0.0, 0.0)
+            self._target_velocity = self._target_acceleration = (0.0, 0.0, 0.0)
         vn, ve, vd = self._target_velocity
+        an, ae, ad = self._target_acceleration
         track = self.limits
         north, east, down = target
-        self._shape_level(north - self._pos_n, east - self._pos_e, vn, ve, self._speed_limit, dt)
-        self._shape_down(down - self._pos_d, vd, -track.climb_mps, track.descent_mps, dt)
-        self.target_ned_m = (north + vn * dt, east + ve * dt, down + vd * dt)
+        self._shape_level(
+            north - self._pos_n, east - self._pos_e, vn, ve, self._speed_limit, dt, an, ae
+        )
+        self._shape_down(down - self._pos_d, vd, -track.climb_mps, track.descent_mps, dt, ad)
+        half = 0.5 * dt
+        self.target_ned_m = (
+            north + (vn + an * half) * dt,
+            east + (ve + ae * half) * dt,
+            down + (vd + ad * half) * dt,
+        )
+        self._target_velocity = (vn + an * dt, ve + ae * dt, vd + ad * dt)
 
     def _shape_velocity(self, dt: float) -> None:
         if self._target_age_s > self.tuning.guided_timeout_s:
@@ -473,16 +490,24 @@ class Copter(EstimatedPosition):
         self._shape_down(target[2] - self._pos_d, 0.0, -track.climb_mps, track.descent_mps, dt)
 
     def _shape_level(
-        self, north: float, east: float, vn: float, ve: float, fastest: float, dt: float
+        self,
+        north: float,
+        east: float,
+        vn: float,
+        ve: float,
+        fastest: float,
+        dt: float,
+        an: float = 0.0,
+        ae: float = 0.0,
     ) -> None:
-        """Desired horizontal acceleration for a position error."""
+        """Desired horizontal acceleration for a position error; `an`, `ae` come on top."""
         limit, jerk = self.limits.acceleration_mps2, self._jerk
         law, flown_n, flown_e = self.tuning.shaping, self._vel_n, self._vel_e
         correct_n, correct_e = law.approach(
             north, east, flown_n - vn, flown_e - ve, fastest, limit, jerk
         )
         acc_n, acc_e = law.demand(vn + correct_n, ve + correct_e, flown_n, flown_e, limit, jerk)
-        self._demand(acc_n, acc_e, dt)
+        self._demand(acc_n + an, acc_e + ae, dt)
 
     def _demand(self, acc_n: float, acc_e: float, dt: float) -> None:
         """Let the desired horizontal acceleration move towards a demand, limited in jerk."""
@@ -491,12 +516,19 @@ class Copter(EstimatedPosition):
         self._acc_e += step_e
 
     def _shape_down(
-        self, error: float, feed_forward: float, slowest: float, fastest: float, dt: float
+        self,
+        error: float,
+        feed_forward: float,
+        slowest: float,
+        fastest: float,
+        dt: float,
+        acceleration: float = 0.0,
     ) -> None:
         limit, jerk = self.limits.vertical_acceleration_mps2, self.limits.down_jerk_mps3
         wanted = self.tuning.shaping.axis(
             error, self._vel_d, feed_forward, slowest, fastest, limit, jerk
         )
+        wanted += acceleration
         self._acc_d += clamp(wanted - self._acc_d, -jerk * dt, jerk * dt)
 
     def _shape_speed(self, vn: float, ve: float, vd: float, dt: float) -> None:

@@ -133,9 +133,14 @@ class DeskVehicle:
         return self.mode == 4
 
     def set_target_posvel_ned(
-        self, position_ned_m: Ned, velocity_ned_mps: Ned, yaw_rad: float | None = None
+        self,
+        position_ned_m: Ned,
+        velocity_ned_mps: Ned,
+        yaw_rad: float | None = None,
+        acceleration_ned_mps2: Ned = (0.0, 0.0, 0.0),
     ) -> bool:
-        self.targets.append(("posvel", (*position_ned_m, *velocity_ned_mps, yaw_rad)))
+        target = (*position_ned_m, *velocity_ned_mps, yaw_rad, *acceleration_ned_mps2)
+        self.targets.append(("posvel", target))
         self.target = None
         return self.mode == 4 and self.takes_posvel
 

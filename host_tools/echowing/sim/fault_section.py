@@ -8,6 +8,7 @@ from echowing.geo import Ned
 from echowing.sim.section import NotNegative, Positive, Section
 
 FaultKind = Literal[
+    "autopilot_rebooted",
     "coprocessor_off",
     "coprocessor_reset",
     "gps_jump",

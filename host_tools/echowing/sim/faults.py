@@ -59,7 +59,16 @@ class Faults:
 
 
 def _nothing(t_s: float) -> None:
-    """Most faults need no more than to begin and to end."""
+    """Many faults need no more than to begin and to end."""
+
+
+@contextmanager
+def _changed(owner: object, name: str, value: object) -> Iterator[Step]:
+    """Most faults are one thing that is otherwise while they last."""
+    before = getattr(owner, name)
+    setattr(owner, name, value)
+    yield _nothing
+    setattr(owner, name, before)
 
 
 def _vehicle(flight: "FormationFlight", fault: FaultSection) -> "SimVehicle":
@@ -99,13 +108,14 @@ def _gps_lost(flight: "FormationFlight", fault: FaultSection) -> Iterator[Step]:
     """No fix: the estimate runs away by itself, is given up, and the autopilot lands."""
     vehicle = _vehicle(flight, fault)
     began_s = flight.t_s
-    before, reports = vehicle.drift.jump_ned_m, vehicle.autopilot.reports
+    before = vehicle.drift.jump_ned_m
     bearing_rad = random.Random(f"{flight.seed} dead reckoning {fault.vehicle}").uniform(
         -math.pi, math.pi
     )
-    reports.has_fix = False
 
     def go_on(t_s: float) -> None:
+        reports = vehicle.autopilot.reports
+        reports.has_fix = False
         lost_s = t_s - began_s
         off_m = 0.5 * DEAD_RECKONING_MPS2 * lost_s * lost_s
         if lost_s <= LANDS_AFTER_S:
@@ -116,7 +126,7 @@ def _gps_lost(flight: "FormationFlight", fault: FaultSection) -> Iterator[Step]:
             vehicle.autopilot.modes.ekf_failsafe()
 
     yield go_on
-    reports.has_fix = reports.has_position = True
+    vehicle.autopilot.reports.has_fix = vehicle.autopilot.reports.has_position = True
     vehicle.drift.jump_ned_m = before
 
 
@@ -168,43 +178,6 @@ def _hearing(
 
 
 @contextmanager
-def _sonar_unplugged(flight: "FormationFlight", fault: FaultSection) -> Iterator[Step]:
-    """Nothing answers on the co-processor's bus."""
-    sensor = _follower(flight, fault).sensor
-    sensor.plugged = False
-    yield _nothing
-    sensor.plugged = True
-
-
-@contextmanager
-def _late_echoes(flight: "FormationFlight", fault: FaultSection) -> Iterator[Step]:
-    """A loud reflector `range_m` ahead: its echo may come back into a later reading."""
-    follower = _follower(flight, fault)
-    follower.reflector_m = fault.range_m
-    yield _nothing
-    follower.reflector_m = None
-
-
-@contextmanager
-def _narrow_beam(flight: "FormationFlight", fault: FaultSection) -> Iterator[Step]:
-    """The beam is narrower than everybody thinks."""
-    follower = _follower(flight, fault)
-    before_rad = follower.beam_half_angle_rad
-    follower.beam_half_angle_rad = math.radians(fault.half_angle_deg)
-    yield _nothing
-    follower.beam_half_angle_rad = before_rad
-
-
-@contextmanager
-def _servo_jammed(flight: "FormationFlight", fault: FaultSection) -> Iterator[Step]:
-    """Pan and tilt stay where they are, whatever their pulses."""
-    gimbal = _follower(flight, fault).gimbal
-    gimbal.jammed = True
-    yield _nothing
-    gimbal.jammed = False
-
-
-@contextmanager
 def _coprocessor_off(flight: "FormationFlight", fault: FaultSection) -> Iterator[Step]:
     """A brown-out: the board is dead, and starts when its supply is back."""
     follower = _follower(flight, fault)
@@ -227,6 +200,48 @@ def _script_killed(flight: "FormationFlight", fault: FaultSection) -> Iterator[S
     autopilot.kill_script()
     yield _nothing
     autopilot.restart_scripting()
+
+
+def _sonar_unplugged(flight: "FormationFlight", fault: FaultSection) -> Running:
+    """Nothing answers on the co-processor's bus."""
+    return _changed(_follower(flight, fault).sensor, "plugged", value=False)
+
+
+def _late_echoes(flight: "FormationFlight", fault: FaultSection) -> Running:
+    """A loud reflector `range_m` ahead: its echo may come back into a later reading."""
+    return _changed(_follower(flight, fault), "reflector_m", fault.range_m)
+
+
+def _narrow_beam(flight: "FormationFlight", fault: FaultSection) -> Running:
+    """The beam is narrower than everybody thinks."""
+    half_rad = math.radians(fault.half_angle_deg)
+    return _changed(_follower(flight, fault), "beam_half_angle_rad", half_rad)
+
+
+def _servo_jammed(flight: "FormationFlight", fault: FaultSection) -> Running:
+    """Pan and tilt stay where they are, whatever their pulses."""
+    return _changed(_follower(flight, fault).gimbal, "jammed", value=True)
+
+
+@contextmanager
+def _autopilot_rebooted(flight: "FormationFlight", fault: FaultSection) -> Iterator[Step]:
+    """Its pilot lands it, the autopilot restarts on the ground; in the end he takes off again."""
+    pilot = flight.pilots[(fault.vehicle or 0) - 1 - LEADER]
+    autopilot = _follower(flight, fault).autopilot
+    height_m = autopilot.height_above_home_m()
+    restarted = False
+    pilot.takes_over("LAND")
+
+    def go_on(t_s: float) -> None:
+        nonlocal restarted
+        if not restarted and not autopilot.modes.armed:
+            restarted = True
+            autopilot.reboot()
+
+    yield go_on
+    if restarted:
+        autopilot.arm_and_fly(height_m)
+    pilot.comes_back()
 
 
 # ---- people -------------------------------------------------------------------------------------
@@ -331,6 +346,7 @@ def _sum(a: Ned, b: Sequence[float]) -> Ned:
 
 
 _BEGIN: dict[str, Callable[["FormationFlight", FaultSection], Running]] = {
+    "autopilot_rebooted": _autopilot_rebooted,
     "coprocessor_off": _coprocessor_off,
     "coprocessor_reset": _coprocessor_reset,
     "gps_jump": _gps_jump,

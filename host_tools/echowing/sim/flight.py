@@ -13,10 +13,9 @@ from functools import partial
 from pathlib import Path
 
 from echowing.analysis.flight import Flight
-from echowing.flight.engage import Readiness
-from echowing.flight.formation import turning_together
 from echowing.flight.guard import FIELD_LIMITS, Limits
 from echowing.flight.guidance import MOVING_MPS, slot_offset_m
+from echowing.flight.readiness import Readiness
 from echowing.flight.session import FollowSession
 from echowing.flight.state import FollowerPlan, FollowerState
 from echowing.flight.switch import StopSwitch
@@ -204,7 +203,7 @@ class FormationFlight(FormationWorld):
         return FollowSession(
             LEADER_ID,
             plans,
-            turning_together(scenario.slots(), scenario.guidance.settings()),
+            scenario.guidance.settings(),
             leader_rate_hz=scenario.guidance.telemetry_hz,
             limits=None if scenario.guidance.gray else _limits(scenario),
         )

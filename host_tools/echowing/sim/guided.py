@@ -64,9 +64,13 @@ class Controls(Protocol):
         """Fly to a position."""
 
     def guided_posvel(
-        self, target_ned_m: Ned, velocity_ned_mps: Ned, yaw_rad: float | None = None
+        self,
+        target_ned_m: Ned,
+        velocity_ned_mps: Ned,
+        yaw_rad: float | None = None,
+        acceleration_ned_mps2: Ned = (0.0, 0.0, 0.0),
     ) -> None:
-        """Follow a moving point."""
+        """Follow a moving point, whose velocity changes at an acceleration."""
 
     def guided_velocity(self, velocity_ned_mps: Ned, yaw_rad: float | None = None) -> None:
         """Fly at a velocity."""
@@ -140,14 +144,20 @@ class Guided:
         self._do(lambda: self._controls.guided_position(target, yaw_rad))
         return True
 
-    def position_velocity(self, target: Ned, velocity: Ned, yaw_rad: float | None = None) -> bool:
+    def position_velocity(
+        self,
+        target: Ned,
+        velocity: Ned,
+        yaw_rad: float | None = None,
+        acceleration: Ned = (0.0, 0.0, 0.0),
+    ) -> bool:
         """Follow a moving point; False as for `position`."""
         if not self._within_fence(target):
             return False
         self._switch(SubMode.POSITION_VELOCITY)
         self._aim(None, velocity)
         self._log(self.sub_mode, target, velocity)
-        self._do(lambda: self._controls.guided_posvel(target, velocity, yaw_rad))
+        self._do(lambda: self._controls.guided_posvel(target, velocity, yaw_rad, acceleration))
         return True
 
     def velocity(self, velocity: Ned, yaw_rad: float | None = None) -> None:

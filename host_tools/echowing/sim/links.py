@@ -35,6 +35,11 @@ class SerialLink:
         """Whether anybody has been heard here."""
         return bool(self.routes)
 
+    @property
+    def waiting(self) -> bool:
+        """Whether bytes have come that nobody has looked at."""
+        return bool(self._incoming)
+
     def set_system_id(self, system_id: int) -> None:
         """Send as this system from now on."""
         self._mav.srcSystem = system_id
@@ -95,8 +100,9 @@ class Router:
 
     def accept(self, link: SerialLink, message: Any) -> bool:
         """Forward `message` where it belongs; True: the autopilot itself handles it too."""
+        own_id = self._own_id()
         source = (message.get_srcSystem(), message.get_srcComponent())
-        if source == (self._own_id(), mavlink.MAV_COMP_ID_AUTOPILOT1):
+        if source == (own_id, mavlink.MAV_COMP_ID_AUTOPILOT1):
             return True
         if source[0] != _BROADCAST:
             link.routes.add(source)
@@ -106,17 +112,17 @@ class Router:
         if message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
             self._spread_heartbeat(link, message, source)
             return True
-        return self._forward(link, message)
+        return self._forward(link, message, own_id)
 
     def _spread_heartbeat(self, link: SerialLink, message: Any, source: tuple[int, int]) -> None:
         for other in self._links.values():
             if other is not link and other.active and source not in other.routes:
                 other.forward(message)
 
-    def _forward(self, link: SerialLink, message: Any) -> bool:
+    def _forward(self, link: SerialLink, message: Any, own_id: int) -> bool:
         system = getattr(message, "target_system", _BROADCAST)
         component = getattr(message, "target_component", _BROADCAST)
-        for_me = system in (_BROADCAST, self._own_id())
+        for_me = system in (_BROADCAST, own_id)
         local = for_me and component in (_BROADCAST, mavlink.MAV_COMP_ID_AUTOPILOT1)
         if local and _BROADCAST not in (system, component):
             return True

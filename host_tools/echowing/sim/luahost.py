@@ -99,9 +99,13 @@ class VehicleApi(Protocol):
         """Guided position target from the estimator's origin."""
 
     def set_target_posvel_ned(
-        self, position_ned_m: Ned, velocity_ned_mps: Ned, yaw_rad: float | None = None
+        self,
+        position_ned_m: Ned,
+        velocity_ned_mps: Ned,
+        yaw_rad: float | None = None,
+        acceleration_ned_mps2: Ned = (0.0, 0.0, 0.0),
     ) -> bool:
-        """Guided position and velocity target."""
+        """Guided position and velocity target, and how the velocity changes."""
 
     def set_target_velocity_ned(self, velocity_ned_mps: Ned) -> bool:
         """Guided velocity target; times out after 3 s."""
@@ -543,8 +547,10 @@ class LuaHost:
             "set_target_position_ned": lambda n, e, d, yaw: vehicle.set_target_position_ned(
                 (n, e, d), yaw
             ),
-            "set_target_posvel_ned": lambda n, e, d, vn, ve, vd, yaw=None: (
-                vehicle.set_target_posvel_ned((n, e, d), (vn, ve, vd), yaw)
+            "set_target_posvel_ned": lambda n, e, d, vn, ve, vd, yaw=None, *acceleration: (
+                vehicle.set_target_posvel_ned(
+                    (n, e, d), (vn, ve, vd), yaw, acceleration or (0.0, 0.0, 0.0)
+                )
             ),
             "set_target_velocity_ned": lambda n, e, d: vehicle.set_target_velocity_ned((n, e, d)),
             "position_ned": vehicle.position_ned_m,

@@ -106,7 +106,11 @@ class _Carried:
     def guided_position(self, target_ned_m: Ned, yaw_rad: float | None = None) -> None: ...
 
     def guided_posvel(
-        self, target_ned_m: Ned, velocity_ned_mps: Ned, yaw_rad: float | None = None
+        self,
+        target_ned_m: Ned,
+        velocity_ned_mps: Ned,
+        yaw_rad: float | None = None,
+        acceleration_ned_mps2: Ned = (0.0, 0.0, 0.0),
     ) -> None: ...
 
     def guided_velocity(self, velocity_ned_mps: Ned, yaw_rad: float | None = None) -> None: ...

@@ -141,6 +141,7 @@ class Parameters:
         self._values: dict[str, float] = {}
         self._names: list[str] = []
         self._tables: dict[int, tuple[str, int]] = {}
+        self._motion_limits: tuple[tuple[float, ...], TrackLimits] | None = None
         for name, kind, default in _rows(generation):
             self._declare(name, kind, default)
 
@@ -234,6 +235,12 @@ class Parameters:
 
     def motion_limits(self) -> TrackLimits:
         """The limits of acceleration, jerk and vertical speed; defaults where 0 or less is set."""
+        values = tuple(self.value(name) for name, _ in self.dialect.limits.values())
+        if self._motion_limits is None or self._motion_limits[0] != values:
+            self._motion_limits = values, self._read_motion_limits()
+        return self._motion_limits[1]
+
+    def _read_motion_limits(self) -> TrackLimits:
         names, defaults = self.dialect.limits, TrackLimits()
         read = {
             key: self.value(name) * scale

@@ -1,5 +1,6 @@
 """A MAVLink rangefinder as the autopilot treats it (AP_RangeFinder_MAVLink.cpp)."""
 
+from functools import lru_cache
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -95,5 +96,10 @@ class MavlinkRangefinder:
         return max(parameter, self._min_cm * 0.01)
 
     def _span(self, name: str) -> float:
-        # Rounded because 0.2 as a 32-bit float lies a hair above 20 cm times 0.01.
-        return round(self._parameters.value(name) * self._parameters.dialect.range_scale, 6)
+        return _metres(self._parameters.value(name), self._parameters.dialect.range_scale)
+
+
+@lru_cache(maxsize=64)
+def _metres(value: float, scale: float) -> float:
+    """Rounded because 0.2 as a 32-bit float lies a hair above 20 cm times 0.01."""
+    return round(value * scale, 6)

@@ -131,14 +131,10 @@ class GuidanceSection(Section):
     none: 1.4, with `gray` 1."""
     predict: bool = _OURS.predict
     """Carry the leader on over the age of its report."""
-    keep_behind: bool = _OURS.keep_behind
-    """Keep points behind the leader."""
     clearance_m: NotNegative = _OURS.clearance_m
-    """That far from it."""
+    """No slot and no point is nearer to the leader."""
     face_leader: bool = _OURS.face_leader
     """The follower's nose points at the leader."""
-    slot_rate_dps: Positive | None = 30.0
-    """How fast the slot may turn round the leader; none: at once."""
     learn_offset: bool = _OURS.learn_offset
     """Learn from the sonar how far the receivers disagree."""
     standoff_sigmas: NotNegative = _OURS.standoff_sigmas
@@ -161,10 +157,8 @@ class GuidanceSection(Section):
         return GuidanceSettings(
             lead_time_s=_OURS.lead_time_s if self.lead_time_s is None else self.lead_time_s,
             predict=self.predict,
-            keep_behind=self.keep_behind,
             clearance_m=self.clearance_m,
             face_leader=self.face_leader,
-            slot_rate_rps=None if self.slot_rate_dps is None else math.radians(self.slot_rate_dps),
             learn_offset=self.learn_offset,
             standoff_sigmas=self.standoff_sigmas,
             sonar_inset_m=self.sonar_inset_m,

@@ -45,7 +45,8 @@ class Wind:
         self._taus_s = (level_m / passing_mps, level_m / passing_mps, upright_m / passing_mps)
         sigma_mps = turbulence * speed_mps
         self._sigmas_mps = (sigma_mps, sigma_mps, sigma_mps * shape**0.4)
-        self._gust = tuple(rng.gauss(0.0, sigma) for sigma in self._sigmas_mps)
+        north, east, down = (rng.gauss(0.0, sigma) for sigma in self._sigmas_mps)
+        self._gust: Ned = (north, east, down)
         self._dt_s = -1.0
         self._shares: tuple[tuple[float, float], ...] = ()
 
@@ -60,9 +61,12 @@ class Wind:
         if dt_s != self._dt_s:
             self._prepare(dt_s)
         gauss = self._rng.gauss
-        self._gust = tuple(
-            keep * speed + gauss(0.0, kick)
-            for speed, (keep, kick) in zip(self._gust, self._shares, strict=True)
+        north, east, down = self._gust
+        (keep_n, kick_n), (keep_e, kick_e), (keep_d, kick_d) = self._shares
+        self._gust = (
+            keep_n * north + gauss(0.0, kick_n),
+            keep_e * east + gauss(0.0, kick_e),
+            keep_d * down + gauss(0.0, kick_d),
         )
         return self.velocity_ned_mps
 

@@ -10,7 +10,6 @@ from typing import Any, Protocol
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.flight.build_up import BuildUp
-from echowing.flight.formation import turning_together
 from echowing.flight.guard import Limits
 from echowing.flight.guidance import GuidanceSettings, Slot
 from echowing.flight.health import Cohesion
@@ -192,7 +191,7 @@ class FollowTool:
         self._session = FollowSession(
             known_id(leader),
             plans,
-            turning_together(options.slots, options.settings),
+            options.settings,
             leader_rate_hz=options.leader_rate_hz,
             limits=options.limits,
             engaged=options.engage,

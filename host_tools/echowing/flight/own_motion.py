@@ -1,0 +1,151 @@
+"""Where a follower flies by what it was ordered, until its next report says so. Pure.
+
+Over two telemetry radios a follower's report and the order that answers it are a second apart.
+Carried on at the reported velocity alone, a follower that has since been stopped is taken to fly
+on: it is ordered back, and then forth, without end. What it was ordered meanwhile is known here, so
+a report is carried on as Guided answers the orders that reach it.
+"""
+
+import math
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from echowing.flight.envelope import Answer
+from echowing.flight.guidance import Horizontal
+from echowing.geo import GlobalPosition, ned_between
+
+# Guided's answer to a place off its own: 1 m/s for each metre (PSC_NE_POS_P), and no faster.
+POSITION_GAIN_PER_S, CORRECTION_MOST_MPS = 1.0, 5.0
+# Sooner than the first, what orders have changed shows in the reported velocity; from the second on
+# (the lean, and the acceleration that builds up) the orders are all that counts.
+NOT_YET_S, ALL_S = 0.3, 0.6
+# Reports are carried on for two seconds at the most; an order may be in force before that.
+REMEMBERED_S = 5.0
+STEP_S = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class _Order:
+    """A place that moves at a velocity, (north, east), from `time_s` on; flown from `begins_s` on.
+
+    Metres from the first order's place.
+    """
+
+    time_s: float
+    begins_s: float
+    place_m: Horizontal
+    velocity_mps: Horizontal
+
+    def asks_mps(self, at_m: Horizontal, time_s: float) -> Horizontal:
+        """The velocity with which Guided answers it."""
+        since_s = time_s - self.time_s
+        north, east = self.velocity_mps
+        north_m = self.place_m[0] + north * since_s - at_m[0]
+        east_m = self.place_m[1] + east * since_s - at_m[1]
+        pace = correction_pace_per_s(math.hypot(north_m, east_m))
+        return north + pace * north_m, east + pace * east_m
+
+
+def correction_pace_per_s(far_m: float) -> float:
+    """How fast Guided closes each metre of a distance."""
+    return min(POSITION_GAIN_PER_S, CORRECTION_MOST_MPS / max(far_m, 1e-9))
+
+
+class OwnMotion:
+    """The orders that a follower has got lately."""
+
+    def __init__(self) -> None:
+        self._orders: deque[_Order] = deque()
+        self._origin: GlobalPosition | None = None
+        self._accel_mps2 = 0.0
+
+    def forget(self) -> None:
+        """It is not flown by orders of ours now."""
+        self._orders.clear()
+        self._origin = None
+
+    def ordered(
+        self, arrives_s: float, place: GlobalPosition, velocity_mps: Horizontal, answer: Answer
+    ) -> None:
+        """An order to fly to a place that moves (north, east), and when it reaches the vehicle."""
+        self._origin = self._origin or place
+        self._accel_mps2 = answer.decel_mps2
+        place_m = ned_between(self._origin, place)[:2]
+        self._orders.append(_Order(arrives_s, arrives_s + answer.dead_s, place_m, velocity_mps))
+        while self._orders[0].begins_s < arrives_s - REMEMBERED_S:
+            self._orders.popleft()
+
+    def carried_on(
+        self, place: GlobalPosition, velocity_mps: Horizontal, since_s: float, to_s: float
+    ) -> tuple[Horizontal, Horizontal]:
+        """By how much it moves from a place, and its velocity then, (north, east) each."""
+        span_s = to_s - since_s
+        straight_m = velocity_mps[0] * span_s, velocity_mps[1] * span_s
+        share = min(1.0, (span_s - NOT_YET_S) / (ALL_S - NOT_YET_S))
+        orders = self._in_force(since_s, to_s) if share > 0.0 else []
+        if not orders or self._origin is None:
+            return straight_m, velocity_mps
+        begin_m = ned_between(self._origin, place)[:2]
+        moved_m, flown_mps = self._answered(orders, begin_m, velocity_mps, since_s, to_s)
+        return _between(straight_m, moved_m, share), _between(velocity_mps, flown_mps, share)
+
+    def _answered(
+        self,
+        orders: list[_Order],
+        begin_m: Horizontal,
+        velocity_mps: Horizontal,
+        since_s: float,
+        to_s: float,
+    ) -> tuple[Horizontal, Horizontal]:
+        """The same as Guided answers these orders, from a place seen from the first order's."""
+        moved_m, flown_mps = (0.0, 0.0), velocity_mps
+        for order, time_s, step_s in _steps(orders, since_s, to_s):
+            before_mps = flown_mps
+            if order is not None:
+                at_m = begin_m[0] + moved_m[0], begin_m[1] + moved_m[1]
+                asked_mps = order.asks_mps(at_m, time_s)
+                flown_mps = _turned(flown_mps, asked_mps, self._accel_mps2 * step_s)
+            moved_m = _moved(moved_m, before_mps, flown_mps, step_s)
+        return moved_m, flown_mps
+
+    def _in_force(self, since_s: float, to_s: float) -> list[_Order]:
+        """The orders that are flown between two moments, the first perhaps from before."""
+        orders: list[_Order] = []
+        for order in reversed(self._orders):
+            if order.begins_s >= to_s:
+                continue
+            orders.append(order)
+            if order.begins_s <= since_s:
+                break
+        return orders[::-1]
+
+
+def _steps(
+    orders: list[_Order], since_s: float, to_s: float
+) -> Iterator[tuple[_Order | None, float, float]]:
+    """The order in force (None: none yet), a step's beginning and its length, in turn."""
+    order, time_s = None, since_s
+    for following in (*orders, None):
+        until_s = to_s if following is None else following.begins_s
+        while time_s < until_s:
+            step_s = min(STEP_S, until_s - time_s)
+            yield order, time_s, step_s
+            time_s += step_s
+        order = following
+
+
+def _between(a: Horizontal, b: Horizontal, share: float) -> Horizontal:
+    return a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])
+
+
+def _moved(by_m: Horizontal, a_mps: Horizontal, b_mps: Horizontal, span_s: float) -> Horizontal:
+    share_s = 0.5 * span_s
+    return by_m[0] + (a_mps[0] + b_mps[0]) * share_s, by_m[1] + (a_mps[1] + b_mps[1]) * share_s
+
+
+def _turned(from_mps: Horizontal, to_mps: Horizontal, most_mps: float) -> Horizontal:
+    """A velocity turned towards another by so much at the most."""
+    north, east = to_mps[0] - from_mps[0], to_mps[1] - from_mps[1]
+    share = min(1.0, most_mps / max(math.hypot(north, east), 1e-9))
+    return from_mps[0] + share * north, from_mps[1] + share * east
