@@ -16,7 +16,7 @@ help: ## list the targets
 demo: setup core emulated ## fly the scenarios, print the table, write out/demo/report.html
 	@$(BIN)/echowing demo --out out/demo
 
-campaign: setup core ## fly 10,000 drawn flights with faults: FLIGHTS=10000 SEED=1, goes on where it was left
+campaign: setup core ## fly 10,000 drawn flights with faults: FLIGHTS=10000 SEED=1, continues an interrupted one
 	@$(BIN)/echowing campaign --flights $(or $(FLIGHTS),10000) --seed $(or $(SEED),1) --resume \
 		--out out/campaign-$(or $(SEED),1)
 
@@ -26,7 +26,7 @@ test: setup-test core emulated lint ## every check and every test
 test-sitl: setup-test core emulated ## fly it on ArduCopter SITL: ARDUCOPTER="PATH …" [CASES="NAME or NAME"]
 	$(BIN)/python -m tests.sitl $(ARDUCOPTER) -- $(if $(CASES),-k "$(CASES)")
 
-bench: setup-test core emulated ## speeds and sizes, as a table
+bench: setup-test core emulated ## measure speeds and sizes
 	@$(BIN)/echowing bench
 
 monitor: setup ## watch the co-processor live: PORT=/dev/ttyACM0
@@ -35,7 +35,7 @@ monitor: setup ## watch the co-processor live: PORT=/dev/ttyACM0
 fuzz: setup-test ## fuzz the firmware's byte entry and its memory: SECONDS=600 SEED=1
 	$(BIN)/python tests/firmware/fuzz/run.py $(or $(SECONDS),600) $(or $(SEED),1)
 
-lint: setup-test ## formatters and linters, nothing is changed
+lint: setup-test ## run formatters and linters; changes nothing
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
@@ -45,15 +45,15 @@ lint: setup-test ## formatters and linters, nothing is changed
 pages: setup ## write the pages that are made from the code
 	$(BIN)/python -m echowing.sim.scenario_page host_tools/SCENARIOS.md
 
-format: setup-test ## let the formatters have their way
+format: setup-test ## apply the formatters
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 	$(BIN)/clang-format -i $$(git ls-files 'firmware/*.cpp' 'firmware/*.hpp' 'firmware/*.h' 'firmware/*.c' 'firmware/*.ino')
 
-setup: ## install what the simulator needs
+setup: ## install the requirements of the simulator
 	@host_tools/setup.sh run
 
-setup-test: ## install what the tests need
+setup-test: ## install the requirements of the tests
 	@host_tools/setup.sh test
 
 core: setup ## the co-processor's core for this machine
@@ -61,7 +61,7 @@ core: setup ## the co-processor's core for this machine
 		-DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(BIN)/ninja >/dev/null
 	@$(BIN)/ninja -C build/host --quiet
 
-clean: ## remove what was built (not .venv, nor tools and cores that were downloaded)
+clean: ## remove build products (keeps .venv and downloaded tools and cores)
 	rm -rf out build/arduino-home*/cache
 	@[ ! -d build ] || find build -mindepth 1 -maxdepth 1 ! -name tools ! -name 'arduino-home*' -exec rm -rf {} +
 

@@ -45,11 +45,23 @@ WALKS = {
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The verb's options."""
     parser.epilog = EXAMPLES
-    parser.add_argument("--out", type=Path, default=Path("out/demo"), metavar="DIR")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("out/demo"),
+        metavar="DIR",
+        help="write report and tables here (out/demo)",
+    )
     parser.add_argument(
         "--seeds", type=int, default=10, metavar="N", help="flights per scheme in the comparison"
     )
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, metavar="N")
+    parser.add_argument(
+        "--jobs",
+        type=int,
+        default=os.cpu_count() or 1,
+        metavar="N",
+        help="processes (one per core)",
+    )
     parser.add_argument(
         "--firmware",
         choices=["native", "avr"],
