@@ -1,5 +1,5 @@
 --[[
-  Echowing: holds a follower copter at its distance from the leader with a forward looking track.
+  Echowing: keeps a follower copter at its distance from the leader, by a sonar that looks forward.
 
   A ground tool streams guided points that keep the follower roughly in its place behind the leader. This applet reads
   the forward rangefinder (the co-processor's running average, by MAVLink) and the co-processor's newest single reading
@@ -31,8 +31,8 @@ local STATE = {
 
 local QUICK_MS = 20 -- pause between updates while the applet flies targets of its own
 local IDLE_MS = 200 -- pause before the next update while not in control
-local BLIND_MS = 2500 -- a target lost while too close is still there for so long: no speed without sonar yet
-local SPEED_FLOOR_MPS = 0.2 -- below, the autopilot saves its own floor over the pilot's value; 0 would be no limit
+local BLIND_MS = 2500 -- a target lost while too close is taken to be there for this time: no speed without sonar yet
+local SPEED_FLOOR_MPS = 0.2 -- below this the autopilot saves its own least value over the pilot's; 0 means no limit
 
 local function say(severity, text)
     gcs:send_text(severity, TEXT .. text)
@@ -104,7 +104,7 @@ local PARAMETERS = {
     --[[
       // @Param: ECHO_LAW
       // @DisplayName: Echowing speed law
-      // @Description: How the range becomes a speed. Thesis: fixed steps by bands, no change while the target is out of range. Bands: the same steps, and the speed recovers once the target is lost. Continuous: leader speed from the range rate plus a share of the range error
+      // @Description: How the range sets the speed. Thesis: fixed steps by bands; no change while no target is detected. Bands: the same steps; the speed recovers when the target is lost. Continuous: the leader's speed, from the range rate, plus a share of the range error
       // @Values: 0:Thesis,1:Bands,2:Continuous
       // @User: Standard
     --]]
@@ -121,7 +121,7 @@ local PARAMETERS = {
     --[[
       // @Param: ECHO_DETECT
       // @DisplayName: Echowing detection limit
-      // @Description: A range of this or more is no target
+      // @Description: The applet takes a range of this or more for no target
       // @Range: 2 7.6
       // @Units: m
       // @User: Standard
@@ -130,7 +130,7 @@ local PARAMETERS = {
     --[[
       // @Param: ECHO_BAND_IN
       // @DisplayName: Echowing monitor band
-      // @Description: Laws 0 and 1: within this of the wanted distance the speed stays
+      // @Description: Laws 0 and 1: the speed does not change while the range is within this of the wanted distance
       // @Range: 0.01 0.5
       // @Units: m
       // @User: Advanced
@@ -139,7 +139,7 @@ local PARAMETERS = {
     --[[
       // @Param: ECHO_BAND_OUT
       // @DisplayName: Echowing small step band
-      // @Description: Laws 0 and 1: within this of the wanted distance the speed changes by the small step, beyond by the big one
+      // @Description: Laws 0 and 1: the speed changes by the small step while the range is within this of the wanted distance, else by the big step
       // @Range: 0.05 1.5
       // @Units: m
       // @User: Advanced
@@ -148,7 +148,7 @@ local PARAMETERS = {
     --[[
       // @Param: ECHO_STEP_SML
       // @DisplayName: Echowing small step
-      // @Description: Laws 0 and 1: change of speed a period, near the wanted distance
+      // @Description: Laws 0 and 1: change of speed per period, near the wanted distance
       // @Range: 0.05 2
       // @Units: m/s
       // @User: Advanced
@@ -157,7 +157,7 @@ local PARAMETERS = {
     --[[
       // @Param: ECHO_STEP_BIG
       // @DisplayName: Echowing big step
-      // @Description: Laws 0 and 1: change of speed a period, far from the wanted distance
+      // @Description: Laws 0 and 1: change of speed per period, far from the wanted distance
       // @Range: 0.05 3
       // @Units: m/s
       // @User: Advanced
@@ -192,7 +192,7 @@ local PARAMETERS = {
     --[[
       // @Param: ECHO_TAU
       // @DisplayName: Echowing filter of single readings
-      // @Description: Time constant of the filter that makes range and leader speed of the sonar's single readings, for law 2 and the closing distance
+      // @Description: Time constant of the filter that computes range and leader speed from the sonar's single readings. Law 2 and the closing distance use it
       // @Range: 0.1 1
       // @Units: s
       // @User: Advanced
@@ -201,7 +201,7 @@ local PARAMETERS = {
     --[[
       // @Param: ECHO_SPD_MIN
       // @DisplayName: Echowing lowest speed
-      // @Description: The speed limit never goes below this; 0 would be no limit, and below 0.2 the autopilot saves a value of its own
+      // @Description: Lowest speed limit. 0 would mean no limit. Below 0.2 the autopilot saves a value of its own
       // @Range: 0.2 2
       // @Units: m/s
       // @User: Standard
@@ -210,7 +210,7 @@ local PARAMETERS = {
     --[[
       // @Param: ECHO_SPD_MAX
       // @DisplayName: Echowing highest speed
-      // @Description: The speed limit never goes above this
+      // @Description: Highest speed limit
       // @Range: 1 15
       // @Units: m/s
       // @User: Standard
@@ -228,7 +228,7 @@ local PARAMETERS = {
     --[[
       // @Param: ECHO_SPD_LOST
       // @DisplayName: Echowing speed without sonar
-      // @Description: Speed limit while the sonar is silent or sees no target (law 0 keeps its speed while it sees no target)
+      // @Description: Speed limit while the sonar sends no data or detects no target (law 0 keeps its speed while it detects no target)
       // @Range: 0.2 15
       // @Units: m/s
       // @User: Standard
@@ -237,7 +237,7 @@ local PARAMETERS = {
     --[[
       // @Param: ECHO_LOST_T
       // @DisplayName: Echowing target lost time
-      // @Description: No target for this long is a lost target
+      // @Description: The target is lost after this time without a detection
       // @Range: 0.3 10
       // @Units: s
       // @User: Standard
@@ -245,8 +245,8 @@ local PARAMETERS = {
     { 'LOST_T', 1.3, 0.3, 10.0 },
     --[[
       // @Param: ECHO_NODATA_T
-      // @DisplayName: Echowing sonar silent time
-      // @Description: No data from the rangefinder for this long is a silent sonar
+      // @DisplayName: Echowing sonar timeout
+      // @Description: The sonar has failed after this time without data from the rangefinder
       // @Range: 0.3 10
       // @Units: s
       // @User: Standard
@@ -255,7 +255,7 @@ local PARAMETERS = {
     --[[
       // @Param: ECHO_CLOSE
       // @DisplayName: Echowing close distance
-      // @Description: Too close where the range less the distance still closed before the vehicle stops is under this. Any range under 1 m is too close
+      // @Description: Too close: the range minus the distance that still closes before the vehicle stops is under this. Any range under 1 m is too close
       // @Range: 0.5 4
       // @Units: m
       // @User: Standard
@@ -264,7 +264,7 @@ local PARAMETERS = {
     --[[
       // @Param: ECHO_DELAY
       // @DisplayName: Echowing reaction delay
-      // @Description: From a reading to the vehicle's answer: sonar, wire and attitude. For the closing distance
+      // @Description: Time from a reading until the vehicle reacts: sonar, wire and attitude. Used for the closing distance
       // @Range: 0.1 2
       // @Units: s
       // @User: Advanced
@@ -273,7 +273,7 @@ local PARAMETERS = {
     --[[
       // @Param: ECHO_DECEL
       // @DisplayName: Echowing braking
-      // @Description: Deceleration the vehicle reaches, for the closing distance
+      // @Description: Deceleration that the vehicle reaches. Used for the closing distance
       // @Range: 0.5 10
       // @Units: m/s/s
       // @User: Advanced
@@ -282,7 +282,7 @@ local PARAMETERS = {
     --[[
       // @Param: ECHO_RATE
       // @DisplayName: Echowing rate limit
-      // @Description: Laws 1 and 2: the speed limit changes no faster than this, except when too close. 0: no rate limit
+      // @Description: Laws 1 and 2: highest rate of change of the speed limit, except when too close. 0: no rate limit
       // @Range: 0 20
       // @Units: m/s/s
       // @User: Advanced
@@ -291,7 +291,7 @@ local PARAMETERS = {
     --[[
       // @Param: ECHO_STREAM_T
       // @DisplayName: Echowing stream watchdog
-      // @Description: Once a stream of guided points has been seen, a silence of this long holds the vehicle where it is. 0: no watchdog
+      // @Description: The applet holds the vehicle where it is when a stream of guided points stops for this long. 0: no watchdog
       // @Range: 0 10
       // @Units: s
       // @User: Standard
@@ -308,7 +308,7 @@ local PARAMETERS = {
     --[[
       // @Param: ECHO_LOG_HZ
       // @DisplayName: Echowing log rate
-      // @Description: ECHO messages a second in the dataflash log. 0: none
+      // @Description: Rate of the ECHO messages in the dataflash log. 0: none
       // @Range: 0 20
       // @Units: Hz
       // @User: Advanced
@@ -317,7 +317,7 @@ local PARAMETERS = {
     --[[
       // @Param: ECHO_ARM_CHK
       // @DisplayName: Echowing arming check
-      // @Description: Refuses arming while the applet is enabled and the forward rangefinder is missing or not a MAVLink one, or another script sets the speed
+      // @Description: Refuses arming while the applet is enabled and the forward rangefinder is missing or is not a MAVLink rangefinder, or another script sets the speed
       // @Values: 0:Disabled,1:Enabled
       // @User: Standard
     --]]
@@ -325,7 +325,7 @@ local PARAMETERS = {
     --[[
       // @Param: ECHO_INSET
       // @DisplayName: Echowing sonar inset
-      // @Description: How much less than the distance between the two vehicles' centres the sonar reads: its face is ahead of the follower's centre, the leader's reflecting legs are around its own
+      // @Description: Distance between the two vehicles' centres minus what the sonar reads. The sonar's face is ahead of the follower's centre, and the leader's legs, which reflect, are around its centre
       // @Range: 0 1
       // @Units: m
       // @User: Standard
@@ -334,7 +334,7 @@ local PARAMETERS = {
     --[[
       // @Param: ECHO_MIRROR
       // @DisplayName: Echowing mirror of the pilot's speed
-      // @Description: The pilot's value of the speed parameter, in its own unit, while the applet is in control; 0 otherwise. Written by the applet, so that a restarted script can put it back
+      // @Description: The pilot's value of the speed parameter, in its own unit, while the applet is in control; 0 otherwise. The applet writes it, so that a restarted script can restore the speed parameter
       // @Range: 0 5000
       // @ReadOnly: True
       // @User: Advanced
@@ -349,12 +349,12 @@ do
     local PREFIX = 'ECHO_'
     local A_TURN = 3 -- read at each update: all of them within half a second in control, two seconds otherwise
 
-    -- Columns of the table above: they take less of the heap than its rows, which are dropped after the start.
+    -- Columns of the table above. They take less heap than its rows, which are dropped after the start.
     local names, lowest, highest, objects = {}, {}, {}, {}
     local complained = {}
     local next_number = 1
 
-    -- Takes parameter number i into force if it lies in its range (NaN does not); else the value in force stays.
+    -- Uses the new value of parameter number i if it is in its range (NaN is not); else keeps the value in use.
     local function read(i)
         local name, value = names[i], objects[i]:get()
         if value and value >= lowest[i] and value <= highest[i] then
@@ -374,7 +374,7 @@ do
         end
     end
 
-    -- Of a script that was restarted, what has not been saved goes back to its default as it is added again.
+    -- When a script restarts, values that were not saved return to their defaults as the table is added again.
     local left_in_mirror = param:get(PREFIX .. 'MIRROR')
     local taken = TEXT .. 'parameter table key ' .. TABLE_KEY .. ' is taken'
     assert(param:add_table(TABLE_KEY, PREFIX, #PARAMETERS), taken)
@@ -402,7 +402,7 @@ local laws = { -- the range becomes a speed: the law's wish, and the same after 
     wish_mps = 0.0, speed_mps = 0.0, step_ms = 0, update_ms = 0, seen_ms = 0, data_ms = 0,
 }
 local hold = { active = false, mps = 0.0, at_ms = nil } -- moves points that carry a velocity along the beam
-local guard = { too_close = false, evading = false, close_ms = 0 } -- keeps off the leader
+local guard = { too_close = false, evading = false, close_ms = 0 } -- keeps away from the leader
 local stream = { -- the ground tool's guided points, and what happens when they end
     at_ms = nil, points = 0, holding = false, lat = nil, lng = nil, up_m = nil, north_mps = 0.0, east_mps = 0.0,
     yaw_rad = nil, moving = false,
@@ -701,7 +701,7 @@ do
         laws.wish_mps = laws.speed_mps
     end
 
-    -- From the average and its status to a speed.
+    -- Computes the speed from the average and its status.
     function laws.update(range_m, status, t_ms)
         gate(range_m, status, t_ms)
         limit_rate(t_ms)
@@ -774,7 +774,7 @@ do
         return clamp(C.DIST - range_m + math.max(0.0, -track.leader_mps), EVADE_LEAST_M, EVADE_MOST_M)
     end
 
-    -- The nearest the sonar has to offer: the newest single reading or the average.
+    -- The shorter of the newest single reading and the average.
     local function nearest(range_m, t_ms)
         local raw_m = track.newest(t_ms)
         if not track.is_target(raw_m) then raw_m = nil end
@@ -1098,7 +1098,7 @@ do
         report.state, report.announced = STATE.TRACKING, STATE.TRACKING -- a target is assumed until it is missed
     end
 
-    -- One text a change of state.
+    -- One text per change of state.
     function report.announce(t_ms)
         local state = report.state
         if state == report.announced then return end
@@ -1157,7 +1157,7 @@ do
 
     local function reason_not_to_arm(t_ms)
         local kind = forward_type()
-        if not kind or not rangefinder:has_orientation(FORWARD) then return 'no forward rangefinder' end
+        if not kind or not rangefinder:has_orientation(FORWARD) then return 'unchanged (plain already)' end
         if kind ~= MAVLINK_RANGEFINDER then return 'forward rangefinder is not MAVLink' end
         if speed.fought_over(t_ms) then return 'another script sets ' .. SPEED_NAME end
         return nil
@@ -1268,7 +1268,7 @@ do
         return IDLE_MS
     end
 
-    -- An error is told once with its place; the speed is handed back, and the next try is slower.
+    -- An error is reported once with its place. The speed is handed back, and the next try is slower.
     function control.run()
         local ok, result = pcall(update)
         if ok then
