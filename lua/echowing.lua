@@ -1157,7 +1157,7 @@ do
 
     local function reason_not_to_arm(t_ms)
         local kind = forward_type()
-        if not kind or not rangefinder:has_orientation(FORWARD) then return 'unchanged (plain already)' end
+        if not kind or not rangefinder:has_orientation(FORWARD) then return 'no forward rangefinder' end
         if kind ~= MAVLINK_RANGEFINDER then return 'forward rangefinder is not MAVLink' end
         if speed.fought_over(t_ms) then return 'another script sets ' .. SPEED_NAME end
         return nil
