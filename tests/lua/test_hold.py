@@ -353,16 +353,19 @@ def test_a_sonars_noise_is_no_braking(rig: MakeRig) -> None:
         assert newest(r).north_mps2 == 0.0
 
 
-def test_a_leader_lost_while_it_brakes_goes_on_braking_for_a_second(rig: MakeRig) -> None:
-    """Then the ground tool knows, and the leader counts as fast as when it was last seen."""
-    r = braked(rig(LAW=2), 0.6, 2.5)
-    seen_mps = newest(r).north_mps
+def test_a_leader_lost_while_it_brakes_is_taken_to_stop(rig: MakeRig) -> None:
+    """It goes on braking until it stands. After a second the ground tool knows better."""
+    r = braked(rig(LAW=2), 0.4, 2.5)
+    track = r.host.local_value("track")
+    seen_mps = track.leader_mps
+    assert seen_mps == pytest.approx(LEADER_MPS - 0.4 * 2.5, abs=0.45)
     r.range(7.66, HIGH)
+    stream(r, 0.0, 0.36)
+    assert track.leader_mps < seen_mps - 0.4
     stream(r, 0.0, 0.6)
-    assert newest(r).north_mps < seen_mps - 0.7
-    stream(r, 0.0, 0.6)
-    leader_mps = r.host.local_value("track").leader_mps
-    assert leader_mps == pytest.approx(LEADER_MPS - 0.6 * 2.5, abs=0.45)
+    assert track.leader_mps == 0.0
+    stream(r, 0.0, 0.24)
+    assert track.leader_mps == pytest.approx(seen_mps, abs=0.1)
     assert newest(r).north_mps2 == 0.0
 
 
