@@ -497,10 +497,10 @@ do
     -- The leader's acceleration is noise of the sonar (1 cm) within the first, and no copter brakes harder than the
     -- second. It needs readings enough.
     local NOISE_MPS2, HARDEST_MPS2, SETTLED_READINGS = 0.8, 4.0, 5
-    -- A leader that was near and braking when it was lost goes on braking until it stands, for as long as the ground tool
-    -- does not know of it yet (1 s of radio). Braking is more than what a corner takes of the speed along the beam
-    -- (1 m/s2 at 2 m/s).
-    local UNSEEN_MS, KNOWN_MS, CORNER_MPS2 = 150, 1000, 1.5
+    -- A leader that was near and braking when it was lost goes on braking until it stands, or to this speed if it flew
+    -- back already, for as long as the ground tool does not know of it yet (1 s of radio). Braking is more than what a
+    -- corner takes of the speed along the beam (1 m/s2 at 2 m/s).
+    local UNSEEN_MS, KNOWN_MS, BACK_MPS, CORNER_MPS2 = 150, 1000, -2.0, 1.5
 
     -- Distance by the rangefinder's running average, nil where it is no measurement; and the status. All distances here
     -- are between the two vehicles' centres.
@@ -571,9 +571,10 @@ do
     local function carried_mps(unseen_ms, t_ms, dt_s)
         if unseen_ms <= UNSEEN_MS then return track.leader_mps + track.leader_mps2 * dt_s end
         if unseen_ms > KNOWN_MS then return track.seen_mps end
-        local near = track.range_m < C.DIST and track.leader_mps > 0.0
+        local least_mps = track.seen_mps > 0.0 and 0.0 or BACK_MPS
+        local near = track.range_m < C.DIST and track.leader_mps > least_mps
         if not near or track.leader_mps2 > -CORNER_MPS2 then return math.min(track.leader_mps, track.seen_mps) end
-        return math.max(0.0, track.leader_mps + track.braking_mps2(t_ms) * dt_s)
+        return math.max(least_mps, track.leader_mps + track.braking_mps2(t_ms) * dt_s)
     end
 
     -- Carries the range on to now.
