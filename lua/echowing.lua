@@ -912,8 +912,10 @@ do
         local velocity, acceleration = Vector3f(), Vector3f()
         velocity:x(stream.north_mps + by_mps * cos)
         velocity:y(stream.east_mps + by_mps * sin)
-        acceleration:x(braking_mps2 * cos)
-        acceleration:y(braking_mps2 * sin)
+        -- What it does not yet decelerate by itself: more than the lean can give, and Guided's own plan would wait.
+        local missing_mps2 = math.min(0.0, braking_mps2 - own.accel_mps2)
+        acceleration:x(missing_mps2 * cos)
+        acceleration:y(missing_mps2 * sin)
         return vehicle:set_target_posvelaccel_NED(position, velocity, acceleration, true,
             math.deg(stream.yaw_rad or yaw), false, 0.0, false)
     end

@@ -102,7 +102,8 @@ def test_a_home_on_a_hill_is_so_from_the_start() -> None:
     ],
 )
 def test_what_a_broken_sonar_hears(fault: dict[str, object], heard: str) -> None:
-    record = flown({**fault, "vehicle": 2, "at_s": 10.0, "for_s": 8.0})
+    # Behind a leader that hovers a stuck range leads nobody out of the beam.
+    record = flown({**fault, "vehicle": 2, "at_s": 10.0, "for_s": 8.0}, leader=HOVERS)
     ranges_m = record.sonar_m[between(record, 10.2, 18.0), 0]
 
     if heard == "nothing":
