@@ -419,7 +419,7 @@ local control = { active = false, error = nil } -- takes control and hands back
 
 do
     local ACCEL_MS = 100 -- smooths the estimator's change of speed
-    local LEAN_S = 0.4 -- until it leans against its motion: 1.1 m to a stop from 1.3 m/s and rising, in SITL 4.8
+    local LEAN_S = 0.35 -- until it leans against its motion, as REACTION_S of flight/handling.py
 
     -- Own speed along the heading; 0 while the estimator has none.
     local function forward_speed()
