@@ -118,7 +118,10 @@ path = { weighted = { circle = 3, rectangle = 1 } }
         ("[flight]\nduration_s = { uniform = [1.0, 2.0], one_of = [1] }", "beside uniform: remove"),
         ("[flight.gps]\nsigma = 1.0", r"gps\.sigma: no such key; allowed here: sigma_m"),
         ("[flights]\nx = 1", "flights: no such key"),
-        ("[formation]\nshape = 'ring'", "formation.shape: one of column, vee, echelon, wedge, not ring"),
+        (
+            "[formation]\nshape = 'ring'",
+            "formation.shape: one of column, vee, echelon, wedge, not ring",
+        ),
         ("[formation]\nsize = 2", "formation.size: no such key"),
         ("[[fault]]\nkind = 'sonar_dead'", r"needs `kind` and `share`"),
         ("[[fault]]\nshare = 0.001\nkind = 'sonar_deaf'\nvehicle = 'follower'", "'sonar_dead'"),
