@@ -913,7 +913,7 @@ do
         velocity:x(stream.north_mps + by_mps * cos)
         velocity:y(stream.east_mps + by_mps * sin)
         -- What it does not yet decelerate by itself: more than the lean can give, and Guided's own plan would wait.
-        local missing_mps2 = math.min(0.0, braking_mps2 - own.accel_mps2)
+        local missing_mps2 = math.max(braking_mps2, math.min(0.0, braking_mps2 - own.accel_mps2))
         acceleration:x(missing_mps2 * cos)
         acceleration:y(missing_mps2 * sin)
         return vehicle:set_target_posvelaccel_NED(position, velocity, acceleration, true,
