@@ -2,6 +2,7 @@
 
 import statistics
 
+import numpy as np
 import pytest
 
 from echowing.sim.scenario import load_scenario
@@ -11,19 +12,30 @@ from .flown import flown
 
 pytestmark = pytest.mark.seconds(100)
 SEEDS = (1, 2, 3)
+RADIUS_M, JOINED_S = 3.0, 60.0
 
 
 def flight(firmware: str, seed: int) -> FlownScenario:
     return flown("echowing", seed, firmware=firmware)
 
 
-def mean_error_m(firmware: str) -> float:
-    return statistics.mean(flight(firmware, seed).metrics[0].mean_abs_error_m for seed in SEEDS)
+def usual_error_m(firmware: str, seed: int) -> float:
+    """Median of the distance error, once the follower has joined."""
+    one = flight(firmware, seed).flights[0]
+    return float(np.median(np.abs(one.separation_m[one.time_s > JOINED_S] - RADIUS_M)))
 
 
 def test_the_binary_and_the_native_core_fly_alike() -> None:
-    """Pings fall at other milliseconds, so single flights part ways; on average they agree."""
-    assert mean_error_m("avr") == pytest.approx(mean_error_m("native"), rel=0.05)
+    """Pings fall at other milliseconds, so single flights part ways; on average they agree.
+
+    Median, not mean: in which flight the sonar loses the leader at a corner for a second is chance,
+    and that second makes half of a flight's mean error.
+    """
+    errors_m = {
+        firmware: statistics.mean(usual_error_m(firmware, seed) for seed in SEEDS)
+        for firmware in ("avr", "native")
+    }
+    assert errors_m["avr"] == pytest.approx(errors_m["native"], rel=0.05)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
