@@ -60,6 +60,8 @@ def connected(workers: int, scheduler: str | None) -> Iterator[Client]:
 def _local(workers: int) -> Iterator[Client]:
     options = {
         "distributed.scheduler.allowed-failures": MOST_DEATHS - 1,
+        # One call at a time on a worker: those that wait there are blamed for its death too.
+        "distributed.scheduler.worker-saturation": 1.0,
         "distributed.admin.log-format": "%(message)s",
         "logging": {"distributed": "critical"},
     }
