@@ -150,6 +150,26 @@ def slot_offset_m(slot: Slot, course_rad: float) -> Horizontal:
     return slot.radius_m * math.cos(bearing_rad), slot.radius_m * math.sin(bearing_rad)
 
 
+def at_slot(
+    slot: Slot, leader: LeaderFix, course_rad: float, follower: GlobalPosition | None
+) -> GuidedPoint:
+    """The slot behind a leader, at the leader's velocity; looks at it from the follower's place.
+
+    follower: where it is (the slot, where that is not known).
+    """
+    offset_m = slot_offset_m(slot, course_rad)
+    place = displace(leader.position, (*offset_m, -slot.altitude_step_m))
+    return GuidedPoint(
+        point=place,
+        slot=place,
+        leader=leader.position,
+        yaw_rad=bearing_rad(follower or place, leader.position),
+        offset_m=offset_m,
+        velocity_mps=leader.velocity_ned_mps[:2],
+        course_rad=course_rad,
+    )
+
+
 def turned_towards(from_rad: float, to_rad: float, most_rad: float) -> float:
     """`from_rad` turned the short way towards `to_rad`, by `most_rad` at the most."""
     turn_rad = wrap_angle_rad(to_rad - from_rad)

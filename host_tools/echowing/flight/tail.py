@@ -1,14 +1,7 @@
 """Gray's slot: fixed to the leader's tail, on its course as it is reported (thesis 3.4.1). Pure."""
 
-from echowing.flight.guidance import (
-    Course,
-    GuidedPoint,
-    LeaderFix,
-    Slot,
-    bearing_rad,
-    slot_offset_m,
-)
-from echowing.geo import GlobalPosition, displace
+from echowing.flight.guidance import Course, GuidedPoint, LeaderFix, Slot, at_slot
+from echowing.geo import GlobalPosition
 
 
 class TailSlot:
@@ -30,15 +23,4 @@ class TailSlot:
         least_radius_m: float = 0.0,
     ) -> GuidedPoint:
         """As `TowBar.update`; neither the follower nor a least radius changes anything."""
-        course_rad = self._course.update(leader)
-        offset_m = slot_offset_m(self.slot, course_rad)
-        place = displace(leader.position, (*offset_m, -self.slot.altitude_step_m))
-        return GuidedPoint(
-            point=place,
-            slot=place,
-            leader=leader.position,
-            yaw_rad=bearing_rad(follower or place, leader.position),
-            offset_m=offset_m,
-            velocity_mps=leader.velocity_ned_mps[:2],
-            course_rad=course_rad,
-        )
+        return at_slot(self.slot, leader, self._course.update(leader), follower)

@@ -16,11 +16,11 @@ from echowing.flight.guidance import (
     Horizontal,
     LeaderFix,
     Slot,
+    at_slot,
     bearing_rad,
-    slot_offset_m,
     turned_towards,
 )
-from echowing.geo import GlobalPosition, displace, wrap_angle_rad
+from echowing.geo import GlobalPosition, wrap_angle_rad
 
 # Slower, the course is noise and the bar does not turn (thesis Appendix C takes 0.25 m/s for the
 # course itself; the bar turns in proportion to the speed, which fades the noise by itself).
@@ -66,17 +66,9 @@ class TowBar:
             slot = replace(slot, radius_m=least_radius_m)
         length_m = self.length_m * slot.radius_m / self.slot.radius_m
         course_rad, rate_rps = self._turn(leader, now_s, follower, length_m)
-        offset_m = slot_offset_m(slot, course_rad)
-        place = displace(leader.position, (offset_m[0], offset_m[1], -slot.altitude_step_m))
-        return GuidedPoint(
-            point=place,
-            slot=place,
-            leader=leader.position,
-            yaw_rad=bearing_rad(follower or place, leader.position),
-            offset_m=offset_m,
-            velocity_mps=_carried(leader.velocity_ned_mps[:2], rate_rps, offset_m),
-            course_rad=course_rad,
-        )
+        guided = at_slot(slot, leader, course_rad, follower)
+        velocity_mps = _carried(guided.velocity_mps, rate_rps, guided.offset_m)
+        return replace(guided, velocity_mps=velocity_mps)
 
     def _turn(
         self, leader: LeaderFix, now_s: float, follower: GlobalPosition | None, length_m: float
