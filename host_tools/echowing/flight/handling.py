@@ -13,7 +13,9 @@ from echowing.flight.envelope import LEAST_M, OTHERS_MPS2, Answer
 # Names of ArduCopter 4.7 and later, and of those before, with what makes SI units of them.
 ACCELERATIONS = {"WP_ACC": 1.0, "WPNAV_ACCEL": 0.01}
 JERKS = {"PSC_JERK_NE": 1.0, "PSC_JERK_XY": 1.0}
-ASK_PERIOD_S = 1.0
+# Once a second at first, then seldom: a noisy radio loses both question and answer.
+ASK_PERIOD_S, SELDOM_S = 1.0, 5.0
+OFTEN = 5
 # From an order to the first lean: half a control period of the points (8 Hz), and 0.3 s until the
 # lean is there (ATC_INPUT_TC 0.15 and the motors).
 REACTION_S = 0.35
@@ -25,8 +27,6 @@ SNAP_MPS4 = math.radians(1100.0) * 9.80665
 # sonar's step; 0.15 s are 0.03 m).
 NOTICED_S = 0.3
 STEP_S = 0.005
-# What was asked so often is not answered.
-MOST_ASKS = 5
 
 
 @dataclass(slots=True)
@@ -57,11 +57,13 @@ class Handling:
 
     def asks(self, now_s: float) -> list[str]:
         """The parameters to be asked for now."""
-        if self.known or self._asks >= MOST_ASKS or now_s - self._asked_at_s < ASK_PERIOD_S:
+        period_s = ASK_PERIOD_S if self._asks < OFTEN else SELDOM_S
+        if self.known or now_s - self._asked_at_s < period_s:
             return []
         self._asked_at_s = now_s
         self._asks += 1
-        return [*ACCELERATIONS, *JERKS]
+        missing = ACCELERATIONS if self.decel_mps2 is None else {}
+        return [*missing, *(JERKS if self.jerk_mps3 is None else {})]
 
 
 def answer_of(decel_mps2: float | None, jerk_mps3: float | None) -> Answer:
