@@ -117,10 +117,12 @@ class Spacing:
     ) -> Other:
         system_id = other.plan.system_id
         goal = here if follower.guided is None else follower.guided.slot
+        # What the other has been ordered is flown by then: one in front that brakes is not run into.
+        answers_s = arrives_s + follower.handling.answer.dead_s
         return Other(
             f"follower {system_id}",
             self._between_m(system_id, there, follower, here),
-            (*other.velocity_then(arrives_s), -other.climb_mps),
+            (*other.velocity_then(answers_s), -other.climb_mps),
             UNRANGED_SIGMA_M,
             arrives_s - other.position_at_s,
             is_in_the_way(ned_between(here, there), ned_between(here, goal)),
