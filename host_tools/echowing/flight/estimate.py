@@ -14,6 +14,8 @@ CONFIRM_S, CONFIRM_M = 0.3, 0.5
 # A range to the centimetre changes within as many readings (3 s) wherever two vehicles fly: one
 # that does not is a sensor's that is stuck.
 STUCK_READINGS = 30
+# Readings come ten times a second, by a radio that may lose some.
+LISTENS_S = 3.0
 # Triggered, flown there and back at 343 m/s, read and packed: a range is this old when it is sent
 # (firmware/README.md: reading to wire 5 ms, and half of the 20 ms and the flight before it).
 SONAR_AGE_S = 0.03
@@ -66,6 +68,10 @@ class Estimate:
     def is_stuck(self) -> bool:
         """Whether the sonar goes on giving the same range."""
         return self._alike >= STUCK_READINGS and self._before[1] < DETECTION_LIMIT_M
+
+    def listens(self, now_s: float) -> bool:
+        """Whether its sonar works: readings come, and they change."""
+        return now_s - self._before[0] < LISTENS_S and not self.is_stuck
 
     def reported(self, report: Report) -> None:
         """Take a report of the follower itself."""

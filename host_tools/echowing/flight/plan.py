@@ -13,6 +13,8 @@ from echowing.flight.guidance import (
     sway_rad,
 )
 from echowing.flight.own_motion import POSITION_GAIN_PER_S
+from echowing.flight.search import swung
+from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.flight.state import FollowerState, Known
 from echowing.geo import displace, distance_m, ned_between, wrap_angle_rad
 
@@ -21,6 +23,8 @@ from echowing.geo import displace, distance_m, ned_between, wrap_angle_rad
 JOIN_MPS, HEARD_LATELY_S = 1.5, 1.5
 # Not heard for so long, the leader is looked for where it most likely is.
 LOST_S = 1.0
+# So near its slot a follower is in it.
+IN_SLOT_M = 1.0
 
 
 def planned(known: Known, follower: FollowerState, fix: LeaderFix, now_s: float) -> GuidedPoint:
@@ -35,6 +39,9 @@ def planned(known: Known, follower: FollowerState, fix: LeaderFix, now_s: float)
     leader = _leader(known, follower, fix, arrives_s)
     guided = follower.guide.update(leader, arrives_s, follower.then(arrives_s), least_m)
     guided = replace(guided, age_s=max(0.0, now_s - fix.time_s))
+    # In a formation somebody else would be there.
+    if settings.learn_offset and len(known.followers) == 1:
+        guided = _searching(follower, guided, now_s)
     if settings.feed_forward:
         guided = _joined_slowly(follower, _fading(guided, settings), now_s)
     elif settings.lead_time_s > 0.0:
@@ -42,6 +49,19 @@ def planned(known: Known, follower: FollowerState, fix: LeaderFix, now_s: float)
     if not settings.face_leader:
         return replace(guided, yaw_rad=None)
     return _looking_around(follower, guided, now_s)
+
+
+def _searching(follower: FollowerState, guided: GuidedPoint, now_s: float) -> GuidedPoint:
+    """The slot swung round a leader that is not heard, where its sonar could hear it."""
+    here, estimate = follower.on_arrival(now_s), follower.estimate
+    within_reach = follower.plan.slot.radius_m < DETECTION_LIMIT_M
+    unheard = estimate.offset.unheard_s(now_s) > LOST_S
+    rate_rps = follower.search.update(
+        now_s,
+        misses=unheard and within_reach and estimate.listens(now_s),
+        in_slot=here is not None and distance_m(here, guided.slot) < IN_SLOT_M,
+    )
+    return swung(guided, follower.search.aside_rad, rate_rps)
 
 
 def _leader(known: Known, follower: FollowerState, fix: LeaderFix, at_s: float) -> LeaderFix:

@@ -238,6 +238,7 @@ class FollowSession:
         if follower.held_at is not None:
             self._let_go(follower, now_s)
         follower.guided = planned(self.known, follower, fix, now_s)
+        self._tell_of_search(follower, now_s)
         if self.settings.feed_forward:
             north_mps, east_mps = follower.guided.velocity_mps
             # The applet takes a point without any velocity for a hold.
@@ -259,6 +260,14 @@ class FollowSession:
                 "should the leader turn round",
             )
         follower.opens = opens or (follower.opens and follower.reversal_m > radius_m - SLACK_M)
+
+    def _tell_of_search(self, follower: FollowerState, now_s: float) -> None:
+        """Nobody is to wonder why it leaves the tail."""
+        before, follower.searches = follower.searches, follower.search.is_under_way(now_s)
+        if follower.searches and not before and self._moves(follower):
+            system_id, text = follower.plan.system_id, "no echo, looking from the side"
+            self.alert(system_id, text, mavlink.MAV_SEVERITY_NOTICE)
+            self._say(now_s, f"follower {system_id}: {text}")
 
     def _command(self, follower: FollowerState, point: GlobalPosition, now_s: float) -> Any:
         if follower.held_at is None:

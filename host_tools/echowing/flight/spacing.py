@@ -117,7 +117,7 @@ class Spacing:
     ) -> Other:
         system_id = other.plan.system_id
         goal = here if follower.guided is None else follower.guided.slot
-        # What the other has been ordered is flown by then: one in front that brakes is not run into.
+        # By then it flies what it was ordered: nobody runs into one in front that brakes.
         answers_s = arrives_s + follower.handling.answer.dead_s
         return Other(
             f"follower {system_id}",

@@ -24,6 +24,7 @@ from echowing.flight.handling import Handling
 from echowing.flight.jumps import OwnJump, RangeMemory
 from echowing.flight.leader_track import LeaderTrack, VehicleClock, is_late
 from echowing.flight.own_motion import OwnMotion
+from echowing.flight.search import Search
 from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.flight.tail import TailSlot
 from echowing.flight.tow_bar import TowBar
@@ -85,7 +86,7 @@ class FollowerState:
     with the point (north, east), None: none; yaw_rad: where it was last told to look; gives_way_to:
     for whose sake it is not flown as planned; latched: why it is held until it leaves Guided;
     reversal_m: the nearest slot from which it gets away should the leader turn round now; opens: it
-    was said that the slot opens for that.
+    was said that the slot opens for that; searches: that it looks for the leader from the side.
     """
 
     plan: FollowerPlan
@@ -96,9 +97,11 @@ class FollowerState:
     own_jump: OwnJump = field(default_factory=OwnJump)
     handling: Handling = field(default_factory=Handling)
     motion: OwnMotion = field(default_factory=OwnMotion)
+    search: Search = field(default_factory=Search)
     latched: str | None = None
     reversal_m: float = 0.0
     opens: bool = False
+    searches: bool = False
     raw_at_s: float = -math.inf
     feed_mps: Horizontal | None = None
     yaw_rad: float | None = None

@@ -1,0 +1,75 @@
+"""The plan: a leader that the sonar does not hear is looked for from both sides. Pure.
+
+Not heard, a leader is kept as far off as two receivers demand. Where they disagree along the line
+between the vehicles it is then out of the sonar's reach, and stays so for a minute. Seen from the
+side another part of the disagreement counts. So a follower that hears nothing in its slot swings
+round the leader, at the same distance, to one side and to the other.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+from echowing.flight.guidance import GuidedPoint, Horizontal
+from echowing.geo import displace, ned_between
+
+# The nose sways to both sides in 4 s: from the tail it has been looked for by then.
+PATIENCE_S = 4.0
+# From 60 degrees on either side the disagreement across the line counts 0.87 of itself; further
+# round, the leader could fly at it. There and back in 20 s is 1.4 m/s at most, 4.4 m away.
+ASIDE_RAD, PERIOD_S = math.radians(60.0), 20.0
+# Not found in so many rounds, it waits in its slot for what receivers do.
+ROUNDS = 2
+# Heard again, so fast back to the tail: 0.6 m/s at 3 m.
+BACK_RPS = 0.2
+# Points come at 8 Hz; after a longer pause it goes on from where it is.
+LONGEST_STEP_S = 1.0
+
+
+@dataclass(slots=True)
+class Search:
+    """One follower's search; `aside_rad`: how far its slot is swung now, clockwise from above."""
+
+    aside_rad: float = 0.0
+    _begins_s: float | None = None
+    _at_s: float = -math.inf
+
+    def is_under_way(self, now_s: float) -> bool:
+        """Whether the slot is swung to look for the leader."""
+        return self._begins_s is not None and 0.0 <= now_s - self._begins_s < ROUNDS * PERIOD_S
+
+    def update(self, now_s: float, *, misses: bool, in_slot: bool) -> float:
+        """Swing on, and the rate at which the slot swings now, rad/s.
+
+        misses: a leader that its sonar could hear is not heard; in_slot: it is where it should be.
+        """
+        if not misses:
+            self._begins_s = None
+        elif self._begins_s is None and in_slot:
+            self._begins_s = now_s + PATIENCE_S
+        elapsed_s = min(LONGEST_STEP_S, now_s - self._at_s)
+        self._at_s = now_s
+        before_rad = self.aside_rad
+        self.aside_rad = self._wanted_rad(now_s, elapsed_s)
+        return (self.aside_rad - before_rad) / elapsed_s if elapsed_s > 0.0 else 0.0
+
+    def _wanted_rad(self, now_s: float, elapsed_s: float) -> float:
+        if self._begins_s is None or not self.is_under_way(now_s):
+            left_rad = max(0.0, abs(self.aside_rad) - BACK_RPS * elapsed_s)
+            return math.copysign(left_rad, self.aside_rad)
+        return ASIDE_RAD * math.sin(2.0 * math.pi * (now_s - self._begins_s) / PERIOD_S)
+
+
+def swung(guided: GuidedPoint, aside_rad: float, rate_rps: float) -> GuidedPoint:
+    """A slot swung round its leader by an angle that changes at a rate, clockwise from above."""
+    if aside_rad == 0.0 and rate_rps == 0.0:
+        return guided
+    north_m, east_m = offset_m = _turned(guided.offset_m, aside_rad)
+    north_mps, east_mps = guided.velocity_mps
+    place = displace(guided.leader, (*offset_m, ned_between(guided.leader, guided.slot)[2]))
+    velocity_mps = north_mps - rate_rps * east_m, east_mps + rate_rps * north_m
+    return replace(guided, point=place, slot=place, offset_m=offset_m, velocity_mps=velocity_mps)
+
+
+def _turned(vector: Horizontal, by_rad: float) -> Horizontal:
+    cos, sin = math.cos(by_rad), math.sin(by_rad)
+    return vector[0] * cos - vector[1] * sin, vector[0] * sin + vector[1] * cos

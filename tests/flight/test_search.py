@@ -1,0 +1,110 @@
+"""A leader that is not heard is looked for from both sides, at the same distance, for a while."""
+
+import math
+from itertools import pairwise
+
+import pytest
+
+from echowing.flight.guidance import GuidedPoint
+from echowing.flight.search import ASIDE_RAD, BACK_RPS, PATIENCE_S, PERIOD_S, ROUNDS, Search, swung
+from echowing.geo import GlobalPosition, displace, ned_between
+from echowing.sim.scenario import load_scenario
+from echowing.sim.summary import fly
+
+LEADER = GlobalPosition(39.34, -86.03, 260.0)
+TICK_S = 0.125
+SAID = "no echo, looking from the side"
+
+
+class Flown:
+    """A search, tick by tick; `sides`: time, how far aside, the rate that was given."""
+
+    def __init__(self) -> None:
+        self.search, self.now_s = Search(), 0.0
+        self.sides: list[tuple[float, float, float]] = []
+
+    def on(self, span_s: float, *, misses: bool = True, in_slot: bool = True) -> "Flown":
+        for _ in range(round(span_s / TICK_S)):
+            self.now_s += TICK_S
+            rate_rps = self.search.update(self.now_s, misses=misses, in_slot=in_slot)
+            self.sides.append((self.now_s, self.search.aside_rad, rate_rps))
+        return self
+
+    @property
+    def swings(self) -> bool:
+        return self.search.is_under_way(self.now_s)
+
+
+def test_both_sides_are_seen_before_twenty_seconds_are_over() -> None:
+    """4 s at the tail, a quarter of a round to one side, half a round more to the other."""
+    sides = Flown().on(20.0).sides
+    assert max(aside for _, aside, _ in sides) == pytest.approx(ASIDE_RAD, rel=0.01)
+    assert min(aside for _, aside, _ in sides) == pytest.approx(-ASIDE_RAD, rel=0.01)
+
+
+def test_the_rate_is_that_of_the_angle() -> None:
+    sides = Flown().on(30.0).on(10.0, misses=False).sides
+    for (_, before, _), (_, aside, rate_rps) in pairwise(sides):
+        assert rate_rps * TICK_S == pytest.approx(aside - before, abs=1e-9)
+
+
+def test_it_begins_in_its_slot_and_after_some_patience() -> None:
+    flown = Flown().on(30.0, in_slot=False)
+    assert not flown.swings
+    assert flown.search.aside_rad == 0.0
+    assert not flown.on(PATIENCE_S - 1.0).swings
+    assert flown.on(2.0).swings
+    assert flown.on(5.0, in_slot=False).swings, "on its way round it is not in its slot"
+
+
+def test_what_is_heard_again_within_the_patience_moves_nobody() -> None:
+    flown = Flown()
+    for _ in range(10):
+        flown.on(PATIENCE_S - 0.5).on(0.5, misses=False)
+    assert {aside for _, aside, _ in flown.sides} == {0.0}
+
+
+def test_heard_it_goes_back_to_the_tail_slowly() -> None:
+    flown = Flown().on(PATIENCE_S + PERIOD_S / 4.0)
+    aside_rad = flown.search.aside_rad
+    flown.on(1.0, misses=False)
+    assert flown.search.aside_rad == pytest.approx(aside_rad - BACK_RPS, abs=1e-6)
+    assert not flown.swings
+    assert flown.on(10.0, misses=False).search.aside_rad == 0.0
+
+
+def test_it_gives_up_until_it_has_heard_the_leader_again() -> None:
+    flown = Flown().on(PATIENCE_S + ROUNDS * PERIOD_S + 1.0)
+    assert not flown.swings
+    assert not flown.on(60.0).swings
+    assert flown.search.aside_rad == 0.0
+    assert flown.on(1.0, misses=False).on(PATIENCE_S + 1.0).swings
+
+
+@pytest.mark.parametrize("aside_deg", [-60.0, 25.0, 60.0])
+def test_a_slot_is_swung_at_its_distance_and_height_and_moves_along(aside_deg: float) -> None:
+    slot = displace(LEADER, (-4.0, 0.0, -1.5))
+    tail = GuidedPoint(slot, slot, LEADER, 0.0, 0.0, (-4.0, 0.0), (2.0, 0.0))
+    aside_rad, rate_rps = math.radians(aside_deg), 0.3
+    now, then = (swung(tail, aside_rad + rate_rps * after_s, rate_rps) for after_s in (0.0, 0.001))
+    north_m, east_m, down_m = ned_between(LEADER, now.point)
+    # Clockwise from above, one on the south of its leader goes west.
+    assert (north_m, east_m, down_m) == pytest.approx(
+        (-4.0 * math.cos(aside_rad), -4.0 * math.sin(aside_rad), -1.5), abs=1e-5
+    )
+    moved_m = ned_between(now.point, then.point)
+    own_mps = now.velocity_mps[0] - 2.0, now.velocity_mps[1]
+    assert own_mps == pytest.approx((moved_m[0] / 0.001, moved_m[1] / 0.001), abs=0.01)
+    assert now.slot == now.point
+
+
+# Receivers that disagree by 1.5 m and more along the line: from the tail the sonar heard nothing
+# for half a minute and more.
+@pytest.mark.parametrize("seed", [309, 341, 344])
+def test_a_leader_out_of_reach_from_the_tail_is_found_from_the_side(seed: int) -> None:
+    one = fly(load_scenario("echowing", ["duration_s=60", "settle_s=20"]), seed)
+    (measured,) = one.metrics
+    assert any(SAID in text for _, text in one.events)
+    # Without the search: 1.3 to 3.2 m.
+    assert measured.mean_abs_error_m < 0.3
+    assert one.closest_m > 1.5
