@@ -6,8 +6,15 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.flight.alignment import Report
 from echowing.flight.guidance import GuidanceSettings
-from echowing.flight.jumps import AGREEING_REPORTS, UNCONFIRMED_S, BootClocks, RangeMemory
+from echowing.flight.jumps import (
+    AGREEING_REPORTS,
+    UNCONFIRMED_S,
+    BootClocks,
+    RangeMemory,
+    is_jump,
+)
 from echowing.geo import GlobalPosition, displace, ned_between
 from echowing.sim.flight import FormationFlight
 from echowing.sim.scenario import load_scenario
@@ -115,6 +122,32 @@ def test_its_own_jump_that_no_sonar_denies_is_held() -> None:
     leave_and_come_back(yard)
     yard.fly(2.0)
     assert yard.state() == "following"
+
+
+@pytest.mark.parametrize("system_id", [LEADER, FOLLOWER])
+@pytest.mark.parametrize("by_m", [2.0, 3.7])
+def test_a_receiver_that_jumps_by_a_few_metres_leads_nobody(system_id: int, by_m: float) -> None:
+    """A campaign's find: 3.7 m counted as a movement, and the follower flew them: 0.34 m."""
+    yard = SonarYard()
+    yard.fly(6.0)
+    yard.jump(system_id, (by_m, 0.0, 0.0))
+    points = yard.fly(AT_LAST_S)
+    assert yard.said(f"receiver jumped by {by_m} m: the sonar's range did not change")
+    assert yard.state() == "following"
+    # Where its slot is by its own receiver.
+    assert off_m(points, -3.0 if system_id == LEADER else by_m - 3.0) < 1.0
+
+
+@pytest.mark.parametrize("elapsed_s", [0.1, 0.25, 1.0, 2.0])
+def test_what_a_copter_can_fly_between_two_reports_is_no_jump(elapsed_s: float) -> None:
+    """It speeds up at 5 m/s2 and brakes again, and its clock is 0.25 s off in the second report."""
+    flown_m = 5.0 * elapsed_s + 5.0 / 4.0 * elapsed_s**2
+    before = Report(0.0, HERE, (5.0, 0.0), 0.0)
+    for late_s in (-0.25, 0.0, 0.25):
+        there = displace(HERE, (flown_m + 5.0 * late_s, 0.0, 0.0))
+        assert not is_jump(before, Report(elapsed_s, there, (5.0, 0.0), 0.0))
+    beyond = displace(HERE, (flown_m + 4.0, 0.0, 0.0))
+    assert is_jump(before, Report(elapsed_s, beyond, (5.0, 0.0), 0.0))
 
 
 def test_a_hold_goes_along_with_its_own_jump() -> None:

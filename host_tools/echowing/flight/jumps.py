@@ -20,9 +20,10 @@ REBOOT_S = 10.0
 AGREEING_REPORTS = 8
 # Reports that go from one clock to another and back so often, within so long, are of two vehicles.
 SWAPS, SWAPS_S = 3, 20.0
-# A report further than this from where the last one leads is a jump, not a movement: twice what a
-# hard reversal at 2 m/s can do between two reports.
-JUMP_M = 4.0
+# A report further than this from where the one before leads is a jump, not a movement. Receivers,
+# rounded to a decimetre, wander less between two reports; a quicker answer of TIMESYNC moves a
+# clock by 0.3 s; and who accelerates at 5 m/s2 and brakes again within t is 5/4 t^2 off.
+JUMP_M, CLOCK_MOVES_S, UNSEEN_MPS2 = 1.5, 0.3, 1.25
 
 # The range did not change where its middle differs by less than this; so many readings, over so
 # long, are asked for after the jump, and those of the last second before it.
@@ -107,9 +108,9 @@ class OwnJump:
         before, self._before = self._before, report
         if before is None or report.time_s <= before.time_s:
             return None
-        off_m = beyond_movement_m(before, report)
-        if math.hypot(*off_m) <= JUMP_M * max(1.0, report.time_s - before.time_s):
+        if not is_jump(before, report):
             return None
+        off_m = beyond_movement_m(before, report)
         self.since_s = before.time_s if self.since_s is None else self.since_s
         self.moved_m = self.moved_m[0] + off_m[0], self.moved_m[1] + off_m[1]
         return off_m
@@ -117,6 +118,14 @@ class OwnJump:
     def settled(self) -> None:
         """It is known what the jump was."""
         self.since_s, self.moved_m = None, (0.0, 0.0)
+
+
+def is_jump(before: Report, after: Report) -> bool:
+    """Whether no movement leads from one report to the next."""
+    elapsed_s = after.time_s - before.time_s
+    speed_mps = max(math.hypot(*before.velocity_mps), math.hypot(*after.velocity_mps))
+    most_m = JUMP_M + CLOCK_MOVES_S * speed_mps + UNSEEN_MPS2 * elapsed_s * elapsed_s
+    return math.hypot(*beyond_movement_m(before, after)) > most_m
 
 
 def beyond_movement_m(before: Report, after: Report) -> Horizontal:

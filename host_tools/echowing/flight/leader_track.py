@@ -6,7 +6,7 @@ from typing import Any
 
 from echowing.flight.alignment import Report
 from echowing.flight.guidance import Horizontal, LeaderFix
-from echowing.flight.jumps import AGREEING_REPORTS, JUMP_M, BootClocks, beyond_movement_m
+from echowing.flight.jumps import AGREEING_REPORTS, BootClocks, beyond_movement_m, is_jump
 from echowing.geo import GlobalPosition, Ned
 from echowing.mavlink.messages import heading_of
 
@@ -182,5 +182,4 @@ def _report(fix: LeaderFix) -> Report:
 
 
 def _jumps(before: LeaderFix, after: LeaderFix) -> bool:
-    off_m = beyond_movement_m(_report(before), _report(after))
-    return math.hypot(*off_m) > JUMP_M * max(1.0, after.time_s - before.time_s)
+    return is_jump(_report(before), _report(after))
