@@ -48,6 +48,16 @@ def test_a_vehicle_that_does_not_answer_is_asked_seldom_but_for_ever() -> None:
     assert asked_s[OFTEN:] == list(range(4 + int(SELDOM_S), 60, int(SELDOM_S)))
 
 
+def test_what_only_a_report_shows_takes_more_room() -> None:
+    """At 4 m/s, shown 0.5 s later, the leader is 1.25 m/s slower before the follower knows."""
+    answer = Answer(0.5, 5.0)
+    by_sonar_m, by_report_m = least_slot_m(4.0, answer), least_slot_m(4.0, answer, 1.0, 0.8)
+    unaware_s = [noticed_s + 0.5 for noticed_s in (NOTICED_S, 0.8)]
+    # a/2 t^2 until it knows, and as much again until both are equally fast: 2.5 of 5 m/s2 are left.
+    lost_m = [OTHERS_MPS2 * s * s for s in unaware_s]
+    assert by_report_m - by_sonar_m == pytest.approx(lost_m[1] - lost_m[0], abs=0.05)
+
+
 def test_a_follower_quicker_than_its_leader_loses_the_dead_time_and_the_catching_up() -> None:
     """Of an endless reversal: a/2 t^2 while it does not react, u^2 / 2 (a_F - a_L) until it has."""
     answer = Answer(0.5, 5.0)

@@ -248,8 +248,9 @@ def test_a_hold_gives_way_and_is_then_where_it_has_been_moved_to() -> None:
     (held, *_) = there.points(0.5)
     assert north_of(held) == pytest.approx(-7.0, abs=0.02)
 
-    there.north_m[LEADER], there.speed_mps[LEADER] = -4.0, -2.0
-    point = there.points(0.5)[-1]
+    for north_m in (-1.0, -2.0, -3.0, -4.0):  # more at once would be its receiver's jump
+        there.north_m[LEADER], there.speed_mps[LEADER] = north_m, -2.0
+        point = there.points(0.25)[-1]
     assert flown_mps(point, -7.0)[0] < -2.0
     assert point.yaw == pytest.approx(0.0, abs=0.01)
     assert there.state == "holding: leader is not known to fly"

@@ -78,13 +78,16 @@ def answer_of(decel_mps2: float | None, jerk_mps3: float | None) -> Answer:
 
 
 @lru_cache(maxsize=256)
-def least_slot_m(speed_mps: float, answer: Answer, least_m: float = LEAST_M) -> float:
+def least_slot_m(
+    speed_mps: float, answer: Answer, least_m: float = LEAST_M, noticed_s: float = NOTICED_S
+) -> float:
     """The nearest slot from which a reversal of the leader leaves `least_m`.
 
     speed_mps: the leader's, from which it turns to as fast the other way at ArduCopter's default
-    acceleration; the sonar shows it to the follower, which then does the same with what it has.
+    acceleration; after `noticed_s` the sonar, or a report, shows it to the follower, which then
+    does the same with what it has.
     """
-    notices_s = NOTICED_S + answer.dead_s
+    notices_s = noticed_s + answer.dead_s
     leader_mps = follower_mps = abs(speed_mps)
     lost_m = most_lost_m = t_s = 0.0
     while leader_mps > -abs(speed_mps) or follower_mps > leader_mps:

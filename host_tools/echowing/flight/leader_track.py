@@ -17,6 +17,9 @@ MOST_MPS2 = 3.0
 # Two reports further apart than this say nothing of the acceleration now.
 LONGEST_GAP_S = 0.6
 
+# The oldest report of the last seconds counts: at 4 Hz it is forgotten by half in 3 s.
+OLDEST_KEEPS = 0.95
+
 # How long a point takes there and back while no TIMESYNC answer has said.
 USUAL_ROUND_TRIP_S = 0.5
 TIMESYNC_PERIOD_S = 1.0
@@ -103,6 +106,8 @@ class LeaderTrack:
         """How far (north, east) the place that is looked at now, or the last one, is away."""
         self.jump_since_s: float | None = None
         """The last report before it; None: no place is looked at."""
+        self.oldest_s = 0.0
+        """How old a report has lately been when the next came."""
         self.jumps = 0
         """How often the leader has turned up somewhere else and been believed there."""
 
@@ -131,6 +136,8 @@ class LeaderTrack:
             acceleration_ned_mps2=self._acceleration(time_s, velocity),
         )
         if self._believable(fix):
+            age_s = 0.0 if self.fix is None else now_s - self.fix.time_s
+            self.oldest_s = max(age_s, OLDEST_KEEPS * self.oldest_s)
             self.fix = fix
 
     def _acceleration(self, time_s: float, velocity: Ned) -> Ned:

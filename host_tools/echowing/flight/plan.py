@@ -12,6 +12,7 @@ from echowing.flight.guidance import (
     lead_share,
     sway_rad,
 )
+from echowing.flight.handling import least_slot_m
 from echowing.flight.own_motion import POSITION_GAIN_PER_S
 from echowing.flight.search import swung
 from echowing.flight.sonar import DETECTION_LIMIT_M
@@ -23,6 +24,8 @@ from echowing.geo import displace, distance_m, ned_between, wrap_angle_rad
 JOIN_MPS, HEARD_LATELY_S = 1.5, 1.5
 # Not heard for so long, the leader is looked for where it most likely is.
 LOST_S = 1.0
+# For so long its braking would still have been heard.
+UNHEARD_S = 3.0
 # So near its slot a follower is in it.
 IN_SLOT_M = 1.0
 
@@ -35,6 +38,8 @@ def planned(known: Known, follower: FollowerState, fix: LeaderFix, now_s: float)
     settings, least_m = known.settings, follower.reversal_m
     if settings.learn_offset:
         least_m = max(least_m, _least_radius_m(known, follower, now_s))
+        if least_m > 0.0 and follower.estimate.offset.unheard_s(now_s) > UNHEARD_S:
+            least_m = max(least_m, _reversal_by_radio_m(known, follower, fix))
     arrives_s = now_s + follower.way_s
     leader = _leader(known, follower, fix, arrives_s)
     guided = follower.guide.update(leader, arrives_s, follower.then(arrives_s), least_m)
@@ -77,6 +82,17 @@ def _least_radius_m(known: Known, follower: FollowerState, now_s: float) -> floa
     line_rad = known.bearing_of_leader(follower, now_s) or 0.0
     unsure_m = settings.standoff_sigmas * offset.unproven_sigma_m(line_rad, now_s)
     return settings.clearance_m + unsure_m + offset.unproven_shift_m(line_rad, now_s)
+
+
+def _reversal_by_radio_m(known: Known, follower: FollowerState, fix: LeaderFix) -> float:
+    """The nearest slot from which it gets away from a reversal that reports alone show.
+
+    No further than the sonar hears: beyond, the leader would never be heard again.
+    """
+    noticed_s = round(known.leader.oldest_s + follower.way_s, 1)
+    speed_mps, answer = round(fix.speed_mps, 1), follower.handling.answer
+    least_m = least_slot_m(speed_mps, answer, known.settings.clearance_m, noticed_s)
+    return min(DETECTION_LIMIT_M, least_m)
 
 
 def _fading(guided: GuidedPoint, settings: GuidanceSettings) -> GuidedPoint:
