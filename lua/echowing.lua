@@ -404,8 +404,8 @@ local laws = { -- the range becomes a speed: the law's wish, and the same after 
 local hold = { active = false, mps = 0.0, at_ms = nil } -- moves points that carry a velocity along the beam
 local guard = { too_close = false, evading = false, close_ms = 0 } -- keeps away from the leader
 local stream = { -- the ground tool's guided points, and what happens when they end
-    at_ms = nil, points = 0, holding = false, lat = nil, lng = nil, up_m = nil, north_mps = 0.0, east_mps = 0.0,
-    yaw_rad = nil, moving = false,
+    at_ms = nil, points = 0, holding = false, stands = false, lat = nil, lng = nil, up_m = nil, north_mps = 0.0,
+    east_mps = 0.0, yaw_rad = nil, moving = false,
 }
 local speed = { -- the speed parameter: ours, the pilot's, another script's
     out_mps = 0.0, written = nil, pilot_units = nil, ground_units = nil, changes = {}, conflict = false,
@@ -419,6 +419,7 @@ local control = { active = false, error = nil } -- takes control and hands back
 
 do
     local ACCEL_MS = 100 -- smooths the estimator's change of speed
+    local STANDS_MPS = 0.3 -- slower, it stands
     local LEAN_S = 0.35 -- until it leans against its motion, as REACTION_S of flight/handling.py
 
     -- Own speed along the heading; 0 while the estimator has none.
@@ -462,6 +463,14 @@ do
         if not position then return false end
         local yaw = yaw_rad(ahrs)
         return fly_to(position, -back_m * math.cos(yaw), -back_m * math.sin(yaw))
+    end
+
+    -- Whether it has come to rest, but for what the estimator is off.
+    function own.stands()
+        local velocity = ahrs:get_velocity_NED()
+        if not velocity then return false end
+        local north_mps, east_mps = velocity:x(), velocity:y()
+        return north_mps * north_mps + east_mps * east_mps < STANDS_MPS * STANDS_MPS
     end
 
     -- Metres to a stop from a speed, which goes on changing at a rate until the vehicle leans against its motion.
@@ -994,7 +1003,12 @@ do
             stream.holding = false -- hold again where the evasion ends
             return
         end
-        if stream.holding then return end
+        if stream.holding then
+            -- One that was let fly slowly stands before its place, and would go on to it when the pilot's speed is back.
+            if not stream.stands and own.stands() then stream.stands = own.stop() end
+            return
+        end
+        stream.stands = own.stands()
         stream.holding = vehicle:get_likely_flying() and own.stop()
     end
 end

@@ -449,6 +449,20 @@ def test_the_watchdog_holds_when_the_stream_ends(rig: MakeRig) -> None:
     assert len(r.vehicle.targets) == targets  # told once, it stays
 
 
+def test_it_stays_where_it_first_stands(rig: MakeRig) -> None:
+    """With little speed allowed it stands before its place; given more, it would go on to it."""
+    r = led(rig(LAW=2), 3.0, 0.0)
+    r.run(1.3)
+    assert r.texts[-1] == "stream lost, holding here"
+    assert r.target_ahead_m() > 1.0
+    targets = len(r.vehicle.targets)
+    r.vehicle.velocity = (0.2, 0.0, 0.0)
+    r.run(1.0)
+
+    assert r.target_ahead_m() < 0.1
+    assert len(r.vehicle.targets) == targets + 1
+
+
 @pytest.mark.parametrize("mps2", [-1.0, 1.0])
 def test_a_stop_counts_with_the_speed_that_it_will_have(rig: MakeRig, mps2: float) -> None:
     """0.35 s until it leans, in which the speed goes on changing; then ECHO_DECEL 2.5 m/s2."""
