@@ -18,7 +18,7 @@ from echowing.errors import EchowingError
 from echowing.sim.fault_section import LEADER
 from echowing.sim.scenario import Scenario, scenario_of
 
-SHIPPED = ("field", "many")
+SHIPPED = ("field", "many", "formations")
 # The applet's range of ECHO_DIST, and the sonar's reach less its inset (lua/echowing.md).
 ECHO_DIST_M, REACH_M = (1.5, 6.0), 4.5
 _SHAPES = ("column", "vee", "echelon", "wedge")

@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "description",
         nargs="?",
         default="field",
-        help="what flights are drawn from: field (default), many, or a TOML file",
+        help="what flights are drawn from: field (default), many, formations, or a TOML file",
     )
     parser.add_argument("--flights", type=int, default=1000, metavar="N", help="how many (1000)")
     parser.add_argument("--seed", type=int, default=1, metavar="S", help="of all chance (1)")
