@@ -1,1 +1,1 @@
-"""Thousands of drawn flights with faults, and what any of them found."""
+"""Thousands of random flights with faults, and what they found."""

@@ -1,8 +1,8 @@
 """Draws a flight's scenario from a description: a TOML file of distributions.
 
-The format stands at the head of the shipped one, `campaigns/field.toml`. Every value has a stream
-of chance of its own, made from the campaign's seed, the flight's number and the value's place: what
-is added to a description changes nothing of what was there.
+The head of the shipped one, `campaigns/field.toml`, explains the format. Every value has a random
+stream of its own, made from the campaign's seed, the flight's number and the value's place: an
+addition to a description does not change the other values.
 """
 
 import math
@@ -61,7 +61,7 @@ def load_description(name_or_path: str = SHIPPED[0]) -> Description:
 
 
 def parse_description(text: str, source: str) -> Description:
-    """A description from its text; tried on some flights, so that what is wrong shows at once."""
+    """A description from its text; tried on some flights, so that errors show at once."""
     try:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -110,9 +110,9 @@ def draw(description: Description, seed: int, index: int) -> Scenario:
 
 
 def _with_faults(flight: dict[str, Any], faults: list[dict[str, Any]], source: str) -> Scenario:
-    """The flight with those faults that go together, the first ones first.
+    """The flight with the faults that go together; earlier ones take precedence.
 
-    A fault that makes no sense by itself is refused; one that clashes with an earlier is left out.
+    A fault that is invalid by itself is refused; one that clashes with an earlier one is left out.
     """
     scenario = scenario_of(flight, source)
     taken: list[dict[str, Any]] = []
@@ -139,7 +139,7 @@ def _place_faults(faults: list[dict[str, Any]], followers: int, chance: "_Chance
 
 
 def _formation(wish: Mapping[str, Any], source: str) -> dict[str, Any]:
-    """Slots of a formation: who is where, each applet's distance, and where they come from."""
+    """Slots of a formation: who is where, each applet's distance, and where each starts."""
     unknown = set(wish) - _FORMATION
     if unknown:
         raise EchowingError(f"{source}: formation.{min(unknown)}: no such key")
@@ -192,7 +192,7 @@ class _Chance:
         return random.Random(f"{self._seed} {place}")
 
     def drawn(self, value: Any, place: str) -> Any:
-        """A value, or what was drawn where a distribution stands; a key of none is left out."""
+        """A value, with each distribution in it drawn; a key that draws nothing is left out."""
         if isinstance(value, Mapping):
             if set(value) & {*_DISTRIBUTIONS, "share"}:
                 return self._distribution(value, place)

@@ -25,9 +25,9 @@ class Folder:
     path: Path
 
     def begin(self, description: Description, seed: int, *, resume: bool) -> dict[int, Row]:
-        """Begin a campaign here, or go on with one; the flights that are done, by number.
+        """Begin a campaign here, or resume one; returns the flights that are done, by number.
 
-        Raises EchowingError where one is here and is not to be gone on with, or is another.
+        Raises EchowingError if one is here and `resume` is not set, or if it is another one.
         """
         head = {
             "description": description.text,
@@ -83,12 +83,12 @@ class Folder:
         return rows
 
     def add(self, row: Row) -> None:
-        """Keep a flight: on the disk after this. Raises EchowingError where it cannot be."""
+        """Write a flight to the disk. Raises EchowingError if it cannot be written."""
         with self._writing(), (self.path / ROWS).open("a", encoding="utf-8") as file:
             file.write(json.dumps(row) + "\n")
 
     def sort(self, rows: Iterable[Row]) -> None:
-        """Put the rows in the flights' order, so that a folder does not show who flew what when."""
+        """Put the rows in the flights' order, so that the workers' order leaves no trace."""
         lines = [json.dumps(row) + "\n" for row in sorted(rows, key=lambda row: row["index"])]
         with self._writing():
             (self.path / ROWS).write_text("".join(lines), encoding="utf-8")

@@ -25,9 +25,9 @@ from echowing.sim.flight import SAMPLE_S, FormationFlight
 from echowing.sim.scenario import Scenario
 
 Row = dict[str, Any]
-# Every so many flights the logs are written and read: that takes as long as the flight.
+# The logs of one flight in so many are written and read: that takes as long as the flight.
 LOGS_EVERY = 20
-# Objects between two looks for rings of them; Python's 700 take a twentieth of a flight's time.
+# Objects between two garbage collections; Python's 700 take a twentieth of a flight's time.
 COLLECTED_EVERY = 50_000
 CRASHED, LOGS = "no error", "logs readable"
 # The applet's states by number (lua/echowing.md).
@@ -52,7 +52,7 @@ class Judged:
 
 
 def fly_and_judge(scenario: Scenario, seed: int, *, logs: bool = False) -> Judged:
-    """Fly a scenario as `echowing sim` does and hold it against every property."""
+    """Fly a scenario as `echowing sim` does and check every property."""
     if not logs:
         return _flown(scenario, seed, None)
     with TemporaryDirectory() as folder:
@@ -63,7 +63,7 @@ def fly_and_judge(scenario: Scenario, seed: int, *, logs: bool = False) -> Judge
 
 @contextmanager
 def _seldom_collected() -> Iterator[None]:
-    """A flight leaves no rings of objects behind while it lasts: looking for them is in vain."""
+    """Collect garbage seldom: a flight leaves no reference cycles behind while it lasts."""
     before = gc.get_threshold()
     gc.set_threshold(COLLECTED_EVERY, *before[1:])
     try:
@@ -157,7 +157,7 @@ def _measured(record: FlightRecord) -> Row:
 
 
 def _formation(record: FlightRecord) -> Row:
-    """How it kept together, in columns; None: no formation to speak of."""
+    """How the formation kept together, in columns; None: there are no figures of it."""
     figures = swarm(record)
     names = [one.name for one in fields(Swarm)]
     return {name: None if figures is None else _plain(getattr(figures, name)) for name in names}

@@ -1,7 +1,7 @@
 """The texts that are promised for a fault, and which of them were not said.
 
-Each promise says of one kind of fault what has to be said, by whom, and by when. It binds where the
-record shows that the fault could be noticed: the follower is led, the tool runs, the link carries.
+Each promise says for one kind of fault which text is due, from whom, and by when. It applies if the
+record shows that the fault could be noticed: the follower is led, the tool runs, the link works.
 """
 
 import re
@@ -15,7 +15,7 @@ from echowing.sim.fault_section import LEADER, FaultSection
 from echowing.sim.flight import SAMPLE_S
 
 TOOL = 0  # says it on the ground; others are system ids
-# Two lost packets of a bad link may delay what one would have shown; rates are judged in 8 s.
+# Two lost packets of a bad link may delay a detection; rates are judged over 8 s.
 SLACK_S = 2.0
 
 
@@ -121,5 +121,5 @@ def _could_be_noticed(
     )
 
 
-# Faults that change nothing of who says what.
+# Faults that do not change who says what.
 _HARMLESS = {"narrow_beam", "home_differs", "late_echoes", "servo_jammed", "leader_climbs"}

@@ -1,7 +1,7 @@
 """What must hold in every flight: each property is a pure function over the flight's record.
 
-A property returns what broke it, the worst first where it can be worse or better; an empty list
-where it held. What it lets pass it lets pass by a bound that it works out from the record.
+A property returns what broke it, the worst first where that can be ranked; an empty list if it
+held. It makes exceptions only by a bound that it works out from the record.
 """
 
 import math
@@ -29,35 +29,35 @@ from echowing.sim.modes import GUIDED
 
 # README's promise between any two vehicles.
 LEAST_M = 1.0
-# Data counts as stale after this (guidance.stale_age_s, ECHO_STREAM_T): so long after, all stand.
+# So long after data has become stale (guidance.stale_age_s, ECHO_STREAM_T) all stand.
 STOPS_WITHIN_S = 2.0
 # A held copter follows its receiver's wandering and the gusts: measured on a hovering leader, at
 # most 0.23 m/s in calm and 0.1 m/s more for each 4 m/s of wind; twice that is motion.
 STANDS_MPS, STANDS_PER_WIND = 0.5, 0.05
-# A vehicle that goes away from another nearer than this is making room, whatever is stale: between
-# followers what the envelope keeps where no sonar ranges, and of the leader its slot; and half a
-# metre to begin with.
+# A vehicle that flies away from another nearer than this makes room, whatever is stale: between
+# followers the distance that the envelope keeps where no sonar ranges, from the leader its slot's
+# radius; and half a metre more.
 BETWEEN_FOLLOWERS_M = LEAST_M + SURE_SIGMAS * UNRANGED_SIGMA_M
 MAKING_ROOM_M = 0.5
-# In wind: a vehicle that leans so far has nothing left to brake with (30 degrees are all it has).
+# In wind: a vehicle that leans so far has nothing left to brake with (30 degrees are its limit).
 ALL_LEAN_RAD, BLOWN_WIND_MPS, BLOWN_S = math.radians(28.5), 4.0, 3.0
-# Faults after which a receiver has its vehicle elsewhere, when they begin and when they end.
+# Faults at whose beginning and end a receiver moves its vehicle's position.
 _RECEIVERS = {"gps_jump", "gps_lost"}
 # A reading this near to the leader's distance is the leader's.
 RANGES_IT_M = 0.5
-# So many samples before two vehicles were nearest the leader may have passed already.
+# The leader may have passed up to so many samples before the two vehicles were nearest.
 PASSES = 10
 # From a change of the mode to the pilot's value: the applet's period and the handing back.
 HANDED_BACK_S = 0.5
-# A vehicle that a point has reached so lately is led; without, its pilot takes off in Guided.
+# A vehicle that a point has reached within this time is led; else its pilot takes off in Guided.
 POINT_ACTS_S = 1.0
-# ArduCopter's Guided flies a velocity on for so long (GUID_TIMEOUT).
+# ArduCopter's Guided goes on flying a velocity for so long (GUID_TIMEOUT).
 GUIDED_TIMEOUT_S = 3.0
 # A leader heard and ranged, with nothing wrong: README's mean error is 0.12 m over ten flights.
 MEAN_ERROR_M = 0.5
 # A mean over less than this after the approach says little.
 JUDGED_S = 20.0
-# Where nothing is wrong, this is not: what README's headline was flown with.
+# Nothing is wrong with a flight up to these limits: README's headline was flown with them.
 CALM_SPEED_MPS, CALM_LOSS, CALM_LATENCY_S = 2.0, 0.05, 0.5
 
 
@@ -105,13 +105,13 @@ def separation(record: FlightRecord) -> list[Broken]:
 def promised_apart_m(record: FlightRecord, number: int) -> Floats:
     """The distance that a pair (by its number) is promised, sample by sample, (n,).
 
-    Where pilots fly both of them, or the one that follows the leader, it is theirs to keep: nothing
-    is promised, nor until Guided can have answered. What they left is then not to get less, until
+    Where pilots fly both of them, or the one that follows the leader, nothing is promised, nor
+    until Guided can have answered. Then the distance that the pilots left must not shrink, until
     they are LEAST_M apart again.
     """
     least_m, followers = record.least_m[:, number], [one for one in record.pairs[number] if one]
     answers = [_lasted(record.guided[:, one - 1], Answer().dead_s) for one in followers]
-    # It begins in Guided: what it has answered to before is not in the record.
+    # A flight that begins in Guided: the record does not show what it has answered before.
     begins = [np.logical_and.accumulate(record.guided[:, one - 1]) for one in followers]
     led = np.logical_or.reduce([*answers, *begins])
     promised_m, left_m = np.full(len(least_m), -math.inf), LEAST_M
@@ -135,11 +135,11 @@ def _blown(record: FlightRecord, sample: int, vehicle: int) -> bool:
 def retreat_bound_m(record: FlightRecord, sample: int, follower: int) -> float:
     """What a perfect retreat would have left of the distance to the leader; `follower`: its index.
 
-    The leader's own approach is what it flew towards the follower's place, sample by sample, in the
-    while before `sample` in which it did. The follower began it closing no faster than could be
-    stopped within the promise; its retreat begins once a report of the approach, or the sonar's
-    second reading of it, has had the time to act, and is no faster than the core's. While its pilot
-    flies it, it goes where he flies it.
+    The leader's approach is what it flew towards the follower's place, sample by sample, without a
+    break before `sample`. At its start the follower closes no faster than it can stop within the
+    promise. Its retreat begins once a report of the approach, or the sonar's second reading of it,
+    has had the time to act, and is no faster than the core's. While its pilot flies it, its flown
+    velocity counts.
     """
     apart = record.position_ned_m[:, follower] - record.position_ned_m[:, 0]
     distance_m = np.linalg.norm(apart, axis=1)
@@ -147,7 +147,7 @@ def retreat_bound_m(record: FlightRecord, sample: int, follower: int) -> float:
     own = np.sum(record.velocity_ned_mps[:, follower] * apart, axis=1) / np.maximum(
         distance_m, 1e-6
     )
-    # It may have passed already when the two were nearest.
+    # The leader may have passed already when the two were nearest.
     last = next(
         (at for at in range(sample, max(0, sample - PASSES), -1) if towards[at] > STANDS_MPS), None
     )
@@ -173,7 +173,7 @@ def retreat_bound_m(record: FlightRecord, sample: int, follower: int) -> float:
 
 
 def _known_from(record: FlightRecord, first: int, follower: int) -> int:
-    """The sample from which on an approach that began at `first` can be known of."""
+    """The first sample at which an approach that began at `first` can be known."""
     began_s = record.time_s[first]
     for at in range(first, len(record.time_s)):
         reported = record.tool[at] and record.time_s[at] - record.leader_age_s[at] >= began_s
@@ -225,7 +225,7 @@ def must_stand(record: FlightRecord, number: int) -> Bools:
     stale_s = record.scenario.guidance.stale_age_s or math.inf
     silence_s = record.scenario.applet.get("ECHO_STREAM_T", 1.0)
     streams = np.isfinite(record.stream_age_s[:, number])
-    # Without the applet nothing on board knows of a lost stream but Guided's own time-out.
+    # Without the applet only Guided's own time-out detects a lost stream on board.
     silence = np.where(record.applet[:, number], silence_s, silence_s + GUIDED_TIMEOUT_S)
     stale = record.tool & (record.leader_age_s > stale_s)
     silent = streams & (record.stream_age_s[:, number] > silence)
@@ -240,9 +240,9 @@ def must_stand(record: FlightRecord, number: int) -> Bools:
 
 
 def _elsewhere(record: FlightRecord, number: int, silent: Bools) -> Bools:
-    """When a follower's receiver has jumped since its points fell silent, (n,).
+    """When a follower's receiver has jumped since its points stopped, (n,).
 
-    It holds a place by nothing but its receiver then, and goes to where that has it now.
+    It then holds its place by its receiver alone, and flies to where that puts it now.
     """
     jumps_s = [
         edge_s
@@ -259,7 +259,7 @@ def _elsewhere(record: FlightRecord, number: int, silent: Bools) -> Bools:
 
 
 def _making_room(record: FlightRecord, vehicle: int) -> Bools:
-    """When a vehicle goes away from another that is nearer than it should be, (n,)."""
+    """When a vehicle flies away from another that is nearer than it should be, (n,)."""
     room = np.zeros(len(record.time_s), dtype=np.bool_)
     slot = record.scenario.formation.slots[vehicle - 1]
     for other in range(record.position_ned_m.shape[1]):
@@ -274,7 +274,7 @@ def _making_room(record: FlightRecord, vehicle: int) -> Bools:
 
 
 def pilots_word(record: FlightRecord) -> list[Broken]:
-    """No point goes to a vehicle that has said that it is not in Guided, or not in the air."""
+    """No point goes to a vehicle that has reported that it is not in Guided, or not in the air."""
     for point in record.points:
         if point.known_mode == GUIDED and point.known_flying:
             continue
@@ -292,7 +292,7 @@ def pilots_word(record: FlightRecord) -> list[Broken]:
 
 
 def speed_handed_back(record: FlightRecord) -> list[Broken]:
-    """Outside Guided the speed parameter is the pilot's, where the applet runs to see to it."""
+    """Outside Guided the speed parameter is the pilot's, where the applet runs to restore it."""
     broken = []
     for number in range(record.follower_count):
         away = _lasted(
@@ -391,7 +391,7 @@ def nothing_wrong(record: FlightRecord) -> bool:
     )
 
 
-# The same while the wind had taken all lean: counted apart, as no law can help it.
+# The same while the wind took all the lean: counted apart, as no control law can prevent it.
 BLOWN, BLOWN_ON = "separation, blown", "stopped, blown"
 
 # In the order of the report.

@@ -1,7 +1,7 @@
-"""The record of one flight: all that its properties are judged by, and nothing that they judge.
+"""The record of one flight: all the data that its properties are judged by, and no judgement.
 
 It is taken from the truth and from the bytes that pass the radios, not from what the flight core
-believes, so that a core that is wrong about itself is seen.
+believes, so that it shows a core that is wrong about itself.
 """
 
 import math
@@ -36,7 +36,7 @@ Bools = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Point:
-    """A guided point that the tool sent, with what it had been told of the vehicle until then."""
+    """A guided point that the tool sent, with what the vehicle had reported until then."""
 
     time_s: float
     vehicle: int
@@ -50,14 +50,13 @@ class FlightRecord:
 
     position_ned_m, velocity_ned_mps: true, (n, v, 3). lean_rad: off upright, (n, v). height_m:
     above its home by its own estimate, (n, v). mode, flying: the autopilot's, (n, v). least_m: the
-    least true distance of each pair
-    since the sample before, (n, p), pairs as in `pairs`, indices of vehicles from 0. leader_age_s:
-    age of the newest position of the leader that has reached the tool, (n,). stream_age_s: since a
-    point last reached the follower, (n, f). speed_mps: its speed parameter, (n, f), m/s. applet:
-    whether the applet runs, (n, f). applet_state: as it reports it, (n, f). switched: whether a
-    stop switch that is on has been reported to the tool since the follower entered Guided, (n, f).
-    tool: whether the ground tool runs, (n,). hold: why the tool holds the follower, empty: it does
-    not, n lists of f. sonar_m: (n, f), NaN: nothing.
+    least true distance of each pair since the sample before, (n, p), pairs as in `pairs`, indices
+    of vehicles from 0. leader_age_s: age of the newest position of the leader that has reached the
+    tool, (n,). stream_age_s: since a point last reached the follower, (n, f). speed_mps: its speed
+    parameter, (n, f), m/s. applet: whether the applet runs, (n, f). applet_state: as it reports it,
+    (n, f). switched: whether a stop switch that is on has been reported to the tool since the
+    follower entered Guided, (n, f). tool: whether the ground tool runs, (n,). hold: why the tool
+    holds the follower, empty: it does not, n lists of f. sonar_m: (n, f), NaN: nothing.
     """
 
     scenario: Scenario
@@ -141,7 +140,7 @@ class Observer:
         self._switched = [False] * len(self.flight.followers)
 
     def step(self) -> None:
-        """Look, after a step of the flight."""
+        """Observe the flight after a step."""
         self._steps += 1
         places = [vehicle.position_ned_m for vehicle in self._vehicles]
         least = self._least
@@ -213,7 +212,7 @@ class Observer:
         self._rows.setdefault(name, []).append(value)
 
     def record(self, result: FlightResult) -> FlightRecord:
-        """What was seen."""
+        """The record of what was observed."""
         rows = self._rows
         texts = [
             (t_s, number, text)

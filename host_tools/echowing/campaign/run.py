@@ -19,7 +19,7 @@ from echowing.sim.scenario import load_scenario
 if TYPE_CHECKING:
     from distributed import Client
 
-# Of each property so many finds are shrunk, the worst ones: a hundred of one cause show no more.
+# So many finds of each property, the worst, are shrunk: a hundred of one cause show no more.
 SHRUNK_EACH = 5
 ORDER = [*PROPERTIES, BLOWN, BLOWN_ON, LOGS, CRASHED]
 
@@ -45,7 +45,7 @@ def fly_all(
     stop: Stop,
     client: "Client",
 ) -> dict[int, Row]:
-    """Fly what is not done yet; each row goes to `keep` once. The rows of all that is done."""
+    """Fly what is not done yet; each row goes to `keep` once. Returns the rows of all flights."""
     rows = dict(done)
     left = [index for index in range(order.flights) if index not in rows]
     work = (order.description, order.seed)
@@ -76,7 +76,7 @@ def finds_of(rows: Iterable[Row]) -> dict[str, list[tuple[Row, Broken]]]:
         for name in dict.fromkeys(one["name"] for one in row["broken"]):
             first = next(one for one in row["broken"] if one["name"] == name)
             found[name].append((row, Broken(**first)))
-    # Of a separation the least is the worst; of all else the most.
+    # Of a separation or a height the least value is the worst; of all else the largest.
     for name, entries in found.items():
         sign = 1.0 if name in ("separation", BLOWN, "not too low") else -1.0
         entries.sort(key=lambda entry: (sign * entry[1].value, entry[0]["index"]))
@@ -86,7 +86,7 @@ def finds_of(rows: Iterable[Row]) -> dict[str, list[tuple[Row, Broken]]]:
 def shrink_all(
     order: Order, rows: Iterable[Row], folder: Path, stop: Stop, client: "Client"
 ) -> list[Path]:
-    """Shrink the worst finds of each property, and write them; those that are there stay."""
+    """Shrink the worst finds of each property, and write them; existing files stay."""
     folder = folder / FINDS
     chosen = [
         (name, row["index"])
@@ -113,7 +113,7 @@ def _find_path(folder: Path, name: str, index: int) -> Path:
 
 
 def shrunk_file(work: tuple[Description, int], key: tuple[str, int]) -> str:
-    """The file of a find: its smallest scenario, and what is to be known at its head."""
+    """The file of a find: its smallest scenario, with a description at its head."""
     (description, seed), (name, index) = work, key
     own_seed = flight_seed(seed, index)
     table, broken = shrink(table_of(draw(description, seed, index)), breaks(name, own_seed))
@@ -131,7 +131,7 @@ def shrunk_file(work: tuple[Description, int], key: tuple[str, int]) -> str:
 
 
 def write_find_page(path: Path, name: str) -> None:
-    """Beside the file of a find, its page: flown from the file, so that it shows what it shows."""
+    """Write a find's page beside its file; flown from the file, so that both agree."""
     seed = int(path.read_text(encoding="utf-8").partition("--seed ")[2].split()[0])
     judged = fly_and_judge(load_scenario(str(path)), seed)
     if judged.record is not None:

@@ -1,7 +1,7 @@
-"""Makes a find small: takes out of its scenario what it does not need to go on failing.
+"""Makes a find small: removes from its scenario what it does not need in order to fail.
 
-A scenario is a plain table here, as in its file. Each step is tried by flying it; it stays where
-the same property still breaks. The seed stays the same, so every result flies again as it did.
+A scenario is a plain table here, as in its file. Each step is tried by flying it; it is kept if the
+same property still breaks. The seed stays the same, so every result flies again as it did.
 """
 
 import copy
@@ -17,11 +17,11 @@ from echowing.sim.scenario import Scenario, scenario_of
 Table = dict[str, Any]
 Fails = Callable[[Table], Broken | None]
 
-# So many flights a find, at the most: then what was reached is what there is.
+# Flights for each find, at the most: then the smallest scenario so far is the result.
 MOST_FLIGHTS = 60
 # Left after the moment at which the property broke, so that the plot shows it.
 AFTERWARDS_S = 5.0
-# The sections that may be left to their defaults, the least telling first.
+# The sections that may be left to their defaults, the least important first.
 _SECTIONS = (
     ("airframe",),
     ("radio", "follower"),
@@ -35,7 +35,7 @@ _SECTIONS = (
 
 
 def table_of(scenario: Scenario) -> Table:
-    """A scenario as its file has it, without what was never said."""
+    """A scenario as its file has it, without values that were never set."""
     table: Table = scenario.model_dump(mode="json", exclude_unset=True)
     return table
 
@@ -55,7 +55,7 @@ def breaks(property_name: str, seed: int) -> Fails:
 
 
 def shrink(table: Table, fails: Fails, most_flights: int = MOST_FLIGHTS) -> tuple[Table, Broken]:
-    """The smallest table that still fails, as far as so many flights reach, and how it fails."""
+    """The smallest failing table that `most_flights` flights can find, and how it fails."""
     broken = fails(table)
     if broken is None:
         raise ValueError("what does not fail cannot be shrunk")

@@ -1,4 +1,4 @@
-"""How well a formation keeps together, as one looks at flocks and swarms. Pure.
+"""How well a formation keeps together, by the figures used for flocks and swarms. Pure.
 
 Reynolds' three rules (Flocks, Herds, and Schools, SIGGRAPH 1987) as figures: separation is the
 distance to the nearest neighbour, alignment the difference from the mean velocity, cohesion the
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from echowing.analysis.flight import Floats
 from echowing.campaign.record import FlightRecord
 
-# Two are a pair; of three on there is a group to speak of.
+# Two are a pair; three are a group.
 LEAST_FOLLOWERS = 3
 # A formation has begun to follow by then: the leader's mission starts after 5 s.
 SETTLED_S = 20.0

@@ -1,6 +1,6 @@
-"""Spreads calls over Dask workers: each is done once, in any order, and whoever asks may stop.
+"""Spreads calls over Dask workers: each is done once, in any order, and the caller may stop.
 
-Dask hands out the work, notices a worker that dies, and gives what it had to another.
+Dask hands out the work, detects a worker that dies, and gives its calls to another.
 """
 
 import signal
@@ -20,7 +20,7 @@ from echowing.errors import EchowingError
 Key = TypeVar("Key")
 # So many calls for each worker are handed out at a time: none waits, and few are lost on a stop.
 AHEAD = 3
-# A call whose worker dies is given to another so many times; then it is the call that kills them.
+# A call may lose so many workers before it is given up: then the call itself kills them.
 MOST_DEATHS = 3
 CONNECT_S = 10.0
 RESTART_S = 20.0
@@ -78,14 +78,14 @@ def _local(workers: int) -> Iterator[Client]:
         try:
             yield client
         finally:
-            # A cluster that is closed while a dead worker is being started anew never ends.
+            # Closing a cluster while a dead worker is being restarted would never end.
             with suppress(TimeoutError):
                 client.wait_for_workers(workers, timeout=RESTART_S)
 
 
 @contextmanager
 def _ctrl_c_is_ours() -> Iterator[None]:
-    """Processes that are started here do not take the terminal's Ctrl-C: their end is our call."""
+    """Processes that are started here ignore the terminal's Ctrl-C: we decide when they end."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

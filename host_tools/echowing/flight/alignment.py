@@ -1,9 +1,9 @@
-"""Leader, follower and sonar reading, each taken at the same moment. Pure.
+"""Leader, follower and sonar reading, aligned to the same moment. Pure.
 
-Reports reach the ground late, and not equally late: a leader 0.5 s old beside a follower of now and
-a reading of now is wrong by 1 m at 2 m/s. The receivers' disagreement changes over a minute, so a
-reading can wait until both vehicles have reported from after it; then both are known at its moment
-by interpolation, and nothing has to be predicted.
+Reports reach the ground with different delays: a leader's report that is 0.5 s older than the
+follower's and the reading is wrong by 1 m at 2 m/s. The receivers' disagreement changes over a
+minute, so a reading can wait until both vehicles have sent a later report. Interpolation then gives
+both positions at the moment of the reading, and nothing has to be predicted.
 """
 
 import math
@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from echowing.flight.guidance import Horizontal
 from echowing.geo import GlobalPosition, ned_between, wrap_angle_rad
 
-# A reading that no report of both vehicles has overtaken for so long is dropped.
+# A reading that waits longer than this for later reports of both vehicles is dropped.
 LONGEST_WAIT_S = 3.0
-# Between reports further apart than this nothing is interpolated: 5 reports of a 4 Hz stream lost.
+# No interpolation over a longer gap between reports: 5 reports of a 4 Hz stream are lost.
 LONGEST_GAP_S = 1.5
 GRAVITY_MPS2 = 9.80665
 
@@ -32,11 +32,11 @@ class Report:
 
 @dataclass(frozen=True, slots=True)
 class AlignedReading:
-    """A sonar reading with both vehicles at its moment.
+    """A sonar reading with both vehicles' places at that moment.
 
     distance_m: between the vehicles' centres, None: nothing was heard; axis_rad: bearing of the
     follower's nose; believed_m: from follower to leader by their own receivers, (north, east);
-    lean_rad: of the follower, by its change of velocity.
+    lean_rad: of the follower, from its change of velocity.
     """
 
     time_s: float
@@ -53,7 +53,7 @@ class History:
         self._reports: deque[Report] = deque()
 
     def add(self, report: Report) -> None:
-        """Take a report; one that is not newer than the last is left out."""
+        """Take a report; one that is not newer than the last is ignored."""
         if self._reports and report.time_s <= self._reports[-1].time_s:
             return
         self._reports.append(report)
@@ -61,7 +61,7 @@ class History:
             self._reports.popleft()
 
     def clear(self) -> None:
-        """Forget all: the vehicle's clock or place has begun anew."""
+        """Drop all reports: the vehicle's clock has restarted, or its position has jumped."""
         self._reports.clear()
 
     @property
@@ -89,7 +89,7 @@ class Alignment:
         self._waiting.append((time_s, distance_m))
 
     def due(self, leader: History, follower: History) -> list[AlignedReading]:
-        """The readings that both vehicles have overtaken; each is given once."""
+        """The readings with later reports of both vehicles; each is returned once."""
         aligned = []
         ready_s = min(leader.newest_s, follower.newest_s)
         while self._waiting and self._waiting[0][0] <= ready_s:
@@ -139,7 +139,7 @@ def _place_m(origin: GlobalPosition, around: tuple[Report, Report], time_s: floa
     before, after = around
     span_s, share = after.time_s - before.time_s, _share(before, after, time_s)
     start, end = ned_between(origin, before.position), ned_between(origin, after.position)
-    # Hermite's cubic: places at both ends, and the velocities there.
+    # Cubic Hermite interpolation: places and velocities at both ends.
     h01 = share * share * (3.0 - 2.0 * share)
     h10, h11 = share * (1.0 - share) ** 2, share * share * (share - 1.0)
     north_m, east_m = (

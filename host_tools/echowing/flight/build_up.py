@@ -1,9 +1,9 @@
 """A formation that is closed in steps, and opened again, in flight. Pure.
 
 The slots move at a limited rate; clocks, offsets and estimates stay as they are. Where the sonar
-detects the leader the applet holds the follower at ECHO_DIST, whatever the slot: so ECHO_DIST goes
-to the new radius first, is read back, and only then do the slots come nearer. Opening waits for
-nothing. What ECHO_DIST was before is put back at the end (`restore`).
+detects the leader the applet holds the follower at ECHO_DIST, whatever the slot: so ECHO_DIST is
+set to the new radius first and read back; only then do the slots come nearer. Opening does not
+wait. The former ECHO_DIST is restored at the end (`restore`).
 """
 
 import math
@@ -20,26 +20,26 @@ from echowing.mavlink.messages import read_parameter
 
 Followers = Mapping[int, FollowerState]
 
-# Of the outermost slot: its follower trails it by half a metre (Guided flies 1 m/s for each metre
-# that it is off), and 8 m are closed in 6 s to 5 m.
+# Of the outermost slot: its follower trails it by half a metre (Guided corrects each metre of error
+# with 1 m/s), and closing from 8 m to 5 m takes 6 s.
 SLOT_MPS = 0.5
 # Ticks come at 8 Hz; after a longer pause the slots go on from where they are.
 LONGEST_STEP_S = 0.5
-# What the applet accepts (lua/echowing.lua); beyond the second no sonar detects the leader.
+# Limits of ECHO_DIST in the applet (lua/echowing.lua); beyond them no sonar detects the leader.
 LEAST_DIST_M, MOST_DIST_M = 1.5, 6.0
 SAME_M = 0.01
 # A slow radio answers within a second, and loses one answer in three at its worst.
 ASK_PERIOD_S, TRIES = 1.0, 5
-# The value that answers PARAM_SET alone may be of what was asked for: it is asked anew too.
+# The answer to PARAM_SET alone may only repeat the value that was sent: so it is read as well.
 ANSWERS = 2
 
 
 @dataclass(slots=True)
 class AppletDistance:
-    """ECHO_DIST of one follower, on its way to `wanted_m`; None: nothing is wanted.
+    """ECHO_DIST of one follower, while it is set to `wanted_m`; None: nothing to set.
 
-    before_m: what it was before the first change; written_m: what we have set last; failed: it was
-    not confirmed; told: that was said.
+    before_m: its value before our first change; written_m: the last value that we set; failed: it
+    was not confirmed; told: the operator was told that.
     """
 
     wanted_m: float | None = None
@@ -54,7 +54,7 @@ class AppletDistance:
     _asked_at_s: float = -math.inf
 
     def want(self, distance_m: float) -> None:
-        """Begin to set it; what it is now is asked first."""
+        """Begin to set it; its present value is read first."""
         self.wanted_m = distance_m
         self.failed = self.told = self._asks_to_set = False
         self._heard_m, self._agreeing, self._tries = None, 0, 0
@@ -62,26 +62,26 @@ class AppletDistance:
 
     @property
     def is_set(self) -> bool:
-        """Whether the vehicle has confirmed what is wanted."""
+        """Whether the vehicle has confirmed the wanted value."""
         return self.wanted_m is None or self._agreeing >= (ANSWERS if self._asks_to_set else 1)
 
     @property
     def is_ours(self) -> bool:
-        """Whether it has another value than before because of us."""
+        """Whether its value differs from before because of us."""
         changed = self.written_m is not None and self.before_m is not None
         return changed and not _same(self.written_m, self.before_m)
 
     def receive(self, value: float) -> None:
         """Take a PARAM_VALUE."""
         if self._heard_m is None:
-            self._asked_at_s = -math.inf  # known now: on with it
+            self._asked_at_s = -math.inf  # known now: continue at once
         self._heard_m = value
         if _same(value, self.wanted_m):
             self._agreeing += 1
         elif not self.is_set:
             self._agreeing = 0
         elif self.written_m is not None and not _same(value, self.written_m):
-            self.before_m = self.written_m = None  # somebody else has set it: it is his now
+            self.before_m = self.written_m = None  # somebody else has set it: leave it
 
     def messages(self, system_id: int, now_s: float) -> list[Any]:
         """What to ask the vehicle now."""
@@ -115,7 +115,7 @@ def _same(a: float | None, b: float | None) -> bool:
 
 
 class BuildUp:
-    """The radii of one flight, the widest first; `slots` are the formation's at that one.
+    """The radii of one flight, the widest first; `slots` are the formation's at the widest.
 
     A radius is the nearest slot's distance from the leader; the others keep their proportion.
     radius_m: where the slots are now.
@@ -135,7 +135,7 @@ class BuildUp:
 
     @property
     def target_m(self) -> float:
-        """The radius to be at."""
+        """The radius to reach."""
         return self.radii_m[self._step]
 
     @property
@@ -151,7 +151,7 @@ class BuildUp:
 
     @property
     def moves(self) -> bool:
-        """Whether the slots are not yet where they are to be."""
+        """Whether the slots have not yet reached the target radius."""
         return self._waits or self.radius_m != self.target_m
 
     def objection(
@@ -162,7 +162,7 @@ class BuildUp:
     ) -> str | None:
         """Why the slots cannot come nearer now; None: they can.
 
-        led: those whom points go to; objection_to_radius: as before engaging (see `engage`).
+        led: followers that get points; objection_to_radius: as before engaging (see `engage`).
         """
         if self.nearer_m is None:
             return f"{self.target_m:g} m is the last radius of --build-up"
@@ -253,7 +253,7 @@ class BuildUp:
     # ---- the end --------------------------------------------------------------------------------
 
     def restore(self) -> None:
-        """Begin to put ECHO_DIST back where it was."""
+        """Begin to restore the former ECHO_DIST."""
         for distance in self.distances.values():
             if distance.is_ours and distance.before_m is not None:
                 distance.want(distance.before_m)
@@ -262,11 +262,11 @@ class BuildUp:
 
     @property
     def restored(self) -> bool:
-        """Whether nothing more can be done about it."""
+        """Whether each ECHO_DIST is restored, or has failed."""
         return all(distance.is_set or distance.failed for distance in self.distances.values())
 
     def left(self) -> list[tuple[str, bool]]:
-        """What became of each ECHO_DIST that was changed, and whether that is well."""
+        """A text for each ECHO_DIST that was changed, and whether it is restored."""
         texts = []
         for system_id, distance in self.distances.items():
             if distance.wanted_m is None:

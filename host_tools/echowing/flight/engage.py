@@ -1,7 +1,7 @@
-"""What has to be known and right before a follower is sent its first point. Pure.
+"""The checks before a follower is sent its first point. Pure.
 
-One table over all vehicles is shown first. What is wrong is said, with what to do; while it stays
-wrong no point goes to the follower that it concerns. Some of it stops a follower in flight too.
+The tool first shows one table over all vehicles, and says of each fault what to do. Until a fault
+is fixed, no point goes to the follower that it concerns. Some faults stop a follower in flight too.
 """
 
 import math
@@ -22,7 +22,7 @@ from echowing.flight.state import FollowerState, Known, Say
 from echowing.geo import GlobalPosition, ned_between
 from echowing.mavlink.messages import read_parameter
 
-# The applet's parameters that are looked at (lua/echowing.md).
+# The applet's parameters that are checked (lua/echowing.md).
 ENABLE, LAW, DIST, INSET, WATCHDOG = APPLET = (
     "ECHO_ENABLE",
     "ECHO_LAW",
@@ -30,39 +30,39 @@ ENABLE, LAW, DIST, INSET, WATCHDOG = APPLET = (
     "ECHO_INSET",
     "ECHO_STREAM_T",
 )
-# How high a vehicle comes back: in m (later 4.7 on), in cm.
+# The altitude at which a vehicle returns: in m (from later 4.7 on), in cm.
 RTL_M, RTL_CM = RTL = ("RTL_ALT_M", "RTL_ALT")
 ASK_PERIOD_S = 1.0
 # Where something is wrong the parameters are read again, as somebody may be setting them.
 READ_AGAIN_S = 5.0
-# What is not known is called wrong only after this long: three questions over a slow radio.
+# An unknown value counts as wrong only after this long: three requests over a slow radio.
 PATIENCE_S = 4.0
-# The same is not said again sooner.
+# The same text is not repeated sooner.
 SAY_AGAIN_S = 30.0
-# Asked for: rates in Hz.
+# Requested message rates, Hz.
 EKF_HZ, GPS_HZ, BATTERY_HZ = 1.0, 1.0, 0.5
 
-# The applet's distance and the slot's may differ by this: half a metre of a range of three.
+# The applet's distance and the slot's may differ by this: half a metre in a range of three.
 DISTANCE_M = 0.5
 INSET_M = 0.1
-# Two receivers on one field differ by a metre in height; more is asked, and a climb or descent of
-# more than the second is not begun untold.
+# Two receivers on one field differ by a metre in height: beyond HOMES_M the operator has to say
+# what that means. A climb or descent beyond HEIGHTS_M begins only if the operator asks for it.
 HOMES_M, HEIGHTS_M = 1.0, 3.0
 LOWEST_M = 1.0
-# At this speed a leader may turn round without harm to anybody: the thesis's leader flew it.
+# A leader may turn round at this speed without danger: the thesis's leader flew at it.
 TURNS_MPS = 2.0
-# Of a battery that is to carry it through a flight of minutes and home.
+# Charge that is enough for a flight of some minutes and the way home.
 LEAST_BATTERY_PERCENT = 20
-# What ArduPilot asks of a receiver before arming (GPS_HDOP_GOOD, EK3_GPS_CHECK), and from where on
-# its own fail-safe doubts the estimator (FS_EKF_THRESH).
+# What ArduPilot requires of a receiver before arming (GPS_HDOP_GOOD, EK3_GPS_CHECK), and the
+# variance from which its own fail-safe distrusts the EKF (FS_EKF_THRESH).
 GOOD_HDOP, GOOD_SATELLITES = 1.4, 6
 DOUBTED_VARIANCE = 0.8
 UNKNOWN_EPH = 65_535
 # Characters of a line of the table: a terminal of 80 columns, less the time before each event.
 TABLE_WIDTH = 80 - 11
-# A position that has not moved by the first while its velocities add up to the second is stuck.
+# A position that moves less than STAYS_M while its velocities add up to FLOWN_M is stuck.
 STAYS_M, FLOWN_M = 0.5, 2.0
-# Positions further apart in time say nothing of what was flown between.
+# Positions further apart in time do not show what was flown between them.
 LONGEST_GAP_MS = 2_000
 _NUMBERS = re.compile(r"[-+]?\d+(\.\d+)?")
 _EKF_OFF = mavlink.EKF_CONST_POS_MODE | mavlink.EKF_UNINITIALIZED
@@ -72,8 +72,8 @@ _EKF_OFF = mavlink.EKF_CONST_POS_MODE | mavlink.EKF_UNINITIALIZED
 class Finding:
     """One cell of the table.
 
-    wrong: what is wrong and what to do, empty where all is well; note: what to know, though it
-    keeps nobody from being engaged.
+    wrong: what is wrong and what to do, empty: nothing; note: a warning, which does not prevent
+    engaging.
     """
 
     name: str
@@ -122,7 +122,7 @@ def _flat_m(origin: Any, there: Any) -> Horizontal:
 
 @dataclass(slots=True)
 class Vehicle:
-    """What one vehicle has said of itself; None: nothing yet."""
+    """What one vehicle has reported of itself; None: nothing yet."""
 
     fix_type: int | None = None
     satellites: int | None = None
@@ -155,14 +155,14 @@ class Vehicle:
 
     @property
     def rtl_m(self) -> float | None:
-        """How high above its home it comes back at the least; None: not known."""
+        """The least height above its home at which it returns; None: not known."""
         if RTL_M in self.parameters:
             return self.parameters[RTL_M]
         return self.parameters[RTL_CM] / 100.0 if RTL_CM in self.parameters else None
 
     @property
     def fault(self) -> str | None:
-        """What makes its position worth nothing, as far as it has said; None: nothing."""
+        """Why its position cannot be used, by its own reports; None: no reason."""
         if self.fix_type is not None and self.fix_type < mavlink.GPS_FIX_TYPE_3D_FIX:
             return "has no GPS fix"
         if self.ekf_flags is not None and not _has_position(self.ekf_flags):
@@ -173,7 +173,7 @@ class Vehicle:
 
     @property
     def weakness(self) -> str | None:
-        """What its receiver falls short of, though it has a fix; None: nothing known."""
+        """Why its receiver is too weak although it has a fix; None: no reason known."""
         satellites = self.satellites
         if satellites is not None and satellites < GOOD_SATELLITES:
             return f"has {satellites} satellites: wait for {GOOD_SATELLITES}"
@@ -188,10 +188,10 @@ def _has_position(flags: int) -> bool:
 
 @dataclass(slots=True)
 class _Turn:
-    """A follower's way to being engaged, since it was put in Guided.
+    """How far a follower is from being engaged, since it was put in Guided.
 
-    told: what was said of it, without its numbers, and when; level: the leader would come back at
-    its height, which was said.
+    told: the texts said of it, without numbers, and when; level: it was said that the leader would
+    return at its height.
     """
 
     cleared: bool = False
@@ -201,7 +201,7 @@ class _Turn:
 
 
 class Engagement:
-    """Judges the vehicles that are known.
+    """Checks whether followers may be engaged.
 
     say(now_s, text) is for the operator, alert(system_id, text) for a follower's pilot.
     """
@@ -234,7 +234,7 @@ class Engagement:
             vehicle.receive(kind, message)
 
     def doubt(self, system_id: int, text: str, now_s: float) -> None:
-        """It is not known who this vehicle is (see `seats.StrangerWatch`): for good."""
+        """Note for good that it is not known who this vehicle is (see `seats.StrangerWatch`)."""
         if system_id not in self._doubts:
             self._doubts[system_id] = text
             self._say(now_s, text)
@@ -249,7 +249,7 @@ class Engagement:
         return [(system_id, *item) for system_id in self._vehicles for item in rates.items()]
 
     def messages(self, now_s: float) -> list[tuple[int, Any]]:
-        """Questions for the parameters of applets and autopilots."""
+        """Requests for the parameters of applets and autopilots."""
         asked = self._ask_rtl(now_s) + [
             (system_id, read_parameter(system_id, name))
             for system_id, follower in self._known.followers.items()
@@ -281,13 +281,13 @@ class Engagement:
         return [(self._leader_id, read_parameter(self._leader_id, name)) for name in RTL]
 
     def entered_guided(self, system_id: int) -> None:
-        """The pilot has put a follower in Guided: it is judged anew."""
+        """The pilot has put a follower in Guided: check it again."""
         self._turns[system_id] = _Turn()
 
-    # ---- what comes of it -----------------------------------------------------------------------
+    # ---- results --------------------------------------------------------------------------------
 
     def prepare(self, now_s: float, *, engaged: bool) -> None:
-        """Once a tick, before any point: show the table, and judge who is not engaged yet."""
+        """Once a tick, before any point: show the table, and check those not engaged yet."""
         if self._since_s is None:
             self._since_s = now_s
         if not self._table_shown:
@@ -302,7 +302,7 @@ class Engagement:
                 self._judge(follower, turn, now_s)
 
     def cleared(self, system_id: int) -> bool:
-        """Whether points may go to a follower: once they may, they may until it leaves Guided."""
+        """Whether points may go to a follower; once they may, this stays until it leaves Guided."""
         return self._turns[system_id].cleared
 
     def objection(self, system_id: int) -> str | None:
@@ -326,7 +326,7 @@ class Engagement:
             )
 
     def objection_to_take_off(self, follower: FollowerState, now_s: float) -> str | None:
-        """The same of one on the ground, where heights and places say nothing yet."""
+        """As `objection`, for a follower on the ground: height and side do not count yet."""
         airborne = ("height", "side")
         wrong = (
             one.wrong
@@ -336,7 +336,7 @@ class Engagement:
         return next((text.partition(":")[0] for text in wrong), None)
 
     def reason_to_stop(self, follower: FollowerState) -> str | None:
-        """Why a follower that is flown has to be held; None: nothing is known."""
+        """Why a follower that is led has to be held; None: no reason is known."""
         system_id = follower.plan.system_id
         for name, one, clock in (
             ("leader", self._leader_id, self._known.leader.clock),
@@ -352,7 +352,7 @@ class Engagement:
         return None
 
     def _show_table(self, now_s: float) -> None:
-        """Say the table once all is known or has had its time, and what is wrong in it."""
+        """Show the table, and what is wrong in it, once all is known or the wait is over."""
         rows = [(f"leader {self._leader_id}", self.leader_findings(now_s))]
         rows += [
             (f"follower {system_id}", self.findings(follower, now_s, own=True))
@@ -370,7 +370,7 @@ class Engagement:
                     self._say(now_s, f"{name}: {one.wrong}")
 
     def _warn_of_return(self, follower: FollowerState, turn: _Turn, now_s: float) -> None:
-        """Say it when a leader would come back at this follower's height."""
+        """Warn when the leader would return at this follower's height."""
         note = "".join(one.note for one in self._return(follower))
         if note and not turn.level and self._table_shown:
             system_id = follower.plan.system_id
@@ -382,7 +382,7 @@ class Engagement:
         return self._since_s is not None and now_s - self._since_s >= PATIENCE_S
 
     def _tell(self, system_id: int, turn: _Turn, now_s: float) -> list[str]:
-        """Say what is wrong, each once for a while; what is only not known yet has its time.
+        """Say what is wrong, without early repeats; wait for what is not known yet.
 
         Returns what was said, in short.
         """
@@ -458,7 +458,7 @@ class Engagement:
         return next((one.wrong for one in self._reversal(follower, radius_m) if one.wrong), None)
 
     def _reversal(self, follower: FollowerState, radius_m: float) -> list[Finding]:
-        """The least distance at which it survives that the leader turns round."""
+        """The least distance from which it gets away from a leader that turns round."""
         if not self.readiness.reversal:
             return []
         handling = follower.handling
@@ -506,7 +506,7 @@ class Engagement:
         return [Finding("height", f"{height_m:.1f} m", wrong)]
 
     def _return(self, follower: FollowerState) -> list[Finding]:
-        """How high the leader comes back, against this follower's height."""
+        """The height at which the leader returns, against this follower's height."""
         least_m = self.readiness.apart_m
         if least_m is None:
             return []
@@ -570,7 +570,7 @@ class Engagement:
 def table(rows: Iterable[tuple[str, Iterable[Finding]]]) -> list[str]:
     """Lines of the table: a row per vehicle, `!` after what is wrong.
 
-    Columns for which a line has no room go on in a second table below.
+    Columns that do not fit on a line go into a second table below.
     """
     listed = [(name, {one.name: one for one in findings}) for name, findings in rows]
     names = list(dict.fromkeys(name for _, findings in listed for name in findings))
@@ -615,7 +615,7 @@ def _clock(whose: str, clock: Any) -> Finding:
 
 
 def _applet_state(known: Mapping[str, float]) -> tuple[str, str]:
-    """Shown, and what is wrong, of the applet with these parameters."""
+    """What to show of the applet with these parameters, and what is wrong."""
     if ENABLE not in known or WATCHDOG not in known:
         return "?", f"no applet ({WATCHDOG} does not answer): `echowing setup lua`, then `apply`"
     if known[ENABLE] != 1.0:
@@ -655,7 +655,7 @@ def _battery(name: str, vehicle: Vehicle) -> Finding:
     percent = vehicle.battery_percent
     if percent is None:
         return Finding("battery", "not reported")
-    if percent < 0:  # MAVLink's word for not known
+    if percent < 0:  # in MAVLink: not known
         return Finding("battery", f"{(vehicle.voltage_mv or 0) / 1e3:.1f} V")
     low = f"{name} has {percent} % of its battery left: land it and change the battery"
     return Finding("battery", f"{percent} %", low if percent < LEAST_BATTERY_PERCENT else "")

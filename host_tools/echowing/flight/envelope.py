@@ -1,13 +1,12 @@
 """The envelope: what may be flown, so that vehicles are certain to stay apart. Pure.
 
-For each other vehicle near by: how far off it is for certain, whatever receivers, radios and that
-vehicle can do to what is known of it; and how fast it may then be closed on, if this vehicle is to
-stop in time. The velocity flown is the nearest to the plan's that closes on nobody faster; where
-that cannot be had, the one that leaves most room a second later. So a plan that leads past a
-vehicle is bent, one that leads at it is slowed, and a vehicle that comes too near is backed away
-from: never is standing still the answer to somebody who comes nearer. Two vehicles in each other's
-way would wait for each other: each passes the other on its own right, as ships do, and neither
-waits.
+For each other vehicle near by the envelope works out the distance that is certain, whatever the
+errors of receivers and radios and whatever that vehicle does meanwhile, and the closing speed from
+which this vehicle still stops in time. It flies the velocity nearest to the plan's that closes on
+nobody faster; if there is none, the one that leaves most room a second later. So it bends a plan
+that leads past a vehicle, slows one that leads at it, and backs away from a vehicle that comes too
+near: it never stands still while another comes nearer. Two vehicles in each other's way would wait
+for each other; so each passes the other on its own right, as ships do.
 
 The applet stops by the same rule (`stoppable_speed` in `lua/echowing.lua`);
 `tests/flight/envelope.toml` holds for both.
@@ -21,16 +20,16 @@ from echowing.geo import Ned
 
 # What is promised between two vehicles' centres: two X8s are 0.5 m across (thesis Table 3).
 LEAST_M = 1.0
-# So many standard deviations of what is not known are taken off: one in 160 is beyond.
+# Standard deviations that are taken off a distance: one error in 160 is larger.
 SURE_SIGMAS = 2.5
-# What the other can do meanwhile: ArduCopter's default acceleration (WP_ACC).
+# What the other may do meanwhile: ArduCopter's default acceleration (WP_ACC).
 OTHERS_MPS2 = 2.5
-# Below LEAST_M, so fast away for each metre that is missing; and no faster than that.
+# Below LEAST_M: the retreat speed for each missing metre, and the fastest retreat.
 RETREAT_PER_S, RETREAT_MOST_MPS = 1.5, 3.0
-# A candidate is judged by what it leaves after so long, and there are so many round the compass.
+# A candidate is judged by the distance it leaves after this time; their number round the compass.
 LOOK_AHEAD_S = 1.0
 CANDIDATES = 16
-# Corrections of one other after another: with two in the way they settle in a few rounds.
+# Rounds of correction, one other after another: with two in the way they settle in a few.
 ROUNDS = 4
 SAME_MPS = 1e-6
 
@@ -51,10 +50,10 @@ class Other:
     """Another vehicle as this one sees it.
 
     name: for messages; from_it_m: from it to here, NED; velocity_mps: its, NED; sigma_m: standard
-    deviation of the distance; age_s: of what is known of it when the order takes effect;
-    in_the_way: the plan leads to beyond it (see `is_in_the_way`), so it is passed; brakes_mps2:
-    it may brake, turn round and come nearer at this acceleration from now on, 0: it does not;
-    led: by the same tool, which keeps it away from here too.
+    deviation of the distance; age_s: of its data when the order takes effect; in_the_way: the plan
+    leads beyond it (see `is_in_the_way`), so it is passed; brakes_mps2: it may brake, turn round
+    and come nearer at this acceleration from now on, 0: it does not; led: by the same tool, which
+    keeps it away from here too.
     """
 
     name: str
@@ -74,7 +73,7 @@ def is_in_the_way(to_it_m: Ned, to_goal_m: Ned) -> bool:
 
 
 def certain_distance_m(other: Other) -> float:
-    """What is left of the distance when all that is not known is against us."""
+    """The distance that is left in the worst case of all that is not known."""
     meanwhile_m = 0.5 * OTHERS_MPS2 * other.age_s * other.age_s
     return math.hypot(*other.from_it_m) - SURE_SIGMAS * other.sigma_m - meanwhile_m
 
@@ -82,12 +81,12 @@ def certain_distance_m(other: Other) -> float:
 def closing_limit_mps(
     certain_m: float, answer: Answer, least_m: float = LEAST_M, brakes_mps2: float = 0.0
 ) -> float:
-    """The speed at which a vehicle so far off may be closed on; negative: it is to be left.
+    """The closing speed that is allowed at this distance; negative: fly away from the other.
 
-    The root of dead u + a dead^2 / 2 + (u + a dead)^2 / 2 (b - a) = room: what is lost of the
-    distance until this vehicle brakes (b), while the other brakes already (a), and until both are
-    equally fast. One that is no quicker than the other cannot have it so: for it the other keeps
-    its speed, and the slot is far enough away (`handling.least_slot_m`).
+    The root of dead u + a dead^2 / 2 + (u + a dead)^2 / 2 (b - a) = room: the distance lost until
+    this vehicle brakes (b), while the other brakes already (a), and then until both are equally
+    fast. If this vehicle brakes no harder than the other (b <= a), there is no such root: the other
+    is taken to keep its speed, and the slot is far enough away (`handling.least_slot_m`).
     """
     room_m = certain_m - least_m
     retreat_mps = RETREAT_PER_S * min(0.0, room_m)
@@ -107,9 +106,9 @@ def keep_apart(
     least_m: float = LEAST_M,
     own_mps: Ned | None = None,
 ) -> tuple[Ned, Other | None]:
-    """The velocity to fly (NED), and for whose sake it is not the wanted one.
+    """The velocity to fly (NED), and the vehicle for which it differs from the wanted one.
 
-    own_mps: how it flies now, NED. What it closes faster than it may has to be braked besides.
+    own_mps: its velocity now, NED. Closing speed above the limit is braked in addition.
     """
     walls = [_wall(other, answer, least_m, own_mps) for other in others]
     broken = [
@@ -138,7 +137,7 @@ _Wall = tuple[float, float, float]
 def _wall(other: Other, answer: Answer, least_m: float, own_mps: Ned | None) -> _Wall:
     north, east, _ = other.from_it_m
     level_m = math.hypot(north, east)
-    # Straight above or below each other: any way is away.
+    # Straight above or below each other: any direction leads away.
     north, east = (north / level_m, east / level_m) if level_m > 0.01 else (1.0, 0.0)
     its_mps = other.velocity_mps[0] * north + other.velocity_mps[1] * east
     certain_m = certain_distance_m(other)
@@ -151,7 +150,7 @@ def _wall(other: Other, answer: Answer, least_m: float, own_mps: Ned | None) -> 
 
 
 def _off(velocity: Ned, wall: _Wall) -> float:
-    """By how much a velocity stays short of a wall's speed (negative); 0: it keeps it."""
+    """By how much a velocity falls short of a wall's speed (negative); 0: it does not."""
     speed_mps = velocity[0] * wall[0] + velocity[1] * wall[1]
     return min(0.0, speed_mps - wall[2] + SAME_MPS)
 
@@ -162,7 +161,7 @@ def _pushed(velocity: Ned, wall: _Wall) -> Ned:
 
 
 def _turned_right(velocity: Ned, wall: _Wall) -> Ned:
-    """What a wall takes of the speed towards the other is flown past it."""
+    """Fly the approach speed that a wall takes off to the right, past the other."""
     north, east, _ = wall
     closing_mps = max(0.0, -(velocity[0] * north + velocity[1] * east))
     aside_mps = min(closing_mps, -_off(velocity, wall))
@@ -170,7 +169,7 @@ def _turned_right(velocity: Ned, wall: _Wall) -> Ned:
 
 
 def _roomiest(tried: Ned, others: Sequence[Other]) -> Ned:
-    """Of the ways round the compass the one that leaves most of the certain distance."""
+    """The candidate round the compass that leaves most of the certain distance."""
     speed_mps = max(1.0, min(RETREAT_MOST_MPS, math.hypot(tried[0], tried[1])))
     ways = [(0.0, 0.0), *(_compass(number, speed_mps) for number in range(CANDIDATES))]
     north, east = max(ways, key=lambda way: min(_left_m(other, way) for other in others))
@@ -188,6 +187,6 @@ def _left_m(other: Other, way: tuple[float, float]) -> float:
     east = other.from_it_m[1] + (way[1] - other.velocity_mps[1]) * LOOK_AHEAD_S
     lost_m = math.hypot(*other.from_it_m) - certain_distance_m(other)
     if other.led:
-        # It makes room itself: one standard deviation is held against a way out, no more.
+        # It makes room itself: at most one standard deviation counts against a way out.
         lost_m = min(lost_m, other.sigma_m)
     return math.hypot(north, east, other.from_it_m[2]) - lost_m

@@ -9,24 +9,24 @@ from echowing.flight.offset_grid import OffsetGrid
 from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.geo import GlobalPosition, displace
 
-# Propellers make single wild readings: one counts when the one before it was like it.
+# Propellers cause single wild readings: a reading counts if the one before it agrees.
 CONFIRM_S, CONFIRM_M = 0.3, 0.5
-# A range to the centimetre changes within as many readings (3 s) wherever two vehicles fly: one
-# that does not is a sensor's that is stuck.
+# Between two vehicles in flight a range in centimetres changes within this many readings (3 s): if
+# it does not, the sensor is stuck.
 STUCK_READINGS = 30
-# Readings come ten times a second, by a radio that may lose some.
+# Readings come ten times a second, over a radio that may lose some.
 LISTENS_S = 3.0
-# Triggered, flown there and back at 343 m/s, read and packed: a range is this old when it is sent
+# Age of a range when it is sent: trigger, sound there and back at 343 m/s, reading and packing
 # (firmware/README.md: reading to wire 5 ms, and half of the 20 ms and the flight before it).
 SONAR_AGE_S = 0.03
 # A follower that leans more may look past a leader that is straight ahead.
 LEVEL_RAD = math.radians(8.0)
-# A report is carried on for no longer than this: after it the vehicle may do anything.
+# A report is carried on (extrapolated) no longer than this: then the vehicle may do anything.
 LONGEST_CARRY_S = 2.0
-# The least delayed message of so long sets a sender's clock: two crystals that differ by 100 ppm
-# drift by 2 ms meanwhile.
+# The least delayed message within this time sets a sender's clock: two crystals that differ by
+# 100 ppm drift by 2 ms in it.
 CLOCK_WINDOW_S = 20.0
-# A sender whose clock is this far behind its newest message has started anew.
+# A sender whose clock is this far behind its newest message has restarted.
 RESTART_S = 5.0
 
 
@@ -34,7 +34,7 @@ class SenderClock:
     """The clock of a sender that answers no TIMESYNC: its least delayed message sets it."""
 
     def __init__(self) -> None:
-        # Stamps and how far we were ahead at their receipt; the least of those first, rising.
+        # Stamps, and how far our clock was ahead at their receipt, in rising order.
         self._least: deque[tuple[float, float]] = deque()
         self._newest_s = -math.inf
 
@@ -66,7 +66,7 @@ class Estimate:
 
     @property
     def is_stuck(self) -> bool:
-        """Whether the sonar goes on giving the same range."""
+        """Whether the sonar keeps giving the same range."""
         return self._alike >= STUCK_READINGS and self._before[1] < DETECTION_LIMIT_M
 
     def listens(self, now_s: float) -> bool:
@@ -78,7 +78,7 @@ class Estimate:
         self.history.add(report)
 
     def heard(self, time_s: float, range_m: float, inset_m: float) -> None:
-        """Take a sonar reading of a moment; `inset_m`: how much less than the separation it is."""
+        """Take a sonar reading; `inset_m`: how much less than the separation it is."""
         before_s, before_m = self._before
         self._before = (time_s, range_m)
         self._alike = self._alike + 1 if range_m == before_m else 0
@@ -93,7 +93,7 @@ class Estimate:
             self._alignment.add(time_s, range_m + inset_m)
 
     def learn(self, leader: History) -> None:
-        """Use the readings that both vehicles' reports have overtaken by now."""
+        """Use the readings for which later reports of both vehicles have come."""
         for one in self._alignment.due(leader, self.history):
             north_m, east_m = one.believed_m
             believed_m = north_m - self._jumped_m[0], east_m - self._jumped_m[1]
@@ -103,7 +103,7 @@ class Estimate:
                 self.offset.silent(one.time_s, one.axis_rad, believed_m)
 
     def forget(self) -> None:
-        """A receiver has begun anew: what was learnt of it is void."""
+        """Drop what was learnt: a receiver has started anew."""
         self.offset = OffsetGrid()
         self._alignment = Alignment()
         self._jumped_m = (0.0, 0.0)

@@ -24,10 +24,10 @@ def slot_distance_m(a: Slot, b: Slot) -> float:
 
 
 def receivers_demand_m(least_m: float) -> float:
-    """How far apart two slots have to be whose followers do not range each other.
+    """How far apart two slots have to be if their followers do not range each other.
 
-    least_m: what is to be certain between them. Nearer, each would give way to the other, and
-    neither would ever be in its slot.
+    least_m: the distance that has to be certain. Nearer, each follower would give way to the other,
+    and neither would ever be in its slot.
     """
     return least_m + SURE_SIGMAS * UNRANGED_SIGMA_M + 2.0 * IN_SLOT_M
 

@@ -22,10 +22,10 @@ from echowing.mavlink.messages import read_parameter
 # A hovering copter's estimate wanders by a decimetre a second; below this it stands.
 STILL_MPS = 0.3
 STILL_FOR_S = 1.0
-# Positions are asked for at 10 Hz and slow radios take half a second; an older speed says nothing
-# of a stop.
+# Positions are asked for at 10 Hz and slow radios take half a second; an older speed does not show
+# a stop.
 FRESH_S = 1.0
-# From 2 m/s a copter stands within 3 s; one that still moves then is told of.
+# From 2 m/s a copter stands within 3 s; the tool reports one that still moves then.
 REMIND_S = 3.0
 # Two missed heartbeats of a second each, and the mode is no longer known; a radio that holds
 # reports back for so long is as good as silent.
@@ -33,19 +33,19 @@ UNHEARD_S = 2.0
 # A stop ends only when things are this much better than what caused it.
 CLEAR_M = 0.5
 CLEAR_SHARE = 0.9
-# A correction of the altitude is told when it begins and when it has changed by more than this.
+# A correction of the altitude is reported when it begins and when it changes by more than this.
 DATUM_TOLD_M = 0.3
-# However much lower the leader's home lies, a follower is led no lower above its own, nor from
-# lower than that.
+# A follower is not led below this height above its own home, however much lower the leader's home
+# lies, and not while it is lower than that.
 LOWEST_M = 2.0
 
-# Read back: positions travel as 1e-7 degrees (1 cm), so this far from everything sent is refused.
+# Targets are read back in 1e-7 degrees (1 cm): one this far from all points sent means a refusal.
 REFUSED_M = 0.5
 REFUSED_FOR_S = 2.0
-# Sent on this fast it moves within a second; one that stands for so long may not go on.
+# A follower sent on this fast moves within a second; one that stands for so long is blocked.
 SENT_ON_MPS, STUCK_FOR_S = 1.0, 4.0
-# A target without a position, by its type mask; reports so near in time are of one place (at
-# 5 m/s 0.1 m apart).
+# Type mask of a target without a position; reports this near in time count as one place (0.1 m
+# apart at 5 m/s).
 NO_POSITION = 0x7
 SAME_MOMENT_MS = 20
 REMEMBERED_S = 1.5  # longer than any link takes there and back
@@ -59,7 +59,7 @@ WATCHDOG_PERIOD_S = 2.0
 
 READ_BACK_HZ = 4.0
 SWITCH_HZ = 4.0
-# A target that is not read back for so long since the first point is missed.
+# No target read back for so long since the first point: the tool says so.
 READ_BACK_S = 8.0
 
 
@@ -74,11 +74,11 @@ class Limits:
     """When to stop.
 
     max_distance_m: from follower to leader; min_separation_m: between any two vehicles, heights
-    included; home_difference_m: between the altitudes of the leader's home and the follower's,
-    from which each counts its own, up to this it is corrected; level_homes: both homes are known
-    to be level, so that what they differ by is the receivers' error, and is not corrected;
-    leader_flies: the leader has to be armed and in the air; ready: what has to be right before the
-    first point, None: nothing is asked.
+    included; home_difference_m: the largest difference in altitude between the leader's home and
+    the follower's that is corrected (each counts its altitude from its own); level_homes: both
+    homes are known to be level, so their difference is the receivers' error and is not corrected;
+    leader_flies: the leader has to be armed and in the air; ready: the checks before the first
+    point, None: none.
     """
 
     max_distance_m: float | None = None
@@ -198,7 +198,7 @@ class Guard:
             self._read_back(system_id, target, now_s)
 
     def _read_back(self, system_id: int, target: GlobalPosition, now_s: float) -> None:
-        """Note a target that is none of those sent lately, unless the applet set it."""
+        """Note a target that matches no point sent lately, unless the applet set it."""
         watch = self._watches[system_id]
         watch.read_back = True
         while watch.sent and now_s - watch.sent[0][0] > REMEMBERED_S:
@@ -215,7 +215,7 @@ class Guard:
             self._refuse(system_id, watch, now_s)
 
     def entered_guided(self, system_id: int, now_s: float) -> None:
-        """The pilot has put a follower in Guided: what was held against it is forgotten."""
+        """The pilot has put a follower in Guided: drop the earlier reasons to stop it."""
         self.switches.entered_guided(system_id, now_s)
         known = self._watches[system_id]
         self._watches[system_id] = _Watch(
@@ -307,7 +307,7 @@ class Guard:
         followers: Mapping[int, FollowerState],
         now_s: float,
     ) -> str | None:
-        """Which other vehicle is nearer than it may be, in words; None: nobody is."""
+        """Which other vehicle is too near, in words; None: none is."""
         least_m = self.limits.min_separation_m
         if least_m is None or follower.position is None:
             return None
@@ -329,14 +329,14 @@ class Guard:
     def in_height(self, system_id: int, place: GlobalPosition) -> GlobalPosition:
         """A place to compare with others': its altitude above its home where homes are level.
 
-        What the receivers make of such homes is their error, and would hide who is beside whom.
+        The receivers' difference between such homes is error, and would hide who is beside whom.
         """
         if not self.limits.level_homes:
             return place
         return place._replace(alt_m=place.alt_m - self._homes_m.get(system_id, 0.0))
 
     def lets(self, follower: FollowerState, now_s: float) -> bool:
-        """Whether points may go to this follower at all: it is heard, and not handed back."""
+        """Whether points may go to this follower at all: it reports, and is not handed back."""
         system_id = follower.plan.system_id
         watch = self._watches[system_id]
         unheard = now_s - follower.position_at_s > UNHEARD_S
@@ -363,7 +363,7 @@ class Guard:
         return True
 
     def sent(self, follower: FollowerState, point: GlobalPosition, now_s: float) -> None:
-        """A point has gone to a follower."""
+        """Note that a point has gone to a follower."""
         system_id = follower.plan.system_id
         watch = self._watches[system_id]
         watch.sent.append((now_s, point))
@@ -382,7 +382,7 @@ class Guard:
     def _note_stuck(
         self, follower: FollowerState, watch: _Watch, point: GlobalPosition, now_s: float
     ) -> None:
-        """A fence takes a point where the vehicle is, but not its way: it stands, sent on."""
+        """Detect a fence that accepts a point at the vehicle's place but blocks its way on."""
         sent_mps = 0.0 if follower.feed_mps is None else math.hypot(*follower.feed_mps)
         own = follower.position is not None and _apart_m(point, follower.position) < REFUSED_M
         sent_on = own and sent_mps > SENT_ON_MPS and follower.held_at is None
@@ -410,7 +410,7 @@ class Guard:
         watch.verified = False
 
     def holding(self, follower: FollowerState, now_s: float) -> None:
-        """A follower is told to hold: see whether it does."""
+        """Check whether a follower that is told to hold does so."""
         system_id = follower.plan.system_id
         watch = self._watches[system_id]
         if watch.told_at_s is None:
@@ -450,7 +450,7 @@ class Guard:
     def messages(
         self, followers: Mapping[int, FollowerState], now_s: float
     ) -> list[tuple[int, Any]]:
-        """Mode changes that the pilot's switch asks for, and the question for the watchdog."""
+        """Mode changes that the pilot's switch asks for, and requests for the watchdog."""
         messages: list[tuple[int, Any]] = []
         for system_id, follower in followers.items():
             watch = self._watches[system_id]
@@ -485,9 +485,9 @@ class Guard:
         return [(system_id, switches, SWITCH_HZ) for system_id in (self._leader_id, *self._watches)]
 
     def read_back_requests(self, *, feed_forward: bool) -> list[tuple[int, int, float]]:
-        """The same of what comes only while a vehicle has a target: not to be missed before.
+        """As `requests`, for messages that come only while a vehicle has a target: no loss before.
 
-        A target with a velocity ArduPilot reports in local coordinates only.
+        ArduPilot reports a target with a velocity in local coordinates only.
         """
         kinds = [mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT]
         if feed_forward:

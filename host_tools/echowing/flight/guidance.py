@@ -16,12 +16,12 @@ Horizontal = tuple[float, float]
 
 # Thesis Appendix C: under 0.25 m/s the ground course is noise and the heading is used instead.
 SLOW_MPS = 0.25
-# Back to the course only here, so that a leader near the limit does not swap between the two.
+# Back to the course only above this, so that a leader near the limit does not switch to and fro.
 MOVING_MPS = 0.35
-# Surer of the leader's bearing than this (standard deviation), the nose points at it; else it
-# sways to both sides, so far and in so many seconds there and back (13 deg/s at the most). A leader
-# further off than SURE_RAD then leaves the beam (14 deg) on one side, and for no longer than that
-# takes: one that brakes meanwhile is seen late.
+# Below this standard deviation of the leader's bearing the nose points at it; else it sways to both
+# sides, up to SWAY_RAD, there and back in SWAY_PERIOD_S (13 deg/s at the most). A leader further
+# off than SURE_RAD then leaves the beam (14 deg) on one side, no longer than needed: if it brakes
+# meanwhile, the sonar detects that late.
 SURE_RAD = math.radians(7.0)
 SWAY_SHARE, SWAY_RAD, SWAY_PERIOD_S = 1.3, math.radians(8.0), 4.0
 
@@ -64,16 +64,16 @@ class LeaderFix:
 class GuidanceSettings:
     """How guided points are made. The defaults are ours; `GRAY` is the thesis's scheme.
 
-    tow_bar: the leader draws the slot along on a bar (`flight.tow_bar`), and no point is ahead of
+    tow_bar: the leader pulls the slot along on a bar (`flight.tow_bar`), and no point is ahead of
         the leader or within `clearance_m` of it. Without it the slot is fixed to the leader's tail.
     feed_forward: points carry the slot's velocity, and no lead.
-    lead_time_s: of points without a velocity, L1 = lead time x leader speed: so far ahead of the
-        slot they run (thesis Appendix B).
+    lead_time_s: points without a velocity run ahead of the slot by L1 = lead time x leader speed
+        (thesis Appendix B).
     predict: carry the leader on, at its velocity and acceleration, over the age of the report.
     face_leader: send the bearing of the leader as yaw, so that the sonar looks at it.
     learn_offset: learn from the sonar how far the two receivers disagree (`flight`), move the
-        leader by it, and stand off by `standoff_sigmas` of what is not known of it, so that
-        even then `clearance_m` is left.
+        leader by it, and stand off by `standoff_sigmas` of its uncertainty, so that even then
+        `clearance_m` is left.
     sonar_inset_m: how much less than the separation the sonar reads: its face is ahead of the
         follower's centre, the leader's reflecting legs are around its own. Measure yours.
     fresh_age_s, stale_age_s: the lead shrinks to nothing between these ages of the report;
@@ -193,7 +193,7 @@ def held_behind(offset_m: Horizontal, course_rad: float, clearance_m: float) -> 
 def sway_rad(unsure_rad: float, now_s: float) -> float:
     """How far off the leader's bearing to look, to learn where in the beam it is.
 
-    Heard all the time it could be anywhere in the beam; a beam whose edge passes over it tells.
+    A leader that is always heard may be anywhere in the beam; the edge passing over it shows where.
     """
     if unsure_rad < SURE_RAD:
         return 0.0

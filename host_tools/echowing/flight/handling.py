@@ -1,7 +1,7 @@
 """How a follower answers, from its own parameters, and what a leader's reversal takes. Pure.
 
-The envelope reckons with a vehicle's own acceleration and jerk. What they leave of the distance
-when a leader turns round can be told beforehand, and how near a slot may be at most.
+The envelope uses a vehicle's own acceleration and jerk. They give beforehand the distance that is
+left when a leader turns round, and how near a slot may be.
 """
 
 import math
@@ -10,20 +10,20 @@ from functools import lru_cache
 
 from echowing.flight.envelope import LEAST_M, OTHERS_MPS2, Answer
 
-# Names of ArduCopter 4.7 and later, and of those before, with what makes SI units of them.
+# Names in ArduCopter 4.7 and later, and before, with the factor to SI units.
 ACCELERATIONS = {"WP_ACC": 1.0, "WPNAV_ACCEL": 0.01}
 JERKS = {"PSC_JERK_NE": 1.0, "PSC_JERK_XY": 1.0}
-# Once a second at first, then seldom: a noisy radio loses both question and answer.
+# Once a second at first, then seldom: a noisy radio loses both request and answer.
 ASK_PERIOD_S, SELDOM_S = 1.0, 5.0
 OFTEN = 5
 # From an order to the first lean: half a control period of the points (8 Hz), and 0.3 s until the
-# lean is there (ATC_INPUT_TC 0.15 and the motors).
+# lean is reached (ATC_INPUT_TC 0.15 and the motors).
 REACTION_S = 0.35
-# However high PSC_JERK_NE is, the jerk stays below half the root of the acceleration times what
-# the lean's own acceleration does (ATC_ACC_R_MAX 1100 deg/s2; AC_PosControl.cpp).
+# However high PSC_JERK_NE is, the jerk stays below half the root of the acceleration times the snap
+# of the lean's angular acceleration (ATC_ACC_R_MAX 1100 deg/s2; AC_PosControl.cpp).
 SNAP_MPS4 = math.radians(1100.0) * 9.80665
 # From a leader's first braking to the follower's order: a period of the sonar (0.1 s), a second
-# reading that says the same, and what the two have to differ by (0.1 s at 2.5 m/s2 is 0.01 m, a
+# reading that confirms it, and the time until the range differs (0.1 s at 2.5 m/s2 is 0.01 m, a
 # sonar's step; 0.15 s are 0.03 m).
 NOTICED_S = 0.3
 STEP_S = 0.005
@@ -31,7 +31,7 @@ STEP_S = 0.005
 
 @dataclass(slots=True)
 class Handling:
-    """What one follower has said of its acceleration and jerk; None: nothing yet."""
+    """What one follower has reported of its acceleration and jerk; None: nothing yet."""
 
     decel_mps2: float | None = None
     jerk_mps3: float | None = None
@@ -40,7 +40,7 @@ class Handling:
 
     @property
     def answer(self) -> Answer:
-        """How it answers; ArduCopter's defaults where it has not said."""
+        """How it answers; ArduCopter's defaults where it has not reported."""
         return answer_of(self.decel_mps2, self.jerk_mps3)
 
     @property
@@ -56,7 +56,7 @@ class Handling:
             self.jerk_mps3 = value * JERKS[name]
 
     def asks(self, now_s: float) -> list[str]:
-        """The parameters to be asked for now."""
+        """The parameters to request now."""
         period_s = ASK_PERIOD_S if self._asks < OFTEN else SELDOM_S
         if self.known or now_s - self._asked_at_s < period_s:
             return []
@@ -69,7 +69,7 @@ class Handling:
 def answer_of(decel_mps2: float | None, jerk_mps3: float | None) -> Answer:
     """Dead time and deceleration of a vehicle with these limits; None: ArduCopter's default.
 
-    A deceleration that builds up at a jerk is worth one that begins half that time later.
+    A deceleration that builds up at a jerk counts as a full one that begins half that time later.
     """
     if decel_mps2 is None or jerk_mps3 is None:
         return Answer()
@@ -83,9 +83,9 @@ def least_slot_m(
 ) -> float:
     """The nearest slot from which a reversal of the leader leaves `least_m`.
 
-    speed_mps: the leader's, from which it turns to as fast the other way at ArduCopter's default
-    acceleration; after `noticed_s` the sonar, or a report, shows it to the follower, which then
-    does the same with what it has.
+    speed_mps: the leader's; it reverses to the same speed the other way at ArduCopter's default
+    acceleration. After `noticed_s` the sonar, or a report, shows it to the follower, which then
+    reverses by its own `answer`.
     """
     notices_s = noticed_s + answer.dead_s
     leader_mps = follower_mps = abs(speed_mps)

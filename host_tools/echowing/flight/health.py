@@ -14,9 +14,9 @@ A vehicle is an *articulation point* (S. K. Lee and J. McLurkin, "Distributed co
 control for swarm robots with boundary information and network sensing", IROS 2014; thesis chapter
 2) when its loss would leave parts that do not see each other. A follower without any edge sees
 nobody. Neither is a fault by itself: at a radius of 8 m nobody sees anybody, and two followers far
-apart are always joined by their leader only. What is worth a word is the change: that a vehicle
-becomes an articulation point, or that a follower whose slot is within somebody's reach has seen
-somebody and now sees nobody.
+apart are always joined by their leader only. The tool reports only changes: a vehicle becomes an
+articulation point, or a follower whose slot is within somebody's reach has seen somebody and now
+sees nobody.
 """
 
 import math
@@ -31,16 +31,16 @@ from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.geo import Ned, wrap_angle_rad
 
 RANGED_S = 2.0
-# As `guard.UNHEARD_S`: one that was not heard for so long gets no points.
+# As `guard.UNHEARD_S`: one that has not reported for so long gets no points.
 HEARD_S = 2.0
-# Where two have been near they are so until as much further apart as two receivers wander.
+# Two that were near stay near until they are further apart by as much as two receivers wander.
 FURTHER_M = math.sqrt(2.0) * Wandering().sigma_m
-# A range is of the vehicle that it fits best. Worse than this (a GPS and a beam's width, as
-# `panel.MISMATCH_M`), or further off the nose (beam 20 deg, and the two receivers' errors at 3 m),
-# it is of something else.
+# A range belongs to the vehicle that it fits best. If it fits worse than this (a GPS and a beam's
+# width, as `panel.MISMATCH_M`), or that vehicle is further off the nose (beam 20 deg, and the two
+# receivers' errors at 3 m), it belongs to something else.
 FIT_M, AHEAD_RAD = 2.0, math.radians(50.0)
-# A change counts when it has lasted so long, and is not said again sooner: nobody has to act on it
-# at once, and what comes and goes is no news.
+# A change counts when it has lasted so long, and is not repeated sooner: nobody has to act on it at
+# once, and a state that comes and goes is not worth a report.
 LASTS_S, REMARK_GAP_S = 2.0, 30.0
 
 Pair = frozenset[int]
@@ -50,11 +50,11 @@ Pair = frozenset[int]
 class Member:
     """One vehicle at one moment.
 
-    at_ned_m: by its own receiver, about an origin that all share; None: never heard; age_s: of that
-    report; heading_rad: of its nose (of the sonar's axis where that is known); range_m: distance
-    between centres by its sonar now, None: no target in its reach. leader_ned_m: where it takes
-    the leader to be, in its own receiver's frame; None: where the leader reports itself. apart:
-    whether its slot is out of everybody's sight, so that it is to see nobody.
+    at_ned_m: by its own receiver, from an origin that all share; None: no report yet; age_s: of
+    that report; heading_rad: of its nose (of the sonar's axis where that is known); range_m:
+    distance between centres by its sonar now, None: no target in its reach. leader_ned_m: where it
+    takes the leader to be, in its own receiver's frame; None: where the leader reports itself.
+    apart: whether its slot is out of everybody's reach, so that it sees nobody by plan.
     """
 
     system_id: int
@@ -67,7 +67,7 @@ class Member:
 
     @property
     def heard(self) -> bool:
-        """Whether it has reported of late."""
+        """Whether it has reported recently."""
         return self.at_ned_m is not None and self.age_s <= HEARD_S
 
 
@@ -95,7 +95,7 @@ class Health:
 
 
 def ranged(member: Member, others: Iterable[Member], leader_id: int) -> int | None:
-    """Which vehicle a member's sonar measures now; None: none that it fits."""
+    """Which vehicle a member's sonar measures now; None: the range fits none."""
     here = member.at_ned_m
     if here is None or member.range_m is None:
         return None
@@ -109,7 +109,7 @@ def ranged(member: Member, others: Iterable[Member], leader_id: int) -> int | No
 
 
 def _around(member: Member, others: Iterable[Member], leader_id: int) -> Iterator[tuple[int, Ned]]:
-    """The others and where they are for this member."""
+    """The others, and where they are as this member knows it."""
     for other in others:
         seen = member.leader_ned_m if other.system_id == leader_id else None
         there = seen or other.at_ned_m
@@ -142,7 +142,7 @@ def assess(
 ) -> Health:
     """The health of a formation at one moment.
 
-    ranges: who has ranged whom of late, `near`: who is near; without, as it is at this moment.
+    ranges: who has ranged whom recently; near: the near pairs; None: as they are at this moment.
     """
     if ranges is None:
         seen = ((member.system_id, ranged(member, members, leader_id)) for member in members)
@@ -180,7 +180,7 @@ class _Change:
     said_s: float = -math.inf
 
     def update(self, now_s: float, *, is_so: bool) -> bool:
-        """Whether it has just come to count the other way."""
+        """Whether the state that counts has just changed."""
         if is_so is self.counts:
             self.other_since_s = None
             return False
@@ -192,7 +192,7 @@ class _Change:
         return True
 
     def may_say(self, now_s: float) -> bool:
-        """Whether it is worth a word: not if it has only just been said."""
+        """Whether to say it now: not if it was said a short time ago."""
         if now_s - self.said_s < REMARK_GAP_S:
             return False
         self.said_s = now_s
@@ -201,7 +201,7 @@ class _Change:
 
 @dataclass(slots=True)
 class Cohesion:
-    """Follows a formation's health over time. `update` returns what to say of what has changed."""
+    """Tracks a formation's health over time. `update` returns what to say about changes."""
 
     leader_id: int
     health: Health = field(default_factory=Health)

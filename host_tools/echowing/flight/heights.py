@@ -3,7 +3,7 @@
 from echowing.flight.guard import Guard
 from echowing.flight.state import FollowerState, Known
 
-# A stop keeps the wanted altitude where it is this near (barometers wander), else its own.
+# A follower that stops this near its wanted altitude keeps that (barometers wander), else its own.
 SAME_ALTITUDE_M = 1.0
 
 

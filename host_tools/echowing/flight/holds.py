@@ -43,7 +43,7 @@ class Holds:
 
 
 def _stopping_place(follower: FollowerState, now_s: float) -> GlobalPosition | None:
-    """Where a follower comes to a stop: a place it has to come back to would take longer."""
+    """Where a follower comes to a stop: flying back to an earlier place would take longer."""
     arrives_s = now_s + follower.way_s
     here = follower.then(arrives_s)
     if here is None:

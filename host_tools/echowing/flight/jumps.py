@@ -1,7 +1,7 @@
-"""A place or a clock that changes at once: what is believed of it. Pure.
+"""A position or a clock that jumps: whether it is believed. Pure.
 
-A receiver that jumps moves no vehicle. Where the sonar's range did not change meanwhile, the jump
-is the receiver's and goes into the estimate; else the follower holds until its pilot has left
+A receiver that jumps does not move its vehicle. If the sonar's range did not change meanwhile, the
+jump is the receiver's and goes into the estimate; else the follower holds until its pilot has left
 Guided and come back.
 """
 
@@ -13,25 +13,25 @@ from echowing.flight.alignment import Report
 from echowing.flight.guidance import Horizontal
 from echowing.geo import ned_between
 
-# A vehicle's clock this far from the one believed has begun anew, or is another vehicle's: no
-# radio holds a report back for so long.
+# A vehicle's clock this far from the believed one has restarted, or is another vehicle's: no radio
+# holds a report back for so long.
 REBOOT_S = 10.0
 # A new place, or a new clock, is believed once this many reports in a row agree (2 s at 4 Hz).
 AGREEING_REPORTS = 8
-# Reports that go from one clock to another and back so often, within so long, are of two vehicles.
+# Reports that switch between two clocks this often within this time come from two vehicles.
 SWAPS, SWAPS_S = 3, 20.0
 # A report further than this from where the one before leads is a jump, not a movement. Receivers,
-# rounded to a decimetre, wander less between two reports; a quicker answer of TIMESYNC moves a
-# clock by 0.3 s; and who accelerates at 5 m/s2 and brakes again within t is 5/4 t^2 off.
+# rounded to a decimetre, wander less between two reports; a quicker answer to TIMESYNC moves a
+# clock by 0.3 s; and a vehicle that accelerates at 5 m/s2 and brakes within t is 5/4 t^2 off.
 JUMP_M, CLOCK_MOVES_S, UNSEEN_MPS2 = 1.5, 0.3, 1.25
 
-# The range did not change where its middle differs by less than this; so many readings, over so
-# long, are asked for after the jump, and those of the last second before it.
+# The range did not change if its median differs by less than this. That takes so many readings,
+# over so long, after the jump, and so many in the last second before it.
 SAME_RANGE_M = 1.0
 LEAST_AFTER, LEAST_AFTER_S = 3, 0.5
 LEAST_BEFORE, BEFORE_S = 2, 1.0
 REMEMBERED_S = 6.0
-# Without a word of the sonar for so long a jump counts as one that it does not confirm.
+# If the sonar has not denied a jump by this time, the follower is held.
 UNCONFIRMED_S = 2.0
 
 
@@ -45,7 +45,7 @@ class BootClocks:
         self._swaps: deque[float] = deque(maxlen=SWAPS)
 
     def is_believed(self, boot_s: float, now_s: float) -> bool:
-        """Whether a report's clock is the one believed; a new one is after many in a row."""
+        """Whether a report's clock is the believed one; a new one is after many in a row."""
         begun_s = now_s - boot_s
         if self._begun_s is None or abs(begun_s - self._begun_s) <= REBOOT_S:
             self._begun_s = begun_s if self._begun_s is None else min(begun_s, self._begun_s)
@@ -63,7 +63,7 @@ class BootClocks:
         return True
 
     def two_at_once(self, now_s: float) -> bool:
-        """Whether two clocks are heard in turn: two vehicles with one id."""
+        """Whether reports come with two clocks in turn: two vehicles with one id."""
         return len(self._swaps) == SWAPS and now_s - self._swaps[0] <= SWAPS_S
 
 
@@ -80,7 +80,7 @@ class RangeMemory:
             self._ranges.popleft()
 
     def unchanged(self, since_s: float) -> bool:
-        """Whether the range is what it was before a moment; False where not enough was heard."""
+        """Whether the range is what it was before a moment; False: there are too few ranges."""
         before = [m for t, m in self._ranges if since_s - BEFORE_S <= t <= since_s]
         after = [(t, m) for t, m in self._ranges if t > since_s]
         if len(before) < LEAST_BEFORE or len(after) < LEAST_AFTER:
@@ -94,7 +94,7 @@ class RangeMemory:
 class OwnJump:
     """The jumps of a follower's own receiver.
 
-    since_s: when one began that nothing is known of yet, None: there is none; moved_m: by how much,
+    since_s: when a jump began that is not settled yet, None: there is none; moved_m: by how much,
     (north, east).
     """
 
@@ -116,12 +116,12 @@ class OwnJump:
         return off_m
 
     def settled(self) -> None:
-        """It is known what the jump was."""
+        """Note that the jump is settled."""
         self.since_s, self.moved_m = None, (0.0, 0.0)
 
 
 def is_jump(before: Report, after: Report) -> bool:
-    """Whether no movement leads from one report to the next."""
+    """Whether no movement can explain the way from one report to the next."""
     elapsed_s = after.time_s - before.time_s
     speed_mps = max(math.hypot(*before.velocity_mps), math.hypot(*after.velocity_mps))
     most_m = JUMP_M + CLOCK_MOVES_S * speed_mps + UNSEEN_MPS2 * elapsed_s * elapsed_s

@@ -1,4 +1,4 @@
-"""Where the leader is, out of its reports: its clock against ours, late ones and jumps. Pure."""
+"""Where the leader is, from its reports: its clock against ours, late reports, jumps. Pure."""
 
 import math
 from collections import deque
@@ -10,30 +10,30 @@ from echowing.flight.jumps import AGREEING_REPORTS, BootClocks, beyond_movement_
 from echowing.geo import GlobalPosition, Ned
 from echowing.mavlink.messages import heading_of
 
-# A vehicle's clock this far behind its newest report has begun anew: no radio holds one so long.
+# A clock this far behind the vehicle's newest report has restarted: no radio delays one so long.
 REBOOT_MS = 10_000
 # Accelerations beyond this are noise: a copter's default is 2.5 m/s2 (WP_ACC).
 MOST_MPS2 = 3.0
-# Two reports further apart than this say nothing of the acceleration now.
+# Two reports further apart than this do not show the acceleration now.
 LONGEST_GAP_S = 0.6
 
-# The oldest report of the last seconds counts: at 4 Hz it is forgotten by half in 3 s.
+# The oldest report of the last seconds counts: at 4 Hz its age decays by half in 3 s.
 OLDEST_KEEPS = 0.95
 
-# How long a point takes there and back while no TIMESYNC answer has said.
+# The round trip that is assumed until a TIMESYNC answer comes.
 USUAL_ROUND_TRIP_S = 0.5
 TIMESYNC_PERIOD_S = 1.0
-# Questions that may still be answered: no radio holds one back for longer than half a minute.
+# Requests that may still be answered: no radio holds one back for longer than half a minute.
 ANSWERS_AWAITED = 30
-# The quickest answer of so long sets the clock: crystals of 50 ppm drift 3 ms apart meanwhile.
+# The quickest answer within this time sets the clock: crystals of 50 ppm drift 3 ms apart in it.
 CLOCKS_AGREE_S = 60.0
 
 
 class VehicleClock:
-    """A vehicle's boot clock against ours, by TIMESYNC; the quickest answer is the truest.
+    """A vehicle's boot clock against ours, by TIMESYNC; the quickest answer is the most exact.
 
-    Half the round trip is taken as the way back, so a link slower one way than the other
-    is off by half the difference.
+    Half the round trip is taken as the way back, so a link that is slower one way than the other
+    causes an error of half the difference.
     """
 
     def __init__(self) -> None:
@@ -61,7 +61,7 @@ class VehicleClock:
         return True
 
     def asks(self, now_s: float) -> int:
-        """The stamp of a question sent now, nanoseconds."""
+        """The stamp of a request sent now, nanoseconds."""
         self._asked_ns.append(round(now_s * 1e9))
         return self._asked_ns[-1]
 
@@ -112,7 +112,7 @@ class LeaderTrack:
         """How often the leader has turned up somewhere else and been believed there."""
 
     def receive(self, message: Any, now_s: float) -> None:
-        """Take a GLOBAL_POSITION_INT; late doubles and reordered ones are dropped."""
+        """Take a GLOBAL_POSITION_INT; late duplicates and reordered ones are dropped."""
         boot_ms = message.time_boot_ms
         if is_late(boot_ms, self._newest_boot_ms):
             return
@@ -126,7 +126,7 @@ class LeaderTrack:
         velocity = (message.vx / 100.0, message.vy / 100.0, message.vz / 100.0)
         time_s = self.clock.to_ours(boot_s, now_s)
         if self.fix is not None and not restarted:
-            # A quicker TIMESYNC answer moves the clock: still a newer report is never an older one.
+            # A quicker TIMESYNC answer moves the clock; a newer report must not become older.
             time_s = max(time_s, self.fix.time_s)
         fix = LeaderFix(
             time_s=time_s,
@@ -180,7 +180,7 @@ class LeaderTrack:
 
 
 def is_late(boot_ms: int, newest_boot_ms: int) -> bool:
-    """Whether a report is a double of the newest, or older: on its way too long, not a reboot."""
+    """Whether a report is a duplicate of the newest, or older: delayed, not after a reboot."""
     return 0 <= newest_boot_ms - boot_ms <= REBOOT_MS
 
 

@@ -1,11 +1,11 @@
 """The slow disagreement between two GPS receivers, learnt from the sonar. Pure.
 
-Leader and follower each believe to be a metre or so from where they are, and the errors wander
-over a minute. Only their difference matters to a formation, and the sonar sees it: a reading says
-that the leader is on an arc, so far away and somewhere in the beam; silence says that it is not in
-the beam. An arc is no ellipse, and silence no measurement, so this is no Kalman filter but a map:
-how likely each difference (north, east) is. The mean of the map is where to look; where the sonar
-has looked and heard nothing, the map grows thin and the mean moves on, which is the search.
+Leader and follower each report a place a metre or so from the true one, and the errors wander over
+a minute. Only their difference matters to a formation, and the sonar shows it: a reading says that
+the leader is on an arc, at that range and somewhere in the beam; silence says that it is not in the
+beam. An arc is no ellipse, and silence no measurement, so this is no Kalman filter but a map of how
+likely each difference (north, east) is. The mean of the map is where to look; where the sonar looks
+and hears nothing, the map grows thin and the mean moves on: that is the search.
 """
 
 import math
@@ -16,24 +16,24 @@ from numpy.typing import NDArray
 
 from echowing.flight.guidance import Horizontal
 
-# Of the map: four standard deviations of the difference to each side, in cells as wide as the beam
-# is unsharp at 1 m.
+# The map: four standard deviations of the difference to each side, in cells as wide as the beam is
+# blurred at 1 m.
 HALF_WIDTH_M, CELL_M = 4.6, 0.2
 # Both vehicles are known at the reading's moment to a decimetre, and a cell is as wide.
 RANGE_SIGMA_M = 0.15
-# The beam (sim/sonar.py), and over how much of an angle its edge is unsharp: the lean, the heading
-# and the echo's own strength.
+# The beam (sim/sonar.py), and the angle over which lean, heading and the echo's own strength blur
+# its edge.
 BEAM_HALF_RAD, EDGE_RAD = math.radians(20.0), math.radians(3.0)
 # Silence says only that the leader is not where every beam would reach: sonars and targets differ,
-# and half the beam was enough to lead a follower to 0.6 m of a leader that it looked past.
+# and with the beam's own half angle a follower came to 0.6 m of a leader that it looked past.
 SILENT_HALF_RAD = math.radians(14.0)
 # A reading is of something else (wild, another vehicle, the ground) this often.
 WRONG_SHARE = 0.03
 # A leader in the beam and no further than this is heard this often, as long as nobody leans.
 SILENCE_TO_M, HEARD_SHARE = 4.0, 0.5
-# Readings nearer in time share their errors, and are not evidence twice.
+# Readings nearer in time share their errors, and must not count twice.
 UPDATE_PERIOD_S = 0.25
-# The map changes by 0.2 m in a second: it is blurred so often.
+# The map changes by 0.2 m in a second: so it is blurred this often.
 BLUR_PERIOD_S = 0.5
 LEAST_LIKELIHOOD = 1e-12
 
@@ -42,7 +42,7 @@ Map = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Wandering:
-    """How far receivers wander: standard deviation an axis and correlation time, each one's."""
+    """How far each receiver wanders: standard deviation per axis, and correlation time."""
 
     sigma_m: float = 0.8
     tau_s: float = 60.0
@@ -56,7 +56,7 @@ class OffsetGrid:
         self._tau_s = wandering.tau_s
         self._prior_m2 = 2.0 * wandering.sigma_m**2
         cells = round(HALF_WIDTH_M / CELL_M)
-        # Of both sides of the map: a row is one difference to the north, a column one to the east.
+        # Both axes of the map: a row is one difference to the north, a column one to the east.
         self._axis = np.arange(-cells, cells + 1) * CELL_M
         self._square = self._axis[:, np.newaxis] ** 2 + self._axis**2
         self._map: Map = np.exp(-0.5 * self._square / self._prior_m2)
@@ -66,7 +66,7 @@ class OffsetGrid:
         self._summarise()
 
     def unheard_s(self, now_s: float) -> float:
-        """For how long no reading has been taken for the leader; infinite at first."""
+        """Time since the last reading that was the leader's; infinite at first."""
         return now_s - self._heard_at_s
 
     def sigma_m(self, direction_rad: float) -> float:
@@ -78,26 +78,26 @@ class OffsetGrid:
     def unproven_sigma_m(self, direction_rad: float, now_s: float) -> float:
         """As `sigma_m`, but no less than receivers may have wandered since the last reading.
 
-        Silence makes the map narrower where the leader is not. It is no proof of where it is: it
-        may as well come from a sonar that is deaf.
+        Silence makes the map narrower where the leader is not. It does not prove where it is: a
+        sonar that is deaf is silent too.
         """
         wandered_m = math.sqrt(self._prior_m2 * (1.0 - self._kept(now_s) ** 2))
         return max(self.sigma_m(direction_rad), wandered_m)
 
     def unproven_shift_m(self, direction_rad: float, now_s: float) -> float:
-        """How much further off along a bearing the leader is thought to be, for silence's sake.
+        """How much further off along a bearing the leader is estimated, from silence alone.
 
-        The share of the mean that no reading stands for any more; never negative.
+        The share of the mean that readings do not support any more; never negative.
         """
         further_m = -self.north_m * math.cos(direction_rad) - self.east_m * math.sin(direction_rad)
         return max(0.0, (1.0 - self._kept(now_s)) * further_m)
 
     def _kept(self, now_s: float) -> float:
-        """The share that is left of what the last reading told; 0 before the first."""
+        """The share of the last reading's information that is left; 0 before the first."""
         return math.exp(-max(0.0, self.unheard_s(now_s)) / self._tau_s)
 
     def advance(self, now_s: float) -> None:
-        """Let the map blur until `now_s`, and fade back to what receivers do."""
+        """Let the map blur until `now_s`, and fade back to the prior."""
         if self._advanced_s is None:
             self._advanced_s = now_s
         elapsed_s = now_s - self._advanced_s
@@ -132,7 +132,7 @@ class OffsetGrid:
         self._update(fits + WRONG_SHARE * _ring_share(distance_m))
 
     def silent(self, time_s: float, axis_rad: float, believed: Horizontal) -> None:
-        """Take a reading of nothing; arguments as of `heard`."""
+        """Take a reading without an echo; arguments as for `heard`."""
         if time_s - max(self._silent_at_s, self._heard_at_s) < UPDATE_PERIOD_S:
             return
         self._silent_at_s = time_s
@@ -174,9 +174,9 @@ def _ring_share(distance_m: float) -> float:
 
 
 def _blurred(values: Map, variance_m2: float) -> Map:
-    """The map after a random walk with this variance an axis, by a three point kernel."""
+    """The map after a random walk with this variance per axis, by a three point kernel."""
     share = min(1.0 / 3.0, 0.5 * variance_m2 / (CELL_M * CELL_M))
-    for _ in range(2):  # down the columns, and turned over, along the rows
+    for _ in range(2):  # down the columns, then, transposed, along the rows
         beside = np.empty_like(values)
         beside[1:-1] = values[:-2] + values[2:]
         beside[0], beside[-1] = values[0] + values[1], values[-2] + values[-1]

@@ -1,7 +1,7 @@
 """What the operator orders in flight: engage, hold, come nearer, back out, stop all. Pure.
 
-`prepare` is called before each tick of the session. A hold ends by `engage`, a stop never does;
-whoever flies a follower by hand is not touched by either.
+`prepare` is called before each tick of the session. `engage` ends a hold; nothing ends a stop.
+Neither affects a follower that its pilot flies by hand.
 """
 
 from typing import Any
@@ -30,9 +30,9 @@ class Orders:
             self.build_up.receive(message)
 
     def prepare(self, now_s: float) -> list[tuple[int, Any]]:
-        """Once before each tick: keep what was ordered; returns what to send."""
+        """Once before each tick: apply what was ordered; returns what to send."""
         for follower in self._session.followers.values():
-            # A pilot who comes back to Guided meanwhile finds the hold that was ordered.
+            # The hold also applies to a follower whose pilot comes back to Guided meanwhile.
             if self.held and follower.latched is None:
                 follower.latched = HELD
         if self.build_up is None:
@@ -42,7 +42,7 @@ class Orders:
     # ---- orders ---------------------------------------------------------------------------------
 
     def engage(self, now_s: float) -> None:
-        """Send points to those whose table is right; ends a hold."""
+        """Send points to the followers that pass their checks; ends a hold."""
         session = self._session
         if self.stopped:
             self._say(now_s, "all were stopped: end this tool and start it anew to engage")
@@ -75,7 +75,7 @@ class Orders:
             self._say(now_s, "STOP by key: all that were moved hold, for good")
 
     def nearer(self, now_s: float) -> None:
-        """To the next radius of the build-up."""
+        """Go to the next radius of the build-up."""
         objection = self.objection_to_nearer(now_s)
         if objection is not None or self.build_up is None:
             self._say(now_s, f"not nearer: {objection}")

@@ -1,9 +1,9 @@
-"""Where a follower flies by what it was ordered, until its next report says so. Pure.
+"""Where a follower flies by its orders, until its next report shows it. Pure.
 
 Over two telemetry radios a follower's report and the order that answers it are a second apart.
-Carried on at the reported velocity alone, a follower that has since been stopped is taken to fly
-on: it is ordered back, and then forth, without end. What it was ordered meanwhile is known here, so
-a report is carried on as Guided answers the orders that reach it.
+If a report is carried on at its velocity alone, a follower that has stopped since seems to fly on:
+it is ordered back, and then forth, without end. The orders sent meanwhile are known here, so a
+report is carried on as Guided answers the orders that reach it.
 """
 
 import math
@@ -15,12 +15,12 @@ from echowing.flight.envelope import Answer
 from echowing.flight.guidance import Horizontal
 from echowing.geo import GlobalPosition, ned_between
 
-# Guided's answer to a place off its own: 1 m/s for each metre (PSC_NE_POS_P), and no faster.
+# Guided's correction of its position: 1 m/s for each metre (PSC_NE_POS_P), and the fastest.
 POSITION_GAIN_PER_S, CORRECTION_MOST_MPS = 1.0, 5.0
-# Sooner than the first, what orders have changed shows in the reported velocity; from the second on
-# (the lean, and the acceleration that builds up) the orders are all that counts.
+# Up to NOT_YET_S after a report its velocity already shows what orders have changed; from ALL_S on
+# (the lean, and the acceleration that builds up) only the orders count.
 NOT_YET_S, ALL_S = 0.3, 0.6
-# Reports are carried on for two seconds at the most; an order may be in force before that.
+# Reports are carried on for two seconds at the most; an order may be in force from before.
 REMEMBERED_S = 5.0
 STEP_S = 0.1
 
@@ -53,7 +53,7 @@ def correction_pace_per_s(far_m: float) -> float:
 
 
 class OwnMotion:
-    """The orders that a follower has got lately."""
+    """The orders sent to a follower lately."""
 
     def __init__(self) -> None:
         self._orders: deque[_Order] = deque()
@@ -61,14 +61,14 @@ class OwnMotion:
         self._accel_mps2 = 0.0
 
     def forget(self) -> None:
-        """It is not flown by orders of ours now."""
+        """Drop the orders: it does not fly by ours now."""
         self._orders.clear()
         self._origin = None
 
     def ordered(
         self, arrives_s: float, place: GlobalPosition, velocity_mps: Horizontal, answer: Answer
     ) -> None:
-        """An order to fly to a place that moves (north, east), and when it reaches the vehicle."""
+        """Take an order to fly to a place that moves (north, east), and when it arrives."""
         self._origin = self._origin or place
         self._accel_mps2 = answer.decel_mps2
         place_m = ned_between(self._origin, place)[:2]
@@ -98,7 +98,7 @@ class OwnMotion:
         since_s: float,
         to_s: float,
     ) -> tuple[Horizontal, Horizontal]:
-        """The same as Guided answers these orders, from a place seen from the first order's."""
+        """`carried_on` by Guided's answer to these orders; begin_m: from the first one's place."""
         moved_m, flown_mps = (0.0, 0.0), velocity_mps
         for order, time_s, step_s in _steps(orders, since_s, to_s):
             before_mps = flown_mps
@@ -145,7 +145,7 @@ def _moved(by_m: Horizontal, a_mps: Horizontal, b_mps: Horizontal, span_s: float
 
 
 def _turned(from_mps: Horizontal, to_mps: Horizontal, most_mps: float) -> Horizontal:
-    """A velocity turned towards another by so much at the most."""
+    """A velocity changed towards another by `most_mps` at the most."""
     north, east = to_mps[0] - from_mps[0], to_mps[1] - from_mps[1]
     share = min(1.0, most_mps / max(math.hypot(north, east), 1e-9))
     return from_mps[0] + share * north, from_mps[1] + share * east

@@ -19,21 +19,21 @@ from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.flight.state import FollowerState, Known
 from echowing.geo import displace, distance_m, ned_between, wrap_angle_rad
 
-# A leader that the sonar does not hear is approached no faster than this, for a copter stops from
-# it within the beam's reach less what receivers are off.
+# A leader that the sonar does not hear is approached no faster than this: from it a copter stops
+# within the beam's reach less the receivers' error.
 JOIN_MPS, HEARD_LATELY_S = 1.5, 1.5
-# Not heard for so long, the leader is looked for where it most likely is.
+# A leader that is not heard for so long is looked for where it most likely is.
 LOST_S = 1.0
-# For so long its braking would still have been heard.
+# For so long after the last echo its braking would still have been heard.
 UNHEARD_S = 3.0
-# So near its slot a follower is in it.
+# A follower this near its slot is in it.
 IN_SLOT_M = 1.0
 
 
 def planned(known: Known, follower: FollowerState, fix: LeaderFix, now_s: float) -> GuidedPoint:
-    """The slot when the point reaches the vehicle, and what leads to it.
+    """The slot at the moment the point reaches the vehicle, and the point that leads to it.
 
-    Position and velocity: the slot and its velocity. Position alone: a point ahead of the slot.
+    With feed-forward: the slot and its velocity. Position alone: a point ahead of the slot.
     """
     settings, least_m = known.settings, follower.reversal_m
     if settings.learn_offset:
@@ -44,7 +44,7 @@ def planned(known: Known, follower: FollowerState, fix: LeaderFix, now_s: float)
     leader = _leader(known, follower, fix, arrives_s)
     guided = follower.guide.update(leader, arrives_s, follower.then(arrives_s), least_m)
     guided = replace(guided, age_s=max(0.0, now_s - fix.time_s))
-    # In a formation somebody else would be there.
+    # In a formation another follower may be where it would search.
     if settings.learn_offset and len(known.followers) == 1:
         guided = _searching(follower, guided, now_s)
     if settings.feed_forward:
@@ -57,7 +57,7 @@ def planned(known: Known, follower: FollowerState, fix: LeaderFix, now_s: float)
 
 
 def _searching(follower: FollowerState, guided: GuidedPoint, now_s: float) -> GuidedPoint:
-    """The slot swung round a leader that is not heard, where its sonar could hear it."""
+    """The slot, swung round a leader that is not heard though it is within the sonar's reach."""
     here, estimate = follower.on_arrival(now_s), follower.estimate
     within_reach = follower.plan.slot.radius_m < DETECTION_LIMIT_M
     unheard = estimate.offset.unheard_s(now_s) > LOST_S
@@ -76,7 +76,7 @@ def _leader(known: Known, follower: FollowerState, fix: LeaderFix, at_s: float) 
 
 
 def _least_radius_m(known: Known, follower: FollowerState, now_s: float) -> float:
-    """How near the leader a slot may be, with what the sonar has not yet proven."""
+    """How near the leader a slot may be, given what the sonar has not yet confirmed."""
     settings, offset = known.settings, follower.estimate.offset
     offset.advance(now_s)
     line_rad = known.bearing_of_leader(follower, now_s) or 0.0
@@ -85,9 +85,9 @@ def _least_radius_m(known: Known, follower: FollowerState, now_s: float) -> floa
 
 
 def _reversal_by_radio_m(known: Known, follower: FollowerState, fix: LeaderFix) -> float:
-    """The nearest slot from which it gets away from a reversal that reports alone show.
+    """The nearest slot from which it gets away from a reversal that only reports show.
 
-    No further than the sonar hears: beyond, the leader would never be heard again.
+    No further than the sonar's reach: beyond, the leader would never be heard again.
     """
     noticed_s = round(known.leader.oldest_s + follower.way_s, 1)
     speed_mps, answer = round(fix.speed_mps, 1), follower.handling.answer
@@ -105,7 +105,7 @@ def _fading(guided: GuidedPoint, settings: GuidanceSettings) -> GuidedPoint:
 def _led(guided: GuidedPoint, leader: LeaderFix, settings: GuidanceSettings) -> GuidedPoint:
     """The slot moved along the formation's course by L1, for a point without a velocity.
 
-    The leader's speed is taken along that course: of a leader that flies back at its follower it is
+    The leader's speed is taken along that course: if the leader flies back at its follower it is
     negative, and the point is further back than the slot.
     """
     cos, sin = math.cos(guided.course_rad), math.sin(guided.course_rad)
@@ -120,9 +120,9 @@ def _led(guided: GuidedPoint, leader: LeaderFix, settings: GuidanceSettings) -> 
 
 
 def _joined_slowly(follower: FollowerState, guided: GuidedPoint, now_s: float) -> GuidedPoint:
-    """To a leader that is not heard a long way leads as a velocity, `JOIN_MPS`.
+    """Send a long way to a leader that is not heard as a velocity, `JOIN_MPS`.
 
-    A place ahead would be overshot: it moves on with the vehicle that flies towards it.
+    A place ahead would move on with the vehicle that flies towards it, and be overshot.
     """
     here = follower.on_arrival(now_s)
     if here is None or follower.estimate.offset.unheard_s(now_s) < HEARD_LATELY_S:

@@ -9,9 +9,9 @@ class Readiness:
 
     applet: the applet runs, with its stream watchdog; distance: its distance and inset are the
     tool's; reversal: its slot is far enough away for the leader to turn round; sides: no follower's
-    way to its slot crosses another's; homes_told: what homes that differ by their receivers mean
-    was said; height_told: so was the altitude to fly at; apart_m: warn where the leader comes back
-    (RTL) less than this above or below a follower, None: no.
+    way to its slot crosses another's; homes_told: the operator has said what a difference between
+    the homes means; height_told: and at which altitude to fly; apart_m: warn where the leader
+    returns (RTL) less than this above or below a follower, None: no warning.
     """
 
     applet: bool = True

@@ -27,26 +27,26 @@ RELAY_SETTINGS = GuidanceSettings(
 
 # Two barometers wander by a metre each, and two homes by their receivers differ by 3 m at the most.
 HEIGHTS_APART_M = 5.0
-# Beside the remote's way by --min-separation and this: two receivers are off by 2.8 m at the most
+# Added to --min-separation beside the remote's way: two receivers are off by 2.8 m at the most
 # (2.5 standard deviations of 1.1 m), and a copter is 2 m beside its point while that moves.
 BESIDE_M = 5.0
-# Nearer than twice this to the ground station a remote vehicle has no line to speak of: two
-# receivers that are off by 2.8 m turn it by 16 degrees.
+# Nearer than twice this to the ground station a remote vehicle gives no usable line: two receivers
+# that are off by 2.8 m turn it by 16 degrees.
 LINE_M = 5.0
-# A remote vehicle that moves has a way; one that is to be here within so long is given way to. A
-# copter needs 6 s for 15 m aside, and a second until it begins.
+# A remote vehicle at this speed has a way; the relay gives way to one that arrives within AHEAD_S.
+# A copter needs 6 s for 15 m aside, and a second until it begins.
 MOVING_MPS, AHEAD_S = 1.0, 15.0
-# So far to a side of the remote's way, the relay is on that side; else it goes to the right.
+# A relay this far to a side of the remote's way is on that side; else it goes to the right.
 ON_A_SIDE_M = 0.5
 
 
 class RelayGuide(Guide):
     """Guided points midway to where the remote vehicle is believed to be now, beside its ways.
 
-    A remote vehicle that comes back along the line would fly through a relay on it: also unheard,
-    as one does that has lost its link, while the relay stands where it is. So the relay's place is
-    `clear_m` beside the line, it gives way in time to a remote vehicle that flies at it from
-    elsewhere, and it is never led nearer to it than that.
+    A remote vehicle that comes back along the line would fly through a relay on it, even without
+    reports, as after a lost link, while the relay stands where it is. So the relay's place is
+    `clear_m` beside the line. It gives way in time to a remote vehicle that flies at it from
+    elsewhere, and is never led nearer to it than `clear_m`.
     """
 
     def __init__(self, ground: GlobalPosition, clear_m: float) -> None:
@@ -61,7 +61,7 @@ class RelayGuide(Guide):
         follower: GlobalPosition | None = None,
         least_radius_m: float = 0.0,
     ) -> GuidedPoint:
-        """As `TowBar.update`; the place depends on the relay's only for the side it takes."""
+        """As `TowBar.update`; the relay's own place only decides which side it takes."""
         remote = leader.position
         middle = relay_pos(self._ground, remote)
         middle_m = ned_between(remote, middle)[:2]
@@ -91,7 +91,7 @@ class RelayGuide(Guide):
 
 
 class _Side:
-    """The side of a way that is kept to, for as long as there is that way."""
+    """The side of a way that the relay keeps to as long as there is that way."""
 
     def __init__(self, clear_m: float) -> None:
         self._clear_m = clear_m
@@ -130,7 +130,7 @@ def _along(place_m: Horizontal, north: float, east: float) -> Horizontal:
 
 
 def _out(place_m: Horizontal, here_m: Horizontal | None, clear_m: float) -> Horizontal:
-    """A place no nearer to the remote vehicle than that, on the relay's own side of it."""
+    """A place no nearer to the remote vehicle than `clear_m`, on the relay's own side of it."""
     if math.hypot(*place_m) >= clear_m:
         return place_m
     north_m, east_m = here_m or place_m

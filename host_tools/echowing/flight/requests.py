@@ -11,7 +11,7 @@ from echowing.mavlink.messages import HEARTBEAT_PERIOD_S, message_interval, tool
 
 FOLLOWER_POSITION_HZ = 10.0
 RATE_REQUEST_PERIOD_S = 5.0
-# Rates are judged over this long; so much of what was asked for will do.
+# Rates are judged over this time; this share of the requested rate is enough.
 RATE_WINDOW_S = 8.0
 RATE_SHARE = 0.6
 
@@ -27,10 +27,10 @@ def positions(known: Known, leader_hz: float) -> list[Rate]:
 
 
 class Requests:
-    """Asks in turn.
+    """Sends the requests that are due.
 
     wanted: what has to come; watched: say where it does not. at_times() is what comes only in some
-    states of a vehicle: asked for, and not missed.
+    states of a vehicle: requested, but never reported as missing.
     """
 
     def __init__(
@@ -52,7 +52,7 @@ class Requests:
         """Take any message of these vehicles."""
         system_id = message.get_srcSystem()
         if system_id not in self._heard and self._known.clock(system_id) is not None:
-            # What was asked before may have had no way to it: a listening port knows none.
+            # Earlier requests may not have reached it: a listening port knew no address.
             self._heard.add(system_id)
             self._rates_at_s = -math.inf
         if self._rates is not None:
@@ -65,7 +65,7 @@ class Requests:
             clock.answered(message.ts1 / 1e9, message.tc1 / 1e9, now_s)
 
     def messages(self, now_s: float) -> list[tuple[int, Any]]:
-        """What is to be asked now."""
+        """The requests to send now."""
         messages: list[tuple[int, Any]] = []
         vehicles = [self._known.leader_id, *self._known.followers]
         for system_id in vehicles:

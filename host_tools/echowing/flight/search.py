@@ -1,9 +1,9 @@
 """The plan: a leader that the sonar does not hear is looked for from both sides. Pure.
 
-Not heard, a leader is kept as far off as two receivers demand. Where they disagree along the line
-between the vehicles it is then out of the sonar's reach, and stays so for a minute. Seen from the
-side another part of the disagreement counts. So a follower that hears nothing in its slot swings
-round the leader, at the same distance, to one side and to the other.
+A leader that is not heard is kept as far off as the error of two receivers demands. If they
+disagree along the line between the vehicles, it is then out of the sonar's reach for a minute. From
+the side another part of the disagreement counts. So a follower that hears nothing in its slot
+swings round the leader, at the same distance, to one side and to the other.
 """
 
 import math
@@ -12,14 +12,14 @@ from dataclasses import dataclass, replace
 from echowing.flight.guidance import GuidedPoint, Horizontal
 from echowing.geo import displace, ned_between
 
-# The nose sways to both sides in 4 s: from the tail it has been looked for by then.
+# The nose sways to both sides in 4 s: by then the search from the tail is complete.
 PATIENCE_S = 4.0
-# From 60 degrees on either side the disagreement across the line counts 0.87 of itself; further
-# round, the leader could fly at it. There and back in 20 s is 1.4 m/s at most, 4.4 m away.
+# At 60 degrees on either side 0.87 of the disagreement across the line counts; further round, the
+# leader could fly at the follower. There and back in 20 s is 1.4 m/s at most, 4.4 m away.
 ASIDE_RAD, PERIOD_S = math.radians(60.0), 20.0
-# Not found in so many rounds, it waits in its slot for what receivers do.
+# After so many rounds without an echo it waits in its slot until the receivers' errors change.
 ROUNDS = 2
-# Heard again, so fast back to the tail: 0.6 m/s at 3 m.
+# The rate back to the tail once the leader is heard again: 0.6 m/s at 3 m.
 BACK_RPS = 0.2
 # Points come at 8 Hz; after a longer pause it goes on from where it is.
 LONGEST_STEP_S = 1.0
@@ -38,7 +38,7 @@ class Search:
         return self._begins_s is not None and 0.0 <= now_s - self._begins_s < ROUNDS * PERIOD_S
 
     def update(self, now_s: float, *, misses: bool, in_slot: bool) -> float:
-        """Swing on, and the rate at which the slot swings now, rad/s.
+        """Swing on; returns the rate at which the slot swings now, rad/s.
 
         misses: a leader that its sonar could hear is not heard; in_slot: it is where it should be.
         """

@@ -37,9 +37,9 @@ from echowing.mavlink.messages import TOOL_SYSTEM_ID, is_nonsense, position_targ
 
 STALE = "leader is stale"
 DISTANCE_HZ = 5.0
-# So slow is a slot that stands.
+# The speed sent for a slot that stands.
 LEAST_MPS = 0.001
-# A slot that has opened for a fast leader has closed again when it is less by this.
+# A slot that opened for a fast leader counts as closed when it needs less than its radius by this.
 SLACK_M = 0.3
 
 
@@ -48,7 +48,7 @@ class FollowSession:
 
     `tick` is called at the rate of the guided points (thesis Table 4: 8 Hz) and returns the
     messages to send, each with the system id of the vehicle it is for. With `limits` a guard
-    watches (see `guard`); while not `engaged`, no point is sent but to stop what has taken off by
+    watches (see `guard`); while not `engaged`, points are sent only to stop what has taken off by
     `take_off`.
     """
 
@@ -160,7 +160,7 @@ class FollowSession:
         follower.in_guided = in_guided
         follower.latched = None
         follower.own_jump.settled()
-        # Whatever was held against it, and wherever it was held, was in another flight.
+        # Earlier reasons to hold it, and the place of a hold, belong to another flight.
         climbs = self.lift_of(follower) in (Lift.CLIMBING, Lift.STOPPED)
         follower.flown = in_guided and climbs
         self._holds.release(follower)
@@ -224,8 +224,8 @@ class FollowSession:
     def _point_for(self, follower: FollowerState, now_s: float) -> GlobalPosition | None:
         """Where it is to be; None: not known."""
         fix = self.leader.fix
-        # A hold is flown in the same way: Guided starts each way anew, with the lean of the moment
-        # for its steady part (init_xy_controller); one that brakes would swing back for seconds.
+        # A hold has a velocity too: for another kind of target Guided restarts, with the present
+        # lean for its steady part (init_xy_controller); one that brakes would swing for seconds.
         follower.feed_mps = (0.0, 0.0) if self.settings.feed_forward else None
         reason = self._reason_to_stop(follower, fix, now_s)
         if reason is not None:
@@ -246,7 +246,7 @@ class FollowSession:
         return follower.guided.point
 
     def _allow_for_reversal(self, follower: FollowerState, fix: LeaderFix, now_s: float) -> None:
-        """A slot is never nearer than where the leader may turn round at the speed it has."""
+        """Open the slot so far that it gets away if the leader turns round at its speed."""
         speed_mps = round(fix.speed_mps, 1)
         radius_m = follower.plan.slot.radius_m
         follower.reversal_m = least_slot_m(speed_mps, follower.handling.answer)
@@ -262,7 +262,7 @@ class FollowSession:
         follower.opens = opens or (follower.opens and follower.reversal_m > radius_m - SLACK_M)
 
     def _tell_of_search(self, follower: FollowerState, now_s: float) -> None:
-        """Nobody is to wonder why it leaves the tail."""
+        """Say that it searches, so that nobody wonders why it leaves the tail."""
         before, follower.searches = follower.searches, follower.search.is_under_way(now_s)
         if follower.searches and not before and self._moves(follower):
             system_id, text = follower.plan.system_id, "no echo, looking from the side"
@@ -289,7 +289,7 @@ class FollowSession:
         self._stopping = reason
 
     def stopped(self, now_s: float) -> bool:
-        """Whether all that has been moved stands, is the pilot's, or cannot be heard."""
+        """Whether every follower that was moved stands, is its pilot's, or does not report."""
         return all(
             not self.sends_to(follower, now_s)
             or (self.guard is not None and self.guard.stands(system_id))
@@ -316,7 +316,7 @@ class FollowSession:
         return self._doubt(follower) or stop
 
     def _doubt(self, follower: FollowerState) -> str | None:
-        """Why what is known of it, or of the leader, is not to be believed now."""
+        """Why its data, or the leader's, cannot be trusted now."""
         if follower.latched is not None or follower.own_jump.since_s is not None:
             return follower.latched or "its position jumps"
         if self.engagement is None or not self._cleared(follower):
@@ -350,7 +350,7 @@ class FollowSession:
         return self.guard is None or self.guard.lets(follower, now_s)
 
     def _cleared(self, follower: FollowerState) -> bool:
-        """Whether all that has to be right before its first point is."""
+        """Whether it has passed all checks before its first point."""
         return self.engagement is None or self.engagement.cleared(follower.plan.system_id)
 
     def _may_lead(self, follower: FollowerState) -> bool:
@@ -361,7 +361,7 @@ class FollowSession:
         return self.engaged or (follower.flown and self._stopping is not None)
 
     def _moves(self, follower: FollowerState) -> bool:
-        """Whether it is ours to move, so that a stop is worth a word."""
+        """Whether the tool moves it, so that a stop has to be reported."""
         engaged = self.engaged and self._cleared(follower)
         return self.guard is None or (follower.in_guided and (engaged or follower.flown))
 
@@ -400,17 +400,17 @@ class FollowSession:
     # ---- what others ask ------------------------------------------------------------------------
 
     def leader_for(self, follower: FollowerState, fix: LeaderFix, now_s: float) -> GlobalPosition:
-        """Where the leader is now, as this follower's receiver would have it."""
+        """Where the leader is now, in the frame of this follower's receiver."""
         return self.known.leader_for(follower, fix, now_s)
 
     def alert(
         self, system_id: int, text: str, severity: int = mavlink.MAV_SEVERITY_WARNING
     ) -> None:
-        """Show it to a follower's and the leader's pilot, and whoever looks here; in the field."""
+        """Show a text to a follower's and the leader's pilot, and count it; in the field only."""
         if self.engagement is not None:
             self.alerts += 1
             self._hud.append((system_id, status_text(severity, f"Echowing: {text}")))
-            # Who leads has to know whom he has lost.
+            # The leader's pilot has to know whom he has lost.
             told = f"Echowing: {system_id} {text}"
             self._hud.append((self.leader_id, status_text(severity, told)))
 
@@ -422,7 +422,7 @@ class FollowSession:
         self.events.append((now_s, text))
 
     def _wanted_at_times(self) -> list[Rate]:
-        """What does not always come."""
+        """The messages that do not always come."""
         if self.guard is None:
             return []
         wanted = self.guard.read_back_requests(feed_forward=self.settings.feed_forward)

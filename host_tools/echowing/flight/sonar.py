@@ -2,7 +2,7 @@
 
 import math
 
-# From where a range is no target (thesis 3.3.3: an X8 gives a consistent return out to 4.5 m).
+# From here on a range is no target (thesis 3.3.3: an X8 gives a consistent return out to 4.5 m).
 DETECTION_LIMIT_M = 4.5
 # Gimbal straight ahead (thesis Appendix A, channels 6 and 7; the co-processor's PAN_MIDDLE).
 PAN_CENTRE_US = 1380.0

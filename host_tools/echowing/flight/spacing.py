@@ -1,4 +1,4 @@
-"""The envelope's place in a tick: who is about a follower, and what it may be commanded. Pure."""
+"""The envelope's place in a tick: who is near a follower, and what it may be commanded. Pure."""
 
 import math
 from collections.abc import Callable
@@ -11,20 +11,20 @@ from echowing.flight.own_motion import POSITION_GAIN_PER_S, correction_pace_per_
 from echowing.flight.state import FollowerState, Known
 from echowing.geo import GlobalPosition, Ned, displace, distance_m, ned_between
 
-# A hold that had to give way is from then on where the vehicle has been moved to.
+# A hold that gives way by this much moves its place to where the vehicle is.
 MOVED_M = 0.5
 # A sonar that has detected the leader within this (readings are used a second late) is sure of it.
 HEARD_S = 3.0
-# The same is not said again sooner, however often it comes and goes.
+# The same text is not repeated sooner, however often the state comes and goes.
 REMARK_GAP_S = 10.0
-# Two receivers of which no sonar knows more.
+# Two receivers between which no sonar measures.
 UNRANGED_SIGMA_M = math.sqrt(2.0) * Wandering().sigma_m
 
 
 class Spacing:
     """Keeps the followers of one session `min_separation_m` from everybody, where that is set.
 
-    gives_way(system_id, name, now_s): for whose sake a follower is flown otherwise than planned.
+    gives_way(system_id, name, now_s): reports for which vehicle a follower leaves its plan.
     """
 
     def __init__(
@@ -66,7 +66,7 @@ class Spacing:
         return self._guard is not None and self._guard.switched(follower.plan.system_id)
 
     def _give_way(self, follower: FollowerState, other: Other | None, now_s: float) -> None:
-        """Note, and say, for whose sake a follower is flown otherwise than planned."""
+        """Note, and say, for which vehicle a follower leaves its plan."""
         name = None if other is None else other.name
         long_ago = now_s - follower.gave_way_at_s >= REMARK_GAP_S
         if name is not None and name != follower.gives_way_to and long_ago:
@@ -75,12 +75,12 @@ class Spacing:
         follower.gives_way_to = name
 
     def _others(self, follower: FollowerState, here: GlobalPosition, now_s: float) -> list[Other]:
-        """The vehicles about a follower that is `here` when the order reaches it."""
+        """The vehicles around a follower that is `here` when the order reaches it."""
         arrives_s = now_s + follower.way_s
         leader = self._leader(follower, here, now_s, arrives_s)
         others = [] if leader is None else [leader]
         for other in self._known.followers.values():
-            # One that is held stands; who is led past it gives way.
+            # A held follower stands; those led past it give way.
             led = follower.held_at is not None and other.sent_to
             there = None if other is follower or led else other.then(arrives_s)
             if there is not None:
@@ -92,8 +92,8 @@ class Spacing:
     ) -> Other | None:
         known = self._known
         leader = known.leader_then(follower, arrives_s)
-        # Of a stale leader nothing is known but that it was there: to flee from all that it could
-        # have done since is no safer than to stand.
+        # Of a stale leader only its old place is known: to fly away from all that it could have
+        # done since is no safer than to stand.
         if leader is None or known.leader_is_stale(now_s):
             return None
         return Other(
@@ -102,8 +102,8 @@ class Spacing:
             leader.velocity_ned_mps,
             follower.estimate.offset.sigma_m(bearing_rad(here, leader.position)),
             known.leader_age_s(arrives_s),
-            # Not heard, it is kept so far away for the receivers' sake that it would never be found
-            # were its braking added to that.
+            # A leader that is not heard is already kept so far off for the receivers' errors that
+            # with its braking added it would never be found.
             brakes_mps2=OTHERS_MPS2 if self._is_heard(follower, now_s) else 0.0,
         )
 
@@ -117,7 +117,7 @@ class Spacing:
     ) -> Other:
         system_id = other.plan.system_id
         goal = here if follower.guided is None else follower.guided.slot
-        # By then it flies what it was ordered: nobody runs into one in front that brakes.
+        # Its velocity then, by its orders: nobody runs into one in front that brakes.
         answers_s = arrives_s + follower.handling.answer.dead_s
         return Other(
             f"follower {system_id}",
@@ -132,7 +132,7 @@ class Spacing:
     def _between_m(
         self, system_id: int, there: GlobalPosition, follower: FollowerState, here: GlobalPosition
     ) -> Ned:
-        """From another vehicle to here, heights by whatever is known of their homes."""
+        """From another vehicle to here, heights by what is known of their homes."""
         if self._guard is None:
             return ned_between(there, here)
         mine = self._guard.in_height(follower.plan.system_id, here)

@@ -33,13 +33,13 @@ from echowing.mavlink.messages import FORWARD, heading_of, sonar_range_m
 
 GUIDED_MODE = 4
 
-# The co-processor's newest single reading (firmware/README.md). Where it has not come for so long
-# (a signed link refuses it, as no autopilot signs it), DISTANCE_SENSOR stands in.
+# The co-processor's newest single reading (firmware/README.md). If none has come for so long (a
+# signed link refuses it, as no autopilot signs it), DISTANCE_SENSOR is used.
 SONAR_READING = "SNR_RAW"
 RAW_FRESH_S = 1.0
 # The co-processor averages over 0.45 s: its middle.
 AVERAGE_AGE_S = 0.225
-# A longer way to the vehicle than this is not led over: the leader may have turned by then.
+# No longer delay to the vehicle is allowed for: the leader may have turned by then.
 LONGEST_WAY_S = 1.0
 
 Say = Callable[[float, str], None]
@@ -80,13 +80,13 @@ class FollowerState:
     """What is known and wanted of one follower.
 
     held_at, held_altitude_m, hold_reason: where, how high above its home and why it was stopped;
-    in_guided: flies in Guided; flown: it was put in the air, or a point has gone to it, by us since
-    it was put in Guided; sent_to: points might go to it at the last tick; position_at_s: when it
-    was there, as far as TIMESYNC tells, else when the report came; feed_mps: the velocity to go
-    with the point (north, east), None: none; yaw_rad: where it was last told to look; gives_way_to:
-    for whose sake it is not flown as planned; latched: why it is held until it leaves Guided;
-    reversal_m: the nearest slot from which it gets away should the leader turn round now; opens: it
-    was said that the slot opens for that; searches: that it looks for the leader from the side.
+    in_guided: flies in Guided; flown: since it was put in Guided, the tool has made it take off, or
+    sent it a point; sent_to: points could go to it at the last tick; position_at_s: when it was
+    there by TIMESYNC, else when the report came; feed_mps: the velocity sent with the point (north,
+    east), None: none; yaw_rad: where it was last told to look; gives_way_to: the vehicle for which
+    it leaves its plan; latched: why it is held until it leaves Guided; reversal_m: the nearest slot
+    from which it gets away if the leader turns round now; opens: it was said that the slot opens
+    for that; searches: it looks for the leader from the side.
     """
 
     plan: FollowerPlan
@@ -149,7 +149,7 @@ class FollowerState:
         return self.velocity_mps if self.position is None else self._motion_at(at_s)[1]
 
     def _motion_at(self, at_s: float) -> tuple[GlobalPosition, Horizontal]:
-        """Place and velocity; kept, as each step of a tick asks for the same moments."""
+        """Place and velocity; cached, as each step of a tick asks for the same moments."""
         known = self._motions.get(at_s)
         if known is None:
             known = self._motions[at_s] = self._carried_on(at_s)
@@ -266,7 +266,7 @@ class Known:
         return carried_on(self.seen_by(follower, fix), at_s)
 
     def leader_for(self, follower: FollowerState, fix: LeaderFix, now_s: float) -> GlobalPosition:
-        """Where the leader is now, as this follower's receiver would have it."""
+        """Where the leader is now, in the frame of this follower's receiver."""
         now = predicted(fix, max(0.0, now_s - fix.time_s)).position
         return follower.estimate.as_seen(now) if self.settings.learn_offset else now
 

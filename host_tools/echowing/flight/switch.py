@@ -26,7 +26,7 @@ VALID_PULSE_US = range(801, 2200)
 CHANNELS = 18  # of RC_CHANNELS
 # Asked for at 4 Hz: a switch that has not been reported for so long is not known.
 SWITCH_FRESH_S = 3.0
-# A mode, and the heartbeat before it, are asked for again so often.
+# A mode, and the heartbeat before it, are requested again after this time.
 MODE_PERIOD_S = 0.5
 
 
@@ -96,7 +96,7 @@ class Switches:
         self._seen = {system_id: _Seen() for system_id in (leader_id, *self._stopped)}
 
     def receive(self, system_id: int, message: Any, now_s: float) -> None:
-        """Take an RC_CHANNELS; one older than the newest, or without a pulse, says nothing."""
+        """Take an RC_CHANNELS; one older than the newest, or without a pulse, is ignored."""
         if self.switch is None:
             return
         seen, pulse_us = self._seen[system_id], self.switch.pulse_us(message)
@@ -136,9 +136,9 @@ class Switches:
     # ---- its mode -------------------------------------------------------------------------------
 
     def mode_answered(self, system_id: int, message: Any, now_s: float) -> None:
-        """Take a COMMAND_ACK for us: a mode that was taken is not asked for twice.
+        """Take a COMMAND_ACK for us: a mode that was accepted is not requested twice.
 
-        The pilot may have chosen another since, which shows with the next heartbeat.
+        The pilot may have chosen another since; the next heartbeat shows it.
         """
         taken = message.result == mavlink.MAV_RESULT_ACCEPTED
         if taken and message.command == mavlink.MAV_CMD_DO_SET_MODE:
@@ -147,10 +147,10 @@ class Switches:
     def message(
         self, system_id: int, heartbeat_at_s: float, round_trip_s: float, now_s: float
     ) -> Any | None:
-        """What to send to a follower that is ours to move: its mode, or a question for it.
+        """What to send to a follower that the tool moves: its mode, or a request for it.
 
         The mode goes only to a vehicle whose heartbeat has said Guided since the switch stopped it:
-        a fail-safe may have changed it since the last one, which no one writes over.
+        a fail-safe may have changed it since the last one, and must not be overridden.
         """
         stopped, switch = self._stopped[system_id], self.switch
         if switch is None or switch.mode is None or stopped.since_s is None:

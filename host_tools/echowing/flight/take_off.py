@@ -2,8 +2,8 @@
 
 Only a vehicle that its pilot has armed, in Guided, on the ground is told to take off: nothing here
 arms, and nothing changes a mode. While it climbs no guided point may reach it, since a point would
-end the take-off and send it sideways at whatever height it has. Anything out of the ordinary with
-one vehicle ends it for all that have not left the ground.
+end the take-off and send it sideways at whatever height it has. Anything unexpected with one
+vehicle cancels the take-off of all that have not left the ground.
 """
 
 import math
@@ -17,7 +17,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from echowing.flight.state import FollowerState, Say
 from echowing.mavlink.messages import command_long
 
-# Time to step back, and for the pilot to change his mind, between the word and the deed.
+# From the announcement to the command: time to step back, and for the pilot to change his mind.
 WARNING_S = 3.0
 ASKS, ASK_PERIOD_S = 3, 1.0
 # Motors of a copter need some 2 s to come up to speed.
@@ -25,7 +25,7 @@ LEAVES_GROUND_S = 10.0
 # Within this of the wanted altitude the climb is over (barometers wander).
 ARRIVED_M = 0.5
 RISEN_M = 0.5
-# Positions are asked for at 10 Hz; where none is younger than this nobody sees what climbs.
+# Positions are asked for at 10 Hz; if none is younger than this, nobody sees the climb.
 STALE_S = 1.5
 # A vehicle in Loiter takes off when told to as well: its mode has to be known, and heartbeats come
 # once a second.
@@ -48,7 +48,7 @@ class Lift(Enum):
 class TakeOff:
     """What the operator has asked for, metres above each vehicle's home.
 
-    next_at_m: so high each has to be before the next takes off.
+    next_at_m: how high each has to be before the next takes off.
     """
 
     altitude_m: float
@@ -84,14 +84,14 @@ class TakeOffs:
         return climber.reason if climber.lift is Lift.STOPPED else None
 
     def stop(self, reason: str, now_s: float) -> None:
-        """Nobody else takes off, and who climbs stops where it is."""
+        """Cancel further take-offs, and stop a follower that climbs where it is."""
         self._end()
         for system_id, climber in self._climbers.items():
             if climber.lift is Lift.CLIMBING:
                 self._stop(system_id, climber, reason, now_s)
 
     def taken_over(self, system_id: int) -> None:
-        """Its pilot has it: a stop on the way up is over."""
+        """Its pilot has taken over: a stop on the way up is over."""
         climber = self._climbers[system_id]
         if climber.lift is Lift.STOPPED:
             climber.lift = Lift.LEFT
@@ -102,7 +102,7 @@ class TakeOffs:
         climber = self._climbers[system_id]
         if message.command != mavlink.MAV_CMD_NAV_TAKEOFF or climber.lift is not Lift.CLIMBING:
             return
-        # One that has left the ground refuses the command that was sent again.
+        # A vehicle that has left the ground refuses the repeated command.
         risen = (follower.altitude_m or 0.0) > RISEN_M
         accepted = message.result in (mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_IN_PROGRESS)
         if accepted or climber.accepted or risen:
@@ -212,14 +212,14 @@ class TakeOffs:
         self._end()
 
     def _end(self) -> None:
-        """Who still is on the ground stays there."""
+        """Those that are still on the ground stay there."""
         for climber in self._climbers.values():
             if climber.lift in (Lift.WAITING, Lift.WARNED):
                 climber.lift = Lift.LEFT
 
 
 def _not_ready(follower: FollowerState, now_s: float) -> str | None:
-    """What its pilot has to do first, and what the tool has to hear."""
+    """What its pilot has to do first, or which report is missing; None: nothing."""
     if _is_stale(follower, now_s):
         return "no report of its position and mode yet"
     if not follower.guided_mode:

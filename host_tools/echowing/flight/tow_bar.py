@@ -1,4 +1,4 @@
-"""The plan: a slot that the leader draws along as a car draws a trailer. Pure.
+"""The plan: a slot that the leader pulls along as a car pulls a trailer. Pure.
 
 The bar between leader and slot has the slot's length. Its bearing turns only as the leader's end
 moves across it, at v / length x sin(course - bearing); the slot moves along the bar. So a slot on
@@ -22,7 +22,7 @@ from echowing.flight.guidance import (
 )
 from echowing.geo import GlobalPosition, wrap_angle_rad
 
-# Slower, the course is noise and the bar does not turn (thesis Appendix C takes 0.25 m/s for the
+# Below it the course is noise and the bar does not turn (thesis Appendix C takes 0.25 m/s for the
 # course itself; the bar turns in proportion to the speed, which fades the noise by itself).
 STILL_MPS = 0.1
 # A slot waits for its follower: it is never further round the leader than this, so that the
@@ -46,7 +46,7 @@ class TowBar:
         self._at_s = 0.0
 
     def place(self, slot: Slot, longest_m: float) -> None:
-        """Another slot, in a formation whose outermost slot has that radius; the bar stays."""
+        """Set another slot; `longest_m`: the outermost slot's radius; the bar's bearing stays."""
         self.slot, self.length_m = slot, longest_m
 
     def update(

@@ -1,7 +1,7 @@
 """Which positions are believed: receivers that jump, and two vehicles with one id. Pure.
 
-A jump that the sonar denies is the receiver's and goes into the estimate; one that nobody can deny
-is not flown: the follower holds until its pilot has left Guided and come back.
+A jump that the sonar denies is the receiver's and goes into the estimate. After a jump that it
+cannot deny the follower holds until its pilot has left Guided and come back.
 """
 
 import math
@@ -13,13 +13,13 @@ from echowing.flight.jumps import SAME_RANGE_M, UNCONFIRMED_S
 from echowing.flight.state import FollowerState, Known, Say
 from echowing.geo import displace
 
-# Reports that agree on a leader's new place before the sonar is asked of it (0.5 s at 4 Hz), and
-# how long before the jump it has to have detected the leader.
+# Reports that agree on a leader's new place before the sonar is checked (0.5 s at 4 Hz), and how
+# recently before the jump the sonar has to have detected the leader.
 CONFIRMING_REPORTS, HEARD_S = 2, 3.0
 
 
 class Trust:
-    """Takes positions into what is known, where they can be believed.
+    """Accepts the positions that can be believed.
 
     doubt(system_id, text, now_s) refuses a vehicle for good; alert(system_id, text) goes to a
     follower's pilot; strict: in the field. A simulated ground station without limits believes a
@@ -63,7 +63,7 @@ class Trust:
         if moved_m is not None:
             follower.estimate.history.clear()
             if follower.held_at is not None:
-                # Where it stands has another name now.
+                # The place where it stands has other coordinates now.
                 follower.held_at = displace(follower.held_at, (*moved_m, 0.0))
         follower.estimate.reported(report)
 
@@ -104,7 +104,7 @@ class Trust:
             self._alert(system_id, text)
 
     def _sonar_denies(self, follower: FollowerState, since_s: float) -> bool:
-        """Whether its sonar, which detected the leader, ranges it as before that moment."""
+        """Whether its sonar had detected the leader, and its range is as before that moment."""
         learns = self._known.settings.learn_offset
         if not learns or follower.estimate.offset.unheard_s(since_s) > HEARD_S:
             return False
@@ -129,7 +129,7 @@ class Trust:
         )
 
     def _believed_elsewhere(self, now_s: float) -> None:
-        """The leader is believed in a new place that no sonar knows: nobody is flown there."""
+        """The leader is believed in a new place that no sonar has confirmed: nobody flies there."""
         self._known.leader_history.clear()
         for follower in self._known.followers.values():
             follower.estimate.forget()
