@@ -349,10 +349,10 @@ def test_the_leaders_age_is_measured_through_timesync() -> None:
 
 
 def test_the_velocity_fades_as_the_leaders_report_grows_old() -> None:
-    """All of it up to three quarters of a second, none from one second on."""
-    speeds = {now_s: targets(aged(PLAIN, -1.5), now_s)[0].vx for now_s in (6.73, 6.875, 6.99)}
+    """All of it up to half a second, none from one second on."""
+    speeds = {now_s: targets(aged(PLAIN, -1.5), now_s)[0].vx for now_s in (6.48, 6.75, 6.99)}
 
-    assert speeds == pytest.approx({6.73: 2.0, 6.875: 1.0, 6.99: 0.08}, abs=0.02)
+    assert speeds == pytest.approx({6.48: 2.0, 6.75: 1.0, 6.99: 0.04}, abs=0.02)
 
 
 def test_our_own_timesync_requests_coming_back_are_ignored() -> None:
