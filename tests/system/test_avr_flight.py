@@ -29,9 +29,9 @@ def test_the_binary_and_the_native_core_fly_alike() -> None:
     """Pings fall at other milliseconds, so single flights part ways; on average they agree.
 
     Median, not mean: in which flight the sonar loses the leader at a corner for a second is chance,
-    and that second makes half of a flight's mean error. The medians of twelve native flights differ
-    by 5.4 mm (standard deviation), so two means of three by 4.4 mm: the sonar's step of 1 cm is more
-    than chance, and what a firmware that reads wrong would show.
+    and that second makes half of a flight's mean error. The medians of twelve native flights have a
+    standard deviation of 5.4 mm, so two means of three differ by 4.4 mm: the sonar's step of 1 cm
+    is more than chance, and what a firmware that reads wrong would show.
     """
     errors_m = {
         firmware: statistics.mean(usual_error_m(firmware, seed) for seed in SEEDS)
