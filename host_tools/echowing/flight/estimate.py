@@ -16,6 +16,8 @@ CONFIRM_S, CONFIRM_M = 0.3, 0.5
 STUCK_READINGS = 30
 # Readings come ten times a second, over a radio that may lose some.
 LISTENS_S = 3.0
+# A sonar that has detected the leader within this (readings are used a second late) is sure of it.
+HEARD_S = 3.0
 # Age of a range when it is sent: trigger, sound there and back at 343 m/s, reading and packing
 # (firmware/README.md: reading to wire 5 ms, and half of the 20 ms and the flight before it).
 SONAR_AGE_S = 0.03
@@ -68,6 +70,10 @@ class Estimate:
     def is_stuck(self) -> bool:
         """Whether the sonar keeps giving the same range."""
         return self._alike >= STUCK_READINGS and self._before[1] < DETECTION_LIMIT_M
+
+    def hears(self, now_s: float) -> bool:
+        """Whether its sonar has lately detected the leader."""
+        return self.offset.unheard_s(now_s) <= HEARD_S
 
     def listens(self, now_s: float) -> bool:
         """Whether its sonar works: readings come, and they change."""

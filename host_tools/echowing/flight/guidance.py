@@ -172,6 +172,11 @@ def at_slot(
     )
 
 
+def carried_round(leader_mps: Horizontal, rate_rps: float, offset_m: Horizontal) -> Horizontal:
+    """The velocity of a place on a body that moves with the leader and turns (clockwise)."""
+    return leader_mps[0] - rate_rps * offset_m[1], leader_mps[1] + rate_rps * offset_m[0]
+
+
 def turned_towards(from_rad: float, to_rad: float, most_rad: float) -> float:
     """`from_rad` turned the short way towards `to_rad`, by `most_rad` at the most."""
     turn_rad = wrap_angle_rad(to_rad - from_rad)

@@ -24,8 +24,6 @@ from echowing.geo import displace, distance_m, ned_between, wrap_angle_rad
 JOIN_MPS, HEARD_LATELY_S = 1.5, 1.5
 # A leader that is not heard for so long is looked for where it most likely is.
 LOST_S = 1.0
-# For so long after the last echo its braking would still have been heard.
-UNHEARD_S = 3.0
 # A follower this near its slot is in it.
 IN_SLOT_M = 1.0
 
@@ -38,7 +36,7 @@ def planned(known: Known, follower: FollowerState, fix: LeaderFix, now_s: float)
     settings, least_m = known.settings, follower.reversal_m
     if settings.learn_offset:
         least_m = max(least_m, _least_radius_m(known, follower, now_s))
-        if least_m > 0.0 and follower.estimate.offset.unheard_s(now_s) > UNHEARD_S:
+        if least_m > 0.0 and not follower.estimate.hears(now_s):
             least_m = max(least_m, _reversal_by_radio_m(known, follower, fix))
     arrives_s = now_s + follower.way_s
     leader = _leader(known, follower, fix, arrives_s)

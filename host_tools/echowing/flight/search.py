@@ -9,7 +9,7 @@ swings round the leader, at the same distance, to one side and to the other.
 import math
 from dataclasses import dataclass, replace
 
-from echowing.flight.guidance import GuidedPoint, Horizontal
+from echowing.flight.guidance import GuidedPoint, Horizontal, carried_round
 from echowing.geo import displace, ned_between
 
 # The nose sways to both sides in 4 s: by then the search from the tail is complete.
@@ -63,10 +63,9 @@ def swung(guided: GuidedPoint, aside_rad: float, rate_rps: float) -> GuidedPoint
     """A slot swung round its leader by an angle that changes at a rate, clockwise from above."""
     if aside_rad == 0.0 and rate_rps == 0.0:
         return guided
-    north_m, east_m = offset_m = _turned(guided.offset_m, aside_rad)
-    north_mps, east_mps = guided.velocity_mps
+    offset_m = _turned(guided.offset_m, aside_rad)
     place = displace(guided.leader, (*offset_m, ned_between(guided.leader, guided.slot)[2]))
-    velocity_mps = north_mps - rate_rps * east_m, east_mps + rate_rps * north_m
+    velocity_mps = carried_round(guided.velocity_mps, rate_rps, offset_m)
     return replace(guided, point=place, slot=place, offset_m=offset_m, velocity_mps=velocity_mps)
 
 

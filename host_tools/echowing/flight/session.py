@@ -265,9 +265,7 @@ class FollowSession:
         """Say that it searches, so that nobody wonders why it leaves the tail."""
         before, follower.searches = follower.searches, follower.search.is_under_way(now_s)
         if follower.searches and not before and self._moves(follower):
-            system_id, text = follower.plan.system_id, "no echo, looking from the side"
-            self.alert(system_id, text, mavlink.MAV_SEVERITY_NOTICE)
-            self._say(now_s, f"follower {system_id}: {text}")
+            self._remark(follower.plan.system_id, "no echo, looking from the side", now_s)
 
     def _command(self, follower: FollowerState, point: GlobalPosition, now_s: float) -> Any:
         if follower.held_at is None:
@@ -415,8 +413,12 @@ class FollowSession:
             self._hud.append((self.leader_id, status_text(severity, told)))
 
     def _gives_way(self, system_id: int, name: str, now_s: float) -> None:
-        self.alert(system_id, f"gives way to {name}", mavlink.MAV_SEVERITY_NOTICE)
-        self._say(now_s, f"follower {system_id}: gives way to {name}")
+        self._remark(system_id, f"gives way to {name}", now_s)
+
+    def _remark(self, system_id: int, text: str, now_s: float) -> None:
+        """Show and say what a follower does of its own accord."""
+        self.alert(system_id, text, mavlink.MAV_SEVERITY_NOTICE)
+        self._say(now_s, f"follower {system_id}: {text}")
 
     def _say(self, now_s: float, text: str) -> None:
         self.events.append((now_s, text))

@@ -13,8 +13,6 @@ from echowing.geo import GlobalPosition, Ned, displace, distance_m, ned_between
 
 # A hold that gives way by this much moves its place to where the vehicle is.
 MOVED_M = 0.5
-# A sonar that has detected the leader within this (readings are used a second late) is sure of it.
-HEARD_S = 3.0
 # The same text is not repeated sooner, however often the state comes and goes.
 REMARK_GAP_S = 10.0
 # Two receivers between which no sonar measures.
@@ -56,10 +54,6 @@ class Spacing:
         north, east = follower.feed_mps
         follower.feed_mps = north + flown[0] - wanted[0], east + flown[1] - wanted[1]
         return point
-
-    @staticmethod
-    def _is_heard(follower: FollowerState, now_s: float) -> bool:
-        return follower.estimate.offset.unheard_s(now_s) < HEARD_S
 
     def _switched(self, follower: FollowerState) -> bool:
         """Whether its pilot's stop switch has stopped it: then nothing of ours moves it."""
@@ -104,7 +98,7 @@ class Spacing:
             known.leader_age_s(arrives_s),
             # A leader that is not heard is already kept so far off for the receivers' errors that
             # with its braking added it would never be found.
-            brakes_mps2=OTHERS_MPS2 if self._is_heard(follower, now_s) else 0.0,
+            brakes_mps2=OTHERS_MPS2 if follower.estimate.hears(now_s) else 0.0,
         )
 
     def _other(

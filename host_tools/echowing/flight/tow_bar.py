@@ -13,11 +13,11 @@ from dataclasses import replace
 
 from echowing.flight.guidance import (
     GuidedPoint,
-    Horizontal,
     LeaderFix,
     Slot,
     at_slot,
     bearing_rad,
+    carried_round,
     turned_towards,
 )
 from echowing.geo import GlobalPosition, wrap_angle_rad
@@ -67,7 +67,7 @@ class TowBar:
         length_m = self.length_m * slot.radius_m / self.slot.radius_m
         course_rad, rate_rps = self._turn(leader, now_s, follower, length_m)
         guided = at_slot(slot, leader, course_rad, follower)
-        velocity_mps = _carried(guided.velocity_mps, rate_rps, guided.offset_m)
+        velocity_mps = carried_round(guided.velocity_mps, rate_rps, guided.offset_m)
         return replace(guided, velocity_mps=velocity_mps)
 
     def _turn(
@@ -96,8 +96,3 @@ def _turn_rate_rps(leader: LeaderFix, course_rad: float, length_m: float) -> flo
         return 0.0
     across_mps = east_mps * math.cos(course_rad) - north_mps * math.sin(course_rad)
     return across_mps / length_m
-
-
-def _carried(leader_mps: Horizontal, rate_rps: float, offset_m: Horizontal) -> Horizontal:
-    """The velocity of a place on a body that moves with the leader and turns (clockwise)."""
-    return leader_mps[0] - rate_rps * offset_m[1], leader_mps[1] + rate_rps * offset_m[0]

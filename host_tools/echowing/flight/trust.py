@@ -13,9 +13,8 @@ from echowing.flight.jumps import SAME_RANGE_M, UNCONFIRMED_S
 from echowing.flight.state import FollowerState, Known, Say
 from echowing.geo import displace
 
-# Reports that agree on a leader's new place before the sonar is checked (0.5 s at 4 Hz), and how
-# recently before the jump the sonar has to have detected the leader.
-CONFIRMING_REPORTS, HEARD_S = 2, 3.0
+# Reports that agree on a leader's new place before the sonar is checked (0.5 s at 4 Hz).
+CONFIRMING_REPORTS = 2
 
 
 class Trust:
@@ -106,7 +105,7 @@ class Trust:
     def _sonar_denies(self, follower: FollowerState, since_s: float) -> bool:
         """Whether its sonar had detected the leader, and its range is as before that moment."""
         learns = self._known.settings.learn_offset
-        if not learns or follower.estimate.offset.unheard_s(since_s) > HEARD_S:
+        if not learns or not follower.estimate.hears(since_s):
             return False
         return follower.ranges.unchanged(since_s)
 
