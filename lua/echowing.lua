@@ -394,9 +394,9 @@ end
 -- Speeds are along the nose, where the sonar looks. Times are in ms; nil is "never".
 local own = { mps = 0.0, accel_mps2 = 0.0, at_ms = nil } -- this vehicle's motion
 local track = { -- what the sonar reads (averages, single readings), and where the leader is by that, and how fast
-    raw_m = nil, raw_ms = nil,
+    raw_m = nil, raw_ms = nil, board_ms = 0, late_ms = 0,
     range_m = nil, leader_mps = 0.0, seen_mps = 0.0, leader_mps2 = 0.0, own_mps = 0.0, at_ms = 0,
-    seen_ms = 0, readings = 0, spike_m = nil, spike_ms = 0,
+    seen_ms = 0, readings = 0, spike_m = nil, spike_ms = 0, spike_own_mps = 0.0,
 }
 local laws = { -- the range becomes a speed: the law's wish, and the same after the rate limit
     wish_mps = 0.0, speed_mps = 0.0, step_ms = 0, update_ms = 0, seen_ms = 0, data_ms = 0,
@@ -496,13 +496,14 @@ end
 do
     local RAW_FRESH_MS = 300 -- an older single reading is not "the newest": 3 periods of the slower sonar rate
     local RAW_NAME = 'SNR_RAW\0\0\0' -- ten characters on the wire
+    local LATEST_MS = 1000 -- no reading waits so long: the board, or its link, has started anew
     -- A single reading this far from the prediction, or after so long without one, waits for a second one like it:
     -- readings 0.1 s apart differ by less even where both vehicles change their speed at 5 m/s2.
     local SPIKE_M, SPIKE_MS = 0.15, 300
     local MOST_MPS = 5.0 -- two vehicles close no faster
     local TRUST_READINGS = 3 -- so many readings in agreement are a target
     local TRACK_GAP_MS = 700 -- after a gap this long the tracker starts again
-    local READING_S = 0.05 -- age of a single reading: ping, wire, and until the applet looks
+    local READING_S = 0.05 -- age of a single reading as it is sent, and what the wire takes at the least
     -- The leader's acceleration is noise of the sonar (1 cm) within the first, and no copter brakes harder than the
     -- second. It needs readings enough.
     local NOISE_MPS2, HARDEST_MPS2, SETTLED_READINGS = 0.8, 4.0, 5
@@ -538,12 +539,23 @@ do
         return track.raw_ms and t_ms - track.raw_ms <= RAW_FRESH_MS and track.raw_m or nil
     end
 
+    -- When a reading was taken, by the applet's clock: readings wait for the wire and for the applet, most of them longer
+    -- than the quickest, and a speed told from their arrival would be off by metres per second. The board's clock may be
+    -- 1 % slow: 1 ms a reading.
+    local function taken_ms(board_ms, t_ms)
+        local late_ms = t_ms - board_ms
+        local goes_on = board_ms > track.board_ms and math.abs(late_ms - track.late_ms) < LATEST_MS
+        track.late_ms = goes_on and math.min(late_ms, track.late_ms + 1) or late_ms
+        track.board_ms = board_ms
+        return board_ms + track.late_ms
+    end
+
     function track.take(message, payload, t_ms)
-        local value, name = string.unpack('<fc10', message, payload + 4)
+        local board_ms, value, name = string.unpack('<I4fc10', message, payload)
         if name ~= RAW_NAME or not is_number(value) or value <= 0.0 then return end
-        track.raw_m, track.raw_ms = value + C.INSET, t_ms
+        track.raw_m, track.raw_ms = value + C.INSET, taken_ms(board_ms, t_ms)
         if track.is_target(track.raw_m) then
-            track.update(track.raw_m, t_ms)
+            track.update(track.raw_m, track.raw_ms, t_ms)
         elseif track.readings < TRUST_READINGS then
             track.range_m = nil -- what was seen before was a wild reading
         end
@@ -551,9 +563,9 @@ do
 
     -- Range of the target, the leader's speed along the line of sight, and its acceleration: a critically damped observer
     -- that knows the own speed, so that own braking is not taken for the leader's.
-    local function start(range_m, t_ms)
+    local function start(range_m, read_ms, t_ms)
         track.range_m, track.leader_mps, track.own_mps, track.at_ms = range_m, own.mps, own.mps, t_ms
-        track.seen_ms, track.readings, track.spike_m = t_ms, 1, nil
+        track.seen_ms, track.readings = read_ms, 1
         track.seen_mps, track.leader_mps2 = own.mps, 0.0
     end
 
@@ -596,33 +608,50 @@ do
     end
 
     -- What a distance has changed by since it was read, at a rate of now.
-    local function since_read_m(rate_mps)
-        return rate_mps * READING_S
+    local function since_read_m(rate_mps, read_ms, t_ms)
+        return rate_mps * (READING_S + (t_ms - read_ms) * 0.001)
+    end
+
+    -- A reading that was not foreseen waits for another one like it.
+    local function wait(range_m, read_ms)
+        track.spike_m, track.spike_ms, track.spike_own_mps = range_m, read_ms, own.mps
+    end
+
+    -- Whether it is like the one that waits, nearly the same range shortly after it; and the time between them.
+    local function is_second(range_m, read_ms)
+        if not track.spike_m then return false end
+        local dt_s = (read_ms - track.spike_ms) * 0.001
+        return dt_s > 0.0 and dt_s < SPIKE_MS * 0.001 and
+            math.abs(range_m - track.spike_m) < SPIKE_M + MOST_MPS * dt_s, dt_s
     end
 
     -- A reading that was not foreseen counts only when the next one is like it: propellers make single wild ones. The two
     -- tell range and rate anew, with the own speed between them.
-    local function spike(range_m, t_ms)
-        local dt_s = track.spike_m and (t_ms - track.spike_ms) * 0.001 or math.huge
-        local alike = dt_s > 0.0 and dt_s < SPIKE_MS * 0.001
-        if alike and math.abs(range_m - track.spike_m) < SPIKE_M + MOST_MPS * dt_s then
-            local rate_mps = (range_m - track.spike_m) / dt_s
-            track.leader_mps = rate_mps + own.mps - own.accel_mps2 * (READING_S + 0.5 * dt_s)
-            track.range_m, track.seen_ms = range_m + since_read_m(track.leader_mps - own.mps), t_ms
-            track.seen_mps, track.leader_mps2, track.readings = track.leader_mps, 0.0, TRUST_READINGS
-            track.spike_m = nil
-        else
-            track.spike_m, track.spike_ms = range_m, t_ms
-        end
+    local function unforeseen(range_m, read_ms, t_ms)
+        local second, dt_s = is_second(range_m, read_ms)
+        if not second then return wait(range_m, read_ms) end
+        local rate_mps = (range_m - track.spike_m) / dt_s
+        track.leader_mps = rate_mps + 0.5 * (track.spike_own_mps + own.mps) - own.accel_mps2 * READING_S
+        track.range_m = range_m + since_read_m(track.leader_mps - own.mps, read_ms, t_ms)
+        track.own_mps, track.at_ms, track.seen_ms = own.mps, t_ms, read_ms
+        track.seen_mps, track.leader_mps2 = track.leader_mps, 0.0
+        track.readings, track.spike_m = math.min(track.readings + 1, TRUST_READINGS), nil
     end
 
-    function track.update(range_m, t_ms)
-        if not fresh(t_ms) then return start(range_m, t_ms) end
-        local dt_s = (t_ms - track.seen_ms) * 0.001
+    -- Takes a range that was read at read_ms; now it is t_ms.
+    function track.update(range_m, read_ms, t_ms)
+        if not fresh(t_ms) then
+            local second = is_second(range_m, read_ms)
+            start(range_m, read_ms, t_ms)
+            return (second and unforeseen or wait)(range_m, read_ms, t_ms)
+        end
+        local dt_s = (read_ms - track.seen_ms) * 0.001
         if dt_s <= 0.0 then return end
         track.carry(t_ms)
-        local residual_m = range_m + since_read_m(track.leader_mps - own.mps) - track.range_m
-        if math.abs(residual_m) > SPIKE_M or dt_s > SPIKE_MS * 0.001 then return spike(range_m, t_ms) end
+        local residual_m = range_m + since_read_m(track.leader_mps - own.mps, read_ms, t_ms) - track.range_m
+        if math.abs(residual_m) > SPIKE_M or dt_s > SPIKE_MS * 0.001 then
+            return unforeseen(range_m, read_ms, t_ms)
+        end
         local keep = math.exp(-dt_s / C.TAU)
         local lose = 1.0 - keep
         local n = track.readings + 1 -- the first readings count as in a straight line through all of them
@@ -634,7 +663,7 @@ do
             track.leader_mps2 = track.leader_mps2 + lose * lose * lose / (dt_s * dt_s) * residual_m
         end
         track.seen_mps = track.leader_mps
-        track.seen_ms, track.readings, track.spike_m = t_ms, n, nil
+        track.seen_ms, track.readings, track.spike_m = read_ms, n, nil
     end
 end
 
@@ -1268,7 +1297,7 @@ do
         speed.watch(t_ms)
         local range_m, status = track.average()
         if track.is_target(range_m) and not track.newest(t_ms) then
-            track.update(range_m, t_ms) -- no single readings: the average has to do
+            track.update(range_m, t_ms, t_ms) -- no single readings: the average has to do
         end
         laws.update(range_m, status, t_ms)
         local limit_mps = limit(range_m, status, t_ms)

@@ -39,7 +39,8 @@ bool Connection::send_raw(const Instant& now, const Telemetry& telemetry) {
   raw_unsent_ = false;
   if (values_off_ || raw_pause_.running(now)) return false;
   if (value_period_ != 0) raw_pause_.start(now, value_period_);
-  return send_value(telemetry, "SNR_RAW", raw_range_m(telemetry.raw_cm));
+  return send_value(telemetry.identity, telemetry.reading_ms, "SNR_RAW",
+                    raw_range_m(telemetry.raw_cm));
 }
 
 bool Connection::send_other(const Instant& now, const Parameters& parameters,
@@ -131,7 +132,7 @@ bool Connection::send_info(const Instant& now, const Parameters& parameters,
   for (uint8_t i = 0; i < kNamedValues; ++i) {
     const bool pausing = value_pause_[i].running(now);
     if (pausing && !(as_they_change && values[i] != value_sent_[i])) continue;
-    if (!send_value(telemetry, kNames[i], values[i])) return false;
+    if (!send_value(telemetry.identity, telemetry.uptime_ms, kNames[i], values[i])) return false;
     value_sent_[i] = values[i];
     value_pause_[i].start(now, info_period(parameters));
     return true;
@@ -144,12 +145,12 @@ Milliseconds Connection::info_period(const Parameters& parameters) const {
   return paced_ ? 1000 / parameters.whole(Parameter::kInfoRate) : kRepeat;
 }
 
-bool Connection::send_value(const Telemetry& telemetry, const char* name, float value) {
+bool Connection::send_value(Identity identity, Milliseconds at, const char* name, float value) {
   mavlink_named_value_float_t message = {};
-  message.time_boot_ms = telemetry.uptime_ms;
+  message.time_boot_ms = at;
   memcpy(message.name, name, strlen(name));  // all are shorter than the field
   message.value = value;
-  return link_.send(telemetry.identity, message);
+  return link_.send(identity, message);
 }
 
 void Connection::acknowledge(Identity identity, const mavlink_message_t& asked, uint16_t command,

@@ -70,7 +70,7 @@ class Connection {
   bool send_version(const Telemetry& telemetry, const char* git_hash);
   bool send_info(const Instant& now, const Parameters& parameters, const Telemetry& telemetry);
   Milliseconds info_period(const Parameters& parameters) const;
-  bool send_value(const Telemetry& telemetry, const char* name, float value);
+  bool send_value(Identity identity, Milliseconds at, const char* name, float value);
 
   SerialPort& port_;
   bool paced_;
