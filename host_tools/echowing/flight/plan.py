@@ -21,11 +21,16 @@ from echowing.geo import displace, distance_m, ned_between, wrap_angle_rad
 
 # A leader that the sonar does not hear is approached no faster than this: from it a copter stops
 # within the beam's reach less the receivers' error.
-JOIN_MPS, HEARD_LATELY_S = 1.5, 1.5
+JOIN_MPS, QUIET_S = 1.5, 0.5
+# One that it heard lately may be turning round, and reports tell of that half a second late: the
+# follower catches up half as hard as Guided would.
+LATELY_S, CATCH_UP_PER_S = 4.0, 0.5
+# A slot that was opened closes as slowly: one that leans to catch up loses its leader.
+CLOSES_MPS = 0.6
 # A leader that is not heard for so long is looked for where it most likely is.
 LOST_S = 1.0
-# A follower this near its slot is in it.
-IN_SLOT_M = 1.0
+# A follower this near its slot is in it; nearer than the second it is there.
+IN_SLOT_M, AT_SLOT_M = 1.0, 0.05
 
 
 def planned(known: Known, follower: FollowerState, fix: LeaderFix, now_s: float) -> GuidedPoint:
@@ -38,6 +43,7 @@ def planned(known: Known, follower: FollowerState, fix: LeaderFix, now_s: float)
         least_m = max(least_m, _least_radius_m(known, follower, now_s))
         if least_m > 0.0 and not follower.estimate.hears(now_s):
             least_m = max(least_m, _reversal_by_radio_m(known, follower, fix))
+    least_m = _closing_slowly(follower, least_m, now_s)
     arrives_s = now_s + follower.way_s
     leader = _leader(known, follower, fix, arrives_s)
     guided = follower.guide.update(leader, arrives_s, follower.then(arrives_s), least_m)
@@ -93,6 +99,14 @@ def _reversal_by_radio_m(known: Known, follower: FollowerState, fix: LeaderFix) 
     return min(DETECTION_LIMIT_M, least_m)
 
 
+def _closing_slowly(follower: FollowerState, least_m: float, now_s: float) -> float:
+    """The least radius, which opens at once and closes at `CLOSES_MPS`."""
+    elapsed_s = now_s - follower.least_at_s
+    follower.least_m = max(least_m, follower.least_m - CLOSES_MPS * elapsed_s)
+    follower.least_at_s = now_s
+    return follower.least_m
+
+
 def _fading(guided: GuidedPoint, settings: GuidanceSettings) -> GuidedPoint:
     """The slot's velocity, which fades as the leader's report grows old."""
     share = lead_share(guided.age_s, settings)
@@ -118,21 +132,23 @@ def _led(guided: GuidedPoint, leader: LeaderFix, settings: GuidanceSettings) -> 
 
 
 def _joined_slowly(follower: FollowerState, guided: GuidedPoint, now_s: float) -> GuidedPoint:
-    """Send a long way to a leader that is not heard as a velocity, `JOIN_MPS`.
+    """Send the way to a leader that is not heard as a velocity.
 
     A place ahead would move on with the vehicle that flies towards it, and be overshot.
     """
-    here = follower.on_arrival(now_s)
-    if here is None or follower.estimate.offset.unheard_s(now_s) < HEARD_LATELY_S:
+    here, unheard_s = follower.on_arrival(now_s), follower.estimate.offset.unheard_s(now_s)
+    if here is None or unheard_s < QUIET_S:
         return guided
     north, east, down = ned_between(here, guided.point)
     far_m = math.hypot(north, east)
+    lately = unheard_s < LATELY_S
     # Away from the leader nothing is too fast, and near its slot Guided is slow by itself.
     away = distance_m(guided.point, guided.leader) >= distance_m(here, guided.leader)
-    if away or far_m <= JOIN_MPS / POSITION_GAIN_PER_S:
+    if away or far_m <= (AT_SLOT_M if lately else JOIN_MPS / POSITION_GAIN_PER_S):
         return guided
     slot_north, slot_east = guided.velocity_mps
-    pace = JOIN_MPS / far_m
+    gain_per_s = CATCH_UP_PER_S if lately else POSITION_GAIN_PER_S
+    pace = min(JOIN_MPS / far_m, gain_per_s)
     return replace(
         guided,
         point=displace(here, (0.0, 0.0, down)),

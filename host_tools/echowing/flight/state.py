@@ -85,8 +85,9 @@ class FollowerState:
     there by TIMESYNC, else when the report came; feed_mps: the velocity sent with the point (north,
     east), None: none; yaw_rad: where it was last told to look; gives_way_to: the vehicle for which
     it leaves its plan; latched: why it is held until it leaves Guided; reversal_m: the nearest slot
-    from which it gets away if the leader turns round now; opens: it was said that the slot opens
-    for that; searches: it looks for the leader from the side.
+    from which it gets away if the leader turns round now; least_m, least_at_s: the nearest slot it
+    was given last, and when; opens: it was said that the slot opens for a reversal; searches: it
+    looks for the leader from the side.
     """
 
     plan: FollowerPlan
@@ -100,6 +101,8 @@ class FollowerState:
     search: Search = field(default_factory=Search)
     latched: str | None = None
     reversal_m: float = 0.0
+    least_m: float = 0.0
+    least_at_s: float = 0.0
     opens: bool = False
     searches: bool = False
     raw_at_s: float = -math.inf
