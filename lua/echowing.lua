@@ -501,7 +501,8 @@ do
     -- readings 0.1 s apart differ by less even where both vehicles change their speed at 5 m/s2.
     local SPIKE_M, SPIKE_MS = 0.15, 300
     local MOST_MPS = 5.0 -- two vehicles close no faster
-    local TRUST_READINGS = 3 -- so many readings in agreement are a target
+    -- So many readings in agreement are a target; one that did not agree takes one of them off, of so many at the most.
+    local TRUST_READINGS, KNOWN_READINGS = 3, 6
     local TRACK_GAP_MS = 700 -- after a gap this long the tracker starts again
     local READING_S = 0.05 -- age of a single reading as it is sent, and what the wire takes at the least
     -- The leader's acceleration is noise of the sonar (1 cm) within the first, and no copter brakes harder than the
@@ -615,6 +616,7 @@ do
     -- A reading that was not foreseen waits for another one like it.
     local function wait(range_m, read_ms)
         track.spike_m, track.spike_ms, track.spike_own_mps = range_m, read_ms, own.mps
+        if track.readings >= TRUST_READINGS then track.readings = math.min(track.readings, KNOWN_READINGS) - 1 end
     end
 
     -- Whether it is like the one that waits, nearly the same range shortly after it; and the time between them.
@@ -630,12 +632,13 @@ do
     local function unforeseen(range_m, read_ms, t_ms)
         local second, dt_s = is_second(range_m, read_ms)
         if not second then return wait(range_m, read_ms) end
-        local rate_mps = (range_m - track.spike_m) / dt_s
+        local rate_mps = clamp((range_m - track.spike_m) / dt_s, -MOST_MPS, MOST_MPS)
         track.leader_mps = rate_mps + 0.5 * (track.spike_own_mps + own.mps) - own.accel_mps2 * READING_S
         track.range_m = range_m + since_read_m(track.leader_mps - own.mps, read_ms, t_ms)
         track.own_mps, track.at_ms, track.seen_ms = own.mps, t_ms, read_ms
         track.seen_mps, track.leader_mps2 = track.leader_mps, 0.0
-        track.readings, track.spike_m = math.min(track.readings + 1, TRUST_READINGS), nil
+        -- Two alike may still be wild ones, until a third is foreseen.
+        track.readings, track.spike_m = track.readings >= TRUST_READINGS and TRUST_READINGS or 2, nil
     end
 
     -- Takes a range that was read at read_ms; now it is t_ms.

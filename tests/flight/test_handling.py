@@ -27,17 +27,37 @@ def test_a_jerk_beyond_what_the_lean_can_do_is_worth_no_more() -> None:
 
 def test_it_is_asked_for_under_both_names_until_it_is_known() -> None:
     handling = Handling()
-    names = {"WP_ACC", "WPNAV_ACCEL", "PSC_JERK_NE", "PSC_JERK_XY"}
+    leans = {"ATC_ANGLE_MAX", "ANGLE_MAX"}
+    names = {"WP_ACC", "WPNAV_ACCEL", "PSC_JERK_NE", "PSC_JERK_XY"} | leans
     assert set(handling.asks(0.0)) == names
     assert handling.asks(ASK_PERIOD_S / 2.0) == []
     assert set(handling.asks(ASK_PERIOD_S)) == names
     handling.receive("WPNAV_ACCEL", 500.0)
     assert not handling.known
-    assert handling.asks(2.0 * ASK_PERIOD_S) == ["PSC_JERK_NE", "PSC_JERK_XY"]
+    assert set(handling.asks(2.0 * ASK_PERIOD_S)) == {"PSC_JERK_NE", "PSC_JERK_XY"} | leans
     handling.receive("PSC_JERK_XY", 20.0)
     assert handling.known
     assert handling.answer == answer_of(5.0, 20.0)
     assert handling.asks(10.0) == []
+
+
+def test_the_wind_leaves_less_to_brake_with() -> None:
+    handling = Handling(5.0, 20.0)
+    calm = handling.answer
+    handling.wind_leaves_mps2 = 1.26
+    assert handling.answer == Answer(calm.dead_s, 1.3)
+    assert handling.answer_in_calm == calm
+    handling.wind_leaves_mps2 = 5.7
+    assert handling.answer == calm
+
+
+def test_its_largest_lean_is_read_under_both_names() -> None:
+    handling = Handling()
+    assert handling.lean_max_rad == pytest.approx(math.radians(30.0))
+    handling.receive("ATC_ANGLE_MAX", 45.0)
+    assert handling.lean_max_rad == pytest.approx(math.radians(45.0))
+    handling.receive("ANGLE_MAX", 2500.0)
+    assert handling.lean_max_rad == pytest.approx(math.radians(25.0))
 
 
 def test_a_vehicle_that_does_not_answer_is_asked_seldom_but_for_ever() -> None:

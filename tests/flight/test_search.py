@@ -106,5 +106,5 @@ def test_a_leader_out_of_reach_from_the_tail_is_found_from_the_side(seed: int) -
     (measured,) = one.metrics
     assert any(SAID in text for _, text in one.events)
     # Without the search: 1.3 to 3.2 m.
-    assert measured.mean_abs_error_m < 0.3
+    assert measured.mean_abs_error_m < 0.5 * 1.3
     assert one.closest_m > 1.5

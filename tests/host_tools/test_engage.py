@@ -16,8 +16,10 @@ from echowing.flight.engage import (
     StuckPosition,
     table,
 )
+from echowing.flight.envelope import Answer
 from echowing.flight.guard import Limits
 from echowing.flight.guidance import Slot
+from echowing.flight.handling import least_slot_m
 from echowing.flight.readiness import Readiness
 from echowing.flight.switch import StopSwitch
 from echowing.geo import distance_m
@@ -149,6 +151,31 @@ def test_a_slot_opens_for_a_leader_too_fast_to_turn_round_from_it() -> None:
     assert leader is not None
     assert distance_m(guided.slot, guided.leader) == pytest.approx(4.56, abs=0.02)
     assert sum("slot opens to 4.6 m, leader at 3.0 m/s" in text for text in yard.events()) == 1
+
+
+def test_a_follower_that_the_wind_leaves_nothing_to_brake_with_is_not_engaged() -> None:
+    """Leaning back 20 of 30 degrees, 3.6 of 5.7 m/s2; a gust takes half as much again."""
+    yard = Yard()
+    yard.vehicles[FOLLOWER].pitch_rad = math.radians(20.0)
+    assert yard.fly(SOON_S) == []
+    assert yard.said("not engaged, the wind leaves it 0.5 m/s2 to brake with, 1.0 are the least")
+    yard.vehicles[FOLLOWER].pitch_rad = math.radians(-20.0)  # it comes from ahead
+    assert yard.fly(20.0) != []
+
+
+def test_a_slot_opens_where_the_wind_leaves_little_to_brake_with() -> None:
+    """10 degrees from behind leave 3.1 of 5 m/s2."""
+    yard = Yard()
+    yard.vehicles[LEADER].velocity_mps = yard.vehicles[FOLLOWER].velocity_mps = 2.0, 0.0
+    yard.fly(SOON_S)
+    follower = yard.session.followers[FOLLOWER]
+    assert follower.reversal_m < 3.0
+    assert not yard.said("m, wind leaves ")
+    yard.vehicles[FOLLOWER].pitch_rad = math.radians(10.0)
+    yard.fly(30.0)
+    answer = Answer(follower.handling.answer_in_calm.dead_s, 3.1)
+    assert follower.reversal_m == least_slot_m(2.0, answer) > 3.0
+    assert yard.said("m, wind leaves ")
 
 
 def test_limits_that_are_not_told_are_not_guessed() -> None:

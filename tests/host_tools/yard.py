@@ -28,8 +28,8 @@ class Vehicle:
     """One vehicle: where it is and what it says.
 
     boot_s: when it was switched on; late_s: how old its positions are when they come; says_clock:
-    whether it answers TIMESYNC; parameters: what it answers to a question for them; stuck: its
-    reports keep the place of that one.
+    whether it answers TIMESYNC; pitch_rad: how it leans, its nose to the north; parameters: what
+    it answers to a question for them; stuck: its reports keep the place of that one.
     """
 
     at_m: tuple[float, float]
@@ -46,6 +46,7 @@ class Vehicle:
     ekf_variance: float = 0.05
     battery_percent: int = 80
     mode: int = GUIDED
+    pitch_rad: float = 0.0
     silent: bool = False
     stuck: Any = None
     parameters: dict[str, float] = field(
@@ -86,6 +87,9 @@ class Vehicle:
         """What it says once a second."""
         return [
             self.heartbeat(),
+            mavlink.MAVLink_attitude_message(
+                self.boot_ms(now_s), 0.0, self.pitch_rad, 0.0, 0.0, 0.0, 0.0
+            ),
             mavlink.MAVLink_gps_raw_int_message(
                 *(0, self.fix_type, 0, 0, 0, round(self.hdop * 100)),
                 *(0, 0, 0, self.satellites),

@@ -111,9 +111,16 @@ class Rig:
         return self.range(0.0, NO_DATA)
 
     def send_raw(
-        self, metres: float, *, system: int = CO_PROCESSOR, name: bytes = b"SNR_RAW"
+        self,
+        metres: float,
+        *,
+        system: int = CO_PROCESSOR,
+        name: bytes = b"SNR_RAW",
+        board_ms: int | None = None,
     ) -> None:
-        payload = struct.pack("<If10s", self.vehicle.t_ms, metres, name)
+        """A single reading; board_ms: when the co-processor read it, by its own clock."""
+        stamp_ms = self.vehicle.t_ms if board_ms is None else board_ms
+        payload = struct.pack("<If10s", stamp_ms, metres, name)
         self.vehicle.inbox.append((mavlink_frame(251, payload, system), 1))
 
     def send_target(

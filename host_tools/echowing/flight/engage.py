@@ -51,6 +51,8 @@ HOMES_M, HEIGHTS_M = 1.0, 3.0
 LOWEST_M = 1.0
 # A leader may turn round at this speed without danger: the thesis's leader flew at it.
 TURNS_MPS = 2.0
+# A follower that can brake no harder is not engaged: a stop from 1 m/s takes a second.
+WIND_LEAVES_MPS2 = 1.0
 # Charge that is enough for a flight of some minutes and the way home.
 LEAST_BATTERY_PERCENT = 20
 # What ArduPilot requires of a receiver before arming (GPS_HDOP_GOOD, EK3_GPS_CHECK), and the
@@ -327,7 +329,7 @@ class Engagement:
 
     def objection_to_take_off(self, follower: FollowerState, now_s: float) -> str | None:
         """As `objection`, for a follower on the ground: height and side do not count yet."""
-        airborne = ("height", "side")
+        airborne = ("height", "side", "wind")
         wrong = (
             one.wrong
             for one in self.findings(follower, now_s)
@@ -423,6 +425,7 @@ class Engagement:
             *self._switch("its", system_id, now_s),
             *self._applet(system_id, follower),
             *self._reversal(follower, follower.plan.slot.radius_m),
+            *self._wind(follower),
             *self._homes(follower),
             *self._height(follower),
             *self._state("its", system_id),
@@ -464,7 +467,7 @@ class Engagement:
         handling = follower.handling
         if not handling.known:
             return [Finding("least", "?", "its acceleration and jerk are not known (WP_ACC)")]
-        least_m = least_slot_m(TURNS_MPS, handling.answer)
+        least_m = least_slot_m(TURNS_MPS, handling.answer_in_calm)
         wrong = ""
         if radius_m < least_m:
             wrong = (
@@ -473,6 +476,17 @@ class Engagement:
                 f"`echowing setup apply` (WP_ACC, PSC_JERK_NE), or a larger --radius"
             )
         return [Finding("least", f"{least_m:.1f} m", wrong)]
+
+    def _wind(self, follower: FollowerState) -> list[Finding]:
+        """Whether the wind leaves it enough of its lean; no cell where it does."""
+        leaves_mps2 = follower.handling.wind_leaves_mps2
+        if not self.readiness.reversal or leaves_mps2 >= WIND_LEAVES_MPS2:
+            return []
+        wrong = (
+            f"the wind leaves it {leaves_mps2:.1f} m/s2 to brake with, {WIND_LEAVES_MPS2:.1f} are "
+            "the least: wait until it is calmer"
+        )
+        return [Finding("wind", f"{leaves_mps2:.1f} m/s2", wrong)]
 
     def _homes(self, follower: FollowerState) -> list[Finding]:
         if self._guard.limits.home_difference_m is None:

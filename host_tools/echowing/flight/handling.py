@@ -13,6 +13,7 @@ from echowing.flight.envelope import LEAST_M, OTHERS_MPS2, Answer
 # Names in ArduCopter 4.7 and later, and before, with the factor to SI units.
 ACCELERATIONS = {"WP_ACC": 1.0, "WPNAV_ACCEL": 0.01}
 JERKS = {"PSC_JERK_NE": 1.0, "PSC_JERK_XY": 1.0}
+LEANS = {"ATC_ANGLE_MAX": math.radians(1.0), "ANGLE_MAX": math.radians(0.01)}
 # Once a second at first, then seldom: a noisy radio loses both request and answer.
 ASK_PERIOD_S, SELDOM_S = 1.0, 5.0
 OFTEN = 5
@@ -31,16 +32,31 @@ STEP_S = 0.005
 
 @dataclass(slots=True)
 class Handling:
-    """What one follower has reported of its acceleration and jerk; None: nothing yet."""
+    """What one follower has reported of its acceleration and jerk; None: nothing yet.
+
+    lean_max_rad: its largest lean, ArduCopter's default until it has reported it; wind_leaves_mps2:
+    the hardest braking that the wind leaves it.
+    """
 
     decel_mps2: float | None = None
     jerk_mps3: float | None = None
+    lean_max_rad: float = math.radians(30.0)
+    wind_leaves_mps2: float = math.inf
     _asked_at_s: float = -math.inf
     _asks: int = 0
 
     @property
     def answer(self) -> Answer:
-        """How it answers; ArduCopter's defaults where it has not reported."""
+        """How it answers in this wind; ArduCopter's defaults where it has not reported."""
+        calm = self.answer_in_calm
+        if self.wind_leaves_mps2 >= calm.decel_mps2:
+            return calm
+        # To a tenth: what depends on it is worked out once for each value.
+        return Answer(calm.dead_s, round(self.wind_leaves_mps2, 1))
+
+    @property
+    def answer_in_calm(self) -> Answer:
+        """How it answers without wind."""
         return answer_of(self.decel_mps2, self.jerk_mps3)
 
     @property
@@ -54,6 +70,8 @@ class Handling:
             self.decel_mps2 = value * ACCELERATIONS[name]
         elif name in JERKS and value > 0.0:
             self.jerk_mps3 = value * JERKS[name]
+        elif name in LEANS and value > 0.0:
+            self.lean_max_rad = value * LEANS[name]
 
     def asks(self, now_s: float) -> list[str]:
         """The parameters to request now."""
@@ -63,7 +81,8 @@ class Handling:
         self._asked_at_s = now_s
         self._asks += 1
         missing = ACCELERATIONS if self.decel_mps2 is None else {}
-        return [*missing, *(JERKS if self.jerk_mps3 is None else {})]
+        first = LEANS if self._asks <= OFTEN else {}
+        return [*missing, *(JERKS if self.jerk_mps3 is None else {}), *first]
 
 
 def answer_of(decel_mps2: float | None, jerk_mps3: float | None) -> Answer:

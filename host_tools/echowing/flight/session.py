@@ -36,7 +36,7 @@ from echowing.geo import GlobalPosition
 from echowing.mavlink.messages import TOOL_SYSTEM_ID, is_nonsense, position_target, status_text
 
 STALE = "leader is stale"
-DISTANCE_HZ = 5.0
+DISTANCE_HZ, ATTITUDE_HZ = 5.0, 2.0
 # The speed sent for a slot that stands.
 LEAST_MPS = 0.001
 # A slot that opened for a fast leader counts as closed when it needs less than its radius by this.
@@ -136,6 +136,8 @@ class FollowSession:
             report = follower.reported(message, now_s)
             if report is not None:
                 self._trust.follower_reported(follower, report)
+        elif kind == "ATTITUDE" and self.guard is not None:
+            follower.leaned(message, now_s)
         elif kind == "HEARTBEAT" and message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1:
             self._mode(follower, message, now_s)
         elif kind == "COMMAND_ACK":
@@ -194,6 +196,7 @@ class FollowSession:
             messages.extend(self._lift(self.take_offs, now_s))
         for follower in self.followers.values():
             self._trust.settle(follower, now_s)
+            self.known.feel_wind(follower, now_s)
             messages.extend(self._led(follower, now_s))
         messages.extend(self._hud)
         self._hud.clear()
@@ -252,7 +255,10 @@ class FollowSession:
         follower.reversal_m = least_slot_m(speed_mps, follower.handling.answer)
         opens = follower.reversal_m > radius_m
         if opens and not follower.opens:
-            text = f"slot opens to {follower.reversal_m:.1f} m, leader at {speed_mps:.1f} m/s"
+            why = f"leader at {speed_mps:.1f} m/s"
+            if least_slot_m(speed_mps, follower.handling.answer_in_calm) <= radius_m:
+                why = f"wind leaves {follower.handling.wind_leaves_mps2:.1f} m/s2 to brake"
+            text = f"slot opens to {follower.reversal_m:.1f} m, {why}"
             self.alert(follower.plan.system_id, text, mavlink.MAV_SEVERITY_NOTICE)
             self._say(
                 now_s,
@@ -433,4 +439,6 @@ class FollowSession:
         if self.settings.learn_offset:
             distance = mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR
             wanted += [(system_id, distance, DISTANCE_HZ) for system_id in self.followers]
+        attitude = mavlink.MAVLINK_MSG_ID_ATTITUDE
+        wanted += [(system_id, attitude, ATTITUDE_HZ) for system_id in self.followers]
         return wanted

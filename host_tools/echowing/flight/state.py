@@ -28,6 +28,7 @@ from echowing.flight.search import Search
 from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.flight.tail import TailSlot
 from echowing.flight.tow_bar import TowBar
+from echowing.flight.wind import Wind
 from echowing.geo import GlobalPosition, displace
 from echowing.mavlink.messages import FORWARD, heading_of, sonar_range_m
 
@@ -99,6 +100,7 @@ class FollowerState:
     handling: Handling = field(default_factory=Handling)
     motion: OwnMotion = field(default_factory=OwnMotion)
     search: Search = field(default_factory=Search)
+    wind: Wind = field(default_factory=Wind)
     latched: str | None = None
     reversal_m: float = 0.0
     least_m: float = 0.0
@@ -203,6 +205,11 @@ class FollowerState:
         self.heading_rad = heading_of(message, self.heading_rad)
         return Report(self.position_at_s, self.position, self.velocity_mps, self.heading_rad)
 
+    def leaned(self, message: Any, now_s: float) -> None:
+        """Take its ATTITUDE."""
+        attitude_rad = message.roll, message.pitch, message.yaw
+        self.wind.leans(attitude_rad, self.velocity_mps, now_s)
+
     def ranged(self, kind: str, message: Any, now_s: float, inset_m: float) -> None:
         """Take a message that may be its sonar's; single readings count before averages."""
         if kind == "NAMED_VALUE_FLOAT" and message.name == SONAR_READING:
@@ -277,6 +284,14 @@ class Known:
         """Bearing from a follower to the leader; None: one of them is not known."""
         leader, here = self.leader_then(follower, now_s), follower.then(now_s)
         return None if leader is None or here is None else bearing_rad(here, leader.position)
+
+    def feel_wind(self, follower: FollowerState, now_s: float) -> None:
+        """How hard a follower can brake in this wind, on its way to the leader."""
+        bearing = self.bearing_of_leader(follower, now_s)
+        if bearing is not None:
+            handling = follower.handling
+            leaves_mps2 = follower.wind.leaves_mps2(bearing, handling.lean_max_rad)
+            handling.wind_leaves_mps2 = leaves_mps2
 
     def note_leader(self, fix: LeaderFix) -> None:
         """Keep a new report of the leader, and let every estimate learn from it."""

@@ -1,0 +1,128 @@
+"""The sonar track: when a reading was taken, how fast the leader flies, and what is believed."""
+
+from __future__ import annotations
+
+import random
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from tests.lua.conftest import MakeRig, Rig
+
+OWN_MPS = 2.0
+BOARD_AHEAD_MS = 7_000_000  # the co-processor was switched on long before the applet
+PERIOD_MS = 100
+BACKING_OFF = 6
+TRUST_READINGS = 3
+
+
+class Sonar:
+    """Readings of a leader, 10 Hz, that arrive late by turns; `drift`: of the board's clock."""
+
+    def __init__(self, r: Rig, late_ms: list[int], drift: float = 0.0) -> None:
+        self.rig, self.late_ms, self.drift = r, late_ms, drift
+        self.restarted_ms = 0
+        self._began = 0, 0.0, 0.0
+        self._on_the_way: list[tuple[int, int, float]] = []
+        self._count = 0
+
+    def run(self, seconds: float, start_m: float, rate_mps: float) -> None:
+        """The range begins at `start_m` and changes at a rate."""
+        vehicle = self.rig.vehicle
+        self._began = vehicle.t_ms, start_m, rate_mps
+        for _ in range(round(seconds * 100)):
+            if vehicle.t_ms % PERIOD_MS == 0:
+                late_ms = self.late_ms[self._count % len(self.late_ms)]
+                self._count += 1
+                board_ms = BOARD_AHEAD_MS + round(vehicle.t_ms * (1.0 + self.drift))
+                # As old as READING_S says.
+                arrives_ms, range_m = vehicle.t_ms + late_ms, self.range_m(0.05)
+                self._on_the_way.append((arrives_ms, board_ms - self.restarted_ms, range_m))
+            while self._on_the_way and self._on_the_way[0][0] <= vehicle.t_ms:
+                _, board_ms, range_m = self._on_the_way.pop(0)
+                self.rig.send_raw(round(range_m, 2), board_ms=board_ms)
+            self.rig.run(0.01)
+
+    def range_m(self, before_s: float = 0.0) -> float:
+        """The true range, so long before now."""
+        began_ms, start_m, rate_mps = self._began
+        return start_m + rate_mps * ((self.rig.vehicle.t_ms - began_ms) / 1000.0 - before_s)
+
+
+def track(r: Rig) -> tuple[float, float, int]:
+    """The track's range now, the leader's speed, and the count of readings in agreement."""
+    state = r.host.local_value("track")
+    leader_mps, since_s = float(state.leader_mps), (r.vehicle.t_ms - state.at_ms) / 1000.0
+    range_m = float(state.range_m or 0.0) + (leader_mps - OWN_MPS) * since_s
+    return range_m, leader_mps, int(state.readings)
+
+
+def flying(rig: MakeRig) -> Rig:
+    r = rig(LAW=2).range(6.0)
+    r.raw_every_ms = None
+    r.vehicle.velocity = (OWN_MPS, 0.0, 0.0)
+    return r.run(0.5)
+
+
+@pytest.mark.parametrize("late_ms", [[0], [5, 60, 25], [60, 5], [30, 0, 45, 60]])
+def test_a_standing_leader_is_seen_to_stand_however_late_its_readings_arrive(
+    rig: MakeRig, late_ms: list[int]
+) -> None:
+    """By their arrival 55 ms that change by turns are 2 m/s x 55 / 100, over 1 m/s."""
+    r = flying(rig)
+    sonar = Sonar(r, late_ms)
+    sonar.run(1.0, 8.0, -OWN_MPS)  # beyond its reach: the clocks are compared all the same
+    sonar.run(0.5, 4.4, -OWN_MPS)
+    range_m, leader_mps, readings = track(r)
+    assert readings >= TRUST_READINGS
+    assert leader_mps == pytest.approx(0.0, abs=0.25)  # two steps of 1 cm in 0.1 s are 0.2 m/s
+    # Its own round of 50 ms may keep all of them waiting: 0.1 m at 2 m/s.
+    assert range_m == pytest.approx(sonar.range_m(), abs=0.12)
+
+
+@pytest.mark.parametrize("drift", [-0.01, 0.01])
+def test_a_board_whose_clock_is_1_percent_off_is_followed(rig: MakeRig, drift: float) -> None:
+    """In half a minute it is 0.3 s off, 0.6 m at 2 m/s."""
+    r = flying(rig)
+    sonar = Sonar(r, [20, 0, 40], drift)
+    sonar.run(30.0, 8.0, 0.0)
+    sonar.run(0.7, 4.4, -OWN_MPS)
+    range_m, leader_mps, _ = track(r)
+    assert leader_mps == pytest.approx(0.0, abs=0.3)
+    assert range_m == pytest.approx(sonar.range_m(), abs=0.06)
+
+
+def test_a_board_that_restarts_counts_from_its_new_clock(rig: MakeRig) -> None:
+    r = flying(rig)
+    sonar = Sonar(r, [20, 0, 40])
+    sonar.run(3.0, 8.0, 0.0)
+    sonar.restarted_ms = BOARD_AHEAD_MS + r.vehicle.t_ms - 500
+    sonar.run(0.7, 4.4, -OWN_MPS)
+    range_m, leader_mps, _ = track(r)
+    assert leader_mps == pytest.approx(0.0, abs=0.3)
+    assert range_m == pytest.approx(sonar.range_m(), abs=0.06)
+
+
+def test_readings_without_a_stamp_count_from_their_arrival(rig: MakeRig) -> None:
+    r = flying(rig)
+    for _ in range(10):
+        r.send_raw(3.5, board_ms=0)
+        r.run(0.1)
+    range_m, leader_mps, readings = track(r)
+    assert (range_m, readings) == (pytest.approx(3.5, abs=0.03), 10)
+    assert leader_mps == pytest.approx(OWN_MPS, abs=0.05)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_sonar_that_reads_anything_at_all_moves_nobody_for_long(rig: MakeRig, seed: int) -> None:
+    """Ten wild readings a second for 20 s: three that agree by chance are soon denied by others."""
+    r = rig(LAW=2).range(6.0)
+    r.vehicle.velocity = (0.0, 0.0, 0.0)
+    r.run(0.5)
+    chance, backing_off = random.Random(seed), 0
+    for _ in range(200):
+        r.send_raw(round(chance.uniform(0.3, 7.0), 2))
+        r.run(0.1)
+        backing_off = backing_off + 1 if r.state == BACKING_OFF else 0
+        assert backing_off <= 5  # half a second
