@@ -6,7 +6,16 @@ from itertools import pairwise
 import pytest
 
 from echowing.flight.guidance import GuidedPoint
-from echowing.flight.search import ASIDE_RAD, BACK_RPS, PATIENCE_S, PERIOD_S, ROUNDS, Search, swung
+from echowing.flight.search import (
+    ASIDE_RAD,
+    BACK_RPS,
+    GATHERS_S,
+    PATIENCE_S,
+    PERIOD_S,
+    ROUNDS,
+    Search,
+    swung,
+)
 from echowing.geo import GlobalPosition, displace, ned_between
 from echowing.sim.scenario import load_scenario
 from echowing.sim.summary import fly
@@ -36,7 +45,7 @@ class Flown:
 
 
 def test_both_sides_are_seen_before_twenty_seconds_are_over() -> None:
-    """4 s at the tail, a quarter of a round to one side, half a round more to the other."""
+    """3 s at the tail, a second lost at the start, three quarters of a round."""
     sides = Flown().on(20.0).sides
     assert max(aside for _, aside, _ in sides) == pytest.approx(ASIDE_RAD, rel=0.01)
     assert min(aside for _, aside, _ in sides) == pytest.approx(-ASIDE_RAD, rel=0.01)
@@ -46,6 +55,14 @@ def test_the_rate_is_that_of_the_angle() -> None:
     sides = Flown().on(30.0).on(10.0, misses=False).sides
     for (_, before, _), (_, aside, rate_rps) in pairwise(sides):
         assert rate_rps * TICK_S == pytest.approx(aside - before, abs=1e-9)
+
+
+def test_it_sets_out_and_ends_gently() -> None:
+    """A quarter of a rad/s2 at the most: 0.8 m/s2 at 3 m."""
+    rates = [rate for _, _, rate in Flown().on(PATIENCE_S + ROUNDS * PERIOD_S + 5.0).sides]
+    hardest = max(abs(b - a) / TICK_S for a, b in pairwise(rates))
+    assert hardest < 0.25
+    assert max(rates) > 0.3
 
 
 def test_it_begins_in_its_slot_and_after_some_patience() -> None:
@@ -74,7 +91,7 @@ def test_heard_it_goes_back_to_the_tail_slowly() -> None:
 
 
 def test_it_gives_up_until_it_has_heard_the_leader_again() -> None:
-    flown = Flown().on(PATIENCE_S + ROUNDS * PERIOD_S + 1.0)
+    flown = Flown().on(PATIENCE_S + ROUNDS * PERIOD_S + GATHERS_S + 1.0)
     assert not flown.swings
     assert not flown.on(60.0).swings
     assert flown.search.aside_rad == 0.0
