@@ -906,7 +906,7 @@ do
     -- from it; more away from the leader. A sonar that is stuck then moves the vehicle no further.
     local FORWARD_M, BACK_M = 1.0, 5.0
     local UNSEEN_MS = 300
-    local GENTLE_MPS2, NEARER_M = 1.5, 0.4 -- 9 degrees of lean, and what the air takes; 1 m/s for each metre
+    local GENTLE_MPS2, NEARER_M = 1.0, 0.4 -- 6 degrees of lean, and what the air takes; 1 m/s for each metre
     local LEAD_S = 0.3 -- until this vehicle leans against its motion
 
     -- Where the point belongs along the beam (metres ahead of here), and its speed there: at the wanted distance from
