@@ -473,10 +473,16 @@ do
         return north_mps * north_mps + east_mps * east_mps < STANDS_MPS * STANDS_MPS
     end
 
+    -- The acceleration that Guided may use, by its name from 4.7 on or before. 0 or none: what the vehicle is known to reach.
+    local function hardest_mps2()
+        local mps2 = param:get('WP_ACC') or (param:get('WPNAV_ACCEL') or 0.0) * 0.01
+        return mps2 > 0.0 and mps2 or C.DECEL
+    end
+
     -- Metres to a stop from a speed, which goes on changing at a rate until the vehicle leans against its motion.
     local function stopping_m(mps, mps2)
         local then_mps = math.max(0.0, mps + mps2 * LEAN_S)
-        return 0.5 * (mps + then_mps) * LEAN_S + then_mps * then_mps / (2.0 * C.DECEL)
+        return 0.5 * (mps + then_mps) * LEAN_S + then_mps * then_mps / (2.0 * hardest_mps2())
     end
 
     -- Stays where it comes to a stop: a place it has to come back to would take longer.

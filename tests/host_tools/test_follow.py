@@ -1,5 +1,6 @@
 import math
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import pytest
@@ -9,6 +10,7 @@ from echowing.flight.guard import Limits
 from echowing.flight.guidance import GRAY, GuidanceSettings, Slot
 from echowing.flight.jumps import AGREEING_REPORTS
 from echowing.flight.leader_track import CLOCKS_AGREE_S, VehicleClock
+from echowing.flight.plan import CLOSES_MPS
 from echowing.flight.session import FollowSession
 from echowing.flight.state import FollowerPlan
 from echowing.geo import GlobalPosition, displace, ned_between
@@ -110,6 +112,60 @@ def test_a_leader_that_is_not_heard_is_approached_slowly() -> None:
     (target,) = targets(follow, 1.0)
     assert metres_from_here(target)[0] == pytest.approx(-8.0, abs=0.03)
     assert target.vx == pytest.approx(1.5, abs=0.02)
+
+
+def test_a_leader_heard_lately_is_caught_up_with_half_as_hard_as_guided_would() -> None:
+    """1 m behind its slot: 0.5 m/s, where a place 1 m ahead would be flown to at 1 m/s."""
+    follow = session()
+    state = follow.followers[FOLLOWER]
+    state.estimate.offset._heard_at_s = 0.0
+    follow.receive(from_vehicle(FOLLOWER, position(0.9, displace(HERE, (-4.0, 0.0, 0.0)))), 0.9)
+    follow.receive(from_vehicle(LEADER, position(1.0, HERE)), 1.0)
+
+    (target,) = targets(follow, 1.0)
+    assert metres_from_here(target)[0] == pytest.approx(-4.0, abs=0.03)
+    assert target.vx == pytest.approx(0.5, abs=0.02)
+
+
+def test_a_slot_that_was_opened_closes_slowly() -> None:
+    follow = session()
+    state = follow.followers[FOLLOWER]
+    follow.receive(from_vehicle(LEADER, position(1.0, HERE)), 1.0)
+    far_m = []
+    for tick in range(17):
+        now_s = 1.0 + 0.125 * tick
+        state.reversal_m = 5.0 if tick < 4 else 0.0
+        follow.receive(from_vehicle(LEADER, position(now_s, HERE)), now_s)
+        follow.tick(now_s)
+        assert state.guided is not None
+        far_m.append(math.hypot(*state.guided.offset_m))
+    assert far_m[:4] == pytest.approx([5.0] * 4, abs=0.01)  # it opens at once
+    closing_mps = [(before - after) / 0.125 for before, after in pairwise(far_m[4:])]
+    assert closing_mps == pytest.approx([CLOSES_MPS] * len(closing_mps), abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("before_mps", "stops_m"),
+    [
+        # 2 m/s as reported 0.1 s ago, a quarter of a second on the way; 0.3 s until it leans; then
+        # WP_ACC's default, 2.5 m/s2.
+        (2.0, 0.35 * 2.0 + 0.3 * 2.0 + 2.0**2 / 5.0),
+        # Braking with 2.5 m/s2 already: 0.6 s of that, and it flies 0.5 m/s.
+        (2.25, 0.05 * 2.0 + 0.6 * 1.25 + 0.5**2 / 5.0),
+    ],
+)
+def test_a_stop_counts_with_the_braking_that_is_under_way(
+    before_mps: float, stops_m: float
+) -> None:
+    follow = session()
+    follow.receive(from_vehicle(LEADER, position(1.0, HERE)), 1.0)
+    at = displace(HERE, (-9.0, 0.0, 0.0))
+    follow.receive(from_vehicle(FOLLOWER, position(2.0, at, (before_mps, 0.0))), 2.0)
+    follow.receive(from_vehicle(FOLLOWER, position(2.1, at, (2.0, 0.0))), 2.1)
+
+    (target,) = targets(follow, 2.2)  # the leader is stale
+    assert follow.followers[FOLLOWER].hold_reason == "leader is stale"
+    assert metres_from_here(target)[0] + 9.0 == pytest.approx(stops_m, abs=0.03)
 
 
 def test_what_the_point_is_late_by_its_vehicle_is_carried_on_too() -> None:

@@ -449,6 +449,24 @@ def test_the_watchdog_holds_when_the_stream_ends(rig: MakeRig) -> None:
     assert len(r.vehicle.targets) == targets  # told once, it stays
 
 
+@pytest.mark.parametrize(
+    ("parameters", "mps2"),
+    [
+        ({"WP_ACC": 5.0}, 5.0),
+        ({"WPNAV_ACCEL": 400.0}, 4.0),
+        ({"WP_ACC": 0.0}, 2.5),  # ArduCopter's word for its default
+    ],
+)
+def test_a_stop_is_as_hard_as_guided_may_brake(
+    rig: MakeRig, parameters: dict[str, float], mps2: float
+) -> None:
+    r = rig(LAW=2)
+    r.vehicle.parameters.update(parameters)
+    led(r, 3.0, 0.0).run(1.3)
+    assert r.texts[-1] == "stream lost, holding here"
+    assert r.target_ahead_m() == pytest.approx(2.0 * (0.35 + 1.0 / mps2), abs=0.01)
+
+
 def test_it_stays_where_it_first_stands(rig: MakeRig) -> None:
     """With little speed allowed it stands before its place; given more, it would go on to it."""
     r = led(rig(LAW=2), 3.0, 0.0)

@@ -3,7 +3,9 @@
 import math
 
 from echowing.flight.guard import Guard
+from echowing.flight.guidance import Horizontal
 from echowing.flight.heights import Heights
+from echowing.flight.own_motion import NOT_YET_S
 from echowing.flight.state import FollowerState
 from echowing.geo import GlobalPosition, displace
 
@@ -52,5 +54,26 @@ def _stopping_place(follower: FollowerState, now_s: float) -> GlobalPosition | N
     mps = math.hypot(north, east)
     if mps <= STANDS_MPS:
         return here
-    share_s = LEAN_S + mps / (2.0 * follower.handling.answer.decel_mps2)
+    since_s = min(NOT_YET_S, max(0.0, arrives_s - follower.position_at_s))
+    share_s = _stopping_m(mps, _gains_mps2(follower, (north, east)), since_s, follower) / mps
     return displace(here, (north * share_s, east * share_s, -follower.climb_mps * share_s))
+
+
+def _gains_mps2(follower: FollowerState, velocity_mps: Horizontal) -> float:
+    """How fast it is gaining speed, no more than it can; negative: it brakes already."""
+    north_mps2, east_mps2 = follower.acceleration_mps2
+    north, east = velocity_mps
+    gains_mps2 = (north_mps2 * north + east_mps2 * east) / math.hypot(north, east)
+    most_mps2 = follower.handling.answer.decel_mps2
+    return max(-most_mps2, min(most_mps2, gains_mps2))
+
+
+def _stopping_m(mps: float, gains_mps2: float, since_s: float, follower: FollowerState) -> float:
+    """Metres to a stop: its speed goes on changing until it leans, from its report `since_s` ago.
+
+    As `stopping_m` of the applet.
+    """
+    changes_s = since_s + LEAN_S
+    then_mps = max(0.0, mps + gains_mps2 * changes_s)
+    until_m = 0.5 * (mps + then_mps) * changes_s - mps * since_s
+    return until_m + then_mps * then_mps / (2.0 * follower.handling.answer.decel_mps2)

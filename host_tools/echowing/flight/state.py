@@ -40,6 +40,8 @@ SONAR_READING = "SNR_RAW"
 RAW_FRESH_S = 1.0
 # The co-processor averages over 0.45 s: its middle.
 AVERAGE_AGE_S = 0.225
+# Two reports further apart do not tell how the velocity changes now.
+LONGEST_CHANGE_S = 0.5
 # No longer delay to the vehicle is allowed for: the leader may have turned by then.
 LONGEST_WAY_S = 1.0
 
@@ -117,6 +119,7 @@ class FollowerState:
     position_at_s: float = -math.inf
     altitude_m: float | None = None
     velocity_mps: Horizontal = (0.0, 0.0)
+    acceleration_mps2: Horizontal = (0.0, 0.0)
     ground_speed_mps: float = 0.0
     climb_mps: float = 0.0
     heading_rad: float = 0.0
@@ -194,16 +197,29 @@ class FollowerState:
             self.clock.restarted()
             self.estimate.history.clear()
             self.motion.forget()
+        velocity_mps = message.vx / 100.0, message.vy / 100.0
+        self.acceleration_mps2 = self._changes_mps2(velocity_mps, message.time_boot_ms)
         self.newest_boot_ms = message.time_boot_ms
         self._motions.clear()
         self.position = GlobalPosition(message.lat / 1e7, message.lon / 1e7, message.alt / 1e3)
         self.position_at_s = self.clock.to_ours(message.time_boot_ms / 1e3, now_s)
         self.altitude_m = message.relative_alt / 1e3
-        self.velocity_mps = message.vx / 100.0, message.vy / 100.0
+        self.velocity_mps = velocity_mps
         self.ground_speed_mps = math.hypot(message.vx, message.vy) / 100.0
         self.climb_mps = -message.vz / 100.0
         self.heading_rad = heading_of(message, self.heading_rad)
         return Report(self.position_at_s, self.position, self.velocity_mps, self.heading_rad)
+
+    def _changes_mps2(self, velocity_mps: Horizontal, boot_ms: int) -> Horizontal:
+        """How its velocity has changed since its report before; not at all after a gap."""
+        elapsed_s = (boot_ms - self.newest_boot_ms) / 1e3
+        if not 0.0 < elapsed_s < LONGEST_CHANGE_S:
+            return 0.0, 0.0
+        north, east = (
+            (new - old) / elapsed_s
+            for new, old in zip(velocity_mps, self.velocity_mps, strict=True)
+        )
+        return north, east
 
     def leaned(self, message: Any, now_s: float) -> None:
         """Take its ATTITUDE."""
