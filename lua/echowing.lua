@@ -397,6 +397,7 @@ local track = { -- what the sonar reads (averages, single readings), and where t
     raw_m = nil, raw_ms = nil, board_ms = 0, late_ms = 0,
     range_m = nil, leader_mps = 0.0, seen_mps = 0.0, leader_mps2 = 0.0, own_mps = 0.0, at_ms = 0,
     seen_ms = 0, readings = 0, spike_m = nil, spike_ms = 0, spike_own_mps = 0.0,
+    same_m = nil, same = 0, slowest_mps = 0.0, fastest_mps = 0.0,
 }
 local laws = { -- the range becomes a speed: the law's wish, and the same after the rate limit
     wish_mps = 0.0, speed_mps = 0.0, step_ms = 0, update_ms = 0, seen_ms = 0, data_ms = 0,
@@ -502,6 +503,7 @@ end
 do
     local RAW_FRESH_MS = 300 -- an older single reading is not "the newest": 3 periods of the slower sonar rate
     local RAW_NAME = 'SNR_RAW\0\0\0' -- ten characters on the wire
+    local SAME_READINGS, SAME_MPS = 8, 0.3 -- so many readings that are the same, and a change of the own speed meanwhile
     local LATEST_MS = 1000 -- no reading waits so long: the board, or its link, has started anew
     -- A single reading this far from the prediction, or after so long without one, waits for a second one like it:
     -- readings 0.1 s apart differ by less even where both vehicles change their speed at 5 m/s2.
@@ -557,11 +559,28 @@ do
         return board_ms + track.late_ms
     end
 
+    -- Whether the sonar is stuck: readings stay the same to the centimetre while this vehicle changes its speed, and no
+    -- leader flies so exactly alike. Of themselves no more than four in a row are the same.
+    local function is_stuck(range_m)
+        if range_m ~= track.same_m then
+            track.same_m, track.same, track.slowest_mps, track.fastest_mps = range_m, 0, own.mps, own.mps
+        end
+        track.same = track.same + 1
+        track.slowest_mps = math.min(track.slowest_mps, own.mps)
+        track.fastest_mps = math.max(track.fastest_mps, own.mps)
+        return track.same >= SAME_READINGS and track.fastest_mps - track.slowest_mps > SAME_MPS
+    end
+
     function track.take(message, payload, t_ms)
         local board_ms, value, name = string.unpack('<I4fc10', message, payload)
         if name ~= RAW_NAME or not is_number(value) or value <= 0.0 then return end
         track.raw_m, track.raw_ms = value + C.INSET, taken_ms(board_ms, t_ms)
-        if track.is_target(track.raw_m) then
+        local stuck = is_stuck(track.raw_m) and track.is_target(track.raw_m)
+        if stuck and not track.stuck then say(SEVERITY.WARNING, 'sonar stuck, not used') end
+        track.stuck = stuck
+        if stuck then
+            track.range_m, track.readings = nil, 0
+        elseif track.is_target(track.raw_m) then
             track.update(track.raw_m, track.raw_ms, t_ms)
         elseif track.readings < TRUST_READINGS then
             track.range_m = nil -- what was seen before was a wild reading

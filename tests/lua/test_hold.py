@@ -379,14 +379,17 @@ def test_backing_off_is_told(rig: MakeRig) -> None:
     assert r.speed_mps == SPD_MAX
 
 
-@pytest.mark.parametrize(("stuck_m", "most_m"), [(1.0, 5.0), (4.4, 1.0)])
-def test_a_stuck_sonar_does_not_run_away(rig: MakeRig, stuck_m: float, most_m: float) -> None:
-    """Whatever it does the sonar says the same: it ends so far from the streamed point."""
+@pytest.mark.parametrize("stuck_m", [1.0, 4.4])
+def test_a_stuck_sonar_does_not_run_away(rig: MakeRig, stuck_m: float) -> None:
+    """Whatever it does the sonar says the same: after a second it flies the streamed points."""
     loop = Loop(rig(LAW=2), 3.0)
-    loop.fly(40.0, stuck_m)
+    furthest_m = 0.0
+    for _ in range(40):
+        loop.fly(1.0, stuck_m)
+        furthest_m = max(furthest_m, abs(loop.place_m))
 
-    assert abs(loop.place_m) == pytest.approx(most_m, abs=0.2)
-    assert abs(loop.mps) < 0.1
+    assert furthest_m < 2.5  # a second at up to 3 m/s
+    assert abs(loop.mps) < 0.25  # an average that seems too near allows it 0.2 m/s
 
 
 def still_held_s(r: Rig, ahead_m: float) -> float:

@@ -126,3 +126,33 @@ def test_a_sonar_that_reads_anything_at_all_moves_nobody_for_long(rig: MakeRig, 
         r.run(0.1)
         backing_off = backing_off + 1 if r.state == BACKING_OFF else 0
         assert backing_off <= 5  # half a second
+
+
+def test_a_sonar_that_is_stuck_is_not_used_until_it_reads_anew(rig: MakeRig) -> None:
+    """The same to the centimetre while the vehicle speeds up by 1 m/s: its leader would have to."""
+    r = flying(rig)
+    for _ in range(20):
+        r.send_raw(3.5)
+        r.run(0.1)
+    assert track(r)[2] >= TRUST_READINGS  # both may fly alike for as long as neither changes
+    for step in range(15):
+        r.vehicle.velocity = (OWN_MPS + 0.07 * step, 0.0, 0.0)
+        r.send_raw(3.5)
+        r.run(0.1)
+    assert track(r)[2] == 0
+    assert r.texts.count("sonar stuck, not used") == 1
+    for step in range(5):
+        r.send_raw(3.4 - 0.02 * step)
+        r.run(0.1)
+    assert track(r)[2] >= TRUST_READINGS
+
+
+def test_readings_that_are_the_same_by_chance_are_no_stuck_sonar(rig: MakeRig) -> None:
+    """Two vehicles that brake alike, 2.5 m/s2 for 0.7 s."""
+    r = flying(rig)
+    for step in range(7):
+        r.vehicle.velocity = (OWN_MPS - 0.25 * step, 0.0, 0.0)
+        r.send_raw(3.5)
+        r.run(0.1)
+    assert track(r)[2] == 7
+    assert "sonar stuck, not used" not in r.texts
