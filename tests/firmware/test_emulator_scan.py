@@ -274,6 +274,14 @@ class TestReport:
             late_ms = read_us / 1e3 - report.message.time_boot_ms
             assert -5 < late_ms < CLOCK_BEGINS_MS + 5
 
+    def test_so_does_each_single_reading_though_it_is_sent_later(self, reported: Bench) -> None:
+        """The applet tells a leader's speed from these stamps."""
+        values = reported.messages("NAMED_VALUE_FLOAT", since_us=2e6)
+        stamps = [m.message.time_boot_ms for m in values if m.message.name == "SNR_RAW"]
+        ranges = reported.messages("DISTANCE_SENSOR", since_us=1e6)
+        assert len(stamps) >= 70
+        assert set(stamps) <= {m.message.time_boot_ms for m in ranges}
+
     def test_describes_the_sensor(self, reported: Bench) -> None:
         report = reported.messages("DISTANCE_SENSOR")[-1].message
         assert (report.min_distance, report.max_distance) == (20, 765)
