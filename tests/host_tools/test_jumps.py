@@ -15,6 +15,7 @@ from echowing.flight.jumps import (
     RangeMemory,
     is_jump,
 )
+from echowing.flight.leader_track import LeaderTrack
 from echowing.geo import GlobalPosition, displace, ned_between
 from echowing.sim.flight import FormationFlight
 from echowing.sim.scenario import load_scenario
@@ -148,6 +149,28 @@ def test_what_a_copter_can_fly_between_two_reports_is_no_jump(elapsed_s: float) 
         assert not is_jump(before, Report(elapsed_s, there, (5.0, 0.0), 0.0))
     beyond = displace(HERE, (flown_m + 4.0, 0.0, 0.0))
     assert is_jump(before, Report(elapsed_s, beyond, (5.0, 0.0), 0.0))
+
+
+def test_a_jump_does_not_become_a_movement_while_it_is_looked_at() -> None:
+    """A campaign's find: 2.5 s later a copter might have flown 6.5 m, and it was led by that."""
+    track = LeaderTrack()
+    there = displace(HERE, (6.5, 0.0, 0.0))
+    for number in range(AGREEING_REPORTS + 4):
+        now_s = 1.0 + 0.4 * number
+        track.receive(a_report(now_s, HERE if number < 4 else there), now_s)
+    assert track.agreeing == AGREEING_REPORTS - 1
+    assert track.jumps == 0
+    assert track.fix is not None
+    assert track.fix.position.lat_deg == pytest.approx(HERE.lat_deg, abs=1e-6)
+    track.receive(a_report(now_s + 0.4, HERE), now_s + 0.4)
+    assert track.fix.time_s == pytest.approx(now_s + 0.4)
+    assert track.agreeing == 0
+
+
+def a_report(now_s: float, at: GlobalPosition) -> Any:
+    return mavlink.MAVLink_global_position_int_message(
+        round(now_s * 1e3), round(at.lat_deg * 1e7), round(at.lon_deg * 1e7), 0, 0, 0, 0, 0, 0
+    )
 
 
 def test_a_hold_goes_along_with_its_own_jump() -> None:

@@ -152,11 +152,11 @@ class LeaderTrack:
         return north, east, down
 
     def _believable(self, fix: LeaderFix) -> bool:
-        if self.fix is None or not _jumps(self.fix, fix):
+        agrees = self._agrees(fix)
+        if self.fix is None or (not agrees and not _jumps(self.fix, fix)):
             self._agreeing, self._candidate, self.jump_since_s = 0, None, None
             return True
         self.rejected += 1
-        agrees = self._candidate is not None and not _jumps(self._candidate, fix)
         self._agreeing = self._agreeing + 1 if agrees else 0
         if not agrees:
             self.jump_m = beyond_movement_m(_report(self.fix), _report(fix))
@@ -167,6 +167,16 @@ class LeaderTrack:
         self.jumps += 1
         self.jump_since_s = None
         return True
+
+    def _agrees(self, fix: LeaderFix) -> bool:
+        """Whether a report belongs to the new place that is looked at.
+
+        The longer ago the last believed report, the further a movement might have led: only the
+        nearer of the two places counts, or a jump of 6 m would be a movement after two seconds.
+        """
+        if self.fix is None or self._candidate is None or _jumps(self._candidate, fix):
+            return False
+        return _off_m(self._candidate, fix) < _off_m(self.fix, fix)
 
     @property
     def agreeing(self) -> int:
@@ -186,6 +196,10 @@ def is_late(boot_ms: int, newest_boot_ms: int) -> bool:
 
 def _report(fix: LeaderFix) -> Report:
     return Report(fix.time_s, fix.position, fix.velocity_ned_mps[:2], fix.heading_rad)
+
+
+def _off_m(before: LeaderFix, after: LeaderFix) -> float:
+    return math.hypot(*beyond_movement_m(_report(before), _report(after)))
 
 
 def _jumps(before: LeaderFix, after: LeaderFix) -> bool:
