@@ -156,6 +156,8 @@ def retreat_bound_m(record: FlightRecord, sample: int, follower: int) -> float:
     first = last
     while first > 0 and towards[first - 1] > STANDS_MPS:
         first -= 1
+    if distance_m[first] < LEAST_M:
+        return math.inf  # the follower had come too near before, and only then met its leader
     known = _known_from(record, first, follower) + round(Answer().dead_s / SAMPLE_S)
     led = record.guided[:, follower - 1]
     answers = _lasted(led, Answer().dead_s)
