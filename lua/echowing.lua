@@ -420,7 +420,7 @@ local control = { active = false, error = nil } -- takes control and hands back
 
 do
     local ACCEL_MS = 100 -- smooths the estimator's change of speed
-    local STANDS_MPS = 0.3 -- slower, it stands
+    local STANDS_MPS, STANDS_MPS2 = 0.3, 1.0 -- below both, it stands
     local LEAN_S = 0.35 -- until it leans against its motion, as REACTION_S of flight/handling.py
 
     -- Own speed along the heading; 0 while the estimator has none.
@@ -466,24 +466,19 @@ do
         return fly_to(position, -back_m * math.cos(yaw), -back_m * math.sin(yaw))
     end
 
-    -- Whether it has come to rest, but for what the estimator is off.
+    -- Whether it has come to rest, but for what the estimator is off: one that still leans only turns round.
     function own.stands()
+        if math.abs(own.accel_mps2) > STANDS_MPS2 then return false end
         local velocity = ahrs:get_velocity_NED()
         if not velocity then return false end
         local north_mps, east_mps = velocity:x(), velocity:y()
         return north_mps * north_mps + east_mps * east_mps < STANDS_MPS * STANDS_MPS
     end
 
-    -- The acceleration that Guided may use, by its name from 4.7 on or before. 0 or none: what the vehicle is known to reach.
-    local function hardest_mps2()
-        local mps2 = param:get('WP_ACC') or (param:get('WPNAV_ACCEL') or 0.0) * 0.01
-        return mps2 > 0.0 and mps2 or C.DECEL
-    end
-
     -- Metres to a stop from a speed, which goes on changing at a rate until the vehicle leans against its motion.
     local function stopping_m(mps, mps2)
         local then_mps = math.max(0.0, mps + mps2 * LEAN_S)
-        return 0.5 * (mps + then_mps) * LEAN_S + then_mps * then_mps / (2.0 * hardest_mps2())
+        return 0.5 * (mps + then_mps) * LEAN_S + then_mps * then_mps / (2.0 * C.DECEL)
     end
 
     -- Stays where it comes to a stop: a place it has to come back to would take longer.
