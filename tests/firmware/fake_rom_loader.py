@@ -71,9 +71,12 @@ class FakeRomLoader:
         actions[first]()
 
     def _address(self) -> int:
-        place = self._read(5)
+        address = self._place()
         self._say(ACK)
-        return int.from_bytes(place[:4], "big")
+        return address
+
+    def _place(self) -> int:
+        return int.from_bytes(self._read(5)[:4], "big")  # the fifth is its checksum
 
     def _read_memory(self) -> None:
         start = self._address() - FLASH_START
@@ -82,7 +85,9 @@ class FakeRomLoader:
         self._say(ACK + bytes(held))
 
     def _go(self) -> None:
-        self.started_at = self._address()
+        # The tool ends with the answer: by then it has to be known.
+        self.started_at = self._place()
+        self._say(ACK)
 
     def _write_memory(self) -> None:
         start = self._address() - FLASH_START

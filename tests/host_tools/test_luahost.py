@@ -213,12 +213,17 @@ def test_logger_writes(bench: Bench) -> None:
     assert bench.vehicle.log == [("ECHO", (1.5, 1, "ab"))]
 
 
-def test_a_fault_of_the_simulated_vehicle_is_not_swallowed_by_pcall(bench: Bench) -> None:
+@pytest.mark.parametrize("fault", [ZeroDivisionError, KeyboardInterrupt])
+def test_what_goes_wrong_in_the_simulated_vehicle_is_not_swallowed_by_pcall(
+    bench: Bench, fault: type[BaseException]
+) -> None:
+    """Nor is Ctrl-C: a flight went on to its end, as the signal came within a call of its script."""
+
     def broken() -> bool:
-        raise ZeroDivisionError
+        raise fault
 
     bench.vehicle.armed = broken  # type: ignore[method-assign]
-    with pytest.raises(ZeroDivisionError):
+    with pytest.raises(fault):
         bench.run("pcall(arming.is_armed, arming)")
 
 

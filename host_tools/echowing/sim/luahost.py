@@ -376,7 +376,7 @@ class LuaHost:
         self.instructions = 0
         """Instructions of the last run, own code only (with `count_instructions`)."""
         self._vehicle = vehicle
-        self._fault: Exception | None = None
+        self._fault: BaseException | None = None
         version = tuple(int(n) for n in generation.name.removeprefix("V").split("_"))
         self._inbox = _Inbox(wide_system_id=version >= WIDE_SYSTEM_ID_SINCE)
         self._name = f"scripts/{script.name}"
@@ -490,12 +490,12 @@ class LuaHost:
         self._vehicle.send_text(SEVERITY_CRITICAL, f"Lua: {reason}")
 
     def _guarded(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """Keep a fault of the simulated vehicle from passing for a script's error."""
+        """Keep a fault of the simulated vehicle, or Ctrl-C, from passing for a script's error."""
 
         def guarded(*arguments: Any) -> Any:
             try:
                 return function(*arguments)
-            except Exception as fault:
+            except BaseException as fault:
                 self._fault = self._fault or fault
                 raise
 
