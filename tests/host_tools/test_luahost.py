@@ -217,7 +217,7 @@ def test_logger_writes(bench: Bench) -> None:
 def test_what_goes_wrong_in_the_simulated_vehicle_is_not_swallowed_by_pcall(
     bench: Bench, fault: type[BaseException]
 ) -> None:
-    """Nor is Ctrl-C: a flight went on to its end, as the signal came within a call of its script."""
+    """Nor is Ctrl-C: a flight went on to its end, as it came within a call of the script."""
 
     def broken() -> bool:
         raise fault
