@@ -169,10 +169,13 @@ def test_only_so_many_senders_are_answered(sender: socket.socket) -> None:
     link = opened(f"udpin:127.0.0.1:{port}")
     sender.sendto(frame(), ("127.0.0.1", port))
     received(link)
-    for _ in range(MOST_PEERS):
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
-            other.sendto(frame(), ("127.0.0.1", port))
-            received(link)
+    # All open at a time: a port that is free again may be the next one's too.
+    others = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(MOST_PEERS)]
+    for other in others:
+        other.sendto(frame(), ("127.0.0.1", port))
+        received(link)
+    for other in others:
+        other.close()
     link.send(frame(), 0.0)  # the first is forgotten, and the vanished ones are no error
     sender.setblocking(False)
     with pytest.raises(BlockingIOError):
