@@ -58,6 +58,14 @@ def track(r: Rig) -> tuple[float, float, int]:
     return range_m, leader_mps, int(state.readings)
 
 
+def sees_a_standing_leader(r: Rig, sonar: Sonar) -> None:
+    """Flies at one for 0.7 s, from where the sonar begins to reach."""
+    sonar.run(0.7, 4.4, -OWN_MPS)
+    range_m, leader_mps, _ = track(r)
+    assert leader_mps == pytest.approx(0.0, abs=0.3)
+    assert range_m == pytest.approx(sonar.range_m(), abs=0.06)
+
+
 def flying(rig: MakeRig) -> Rig:
     r = rig(LAW=2).range(6.0)
     r.raw_every_ms = None
@@ -87,10 +95,7 @@ def test_a_board_whose_clock_is_1_percent_off_is_followed(rig: MakeRig, drift: f
     r = flying(rig)
     sonar = Sonar(r, [20, 0, 40], drift)
     sonar.run(30.0, 8.0, 0.0)
-    sonar.run(0.7, 4.4, -OWN_MPS)
-    range_m, leader_mps, _ = track(r)
-    assert leader_mps == pytest.approx(0.0, abs=0.3)
-    assert range_m == pytest.approx(sonar.range_m(), abs=0.06)
+    sees_a_standing_leader(r, sonar)
 
 
 def test_a_board_that_restarts_counts_from_its_new_clock(rig: MakeRig) -> None:
@@ -98,10 +103,7 @@ def test_a_board_that_restarts_counts_from_its_new_clock(rig: MakeRig) -> None:
     sonar = Sonar(r, [20, 0, 40])
     sonar.run(3.0, 8.0, 0.0)
     sonar.restarted_ms = BOARD_AHEAD_MS + r.vehicle.t_ms - 500
-    sonar.run(0.7, 4.4, -OWN_MPS)
-    range_m, leader_mps, _ = track(r)
-    assert leader_mps == pytest.approx(0.0, abs=0.3)
-    assert range_m == pytest.approx(sonar.range_m(), abs=0.06)
+    sees_a_standing_leader(r, sonar)
 
 
 def test_readings_without_a_stamp_count_from_their_arrival(rig: MakeRig) -> None:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 from echowing.flight.envelope import LEAST_M, OTHERS_MPS2, Answer
+from echowing.flight.wind import GRAVITY_MPS2
 
 # Names in ArduCopter 4.7 and later, and before, with the factor to SI units.
 ACCELERATIONS = {"WP_ACC": 1.0, "WPNAV_ACCEL": 0.01}
@@ -22,7 +23,7 @@ OFTEN = 5
 REACTION_S = 0.35
 # However high PSC_JERK_NE is, the jerk stays below half the root of the acceleration times the snap
 # of the lean's angular acceleration (ATC_ACC_R_MAX 1100 deg/s2; AC_PosControl.cpp).
-SNAP_MPS4 = math.radians(1100.0) * 9.80665
+SNAP_MPS4 = math.radians(1100.0) * GRAVITY_MPS2
 # From a leader's first braking to the follower's order: a period of the sonar (0.1 s), a second
 # reading that confirms it, and the time until the range differs (0.1 s at 2.5 m/s2 is 0.01 m, a
 # sonar's step; 0.15 s are 0.03 m).

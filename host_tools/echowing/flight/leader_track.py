@@ -2,6 +2,7 @@
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from typing import Any
 
 from echowing.flight.alignment import Report
@@ -142,12 +143,10 @@ class LeaderTrack:
 
     def _acceleration(self, time_s: float, velocity: Ned) -> Ned:
         """Between the last report and this one, limited to what copters do; 0 after a gap."""
-        if self.fix is None or not 0.0 < time_s - self.fix.time_s < LONGEST_GAP_S:
+        if self.fix is None:
             return (0.0, 0.0, 0.0)
         elapsed_s = time_s - self.fix.time_s
-        change = [
-            (b - a) / elapsed_s for a, b in zip(self.fix.velocity_ned_mps, velocity, strict=True)
-        ]
+        change = changes_mps2(self.fix.velocity_ned_mps, velocity, elapsed_s, LONGEST_GAP_S)
         north, east, down = (max(-MOST_MPS2, min(MOST_MPS2, one)) for one in change)
         return north, east, down
 
@@ -187,6 +186,15 @@ class LeaderTrack:
         """Believe the new place now: it is known to be the receiver's. Returns the jump."""
         self.fix, self._agreeing, self.jump_since_s = self._candidate, 0, None
         return self.jump_m
+
+
+def changes_mps2(
+    before_mps: Sequence[float], after_mps: Sequence[float], elapsed_s: float, longest_s: float
+) -> tuple[float, ...]:
+    """How a velocity changes between two reports, axis by axis; not at all after a longer gap."""
+    if not 0.0 < elapsed_s < longest_s:
+        return (0.0,) * len(before_mps)
+    return tuple((b - a) / elapsed_s for a, b in zip(before_mps, after_mps, strict=True))
 
 
 def is_late(boot_ms: int, newest_boot_ms: int) -> bool:

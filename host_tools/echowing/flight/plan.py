@@ -25,7 +25,7 @@ JOIN_MPS, QUIET_S = 1.5, 0.5
 # One that it heard lately may be turning round, and reports tell of that half a second late: the
 # follower catches up half as hard as Guided would.
 LATELY_S, CATCH_UP_PER_S = 4.0, 0.5
-# A slot that was opened closes as slowly: one that leans to catch up loses its leader.
+# A slot that was opened closes slowly: one that leans to catch up loses its leader.
 CLOSES_MPS = 0.6
 # A leader that is not heard for so long is looked for where it most likely is.
 LOST_S = 1.0

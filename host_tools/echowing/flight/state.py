@@ -22,7 +22,7 @@ from echowing.flight.guidance import (
 )
 from echowing.flight.handling import Handling
 from echowing.flight.jumps import OwnJump, RangeMemory
-from echowing.flight.leader_track import LeaderTrack, VehicleClock, is_late
+from echowing.flight.leader_track import LeaderTrack, VehicleClock, changes_mps2, is_late
 from echowing.flight.own_motion import OwnMotion
 from echowing.flight.search import Search
 from echowing.flight.sonar import DETECTION_LIMIT_M
@@ -198,7 +198,11 @@ class FollowerState:
             self.estimate.history.clear()
             self.motion.forget()
         velocity_mps = message.vx / 100.0, message.vy / 100.0
-        self.acceleration_mps2 = self._changes_mps2(velocity_mps, message.time_boot_ms)
+        elapsed_s = (message.time_boot_ms - self.newest_boot_ms) / 1e3
+        north_mps2, east_mps2 = changes_mps2(
+            self.velocity_mps, velocity_mps, elapsed_s, LONGEST_CHANGE_S
+        )
+        self.acceleration_mps2 = north_mps2, east_mps2
         self.newest_boot_ms = message.time_boot_ms
         self._motions.clear()
         self.position = GlobalPosition(message.lat / 1e7, message.lon / 1e7, message.alt / 1e3)
@@ -209,17 +213,6 @@ class FollowerState:
         self.climb_mps = -message.vz / 100.0
         self.heading_rad = heading_of(message, self.heading_rad)
         return Report(self.position_at_s, self.position, self.velocity_mps, self.heading_rad)
-
-    def _changes_mps2(self, velocity_mps: Horizontal, boot_ms: int) -> Horizontal:
-        """How its velocity has changed since its report before; not at all after a gap."""
-        elapsed_s = (boot_ms - self.newest_boot_ms) / 1e3
-        if not 0.0 < elapsed_s < LONGEST_CHANGE_S:
-            return 0.0, 0.0
-        north, east = (
-            (new - old) / elapsed_s
-            for new, old in zip(velocity_mps, self.velocity_mps, strict=True)
-        )
-        return north, east
 
     def leaned(self, message: Any, now_s: float) -> None:
         """Take its ATTITUDE."""
