@@ -406,7 +406,7 @@ local hold = { active = false, mps = 0.0, at_ms = nil } -- moves points that car
 local guard = { too_close = false, evading = false, close_ms = 0 } -- keeps away from the leader
 local stream = { -- the ground tool's guided points, and what happens when they end
     at_ms = nil, points = 0, holding = false, stands = false, lat = nil, lng = nil, up_m = nil, north_mps = 0.0,
-    east_mps = 0.0, yaw_rad = nil, moving = false,
+    east_mps = 0.0, yaw_rad = nil, moving = false, opens_m = 0.0,
 }
 local speed = { -- the speed parameter: ours, the pilot's, another script's
     out_mps = 0.0, written = nil, pilot_units = nil, ground_units = nil, changes = {}, conflict = false,
@@ -594,7 +594,7 @@ do
     -- sonar shows otherwise, for as long as the track can be carried on.
     local function fresh(t_ms)
         if not track.range_m then return false end
-        local near = guard.evading or (hold.active and track.range_m < C.DIST)
+        local near = guard.evading or (hold.active and track.range_m < stream.distance_m())
         return t_ms - track.seen_ms <= (near and BLIND_MS or TRACK_GAP_MS)
     end
 
@@ -614,7 +614,7 @@ do
         if unseen_ms <= UNSEEN_MS then return track.leader_mps + track.leader_mps2 * dt_s end
         if unseen_ms > KNOWN_MS then return track.seen_mps end
         local least_mps = track.seen_mps > 0.0 and 0.0 or BACK_MPS
-        local near = track.range_m < C.DIST and track.leader_mps > least_mps
+        local near = track.range_m < stream.distance_m() and track.leader_mps > least_mps
         if not near or track.leader_mps2 > -CORNER_MPS2 then return math.min(track.leader_mps, track.seen_mps) end
         return math.max(least_mps, track.leader_mps + track.braking_mps2(t_ms) * dt_s)
     end
@@ -719,7 +719,8 @@ do
     -- Law 2: the leader's speed along the line of sight, a share of the range error, and a share of its rate, which
     -- stands for where the error will be once the vehicle has answered.
     local function continuous_speed(range_m, rate_mps, leader_mps)
-        return clamp(leader_mps + C.GAIN_P * (range_m - C.DIST) + C.GAIN_D * rate_mps, C.SPD_MIN, C.SPD_MAX)
+        local wanted_m = stream.distance_m()
+        return clamp(leader_mps + C.GAIN_P * (range_m - wanted_m) + C.GAIN_D * rate_mps, C.SPD_MIN, C.SPD_MAX)
     end
 
     -- The law's wish for this update.
@@ -840,7 +841,7 @@ do
 
     -- How far back to fly from a leader: to the wanted distance, and the leader's approach of one second more.
     local function retreat_m(range_m)
-        return clamp(C.DIST - range_m + math.max(0.0, -track.leader_mps), EVADE_LEAST_M, EVADE_MOST_M)
+        return clamp(stream.distance_m() - range_m + math.max(0.0, -track.leader_mps), EVADE_LEAST_M, EVADE_MOST_M)
     end
 
     -- The shorter of the newest single reading and the average.
@@ -933,7 +934,7 @@ do
     -- the leader and as fast as the leader. ahead_m, mps: the same of the streamed point. While the sonar sees nothing,
     -- of the track and the point whichever is the more cautious.
     local function along_beam(ahead_m, mps, t_ms)
-        local wanted_m = track.range_m - C.DIST
+        local wanted_m = track.range_m - stream.distance_m()
         if t_ms - track.seen_ms > UNSEEN_MS then
             return math.max(math.min(wanted_m, ahead_m), ahead_m - BACK_M), math.min(track.leader_mps, mps)
         end
@@ -1004,6 +1005,7 @@ end
 do
     local TARGET_FRESH_MS = 1000 -- an older streamed point is not the target in force
     local ABOVE_HOME = { [3] = true, [6] = true } -- MAV_FRAME_GLOBAL_RELATIVE_ALT and its _INT
+    local MOST_OPEN_M = 6.0 -- as the highest ECHO_DIST
     local LENGTH = 3 -- so many points without a gap are a stream; one alone may be a pilot's click on the map
 
     function stream.take(message, payload, t_ms)
@@ -1019,6 +1021,9 @@ do
         if mask & 0x0003 == 0 then stream.lat, stream.lng = lat, lng end
         if mask & 0x0004 == 0 and ABOVE_HOME[string.unpack('B', message, payload + 52)] then stream.up_m = up_m end
         if mask & 0x0400 == 0 then stream.yaw_rad = string.unpack('<f', message, payload + 40) end
+        -- The first acceleration, which the autopilot is told to ignore: how far the slot has opened.
+        local opens_m = mask & 0x01C0 == 0x01C0 and string.unpack('<f', message, payload + 28) or 0.0
+        stream.opens_m = is_number(opens_m) and math.min(opens_m, MOST_OPEN_M) or 0.0
         stream.moving = mask & 0x0018 == 0
         stream.north_mps, stream.east_mps = 0.0, 0.0
         if stream.moving then stream.north_mps, stream.east_mps = vn, ve end
@@ -1027,6 +1032,12 @@ do
     -- Whether the newest streamed point is the vehicle's target, and a place.
     function stream.in_force(t_ms)
         return not stream.holding and stream.at_ms and t_ms - stream.at_ms < TARGET_FRESH_MS and stream.lat
+    end
+
+    -- The distance to keep, centre to centre: the ground tool opens the slot for a leader that can turn round faster than
+    -- the vehicle gets away from ECHO_DIST.
+    function stream.distance_m()
+        return math.max(C.DIST, stream.at_ms and stream.opens_m or 0.0)
     end
 
     -- Where the point in force is now, seen from here: north and east in metres; nil without one.
@@ -1200,7 +1211,7 @@ do
         if C.LOG_HZ <= 0.0 or (report.log_ms and t_ms - report.log_ms < 1000.0 / C.LOG_HZ - 1.0) then return end
         report.log_ms = t_ms
         logger:write('ECHO', 'Rng,Flt,Err,Law,Spd,St', 'fffffB', 'mmmnn-', '00000-', range_m or 0.0,
-            track.range_m or 0.0, range_m and range_m - C.DIST or 0.0, laws.wish_mps, speed.out_mps, report.state)
+            track.range_m or 0.0, range_m and range_m - stream.distance_m() or 0.0, laws.wish_mps, speed.out_mps, report.state)
     end
 
     function report.send(range_m, t_ms)

@@ -8,8 +8,10 @@ from echowing.flight.handling import (
     NOTICED_S,
     OFTEN,
     SELDOM_S,
+    STEERED_MPS2,
     Handling,
     answer_of,
+    leader_brakes_mps2,
     least_slot_m,
 )
 
@@ -92,6 +94,17 @@ def test_a_follower_as_slow_as_its_leader_loses_more_the_faster_it_is() -> None:
     for speed_mps in (1.0, 2.0, 3.0):
         lost_m = 2.0 * speed_mps * (NOTICED_S + 0.6)
         assert least_slot_m(speed_mps, Answer()) == pytest.approx(LEAST_M + lost_m, abs=0.1)
+
+
+def test_a_leader_on_a_mission_brakes_as_its_parameters_say_and_any_other_harder() -> None:
+    """In Guided ArduCopter 4.8 braked with 3.3 to 3.5 m/s2 where 2.5 are set."""
+    answer = Answer(0.5, 5.0)
+    auto, guided, stabilize = 3, 4, 0
+    assert leader_brakes_mps2(auto) == OTHERS_MPS2
+    assert leader_brakes_mps2(guided) == leader_brakes_mps2(stabilize) == STEERED_MPS2
+    assert leader_brakes_mps2(None) == STEERED_MPS2
+    least_m = least_slot_m(2.0, answer, brakes_mps2=STEERED_MPS2)
+    assert least_m > least_slot_m(2.0, answer, brakes_mps2=OTHERS_MPS2) + 0.5
 
 
 def test_a_leader_that_stands_turns_no_way() -> None:

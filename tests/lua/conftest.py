@@ -21,6 +21,7 @@ METRES_PER_E7 = 0.011131884502145034  # 1e-7 degrees of latitude
 HERE = (39.34, -86.03, 260.0)
 POSITION_ONLY = 0x0DF8
 POSITION_VELOCITY = 0x0DC0
+ACCELERATION_IGNORED = 0x01C0
 YAW_IGNORED = 0x0400
 GROUND_TOOL, CO_PROCESSOR = 245, 1
 
@@ -133,19 +134,23 @@ class Rig:
         up_m: float = 10.0,
         yaw_rad: float | None = None,
         system: int = 1,
+        opens_m: float = 0.0,
+        ignored: int = ACCELERATION_IGNORED,
     ) -> None:
         """A guided point so far north and east of HERE, with or without a velocity (there, too).
 
-        up_m: above home; yaw_rad: None: the autopilot's choice.
+        up_m: above home; yaw_rad: None: the autopilot's choice; opens_m: the distance to keep, in a
+        field that is ignored.
         """
         lat = round(HERE[0] * 1e7 + ahead_m / METRES_PER_E7)
         metres_per_e7 = METRES_PER_E7 * math.cos(math.radians(HERE[0]))
         lng = round(HERE[1] * 1e7 + aside_m / metres_per_e7)
         mask = POSITION_ONLY if velocity_mps is None else POSITION_VELOCITY
+        mask &= ~(ACCELERATION_IGNORED & ~ignored)
         if yaw_rad is not None:
             mask &= ~YAW_IGNORED
         velocity = (0.0, 0.0) if velocity_mps is None else (velocity_mps, aside_mps)
-        fields = (lat, lng, up_m, *velocity, *(0.0,) * 4, yaw_rad or 0.0, 0.0)
+        fields = (lat, lng, up_m, *velocity, 0.0, opens_m, 0.0, 0.0, yaw_rad or 0.0, 0.0)
         payload = struct.pack("<Iii9fHBBB", self.vehicle.t_ms, *fields, mask, system, 1, 6)
         self.vehicle.inbox.append((mavlink_frame(86, payload, GROUND_TOOL), 0))
 

@@ -149,6 +149,38 @@ def test_away_from_the_leader_at_once(rig: MakeRig) -> None:
     assert newest(r).north_m < -0.9
 
 
+def opened(r: Rig, opens_m: float, seconds: float = 2.0, **rest: int) -> Target:
+    """3.2 m behind a leader of the same speed, the slot opened by the ground tool."""
+    r.vehicle.velocity = (LEADER_MPS, 0.0, 0.0)
+    r.range(3.2)
+    r.raw_every_ms = 100
+    for _ in range(round(seconds / 0.12)):
+        r.send_target(0.0, LEADER_MPS, opens_m=opens_m, **rest)
+        r.run(0.12)
+    return newest(r)
+
+
+def test_the_distance_that_the_ground_tool_has_opened_to_is_kept(rig: MakeRig) -> None:
+    r = rig(LAW=2)
+    assert opened(r, 3.6).north_m == pytest.approx(3.2 - 3.6, abs=0.03)
+    assert opened(r, 0.0).north_m == pytest.approx(3.2 - 3.0, abs=0.03)  # closed again
+
+
+@pytest.mark.parametrize("opens_m", [2.0, -4.0, math.nan, math.inf])
+def test_the_ground_tool_opens_the_distance_and_never_closes_it(
+    rig: MakeRig, opens_m: float
+) -> None:
+    assert opened(rig(LAW=2), opens_m).north_m == pytest.approx(3.2 - 3.0, abs=0.03)
+
+
+def test_it_opens_no_further_than_the_highest_echo_dist(rig: MakeRig) -> None:
+    assert opened(rig(LAW=2), 90.0).north_m == pytest.approx(3.2 - 6.0, abs=0.03)
+
+
+def test_an_acceleration_that_is_meant_as_one_is_no_distance(rig: MakeRig) -> None:
+    assert opened(rig(LAW=2), 3.6, ignored=0).north_m == pytest.approx(3.2 - 3.0, abs=0.03)
+
+
 def test_along_the_beam_and_not_across_it(rig: MakeRig) -> None:
     r = rig(LAW=2)
     r.vehicle.yaw = math.pi / 2  # facing east

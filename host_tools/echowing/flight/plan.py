@@ -95,7 +95,9 @@ def _reversal_by_radio_m(known: Known, follower: FollowerState, fix: LeaderFix) 
     """
     noticed_s = round(known.leader.oldest_s + follower.way_s, 1)
     speed_mps, answer = round(fix.speed_mps, 1), follower.handling.answer
-    least_m = least_slot_m(speed_mps, answer, known.settings.clearance_m, noticed_s)
+    least_m = least_slot_m(
+        speed_mps, answer, known.settings.clearance_m, noticed_s, known.leader_brakes_mps2
+    )
     return min(DETECTION_LIMIT_M, least_m)
 
 

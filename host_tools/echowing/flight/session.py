@@ -121,10 +121,16 @@ class FollowSession:
         self._requests.receive(message)
         if kind == "TIMESYNC":
             self._requests.answered(message, now_s)
-        elif system_id == self.leader_id and kind == "GLOBAL_POSITION_INT":
-            self._trust.leader_reported(message, now_s)
+        elif system_id == self.leader_id:
+            self._leader_message(kind, message, now_s)
         elif system_id in self.followers:
             self._follower_message(self.followers[system_id], kind, message, now_s)
+
+    def _leader_message(self, kind: str, message: Any, now_s: float) -> None:
+        if kind == "GLOBAL_POSITION_INT":
+            self._trust.leader_reported(message, now_s)
+        elif kind == "HEARTBEAT" and message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1:
+            self.known.leader_mode = message.custom_mode
 
     def _follower_message(
         self, follower: FollowerState, kind: str, message: Any, now_s: float
@@ -252,11 +258,17 @@ class FollowSession:
         """Open the slot so far that it gets away if the leader turns round at its speed."""
         speed_mps = round(fix.speed_mps, 1)
         radius_m = follower.plan.slot.radius_m
-        follower.reversal_m = least_slot_m(speed_mps, follower.handling.answer)
-        opens = follower.reversal_m > radius_m
+        brakes_mps2 = self.known.leader_brakes_mps2
+        follower.reversal_m = least_slot_m(
+            speed_mps, follower.handling.answer, brakes_mps2=brakes_mps2
+        )
+        opens = follower.opens_m > 0.0
         if opens and not follower.opens:
             why = f"leader at {speed_mps:.1f} m/s"
-            if least_slot_m(speed_mps, follower.handling.answer_in_calm) <= radius_m:
+            in_calm_m = least_slot_m(
+                speed_mps, follower.handling.answer_in_calm, brakes_mps2=brakes_mps2
+            )
+            if in_calm_m <= radius_m:
                 why = f"wind leaves {follower.handling.wind_leaves_mps2:.1f} m/s2 to brake"
             text = f"slot opens to {follower.reversal_m:.1f} m, {why}"
             self.alert(follower.plan.system_id, text, mavlink.MAV_SEVERITY_NOTICE)
@@ -283,7 +295,13 @@ class FollowSession:
         if altitude_m is None:
             altitude_m = self.heights.commanded_m(follower)
         return position_target(
-            follower.plan.system_id, point, altitude_m, follower.yaw_rad, now_s, follower.feed_mps
+            follower.plan.system_id,
+            point,
+            altitude_m,
+            follower.yaw_rad,
+            now_s,
+            follower.feed_mps,
+            follower.opens_m,
         )
 
     # ---- stopping -------------------------------------------------------------------------------

@@ -20,7 +20,7 @@ from echowing.flight.guidance import (
     is_stale,
     predicted,
 )
-from echowing.flight.handling import Handling
+from echowing.flight.handling import Handling, leader_brakes_mps2
 from echowing.flight.jumps import OwnJump, RangeMemory
 from echowing.flight.leader_track import LeaderTrack, VehicleClock, changes_mps2, is_late
 from echowing.flight.own_motion import OwnMotion
@@ -137,6 +137,11 @@ class FollowerState:
     _motions: dict[float, tuple[GlobalPosition, Horizontal]] = field(default_factory=dict)
 
     @property
+    def opens_m(self) -> float:
+        """The distance its slot has opened to, for a leader that may turn round; 0: it has not."""
+        return self.reversal_m if self.reversal_m > self.plan.slot.radius_m else 0.0
+
+    @property
     def guided_mode(self) -> bool:
         """Whether it is in Guided, in the air or not."""
         return self.mode == GUIDED_MODE
@@ -249,6 +254,7 @@ class Known:
         self.settings = settings
         self.leader = LeaderTrack()
         self.leader_history = History()
+        self.leader_mode: int | None = None
         self.followers = {
             plan.system_id: FollowerState(
                 plan, TowBar(plan.slot, longest_m) if settings.tow_bar else TailSlot(plan.slot)
@@ -262,6 +268,11 @@ class Known:
             return self.leader.clock
         follower = self.followers.get(system_id)
         return follower.clock if follower else None
+
+    @property
+    def leader_brakes_mps2(self) -> float:
+        """How hard the leader may brake and turn round in its mode."""
+        return leader_brakes_mps2(self.leader_mode)
 
     def leader_age_s(self, at_s: float) -> float:
         """How old the newest report of the leader is at a moment."""

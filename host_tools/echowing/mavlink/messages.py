@@ -45,10 +45,12 @@ def position_target(
     yaw_rad: float | None,
     now_s: float,
     velocity_mps: "Horizontal | None" = None,
+    opens_m: float = 0.0,
 ) -> Any:
     """SET_POSITION_TARGET_GLOBAL_INT; `altitude_m` above the vehicle's home.
 
-    velocity_mps: (north, east); None: the position only.
+    velocity_mps: (north, east); None: the position only. opens_m: the distance that the applet is
+    to keep where the slot has opened (0: it has not), in a field that the autopilot ignores.
     """
     mask = _POSITION_ONLY if velocity_mps is None else _POSITION_VELOCITY
     if yaw_rad is None:
@@ -63,7 +65,9 @@ def position_target(
         round(point.lon_deg * 1e7),
         altitude_m,
         *(velocity_mps or (0.0, 0.0)),
-        *(0.0,) * 4,
+        0.0,
+        opens_m,
+        *(0.0,) * 2,
         yaw_rad or 0.0,
         0.0,
     )
