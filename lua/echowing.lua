@@ -394,10 +394,10 @@ end
 -- Speeds are along the nose, where the sonar looks. Times are in ms; nil is "never".
 local own = { mps = 0.0, accel_mps2 = 0.0, at_ms = nil } -- this vehicle's motion
 local track = { -- what the sonar reads (averages, single readings), and where the leader is by that, and how fast
-    raw_m = nil, raw_ms = nil, board_ms = 0, late_ms = 0,
+    raw_m = nil, raw_ms = nil, board_ms = 0, late_ms = 0, quickest_ms = 0, dated = 0,
     range_m = nil, leader_mps = 0.0, seen_mps = 0.0, leader_mps2 = 0.0, own_mps = 0.0, at_ms = 0,
     seen_ms = 0, readings = 0, spike_m = nil, spike_ms = 0, spike_own_mps = 0.0,
-    same_m = nil, same = 0, slowest_mps = 0.0, fastest_mps = 0.0,
+    same_m = nil, same = 0, slowest_mps = 0.0, fastest_mps = 0.0, stuck = false,
 }
 local laws = { -- the range becomes a speed: the law's wish, and the same after the rate limit
     wish_mps = 0.0, speed_mps = 0.0, step_ms = 0, update_ms = 0, seen_ms = 0, data_ms = 0,
@@ -499,6 +499,7 @@ do
     local RAW_FRESH_MS = 300 -- an older single reading is not "the newest": 3 periods of the slower sonar rate
     local RAW_NAME = 'SNR_RAW\0\0\0' -- ten characters on the wire
     local SAME_READINGS, SAME_MPS = 8, 0.3 -- so many readings that are the same, and a change of the own speed meanwhile
+    local DATED_READINGS = 16 -- so many tell what the board's clock differs by
     local LATEST_MS = 1000 -- no reading waits so long: the board, or its link, has started anew
     -- A single reading this far from the prediction, or after so long without one, waits for a second one like it:
     -- readings 0.1 s apart differ by less even where both vehicles change their speed at 5 m/s2.
@@ -543,14 +544,26 @@ do
         return track.raw_ms and t_ms - track.raw_ms <= RAW_FRESH_MS and track.raw_m or nil
     end
 
+    -- What the two clocks differ by, told anew: the readings before are dated by it too.
+    local function set_clock(late_ms)
+        local shift_ms = late_ms - track.late_ms
+        track.late_ms, track.seen_ms, track.spike_ms = late_ms, track.seen_ms + shift_ms, track.spike_ms + shift_ms
+    end
+
     -- When a reading was taken, by the applet's clock: readings wait for the wire and for the applet, most of them longer
-    -- than the quickest, and a speed told from their arrival would be off by metres per second. The board's clock may be
-    -- 1 % slow: 1 ms a reading.
+    -- than the quickest, and a speed told from their arrival would be off by metres per second. The quickest of the last
+    -- 16 to 32 tells: a board whose clock is 1 % slow is 32 ms off then.
     local function taken_ms(board_ms, t_ms)
         local late_ms = t_ms - board_ms
         local goes_on = board_ms > track.board_ms and math.abs(late_ms - track.late_ms) < LATEST_MS
-        track.late_ms = goes_on and math.min(late_ms, track.late_ms + 1) or late_ms
         track.board_ms = board_ms
+        if not goes_on then track.late_ms, track.quickest_ms, track.dated = late_ms, late_ms, 0 end
+        track.quickest_ms, track.dated = math.min(track.quickest_ms, late_ms), track.dated + 1
+        if late_ms < track.late_ms then set_clock(late_ms) end
+        if track.dated >= DATED_READINGS then
+            set_clock(track.quickest_ms)
+            track.quickest_ms, track.dated = late_ms, 0
+        end
         return board_ms + track.late_ms
     end
 
@@ -628,9 +641,9 @@ do
         track.leader_mps, track.own_mps, track.at_ms = leader_mps, own.mps, t_ms
     end
 
-    -- What a distance has changed by since it was read, at a rate of now.
-    local function since_read_m(rate_mps, read_ms, t_ms)
-        return rate_mps * (READING_S + (t_ms - read_ms) * 0.001)
+    -- How old a reading is now.
+    local function age_s(read_ms, t_ms)
+        return READING_S + (t_ms - read_ms) * 0.001
     end
 
     -- A reading that was not foreseen waits for another one like it.
@@ -654,7 +667,7 @@ do
         if not second then return wait(range_m, read_ms) end
         local rate_mps = clamp((range_m - track.spike_m) / dt_s, -MOST_MPS, MOST_MPS)
         track.leader_mps = rate_mps + 0.5 * (track.spike_own_mps + own.mps) - own.accel_mps2 * READING_S
-        track.range_m = range_m + since_read_m(track.leader_mps - own.mps, read_ms, t_ms)
+        track.range_m = range_m + (track.leader_mps - own.mps) * age_s(read_ms, t_ms)
         track.own_mps, track.at_ms, track.seen_ms = own.mps, t_ms, read_ms
         track.seen_mps, track.leader_mps2 = track.leader_mps, 0.0
         -- Two alike may still be wild ones, until a third is foreseen.
@@ -671,7 +684,8 @@ do
         local dt_s = (read_ms - track.seen_ms) * 0.001
         if dt_s <= 0.0 then return end
         track.carry(t_ms)
-        local residual_m = range_m + since_read_m(track.leader_mps - own.mps, read_ms, t_ms) - track.range_m
+        local aged_s = age_s(read_ms, t_ms)
+        local residual_m = range_m + (track.leader_mps - own.mps) * aged_s - track.range_m
         if math.abs(residual_m) > SPIKE_M or dt_s > SPIKE_MS * 0.001 then
             return unforeseen(range_m, read_ms, t_ms)
         end
@@ -680,8 +694,11 @@ do
         local n = track.readings + 1 -- the first readings count as in a straight line through all of them
         local range_share = math.max(1.0 - keep * keep * keep, 2.0 * (2.0 * n - 1.0) / (n * (n + 1.0)))
         local rate_share = math.max(1.5 * lose * lose * (1.0 + keep), 6.0 / (n * (n + 1.0)))
-        track.range_m = track.range_m + range_share * residual_m
-        track.leader_mps = track.leader_mps + rate_share / dt_s * residual_m
+        local change_mps = rate_share / dt_s * residual_m
+        -- The rate is that of the reading's time: the range of now changes with it. Left out, the next reading corrects for
+        -- it once more, and the observer swings; from 0.14 s of age on it swings ever wider.
+        track.range_m = track.range_m + range_share * residual_m + change_mps * aged_s
+        track.leader_mps = track.leader_mps + change_mps
         if n > SETTLED_READINGS then
             track.leader_mps2 = track.leader_mps2 + lose * lose * lose / (dt_s * dt_s) * residual_m
         end
@@ -1210,8 +1227,9 @@ do
     local function write_log(range_m, t_ms)
         if C.LOG_HZ <= 0.0 or (report.log_ms and t_ms - report.log_ms < 1000.0 / C.LOG_HZ - 1.0) then return end
         report.log_ms = t_ms
+        local error_m = range_m and range_m - stream.distance_m() or 0.0
         logger:write('ECHO', 'Rng,Flt,Err,Law,Spd,St', 'fffffB', 'mmmnn-', '00000-', range_m or 0.0,
-            track.range_m or 0.0, range_m and range_m - stream.distance_m() or 0.0, laws.wish_mps, speed.out_mps, report.state)
+            track.range_m or 0.0, error_m, laws.wish_mps, speed.out_mps, report.state)
     end
 
     function report.send(range_m, t_ms)

@@ -189,6 +189,13 @@ def test_who_moves_on_stale_data_is_found_two_seconds_later() -> None:
     assert stopped(stale(quiet(), 100)) == []
 
 
+def test_from_more_than_4_mps_a_stop_takes_as_long_as_its_braking() -> None:
+    """6 m/s at 2.5 m/s2, and 0.35 s until it leans."""
+    (found,) = stopped(moving(stale(quiet(), 100), 100, 6.0))
+
+    assert found.time_s == pytest.approx(10.1 + 0.35 + 6.0 / 2.5 + 0.5, abs=0.25)
+
+
 def test_who_makes_room_may_move() -> None:
     assert stopped(moving(stale(quiet(), 100), 100, 1.0, away=True)) == []
 

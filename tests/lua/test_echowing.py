@@ -373,14 +373,16 @@ def test_closing_distance_counts(rig: MakeRig) -> None:
 
 
 def approach(r: Rig, range_m: float, speed_mps: float, accel_mps2: float, seconds: float) -> None:
-    """Towards a leader that stands, readings every 50 ms."""
+    """Towards a leader that stands, readings every 50 ms, which are as old when they come."""
+    before_m = range_m
     for i in range(round(seconds * 100)):
         speed_mps += accel_mps2 * 0.01
         range_m -= speed_mps * 0.01
         r.vehicle.velocity = (speed_mps, 0.0, 0.0)
         r.range(range_m)
         if i % 5 == 0:
-            r.send_raw(round(range_m, 2))
+            r.send_raw(round(before_m, 2))
+            before_m = range_m
         r.step()
 
 

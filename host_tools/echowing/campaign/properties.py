@@ -22,6 +22,7 @@ from echowing.flight.envelope import (
     closing_limit_mps,
 )
 from echowing.flight.guard import LOWEST_M
+from echowing.flight.handling import REACTION_S
 from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.flight.spacing import UNRANGED_SIGMA_M
 from echowing.sim.flight import SAMPLE_S
@@ -216,7 +217,7 @@ def stopped(record: FlightRecord) -> list[Broken]:
                 number + 2,
                 speed_mps,
                 f"follower {number + 2} moves at {speed_mps:.1f} m/s, its data stale or its stop "
-                f"ordered for more than {STOPS_WITHIN_S:g} s",
+                f"ordered for {STOPS_WITHIN_S:g} s or longer",
             )
         )
     return broken
@@ -238,7 +239,21 @@ def must_stand(record: FlightRecord, number: int) -> Bools:
     )
     reason &= record.guided[:, number]
     reason[: round(STOPS_WITHIN_S / SAMPLE_S)] = False
-    return _lasted(reason, STOPS_WITHIN_S)
+    return _could_stop(reason, record.speed_over_ground_mps[:, number + 1])
+
+
+def _could_stop(reason: Bools, speed_mps: Floats) -> Bools:
+    """Where a reason to stop has held long enough for the speed at which it came, (n,)."""
+    could = np.zeros(len(reason), dtype=np.bool_)
+    began = None
+    for at, holds in enumerate(reason.tolist()):
+        if not holds:
+            began = None
+            continue
+        began = at if began is None else began
+        within_s = max(STOPS_WITHIN_S, REACTION_S + float(speed_mps[began]) / OTHERS_MPS2)
+        could[at] = at - began >= round(within_s / SAMPLE_S)
+    return could
 
 
 def _elsewhere(record: FlightRecord, number: int, silent: Bools) -> Bools:

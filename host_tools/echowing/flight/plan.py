@@ -22,9 +22,14 @@ from echowing.geo import displace, distance_m, ned_between, wrap_angle_rad
 # A leader that the sonar does not hear is approached no faster than this: from it a copter stops
 # within the beam's reach less the receivers' error.
 JOIN_MPS, QUIET_S = 1.5, 0.5
+# Where it flies, the tool knows one way late, and its answer takes another: with slow radios a way
+# flown by velocity swings from side to side. It is left to Guided for so many ways longer.
+QUIET_WAYS = 5.0
 # One that it heard lately may be turning round, and reports tell of that half a second late: the
 # follower catches up half as hard as Guided would.
 LATELY_S, CATCH_UP_PER_S = 4.0, 0.5
+# A leader that is not heard gets room, but within the sonar's reach, as far as its place is unsure.
+WITHIN_REACH_M = 0.7
 # A slot that was opened closes slowly: one that leans to catch up loses its leader.
 CLOSES_MPS = 0.6
 # A leader that is not heard for so long is looked for where it most likely is.
@@ -91,14 +96,15 @@ def _least_radius_m(known: Known, follower: FollowerState, now_s: float) -> floa
 def _reversal_by_radio_m(known: Known, follower: FollowerState, fix: LeaderFix) -> float:
     """The nearest slot from which it gets away from a reversal that only reports show.
 
-    No further than the sonar's reach: beyond, the leader would never be heard again.
+    No further than the sonar's reach, less what the receivers may be off: beyond, the leader would
+    never be heard again.
     """
     noticed_s = round(known.leader.oldest_s + follower.way_s, 1)
     speed_mps, answer = round(fix.speed_mps, 1), follower.handling.answer
     least_m = least_slot_m(
         speed_mps, answer, known.settings.clearance_m, noticed_s, known.leader_brakes_mps2
     )
-    return min(DETECTION_LIMIT_M, least_m)
+    return min(DETECTION_LIMIT_M - WITHIN_REACH_M, least_m)
 
 
 def _closing_slowly(follower: FollowerState, least_m: float, now_s: float) -> float:
@@ -139,7 +145,7 @@ def _joined_slowly(follower: FollowerState, guided: GuidedPoint, now_s: float) -
     A place ahead would move on with the vehicle that flies towards it, and be overshot.
     """
     here, unheard_s = follower.on_arrival(now_s), follower.estimate.offset.unheard_s(now_s)
-    if here is None or unheard_s < QUIET_S:
+    if here is None or unheard_s < QUIET_S + QUIET_WAYS * follower.way_s:
         return guided
     north, east, down = ned_between(here, guided.point)
     far_m = math.hypot(north, east)
