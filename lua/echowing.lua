@@ -512,9 +512,10 @@ do
     -- The leader's acceleration is noise of the sonar (1 cm) within the first, and no copter brakes harder than the
     -- second. It needs readings enough.
     local NOISE_MPS2, HARDEST_MPS2, SETTLED_READINGS = 0.8, 4.0, 5
-    -- A leader that was near and braking when it was lost goes on braking until it stands, or to this speed if it flew
-    -- back already, for as long as the ground tool does not know of it yet (1 s of radio). Braking is more than what a
-    -- corner takes of the speed along the beam (1 m/s2 at 2 m/s).
+    -- A leader for which the slot was opened, near and braking when it was lost, goes on braking until it stands, or to
+    -- this speed if it flew back already, for as long as the ground tool does not know of it yet (1 s of radio). Braking is
+    -- more than what a corner takes of the speed along the beam (1 m/s2 at 2 m/s). Without the opened slot the leader is
+    -- on a mission, or slow, and most likely flies round a corner.
     local UNSEEN_MS, KNOWN_MS, BACK_MPS, CORNER_MPS2 = 150, 1000, -2.0, 1.5
 
     -- Distance by the rangefinder's running average, nil where it is no measurement; and the status. All distances here
@@ -618,7 +619,8 @@ do
 
     -- How hard the leader brakes, or speeds up towards this vehicle, by what was seen last: 0 or less.
     function track.braking_mps2(t_ms)
-        if t_ms - track.seen_ms > KNOWN_MS or track.leader_mps2 > -NOISE_MPS2 then return 0.0 end
+        local counts_ms = stream.is_opened() and KNOWN_MS or RAW_FRESH_MS
+        if t_ms - track.seen_ms > counts_ms or track.leader_mps2 > -NOISE_MPS2 then return 0.0 end
         return math.max(-HARDEST_MPS2, track.leader_mps2)
     end
 
@@ -628,7 +630,9 @@ do
         if unseen_ms > KNOWN_MS then return track.seen_mps end
         local least_mps = track.seen_mps > 0.0 and 0.0 or BACK_MPS
         local near = track.range_m < stream.distance_m() and track.leader_mps > least_mps
-        if not near or track.leader_mps2 > -CORNER_MPS2 then return math.min(track.leader_mps, track.seen_mps) end
+        if not near or track.braking_mps2(t_ms) > -CORNER_MPS2 then
+            return math.min(track.leader_mps, track.seen_mps)
+        end
         return math.max(least_mps, track.leader_mps + track.braking_mps2(t_ms) * dt_s)
     end
 
@@ -1049,6 +1053,11 @@ do
     -- Whether the newest streamed point is the vehicle's target, and a place.
     function stream.in_force(t_ms)
         return not stream.holding and stream.at_ms and t_ms - stream.at_ms < TARGET_FRESH_MS and stream.lat
+    end
+
+    -- Whether the ground tool has opened the slot: the leader may turn round faster than one on a mission does.
+    function stream.is_opened()
+        return stream.distance_m() > C.DIST
     end
 
     -- The distance to keep, centre to centre: the ground tool opens the slot for a leader that can turn round faster than

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from tests.lua.conftest import MakeRig, Rig
 
 HIGH, LOW = 3, 2
+STEERED_M = 3.01  # a slot that has just opened, as for a leader that is not on a mission
 HOLDING, BACKING_OFF, TOO_CLOSE = 7, 6, 3
 SPD_MAX, SPD_LOST = 5.0, 3.0
 FLOOR_MPS = pytest.approx(0.2)
@@ -59,9 +60,11 @@ def led(
     return r
 
 
-def stream(r: Rig, ahead_m: float, seconds: float, mps: float = LEADER_MPS) -> None:
+def stream(
+    r: Rig, ahead_m: float, seconds: float, mps: float = LEADER_MPS, opens_m: float = 0.0
+) -> None:
     for _ in range(round(seconds / 0.12)):
-        r.send_target(ahead_m, mps)
+        r.send_target(ahead_m, mps, opens_m=opens_m)
         r.run(0.12)
 
 
@@ -349,14 +352,14 @@ def test_a_leader_that_flies_back_is_flown_back_from_at_once(rig: MakeRig) -> No
     assert loop.mps == pytest.approx(-2.0, abs=0.5)
 
 
-def braked(r: Rig, seconds: float, mps2: float) -> Rig:
+def braked(r: Rig, seconds: float, mps2: float, opens_m: float = 0.0) -> Rig:
     """The leader 3 m ahead brakes for so long; the follower keeps its speed."""
     led(r, 3.0, 0.0)
     for number in range(round(seconds * 100)):
         time_s = 0.01 * (number + 1)
         r.range(3.0 - 0.5 * mps2 * time_s * time_s)
         if r.vehicle.t_ms % 120 == 0:
-            r.send_target(0.0, LEADER_MPS)
+            r.send_target(0.0, LEADER_MPS, opens_m=opens_m)
         r.step()
     return r
 
@@ -387,17 +390,35 @@ def test_a_sonars_noise_is_no_braking(rig: MakeRig) -> None:
 
 def test_a_leader_lost_while_it_brakes_is_taken_to_stop(rig: MakeRig) -> None:
     """It goes on braking until it stands. After a second the ground tool knows better."""
-    r = braked(rig(LAW=2), 0.4, 2.5)
+    r = braked(rig(LAW=2), 0.4, 2.5, STEERED_M)
     track = r.host.local_value("track")
     seen_mps = track.leader_mps
     assert seen_mps == pytest.approx(LEADER_MPS - 0.4 * 2.5, abs=0.45)
     r.range(7.66, HIGH)
-    stream(r, 0.0, 0.36)
+    stream(r, 0.0, 0.36, opens_m=STEERED_M)
     assert track.leader_mps < seen_mps - 0.4
-    stream(r, 0.0, 0.6)
+    stream(r, 0.0, 0.6, opens_m=STEERED_M)
     assert track.leader_mps == 0.0
-    stream(r, 0.0, 0.24)
+    stream(r, 0.0, 0.24, opens_m=STEERED_M)
     assert track.leader_mps == pytest.approx(seen_mps, abs=0.1)
+    assert newest(r).north_mps2 == 0.0
+
+
+def test_a_leader_on_a_mission_that_is_lost_while_it_brakes_flies_round_a_corner(
+    rig: MakeRig,
+) -> None:
+    """Three readings' time its braking counts, then no more: the follower must not fly back.
+
+    SITL 4.8, a corner at 2 m/s: taken to stop, and 7 m away when it was heard again.
+    """
+    r = braked(rig(LAW=2), 0.4, 2.5)
+    track = r.host.local_value("track")
+    seen_mps = track.leader_mps
+    r.range(7.66, HIGH)
+    stream(r, 0.0, 0.36)
+    assert track.leader_mps > seen_mps - 0.5
+    stream(r, 0.0, 0.24)
+    assert newest(r).north_mps == pytest.approx(track.leader_mps, abs=0.05)
     assert newest(r).north_mps2 == 0.0
 
 

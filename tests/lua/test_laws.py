@@ -286,8 +286,9 @@ def margins(p: float, d: float, tau_s: float, delay_s: float) -> tuple[float, fl
     """Phase margin in degrees and gain margin of law 2's loop, opened at the vehicle's answer.
 
     The law: limit = l + P (r - wanted) + D (l - own). Range r, leader speed l and acceleration a
-    come from the observer s r = l - own + (3/T) e, s l = a + (3/T^2) e, s a = e/T^3 of the error
-    e = z + A (l - own) - r, with readings z that are `delay_s` old and counted as A = 0.05 s old.
+    come from the observer s r = l - own + (3/T + 3 A/T^2) e, s l = a + (3/T^2) e, s a = e/T^3 of
+    the error e = z + A (l - own) - r, with readings z that are `delay_s` old and counted as
+    A = 0.05 s old.
     With z = -exp(-delay s) own / s all three follow from the own speed. The vehicle:
     exp(-0.3 s) / (1 + 0.75 s).
     """
@@ -297,7 +298,7 @@ def margins(p: float, d: float, tau_s: float, delay_s: float) -> tuple[float, fl
         vehicle = cmath.exp(-DEAD_TIME_S * s) / (1 + LAG_S * s)
         late = cmath.exp(-delay_s * s)
         to_speed = 3.0 / (tau_s**2 * s) + 1.0 / (tau_s**3 * s**2)
-        to_range = (3.0 / tau_s + to_speed) / s
+        to_range = (3.0 / tau_s + READING_S * 3.0 / tau_s**2 + to_speed) / s
         error = ((1.0 - late) / s - READING_S) / (1.0 - READING_S * to_speed + to_range)
         leader, range_m = to_speed * error, to_range * error - 1.0 / s
         return -vehicle * (leader + p * range_m + d * (leader - 1.0))
