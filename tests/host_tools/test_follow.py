@@ -114,17 +114,29 @@ def test_a_leader_that_is_not_heard_is_approached_slowly() -> None:
     assert target.vx == pytest.approx(1.5, abs=0.02)
 
 
-def test_a_leader_heard_lately_is_caught_up_with_half_as_hard_as_guided_would() -> None:
-    """1 m behind its slot: 0.5 m/s, where a place 1 m ahead would be flown to at 1 m/s."""
+def one_metre_behind_its_slot(unheard_s: float) -> Any:
+    """The point of a follower whose sonar heard the standing leader last so long ago."""
     follow = session()
     state = follow.followers[FOLLOWER]
-    state.estimate.offset._heard_at_s = 0.0
+    state.estimate.offset._heard_at_s = 1.0 - unheard_s
     follow.receive(from_vehicle(FOLLOWER, position(0.9, displace(HERE, (-4.0, 0.0, 0.0)))), 0.9)
     follow.receive(from_vehicle(LEADER, position(1.0, HERE)), 1.0)
-
     (target,) = targets(follow, 1.0)
+    return target
+
+
+def test_a_leader_heard_lately_is_caught_up_with_half_as_hard_as_guided_would() -> None:
+    """1 m behind its slot: 0.5 m/s, where a place 1 m ahead would be flown to at 1 m/s."""
+    target = one_metre_behind_its_slot(unheard_s=2.0)
     assert metres_from_here(target)[0] == pytest.approx(-4.0, abs=0.03)
     assert target.vx == pytest.approx(0.5, abs=0.02)
+
+
+def test_the_way_to_the_slot_is_guided_s_until_the_reports_have_come_and_gone() -> None:
+    """A quarter of a second a way: for 0.5 s and five ways after the last echo the slot is sent."""
+    target = one_metre_behind_its_slot(unheard_s=1.5)
+    assert metres_from_here(target)[0] == pytest.approx(-3.0, abs=0.03)
+    assert target.vx == pytest.approx(0.0, abs=0.02)
 
 
 def test_a_slot_that_was_opened_closes_slowly() -> None:
