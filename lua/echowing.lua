@@ -406,7 +406,7 @@ local hold = { active = false, mps = 0.0, at_ms = nil } -- moves points that car
 local guard = { too_close = false, evading = false, close_ms = 0 } -- keeps away from the leader
 local stream = { -- the ground tool's guided points, and what happens when they end
     at_ms = nil, points = 0, holding = false, stands = false, lat = nil, lng = nil, up_m = nil, north_mps = 0.0,
-    east_mps = 0.0, yaw_rad = nil, moving = false, opens_m = 0.0,
+    east_mps = 0.0, yaw_rad = nil, moving = false, opens_m = 0.0, makes_way = false,
 }
 local speed = { -- the speed parameter: ours, the pilot's, another script's
     out_mps = 0.0, written = nil, pilot_units = nil, ground_units = nil, changes = {}, conflict = false,
@@ -636,6 +636,11 @@ do
         return math.max(least_mps, track.leader_mps + track.braking_mps2(t_ms) * dt_s)
     end
 
+    -- The leader is not seen, and flies so fast by what the ground tool knows.
+    function track.told(leader_mps)
+        track.leader_mps, track.seen_mps = leader_mps, leader_mps
+    end
+
     -- Carries the range on to now.
     function track.carry(t_ms)
         if not track.range_m then return end
@@ -821,7 +826,7 @@ do
 
     -- The closing speed from which the vehicle still stops at the close distance: the inverse of the above without
     -- acceleration.
-    local function stoppable_speed(range_m)
+    function guard.stoppable_mps(range_m)
         local lag_mps = C.DECEL * C.DELAY
         return math.sqrt(lag_mps * lag_mps + 2.0 * C.DECEL * math.max(0.0, range_m - C.CLOSE)) - lag_mps
     end
@@ -935,7 +940,7 @@ do
         -- Law 1 adds step to step for as long as the leader is far. Law 2 never wishes for so much, and law 0 is the
         -- thesis's.
         if tracked_m and C.LAW == 1 then
-            allow_no_more(math.max(C.SPD_MIN, track.leader_mps + stoppable_speed(tracked_m)))
+            allow_no_more(math.max(C.SPD_MIN, track.leader_mps + guard.stoppable_mps(tracked_m)))
         end
         return laws.speed_mps
     end
@@ -947,18 +952,39 @@ do
     -- How far the applet moves a point: little towards the leader, for the ground tool may know why the point is far
     -- from it; more away from the leader. A sonar that is stuck then moves the vehicle no further.
     local FORWARD_M, BACK_M = 1.0, 5.0
-    local UNSEEN_MS = 300
+    -- From the second on a leader that goes on with its mission is where it was, and as fast as the ground tool says:
+    -- until then the tool's reports may be older than what was seen last.
+    local UNSEEN_MS, TOLD_MS = 300, 500
     local GENTLE_MPS2, NEARER_M = 1.0, 0.4 -- 6 degrees of lean, and what the air takes; 1 m/s for each metre
     local LEAD_S = 0.3 -- until this vehicle leans against its motion
+    -- Too near to a leader for which the slot was not opened, and that does not fly back faster than this, a share of
+    -- the distance is flown back: at a corner in full the vehicle would fly back from a leader that only turns, lean by
+    -- it, and lose it.
+    local EASE, TURNS_MPS = 0.4, -0.5
+
+    -- Whether the leader most likely goes on with its mission.
+    local function flies_on()
+        return not stream.is_opened() and track.leader_mps > TURNS_MPS
+    end
+
+    local function eased(wanted_m)
+        local in_full = not flies_on() or track.range_m < C.CLOSE
+        return in_full and wanted_m or math.max(wanted_m, EASE * wanted_m)
+    end
 
     -- Where the point belongs along the beam (metres ahead of here), and its speed there: at the wanted distance from
     -- the leader and as fast as the leader. ahead_m, mps: the same of the streamed point. While the sonar sees nothing,
     -- of the track and the point whichever is the more cautious.
-    local function along_beam(ahead_m, mps, t_ms)
-        local wanted_m = track.range_m - stream.distance_m()
-        if t_ms - track.seen_ms > UNSEEN_MS then
-            return math.max(math.min(wanted_m, ahead_m), ahead_m - BACK_M), math.min(track.leader_mps, mps)
+    local function along_beam(ahead_m, mps, braking_mps2, t_ms)
+        -- From where both will be once this vehicle leans.
+        local wanted_m = track.range_m + 0.5 * braking_mps2 * LEAD_S * LEAD_S - stream.distance_m()
+        local unseen_ms = t_ms - track.seen_ms
+        if flies_on() and unseen_ms > TOLD_MS then track.told(mps) end
+        if unseen_ms > UNSEEN_MS then
+            wanted_m = math.max(math.min(wanted_m, ahead_m), ahead_m - BACK_M)
+            return math.min(eased(wanted_m), ahead_m + FORWARD_M), math.min(track.leader_mps, mps)
         end
+        wanted_m = eased(wanted_m)
         if wanted_m > ahead_m + FORWARD_M then return ahead_m + FORWARD_M, math.min(mps, track.leader_mps) end
         if wanted_m < ahead_m - BACK_M then return ahead_m - BACK_M, mps end
         return wanted_m, track.leader_mps
@@ -973,6 +999,13 @@ do
         return math.min(wanted_m, NEARER_M), hold.mps
     end
 
+    -- The ground tool leads it past another vehicle, which the applet does not know: the point as it is, but towards the
+    -- leader no faster than it can still stop. Guided flies 1 m/s for each metre to the point, and its velocity.
+    local function past_another(t_ms, ahead_m, mps)
+        hold.mps, hold.at_ms = own.mps, t_ms
+        return ahead_m, math.min(mps, track.leader_mps + guard.stoppable_mps(track.range_m) - ahead_m)
+    end
+
     -- Sends Guided the streamed point, moved along the beam. False: it was not taken, or there is none.
     local function move(t_ms)
         local here = vehicle:get_likely_flying() and ahrs:get_location()
@@ -983,10 +1016,14 @@ do
         local yaw = yaw_rad(ahrs)
         local cos, sin = math.cos(yaw), math.sin(yaw)
         local ahead_m, mps = north_m * cos + east_m * sin, stream.north_mps * cos + stream.east_mps * sin
-        local wanted_m, wanted_mps = gently(t_ms, along_beam(ahead_m, mps, t_ms))
-        -- A leader that brakes is answered with its own deceleration, from where both will be once this vehicle leans.
+        -- A leader that brakes is answered with its own deceleration.
         local braking_mps2 = track.braking_mps2(t_ms)
-        wanted_m = wanted_m + 0.5 * braking_mps2 * LEAD_S * LEAD_S
+        local wanted_m, wanted_mps
+        if stream.makes_way then
+            wanted_m, wanted_mps = past_another(t_ms, ahead_m, mps)
+        else
+            wanted_m, wanted_mps = gently(t_ms, along_beam(ahead_m, mps, braking_mps2, t_ms))
+        end
         wanted_mps = wanted_mps + braking_mps2 * LEAD_S
         local by_m, by_mps = wanted_m - ahead_m, wanted_mps - mps
         position:x(position:x() + north_m + by_m * cos)
@@ -1042,9 +1079,12 @@ do
         if mask & 0x0003 == 0 then stream.lat, stream.lng = lat, lng end
         if mask & 0x0004 == 0 and ABOVE_HOME[string.unpack('B', message, payload + 52)] then stream.up_m = up_m end
         if mask & 0x0400 == 0 then stream.yaw_rad = string.unpack('<f', message, payload + 40) end
-        -- The first acceleration, which the autopilot is told to ignore: how far the slot has opened.
-        local opens_m = mask & 0x01C0 == 0x01C0 and string.unpack('<f', message, payload + 28) or 0.0
+        -- Of the acceleration, which the autopilot is told to ignore: how far the slot has opened, and whether the tool
+        -- leads it past another vehicle than the leader.
+        local opens_m, makes_way = 0.0, 0.0
+        if mask & 0x01C0 == 0x01C0 then opens_m, makes_way = string.unpack('<ff', message, payload + 28) end
         stream.opens_m = is_number(opens_m) and math.min(opens_m, MOST_OPEN_M) or 0.0
+        stream.makes_way = makes_way == 1.0
         stream.moving = mask & 0x0018 == 0
         stream.north_mps, stream.east_mps = 0.0, 0.0
         if stream.moving then stream.north_mps, stream.east_mps = vn, ve end

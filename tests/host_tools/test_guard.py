@@ -218,6 +218,7 @@ def test_too_near_to_the_leader_it_flies_away_from_it() -> None:
     assert point.alt == 10.0
     assert point.yaw == pytest.approx(0.0, abs=0.01)  # and looks at it
     assert there.state == "gives way to the leader"
+    assert point.afy == 0.0  # the applet knows the leader
     assert there.points(3.0)  # it is never left without a point
     assert there.events().count("follower 2: gives way to the leader") == 1
 
@@ -295,6 +296,8 @@ def test_followers_on_each_others_side_pass_on_their_right(system_id: int) -> No
     # What is too fast towards the other is flown to the right of it.
     assert east_mps * forward > 0.5
     assert abs(north_mps) < 1.5
+    # Its applet does not know of the other, and is told to leave the point as it is.
+    assert points[system_id].afy == 1.0
 
 
 def test_another_altitude_datum_is_corrected_and_said_once() -> None:

@@ -135,12 +135,13 @@ class Rig:
         yaw_rad: float | None = None,
         system: int = 1,
         opens_m: float = 0.0,
+        makes_way: bool = False,
         ignored: int = ACCELERATION_IGNORED,
     ) -> None:
         """A guided point so far north and east of HERE, with or without a velocity (there, too).
 
-        up_m: above home; yaw_rad: None: the autopilot's choice; opens_m: the distance to keep, in a
-        field that is ignored.
+        up_m: above home; yaw_rad: None: the autopilot's choice; opens_m: the distance to keep;
+        makes_way: this leads past another vehicle; both in fields that are ignored.
         """
         lat = round(HERE[0] * 1e7 + ahead_m / METRES_PER_E7)
         metres_per_e7 = METRES_PER_E7 * math.cos(math.radians(HERE[0]))
@@ -150,7 +151,7 @@ class Rig:
         if yaw_rad is not None:
             mask &= ~YAW_IGNORED
         velocity = (0.0, 0.0) if velocity_mps is None else (velocity_mps, aside_mps)
-        fields = (lat, lng, up_m, *velocity, 0.0, opens_m, 0.0, 0.0, yaw_rad or 0.0, 0.0)
+        fields = (lat, lng, up_m, *velocity, 0.0, opens_m, makes_way, 0.0, yaw_rad or 0.0, 0.0)
         payload = struct.pack("<Iii9fHBBB", self.vehicle.t_ms, *fields, mask, system, 1, 6)
         self.vehicle.inbox.append((mavlink_frame(86, payload, GROUND_TOOL), 0))
 

@@ -196,8 +196,8 @@ def test_stops_by_the_rule_of_the_ground_tools_envelope(
     rig: MakeRig, one: dict[str, float]
 ) -> None:
     r = rig(CLOSE=one["least_m"], DELAY=one["dead_s"], DECEL=one["decel_mps2"]).run(0.1)
-    stoppable_speed = r.host.local_value("stoppable_speed")
-    assert stoppable_speed(one["certain_m"]) == pytest.approx(one["limit_mps"], abs=1e-3)
+    guard = r.host.local_value("guard")
+    assert guard.stoppable_mps(one["certain_m"]) == pytest.approx(one["limit_mps"], abs=1e-3)
 
 
 def test_wanted_distance_moves_the_bands(rig: MakeRig) -> None:

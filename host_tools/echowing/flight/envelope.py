@@ -8,7 +8,7 @@ that leads past a vehicle, slows one that leads at it, and backs away from a veh
 near: it never stands still while another comes nearer. Two vehicles in each other's way would wait
 for each other; so each passes the other on its own right, as ships do.
 
-The applet stops by the same rule (`stoppable_speed` in `lua/echowing.lua`);
+The applet stops by the same rule (`guard.stoppable_mps` in `lua/echowing.lua`);
 `tests/flight/envelope.toml` holds for both.
 """
 

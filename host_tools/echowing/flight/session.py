@@ -302,6 +302,7 @@ class FollowSession:
             now_s,
             follower.feed_mps,
             follower.opens_m,
+            makes_way=follower.makes_way,
         )
 
     # ---- stopping -------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ from echowing.flight.guard import Guard
 from echowing.flight.guidance import Horizontal, bearing_rad
 from echowing.flight.offset_grid import Wandering
 from echowing.flight.own_motion import POSITION_GAIN_PER_S, correction_pace_per_s
-from echowing.flight.state import FollowerState, Known
+from echowing.flight.state import LEADER, FollowerState, Known
 from echowing.geo import GlobalPosition, Ned, displace, distance_m, ned_between
 
 # A hold that gives way by this much moves its place to where the vehicle is.
@@ -37,6 +37,7 @@ class Spacing:
         """The point that leaves everybody room (see `flight.envelope`), its velocity with it."""
         here = follower.on_arrival(now_s)
         if self._least_m is None or here is None or self._switched(follower):
+            follower.gives_way_to = None
             return point
         wanted = _wanted_mps(here, point, follower.feed_mps)
         others = self._others(follower, here, now_s)
@@ -91,7 +92,7 @@ class Spacing:
         if leader is None or known.leader_is_stale(now_s):
             return None
         return Other(
-            "the leader",
+            LEADER,
             self._between_m(known.leader_id, leader.position, follower, here),
             leader.velocity_ned_mps,
             follower.estimate.offset.sigma_m(bearing_rad(here, leader.position)),

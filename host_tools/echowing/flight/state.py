@@ -33,6 +33,8 @@ from echowing.geo import GlobalPosition, displace
 from echowing.mavlink.messages import FORWARD, heading_of, sonar_range_m
 
 GUIDED_MODE = 4
+# What messages call the leader.
+LEADER = "the leader"
 
 # The co-processor's newest single reading (firmware/README.md). If none has come for so long (a
 # signed link refuses it, as no autopilot signs it), DISTANCE_SENSOR is used.
@@ -140,6 +142,11 @@ class FollowerState:
     def opens_m(self) -> float:
         """The distance its slot has opened to, for a leader that may turn round; 0: it has not."""
         return self.reversal_m if self.reversal_m > self.plan.slot.radius_m else 0.0
+
+    @property
+    def makes_way(self) -> bool:
+        """Whether it leaves its plan for another vehicle than the leader."""
+        return self.gives_way_to not in (None, LEADER)
 
     @property
     def guided_mode(self) -> bool:

@@ -46,11 +46,14 @@ def position_target(
     now_s: float,
     velocity_mps: "Horizontal | None" = None,
     opens_m: float = 0.0,
+    *,
+    makes_way: bool = False,
 ) -> Any:
     """SET_POSITION_TARGET_GLOBAL_INT; `altitude_m` above the vehicle's home.
 
-    velocity_mps: (north, east); None: the position only. opens_m: the distance that the applet is
-    to keep where the slot has opened (0: it has not), in a field that the autopilot ignores.
+    velocity_mps: (north, east); None: the position only. For the applet, in fields that the
+    autopilot ignores: opens_m: the distance to keep where the slot has opened (0: it has not);
+    makes_way: this leads past another vehicle than the leader, and the applet is not to undo it.
     """
     mask = _POSITION_ONLY if velocity_mps is None else _POSITION_VELOCITY
     if yaw_rad is None:
@@ -67,7 +70,8 @@ def position_target(
         *(velocity_mps or (0.0, 0.0)),
         0.0,
         opens_m,
-        *(0.0,) * 2,
+        float(makes_way),
+        0.0,
         yaw_rad or 0.0,
         0.0,
     )
