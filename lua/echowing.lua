@@ -407,6 +407,7 @@ local guard = { too_close = false, evading = false, close_ms = 0 } -- keeps away
 local stream = { -- the ground tool's guided points, and what happens when they end
     at_ms = nil, points = 0, holding = false, stands = false, lat = nil, lng = nil, up_m = nil, north_mps = 0.0,
     east_mps = 0.0, yaw_rad = nil, moving = false, opens_m = 0.0, makes_way = false,
+    yaw_rps = 0.0,
 }
 local speed = { -- the speed parameter: ours, the pilot's, another script's
     out_mps = 0.0, written = nil, pilot_units = nil, ground_units = nil, changes = {}, conflict = false,
@@ -954,7 +955,7 @@ do
     local FORWARD_M, BACK_M = 1.0, 5.0
     -- From the second on a leader that goes on with its mission is where it was, and as fast as the ground tool says:
     -- until then the tool's reports may be older than what was seen last.
-    local UNSEEN_MS, TOLD_MS = 300, 500
+    local UNSEEN_MS, TOLD_MS = 300, 900
     local GENTLE_MPS2, NEARER_M = 1.0, 0.4 -- 6 degrees of lean, and what the air takes; 1 m/s for each metre
     local LEAD_S = 0.3 -- until this vehicle leans against its motion
     -- Too near to a leader for which the slot was not opened, and that does not fly back faster than this, a share of
@@ -1036,8 +1037,12 @@ do
         local missing_mps2 = math.max(braking_mps2, math.min(0.0, braking_mps2 - own.accel_mps2))
         acceleration:x(missing_mps2 * cos)
         acceleration:y(missing_mps2 * sin)
+        -- After a leader that turns a corner with the rate, too: Guided turns after a yaw alone a quarter of a second late,
+        -- which is half the beam there. One that flies back is too near for a rate from its estimated bearing.
+        local yaw_rps = stream.yaw_rad and flies_on() and stream.yaw_rps or 0.0
+        local look_rad = (stream.yaw_rad or yaw) + yaw_rps * (t_ms - stream.at_ms) * 0.001
         return vehicle:set_target_posvelaccel_NED(position, velocity, acceleration, true,
-            math.deg(stream.yaw_rad or yaw), false, 0.0, false)
+            math.deg(look_rad), yaw_rps ~= 0.0, math.deg(yaw_rps), false)
     end
 
     -- A point with no velocity at all is where the ground tool has stopped it: there it stays.
@@ -1064,7 +1069,20 @@ do
     local TARGET_FRESH_MS = 1000 -- an older streamed point is not the target in force
     local ABOVE_HOME = { [3] = true, [6] = true } -- MAV_FRAME_GLOBAL_RELATIVE_ALT and its _INT
     local MOST_OPEN_M = 6.0 -- as the highest ECHO_DIST
+    local SOON_S, LATE_S = 0.05, 0.4 -- points nearer in time, or further, do not tell how fast the yaw turns
+    local TURN_RPS = 1.0 -- as ATC_RATE_WPY_MAX, 60 deg/s
     local LENGTH = 3 -- so many points without a gap are a stream; one alone may be a pilot's click on the map
+
+    -- How fast the streamed yaw turns: half of what was, for the leader's bearing is estimated.
+    local function turned(before_rad, before_ms)
+        local dt_s = before_ms and (stream.at_ms - before_ms) * 0.001 or 0.0
+        local rate_rps = 0.0
+        if stream.yaw_rad and before_rad and dt_s > SOON_S and dt_s < LATE_S then
+            local turn_rad = (stream.yaw_rad - before_rad + math.pi) % (2.0 * math.pi) - math.pi
+            if is_number(turn_rad) then rate_rps = clamp(turn_rad / dt_s, -TURN_RPS, TURN_RPS) end
+        end
+        stream.yaw_rps = 0.5 * (stream.yaw_rps + rate_rps)
+    end
 
     function stream.take(message, payload, t_ms)
         local lat, lng, up_m, vn, ve = string.unpack('<i4i4fff', message, payload + 4)
@@ -1074,11 +1092,13 @@ do
             local gap = not stream.at_ms or t_ms - stream.at_ms > TARGET_FRESH_MS
             stream.points = gap and 1 or stream.points + 1
         end
+        local before_ms, before_rad = stream.at_ms, stream.yaw_rad
         stream.at_ms = t_ms
         stream.lat, stream.lng, stream.up_m, stream.yaw_rad = nil, nil, nil, nil
         if mask & 0x0003 == 0 then stream.lat, stream.lng = lat, lng end
         if mask & 0x0004 == 0 and ABOVE_HOME[string.unpack('B', message, payload + 52)] then stream.up_m = up_m end
         if mask & 0x0400 == 0 then stream.yaw_rad = string.unpack('<f', message, payload + 40) end
+        turned(before_rad, before_ms)
         -- Of the acceleration, which the autopilot is told to ignore: how far the slot has opened, and whether the tool
         -- leads it past another vehicle than the leader.
         local opens_m, makes_way = 0.0, 0.0
@@ -1117,7 +1137,7 @@ do
     end
 
     function stream.begin()
-        stream.at_ms, stream.points, stream.holding = nil, 0, false
+        stream.at_ms, stream.points, stream.holding, stream.yaw_rps = nil, 0, false, 0.0
     end
 
     -- Holds the vehicle where it is once a stream of guided points has fallen silent.

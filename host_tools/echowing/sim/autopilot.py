@@ -611,12 +611,13 @@ class Autopilot:
         velocity_ned_mps: Ned,
         yaw_rad: float | None = None,
         acceleration_ned_mps2: Ned = (0.0, 0.0, 0.0),
+        yaw_rate_rps: float = 0.0,
     ) -> bool:
-        """Guided position and velocity target, and how the velocity changes."""
+        """Guided position and velocity target, and how the velocity and the yaw change."""
         if self.modes.mode != GUIDED:
             return False
         return self.modes.guided.position_velocity(
-            position_ned_m, velocity_ned_mps, yaw_rad, acceleration_ned_mps2
+            position_ned_m, velocity_ned_mps, yaw_rad, acceleration_ned_mps2, yaw_rate_rps
         )
 
     def set_target_velocity_ned(self, velocity_ned_mps: Ned) -> bool:

@@ -150,6 +150,7 @@ class Copter(EstimatedPosition):
         "_wanted_e",
         "_wanted_n",
         "_yaw_command",
+        "_yaw_command_rate",
         "_yaw_shaped_rate",
         "_yaw_wanted",
         "default_speed_mps",
@@ -242,16 +243,19 @@ class Copter(EstimatedPosition):
         velocity_ned_mps: Ned,
         yaw_rad: float | None = None,
         acceleration_ned_mps2: Ned = (0.0, 0.0, 0.0),
+        yaw_rate_rps: float = 0.0,
     ) -> None:
         """Follow a moving point (estimated frame). The limit caps the correction only.
 
-        The point's velocity changes at the acceleration, which comes on top of what corrects.
+        The point's velocity changes at the acceleration, which comes on top of what corrects; the
+        yaw turns on at its rate in the same way.
         Without another command for GUID_TIMEOUT the point stops where it got to.
         """
         if self._mode != self._shape_posvel:
             self._enter(self._shape_posvel)
         self._aim(target_ned_m, velocity_ned_mps, yaw_rad)
         self._target_acceleration = acceleration_ned_mps2
+        self._yaw_command_rate = yaw_rate_rps
 
     def guided_velocity(self, velocity_ned_mps: Ned, yaw_rad: float | None = None) -> None:
         """Fly at a velocity; without another command for GUID_TIMEOUT, stop."""
@@ -388,6 +392,7 @@ class Copter(EstimatedPosition):
         self._target_acceleration = (0.0, 0.0, 0.0)
         self._target_age_s = 0.0
         self._yaw_command: float | None = None
+        self._yaw_command_rate = 0.0
         self._pos_n, self._pos_e, self._pos_d = self.est_north_m, self.est_east_m, self.est_down_m
         self._vel_n, self._vel_e, self._vel_d = self.vn_mps, self.ve_mps, self.vd_mps
         self._acc_n = self._acc_e = self._acc_d = 0.0
@@ -403,6 +408,7 @@ class Copter(EstimatedPosition):
         self._target_velocity = velocity
         self._target_age_s = 0.0
         self._yaw_command = yaw_rad
+        self._yaw_command_rate = 0.0
 
     # ---- shaping: each mode turns its target into a desired acceleration
 
@@ -622,6 +628,7 @@ class Copter(EstimatedPosition):
         tuning = self.tuning
         speed = sqrt(self._vel_n * self._vel_n + self._vel_e * self._vel_e)
         if self._yaw_command is not None:
+            self._yaw_command += self._yaw_command_rate * dt
             self._yaw_wanted = self._yaw_command
         elif speed > LOOK_SHARE * self._speed_limit and self._mode != self._shape_hold:
             self._yaw_wanted = atan2(self._vel_e, self._vel_n)
@@ -629,6 +636,7 @@ class Copter(EstimatedPosition):
             return self._turn_by(0.0, dt)
         error = wrap_pi(self._yaw_wanted - self.yaw_rad)
         rate = sqrt_controller(error, 1.0 / tuning.input_s, tuning.yaw_acceleration_rps2)
+        rate += self._yaw_command_rate
         return self._turn_by(clamp(rate, -tuning.yaw_rate_rps, tuning.yaw_rate_rps), dt)
 
     def _turn_by(self, rate: float, dt: float) -> None:

@@ -138,8 +138,10 @@ class DeskVehicle:
         velocity_ned_mps: Ned,
         yaw_rad: float | None = None,
         acceleration_ned_mps2: Ned = (0.0, 0.0, 0.0),
+        yaw_rate_rps: float = 0.0,
     ) -> bool:
-        target = (*position_ned_m, *velocity_ned_mps, yaw_rad, *acceleration_ned_mps2)
+        how = (yaw_rad, *acceleration_ned_mps2, yaw_rate_rps)
+        target = (*position_ned_m, *velocity_ned_mps, *how)
         self.targets.append(("posvel", target))
         self.target = None
         return self.mode == 4 and self.takes_posvel

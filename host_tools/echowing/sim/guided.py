@@ -69,8 +69,9 @@ class Controls(Protocol):
         velocity_ned_mps: Ned,
         yaw_rad: float | None = None,
         acceleration_ned_mps2: Ned = (0.0, 0.0, 0.0),
+        yaw_rate_rps: float = 0.0,
     ) -> None:
-        """Follow a moving point, whose velocity changes at an acceleration."""
+        """Follow a moving point, whose velocity changes at an acceleration, and the yaw's rate."""
 
     def guided_velocity(self, velocity_ned_mps: Ned, yaw_rad: float | None = None) -> None:
         """Fly at a velocity."""
@@ -150,6 +151,7 @@ class Guided:
         velocity: Ned,
         yaw_rad: float | None = None,
         acceleration: Ned = (0.0, 0.0, 0.0),
+        yaw_rate_rps: float = 0.0,
     ) -> bool:
         """Follow a moving point; False as for `position`."""
         if not self._within_fence(target):
@@ -157,7 +159,11 @@ class Guided:
         self._switch(SubMode.POSITION_VELOCITY)
         self._aim(None, velocity)
         self._log(self.sub_mode, target, velocity)
-        self._do(lambda: self._controls.guided_posvel(target, velocity, yaw_rad, acceleration))
+        self._do(
+            lambda: self._controls.guided_posvel(
+                target, velocity, yaw_rad, acceleration, yaw_rate_rps
+            )
+        )
         return True
 
     def velocity(self, velocity: Ned, yaw_rad: float | None = None) -> None:

@@ -313,11 +313,12 @@ raw.vehicle.set_target_posvel_NED = function(position, velocity)
     local n, e, d = position_ned(position)
     return py.set_target_posvel_ned(n, e, d, position_ned(velocity))
 end
-raw.vehicle.set_target_posvelaccel_NED = function(position, velocity, acceleration, use_yaw, yaw_deg)
+raw.vehicle.set_target_posvelaccel_NED = function(position, velocity, acceleration, use_yaw, yaw_deg, use_rate, rate_degs)
     local n, e, d = position_ned(position)
     local vn, ve, vd = position_ned(velocity)
     local an, ae, ad = position_ned(acceleration)
-    return py.set_target_posvel_ned(n, e, d, vn, ve, vd, use_yaw and math.rad(yaw_deg) or nil, an, ae, ad)
+    local yaw, rate = use_yaw and math.rad(yaw_deg) or nil, use_yaw and use_rate and math.rad(rate_degs) or 0.0
+    return py.set_target_posvel_ned(n, e, d, vn, ve, vd, yaw, rate, an, ae, ad)
 end
 raw.vehicle.set_target_velocity_NED = function(velocity)
     return py.set_target_velocity_ned(position_ned(velocity))

@@ -104,8 +104,9 @@ class VehicleApi(Protocol):
         velocity_ned_mps: Ned,
         yaw_rad: float | None = None,
         acceleration_ned_mps2: Ned = (0.0, 0.0, 0.0),
+        yaw_rate_rps: float = 0.0,
     ) -> bool:
-        """Guided position and velocity target, and how the velocity changes."""
+        """Guided position and velocity target, and how the velocity and the yaw change."""
 
     def set_target_velocity_ned(self, velocity_ned_mps: Ned) -> bool:
         """Guided velocity target; times out after 3 s."""
@@ -517,6 +518,22 @@ class LuaHost:
         def set_target_location(lat: int, lng: int, alt: int, frame: AltitudeFrame) -> bool:
             return vehicle.set_target_location(lat * 1e-7, lng * 1e-7, alt * 0.01, frame)
 
+        def set_target_posvel(
+            n: float,
+            e: float,
+            d: float,
+            vn: float,
+            ve: float,
+            vd: float,
+            yaw_rad: float | None = None,
+            yaw_rate_rps: float = 0.0,
+            *acceleration: float,
+        ) -> bool:
+            an, ae, ad = acceleration or (0.0, 0.0, 0.0)
+            return vehicle.set_target_posvel_ned(
+                (n, e, d), (vn, ve, vd), yaw_rad, (an, ae, ad), yaw_rate_rps
+            )
+
         def log_write(
             name: str, labels: str, formats: str, units: str, multipliers: str, values: Any
         ) -> None:
@@ -547,11 +564,7 @@ class LuaHost:
             "set_target_position_ned": lambda n, e, d, yaw: vehicle.set_target_position_ned(
                 (n, e, d), yaw
             ),
-            "set_target_posvel_ned": lambda n, e, d, vn, ve, vd, yaw=None, *acceleration: (
-                vehicle.set_target_posvel_ned(
-                    (n, e, d), (vn, ve, vd), yaw, acceleration or (0.0, 0.0, 0.0)
-                )
-            ),
+            "set_target_posvel_ned": set_target_posvel,
             "set_target_velocity_ned": lambda n, e, d: vehicle.set_target_velocity_ned((n, e, d)),
             "position_ned": vehicle.position_ned_m,
             "height_above_home": vehicle.height_above_home_m,

@@ -111,6 +111,7 @@ class _Carried:
         velocity_ned_mps: Ned,
         yaw_rad: float | None = None,
         acceleration_ned_mps2: Ned = (0.0, 0.0, 0.0),
+        yaw_rate_rps: float = 0.0,
     ) -> None: ...
 
     def guided_velocity(self, velocity_ned_mps: Ned, yaw_rad: float | None = None) -> None: ...
