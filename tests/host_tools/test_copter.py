@@ -329,6 +329,25 @@ def test_turns_no_faster_than_sixty_degrees_a_second() -> None:
     assert copter.yaw_rad == pytest.approx(3.0, abs=0.01)
 
 
+def late_rad(rate_rps: float) -> float:
+    """How far the nose is behind a yaw that turns at 0.7 rad/s, a point at 20 Hz, after 3 s."""
+    copter = guided()
+    fly(
+        copter,
+        3.0,
+        lambda time_s: copter.guided_posvel(
+            START, (0.0, 0.0, 0.0), 0.7 * time_s, yaw_rate_rps=rate_rps
+        ),
+    )
+    return 0.7 * 3.0 - copter.yaw_rad
+
+
+def test_a_yaw_with_its_rate_is_turned_after_without_delay() -> None:
+    """Else by the time constant of ATC_INPUT_TC, 0.15 s."""
+    assert late_rad(0.0) == pytest.approx(0.7 * 0.15, abs=0.02)
+    assert late_rad(0.7) == pytest.approx(0.0, abs=0.02)
+
+
 def test_commanded_yaw_wins_over_the_path() -> None:
     copter = guided(5.0)
     copter.guided_position((30.0, 0.0, -10.0), yaw_rad=-1.0)

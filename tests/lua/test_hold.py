@@ -35,6 +35,7 @@ class Target:
     yaw_rad: float
     north_mps2: float
     east_mps2: float
+    yaw_rps: float
 
 
 def newest(r: Rig) -> Target:
@@ -46,7 +47,15 @@ def newest(r: Rig) -> Target:
     )
     here = r.vehicle.position
     return Target(
-        north_m - here[0], east_m - here[1], down_m, north_mps, east_mps, yaw_rad, rest[0], rest[1]
+        north_m - here[0],
+        east_m - here[1],
+        down_m,
+        north_mps,
+        east_mps,
+        yaw_rad,
+        rest[0],
+        rest[1],
+        rest[3],
     )
 
 
@@ -274,6 +283,46 @@ def test_the_yaw_is_the_streams_or_the_one_it_has(rig: MakeRig, yaw_rad: float |
     r.run(0.1)
 
     assert newest(r).yaw_rad == pytest.approx(yaw_rad or 0.0, abs=1e-4)
+    assert newest(r).yaw_rps == 0.0
+
+
+def turned_after(r: Rig, rates_rps: float, points: int = 12, opens_m: float = 0.0) -> Target:
+    """Behind a leader whose bearing turns at a rate, a point each 0.12 s."""
+    led(r, 3.0, 0.0)
+    for number in range(points):
+        yaw_rad = math.remainder(3.0 + 0.12 * rates_rps * number, 2.0 * math.pi)
+        r.send_target(0.0, LEADER_MPS, yaw_rad=yaw_rad, opens_m=opens_m)
+        r.run(0.12)
+    return newest(r)
+
+
+@pytest.mark.parametrize("rate_rps", [0.7, -0.7])
+def test_the_nose_turns_after_the_leader_with_a_rate(rig: MakeRig, rate_rps: float) -> None:
+    """Through south too, where the angle jumps; and on from the point's yaw until the next."""
+    target = turned_after(rig(LAW=2), rate_rps)
+    assert target.yaw_rps == pytest.approx(rate_rps, abs=0.01)
+    last_rad = 3.0 + 0.12 * rate_rps * 11
+    late_s = math.remainder(target.yaw_rad - last_rad, 2.0 * math.pi) / rate_rps
+    assert 0.05 <= late_s <= 0.12
+
+
+@pytest.mark.parametrize("yaw_rad", [math.nan, math.inf])
+def test_a_yaw_that_is_no_number_leaves_no_rate(rig: MakeRig, yaw_rad: float) -> None:
+    r = rig(LAW=2)
+    turned_after(r, 0.7)
+    r.send_target(0.0, LEADER_MPS, yaw_rad=yaw_rad)
+    r.run(0.12)
+    r.send_target(0.0, LEADER_MPS, yaw_rad=0.5)
+    r.run(0.12)
+    assert abs(newest(r).yaw_rps) < 0.7
+
+
+def test_the_nose_turns_no_faster_than_the_autopilot_would(rig: MakeRig) -> None:
+    assert turned_after(rig(LAW=2), 4.0).yaw_rps == pytest.approx(1.0, abs=0.01)
+
+
+def test_before_a_leader_that_may_turn_round_the_nose_has_no_rate(rig: MakeRig) -> None:
+    assert turned_after(rig(LAW=2), 0.7, opens_m=STEERED_M).yaw_rps == 0.0
 
 
 # ---- who is not held -----

@@ -313,11 +313,11 @@ raw.vehicle.set_target_posvel_NED = function(position, velocity)
     local n, e, d = position_ned(position)
     return py.set_target_posvel_ned(n, e, d, position_ned(velocity))
 end
-raw.vehicle.set_target_posvelaccel_NED = function(position, velocity, acceleration, use_yaw, yaw_deg, use_rate, rate_degs)
+raw.vehicle.set_target_posvelaccel_NED = function(position, velocity, acceleration, use_yaw, yaw_deg, use_rate, degs)
     local n, e, d = position_ned(position)
     local vn, ve, vd = position_ned(velocity)
     local an, ae, ad = position_ned(acceleration)
-    local yaw, rate = use_yaw and math.rad(yaw_deg) or nil, use_yaw and use_rate and math.rad(rate_degs) or 0.0
+    local yaw, rate = use_yaw and math.rad(yaw_deg) or nil, use_yaw and use_rate and math.rad(degs) or 0.0
     return py.set_target_posvel_ned(n, e, d, vn, ve, vd, yaw, rate, an, ae, ad)
 end
 raw.vehicle.set_target_velocity_NED = function(velocity)
