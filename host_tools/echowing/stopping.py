@@ -4,7 +4,8 @@ The verb finishes its work first.
 """
 
 import signal
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
@@ -47,6 +48,32 @@ def stop_on_signals() -> Iterator[StopRequest]:
         else:
             for number, handler in before.items():
                 signal.signal(number, handler)
+
+
+@contextmanager
+def waiting_interrupts() -> Iterator[Callable[[], None]]:
+    """Ctrl-C waits for a call of what this yields, which then raises KeyboardInterrupt.
+
+    For work that calls back from C. An exception that arises as a callback begins is lost: the
+    applet's pcall takes it for its own error, ctypes prints it and goes on. Where Ctrl-C does not
+    raise KeyboardInterrupt, it stays as it is.
+    """
+    request = StopRequest()
+
+    def raise_asked() -> None:
+        if request():
+            raise KeyboardInterrupt
+
+    in_main = threading.current_thread() is threading.main_thread()
+    if not in_main or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield raise_asked
+        return
+    signal.signal(signal.SIGINT, request.ask)
+    try:
+        yield raise_asked
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    raise_asked()
 
 
 def ignore_signals() -> None:

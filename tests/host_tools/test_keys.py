@@ -316,7 +316,10 @@ def test_keys_work_in_the_tool_and_a_signal_puts_the_terminal_back(
     vehicles = Vehicles()
     environment = {**os.environ, "TERM": "xterm"}
     command = [*FOLLOW, *vehicles.ends]
+    # Under `nohup` the tool would ignore a hang-up: what is ignored stays ignored.
+    ours = signal.signal(number, signal.SIG_DFL)
     with subprocess.Popen(command, stdin=slave, stdout=slave, env=environment) as tool:
+        signal.signal(number, ours)
         try:
             read_until(master, b"waiting for")
             vehicles.until_heard(2)

@@ -35,6 +35,7 @@ from echowing.sim.sonar import (
     Target,
 )
 from echowing.sim.vehicles import LeaderPilot, MakeCoprocessor, SimFollower
+from echowing.stopping import waiting_interrupts
 
 STEP_S = 0.02
 STEP_US = 20_000
@@ -170,12 +171,14 @@ class FormationFlight(FormationWorld):
         """
         started_s = time.perf_counter()
         steps = round(self.scenario.duration_s / STEP_S)
-        while self._step < steps:
-            self.step()
-            if after_step is not None:
-                after_step()
-            if progress is not None and self._step % 50 == 0:
-                progress(self.t_s)
+        with waiting_interrupts() as raise_asked:
+            while self._step < steps:
+                self.step()
+                raise_asked()
+                if after_step is not None:
+                    after_step()
+                if progress is not None and self._step % 50 == 0:
+                    progress(self.t_s)
         return self._result(time.perf_counter() - started_s)
 
     def step(self) -> None:

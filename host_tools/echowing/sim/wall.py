@@ -18,6 +18,7 @@ from echowing.sim.recorder import Recorder, Sample
 from echowing.sim.scenario import Scenario
 from echowing.sim.sonar import GROUND, Surface
 from echowing.sim.vehicles import MakeCoprocessor, SimFollower
+from echowing.stopping import waiting_interrupts
 
 # Half of an X8 (thesis Table 3: 0.5 m across): nearer than this it has touched the wall.
 BODY_RADIUS_M = 0.25
@@ -69,20 +70,22 @@ def fly_at_wall(
     send = _target_sender(scenario, link)
     recorder = Recorder(scenario.name, scenario.slots()[0], scenario.law, seed)
     closest_m = distance_m = math.inf
-    for step in range(1, round(scenario.duration_s / STEP_S) + 1):
-        t_s = step * STEP_S
-        send(step, t_s)
-        link.deliver(t_s)
-        follower.move(STEP_S)
-        follower.run_coprocessor(step * STEP_US, STEP_S)
-        follower.autopilot.step(t_s)
-        link.collect(t_s)
-        distance_m = wall.distance_m - follower.body.north_m
-        closest_m = min(closest_m, distance_m)
-        if step % STEPS_PER_SAMPLE == 0:
-            recorder.samples.append(_sample(follower, t_s, wall.distance_m))
-        if distance_m <= BODY_RADIUS_M:
-            break
+    with waiting_interrupts() as raise_asked:
+        for step in range(1, round(scenario.duration_s / STEP_S) + 1):
+            t_s = step * STEP_S
+            send(step, t_s)
+            link.deliver(t_s)
+            follower.move(STEP_S)
+            follower.run_coprocessor(step * STEP_US, STEP_S)
+            follower.autopilot.step(t_s)
+            raise_asked()
+            link.collect(t_s)
+            distance_m = wall.distance_m - follower.body.north_m
+            closest_m = min(closest_m, distance_m)
+            if step % STEPS_PER_SAMPLE == 0:
+                recorder.samples.append(_sample(follower, t_s, wall.distance_m))
+            if distance_m <= BODY_RADIUS_M:
+                break
     wall_s = time.perf_counter() - started_s
     return WallResult(recorder.flight(), closest_m, distance_m, wall_s)
 
