@@ -318,14 +318,16 @@ def test_looks_along_the_path_and_keeps_the_heading_at_rest() -> None:
     assert copter.yaw_rad == pytest.approx(math.pi / 2, abs=0.1)
 
 
-def test_turns_no_faster_than_sixty_degrees_a_second() -> None:
+def test_a_turn_is_shaped_to_sixty_degrees_a_second() -> None:
+    """The vehicle comes after it, and overshoots: SITL 4.8 turned with 74 (`step3_cap5`)."""
     copter = guided(5.0)
     copter.guided_position(START, yaw_rad=3.0)
     rates = []
     for _ in range(300):
         copter.step(STEP_S)
         rates.append(copter.yawspeed_rps)
-    assert max(rates) == pytest.approx(math.pi / 3, abs=0.01)
+    assert rates[100] == pytest.approx(math.pi / 3, abs=0.12)
+    assert math.pi / 3 < max(rates) < math.radians(74)
     assert copter.yaw_rad == pytest.approx(3.0, abs=0.01)
 
 
@@ -342,10 +344,13 @@ def late_rad(rate_rps: float) -> float:
     return 0.7 * 3.0 - copter.yaw_rad
 
 
-def test_a_yaw_with_its_rate_is_turned_after_without_delay() -> None:
-    """Else by the time constant of ATC_INPUT_TC, 0.15 s."""
-    assert late_rad(0.0) == pytest.approx(0.7 * 0.15, abs=0.02)
-    assert late_rad(0.7) == pytest.approx(0.0, abs=0.02)
+def test_a_yaw_with_its_rate_is_turned_after_without_the_shaping_s_delay() -> None:
+    """What is left is the vehicle's: SITL 4.8 (ATT, DesYaw and Yaw) is 0.25 s behind in a turn.
+
+    Without the rate the time constant of ATC_INPUT_TC, 0.15 s, comes on top.
+    """
+    assert late_rad(0.7) == pytest.approx(0.7 * 0.22, abs=0.03)
+    assert late_rad(0.0) == pytest.approx(0.7 * (0.22 + 0.15), abs=0.03)
 
 
 def test_commanded_yaw_wins_over_the_path() -> None:
