@@ -115,6 +115,26 @@ def test_two_readings_alike_are_the_leader() -> None:
     assert estimate.offset.unheard_s(10.0) == pytest.approx(0.9 + SONAR_AGE_S)
 
 
+def test_a_leader_is_missed_by_the_readings_that_were_used_and_not_by_now() -> None:
+    """Readings to 9.1 s, and both vehicles known to 10 s; what comes later has not been used."""
+    estimate, leader = listening()
+    assert estimate.missed_s == math.inf
+    estimate.learn(leader)
+    assert estimate.missed_s == math.inf  # never heard
+
+    estimate.heard(9.0, 2.8, 0.2)
+    estimate.heard(9.1, 2.8, 0.2)
+    estimate.learn(leader)
+    assert estimate.missed_s == pytest.approx(0.9 + SONAR_AGE_S)
+
+    # The follower reports again, by a slow radio, and the leader's next report is on its way.
+    estimate.reported(Report(11.5, START, (0.0, 0.0), 0.0))
+    assert estimate.missed_s == pytest.approx(0.9 + SONAR_AGE_S)
+    leader.add(Report(12.0, displace(START, (3.0, 0.0, 0.0)), (0.0, 0.0), 0.0))
+    estimate.learn(leader)
+    assert estimate.missed_s == pytest.approx(2.4 + SONAR_AGE_S)
+
+
 @pytest.mark.parametrize(
     ("first", "second"),
     [

@@ -65,6 +65,7 @@ class Estimate:
         self._before = (-math.inf, math.nan)
         self._alike = 0
         self._jumped_m = (0.0, 0.0)
+        self._used_to_s = -math.inf
 
     @property
     def is_stuck(self) -> bool:
@@ -74,6 +75,12 @@ class Estimate:
     def hears(self, now_s: float) -> bool:
         """Whether its sonar has lately detected the leader."""
         return self.offset.unheard_s(now_s) <= HEARD_S
+
+    @property
+    def missed_s(self) -> float:
+        """How long the leader was not heard, up to the last reading that could be used."""
+        known = math.isfinite(self._used_to_s)
+        return self.offset.unheard_s(self._used_to_s) if known else math.inf
 
     def listens(self, now_s: float) -> bool:
         """Whether its sonar works: readings come, and they change."""
@@ -100,6 +107,7 @@ class Estimate:
 
     def learn(self, leader: History) -> None:
         """Use the readings for which later reports of both vehicles have come."""
+        self._used_to_s = min(leader.newest_s, self.history.newest_s)
         for one in self._alignment.due(leader, self.history):
             north_m, east_m = one.believed_m
             believed_m = north_m - self._jumped_m[0], east_m - self._jumped_m[1]

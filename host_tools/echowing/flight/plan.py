@@ -32,7 +32,8 @@ LATELY_S, CATCH_UP_PER_S = 4.0, 0.5
 WITHIN_REACH_M = 0.7
 # A slot that was opened closes slowly: one that leans to catch up loses its leader.
 CLOSES_MPS = 0.6
-# A leader that is not heard for so long is looked for where it most likely is.
+# A leader that is not heard for so long is looked for where it most likely is. Counted up to the
+# last reading that could be used: by slow radio that one is a second old, and the nose would swing.
 LOST_S = 1.0
 # A follower this near its slot is in it; nearer than the second it is there.
 IN_SLOT_M, AT_SLOT_M = 1.0, 0.05
@@ -69,7 +70,7 @@ def _searching(follower: FollowerState, guided: GuidedPoint, now_s: float) -> Gu
     """The slot, swung round a leader that is not heard though it is within the sonar's reach."""
     here, estimate = follower.on_arrival(now_s), follower.estimate
     within_reach = follower.plan.slot.radius_m < DETECTION_LIMIT_M
-    unheard = estimate.offset.unheard_s(now_s) > LOST_S
+    unheard = estimate.missed_s > LOST_S
     rate_rps = follower.search.update(
         now_s,
         misses=unheard and within_reach and estimate.listens(now_s),
@@ -169,7 +170,7 @@ def _looking_around(follower: FollowerState, guided: GuidedPoint, now_s: float) 
     offset, here = follower.estimate.offset, follower.position
     if guided.yaw_rad is None or here is None:
         return guided
-    if offset.unheard_s(now_s) > LOST_S:
+    if follower.estimate.missed_s > LOST_S:
         north, east = offset.most_likely_m
         leader = displace(guided.leader, (offset.north_m - north, offset.east_m - east, 0.0))
         return replace(guided, yaw_rad=bearing_rad(here, leader))
