@@ -396,7 +396,7 @@ local own = { mps = 0.0, accel_mps2 = 0.0, at_ms = nil } -- this vehicle's motio
 local track = { -- what the sonar reads (averages, single readings), and where the leader is by that, and how fast
     raw_m = nil, raw_ms = nil, board_ms = 0, late_ms = 0, quickest_ms = 0, dated = 0,
     range_m = nil, leader_mps = 0.0, seen_mps = 0.0, leader_mps2 = 0.0, own_mps = 0.0, at_ms = 0,
-    seen_ms = 0, readings = 0, spike_m = nil, spike_ms = 0, spike_own_mps = 0.0,
+    seen_ms = 0, readings = 0, spike_m = nil, spike_ms = 0, spike_own_mps = 0.0, doubted = false,
     same_m = nil, same = 0, slowest_mps = 0.0, fastest_mps = 0.0, stuck = false,
 }
 local laws = { -- the range becomes a speed: the law's wish, and the same after the rate limit
@@ -506,6 +506,7 @@ do
     -- readings 0.1 s apart differ by less even where both vehicles change their speed at 5 m/s2.
     local SPIKE_M, SPIKE_MS = 0.15, 300
     local MOST_MPS = 5.0 -- two vehicles close no faster
+    local JUMP_M = 0.6 -- a leader's speed wrong by 1 m/s, for about as long as its track is carried on
     -- So many readings in agreement are a target; one that did not agree takes one of them off, of so many at the most.
     local TRUST_READINGS, KNOWN_READINGS = 3, 6
     local TRACK_GAP_MS = 700 -- after a gap this long the tracker starts again
@@ -670,18 +671,28 @@ do
             math.abs(range_m - track.spike_m) < SPIKE_M + MOST_MPS * dt_s, dt_s
     end
 
+    -- A known leader does not jump so far: two alike may be late echoes of something else, and three are believed.
+    local function is_doubtful(jump_m, read_ms)
+        local unseen_s = math.min(read_ms - track.seen_ms, TRACK_GAP_MS) * 0.001
+        return not track.doubted and track.readings >= TRUST_READINGS and
+            jump_m > JUMP_M + 0.5 * HARDEST_MPS2 * unseen_s * unseen_s
+    end
+
     -- A reading that was not foreseen counts only when the next one is like it: propellers make single wild ones. The two
     -- tell range and rate anew, with the own speed between them.
-    local function unforeseen(range_m, read_ms, t_ms)
+    local function unforeseen(range_m, read_ms, t_ms, jump_m)
         local second, dt_s = is_second(range_m, read_ms)
-        if not second then return wait(range_m, read_ms) end
+        local third = track.doubted
+        track.doubted = second and is_doubtful(jump_m, read_ms)
+        if track.doubted or not second then return wait(range_m, read_ms) end
         local rate_mps = clamp((range_m - track.spike_m) / dt_s, -MOST_MPS, MOST_MPS)
         track.leader_mps = rate_mps + 0.5 * (track.spike_own_mps + own.mps) - own.accel_mps2 * READING_S
         track.range_m = range_m + (track.leader_mps - own.mps) * age_s(read_ms, t_ms)
         track.own_mps, track.at_ms, track.seen_ms = own.mps, t_ms, read_ms
         track.seen_mps, track.leader_mps2 = track.leader_mps, 0.0
         -- Two alike may still be wild ones, until a third is foreseen.
-        track.readings, track.spike_m = track.readings >= TRUST_READINGS and TRUST_READINGS or 2, nil
+        local trusted = third or track.readings >= TRUST_READINGS
+        track.readings, track.spike_m = trusted and TRUST_READINGS or 2, nil
     end
 
     -- Takes a range that was read at read_ms; now it is t_ms.
@@ -689,7 +700,7 @@ do
         if not fresh(t_ms) then
             local second = is_second(range_m, read_ms)
             start(range_m, read_ms, t_ms)
-            return (second and unforeseen or wait)(range_m, read_ms, t_ms)
+            return (second and unforeseen or wait)(range_m, read_ms, t_ms, 0.0)
         end
         local dt_s = (read_ms - track.seen_ms) * 0.001
         if dt_s <= 0.0 then return end
@@ -697,7 +708,7 @@ do
         local aged_s = age_s(read_ms, t_ms)
         local residual_m = range_m + (track.leader_mps - own.mps) * aged_s - track.range_m
         if math.abs(residual_m) > SPIKE_M or dt_s > SPIKE_MS * 0.001 then
-            return unforeseen(range_m, read_ms, t_ms)
+            return unforeseen(range_m, read_ms, t_ms, math.abs(residual_m))
         end
         local keep = math.exp(-dt_s / C.TAU)
         local lose = 1.0 - keep
@@ -956,7 +967,10 @@ do
     -- From the second on a leader that goes on with its mission is where it was, and as fast as the ground tool says:
     -- until then the tool's reports may be older than what was seen last.
     local UNSEEN_MS, TOLD_MS = 300, 900
-    local GENTLE_MPS2, NEARER_M = 1.0, 0.4 -- 6 degrees of lean, and what the air takes; 1 m/s for each metre
+    local NOSE_LATE_S = 0.2 -- so much later than its attitude's target the nose turns (SITL 4.6 0.2 s, 4.8 0.25 s)
+    -- Towards the leader: 8 degrees of lean, and what the air takes. Guided closes a gap of 0.4 m with all its acceleration
+    -- (4.8, 5 m/s2), so a target is hardly ahead; what is left of the gap is flown by speed, 1 m/s for each metre.
+    local GENTLE_MPS2, NEARER_M, CATCH_UP_PER_S, CATCH_UP_M = 1.4, 0.2, 1.0, 1.0
     local LEAD_S = 0.3 -- until this vehicle leans against its motion
     -- Too near to a leader for which the slot was not opened, and that does not fly back faster than this, a share of
     -- the distance is flown back: at a corner in full the vehicle would fly back from a leader that only turns, lean by
@@ -996,7 +1010,8 @@ do
     local function gently(t_ms, wanted_m, wanted_mps)
         local from_mps = hold.active and hold.mps or own.mps
         local most_mps = from_mps + GENTLE_MPS2 * math.min(t_ms - (hold.at_ms or t_ms), QUICK_MS * 5) * 0.001
-        hold.mps, hold.at_ms = math.min(wanted_mps, most_mps), t_ms
+        local catch_up_mps = CATCH_UP_PER_S * clamp(wanted_m - NEARER_M, 0.0, CATCH_UP_M)
+        hold.mps, hold.at_ms = math.min(wanted_mps + catch_up_mps, most_mps), t_ms
         return math.min(wanted_m, NEARER_M), hold.mps
     end
 
@@ -1037,10 +1052,10 @@ do
         local missing_mps2 = math.max(braking_mps2, math.min(0.0, braking_mps2 - own.accel_mps2))
         acceleration:x(missing_mps2 * cos)
         acceleration:y(missing_mps2 * sin)
-        -- After a leader that turns a corner with the rate, too: Guided turns after a yaw alone a quarter of a second late,
-        -- which is half the beam there. One that flies back is too near for a rate from its estimated bearing.
+        -- After a leader that turns a corner with the rate, too: after a yaw alone Guided turns by ATC_INPUT_TC later, 0.15 s,
+        -- 6 of the 20 degrees to the edge of the beam. One that flies back is too near for a rate from its estimated bearing.
         local yaw_rps = stream.yaw_rad and flies_on() and stream.yaw_rps or 0.0
-        local look_rad = (stream.yaw_rad or yaw) + yaw_rps * (t_ms - stream.at_ms) * 0.001
+        local look_rad = (stream.yaw_rad or yaw) + yaw_rps * ((t_ms - stream.at_ms) * 0.001 + NOSE_LATE_S)
         return vehicle:set_target_posvelaccel_NED(position, velocity, acceleration, true,
             math.deg(look_rad), yaw_rps ~= 0.0, math.deg(yaw_rps), false)
     end

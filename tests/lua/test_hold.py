@@ -20,6 +20,7 @@ HOLDING, BACKING_OFF, TOO_CLOSE = 7, 6, 3
 SPD_MAX, SPD_LOST = 5.0, 3.0
 FLOOR_MPS = pytest.approx(0.2)
 LEADER_MPS = 2.0
+NEARER_M = 0.2
 REST_MPS = 0.001  # a leader that rests: no velocity at all is a hold
 
 
@@ -86,12 +87,14 @@ def stream(
 def test_a_point_is_moved_to_the_wanted_distance(
     rig: MakeRig, range_m: float, ahead_m: float
 ) -> None:
-    """Towards the leader in full; back, where the slot was not opened, by four tenths of it."""
+    """Towards the leader by 0.2 m, the rest by 1 m/s for each metre; back by four tenths of it."""
     r = led(rig(LAW=2), range_m, ahead_m)
 
     missing_m = range_m - 3.0
-    assert newest(r).north_m == pytest.approx(max(missing_m, 0.4 * missing_m), abs=0.03)
-    assert newest(r).north_mps == pytest.approx(LEADER_MPS, abs=0.05)  # the leader's
+    wanted_m = min(NEARER_M, max(missing_m, 0.4 * missing_m))
+    assert newest(r).north_m == pytest.approx(wanted_m, abs=0.03)
+    catch_up_mps = max(0.0, missing_m - NEARER_M)
+    assert newest(r).north_mps == pytest.approx(LEADER_MPS + catch_up_mps, abs=0.05)
     assert r.state == HOLDING
     assert r.speed_mps == SPD_MAX  # the limit caps the correction, and does not hinder it
     assert "holding the distance" in r.texts
@@ -133,12 +136,15 @@ def test_five_metres_back_from_the_point_and_no_more(rig: MakeRig) -> None:
     """The sonar wants it 1.2 m back, the ground tool 5.3 m ahead."""
     r = led(rig(LAW=2), 1.8, 5.3, mps=1.5)
 
-    assert newest(r).north_m == pytest.approx(0.3, abs=0.2)
-    assert newest(r).north_mps == pytest.approx(1.5, abs=0.01)
+    beyond_mps = newest(r).north_mps - 1.5  # what a target no nearer than NEARER_M leaves
+    assert newest(r).north_m + beyond_mps == pytest.approx(0.3, abs=0.2)
 
 
 def test_towards_the_leader_gently_so_that_it_stays_in_the_beam(rig: MakeRig) -> None:
-    """A leader that flies off at 2 m/s: no more than 0.4 m ahead, and 1.5 m/s2 (9 degrees)."""
+    """A leader that flies off at 3.2 m/s: 0.2 m ahead at the most, and 1.4 m/s2 (8 degrees).
+
+    The gap is flown by speed, up to 1 m/s more than the leader's.
+    """
     r = led(rig(LAW=2), 3.0, 0.0)
     speeds = [newest(r).north_mps]
     for number in range(12):
@@ -146,11 +152,11 @@ def test_towards_the_leader_gently_so_that_it_stays_in_the_beam(rig: MakeRig) ->
         r.send_target(0.12 * number, 3.2)
         r.run(0.1)
         speeds.append(newest(r).north_mps)
-        assert newest(r).north_m <= 0.4 + 1e-3
+        assert newest(r).north_m <= NEARER_M + 1e-3
 
     # An update every 50 ms, and the observer's speed between them.
-    assert max(b - a for a, b in pairwise(speeds)) <= 0.15 + 0.05
-    assert speeds[-1] == pytest.approx(3.2, abs=0.3)
+    assert max(b - a for a, b in pairwise(speeds)) <= 0.14 + 0.05
+    assert 3.2 < speeds[-1] <= 3.2 + 1.0
 
 
 def test_away_from_the_leader_at_once(rig: MakeRig) -> None:
@@ -240,13 +246,13 @@ def test_along_the_beam_and_not_across_it(rig: MakeRig) -> None:
     r.vehicle.yaw = math.pi / 2  # facing east
     r.vehicle.velocity = (0.0, LEADER_MPS, 0.0)
     r.raw_every_ms = 100
-    r.range(3.3)
+    r.range(3.15)
     for _ in range(16):
         r.send_target(0.4, 0.3, aside_m=0.1, aside_mps=LEADER_MPS)
         r.run(0.12)
 
     target = newest(r)
-    assert target.east_m == pytest.approx(0.3, abs=0.03)
+    assert target.east_m == pytest.approx(0.15, abs=0.03)
     assert target.north_m == pytest.approx(0.4, abs=0.05)
     assert target.north_mps == pytest.approx(0.3, abs=0.01)
     assert target.east_mps == pytest.approx(LEADER_MPS, abs=0.05)
@@ -298,12 +304,15 @@ def turned_after(r: Rig, rates_rps: float, points: int = 12, opens_m: float = 0.
 
 @pytest.mark.parametrize("rate_rps", [0.7, -0.7])
 def test_the_nose_turns_after_the_leader_with_a_rate(rig: MakeRig, rate_rps: float) -> None:
-    """Through south too, where the angle jumps; and on from the point's yaw until the next."""
+    """Through south too, where the angle jumps; and on from the point's yaw until the next.
+
+    And further by the 0.2 s that the nose is behind: in a turn of 40 degrees a second, 8 degrees.
+    """
     target = turned_after(rig(LAW=2), rate_rps)
     assert target.yaw_rps == pytest.approx(rate_rps, abs=0.01)
     last_rad = 3.0 + 0.12 * rate_rps * 11
     late_s = math.remainder(target.yaw_rad - last_rad, 2.0 * math.pi) / rate_rps
-    assert 0.05 <= late_s <= 0.12
+    assert 0.2 + 0.05 <= late_s <= 0.2 + 0.12
 
 
 @pytest.mark.parametrize("yaw_rad", [math.nan, math.inf])
@@ -583,6 +592,41 @@ def test_one_wild_reading_moves_nothing(rig: MakeRig) -> None:
 
     assert newest(r).north_m == pytest.approx(before.north_m, abs=0.2)
     assert newest(r).north_mps == pytest.approx(before.north_mps, abs=0.05)
+
+
+def test_three_echoes_alike_are_believed_however_short_a_leader_was_known(rig: MakeRig) -> None:
+    """Four readings of it; each echo that does not agree takes one off."""
+    r = led(rig(LAW=2), 3.0, 0.0)
+    r.raw_every_ms = None
+    r.send_raw(7.66)
+    r.run(3.0)  # forgotten
+    for range_m in [2.8] * 3:
+        r.send_raw(range_m)
+        stream(r, 0.0, 0.1)
+    assert r.host.local_value("track").readings == 4
+    for range_m in [1.4, 1.38, 1.36]:
+        r.send_raw(range_m)
+        stream(r, 0.0, 0.1)
+
+    assert r.host.local_value("track").readings == 3
+    assert newest(r).north_m == pytest.approx(1.36 + 0.2 - 3.0, abs=0.3)
+
+
+@pytest.mark.parametrize(("echoes", "moves"), [(2, False), (3, True)])
+def test_echoes_where_a_known_leader_cannot_be_move_nothing_until_the_third(
+    rig: MakeRig, echoes: int, moves: bool
+) -> None:
+    """At 3 m and not seen for 0.2 s, then at 1.4 m: late echoes of something else, most likely.
+
+    SITL 4.8 flew 5 m back from two of them. Three are an obstacle.
+    """
+    r = led(rig(LAW=2), 3.0, 0.0)
+    r.raw_every_ms = None
+    for range_m in [7.66] * 2 + [1.4, 1.35, 1.3][:echoes]:
+        r.send_raw(range_m)
+        stream(r, 0.0, 0.1)
+
+    assert newest(r).north_m == pytest.approx(1.3 + 0.2 - 3.0 if moves else 0.0, abs=0.3)
 
 
 # ---- when points end, or change -----

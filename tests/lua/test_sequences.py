@@ -17,7 +17,7 @@ DEFAULT_DETECT_M = 4.5
 LOW, GOOD = 2, 4
 SLACK = 1e-5  # 32-bit floats of metres a second
 FORWARD_M, BACK_M = 1.0, 5.0
-GENTLE_M = 0.4  # no target lies further ahead, wherever the point is
+GENTLE_M = 0.2  # no target lies further ahead, wherever the point is
 # A point is seen at the next update, 50 ms later: 3 m/s make 0.15 m; 1e-7 degrees are 0.01 m.
 HELD_SLACK_M = 0.17
 # What a leader that brakes as hard as a copter can (4 m/s2) adds: 0.3 s ahead of its lean.

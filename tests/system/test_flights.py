@@ -2,6 +2,7 @@
 
 import math
 from pathlib import Path
+from statistics import mean
 
 import pytest
 
@@ -37,13 +38,18 @@ def test_the_default_law_stops_before_a_wall_and_the_thesis_law_is_flown_beside_
 
 
 def test_the_default_law_stops_from_no_lower_speeds_than_the_thesis_law() -> None:
-    ours_mps = highest_stopping_speed_mps(load_scenario("wall"), 1)
-    thesis_mps = highest_stopping_speed_mps(load_scenario("wall", ["law=thesis"]), 1)
+    """2 m/s is what the thesis flew at its wall.
 
-    # 2 m/s is what the thesis flew at its wall. The guard stops the vehicle under every law, so
-    # that the thesis's may come as far; without it, 0.25 m/s was all.
-    assert ours_mps >= 2.5
-    assert thesis_mps <= ours_mps
+    The guard stops the vehicle under every law, so that the thesis's comes as far in some flights.
+    """
+
+    def stops_mps(*sets: str) -> list[float]:
+        wall = load_scenario("wall", list(sets))
+        return [highest_stopping_speed_mps(wall, seed) for seed in range(1, 5)]
+
+    ours_mps, thesis_mps = stops_mps(), stops_mps("law=thesis")
+    assert min(ours_mps) >= 2.5
+    assert mean(thesis_mps) <= mean(ours_mps)
 
 
 def test_prediction_brings_the_commanded_slot_to_where_it_should_be() -> None:
