@@ -52,9 +52,11 @@ PLAIN = GuidanceSettings(learn_offset=False)
 BY_POSITION = replace(PLAIN, feed_forward=False)
 
 
-def session(settings: GuidanceSettings = PLAIN) -> FollowSession:
+def session(settings: GuidanceSettings = PLAIN, *, hears: bool = False) -> FollowSession:
     plan = FollowerPlan(FOLLOWER, Slot(3.0), 12.0)
     follow = FollowSession(LEADER, [plan], settings)
+    if hears:
+        follow.followers[FOLLOWER].estimate.offset._heard_at_s = math.inf
     follow.receive(from_vehicle(FOLLOWER, heartbeat()), 0.0)
     follow.receive(from_vehicle(FOLLOWER, position(0.1, FOLLOWER_AT)), 0.0)
     return follow
@@ -75,7 +77,7 @@ def metres_from_here(target: Any) -> tuple[float, float]:
 
 
 def test_a_point_with_a_velocity_is_sent_behind_the_leader_at_the_planned_altitude() -> None:
-    follow = session()
+    follow = session(hears=True)
     follow.receive(from_vehicle(LEADER, position(1.0, HERE, (1.6, 0.0))), 1.0)
 
     (target,) = targets(follow, 1.0)
@@ -104,14 +106,17 @@ def test_a_point_without_a_velocity_runs_ahead() -> None:
 
 
 def test_a_leader_that_is_not_heard_is_approached_slowly() -> None:
-    """From 4 m behind where it should be: at 1.5 m/s, and no place ahead that would be overshot."""
+    """From 5 m behind its slot: 1.5 m/s in all, and no place ahead that it would overshoot.
+
+    0.2 m of them Guided closes by itself.
+    """
     follow = session()
     follow.receive(from_vehicle(FOLLOWER, position(0.9, displace(HERE, (-8.0, 0.0, 0.0)))), 0.9)
     follow.receive(from_vehicle(LEADER, position(1.0, HERE)), 1.0)
 
     (target,) = targets(follow, 1.0)
-    assert metres_from_here(target)[0] == pytest.approx(-8.0, abs=0.03)
-    assert target.vx == pytest.approx(1.5, abs=0.02)
+    assert metres_from_here(target)[0] == pytest.approx(-7.8, abs=0.03)
+    assert target.vx == pytest.approx(1.5 * (1.0 - 0.2 / 5.0), abs=0.02)
 
 
 def one_metre_behind_its_slot(unheard_s: float) -> Any:
@@ -130,6 +135,13 @@ def test_a_leader_heard_lately_is_caught_up_with_half_as_hard_as_guided_would() 
     target = one_metre_behind_its_slot(unheard_s=2.0)
     assert metres_from_here(target)[0] == pytest.approx(-4.0, abs=0.03)
     assert target.vx == pytest.approx(0.5, abs=0.02)
+
+
+def test_the_last_metre_to_a_leader_that_is_not_heard_is_a_velocity_too() -> None:
+    """Guided would close 1 m by 2 m/s and more, where the envelope reckons with 1 m/s."""
+    target = one_metre_behind_its_slot(unheard_s=10.0)
+    assert metres_from_here(target)[0] == pytest.approx(-3.8, abs=0.03)
+    assert target.vx == pytest.approx(0.8, abs=0.02)
 
 
 def test_the_way_to_the_slot_is_guided_s_until_the_reports_have_come_and_gone() -> None:
@@ -209,7 +221,7 @@ def test_a_follower_that_is_not_armed_in_guided_is_left_alone(beat: Any) -> None
     ("lat_deg", "lon_deg"), [(91.0, -86.03), (-214.0, 0.0), (39.34, 180.1), (39.34, -214.0)]
 )
 def test_a_place_that_is_nowhere_is_no_report(lat_deg: float, lon_deg: float) -> None:
-    follow = session()
+    follow = session(hears=True)
     follow.receive(from_vehicle(LEADER, position(100.0, HERE)), 1.0)
     nowhere = GlobalPosition(lat_deg, lon_deg, 260.0)
     for system_id in (LEADER, FOLLOWER):  # with the stamp of a vehicle that has just started
@@ -394,7 +406,7 @@ def test_an_answer_too_old_for_clocks_that_drift_is_forgotten() -> None:
 
 def aged(settings: GuidanceSettings, north_m: float = -3.0) -> FollowSession:
     """The leader booted with our clock, and its answers and reports take 0.46 s each way."""
-    follow = session(settings)
+    follow = session(settings, hears=True)
     # Only what was asked is an answer of ours.
     follow.tick(5.0)
     answer = mavlink.MAVLink_timesync_message(round(5.46e9), round(5.0e9))
