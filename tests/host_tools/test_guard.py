@@ -140,8 +140,9 @@ def test_points_flow_while_nothing_is_wrong() -> None:
     there = Field(Limits(max_distance_m=20.0, min_separation_m=1.5), radius_m=6.0)
     there.north_m[FOLLOWER] = -7.0
     (point,) = there.points()
-    assert north_of(point) == pytest.approx(-6.0, abs=0.02)
-    assert (point.vx, point.vy) == pytest.approx((0.0, 0.0), abs=0.002)
+    # 1 m to its slot, 0.2 m of it by itself: the envelope has changed nothing.
+    assert north_of(point) == pytest.approx(-6.8, abs=0.02)
+    assert (point.vx, point.vy) == pytest.approx((0.8, 0.0), abs=0.01)
     assert there.state == "following"
 
 
@@ -197,7 +198,7 @@ def test_beyond_the_greatest_distance_it_holds_until_well_inside() -> None:
     there.north_m[FOLLOWER] = -17.0
     # A leader that is not heard is approached at 1.5 m/s.
     last = there.points()[-1]
-    assert (north_of(last), last.vx) == pytest.approx((-17.0, 1.5), abs=0.02)
+    assert (north_of(last), last.vx) == pytest.approx((-16.8, 1.48), abs=0.02)
     assert there.events()[-1] == "follower 2: clear again, following"
 
 
@@ -225,6 +226,50 @@ def test_too_near_to_the_leader_it_flies_away_from_it() -> None:
     there.north_m[FOLLOWER] = -8.0
     assert flown_mps(there.points()[-1], -8.0)[0] > 1.0
     assert there.state == "following"
+
+
+def third_behind_second() -> Field:
+    """Follower 3 wants to its slot 6 m behind the leader; follower 2 is in its way, at 8 m."""
+    there = Field(Limits(min_separation_m=1.0), followers=(FOLLOWER, 3))
+    there.north_m = {LEADER: 0.0, FOLLOWER: -8.0, 3: -11.5}
+    there.fly(1.0)
+    return there
+
+
+def closing_mps(there: Field) -> float:
+    """How fast follower 3 is sent north, at follower 2."""
+    (point,) = [point for point in there.points() if point.target_system == 3]
+    return flown_mps(point, there.north_m[3])[0]
+
+
+@pytest.mark.parametrize("silent_s", [3.0, 30.0])
+def test_a_follower_that_has_fallen_silent_still_stands_where_it_was(silent_s: float) -> None:
+    """Two seconds after its last report it was forgotten, and flown through (0.73 m)."""
+    there = third_behind_second()
+    there.silent.add(FOLLOWER)
+    there.fly(silent_s)
+
+    assert closing_mps(there) < 0.3
+
+
+def test_one_that_has_landed_and_is_silent_is_in_nobodys_way() -> None:
+    there = third_behind_second()
+    there.tell(FOLLOWER, heartbeat(flying=False))
+    there.silent.add(FOLLOWER)
+    there.fly(3.0)
+
+    assert closing_mps(there) > 1.0
+
+
+def test_a_receiver_that_jumped_leaves_two_places_to_keep_away_from() -> None:
+    """Taken over again by its pilot, it was flown through where it truly was (0.09 m)."""
+    there = third_behind_second()
+    there.north_m[FOLLOWER] += 20.0
+    there.fly(3.0)
+    assert closing_mps(there) > 1.0
+
+    there.session.followers[FOLLOWER].own_jump.total_m = (20.0, 0.0)
+    assert closing_mps(there) < 0.3
 
 
 def test_how_fast_it_closes_depends_on_the_room_that_is_certain() -> None:

@@ -123,6 +123,12 @@ def test_its_own_jump_that_no_sonar_denies_is_held() -> None:
     leave_and_come_back(yard)
     yard.fly(2.0)
     assert yard.state() == "following"
+    # The pilot's word does not tell where it truly is: that counts between followers.
+    jump = yard.session.followers[FOLLOWER].own_jump
+    assert jump.total_m == pytest.approx((12.0, 0.0), abs=0.3)
+    yard.jump(FOLLOWER, (-12.0, 0.0, 0.0))
+    yard.fly(TICK_S)
+    assert jump.total_m == pytest.approx((0.0, 0.0), abs=0.3)
 
 
 @pytest.mark.parametrize("system_id", [LEADER, FOLLOWER])

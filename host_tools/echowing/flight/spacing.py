@@ -1,11 +1,12 @@
 """The envelope's place in a tick: who is near a follower, and what it may be commanded. Pure."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 from echowing.flight.envelope import OTHERS_MPS2, Other, is_in_the_way, keep_apart
 from echowing.flight.guard import Guard
 from echowing.flight.guidance import Horizontal, bearing_rad
+from echowing.flight.jumps import SAME_RANGE_M
 from echowing.flight.offset_grid import Wandering
 from echowing.flight.own_motion import POSITION_GAIN_PER_S, correction_pace_per_s
 from echowing.flight.state import LEADER, FollowerState, Known
@@ -77,9 +78,8 @@ class Spacing:
         for other in self._known.followers.values():
             # A held follower stands; those led past it give way.
             led = follower.held_at is not None and other.sent_to
-            there = None if other is follower or led else other.then(arrives_s)
-            if there is not None:
-                others.append(self._other(follower, here, other, there, arrives_s))
+            if other is not follower and not led:
+                others.extend(self._other(follower, here, other, arrives_s))
         return others
 
     def _leader(
@@ -103,26 +103,32 @@ class Spacing:
         )
 
     def _other(
-        self,
-        follower: FollowerState,
-        here: GlobalPosition,
-        other: FollowerState,
-        there: GlobalPosition,
-        arrives_s: float,
-    ) -> Other:
+        self, follower: FollowerState, here: GlobalPosition, other: FollowerState, arrives_s: float
+    ) -> Iterator[Other]:
+        """Another follower: where it says it is, and where it is if its receiver, or ours, erred.
+
+        Between followers no sonar tells which place is right after a receiver has jumped.
+        """
+        there = other.then(arrives_s)
+        silent = there is None
+        there = there or other.left_at
+        if there is None:
+            return
         system_id = other.plan.system_id
         goal = here if follower.guided is None else follower.guided.slot
         # Its velocity then, by its orders: nobody runs into one in front that brakes.
         answers_s = arrives_s + follower.handling.answer.dead_s
-        return Other(
-            f"follower {system_id}",
-            self._between_m(system_id, there, follower, here),
-            (*other.velocity_then(answers_s), -other.climb_mps),
-            UNRANGED_SIGMA_M,
-            arrives_s - other.position_at_s,
-            is_in_the_way(ned_between(here, there), ned_between(here, goal)),
-            led=other.sent_to,
-        )
+        velocity = (*other.velocity_then(answers_s), -other.climb_mps)
+        for place in (there, *_if_it_jumped(there, follower, other)):
+            yield Other(
+                f"follower {system_id}",
+                self._between_m(system_id, place, follower, here),
+                (0.0, 0.0, 0.0) if silent else velocity,
+                UNRANGED_SIGMA_M,
+                0.0 if silent else arrives_s - other.position_at_s,
+                is_in_the_way(ned_between(here, place), ned_between(here, goal)),
+                led=other.sent_to,
+            )
 
     def _between_m(
         self, system_id: int, there: GlobalPosition, follower: FollowerState, here: GlobalPosition
@@ -132,6 +138,16 @@ class Spacing:
             return ned_between(there, here)
         mine = self._guard.in_height(follower.plan.system_id, here)
         return ned_between(self._guard.in_height(system_id, there), mine)
+
+
+def _if_it_jumped(
+    there: GlobalPosition, follower: FollowerState, other: FollowerState
+) -> Iterator[GlobalPosition]:
+    """Where another is, seen from here, if all that the two receivers jumped by was their error."""
+    mine, its = follower.own_jump.total_m, other.own_jump.total_m
+    shift_m = mine[0] - its[0], mine[1] - its[1]
+    if math.hypot(*shift_m) >= SAME_RANGE_M:
+        yield displace(there, (*shift_m, 0.0))
 
 
 def _moved_off(follower: FollowerState) -> bool:

@@ -44,6 +44,9 @@ RAW_FRESH_S = 1.0
 AVERAGE_AGE_S = 0.225
 # Two reports further apart do not tell how the velocity changes now.
 LONGEST_CHANGE_S = 0.5
+# A follower whose link is lost flies on for ECHO_STREAM_T (1 s), and then half as far as it would
+# in the second that it takes to stop.
+STOPS_AFTER_S = 1.5
 # No longer delay to the vehicle is allowed for: the leader may have turned by then.
 LONGEST_WAY_S = 1.0
 
@@ -163,6 +166,17 @@ class FollowerState:
         if self.position is None or at_s - self.position_at_s > LONGEST_CARRY_S:
             return None
         return self._motion_at(at_s)[0]
+
+    @property
+    def left_at(self) -> GlobalPosition | None:
+        """Where one that has fallen silent in the air stands; None: not known, or it does not fly.
+
+        Its applet stops it, as it gets no points either.
+        """
+        if self.position is None or not self.flying:
+            return None
+        north, east = self.velocity_mps
+        return displace(self.position, (STOPS_AFTER_S * north, STOPS_AFTER_S * east, 0.0))
 
     def velocity_then(self, at_s: float) -> Horizontal:
         """How it flies at a moment, (north, east)."""
