@@ -843,14 +843,14 @@ do
         return math.sqrt(lag_mps * lag_mps + 2.0 * C.DECEL * math.max(0.0, range_m - C.CLOSE)) - lag_mps
     end
 
-    -- Metres that a place lies ahead (along the heading) of the vehicle.
+    -- Metres that a place lies ahead (along the heading) of the vehicle, and how far away it is.
     local function ahead_m(here, lat, lng)
         local target = here:copy()
         target:lat(lat)
         target:lng(lng)
         local offset = here:get_distance_NE(target)
         local yaw = yaw_rad(ahrs)
-        return offset:x() * math.cos(yaw) + offset:y() * math.sin(yaw)
+        return offset:x() * math.cos(yaw) + offset:y() * math.sin(yaw), here:get_distance(target)
     end
 
     -- Metres that the target in force lies behind the vehicle, away from the leader; 0 if it leads towards the leader.
@@ -870,11 +870,8 @@ do
         if not stream.in_force(t_ms) then return false end
         local here = vehicle:get_likely_flying() and ahrs:get_location()
         if not here then return false end
-        local target = here:copy()
-        target:lat(stream.lat)
-        target:lng(stream.lng)
-        local distance_m = here:get_distance(target)
-        return distance_m > EVADE_LEAST_M and ahead_m(here, stream.lat, stream.lng) < 0.5 * distance_m
+        local to_m, distance_m = ahead_m(here, stream.lat, stream.lng)
+        return distance_m > EVADE_LEAST_M and to_m < 0.5 * distance_m
     end
 
     -- How far back to fly from a leader: to the wanted distance, and the leader's approach of one second more.
@@ -914,13 +911,10 @@ do
         guard.too_close, guard.close_ms = true, t_ms
         report.state = STATE.TOO_CLOSE
         if C.LAW >= 1 then allow_no_more(C.SPD_MIN) end
-        local here = vehicle:get_likely_flying() and ahrs:get_location()
-        if not here then
-            guard.evading = false
-            return C.SPD_MIN
-        end
-        local behind_m = target_behind_m(here, t_ms)
-        guard.evading = should_back_off(behind_m, near_m, closing_mps) and own.fly_back(retreat_m(near_m))
+        -- Lower than 2 m up what is near is most likely the ground, and no point leads there (flight/guard.py).
+        local here = -ahrs:get_relative_position_D_home() > 2.0 and vehicle:get_likely_flying() and ahrs:get_location()
+        local behind_m = here and target_behind_m(here, t_ms) or 0.0
+        guard.evading = here and should_back_off(behind_m, near_m, closing_mps) and own.fly_back(retreat_m(near_m))
         if guard.evading then report.state = STATE.BACKING_OFF end
         if guard.evading or behind_m > EVADE_LEAST_M then return C.SPD_MAX end -- free to get away
         return C.SPD_MIN

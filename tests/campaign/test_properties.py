@@ -215,11 +215,15 @@ def test_a_lost_stream_and_a_switch_stop_too() -> None:
     assert stopped(moving(replace(record, switched=on, mode=mode), 100, 1.0)) == []
 
 
-def test_one_that_holds_alone_goes_along_with_its_own_receiver() -> None:
+@pytest.mark.parametrize("why", ["silent", "switched"])
+def test_one_that_holds_alone_goes_along_with_its_own_receiver(why: str) -> None:
     record = quiet()
-    age_s = record.stream_age_s.copy()
-    age_s[60:, 0] = 5.0
-    flown = moving(replace(record, stream_age_s=age_s), 150, 1.0)
+    age_s, on = record.stream_age_s.copy(), record.switched.copy()
+    if why == "silent":
+        age_s[60:, 0] = 5.0
+    else:
+        on[60:, 0] = True
+    flown = moving(replace(record, stream_age_s=age_s, switched=on), 150, 1.0)
     assert stopped(flown)
 
     jump = {"kind": "gps_jump", "at_s": 14.5, "jump_ned_m": (5.0, 0.0, 0.0)}
@@ -295,7 +299,7 @@ def test_a_promised_text_that_is_missing_is_found() -> None:
 
 
 def test_the_mean_error_counts_where_nothing_is_wrong() -> None:
-    record = fly_recorded(scenario_of({"title": "t", "duration_s": 60.0}, "test"), 3)
+    record = fly_recorded(scenario_of({"title": "t", "duration_s": 60.0}, "test"), 4)
     assert mean_error(record) == []
 
     off = replace(record.flights[0], wanted_separation_m=4.0)

@@ -500,6 +500,21 @@ def test_backs_off_from_a_leader_that_closes(rig: MakeRig) -> None:
     assert r.speed_mps < 5.0
 
 
+@pytest.mark.parametrize(("height_m", "backs_off"), [(0.6, False), (1.9, False), (2.1, True)])
+def test_what_is_near_in_a_take_off_is_the_ground(
+    rig: MakeRig, height_m: float, *, backs_off: bool
+) -> None:
+    """Hovering 0.6 m up it flew back from the ground's echo with 2.4 m/s; below 2 m it is slow."""
+    r = rig(LAW=2)
+    r.vehicle.height_m = height_m
+    r.range(3.0).run(2.0)
+    close_in(r, 2.5, 1.0, 1.2, own_mps=0.0)
+    assert bool(r.vehicle.targets) is backs_off
+    if not backs_off:
+        assert r.speed_mps == FLOOR_MPS
+        assert r.texts[-1] == "too close"
+
+
 def test_backs_off_along_the_heading(rig: MakeRig) -> None:
     r = rig(LAW=1)
     r.vehicle.yaw = math.pi / 2  # facing east: back is west

@@ -232,11 +232,10 @@ def must_stand(record: FlightRecord, number: int) -> Bools:
     silence = np.where(record.applet[:, number], silence_s, silence_s + GUIDED_TIMEOUT_S)
     stale = record.tool & (record.leader_age_s > stale_s)
     silent = streams & (record.stream_age_s[:, number] > silence)
-    reason = (
-        (stale & streams)
-        | (record.switched[:, number] & record.tool)
-        | (silent & ~_elsewhere(record, number, silent))
-    )
+    switched = record.switched[:, number] & record.tool
+    # Neither is sent any points: each holds its place by itself.
+    left = silent | switched
+    reason = (stale & streams) | (left & ~_elsewhere(record, number, left))
     reason &= record.guided[:, number]
     reason[: round(STOPS_WITHIN_S / SAMPLE_S)] = False
     return _could_stop(reason, record.speed_over_ground_mps[:, number + 1])
@@ -256,8 +255,8 @@ def _could_stop(reason: Bools, speed_mps: Floats) -> Bools:
     return could
 
 
-def _elsewhere(record: FlightRecord, number: int, silent: Bools) -> Bools:
-    """When a follower's receiver has jumped since its points stopped, (n,).
+def _elsewhere(record: FlightRecord, number: int, left: Bools) -> Bools:
+    """When a follower's receiver has jumped since it was left to itself, (n,).
 
     It then holds its place by its receiver alone, and flies to where that puts it now.
     """
@@ -267,11 +266,11 @@ def _elsewhere(record: FlightRecord, number: int, silent: Bools) -> Bools:
         if fault.kind in _RECEIVERS and fault.vehicle == number + 2
         for edge_s in (fault.at_s, fault.ends_s)
     ]
-    elsewhere = np.zeros(len(silent), dtype=np.bool_)
-    for at in range(1, len(silent)):
+    elsewhere = np.zeros(len(left), dtype=np.bool_)
+    for at in range(1, len(left)):
         before_s, now_s = record.time_s[at - 1], record.time_s[at]
         jumped = any(before_s < edge_s <= now_s for edge_s in jumps_s)
-        elsewhere[at] = silent[at] and (elsewhere[at - 1] or jumped)
+        elsewhere[at] = left[at] and (elsewhere[at - 1] or jumped)
     return elsewhere
 
 
