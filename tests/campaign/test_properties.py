@@ -299,7 +299,7 @@ def test_a_promised_text_that_is_missing_is_found() -> None:
 
 
 def test_the_mean_error_counts_where_nothing_is_wrong() -> None:
-    record = fly_recorded(scenario_of({"title": "t", "duration_s": 60.0}, "test"), 4)
+    record = fly_recorded(scenario_of({"title": "t", "duration_s": 60.0}, "test"), 3)
     assert mean_error(record) == []
 
     off = replace(record.flights[0], wanted_separation_m=4.0)

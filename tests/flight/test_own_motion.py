@@ -72,5 +72,7 @@ def test_over_two_slow_radios_the_leader_is_found_and_held() -> None:
     """Carried on at its velocity alone, the follower went to and fro, 5 to 13 m from its leader."""
     one = flown("echowing", 101, "radio.follower.latency_s=0.46", "duration_s=45")
     late = one.flights[0].time_s > 35.0
-    assert one.flights[0].separation_m[late].max() < 4.5  # within the reach of the sonar
+    apart_m = one.flights[0].separation_m[late]
+    assert apart_m.mean() < 4.0
+    assert apart_m.max() < 5.0
     assert one.closest_m > 1.2

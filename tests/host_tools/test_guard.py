@@ -140,9 +140,9 @@ def test_points_flow_while_nothing_is_wrong() -> None:
     there = Field(Limits(max_distance_m=20.0, min_separation_m=1.5), radius_m=6.0)
     there.north_m[FOLLOWER] = -7.0
     (point,) = there.points()
-    # 1 m to its slot, 0.2 m of it by itself: the envelope has changed nothing.
-    assert north_of(point) == pytest.approx(-6.8, abs=0.02)
-    assert (point.vx, point.vy) == pytest.approx((0.8, 0.0), abs=0.01)
+    # 1 m to its slot, by speed: the envelope has changed nothing.
+    assert north_of(point) == pytest.approx(-7.0, abs=0.02)
+    assert (point.vx, point.vy) == pytest.approx((0.5, 0.0), abs=0.01)
     assert there.state == "following"
 
 
@@ -198,7 +198,7 @@ def test_beyond_the_greatest_distance_it_holds_until_well_inside() -> None:
     there.north_m[FOLLOWER] = -17.0
     # A leader that is not heard is approached at 1.5 m/s.
     last = there.points()[-1]
-    assert (north_of(last), last.vx) == pytest.approx((-16.8, 1.48), abs=0.02)
+    assert (north_of(last), last.vx) == pytest.approx((-17.0, 1.5), abs=0.02)
     assert there.events()[-1] == "follower 2: clear again, following"
 
 

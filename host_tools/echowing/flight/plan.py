@@ -13,7 +13,6 @@ from echowing.flight.guidance import (
     sway_rad,
 )
 from echowing.flight.handling import least_slot_m
-from echowing.flight.own_motion import POSITION_GAIN_PER_S
 from echowing.flight.search import swung
 from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.flight.state import FollowerState, Known
@@ -25,9 +24,10 @@ JOIN_MPS, QUIET_S = 1.5, 0.5
 # Where it flies, the tool knows one way late, and its answer takes another: with slow radios a way
 # flown by velocity swings from side to side. It is left to Guided for so many ways longer.
 QUIET_WAYS = 5.0
-# One that it heard lately may be turning round, and reports tell of that half a second late: the
-# follower catches up half as hard as Guided would.
-LATELY_S, CATCH_UP_PER_S = 4.0, 0.5
+# It closes half of what is left in a second. Guided would close it at up to 4 per second (jerk /
+# acceleration), where the envelope reckons with 1; and with 1 per second, by velocity, a follower
+# on 4.8 still went back and forth by a metre, as its answer comes half a second late.
+CATCH_UP_PER_S = 0.5
 # A leader that is not heard gets room, but within the sonar's reach, as far as its place is unsure.
 WITHIN_REACH_M = 0.7
 # A slot that was opened closes slowly: one that leans to catch up loses its leader.
@@ -37,9 +37,6 @@ CLOSES_MPS = 0.6
 LOST_S = 1.0
 # A follower this near its slot is in it; nearer than the second it is there.
 IN_SLOT_M, AT_SLOT_M = 1.0, 0.05
-# What Guided closes by itself, by four times as much a second as it has left (jerk / acceleration
-# on 4.8): from 1 m it came with twice the speed that the envelope had allowed, and went back again.
-AHEAD_M = 0.2
 
 
 def planned(known: Known, follower: FollowerState, fix: LeaderFix, now_s: float) -> GuidedPoint:
@@ -154,18 +151,15 @@ def _joined_slowly(follower: FollowerState, guided: GuidedPoint, now_s: float) -
         return guided
     north, east, down = ned_between(here, guided.point)
     far_m = math.hypot(north, east)
-    lately = unheard_s < LATELY_S
     # Away from the leader nothing is too fast.
     away = distance_m(guided.point, guided.leader) >= distance_m(here, guided.leader)
-    if away or far_m <= (AT_SLOT_M if lately else AHEAD_M):
+    if away or far_m <= AT_SLOT_M:
         return guided
     slot_north, slot_east = guided.velocity_mps
-    ahead = 0.0 if lately else AHEAD_M / far_m
-    gain_per_s = CATCH_UP_PER_S if lately else POSITION_GAIN_PER_S
-    pace = min(JOIN_MPS / far_m, gain_per_s) * (1.0 - ahead)
+    pace = min(JOIN_MPS / far_m, CATCH_UP_PER_S)
     return replace(
         guided,
-        point=displace(here, (ahead * north, ahead * east, down)),
+        point=displace(here, (0.0, 0.0, down)),
         velocity_mps=(slot_north + pace * north, slot_east + pace * east),
     )
 
