@@ -911,8 +911,8 @@ do
         guard.too_close, guard.close_ms = true, t_ms
         report.state = STATE.TOO_CLOSE
         if C.LAW >= 1 then allow_no_more(C.SPD_MIN) end
-        -- Lower than 2 m up what is near is most likely the ground, and no point leads there (flight/guard.py).
-        local here = -ahrs:get_relative_position_D_home() > 2.0 and vehicle:get_likely_flying() and ahrs:get_location()
+        -- Lower than 1.5 m up what is near is most likely the ground; points lead 2 m up and higher (flight/guard.py).
+        local here = -ahrs:get_relative_position_D_home() > 1.5 and vehicle:get_likely_flying() and ahrs:get_location()
         local behind_m = here and target_behind_m(here, t_ms) or 0.0
         guard.evading = here and should_back_off(behind_m, near_m, closing_mps) and own.fly_back(retreat_m(near_m))
         if guard.evading then report.state = STATE.BACKING_OFF end
