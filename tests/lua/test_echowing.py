@@ -504,7 +504,7 @@ def test_backs_off_from_a_leader_that_closes(rig: MakeRig) -> None:
 def test_what_is_near_in_a_take_off_is_the_ground(
     rig: MakeRig, height_m: float, *, backs_off: bool
 ) -> None:
-    """Hovering 0.6 m up it flew back from the ground's echo with 2.4 m/s; below 1.5 m it is slow."""
+    """Hovering 0.6 m up it flew back from the ground with 2.4 m/s; below 1.5 m it is slow."""
     r = rig(LAW=2)
     r.vehicle.height_m = height_m
     r.range(3.0).run(2.0)
