@@ -10,6 +10,7 @@ from functools import lru_cache
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.flight.closing import Closing
 from echowing.flight.envelope import LEAST_M, OTHERS_MPS2, Answer
 from echowing.flight.wind import GRAVITY_MPS2
 
@@ -73,6 +74,13 @@ class Handling:
         return answer_of(self.decel_mps2, self.jerk_mps3)
 
     @property
+    def closing(self) -> Closing:
+        """How Guided closes the distance to its point; ArduCopter's defaults likewise."""
+        if self.decel_mps2 is None or self.jerk_mps3 is None:
+            return Closing()
+        return Closing(self.decel_mps2, _flown_jerk_mps3(self.decel_mps2, self.jerk_mps3))
+
+    @property
     def known(self) -> bool:
         """Whether both are known."""
         return self.decel_mps2 is not None and self.jerk_mps3 is not None
@@ -105,8 +113,13 @@ def answer_of(decel_mps2: float | None, jerk_mps3: float | None) -> Answer:
     """
     if decel_mps2 is None or jerk_mps3 is None:
         return Answer()
-    jerk_mps3 = min(jerk_mps3, 0.5 * math.sqrt(decel_mps2 * SNAP_MPS4))
+    jerk_mps3 = _flown_jerk_mps3(decel_mps2, jerk_mps3)
     return Answer(REACTION_S + decel_mps2 / (2.0 * jerk_mps3), decel_mps2)
+
+
+def _flown_jerk_mps3(accel_mps2: float, jerk_mps3: float) -> float:
+    """The jerk that is flown, whatever the parameter allows."""
+    return min(jerk_mps3, 0.5 * math.sqrt(accel_mps2 * SNAP_MPS4))
 
 
 def leader_brakes_mps2(mode: int | None) -> float:

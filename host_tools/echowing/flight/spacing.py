@@ -3,12 +3,12 @@
 import math
 from collections.abc import Callable, Iterator
 
+from echowing.flight.closing import Closing
 from echowing.flight.envelope import OTHERS_MPS2, Other, is_in_the_way, keep_apart
 from echowing.flight.guard import Guard
 from echowing.flight.guidance import Horizontal, bearing_rad
 from echowing.flight.jumps import SAME_RANGE_M
 from echowing.flight.offset_grid import Wandering
-from echowing.flight.own_motion import POSITION_GAIN_PER_S, correction_pace_per_s
 from echowing.flight.state import LEADER, FollowerState, Known
 from echowing.geo import GlobalPosition, Ned, displace, distance_m, ned_between
 
@@ -16,6 +16,9 @@ from echowing.geo import GlobalPosition, Ned, displace, distance_m, ned_between
 MOVED_M = 0.5
 # The same text is not repeated sooner, however often the state comes and goes.
 REMARK_GAP_S = 10.0
+# A leader in its sonar is held by the applet, and points with a velocity are answered by it: 1 m/s
+# for each metre (CATCH_UP_PER_S in lua/echowing.lua). Other points are Guided's (`Closing`).
+HOLD_PER_S, HOLD_MOST_MPS = 1.0, 5.0
 # Two receivers between which no sonar measures.
 UNRANGED_SIGMA_M = math.sqrt(2.0) * Wandering().sigma_m
 
@@ -40,7 +43,7 @@ class Spacing:
         if self._least_m is None or here is None or self._switched(follower):
             follower.gives_way_to = None
             return point
-        wanted = _wanted_mps(here, point, follower.feed_mps)
+        wanted = _wanted_mps(follower, here, point, now_s)
         others = self._others(follower, here, now_s)
         own_mps = (*follower.velocity_then(now_s + follower.way_s), -follower.climb_mps)
         answer = follower.handling.answer
@@ -51,7 +54,7 @@ class Spacing:
         if _moved_off(follower):
             follower.held_at = follower.position
         if follower.feed_mps is None:
-            north, east = (mps / POSITION_GAIN_PER_S for mps in flown[:2])
+            north, east = _point_m(flown[:2], follower.handling.closing)
             return displace(here, (north, east, here.alt_m - point.alt_m))
         north, east = follower.feed_mps
         follower.feed_mps = north + flown[0] - wanted[0], east + flown[1] - wanted[1]
@@ -109,23 +112,25 @@ class Spacing:
 
         Between followers no sonar tells which place is right after a receiver has jumped.
         """
-        there = other.then(arrives_s)
-        silent = there is None
-        there = there or other.left_at
+        there, age_s, velocity = other.then(arrives_s), 0.0, (0.0, 0.0, 0.0)
+        if there is not None:
+            # Its velocity then, by its orders: nobody runs into one in front that brakes.
+            answers_s = arrives_s + follower.handling.answer.dead_s
+            velocity = (*other.velocity_then(answers_s), -other.climb_mps)
+            age_s = arrives_s - other.position_at_s
+        else:
+            there = other.left_at
         if there is None:
             return
         system_id = other.plan.system_id
         goal = here if follower.guided is None else follower.guided.slot
-        # Its velocity then, by its orders: nobody runs into one in front that brakes.
-        answers_s = arrives_s + follower.handling.answer.dead_s
-        velocity = (*other.velocity_then(answers_s), -other.climb_mps)
         for place in (there, *_if_it_jumped(there, follower, other)):
             yield Other(
                 f"follower {system_id}",
                 self._between_m(system_id, place, follower, here),
-                (0.0, 0.0, 0.0) if silent else velocity,
+                velocity,
                 UNRANGED_SIGMA_M,
-                0.0 if silent else arrives_s - other.position_at_s,
+                age_s,
                 is_in_the_way(ned_between(here, place), ned_between(here, goal)),
                 led=other.sent_to,
             )
@@ -157,9 +162,23 @@ def _moved_off(follower: FollowerState) -> bool:
     return distance_m(follower.held_at, follower.position) > MOVED_M
 
 
-def _wanted_mps(here: GlobalPosition, point: GlobalPosition, feed_mps: Horizontal | None) -> Ned:
-    """The velocity with which Guided answers a point, and its velocity, from here."""
+def _wanted_mps(
+    follower: FollowerState, here: GlobalPosition, point: GlobalPosition, now_s: float
+) -> Ned:
+    """The velocity with which a follower answers a point, and its velocity, from here."""
     north, east, _ = ned_between(here, point)
-    pace = correction_pace_per_s(math.hypot(north, east))
-    feed_north, feed_east = feed_mps or (0.0, 0.0)
+    far_m = math.hypot(north, east)
+    if follower.feed_mps is not None and follower.estimate.hears(now_s):
+        pace = min(HOLD_PER_S, HOLD_MOST_MPS / max(far_m, 1e-9))
+    else:
+        pace = follower.handling.closing.pace_per_s(far_m)
+    feed_north, feed_east = follower.feed_mps or (0.0, 0.0)
     return feed_north + pace * north, feed_east + pace * east, 0.0
+
+
+def _point_m(velocity_mps: Horizontal, closing: Closing) -> Horizontal:
+    """The point without a velocity that Guided answers with this one, (north, east) from here."""
+    north, east = velocity_mps
+    mps = math.hypot(north, east)
+    share_s = closing.distance_m(mps) / mps if mps > 0.0 else 0.0
+    return share_s * north, share_s * east

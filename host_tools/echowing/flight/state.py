@@ -203,7 +203,7 @@ class FollowerState:
     def ordered(self, place: GlobalPosition, now_s: float) -> None:
         """Note that it is sent to a place now, at the velocity `feed_mps`."""
         velocity_mps = self.feed_mps or (0.0, 0.0)
-        self.motion.ordered(now_s + self.way_s, place, velocity_mps, self.handling.answer)
+        self.motion.ordered(now_s + self.way_s, place, velocity_mps, self.handling.closing)
         self._motions.clear()
 
     def not_ordered(self) -> None:
