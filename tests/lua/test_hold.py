@@ -637,8 +637,8 @@ def test_the_watchdog_holds_when_the_stream_ends(rig: MakeRig) -> None:
     r.run(1.3)
 
     assert (newest(r).north_mps, newest(r).east_mps) == (0.0, 0.0)
-    # Where it comes to a stop from 2 m/s: 0.35 s of lean, then ECHO_DECEL 2.5 m/s2.
-    assert r.target_ahead_m() == pytest.approx(2.0 * (0.35 + 2.0 / 5.0), abs=0.01)
+    # Where it comes to a stop from 2 m/s: 0.25 s of lean, then ECHO_DECEL 2.5 m/s2.
+    assert r.target_ahead_m() == pytest.approx(2.0 * (0.25 + 2.0 / 5.0), abs=0.01)
     assert r.texts[-1] == "stream lost, holding here"
     targets = len(r.vehicle.targets)
     r.run(2.0)
@@ -673,7 +673,7 @@ def test_one_that_turns_round_does_not_stand(rig: MakeRig) -> None:
 
 @pytest.mark.parametrize("mps2", [-1.0, 1.0])
 def test_a_stop_counts_with_the_speed_that_it_will_have(rig: MakeRig, mps2: float) -> None:
-    """0.35 s until it leans, in which the speed goes on changing; then ECHO_DECEL 2.5 m/s2."""
+    """0.25 s until it leans, in which the speed goes on changing; then ECHO_DECEL 2.5 m/s2."""
     r = led(rig(LAW=2), 3.0, 0.0)
     mps = LEADER_MPS
     while r.texts[-1] != "stream lost, holding here":
@@ -681,8 +681,8 @@ def test_a_stop_counts_with_the_speed_that_it_will_have(rig: MakeRig, mps2: floa
         r.vehicle.velocity = (mps, 0.0, 0.0)
         r.step()
 
-    then_mps = mps + mps2 * 0.35
-    stopping_m = 0.35 * (mps + then_mps) / 2.0 + then_mps**2 / (2.0 * 2.5)
+    then_mps = mps + mps2 * 0.25
+    stopping_m = 0.25 * (mps + then_mps) / 2.0 + then_mps**2 / (2.0 * 2.5)
     assert r.target_ahead_m() == pytest.approx(stopping_m, abs=0.05)
 
 
