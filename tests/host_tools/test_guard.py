@@ -6,6 +6,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.errors import EchowingError
+from echowing.flight.envelope import OTHERS_MPS2, closing_limit_mps
 from echowing.flight.guard import (
     REFUSED_FOR_S,
     REMEMBERED_S,
@@ -67,6 +68,7 @@ class Field:
     late_s: float = 0.0
     home_m: dict[int, float] = field(default_factory=dict)
     radius_m: float = 3.0
+    feed_forward: bool = True
     silent: set[int] = field(default_factory=set)
     now_s: float = 0.0
 
@@ -75,7 +77,7 @@ class Field:
         self.session = FollowSession(
             LEADER,
             plans,
-            GuidanceSettings(learn_offset=False),
+            GuidanceSettings(learn_offset=False, feed_forward=self.feed_forward),
             limits=self.limits,
             engaged=self.engaged,
         )
@@ -226,6 +228,40 @@ def test_too_near_to_the_leader_it_flies_away_from_it() -> None:
     there.north_m[FOLLOWER] = -8.0
     assert flown_mps(there.points()[-1], -8.0)[0] > 1.0
     assert there.state == "following"
+
+
+def quick(there: Field) -> None:
+    """The follower reports the acceleration and jerk that `setup` recommends."""
+    handling = there.session.followers[FOLLOWER].handling
+    handling.receive("WP_ACC", 5.0)
+    handling.receive("PSC_JERK_NE", 20.0)
+
+
+def test_a_point_without_a_velocity_is_as_far_back_as_guided_flies_so_fast() -> None:
+    """3 m/s: 4.2 m by ArduCopter's defaults, 2.3 m with 5 m/s2 and the jerk of the lean."""
+    there = Field(Limits(min_separation_m=1.5), feed_forward=False)
+    there.fly(1.0)
+    there.north_m[FOLLOWER] = -1.2
+    assert north_of(there.points()[-1]) == pytest.approx(-1.2 - 4.2, abs=0.05)
+    quick(there)
+    assert north_of(there.points()[-1]) == pytest.approx(-1.2 - 2.3, abs=0.05)
+
+
+def test_a_leader_in_its_sonar_is_closed_on_as_the_applet_does(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Guided would make 3.5 m/s of the 3 m to the slot; the applet makes 3 m/s of them."""
+    there = Field(Limits(min_separation_m=1.5), radius_m=2.0)
+    quick(there)
+    there.fly(1.0)
+    there.north_m[FOLLOWER] = -5.0
+    follower = there.session.followers[FOLLOWER]
+    monkeypatch.setattr(follower.estimate.offset, "unheard_s", lambda _: 0.0)
+    (point,) = there.points()
+    certain_m = 5.0 - 2.5 * math.sqrt(2.0) * 0.8
+    limit_mps = closing_limit_mps(certain_m, follower.handling.answer, 1.5, OTHERS_MPS2)
+    # Less what the age of all that is known takes.
+    assert limit_mps - 0.2 < flown_mps(point, -5.0)[0] <= limit_mps + 0.01
 
 
 def third_behind_second() -> Field:
