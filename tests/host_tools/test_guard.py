@@ -1,4 +1,5 @@
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -6,6 +7,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.errors import EchowingError
+from echowing.flight.closing import Closing
 from echowing.flight.envelope import OTHERS_MPS2, closing_limit_mps
 from echowing.flight.guard import (
     REFUSED_FOR_S,
@@ -205,10 +207,17 @@ def test_beyond_the_greatest_distance_it_holds_until_well_inside() -> None:
 
 
 def flown_mps(point: Any, here_m: float) -> tuple[float, float]:
-    """What Guided makes of a point with a velocity: 1 m/s a metre, and the velocity (N, E)."""
+    """What Guided makes of a point with a velocity, by ArduCopter's defaults, (N, E)."""
+    return answered_mps(point, here_m, Closing().pace_per_s)
+
+
+def answered_mps(
+    point: Any, here_m: float, pace_per_s: Callable[[float], float]
+) -> tuple[float, float]:
     at = GlobalPosition(point.lat_int / 1e7, point.lon_int / 1e7, HERE.alt_m)
     north, east, _ = ned_between(displace(HERE, (here_m, 0.0, 0.0)), at)
-    return north + point.vx, east + point.vy
+    pace = pace_per_s(math.hypot(north, east))
+    return pace * north + point.vx, pace * east + point.vy
 
 
 def test_too_near_to_the_leader_it_flies_away_from_it() -> None:
@@ -261,7 +270,7 @@ def test_a_leader_in_its_sonar_is_closed_on_as_the_applet_does(
     certain_m = 5.0 - 2.5 * math.sqrt(2.0) * 0.8
     limit_mps = closing_limit_mps(certain_m, follower.handling.answer, 1.5, OTHERS_MPS2)
     # Less what the age of all that is known takes.
-    assert limit_mps - 0.2 < flown_mps(point, -5.0)[0] <= limit_mps + 0.01
+    assert limit_mps - 0.2 < answered_mps(point, -5.0, lambda _: 1.0)[0] <= limit_mps + 0.01
 
 
 def third_behind_second() -> Field:
