@@ -274,3 +274,28 @@ def test_the_slot_is_further_out_where_a_reversal_asks_for_it(
     planner.follower.reversal_m = 6.0
     guided = planner.point(fix_on_course(0.0))
     assert ned_between(HERE, guided.slot)[0] == pytest.approx(-6.0, abs=0.02)
+
+
+@pytest.mark.parametrize(("heard", "point_m", "mps"), [(True, 0.3, 0.7), (False, 0.0, 0.65)])
+def test_a_slot_to_the_side_is_flown_to_by_speed(
+    monkeypatch: pytest.MonkeyPatch, heard: bool, point_m: float, mps: float
+) -> None:
+    """1.3 m: Guided would close them with 20 degrees of roll, and the sonar lose its leader.
+
+    0.3 m by a point and 0.7 m/s for each metre of the rest; if the leader is not heard, all of it
+    by 0.5 m/s for each metre.
+    """
+    planner = Planner(GuidanceSettings(learn_offset=False))
+    unheard_s = 0.0 if heard else math.inf
+    monkeypatch.setattr(planner.follower.estimate.offset, "unheard_s", lambda _: unheard_s)
+    fix = fix_on_course(0.0)
+    for step in range(20):  # the tow bar straightens behind the leader
+        behind = displace(fix.position, (-3.0, 0.0, 0.0))
+        guided = planner.point(replace(fix, time_s=step / 8.0), step / 8.0, behind)
+    at = displace(guided.slot, (0.0, -1.3, 0.0))
+    guided = planner.point(replace(fix, time_s=2.5), 2.5, at)
+    north_m, east_m, _ = ned_between(at, guided.slot)
+    far_m = math.hypot(north_m, east_m)
+    assert far_m == pytest.approx(1.3, abs=0.05)
+    assert ned_between(at, guided.point)[1] == pytest.approx(point_m, abs=0.02)
+    assert guided.velocity_mps[1] == pytest.approx(mps, abs=0.05)

@@ -28,6 +28,10 @@ QUIET_WAYS = 5.0
 # acceleration), where the envelope reckons with 1; and with 1 per second, by velocity, a follower
 # on 4.8 still went back and forth by a metre, as its answer comes half a second late.
 CATCH_UP_PER_S = 0.5
+# A leader that is heard: a point up to so far away, and what is left by speed. Where the first
+# echoes move the leader by a metre, Guided would close that with 20 degrees of roll, and the sonar
+# would lose it again (SITL 4.8; a leader that turned round just then came to 0.98 m).
+NEAR_M, HEARD_PER_S = 0.3, 0.7
 # A leader that is not heard gets room, but within the sonar's reach, as far as its place is unsure.
 WITHIN_REACH_M = 0.7
 # A slot that was opened closes slowly: one that leans to catch up loses its leader.
@@ -58,7 +62,7 @@ def planned(known: Known, follower: FollowerState, fix: LeaderFix, now_s: float)
     if settings.learn_offset and len(known.followers) == 1:
         guided = _searching(follower, guided, now_s)
     if settings.feed_forward:
-        guided = _joined_slowly(follower, _fading(guided, settings), now_s)
+        guided = _gently(follower, _fading(guided, settings), now_s)
     elif settings.lead_time_s > 0.0:
         guided = _led(guided, leader, settings)
     if not settings.face_leader:
@@ -140,26 +144,30 @@ def _led(guided: GuidedPoint, leader: LeaderFix, settings: GuidanceSettings) -> 
     return replace(guided, point=displace(guided.leader, (*offset_m, -up_m)))
 
 
-def _joined_slowly(follower: FollowerState, guided: GuidedPoint, now_s: float) -> GuidedPoint:
-    """Send the way to a leader that is not heard as a velocity.
+def _gently(follower: FollowerState, guided: GuidedPoint, now_s: float) -> GuidedPoint:
+    """Send the way to a slot as a velocity: all of it to a leader that is not heard.
 
     A place ahead would be overshot: it moves on with the vehicle that flies towards it, and Guided
     closes the last metre harder than the tool reckons with.
     """
     here, unheard_s = follower.on_arrival(now_s), follower.estimate.offset.unheard_s(now_s)
-    if here is None or unheard_s < QUIET_S + QUIET_WAYS * follower.way_s:
+    if here is None:
         return guided
+    heard = unheard_s < QUIET_S + QUIET_WAYS * follower.way_s
+    near_m = NEAR_M if heard else 0.0
     north, east, down = ned_between(here, guided.point)
     far_m = math.hypot(north, east)
     # Away from the leader nothing is too fast.
     away = distance_m(guided.point, guided.leader) >= distance_m(here, guided.leader)
-    if away or far_m <= AT_SLOT_M:
+    if away or far_m <= max(near_m, AT_SLOT_M):
         return guided
     slot_north, slot_east = guided.velocity_mps
-    pace = min(JOIN_MPS / far_m, CATCH_UP_PER_S)
+    per_s = HEARD_PER_S if heard else CATCH_UP_PER_S
+    pace = min(JOIN_MPS, per_s * (far_m - near_m)) / far_m
+    ahead = near_m / far_m
     return replace(
         guided,
-        point=displace(here, (0.0, 0.0, down)),
+        point=displace(here, (ahead * north, ahead * east, down)),
         velocity_mps=(slot_north + pace * north, slot_east + pace * east),
     )
 
