@@ -422,7 +422,7 @@ local control = { active = false, error = nil } -- takes control and hands back
 do
     local ACCEL_MS = 100 -- smooths the estimator's change of speed
     local STANDS_MPS, STANDS_MPS2 = 0.3, 1.0 -- below both, it stands
-    -- Until it leans against its motion. ArduCopter 4.8 stood 2.1 s after a link was lost; with 0.5 s here it crept on
+    -- Until it leans against its motion. ArduCopter 4.8 stood 2.3 s after a link was lost; with 0.5 s here it crept on
     -- (3.5 s), with 0.35 s and with 0.15 s it swung back (2.6 and 2.4 s).
     local LEAN_S = 0.25
 
