@@ -252,11 +252,14 @@ class FollowerState:
             stamp_s = message.time_boot_ms / 1e3
             time_s = self.estimate.sonar_clock.to_ours(stamp_s, now_s, self.way_s)
             self._take_range(time_s, message.value, inset_m)
-        elif kind == "DISTANCE_SENSOR" and message.orientation == FORWARD:
-            if now_s - self.raw_at_s > RAW_FRESH_S:
-                range_m = sonar_range_m(message)
-                heard_m = DETECTION_LIMIT_M if range_m is None else range_m
-                self._take_range(now_s - self.way_s - AVERAGE_AGE_S, heard_m, inset_m)
+        elif (
+            kind == "DISTANCE_SENSOR"
+            and message.orientation == FORWARD
+            and now_s - self.raw_at_s > RAW_FRESH_S
+        ):
+            range_m = sonar_range_m(message)
+            heard_m = DETECTION_LIMIT_M if range_m is None else range_m
+            self._take_range(now_s - self.way_s - AVERAGE_AGE_S, heard_m, inset_m)
 
     def _take_range(self, time_s: float, range_m: float, inset_m: float) -> None:
         self.estimate.heard(time_s, range_m, inset_m)
