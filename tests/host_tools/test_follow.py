@@ -78,6 +78,8 @@ def metres_from_here(target: Any) -> tuple[float, float]:
 
 def test_a_point_with_a_velocity_is_sent_behind_the_leader_at_the_planned_altitude() -> None:
     follow = session(hears=True)
+    near_its_slot = displace(HERE, (-2.8, 0.0, 0.0))
+    follow.receive(from_vehicle(FOLLOWER, position(1.0, near_its_slot)), 1.0)
     follow.receive(from_vehicle(LEADER, position(1.0, HERE, (1.6, 0.0))), 1.0)
 
     (target,) = targets(follow, 1.0)
@@ -135,11 +137,11 @@ def test_the_last_metre_to_a_leader_that_is_not_heard_is_a_velocity_too(unheard_
     assert target.vx == pytest.approx(0.5, abs=0.02)
 
 
-def test_the_way_to_the_slot_is_guided_s_until_the_reports_have_come_and_gone() -> None:
-    """A quarter of a second a way: for 0.5 s and five ways after the last echo the slot is sent."""
+def test_a_leader_is_heard_until_the_reports_have_come_and_gone() -> None:
+    """A quarter of a second a way: 0.5 s and five ways after the last echo. 0.3 m by the point."""
     target = one_metre_behind_its_slot(unheard_s=1.5)
-    assert metres_from_here(target)[0] == pytest.approx(-3.0, abs=0.03)
-    assert target.vx == pytest.approx(0.0, abs=0.02)
+    assert metres_from_here(target)[0] == pytest.approx(-3.7, abs=0.03)
+    assert target.vx == pytest.approx(0.49, abs=0.02)
 
 
 def test_a_slot_that_was_opened_closes_slowly() -> None:
@@ -217,9 +219,12 @@ def test_a_place_that_is_nowhere_is_no_report(lat_deg: float, lon_deg: float) ->
     nowhere = GlobalPosition(lat_deg, lon_deg, 260.0)
     for system_id in (LEADER, FOLLOWER):  # with the stamp of a vehicle that has just started
         follow.receive(from_vehicle(system_id, position(0.05, nowhere)), 1.05)
-    (target,) = targets(follow, 1.1)
-    assert metres_from_here(target) == pytest.approx((-3.0, 0.0), abs=0.03)
-    assert follow.followers[FOLLOWER].position == pytest.approx(FOLLOWER_AT, abs=1e-7)
+    assert targets(follow, 1.1)
+    follower = follow.followers[FOLLOWER]
+    assert follower.guided is not None
+    slot_m = ned_between(HERE, follower.guided.slot)[:2]
+    assert slot_m == pytest.approx((-3.0, 0.0), abs=0.03)
+    assert follower.position == pytest.approx(FOLLOWER_AT, abs=1e-7)
 
 
 def test_an_unknown_heading_is_not_a_heading() -> None:
@@ -411,7 +416,7 @@ def aged(settings: GuidanceSettings, north_m: float = -3.0) -> FollowSession:
 
 def test_the_leaders_age_is_measured_through_timesync() -> None:
     """Predicted on over 0.46 s, and a quarter of a second more until the point arrives."""
-    (target,) = targets(aged(PLAIN), 6.46)
+    (target,) = targets(aged(PLAIN, -1.5), 6.46)
     assert metres_from_here(target)[0] == pytest.approx(-3.0 + 2.0 * 0.71, abs=0.05)
 
     # By position: the same slot, and a lead of 0.8 s.
@@ -420,8 +425,11 @@ def test_the_leaders_age_is_measured_through_timesync() -> None:
 
 
 def test_the_velocity_fades_as_the_leaders_report_grows_old() -> None:
-    """All of it up to half a second, none from one second on."""
-    speeds = {now_s: targets(aged(PLAIN, -1.5), now_s)[0].vx for now_s in (6.48, 6.75, 6.99)}
+    """All of it up to half a second, none from one second on; the follower is in its slot."""
+    speeds = {
+        now_s: targets(aged(PLAIN, -3.0 + 2.0 * (now_s - 5.75)), now_s)[0].vx
+        for now_s in (6.48, 6.75, 6.99)
+    }
 
     assert speeds == pytest.approx({6.48: 2.0, 6.75: 1.0, 6.99: 0.04}, abs=0.02)
 
