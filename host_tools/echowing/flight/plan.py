@@ -21,12 +21,11 @@ from echowing.geo import displace, distance_m, ned_between, wrap_angle_rad
 # A leader that the sonar does not hear is approached no faster than this: from it a copter stops
 # within the beam's reach less the receivers' error.
 JOIN_MPS, QUIET_S = 1.5, 0.5
-# Where it flies, the tool knows one way late, and its answer takes another: with slow radios a way
-# flown by velocity swings from side to side. It is left to Guided for so many ways longer.
+# Where it flies, the tool knows one way late, and its answer takes another: with slow radios a
+# leader counts as heard for so many ways longer.
 QUIET_WAYS = 5.0
-# It closes half of what is left in a second. Guided would close it at up to 4 per second (jerk /
-# acceleration), where the envelope reckons with 1; and with 1 per second, by velocity, a follower
-# on 4.8 still went back and forth by a metre, as its answer comes half a second late.
+# It closes half of what is left in a second. With all of it in a second a follower on 4.8 still
+# went back and forth by a metre, as its answer comes half a second late.
 CATCH_UP_PER_S = 0.5
 # A leader that is heard: a point up to so far away, and what is left by speed. Where the first
 # echoes move the leader by a metre, Guided would close that with 20 degrees of roll, and the sonar
@@ -148,7 +147,7 @@ def _gently(follower: FollowerState, guided: GuidedPoint, now_s: float) -> Guide
     """Send the way to a slot as a velocity: all of it to a leader that is not heard.
 
     A place ahead would be overshot: it moves on with the vehicle that flies towards it, and Guided
-    closes the last metre harder than the tool reckons with.
+    closes the last metre so hard that the sonar, which leans with its vehicle, loses the leader.
     """
     here, unheard_s = follower.on_arrival(now_s), follower.estimate.offset.unheard_s(now_s)
     if here is None:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Iterator
 
-from echowing.flight.closing import Closing
+from echowing.flight.closing import MOST_MPS, Closing
 from echowing.flight.envelope import OTHERS_MPS2, Other, is_in_the_way, keep_apart
 from echowing.flight.guard import Guard
 from echowing.flight.guidance import Horizontal, bearing_rad
@@ -18,7 +18,7 @@ MOVED_M = 0.5
 REMARK_GAP_S = 10.0
 # A leader in its sonar is held by the applet, and points with a velocity are answered by it: 1 m/s
 # for each metre (CATCH_UP_PER_S in lua/echowing.lua). Other points are Guided's (`Closing`).
-HOLD_PER_S, HOLD_MOST_MPS = 1.0, 5.0
+HOLD_PER_S = 1.0
 # Two receivers between which no sonar measures.
 UNRANGED_SIGMA_M = math.sqrt(2.0) * Wandering().sigma_m
 
@@ -169,7 +169,7 @@ def _wanted_mps(
     north, east, _ = ned_between(here, point)
     far_m = math.hypot(north, east)
     if follower.feed_mps is not None and follower.estimate.hears(now_s):
-        pace = min(HOLD_PER_S, HOLD_MOST_MPS / max(far_m, 1e-9))
+        pace = min(HOLD_PER_S, MOST_MPS / max(far_m, 1e-9))
     else:
         pace = follower.handling.closing.pace_per_s(far_m)
     feed_north, feed_east = follower.feed_mps or (0.0, 0.0)

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import atan2, cos, exp, inf, pi, radians, sin, sqrt, tan
 
+from echowing.flight.closing import inverse_sqrt_controller, sqrt_controller
 from echowing.sim.estimate import EstimatedPosition
 from echowing.sim.parameters import Generation
 from echowing.sim.shaping import (
@@ -19,10 +20,8 @@ from echowing.sim.shaping import (
     ShapingLaw,
     axis_speed,
     clamp,
-    inverse_sqrt_controller,
     limit_lean,
     limit_length,
-    sqrt_controller,
 )
 from echowing.sim.wpnav import Ned, TrackLimits, WaypointNavigator, along_limit
 

@@ -9,6 +9,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from math import sqrt
 
+from echowing.flight.closing import sqrt_controller
+
 # Before braking and cornering are weighed against each other the demand is cut to this many times
 # the limit, so that a huge along-track demand does not hide the cross-track one (control.cpp).
 CORNER_PRE_LIMIT = 2.0
@@ -31,30 +33,6 @@ def limit_length(x: float, y: float, longest: float) -> tuple[float, float]:
         return x, y
     scale = longest / sqrt(squared)
     return x * scale, y * scale
-
-
-def sqrt_controller(error: float, gain: float, slope_limit: float) -> float:
-    """Rate of correction for an error: proportional near zero, then a square root.
-
-    The square root is what a constant deceleration of `slope_limit` allows. A `slope_limit` of 0
-    is no limit.
-    """
-    if slope_limit <= 0.0:
-        return error * gain
-    linear = slope_limit / (gain * gain)
-    if error > linear:
-        return sqrt(2.0 * slope_limit * (error - 0.5 * linear))
-    if error < -linear:
-        return -sqrt(2.0 * slope_limit * (-error - 0.5 * linear))
-    return error * gain
-
-
-def inverse_sqrt_controller(rate: float, gain: float, slope_limit: float) -> float:
-    """Error at which `sqrt_controller` gives this rate: also the distance a stop takes."""
-    if slope_limit <= 0.0 or abs(rate) < slope_limit / gain:
-        return rate / gain
-    distance = 0.5 * slope_limit / (gain * gain) + 0.5 * rate * rate / slope_limit
-    return distance if rate > 0.0 else -distance
 
 
 def closing_rate(error: float, rate: float, gain: float, slope_limit: float) -> float:
