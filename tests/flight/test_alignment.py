@@ -82,6 +82,18 @@ def test_steady_acceleration_is_interpolated_exactly(at_s: float) -> None:
     assert reading.believed_m == pytest.approx((north, east), abs=1e-3)
 
 
+def test_a_leader_that_climbs_is_above_by_what_it_had_climbed_then() -> None:
+    leader = History()
+    for time_s in (0.0, 1.0):
+        leader.add(Report(time_s, displace(START, (3.0, 0.0, -2.0 - time_s)), (0.0, 0.0), 0.0))
+    waiting = Alignment()
+    waiting.add(0.25, None)
+
+    (reading,) = waiting.due(leader, standing(0.0, 1.0))
+
+    assert reading.above_m == pytest.approx(2.25)
+
+
 def test_a_report_that_comes_late_is_left_out() -> None:
     history = standing(0.0, 0.5)
     history.add(report(0.25, (50.0, 0.0)))

@@ -63,12 +63,12 @@ def test_a_message_out_of_order_is_no_new_start() -> None:
     assert clock.to_ours(499.0, 1000.5, 0.0) == pytest.approx(999.0)
 
 
-def listening(lean_mps2: float = 0.0) -> tuple[Estimate, History]:
-    """A follower 3 m south of its leader, both known from 0 to 10 s."""
+def listening(lean_mps2: float = 0.0, above_m: float = 0.0) -> tuple[Estimate, History]:
+    """A follower 3 m south of its leader, and below it, both known from 0 to 10 s."""
     estimate, leader = Estimate(), History()
     for number in range(41):
         time_s = number * 0.25
-        leader.add(Report(time_s, displace(START, (3.0, 0.0, 0.0)), (0.0, 0.0), 0.0))
+        leader.add(Report(time_s, displace(START, (3.0, 0.0, -above_m)), (0.0, 0.0), 0.0))
         gained: Horizontal = (lean_mps2 * time_s, 0.0)
         estimate.reported(Report(time_s, START, gained, 0.0))
     return estimate, leader
@@ -172,6 +172,19 @@ def test_silence_of_a_level_follower_counts_and_of_a_leaning_one_not() -> None:
 
     assert level.offset.sigma_m(math.pi / 2) > known_m + 0.05
     assert leaning.offset.sigma_m(math.pi / 2) == known_m
+
+
+def test_silence_of_a_leader_that_has_climbed_away_does_not_move_it() -> None:
+    """Its beam is 1 m wide to each side, 3 m away."""
+    level, leader = listening()
+    below, higher = listening(above_m=3.0)
+    known_m = level.offset.sigma_m(math.pi / 2)
+
+    hear_nothing(level, leader)
+    hear_nothing(below, higher)
+
+    assert level.offset.sigma_m(math.pi / 2) > known_m + 0.05
+    assert below.offset.sigma_m(math.pi / 2) == pytest.approx(known_m, abs=0.01)
 
 
 def test_the_inset_is_added_to_the_range() -> None:

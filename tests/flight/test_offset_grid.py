@@ -97,6 +97,20 @@ def test_silence_far_off_says_nothing() -> None:
     assert grid.sigma_m(NORTH) == pytest.approx(PRIOR_M, abs=0.03)
 
 
+@pytest.mark.parametrize(("above_m", "says"), [(0.3, True), (2.0, False), (-2.0, False)])
+def test_silence_of_a_leader_above_or_below_the_beam_says_nothing(
+    above_m: float, says: bool
+) -> None:
+    """3 m away and 2 m up is 34 degrees: no beam meets it there, however right the place is."""
+    grid = OffsetGrid()
+    for number in range(20):
+        grid.silent(number * READING_S, NORTH, (3.0, 0.0), above_m)
+
+    assert (grid.sigma_m(EAST) > 1.1 * PRIOR_M) is says
+    if not says:
+        assert grid.most_likely_m == pytest.approx((0.0, 0.0), abs=0.01)
+
+
 def test_readings_too_near_in_time_are_one() -> None:
     once, often = OffsetGrid(), OffsetGrid()
     believed = believed_of((1.0, 0.0), NORTH)

@@ -125,3 +125,15 @@ def test_a_leader_out_of_reach_from_the_tail_is_found_from_the_side(seed: int) -
     # Without the search: 1.3 to 3.2 m.
     assert measured.mean_abs_error_m < 0.5 * 1.3
     assert one.closest_m > 1.5
+
+
+def test_a_leader_above_the_beam_is_not_looked_for_from_the_side() -> None:
+    """It climbs by 10 m, comes back 1 m higher, and turns to the east.
+
+    With the silence of that time believed the follower was 4 m wrong in the end, and flew below its
+    leader, swinging to the side; 0.98 m apart were left.
+    """
+    one = fly(load_scenario("hostile", ["duration_s=135"]), 1269)
+    assert not any(SAID in text for at_s, text in one.events if at_s > 100.0)
+    # The receivers alone, a minute after the last reading: 3 m and more.
+    assert one.phases["east"] > 2.5

@@ -430,6 +430,22 @@ def test_level_homes_are_not_shown_as_a_separation() -> None:
 
 
 @pytest.mark.parametrize("level", [False, True])
+def test_homes_that_are_told_apart_are_no_height_to_listen_past(level: bool) -> None:
+    """On level ground the sonar looks at the leader, whatever the receivers say of the homes."""
+    limits = Limits(home_difference_m=5.0, level_homes=level)
+    there = Field(limits, home_m={FOLLOWER: 254.0})
+    there.fly(1.0)
+    known, follower = there.session.known, there.session.followers[FOLLOWER]
+    above_m = 0.0 if level else -4.0
+    assert known.leader_above_m(follower) == pytest.approx(above_m)
+    at_s = there.now_s - TICK_S
+    leader, own = known.leader_history.around(at_s), follower.estimate.history.around(at_s)
+    assert leader is not None
+    assert own is not None
+    assert leader[0].position.alt_m - own[0].position.alt_m == pytest.approx(above_m)
+
+
+@pytest.mark.parametrize("level", [False, True])
 def test_homes_too_far_apart_stop_it(level: bool) -> None:
     there = Field(Limits(home_difference_m=5.0, level_homes=level))
     there.fly(1.0)

@@ -36,13 +36,14 @@ class AlignedReading:
 
     distance_m: between the vehicles' centres, None: nothing was heard; axis_rad: bearing of the
     follower's nose; believed_m: from follower to leader by their own receivers, (north, east);
-    lean_rad: of the follower, from its change of velocity.
+    above_m: how much higher the leader was; lean_rad: of the follower, from its change of velocity.
     """
 
     time_s: float
     distance_m: float | None
     axis_rad: float
     believed_m: Horizontal
+    above_m: float
     lean_rad: float
 
 
@@ -118,6 +119,7 @@ def _aligned(
         distance_m=distance_m,
         axis_rad=wrap_angle_rad(before.heading_rad + share * turn_rad),
         believed_m=(leader_m[0] - follower_m[0], leader_m[1] - follower_m[1]),
+        above_m=_altitude_m(leader, time_s) - _altitude_m(follower, time_s),
         lean_rad=_lean_rad(before, after),
     )
 
@@ -132,6 +134,12 @@ def _lean_rad(before: Report, after: Report) -> float:
 def _share(before: Report, after: Report, time_s: float) -> float:
     span_s = after.time_s - before.time_s
     return 0.0 if span_s <= 0.0 else (time_s - before.time_s) / span_s
+
+
+def _altitude_m(around: tuple[Report, Report], time_s: float) -> float:
+    before, after = around
+    risen_m = after.position.alt_m - before.position.alt_m
+    return before.position.alt_m + _share(before, after, time_s) * risen_m
 
 
 def _place_m(origin: GlobalPosition, around: tuple[Report, Report], time_s: float) -> Horizontal:

@@ -114,7 +114,7 @@ class Estimate:
             if one.distance_m is not None:
                 self.offset.heard(one.time_s, one.distance_m, one.axis_rad, believed_m)
             elif one.lean_rad < LEVEL_RAD:
-                self.offset.silent(one.time_s, one.axis_rad, believed_m)
+                self.offset.silent(one.time_s, one.axis_rad, believed_m, one.above_m)
 
     def forget(self) -> None:
         """Drop what was learnt: a receiver has started anew."""

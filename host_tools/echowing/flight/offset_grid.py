@@ -131,19 +131,27 @@ class OffsetGrid:
             self._heard_at_s = time_s
         self._update(fits + WRONG_SHARE * _ring_share(distance_m))
 
-    def silent(self, time_s: float, axis_rad: float, believed: Horizontal) -> None:
-        """Take a reading without an echo; arguments as for `heard`."""
+    def silent(
+        self, time_s: float, axis_rad: float, believed: Horizontal, above_m: float = 0.0
+    ) -> None:
+        """Take a reading without an echo; arguments as for `heard`.
+
+        above_m: how much higher the leader is. From below or above the beam misses it wherever it
+        is near, and its silence tells nothing.
+        """
         if time_s - max(self._silent_at_s, self._heard_at_s) < UPDATE_PERIOD_S:
             return
         self._silent_at_s = time_s
         self.advance(time_s)
-        far_m, in_beam = self._seen_from(axis_rad, believed, SILENT_HALF_RAD)
+        far_m, in_beam = self._seen_from(axis_rad, believed, SILENT_HALF_RAD, above_m)
         self._update(1.0 - HEARD_SHARE * in_beam * (far_m < SILENCE_TO_M))
 
-    def _seen_from(self, axis_rad: float, believed: Horizontal, half_rad: float) -> tuple[Map, Map]:
+    def _seen_from(
+        self, axis_rad: float, believed: Horizontal, half_rad: float, above_m: float = 0.0
+    ) -> tuple[Map, Map]:
         """How far the leader is for each difference, and how surely it is in a beam (0 to 1)."""
         north, east = believed[0] - self._axis[:, np.newaxis], believed[1] - self._axis
-        far_m = np.sqrt(north * north + east * east)
+        far_m = np.sqrt(north * north + east * east + above_m * above_m)
         ahead = (north * math.cos(axis_rad) + east * math.sin(axis_rad)) / np.maximum(far_m, CELL_M)
         off_rad = np.arccos(np.minimum(np.maximum(ahead, -1.0), 1.0))
         return far_m, 1.0 / (1.0 + np.exp((off_rad - half_rad) / (0.5 * EDGE_RAD)))

@@ -13,6 +13,7 @@ from echowing.flight.guidance import (
     sway_rad,
 )
 from echowing.flight.handling import least_slot_m
+from echowing.flight.offset_grid import SILENT_HALF_RAD
 from echowing.flight.search import swung
 from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.flight.state import FollowerState, Known
@@ -59,7 +60,7 @@ def planned(known: Known, follower: FollowerState, fix: LeaderFix, now_s: float)
     guided = replace(guided, age_s=max(0.0, now_s - fix.time_s))
     # In a formation another follower may be where it would search.
     if settings.learn_offset and len(known.followers) == 1:
-        guided = _searching(follower, guided, now_s)
+        guided = _searching(known, follower, guided, now_s)
     if settings.feed_forward:
         guided = _gently(follower, _fading(guided, settings), now_s)
     elif settings.lead_time_s > 0.0:
@@ -69,10 +70,15 @@ def planned(known: Known, follower: FollowerState, fix: LeaderFix, now_s: float)
     return _looking_around(follower, guided, now_s)
 
 
-def _searching(follower: FollowerState, guided: GuidedPoint, now_s: float) -> GuidedPoint:
+def _searching(
+    known: Known, follower: FollowerState, guided: GuidedPoint, now_s: float
+) -> GuidedPoint:
     """The slot, swung round a leader that is not heard though it is within the sonar's reach."""
     here, estimate = follower.on_arrival(now_s), follower.estimate
-    within_reach = follower.plan.slot.radius_m < DETECTION_LIMIT_M
+    radius_m = follower.plan.slot.radius_m
+    # From below or above the beam does not meet it from any side.
+    level = abs(known.leader_above_m(follower)) < radius_m * math.tan(SILENT_HALF_RAD)
+    within_reach = radius_m < DETECTION_LIMIT_M and level
     unheard = estimate.missed_s > LOST_S
     rate_rps = follower.search.update(
         now_s,

@@ -73,6 +73,7 @@ class FollowSession:
         self.guard = None
         if limits is not None:
             self.guard = Guard(limits, leader_id, self.followers, self._say, self.alert)
+            self.known.in_height = self.guard.in_height
         self.take_offs = None if take_off is None else TakeOffs(take_off, self.followers, self._say)
         self.heights = Heights(self.known, self.guard, leaders=leaders_height)
         self.engagement: Engagement | None = None

@@ -139,10 +139,8 @@ class Spacing:
         self, system_id: int, there: GlobalPosition, follower: FollowerState, here: GlobalPosition
     ) -> Ned:
         """From another vehicle to here, heights by what is known of their homes."""
-        if self._guard is None:
-            return ned_between(there, here)
-        mine = self._guard.in_height(follower.plan.system_id, here)
-        return ned_between(self._guard.in_height(system_id, there), mine)
+        mine = self._known.in_height(follower.plan.system_id, here)
+        return ned_between(self._known.in_height(system_id, there), mine)
 
 
 def _if_it_jumped(

@@ -51,6 +51,7 @@ STOPS_AFTER_S = 1.5
 LONGEST_WAY_S = 1.0
 
 Say = Callable[[float, str], None]
+InHeight = Callable[[int, GlobalPosition], GlobalPosition]
 
 
 @dataclass(slots=True)
@@ -280,6 +281,8 @@ class Known:
         self.leader = LeaderTrack()
         self.leader_history = History()
         self.leader_mode: int | None = None
+        self.in_height: InHeight = lambda system_id, place: place
+        """A vehicle's place with the altitude to compare with others' (`Guard.in_height`)."""
         self.followers = {
             plan.system_id: FollowerState(
                 plan, TowBar(plan.slot, longest_m) if settings.tow_bar else TailSlot(plan.slot)
@@ -330,6 +333,14 @@ class Known:
         leader, here = self.leader_then(follower, now_s), follower.then(now_s)
         return None if leader is None or here is None else bearing_rad(here, leader.position)
 
+    def leader_above_m(self, follower: FollowerState) -> float:
+        """How much higher than a follower the leader is; 0: one of them is not known."""
+        fix, here = self.leader.fix, follower.position
+        if fix is None or here is None:
+            return 0.0
+        leader = self.in_height(self.leader_id, fix.position)
+        return leader.alt_m - self.in_height(follower.plan.system_id, here).alt_m
+
     def feel_wind(self, follower: FollowerState, now_s: float) -> None:
         """How hard a follower can brake in this wind, on its way to the leader."""
         bearing = self.bearing_of_leader(follower, now_s)
@@ -340,8 +351,9 @@ class Known:
 
     def note_leader(self, fix: LeaderFix) -> None:
         """Keep a new report of the leader, and let every estimate learn from it."""
+        place = self.in_height(self.leader_id, fix.position)
         self.leader_history.add(
-            Report(fix.time_s, fix.position, fix.velocity_ned_mps[:2], fix.heading_rad)
+            Report(fix.time_s, place, fix.velocity_ned_mps[:2], fix.heading_rad)
         )
         if self.settings.learn_offset:
             for follower in self.followers.values():

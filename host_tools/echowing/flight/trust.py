@@ -6,6 +6,7 @@ cannot deny the follower holds until its pilot has left Guided and come back.
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from echowing.flight.alignment import Report
@@ -64,7 +65,8 @@ class Trust:
             if follower.held_at is not None:
                 # The place where it stands has other coordinates now.
                 follower.held_at = displace(follower.held_at, (*moved_m, 0.0))
-        follower.estimate.reported(report)
+        place = self._known.in_height(follower.plan.system_id, report.position)
+        follower.estimate.reported(replace(report, position=place))
 
     def settle(self, follower: FollowerState, now_s: float) -> None:
         """Decide on a follower's own jump once the sonar has had time to deny it."""
