@@ -6,6 +6,8 @@ from echowing.campaign.draw import load_description
 from echowing.campaign.fly import CRASHED, LOGS, Row, fly_one
 from echowing.campaign.properties import BLOWN, BLOWN_ON
 
+pytestmark = pytest.mark.seconds(100)
+
 SEED, FLIGHTS = 1, 60
 # None of the sixty came too near when this was written. One may on another machine: a flight
 # amplifies the last digit.
