@@ -281,10 +281,10 @@ def third_behind_second() -> Field:
     return there
 
 
-def closing_mps(there: Field) -> float:
-    """How fast follower 3 is sent north, at follower 2."""
-    (point,) = [point for point in there.points() if point.target_system == 3]
-    return flown_mps(point, there.north_m[3])[0]
+def closing_mps(there: Field, system_id: int = 3) -> float:
+    """How fast follower 3, or another, is sent north, at the one ahead of it."""
+    (point,) = [point for point in there.points() if point.target_system == system_id]
+    return flown_mps(point, there.north_m[system_id])[0]
 
 
 @pytest.mark.parametrize("silent_s", [3.0, 30.0])
@@ -315,6 +315,53 @@ def test_a_receiver_that_jumped_leaves_two_places_to_keep_away_from() -> None:
 
     there.session.followers[FOLLOWER].own_jump.total_m = (20.0, 0.0)
     assert closing_mps(there) < 0.3
+
+
+@pytest.mark.parametrize("whose", ["its own", "the leader's"])
+def test_a_receiver_that_jumped_leaves_two_places_of_the_leader(whose: str) -> None:
+    """Led on after a jump of 12 m that no sonar denied it was flown at its leader (0.71 m)."""
+    there = Field(Limits(min_separation_m=1.0))
+    there.north_m[FOLLOWER] = -20.0
+    there.fly(3.0)
+    known, follower = there.session.known, there.session.followers[FOLLOWER]
+    assert closing_mps(there, FOLLOWER) > 1.0
+
+    # The leader may be 3.5 m ahead of it, and the receivers may be 2.8 m off besides.
+    if whose == "its own":
+        follower.own_jump.total_m = (-16.5, 0.0)
+    else:
+        known.leader.total_m = (16.5, 0.0)
+    assert known.doubted_m(follower) == (-16.5, 0.0)
+    assert closing_mps(there, FOLLOWER) < 0.3
+
+
+def test_a_leader_that_the_sonar_hears_after_a_jump_is_where_it_is_seen() -> None:
+    there = Field(Limits(min_separation_m=1.0))
+    there.fly(1.0)
+    known, follower = there.session.known, there.session.followers[FOLLOWER]
+    follower.own_jump.total_m, follower.own_jump.last_s = (2.0, 0.0), there.now_s
+    there.fly(1.0)
+    assert known.doubted_m(follower) == (2.0, 0.0)
+
+    axis_rad, believed_m = 0.0, (4.0, 0.0)
+    follower.estimate.offset.heard(there.now_s - 1.5, 4.0, axis_rad, believed_m)
+    there.fly(TICK_S)
+    assert known.doubted_m(follower) == (2.0, 0.0), "heard before the jump"
+
+    follower.estimate.offset.heard(there.now_s, 4.0, axis_rad, believed_m)
+    there.fly(TICK_S)
+    assert known.doubted_m(follower) == (0.0, 0.0)
+
+
+def test_a_jump_that_the_sonar_denied_leaves_one_place_of_the_leader() -> None:
+    there = Field(Limits(min_separation_m=1.0))
+    there.fly(1.0)
+    known, follower = there.session.known, there.session.followers[FOLLOWER]
+    known.leader.total_m = (12.0, -3.0)
+    follower.estimate.jumped((12.0, -3.0))
+    follower.own_jump.total_m = (5.0, 0.0)
+    follower.estimate.jumped((-5.0, 0.0))
+    assert known.doubted_m(follower) == (0.0, 0.0)
 
 
 def test_how_fast_it_closes_depends_on_the_room_that_is_certain() -> None:

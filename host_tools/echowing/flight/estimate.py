@@ -4,7 +4,7 @@ import math
 from collections import deque
 
 from echowing.flight.alignment import Alignment, History, Report
-from echowing.flight.guidance import LeaderFix, predicted
+from echowing.flight.guidance import Horizontal, LeaderFix, predicted
 from echowing.flight.offset_grid import OffsetGrid
 from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.geo import GlobalPosition, displace
@@ -64,7 +64,8 @@ class Estimate:
         self._alignment = Alignment()
         self._before = (-math.inf, math.nan)
         self._alike = 0
-        self._jumped_m = (0.0, 0.0)
+        self.jumped_m: Horizontal = (0.0, 0.0)
+        """Receivers' jumps that are allowed for: the leader's, less the follower's."""
         self._used_to_s = -math.inf
 
     @property
@@ -110,7 +111,7 @@ class Estimate:
         self._used_to_s = min(leader.newest_s, self.history.newest_s)
         for one in self._alignment.due(leader, self.history):
             north_m, east_m = one.believed_m
-            believed_m = north_m - self._jumped_m[0], east_m - self._jumped_m[1]
+            believed_m = north_m - self.jumped_m[0], east_m - self.jumped_m[1]
             if one.distance_m is not None:
                 self.offset.heard(one.time_s, one.distance_m, one.axis_rad, believed_m)
             elif one.lean_rad < LEVEL_RAD:
@@ -120,17 +121,17 @@ class Estimate:
         """Drop what was learnt: a receiver has started anew."""
         self.offset = OffsetGrid()
         self._alignment = Alignment()
-        self._jumped_m = (0.0, 0.0)
+        self.jumped_m = (0.0, 0.0)
 
     def jumped(self, moved_m: tuple[float, float]) -> None:
         """The leader's receiver has jumped by (north, east), or the follower's by the opposite."""
-        self._jumped_m = self._jumped_m[0] + moved_m[0], self._jumped_m[1] + moved_m[1]
+        self.jumped_m = self.jumped_m[0] + moved_m[0], self.jumped_m[1] + moved_m[1]
         self._alignment = Alignment()
 
     def as_seen(self, leader: GlobalPosition) -> GlobalPosition:
         """The leader's place in the follower's receiver's frame."""
-        north_m = self.offset.north_m + self._jumped_m[0]
-        east_m = self.offset.east_m + self._jumped_m[1]
+        north_m = self.offset.north_m + self.jumped_m[0]
+        east_m = self.offset.east_m + self.jumped_m[1]
         return displace(leader, (-north_m, -east_m, 0.0))
 
 

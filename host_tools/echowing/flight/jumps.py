@@ -95,13 +95,14 @@ class OwnJump:
     """The jumps of a follower's own receiver.
 
     since_s: when a jump began that is not settled yet, None: there is none; moved_m: by how much,
-    (north, east); total_m: all jumps so far, back again in this sum too.
+    (north, east); total_m: all jumps so far, back again in this sum too; last_s: when the last was.
     """
 
     def __init__(self) -> None:
         self.since_s: float | None = None
         self.moved_m: Horizontal = (0.0, 0.0)
         self.total_m: Horizontal = (0.0, 0.0)
+        self.last_s = -math.inf
         self._before: Report | None = None
 
     def reported(self, report: Report) -> Horizontal | None:
@@ -112,6 +113,7 @@ class OwnJump:
         if not is_jump(before, report):
             return None
         off_m = beyond_movement_m(before, report)
+        self.last_s = report.time_s
         self.since_s = before.time_s if self.since_s is None else self.since_s
         self.moved_m = self.moved_m[0] + off_m[0], self.moved_m[1] + off_m[1]
         self.total_m = self.total_m[0] + off_m[0], self.total_m[1] + off_m[1]

@@ -109,6 +109,8 @@ class LeaderTrack:
         """The last report before it; None: no place is looked at."""
         self.oldest_s = 0.0
         """How old a report has lately been when the next came."""
+        self.total_m: Horizontal = (0.0, 0.0)
+        """All jumps that were believed, (north, east); back again in this sum too."""
         self.jumps = 0
         """How often the leader has turned up somewhere else and been believed there."""
 
@@ -164,7 +166,7 @@ class LeaderTrack:
         if self._agreeing < AGREEING_REPORTS:
             return False
         self.jumps += 1
-        self.jump_since_s = None
+        self._believed()
         return True
 
     def _agrees(self, fix: LeaderFix) -> bool:
@@ -184,8 +186,13 @@ class LeaderTrack:
 
     def believe_jump(self) -> Horizontal:
         """Believe the new place now: it is known to be the receiver's. Returns the jump."""
-        self.fix, self._agreeing, self.jump_since_s = self._candidate, 0, None
+        self.fix, self._agreeing = self._candidate, 0
+        self._believed()
         return self.jump_m
+
+    def _believed(self) -> None:
+        self.jump_since_s = None
+        self.total_m = self.total_m[0] + self.jump_m[0], self.total_m[1] + self.jump_m[1]
 
 
 def changes_mps2(

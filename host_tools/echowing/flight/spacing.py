@@ -76,8 +76,7 @@ class Spacing:
     def _others(self, follower: FollowerState, here: GlobalPosition, now_s: float) -> list[Other]:
         """The vehicles around a follower that is `here` when the order reaches it."""
         arrives_s = now_s + follower.way_s
-        leader = self._leader(follower, here, now_s, arrives_s)
-        others = [] if leader is None else [leader]
+        others = list(self._leaders(follower, here, now_s, arrives_s))
         for other in self._known.followers.values():
             # A held follower stands; those led past it give way.
             led = follower.held_at is not None and other.sent_to
@@ -85,25 +84,27 @@ class Spacing:
                 others.extend(self._other(follower, here, other, arrives_s))
         return others
 
-    def _leader(
+    def _leaders(
         self, follower: FollowerState, here: GlobalPosition, now_s: float, arrives_s: float
-    ) -> Other | None:
+    ) -> Iterator[Other]:
+        """The leader where it is seen, and where it is if receivers that have jumped erred."""
         known = self._known
         leader = known.leader_then(follower, arrives_s)
         # Of a stale leader only its old place is known: to fly away from all that it could have
         # done since is no safer than to stand.
         if leader is None or known.leader_is_stale(now_s):
-            return None
-        return Other(
-            LEADER,
-            self._between_m(known.leader_id, leader.position, follower, here),
-            leader.velocity_ned_mps,
-            follower.estimate.offset.sigma_m(bearing_rad(here, leader.position)),
-            known.leader_age_s(arrives_s),
-            # A leader that is not heard is already kept so far off for the receivers' errors that
-            # with its braking added it would never be found.
-            brakes_mps2=OTHERS_MPS2 if follower.estimate.hears(now_s) else 0.0,
-        )
+            return
+        for place in (leader.position, *_if_erred(leader.position, known.doubted_m(follower))):
+            yield Other(
+                LEADER,
+                self._between_m(known.leader_id, place, follower, here),
+                leader.velocity_ned_mps,
+                follower.estimate.offset.sigma_m(bearing_rad(here, place)),
+                known.leader_age_s(arrives_s),
+                # A leader that is not heard is already kept so far off for the receivers' errors
+                # that with its braking added it would never be found.
+                brakes_mps2=OTHERS_MPS2 if follower.estimate.hears(now_s) else 0.0,
+            )
 
     def _other(
         self, follower: FollowerState, here: GlobalPosition, other: FollowerState, arrives_s: float
@@ -124,7 +125,8 @@ class Spacing:
             return
         system_id = other.plan.system_id
         goal = here if follower.guided is None else follower.guided.slot
-        for place in (there, *_if_it_jumped(there, follower, other)):
+        mine, its = follower.own_jump.total_m, other.own_jump.total_m
+        for place in (there, *_if_erred(there, (mine[0] - its[0], mine[1] - its[1]))):
             yield Other(
                 f"follower {system_id}",
                 self._between_m(system_id, place, follower, here),
@@ -143,12 +145,8 @@ class Spacing:
         return ned_between(self._known.in_height(system_id, there), mine)
 
 
-def _if_it_jumped(
-    there: GlobalPosition, follower: FollowerState, other: FollowerState
-) -> Iterator[GlobalPosition]:
+def _if_erred(there: GlobalPosition, shift_m: Horizontal) -> Iterator[GlobalPosition]:
     """Where another is, seen from here, if all that the two receivers jumped by was their error."""
-    mine, its = follower.own_jump.total_m, other.own_jump.total_m
-    shift_m = mine[0] - its[0], mine[1] - its[1]
     if math.hypot(*shift_m) >= SAME_RANGE_M:
         yield displace(there, (*shift_m, 0.0))
 

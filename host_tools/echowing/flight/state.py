@@ -93,10 +93,11 @@ class FollowerState:
     sent it a point; sent_to: points could go to it at the last tick; position_at_s: when it was
     there by TIMESYNC, else when the report came; feed_mps: the velocity sent with the point (north,
     east), None: none; yaw_rad: where it was last told to look; gives_way_to: the vehicle for which
-    it leaves its plan; latched: why it is held until it leaves Guided; reversal_m: the nearest slot
-    from which it gets away if the leader turns round now; least_m, least_at_s: the nearest slot it
-    was given last, and when; opens: it was said that the slot opens for a reversal; searches: it
-    looks for the leader from the side.
+    it leaves its plan; latched: why it is held until it leaves Guided; proven_m: the part of
+    `Known.doubted_m` that the sonar has settled; reversal_m: the nearest slot from which it
+    gets away if the leader turns round now; least_m, least_at_s: the nearest slot it was given
+    last, and when; opens: it was said that the slot opens for a reversal; searches: it looks
+    for the leader from the side.
     """
 
     plan: FollowerPlan
@@ -110,6 +111,7 @@ class FollowerState:
     search: Search = field(default_factory=Search)
     wind: Wind = field(default_factory=Wind)
     latched: str | None = None
+    proven_m: Horizontal = (0.0, 0.0)
     reversal_m: float = 0.0
     least_m: float = 0.0
     least_at_s: float = 0.0
@@ -340,6 +342,16 @@ class Known:
             return 0.0
         leader = self.in_height(self.leader_id, fix.position)
         return leader.alt_m - self.in_height(follower.plan.system_id, here).alt_m
+
+    def doubted_m(self, follower: FollowerState) -> Horizontal:
+        """How far off a follower sees its leader, (north, east), if all jumps were errors.
+
+        The jumps of both receivers, less those that the sonar has settled.
+        """
+        leaders, own = self.leader.total_m, follower.own_jump.total_m
+        known, proven = follower.estimate.jumped_m, follower.proven_m
+        north, east = (own[axis] - leaders[axis] + known[axis] - proven[axis] for axis in (0, 1))
+        return north, east
 
     def feel_wind(self, follower: FollowerState, now_s: float) -> None:
         """How hard a follower can brake in this wind, on its way to the leader."""

@@ -73,6 +73,7 @@ class Trust:
         self._note_stuck_sonar(follower, now_s)
         jump = follower.own_jump
         if jump.since_s is None:
+            self._prove(follower, now_s)
             return
         moved_m = jump.moved_m
         far_m = math.hypot(*moved_m)
@@ -92,6 +93,14 @@ class Trust:
             now_s,
             f"follower {follower.plan.system_id}: its receiver jumped by {far_m:.1f} m: {text}",
         )
+
+    def _prove(self, follower: FollowerState, now_s: float) -> None:
+        """A leader that was heard since the last jump is where it is seen."""
+        heard = follower.estimate.offset.unheard_s(now_s) < now_s - follower.own_jump.last_s
+        if not heard or self._known.leader.jump_since_s is not None:
+            return
+        north_m, east_m = self._known.doubted_m(follower)
+        follower.proven_m = follower.proven_m[0] + north_m, follower.proven_m[1] + east_m
 
     def _note_stuck_sonar(self, follower: FollowerState, now_s: float) -> None:
         """Say it once when a sonar sticks, and once when it moves again."""
