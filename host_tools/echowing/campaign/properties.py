@@ -54,7 +54,7 @@ HANDED_BACK_S = 0.5
 POINT_ACTS_S = 1.0
 # ArduCopter's Guided goes on flying a velocity for so long (GUID_TIMEOUT).
 GUIDED_TIMEOUT_S = 3.0
-# A leader heard and ranged, with nothing wrong: README's mean error is 0.11 m over ten flights.
+# A leader heard and ranged, with nothing wrong: README's mean error is 0.12 m over fifty flights.
 MEAN_ERROR_M = 0.5
 # A mean over less than this after the approach says little.
 JUDGED_S = 20.0
