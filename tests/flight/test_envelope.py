@@ -19,6 +19,7 @@ from echowing.flight.envelope import (
     closing_limit_mps,
     is_in_the_way,
     keep_apart,
+    straight_out,
 )
 from echowing.geo import Ned
 
@@ -383,3 +384,31 @@ def test_what_is_closed_too_fast_is_braked_besides() -> None:
     fast, _ = keep_apart((limit, 0.0, 0.0), [other], ANSWER, own_mps=(limit + 1.0, 0.0, 0.0))
     assert slow[0] == pytest.approx(limit, abs=EPS_MPS)
     assert fast[0] == pytest.approx(limit - 1.0, abs=EPS_MPS)
+
+
+# ---- far too fast: all the lean goes into the way out -----
+
+AHEAD = Other("the leader", (-3.0, 0.0, 0.0), (-2.0, 0.0, 0.0), sigma_m=0.1, age_s=0.2)
+ASIDE_MPS = (-4.0, 1.5, 0.3)  # north as the envelope wants it, east as the plan does
+
+
+def test_far_too_fast_it_changes_nothing_across_the_way_out() -> None:
+    flown = straight_out(ASIDE_MPS, AHEAD, [AHEAD], ANSWER, LEAST_M, (2.0, -0.4, 0.0))
+
+    assert flown == pytest.approx((-4.0, -0.4, 0.3))
+
+
+@pytest.mark.parametrize(
+    ("own_mps", "in_the_way"),
+    [((-4.0, -0.4, 0.0), False), ((2.0, -0.4, 0.0), True)],
+    ids=["fast enough", "passing"],
+)
+def test_otherwise_the_plan_counts_across_it(own_mps: Ned, in_the_way: bool) -> None:
+    other = replace(AHEAD, in_the_way=in_the_way)
+    assert straight_out(ASIDE_MPS, other, [other], ANSWER, LEAST_M, own_mps) is None
+
+
+def test_nor_does_it_fly_straight_into_a_third() -> None:
+    third = Other("follower 3", (0.3, 1.2, 0.0), (0.0, 0.0, 0.0), sigma_m=0.1, age_s=0.2)
+    about = [AHEAD, third]
+    assert straight_out(ASIDE_MPS, AHEAD, about, ANSWER, LEAST_M, (2.0, -0.4, 0.0)) is None

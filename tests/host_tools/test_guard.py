@@ -64,6 +64,7 @@ class Field:
     engaged: bool = True
     followers: tuple[int, ...] = (FOLLOWER,)
     north_m: dict[int, float] = field(default_factory=lambda: {LEADER: 0.0, FOLLOWER: -4.0})
+    east_m: dict[int, float] = field(default_factory=dict)
     speed_mps: dict[int, float] = field(default_factory=dict)
     height_m: float = 10.0
     climb_mps: float = 0.0
@@ -103,7 +104,7 @@ class Field:
         return [message for message in self.fly(seconds) if message.get_type() == POINT]
 
     def position(self, system_id: int) -> Any:
-        at = displace(HERE, (self.north_m[system_id], 0.0, 0.0))
+        at = displace(HERE, (self.north_m[system_id], self.east_m.get(system_id, 0.0), 0.0))
         late_s = self.late_s if system_id == FOLLOWER else 0.0
         return mavlink.MAVLink_global_position_int_message(
             round((self.now_s - late_s) * 1e3),
@@ -244,6 +245,25 @@ def quick(there: Field) -> None:
     handling = there.session.followers[FOLLOWER].handling
     handling.receive("WP_ACC", 5.0)
     handling.receive("PSC_JERK_NE", 20.0)
+
+
+def east_of(point: Any) -> float:
+    at = GlobalPosition(point.lat_int / 1e7, point.lon_int / 1e7, HERE.alt_m)
+    return ned_between(HERE, at)[1]
+
+
+def test_one_that_closes_far_too_fast_is_not_led_back_to_the_tail_meanwhile() -> None:
+    """Beside its slot by 0.8 m: braking takes all its lean, the tail can wait."""
+    there = Field(Limits(min_separation_m=1.0))
+    there.fly(1.0)
+    there.north_m[FOLLOWER], there.east_m[FOLLOWER] = -4.5, 0.8
+    assert there.points()[0].vy < -0.3  # on the way to its slot
+    there.speed_mps[FOLLOWER] = 4.0
+    (point,) = there.points()
+    assert east_of(point) == pytest.approx(0.8, abs=0.01)
+    change_north, change_east = point.vx - 4.0, point.vy
+    assert change_north < -2.0
+    assert change_east / change_north == pytest.approx(0.8 / north_of(point), abs=0.01)
 
 
 def test_a_point_without_a_velocity_is_as_far_back_as_guided_flies_so_fast() -> None:

@@ -260,8 +260,14 @@ def test_the_nose_sways_to_both_sides_while_the_bearing_is_unsure() -> None:
     assert min(looks) == pytest.approx(-math.radians(8.0), abs=0.01)
     # A copter turns at 60 deg/s at the most and the sonar has to have time to hear.
     assert max(abs(b - a) for a, b in itertools.pairwise(looks)) < math.radians(1.5)
-    assert max(sway_rad(math.radians(8.0), t / 10.0) for t in range(40)) < math.radians(8.5)
-    assert all(sway_rad(math.radians(6.0), t / 10.0) == 0.0 for t in range(40))
+    assert all(sway_rad(math.radians(4.0), t / 10.0) == 0.0 for t in range(40))
+
+
+def test_a_sway_fades_as_the_bearing_becomes_sure() -> None:
+    """Switched off at once it moved the nose by 11 degrees, and the sonar lost its leader."""
+    widest = [sway_rad(math.radians(unsure_deg / 10.0), 1.0) for unsure_deg in range(100)]
+
+    assert max(abs(b - a) for a, b in itertools.pairwise(widest)) < math.radians(0.5)
 
 
 @pytest.mark.parametrize("feed_forward", [True, False])

@@ -18,12 +18,13 @@ Horizontal = tuple[float, float]
 SLOW_MPS = 0.25
 # Back to the course only above this, so that a leader near the limit does not switch to and fro.
 MOVING_MPS = 0.35
-# Below this standard deviation of the leader's bearing the nose points at it; else it sways to both
-# sides, up to SWAY_RAD, there and back in SWAY_PERIOD_S (13 deg/s at the most). A leader further
-# off than SURE_RAD then leaves the beam (14 deg) on one side, no longer than needed: if it brakes
-# meanwhile, the sonar detects that late.
-SURE_RAD = math.radians(7.0)
-SWAY_SHARE, SWAY_RAD, SWAY_PERIOD_S = 1.3, math.radians(8.0), 4.0
+# Up to the first standard deviation of the leader's bearing the nose points at it. Less sure, it
+# sways to both sides, in full (SWAY_RAD) from the second on, there and back in SWAY_PERIOD_S
+# (13 deg/s at the most): a leader far off the nose leaves the beam (14 deg) on one side, no longer
+# than needed, for if it brakes meanwhile, the sonar detects that late. Switched off at once at 7
+# degrees, the sway moved the nose by 11, and the next corner took the leader out of the beam.
+SURE_RAD, UNSURE_RAD = math.radians(4.0), math.radians(7.0)
+SWAY_RAD, SWAY_PERIOD_S = math.radians(8.0), 4.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,10 +201,10 @@ def sway_rad(unsure_rad: float, now_s: float) -> float:
     """How far off the leader's bearing to look, to learn where in the beam it is.
 
     A leader that is always heard may be anywhere in the beam; the edge passing over it shows where.
+    It fades as the bearing becomes sure.
     """
-    if unsure_rad < SURE_RAD:
-        return 0.0
-    return min(SWAY_RAD, SWAY_SHARE * unsure_rad) * math.sin(2.0 * math.pi * now_s / SWAY_PERIOD_S)
+    share = max(0.0, min(1.0, (unsure_rad - SURE_RAD) / (UNSURE_RAD - SURE_RAD)))
+    return share * SWAY_RAD * math.sin(2.0 * math.pi * now_s / SWAY_PERIOD_S)
 
 
 def lead_share(age_s: float, settings: GuidanceSettings) -> float:

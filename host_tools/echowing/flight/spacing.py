@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Iterator
 
 from echowing.flight.closing import MOST_MPS, Closing
-from echowing.flight.envelope import OTHERS_MPS2, Other, is_in_the_way, keep_apart
+from echowing.flight.envelope import OTHERS_MPS2, Other, is_in_the_way, keep_apart, straight_out
 from echowing.flight.guard import Guard
 from echowing.flight.guidance import Horizontal, bearing_rad
 from echowing.flight.jumps import SAME_RANGE_M
@@ -53,12 +53,8 @@ class Spacing:
             return point
         if _moved_off(follower):
             follower.held_at = follower.position
-        if follower.feed_mps is None:
-            north, east = _point_m(flown[:2], follower.handling.closing)
-            return displace(here, (north, east, here.alt_m - point.alt_m))
-        north, east = follower.feed_mps
-        follower.feed_mps = north + flown[0] - wanted[0], east + flown[1] - wanted[1]
-        return point
+        urgent = straight_out(flown, other, others, answer, self._least_m, own_mps)
+        return _redirected(follower, here, point, (wanted, flown), urgent)
 
     def _switched(self, follower: FollowerState) -> bool:
         """Whether its pilot's stop switch has stopped it: then nothing of ours moves it."""
@@ -170,6 +166,28 @@ def _wanted_mps(
         pace = follower.handling.closing.pace_per_s(far_m)
     feed_north, feed_east = follower.feed_mps or (0.0, 0.0)
     return feed_north + pace * north, feed_east + pace * east, 0.0
+
+
+def _redirected(
+    follower: FollowerState,
+    here: GlobalPosition,
+    point: GlobalPosition,
+    wanted_flown_mps: tuple[Ned, Ned],
+    urgent_mps: Ned | None,
+) -> GlobalPosition:
+    """The point, and its velocity, that it answers as the envelope wants instead of as planned."""
+    wanted, flown = wanted_flown_mps
+    up_m = here.alt_m - point.alt_m
+    if follower.feed_mps is None:
+        north, east = _point_m(flown[:2], follower.handling.closing)
+        return displace(here, (north, east, up_m))
+    if urgent_mps is not None:
+        # With the point where it is nothing is corrected across the way out.
+        follower.feed_mps = urgent_mps[:2]
+        return displace(here, (0.0, 0.0, up_m))
+    north, east = follower.feed_mps
+    follower.feed_mps = north + flown[0] - wanted[0], east + flown[1] - wanted[1]
+    return point
 
 
 def _point_m(velocity_mps: Horizontal, closing: Closing) -> Horizontal:
