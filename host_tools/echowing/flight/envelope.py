@@ -198,8 +198,17 @@ def _roomiest(tried: Ned, others: Sequence[Other]) -> Ned:
     """The candidate round the compass that leaves most of the certain distance."""
     speed_mps = max(1.0, min(RETREAT_MOST_MPS, math.hypot(tried[0], tried[1])))
     ways = [(0.0, 0.0), *(_compass(number, speed_mps) for number in range(CANDIDATES))]
-    north, east = max(ways, key=lambda way: min(_left_m(other, way) for other in others))
+    north, east = max(ways, key=lambda way: _room(others, way))
     return north, east, tried[2]
+
+
+def _room(others: Sequence[Other], way: tuple[float, float]) -> tuple[float, float]:
+    """What a velocity (north, east) leaves of the certain distances: on the way, and at its end.
+
+    The end alone is not enough: beyond a vehicle that is flown through there is room, too.
+    """
+    left = [_left_m(other, way) for other in others]
+    return min(on_the_way for on_the_way, _ in left), min(at_its_end for _, at_its_end in left)
 
 
 def _compass(number: int, speed_mps: float) -> tuple[float, float]:
@@ -207,12 +216,19 @@ def _compass(number: int, speed_mps: float) -> tuple[float, float]:
     return speed_mps * math.cos(bearing_rad), speed_mps * math.sin(bearing_rad)
 
 
-def _left_m(other: Other, way: tuple[float, float]) -> float:
-    """The certain distance a little later, for a velocity (north, east)."""
-    north = other.from_it_m[0] + (way[0] - other.velocity_mps[0]) * LOOK_AHEAD_S
-    east = other.from_it_m[1] + (way[1] - other.velocity_mps[1]) * LOOK_AHEAD_S
+def _left_m(other: Other, way: tuple[float, float]) -> tuple[float, float]:
+    """The least certain distance within `LOOK_AHEAD_S`, for a velocity, and the one at its end."""
+    north, east, down = other.from_it_m
+    gone_north = (way[0] - other.velocity_mps[0]) * LOOK_AHEAD_S
+    gone_east = (way[1] - other.velocity_mps[1]) * LOOK_AHEAD_S
+    gone_m2 = max(1e-9, gone_north * gone_north + gone_east * gone_east)
+    nearest_at = max(0.0, min(1.0, -(north * gone_north + east * gone_east) / gone_m2))
     lost_m = math.hypot(*other.from_it_m) - certain_distance_m(other)
     if other.led:
         # It makes room itself: at most one standard deviation counts against a way out.
         lost_m = min(lost_m, other.sigma_m)
-    return math.hypot(north, east, other.from_it_m[2]) - lost_m
+    nearest_m, end_m = (
+        math.hypot(north + share * gone_north, east + share * gone_east, down) - lost_m
+        for share in (nearest_at, 1.0)
+    )
+    return nearest_m, end_m
