@@ -59,6 +59,18 @@ def test_a_walker_keeps_his_pace_and_faces_where_he_goes() -> None:
     assert all(row[3] == -1.0 for row in rows)
 
 
+def test_a_runner_walks_round_the_corners() -> None:
+    """At full speed he would change his velocity by 5.5 m/s at once: no follower survives that."""
+    leader = LeaderSection(path="walk", north_m=30.0, east_m=20.0, speed_mps=3.9, altitude_m=1.0)
+
+    rows = walk(leader, 60.0)
+
+    velocities = [((b[1] - a[1]) / 0.2, (b[2] - a[2]) / 0.2) for a, b in itertools.pairwise(rows)]
+    assert max(math.hypot(*each) for each in velocities) == pytest.approx(3.9)
+    changes = [math.dist(a, b) for a, b in itertools.pairwise(velocities)]
+    assert max(changes) < 2.2  # from a brisk walk to a brisk walk round the corner is 2.1
+
+
 def test_a_tracked_body_is_where_its_track_says_with_its_velocity() -> None:
     body = TrackedBody([(0.0, 0.0, 0.0, -10.0, 0.0), (2.0, 4.0, 2.0, -10.0, 0.5)])
 

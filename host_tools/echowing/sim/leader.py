@@ -13,6 +13,9 @@ from echowing.sim.scenario import LeaderSection
 
 # Points on a circle, so near that the corners between them vanish in the corner cutting.
 CIRCLE_POINTS = 36
+# A walker turns a corner at a brisk walk, and brakes for it as a runner does with something heavy
+# in his hands: half of a sprinter's 5 m/s2.
+WALKS_MPS, WALKER_MPS2 = 1.5, 2.5
 
 TrackRow = tuple[float, float, float, float, float]  # time_s, north_m, east_m, down_m, yaw_rad
 
@@ -92,7 +95,8 @@ class TrackedBody(EstimatedPosition):
 def walk(leader: LeaderSection, duration_s: float) -> list[TrackRow]:
     """A copter carried by hand round the rectangle (thesis 4.2.3), sampled every 0.2 s.
 
-    The walker turns sharply, within a step; the copter points where he goes.
+    The walker turns sharply, within a step, but runs round no corner: he slows down before it. The
+    copter points where he goes.
     """
     corners = [(0.0, 0.0), *_rectangle(leader)]
     rows: list[TrackRow] = []
@@ -101,9 +105,11 @@ def walk(leader: LeaderSection, duration_s: float) -> list[TrackRow]:
         goal = corners[1 + (target - 1) % 4]
         north, east = goal[0] - position[0], goal[1] - position[1]
         distance = math.hypot(north, east)
+        gone = math.dist(position, corners[1 + (target - 2) % 4])
         yaw = math.atan2(east, north)
         rows.append((k * step_s, position[0], position[1], -leader.altitude_m, yaw))
-        stride = min(distance, leader.speed_mps * step_s)
+        speed_mps = min(leader.speed_mps, _corner_speed_mps(min(distance, gone)))
+        stride = min(distance, speed_mps * step_s)
         if distance > 0.0:
             position = [
                 position[0] + stride * north / distance,
@@ -112,6 +118,11 @@ def walk(leader: LeaderSection, duration_s: float) -> list[TrackRow]:
         if distance - stride < 1e-9:
             target += 1
     return rows
+
+
+def _corner_speed_mps(distance_m: float) -> float:
+    """The fastest that a walker is at this distance from a corner."""
+    return math.sqrt(WALKS_MPS**2 + 2.0 * WALKER_MPS2 * distance_m)
 
 
 def load_track(path: Path) -> list[TrackRow]:
