@@ -8,6 +8,7 @@ import pytest
 
 from echowing.campaign.properties import (
     BLOWN,
+    MISLED,
     Broken,
     judge,
     mean_error,
@@ -21,6 +22,7 @@ from echowing.campaign.properties import (
 )
 from echowing.campaign.record import FlightRecord, Point, fly_recorded
 from echowing.sim.modes import GUIDED, LOITER
+from echowing.sim.fault_section import FaultSection
 from echowing.sim.scenario import Scenario, scenario_of
 
 STEP_S = 0.1
@@ -127,6 +129,43 @@ def test_in_wind_that_takes_all_lean_it_is_counted_apart() -> None:
     assert separation(replace(record, lean_rad=lean))[0].name == "separation"
 
 
+def test_receivers_that_disagree_by_more_than_is_allowed_for_are_counted_apart() -> None:
+    """2.8 m, 2.5 standard deviations of two: shown 4 m apart two may be 1.2 m apart, not 0.9 m."""
+    record = with_least(quiet(), 2, 50, 0.9)
+    place, error = record.position_ned_m.copy(), np.zeros_like(record.receiver_error_m)
+    place[:, 1], place[:, 2] = (-5.0, 0.0, -10.0), (-5.9, 0.0, -10.0)
+    place[:, 0] = (0.0, 0.0, -10.0)
+    record = replace(record, position_ned_m=place, receiver_error_m=error)
+    assert separation(record)[0].name == "separation"
+
+    error[:, 1, 0], error[:, 2, 0] = 1.4, -1.4
+    assert separation(record)[0].name == "separation"
+    error[:, 2, 0] = -1.5
+    assert separation(record)[0].name == MISLED
+    jump = FaultSection(kind="gps_jump", vehicle=3, at_s=4.0, jump_ned_m=(-3.0, 0.0, 0.0))
+    jumped = record.scenario.model_copy(update={"fault": (jump,)})
+    assert separation(replace(record, scenario=jumped))[0].name == "separation"
+
+
+def test_nor_are_receivers_an_excuse_where_the_sonar_ranges_the_leader() -> None:
+    record = with_least(quiet(), 0, 50, 0.9)
+    place, error = record.position_ned_m.copy(), np.zeros_like(record.receiver_error_m)
+    place[:, 0], place[:, 1] = (0.0, 0.0, -10.0), (-0.9, 0.0, -10.0)
+    place[:, 2] = (-30.0, 0.0, -10.0)
+    error[:, 0, 0] = 3.5
+    deaf = replace(
+        record,
+        position_ned_m=place,
+        velocity_ned_mps=np.zeros_like(record.velocity_ned_mps),
+        receiver_error_m=error,
+        sonar_m=np.full_like(record.sonar_m, np.nan),
+    )
+    assert separation(deaf)[0].name == MISLED
+    heard = deaf.sonar_m.copy()
+    heard[40, 0] = 0.7
+    assert separation(replace(deaf, sonar_m=heard))[0].name == "separation"
+
+
 def test_what_pilots_fly_is_theirs_to_keep_apart_until_the_tool_leads_again() -> None:
     taken = with_pilot(quiet(), 80, 140, followers=(1,))
     leaders, others = quiet().pairs.index((0, 1)), quiet().pairs.index((1, 2))
@@ -198,6 +237,24 @@ def test_from_more_than_4_mps_a_stop_takes_as_long_as_its_braking() -> None:
 
 def test_who_makes_room_may_move() -> None:
     assert stopped(moving(stale(quiet(), 100), 100, 1.0, away=True)) == []
+
+
+def test_who_has_made_room_is_given_the_time_to_stop_again() -> None:
+    """Away from its leader for 4 s, at the end 7 m off and still fast; then braking, or not."""
+    record = stale(quiet(), 60)
+    place, velocity = record.position_ned_m.copy(), record.velocity_ned_mps.copy()
+    place[:, 0], velocity[:] = (0.0, 0.0, -10.0), 0.0
+    place[:, 1] = (-3.0, 0.0, -10.0)
+    place[:, 2] = (-30.0, 0.0, -10.0)
+    velocity[100:105, 1] = (-2.0, 0.0, 0.0)
+    place[105:, 1] = (-4.0, 0.0, -10.0)  # beyond its slot
+    velocity[105:117, 1] = (-2.0, 0.0, 0.0)
+    braked = replace(record, position_ned_m=place, velocity_ned_mps=velocity)
+    assert stopped(braked) == []
+
+    velocity = velocity.copy()
+    velocity[105:140, 1] = (-2.0, 0.0, 0.0)
+    assert stopped(replace(braked, velocity_ned_mps=velocity))
 
 
 def test_a_lost_stream_and_a_switch_stop_too() -> None:

@@ -42,6 +42,8 @@ BETWEEN_FOLLOWERS_M = LEAST_M + SURE_SIGMAS * UNRANGED_SIGMA_M
 MAKING_ROOM_M = 0.5
 # In wind: a vehicle that leans so far has nothing left to brake with (30 degrees are its limit).
 ALL_LEAN_RAD, BLOWN_WIND_MPS, BLOWN_S = math.radians(28.5), 4.0, 3.0
+# Two receivers that were further off than is allowed for, up to so long before.
+MISLED_S = 3.0
 # Faults at whose beginning and end a receiver moves its vehicle's position.
 _RECEIVERS = {"gps_jump", "gps_lost"}
 # A reading this near to the leader's distance is the leader's.
@@ -91,9 +93,10 @@ def separation(record: FlightRecord) -> list[Broken]:
             continue
         name = "the leader" if a == 0 else f"follower {a + 1}"
         blown = _blown(record, sample, a) or _blown(record, sample, b)
+        kind = MISLED if _misled(record, sample, a, b) else "separation"
         broken.append(
             Broken(
-                BLOWN if blown else "separation",
+                BLOWN if blown else kind,
                 float(record.time_s[sample]),
                 b + 1,
                 float(least_m[sample]),
@@ -131,6 +134,24 @@ def _blown(record: FlightRecord, sample: int, vehicle: int) -> bool:
         return False
     first = max(0, sample - round(BLOWN_S / SAMPLE_S))
     return bool((record.lean_rad[first : sample + 1, vehicle] >= ALL_LEAN_RAD).any())
+
+
+def _misled(record: FlightRecord, sample: int, a: int, b: int) -> bool:
+    """Whether two receivers have just shown a pair further apart than the envelope allows for.
+
+    A receiver that a fault has moved is no excuse: the tool sees its jump. Nor is one that a sonar
+    could correct: a leader that was ranged meanwhile.
+    """
+    if any(one.kind in _RECEIVERS for one in record.scenario.fault):
+        return False
+    recent = range(max(0, sample - round(MISLED_S / SAMPLE_S)), sample + 1)
+    if a == 0 and any(_ranges_the_leader(record, at, b) for at in recent):
+        return False
+    apart_m = record.position_ned_m[recent, b] - record.position_ned_m[recent, a]
+    shown_m = apart_m.copy()
+    shown_m[:, :2] += record.receiver_error_m[recent, b] - record.receiver_error_m[recent, a]
+    further_m = np.linalg.norm(shown_m, axis=1) - np.linalg.norm(apart_m, axis=1)
+    return bool(further_m.max() > SURE_SIGMAS * UNRANGED_SIGMA_M)
 
 
 def retreat_bound_m(record: FlightRecord, sample: int, follower: int) -> float:
@@ -205,7 +226,6 @@ def stopped(record: FlightRecord) -> list[Broken]:
     for number in range(record.follower_count):
         must = must_stand(record, number)
         moving = record.speed_over_ground_mps[:, number + 1] > stands_mps
-        moving &= ~_making_room(record, number + 1)
         at = _lasting(must & moving, 0.5)
         if at is None:
             continue
@@ -236,7 +256,8 @@ def must_stand(record: FlightRecord, number: int) -> Bools:
     # Neither is sent any points: each holds its place by itself.
     left = silent | switched
     reason = (stale & streams) | (left & ~_elsewhere(record, number, left))
-    reason &= record.guided[:, number]
+    # One that has made room for another is given the time to stop again.
+    reason &= record.guided[:, number] & ~_making_room(record, number + 1)
     reason[: round(STOPS_WITHIN_S / SAMPLE_S)] = False
     return _could_stop(reason, record.speed_over_ground_mps[:, number + 1])
 
@@ -409,6 +430,8 @@ def nothing_wrong(record: FlightRecord) -> bool:
 
 # The same while the wind took all the lean: counted apart, as no control law can prevent it.
 BLOWN, BLOWN_ON = "separation, blown", "stopped, blown"
+# Or while two receivers that no sonar corrects disagreed by more than the envelope allows for.
+MISLED = "separation, receivers"
 
 # In the order of the report.
 PROPERTIES: dict[str, Property] = {

@@ -48,8 +48,9 @@ class Point:
 class FlightRecord:
     """One flight, n samples at 10 Hz, v vehicles (the leader first), f = v - 1 followers.
 
-    position_ned_m, velocity_ned_mps: true, (n, v, 3). lean_rad: off upright, (n, v). height_m:
-    above its home by its own estimate, (n, v). mode, flying: the autopilot's, (n, v). least_m: the
+    position_ned_m, velocity_ned_mps: true, (n, v, 3). receiver_error_m: its own estimate less the
+    true position, north and east, (n, v, 2). lean_rad: off upright, (n, v). height_m: above its
+    home by its own estimate, (n, v). mode, flying: the autopilot's, (n, v). least_m: the
     least true distance of each pair since the sample before, (n, p), pairs as in `pairs`, indices
     of vehicles from 0. leader_age_s: age of the newest position of the leader that has reached the
     tool, (n,). stream_age_s: since a point last reached the follower, (n, f). speed_mps: its speed
@@ -65,6 +66,7 @@ class FlightRecord:
     lean_rad: Floats
     position_ned_m: Floats
     velocity_ned_mps: Floats
+    receiver_error_m: Floats
     height_m: Floats
     mode: Ints
     flying: Bools
@@ -177,6 +179,9 @@ class Observer:
         row("time_s", t_s)
         row("position", [vehicle.position_ned_m for vehicle in vehicles])
         row("velocity", [vehicle.velocity_ned_mps for vehicle in vehicles])
+        bodies = [vehicle.body for vehicle in vehicles]
+        errors = [(b.est_north_m - b.north_m, b.est_east_m - b.east_m) for b in bodies]
+        row("receiver_error", errors)
         row("lean", [math.hypot(one.body.roll_rad, one.body.pitch_rad) for one in vehicles])
         row("height", [vehicle.autopilot.height_above_home_m() for vehicle in vehicles])
         row("mode", [vehicle.autopilot.modes.mode for vehicle in vehicles])
@@ -226,6 +231,7 @@ class Observer:
             lean_rad=np.array(rows["lean"], dtype=float),
             position_ned_m=np.array(rows["position"], dtype=float),
             velocity_ned_mps=np.array(rows["velocity"], dtype=float),
+            receiver_error_m=np.array(rows["receiver_error"], dtype=float),
             height_m=np.array(rows["height"], dtype=float),
             mode=np.array(rows["mode"], dtype=np.int64),
             flying=np.array(rows["flying"], dtype=np.bool_),

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from echowing.campaign.draw import Description, draw, flight_seed
 from echowing.campaign.files import FINDS, scenario_text
 from echowing.campaign.fly import CRASHED, LOGS, Row, fly_and_judge, fly_one
-from echowing.campaign.properties import BLOWN, BLOWN_ON, PROPERTIES, Broken
+from echowing.campaign.properties import BLOWN, BLOWN_ON, MISLED, PROPERTIES, Broken
 from echowing.campaign.shrink import breaks, shrink, table_of
 from echowing.campaign.story import write_story
 from echowing.campaign.workers import WorkersDied, done_by_workers
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 # So many finds of each property, the worst, are shrunk: a hundred of one cause show no more.
 SHRUNK_EACH = 5
-ORDER = [*PROPERTIES, BLOWN, BLOWN_ON, LOGS, CRASHED]
+ORDER = [*PROPERTIES, MISLED, BLOWN, BLOWN_ON, LOGS, CRASHED]
 
 Stop = Callable[[], bool]
 OnRow = Callable[[Row], None]
@@ -78,7 +78,7 @@ def finds_of(rows: Iterable[Row]) -> dict[str, list[tuple[Row, Broken]]]:
             found[name].append((row, Broken(**first)))
     # Of a separation or a height the least value is the worst; of all else the largest.
     for name, entries in found.items():
-        sign = 1.0 if name in ("separation", BLOWN, "not too low") else -1.0
+        sign = 1.0 if name in ("separation", MISLED, BLOWN, "not too low") else -1.0
         entries.sort(key=lambda entry: (sign * entry[1].value, entry[0]["index"]))
     return {name: found[name] for name in ORDER if name in found}
 
