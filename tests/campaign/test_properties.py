@@ -21,8 +21,8 @@ from echowing.campaign.properties import (
     texts_said,
 )
 from echowing.campaign.record import FlightRecord, Point, fly_recorded
-from echowing.sim.modes import GUIDED, LOITER
 from echowing.sim.fault_section import FaultSection
+from echowing.sim.modes import GUIDED, LOITER
 from echowing.sim.scenario import Scenario, scenario_of
 
 STEP_S = 0.1
