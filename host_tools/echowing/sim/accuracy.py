@@ -17,7 +17,7 @@ from echowing.sim.scenario import load_scenario
 from echowing.sim.summary import fly
 
 # Nobody has flown these to choose anything.
-FIRST_SEED = 101
+FIRST_SEED = 301
 # From the start, where a follower hovers 3 m outside its slot, until its sonar has the leader.
 FOUND_WITHIN_S = 20.0
 
