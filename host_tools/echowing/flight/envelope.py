@@ -3,9 +3,9 @@
 For each other vehicle near by the envelope works out the distance that is certain, whatever the
 errors of receivers and radios and whatever that vehicle does meanwhile, and the closing speed from
 which this vehicle still stops in time. It flies the velocity nearest to the plan's that closes on
-nobody faster; if there is none, the one that leaves most room a second later. So it bends a plan
-that leads past a vehicle, slows one that leads at it, and backs away from a vehicle that comes too
-near: it never stands still while another comes nearer. Two vehicles in each other's way would wait
+nobody faster; if there is none, the one that leaves most room during the next second. So it bends a
+plan that leads past a vehicle, slows one that leads at it, and backs away from a vehicle that comes
+too near: it never stands still while another comes nearer. Two vehicles in each other's way would wait
 for each other; so each passes the other on its own right, as ships do.
 
 The applet stops by the same rule (`guard.stoppable_mps` in `lua/echowing.lua`);
@@ -26,7 +26,7 @@ SURE_SIGMAS = 2.5
 OTHERS_MPS2 = 2.5
 # Below LEAST_M: the retreat speed for each missing metre, and the fastest retreat.
 RETREAT_PER_S, RETREAT_MOST_MPS = 1.5, 3.0
-# A candidate is judged by the distance it leaves after this time; their number round the compass.
+# A candidate is judged by the distance it leaves up to this time; their number round the compass.
 LOOK_AHEAD_S = 1.0
 CANDIDATES = 16
 # So much too fast, a vehicle spends all its lean on the way out.
@@ -195,7 +195,7 @@ def _turned_right(velocity: Ned, wall: _Wall) -> Ned:
 
 
 def _roomiest(tried: Ned, others: Sequence[Other]) -> Ned:
-    """The candidate round the compass that leaves most of the certain distance."""
+    """The candidate round the compass that leaves most of the certain distances."""
     speed_mps = max(1.0, min(RETREAT_MOST_MPS, math.hypot(tried[0], tried[1])))
     ways = [(0.0, 0.0), *(_compass(number, speed_mps) for number in range(CANDIDATES))]
     north, east = max(ways, key=lambda way: _room(others, way))
