@@ -5,8 +5,8 @@ errors of receivers and radios and whatever that vehicle does meanwhile, and the
 which this vehicle still stops in time. It flies the velocity nearest to the plan's that closes on
 nobody faster; if there is none, the one that leaves most room during the next second. So it bends a
 plan that leads past a vehicle, slows one that leads at it, and backs away from a vehicle that comes
-too near: it never stands still while another comes nearer. Two vehicles in each other's way would wait
-for each other; so each passes the other on its own right, as ships do.
+too near: it never stands still while another comes nearer. Two vehicles in each other's way would
+wait for each other; so each passes the other on its own right, as ships do.
 
 The applet stops by the same rule (`guard.stoppable_mps` in `lua/echowing.lua`);
 `tests/flight/envelope.toml` holds for both.
