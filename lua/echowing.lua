@@ -876,11 +876,6 @@ do
         return distance_m > EVADE_LEAST_M and to_m < 0.5 * distance_m
     end
 
-    -- How far back to fly from a leader: to the wanted distance, and the leader's approach of one second more.
-    local function retreat_m(range_m)
-        return clamp(stream.distance_m() - range_m + math.max(0.0, -track.leader_mps), EVADE_LEAST_M, EVADE_MOST_M)
-    end
-
     -- The shorter of the newest single reading and the average.
     local function nearest(range_m, t_ms)
         local raw_m = track.newest(t_ms)
@@ -916,7 +911,9 @@ do
         -- Lower than 1.5 m up what is near is most likely the ground; points lead 2 m up and higher (flight/guard.py).
         local here = -ahrs:get_relative_position_D_home() > 1.5 and vehicle:get_likely_flying() and ahrs:get_location()
         local behind_m = here and target_behind_m(here, t_ms) or 0.0
-        guard.evading = here and should_back_off(behind_m, near_m, closing_mps) and own.fly_back(retreat_m(near_m))
+        -- Back to the wanted distance, and the leader's approach of one second more.
+        guard.evading = here and should_back_off(behind_m, near_m, closing_mps) and own.fly_back(clamp(
+            stream.distance_m() - near_m + math.max(0.0, -track.leader_mps), EVADE_LEAST_M, EVADE_MOST_M))
         if guard.evading then report.state = STATE.BACKING_OFF end
         if guard.evading or behind_m > EVADE_LEAST_M then return C.SPD_MAX end -- free to get away
         return C.SPD_MIN
@@ -937,7 +934,10 @@ do
         local closing_mps = trusted and own.mps - track.leader_mps or 0.0
         local tracked_m = trusted and track.range_m or nil
         local margin_m = guard.too_close and CLEAR_M or 0.0
-        if status == STATUS_LOW or (tracked_m and is_too_close(tracked_m, closing_mps, margin_m)) then
+        -- From a leader that comes (0.5 m/s) it backs off to the wanted distance: if it stopped as soon as it was as fast,
+        -- it would begin anew from nearer, its nose and its sonar down.
+        if status == STATUS_LOW or (tracked_m and (is_too_close(tracked_m, closing_mps, margin_m)
+            or (guard.evading and track.leader_mps < -0.5 and tracked_m < stream.distance_m()))) then
             return too_close(tracked_m or 0.0, closing_mps, t_ms)
         end
         guard.rest()

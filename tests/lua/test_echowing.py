@@ -500,6 +500,28 @@ def test_backs_off_from_a_leader_that_closes(rig: MakeRig) -> None:
     assert r.speed_mps < 5.0
 
 
+def test_backs_off_from_a_leader_that_comes_until_the_wanted_distance_is_left(
+    rig: MakeRig,
+) -> None:
+    """As fast as its leader it stopped again, and was met at 0.3 m by one that flew on."""
+    r = rig(LAW=2)
+    r.range(4.0).run(2.0)
+    close_in(r, 4.0, 2.2, 1.7, own_mps=0.0)
+    assert r.texts[-1] == "too close, backing off"
+    r.vehicle.velocity = (-1.7, 0.0, 0.0)
+    r.raw_every_ms, r.raw_m = 50, 2.2
+    r.range(2.2).run(1.0)
+    targets = len(r.vehicle.targets)
+    r.run(0.5)
+    assert len(r.vehicle.targets) > targets
+    assert r.target_ahead_m() < -1.7  # 0.8 m to the wanted 3 m, and its approach of a second
+    r.raw_m = 3.4
+    r.range(3.4).run(1.0)
+    targets = len(r.vehicle.targets)
+    r.run(0.5)
+    assert len(r.vehicle.targets) == targets
+
+
 @pytest.mark.parametrize(("height_m", "backs_off"), [(0.6, False), (1.4, False), (1.6, True)])
 def test_what_is_near_in_a_take_off_is_the_ground(
     rig: MakeRig, height_m: float, *, backs_off: bool
