@@ -127,6 +127,9 @@ def test_in_wind_that_takes_all_lean_it_is_counted_apart() -> None:
     assert separation(replace(record, scenario=windy))[0].name == "separation"
     assert separation(replace(record, scenario=windy, lean_rad=lean))[0].name == BLOWN
     assert separation(replace(record, lean_rad=lean))[0].name == "separation"
+    retreats = np.full_like(lean, np.radians(10.0))
+    retreats[30:50] = lean[30:50]
+    assert separation(replace(record, scenario=windy, lean_rad=retreats))[0].name == "separation"
 
 
 def test_receivers_that_disagree_by_more_than_is_allowed_for_are_counted_apart() -> None:
