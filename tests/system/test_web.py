@@ -96,6 +96,10 @@ def test_what_is_drawn_is_what_was_flown_and_it_comes_back_after_a_restart(
     sight.close()
 
 
+# The log has places to 1e-7 degrees (0.0111 m), the page to 1 mm: half of it each, of two places.
+ROUNDED_M = 0.0111 + 0.001
+
+
 def agrees(sample: dict[str, Any], logged: dict[str, str]) -> None:
     """A sample of the page against the row that the tool has logged for the same moment."""
     (follower,) = sample["frame"]["followers"]
@@ -107,9 +111,9 @@ def agrees(sample: dict[str, Any], logged: dict[str, str]) -> None:
     there_m = [a + b for a, b in zip(ned_between(leader, own)[:2], moved_m, strict=True)]
     top, metres = sample["drawn"]["top"], sample["drawn"]["metresPerPixel"]
     drawn_m = on_ground(top["1"]["px"], top["2"]["px"], metres)
-    assert drawn_m == pytest.approx(there_m, abs=0.01)
+    assert drawn_m == pytest.approx(there_m, abs=ROUNDED_M)
     slot_m = on_ground(top["1"]["px"], sample["drawn"]["slots"]["2"]["px"], metres)
-    assert slot_m == pytest.approx(ned_between(leader, slot)[:2], abs=0.01)
+    assert slot_m == pytest.approx(ned_between(leader, slot)[:2], abs=ROUNDED_M)
     assert sample["separation"] == f"{float(logged['separation_m']):.2f} m"
     assert (sample["mode"], sample["state"]) == (logged["mode"], logged["state"])
     assert follower["sonar"]["range"] == pytest.approx(number(logged["sonar_m"]), abs=0.006)
