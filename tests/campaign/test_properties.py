@@ -104,6 +104,16 @@ def test_the_retreat_begins_when_the_approach_can_be_known_of() -> None:
     assert bound_m(0.6) == pytest.approx(bound_m(0.1) - 2.0 * 0.5, abs=0.25)
 
 
+def test_before_an_approach_is_known_of_its_follower_drifts_and_does_not_retreat() -> None:
+    """A leader comes from 16 m at 2 m/s, unseen; 0.1 m/s of drift at the start is no way out."""
+    record = approached(2.0, 0.0, 16.0)
+    unseen = replace(record, leader_age_s=np.full(len(record.time_s), 60.0))
+    unseen.velocity_ned_mps[100, 1] = (-0.1, 0.0, 0.0)
+    assert retreat_bound_m(unseen, 177, 1) == pytest.approx(16.0 - 2.0 * 7.8, abs=0.25)
+    assert separation(unseen) == []
+    assert separation(record)
+
+
 def test_an_approach_from_too_fast_a_chase_is_no_excuse() -> None:
     """A follower that closes at 4 m/s from 3 m was wrong before its leader turned round."""
     record = approached(1.0, -4.0, 4.5)
@@ -297,6 +307,23 @@ def test_one_that_holds_alone_goes_along_with_its_own_receiver(why: str) -> None
     assert stopped(with_faults(own)) == []
     assert stopped(with_faults(others))
     assert stopped(with_faults(earlier))
+
+
+def test_one_that_the_tool_holds_is_given_time_after_a_jump_of_its_own_receiver() -> None:
+    """2 s until the tool is sure of it, and 2 s to stop again."""
+    record = stale(quiet(), 60)
+    velocity = record.velocity_ned_mps.copy()
+    velocity[150:185, 1] = (1.0, 0.0, 0.0)
+    flown = replace(record, velocity_ned_mps=velocity)
+    assert stopped(flown)
+
+    jump = {"kind": "gps_jump", "vehicle": 2, "at_s": 14.5, "jump_ned_m": (5.0, 0.0, 0.0)}
+    fault = scenario_of({"title": "t", "fault": [jump]}, "test").fault
+    jumped = record.scenario.model_copy(update={"fault": fault})
+    assert stopped(replace(flown, scenario=jumped)) == []
+    velocity = velocity.copy()
+    velocity[150:, 1] = (1.0, 0.0, 0.0)
+    assert stopped(replace(flown, velocity_ned_mps=velocity, scenario=jumped))
 
 
 def test_a_point_to_a_vehicle_that_said_it_is_the_pilots() -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from echowing.analysis.flight import Flight
-from echowing.analysis.metrics import found_s
+from echowing.analysis.metrics import found_s, within_s
 from echowing.cli import main
 from echowing.sim.accuracy import FIRST_SEED, FOUND_WITHIN_S, ROWS, Flown, Kept, fly_row
 from echowing.sim.law_table import (
@@ -130,8 +130,11 @@ def kept(**figures: float) -> Kept:
         "rmsd_m": goal.rmsd_m,
         "least_m": goal.least_m,
         "found_s": FOUND_WITHIN_S,
+        "reached_s": 12.0,
+        "sigma_m": 0.12,
     }
-    return Kept(ROWS[0], (Flown(**just), Flown(**{**just, **figures})))
+    known = Flown(**{**just, "mean_error_m": 0.07, "rmsd_m": 0.09})
+    return Kept(ROWS[0], (Flown(**just), Flown(**{**just, **figures})), (known, known))
 
 
 def test_a_row_is_judged_by_the_means_of_its_flights_and_by_the_worst_of_them() -> None:
@@ -174,6 +177,23 @@ def straight_flight() -> Flight:
     )
 
 
+def test_the_time_until_the_leader_is_within_reach() -> None:
+    flight = straight_flight()
+    assert within_s(flight, 3.5) == 0.0
+    assert within_s(flight, 2.5) is None
+
+
+def test_with_the_disagreement_known_the_follower_goes_where_its_leader_is() -> None:
+    """Two receivers 2 m apart along the line: unknown, the slot keeps the room they demand."""
+    as_it_is, known = (
+        fly_row(ROWS[0], 302, ["duration_s=16"], known=known) for known in (False, True)
+    )
+    assert known.reached_s < 4.0
+    assert as_it_is.reached_s > 10.0
+    assert known.sigma_m == 0.0
+    assert as_it_is.sigma_m > 0.3
+
+
 def test_a_row_is_flown_with_its_changes() -> None:
     near, far = (
         fly_row(ROWS[0], FIRST_SEED, ["duration_s=12", f"leader.start_s={start_s}"])
@@ -190,9 +210,14 @@ def test_accuracy_as_json_and_as_a_table(
     monkeypatch.setattr("echowing.sim.accuracy.fly_rows", lambda *_: [kept(), kept(least_m=0.9)])
     assert main(["bench", "--only", "accuracy", "--json"]) == 0
     figures = json.loads(capsys.readouterr().out)
-    assert [one["met"] for one in figures] == [True] * 6 + [False, True]
-    assert figures[6]["value"] == 0.9
-    assert figures[6]["goal"] == "at least 1.2"
+    judged = [one for one in figures if one["goal"]]
+    assert [one["met"] for one in judged] == [True] * 6 + [False, True]
+    assert judged[6]["value"] == 0.9
+    assert judged[6]["goal"] == "at least 1.2"
+    said = {one["what"].partition(": ")[2]: one["value"] for one in figures}
+    assert said["in reach"] == 12.0
+    assert said["mean error, disagreement known"] == 0.07
+    assert said["bound of RMSD"] == pytest.approx(0.15)  # of 0.09 and 0.12
     assert main(["bench", "--only", "accuracy"]) == 0
     printed = capsys.readouterr().out
     assert "PASS" in printed

@@ -690,6 +690,46 @@ def test_the_stop_switch_stops_and_hands_back() -> None:
     assert len(there.points(1.0)) == 8
 
 
+@pytest.mark.parametrize("why", ["stop switch", "leader is stale"])
+def test_a_hold_goes_along_with_one_that_its_applet_flies_back(why: str) -> None:
+    """From a leader that flies at it: back to its old place it would meet the leader again."""
+    there = Field(Limits(switch=StopSwitch(5, 1200)))
+    there.fly(1.0)
+    if why == "stop switch":
+        there.tell(FOLLOWER, rc_channels(5, 1800))
+    else:
+        there.silent = {LEADER}
+        there.fly(1.5)
+    (held, *_) = there.points()
+    assert north_of(held) == pytest.approx(-4.0, abs=0.02)
+
+    there.tell(FOLLOWER, mavlink.MAVLink_named_value_float_message(0, b"ECHO_STATE", 6.0))
+    there.north_m[FOLLOWER] = -9.0
+    assert north_of(there.points()[-1]) == pytest.approx(-9.0, abs=0.02)
+    assert there.state == f"holding: {why}"
+    there.tell(FOLLOWER, mavlink.MAVLink_named_value_float_message(0, b"ECHO_STATE", 5.0))
+    there.north_m[FOLLOWER] = -8.0  # the wind: it is to come back
+    assert north_of(there.points()[-1]) == pytest.approx(-9.0, abs=0.02)
+
+
+def test_a_stop_is_not_placed_further_off_because_of_the_wind(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """2.5 m/s: to a place metres off, where 1 m/s2 would stop it, a follower speeds up."""
+    there = Field(Limits())
+    there.speed_mps[FOLLOWER] = 2.5
+    there.fly(1.0)
+    follower = there.session.followers[FOLLOWER]
+    monkeypatch.setattr(there.session.known, "feel_wind", lambda *_: None)
+    follower.handling.wind_leaves_mps2 = 1.0
+    assert follower.handling.answer.decel_mps2 == 1.0
+    there.silent = {LEADER}
+    far_m = north_of(there.points(1.5)[-1]) + 4.0
+    until_it_leans_m = 2.5 * (0.3 + there.session.followers[FOLLOWER].way_s)
+    calm_mps2 = follower.handling.answer_in_calm.decel_mps2
+    assert far_m == pytest.approx(until_it_leans_m + 2.5**2 / (2.0 * calm_mps2), abs=0.3)
+
+
 def test_the_stop_switch_may_change_the_mode() -> None:
     there = Field(Limits(switch=StopSwitch(5, 1200, "BRAKE")))
     there.fly(1.0)

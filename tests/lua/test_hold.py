@@ -550,6 +550,15 @@ def test_a_stuck_sonar_does_not_run_away(rig: MakeRig, stuck_m: float) -> None:
     assert abs(loop.mps) < 0.25  # an average that seems too near allows it 0.2 m/s
 
 
+def test_the_leader_is_no_faster_than_the_points_and_one_metre_a_second(rig: MakeRig) -> None:
+    """A stuck sonar shows a leader as fast as its own vehicle, however hard it brakes."""
+    r = led(rig(LAW=2), 3.0, 0.0)
+    stream(r, 0.0, 0.5, 0.5)  # from 2 m/s; not yet long enough to be known as stuck
+
+    assert r.state == HOLDING
+    assert newest(r).north_mps == pytest.approx(1.5, abs=0.05)
+
+
 def still_held_s(r: Rig, ahead_m: float) -> float:
     """For how long the distance is held after the sonar has lost the leader."""
     r.range(7.66, HIGH)

@@ -115,6 +115,12 @@ def found_s(flight: Flight, inset_m: float) -> float | None:
     return None if first_s is None else first_s - float(flight.time_s[0])
 
 
+def within_s(flight: Flight, distance_m: float) -> float | None:
+    """After how long the two have been so near for a second; None: never."""
+    first_s = _first_steady_s(flight, flight.separation_m <= distance_m)
+    return None if first_s is None else first_s - float(flight.time_s[0])
+
+
 def _first_steady_s(flight: Flight, holds: NDArray[np.bool_]) -> float | None:
     """The first moment from which on something holds for a second; None: never."""
     ends = np.searchsorted(flight.time_s, flight.time_s + STEADY_S, side="right")

@@ -45,6 +45,8 @@ MAKING_ROOM_M = 0.5
 # a stop takes all the lean for a second, and is no excuse.
 ALL_LEAN_RAD, BLOWN_WIND_MPS, BLOWN_S = math.radians(28.5), 4.0, 3.0
 WIND_LEAN_RAD, WIND_LEAN_S = math.radians(20.0), 10.0
+# A jump of its own receiver moves a vehicle, held or not: so long until the tool is sure of it.
+JUMP_KNOWN_S = 2.0
 # Two receivers that were further off than is allowed for, up to so long before.
 MISLED_S = 3.0
 # Faults at whose beginning and end a receiver moves its vehicle's position.
@@ -162,10 +164,10 @@ def retreat_bound_m(record: FlightRecord, sample: int, follower: int) -> float:
     """What a perfect retreat would have left of the distance to the leader; `follower`: its index.
 
     The leader's approach is what it flew towards the follower's place, sample by sample, without a
-    break before `sample`. At its start the follower closes no faster than it can stop within the
-    promise. Its retreat begins once a report of the approach, or the sonar's second reading of it,
-    has had the time to act, and is no faster than the core's. While its pilot flies it, its flown
-    velocity counts.
+    break before `sample`. Until a report of the approach, or the sonar's second reading of it, has
+    had the time to act, the follower's flown velocity counts, but closing no faster than it can
+    stop within the promise from where the approach began. Then its retreat begins, no faster than
+    the core's. While its pilot flies it, all that it flies counts.
     """
     apart = record.position_ned_m[:, follower] - record.position_ned_m[:, 0]
     distance_m = np.linalg.norm(apart, axis=1)
@@ -188,12 +190,14 @@ def retreat_bound_m(record: FlightRecord, sample: int, follower: int) -> float:
     led = record.guided[:, follower - 1]
     answers = _lasted(led, Answer().dead_s)
     left_m = float(distance_m[first])
-    away_mps = max(float(own[first]), -closing_limit_mps(left_m, Answer(), LEAST_M))
-    bound_m = left_m
+    closing_mps = closing_limit_mps(left_m, Answer(), LEAST_M)
+    away_mps, bound_m = 0.0, left_m
     for at in range(first, last + 1):
         if not led[at]:
             away_mps = float(own[at])
-        elif at >= known and answers[at]:
+        elif at < known or not answers[at]:
+            away_mps = max(float(own[at]), -closing_mps)
+        else:
             away_mps = min(RETREAT_MOST_MPS, away_mps + OTHERS_MPS2 * SAMPLE_S)
         left_m += (away_mps - float(towards[at])) * SAMPLE_S
         bound_m = min(bound_m, left_m)
@@ -262,6 +266,8 @@ def must_stand(record: FlightRecord, number: int) -> Bools:
     reason = (stale & streams) | (left & ~_elsewhere(record, number, left))
     # One that has made room for another is given the time to stop again.
     reason &= record.guided[:, number] & ~_making_room(record, number + 1)
+    # So is one whose own receiver has jumped: its autopilot flies that before anybody knows of it.
+    reason &= ~_jumps(record, number)
     reason[: round(STOPS_WITHIN_S / SAMPLE_S)] = False
     return _could_stop(reason, record.speed_over_ground_mps[:, number + 1])
 
@@ -285,18 +291,30 @@ def _elsewhere(record: FlightRecord, number: int, left: Bools) -> Bools:
 
     It then holds its place by its receiver alone, and flies to where that puts it now.
     """
-    jumps_s = [
-        edge_s
-        for fault in record.scenario.fault
-        if fault.kind in _RECEIVERS and fault.vehicle == number + 2
-        for edge_s in (fault.at_s, fault.ends_s)
-    ]
+    jumps_s = _jumps_s(record, number)
     elsewhere = np.zeros(len(left), dtype=np.bool_)
     for at in range(1, len(left)):
         before_s, now_s = record.time_s[at - 1], record.time_s[at]
         jumped = any(before_s < edge_s <= now_s for edge_s in jumps_s)
         elsewhere[at] = left[at] and (elsewhere[at - 1] or jumped)
     return elsewhere
+
+
+def _jumps(record: FlightRecord, number: int) -> Bools:
+    """When a follower's receiver has jumped so lately that the tool cannot be sure of it, (n,)."""
+    since_s = [record.time_s - edge_s for edge_s in _jumps_s(record, number)]
+    lately = [(one > 0.0) & (one <= JUMP_KNOWN_S) for one in since_s]
+    return np.logical_or.reduce(lately) if lately else np.zeros(len(record.time_s), dtype=np.bool_)
+
+
+def _jumps_s(record: FlightRecord, number: int) -> list[float]:
+    """When a follower's receiver jumps, and back."""
+    return [
+        edge_s
+        for fault in record.scenario.fault
+        if fault.kind in _RECEIVERS and fault.vehicle == number + 2
+        for edge_s in (fault.at_s, fault.ends_s)
+    ]
 
 
 def _making_room(record: FlightRecord, vehicle: int) -> Bools:

@@ -26,7 +26,7 @@ examples:
   echowing bench --only echoes        what late echoes do to the sonar's readings (half a minute)
   echowing bench --only laws          the speed laws, 20 seeds, about 5 minutes on two cores
   echowing bench --only laws --seeds 3
-  echowing bench --only accuracy      how well the distance is kept, 20 seeds, about 8 minutes
+  echowing bench --only accuracy      how well the distance is kept, 20 seeds, about 16 minutes
 """
 
 SECTIONS = ("speed", "field", "firmware", "echoes", "laws", "accuracy")
@@ -138,7 +138,7 @@ def _print_accuracy(kept: "list[Kept]") -> None:
 
     from echowing.sim.accuracy import FOUND_WITHIN_S  # noqa: PLC0415
 
-    head = ("mean |e|", "RMSD", "least", "found, s", "")
+    head = ("mean |e|", "RMSD", "least", "found, s", "in reach", "known", "bound", "")
     shown = Table("flown", *(Column(one, no_wrap=True) for one in ("n", *head)))
     for one in kept:
         goal, missed = one.row.goal, one.missed
@@ -149,14 +149,19 @@ def _print_accuracy(kept: "list[Kept]") -> None:
             f"{one.rmsd_m:.2f} ({goal.rmsd_m:.2f})",
             f"{one.least_m:.2f} ({goal.least_m:.1f})",
             f"{one.found_s:.0f} ({FOUND_WITHIN_S:g})",
+            f"{one.reached_s:.0f}",
+            f"{one.known_error_m:.2f}",
+            f"{one.bound_rmsd_m:.2f}",
             f"FAIL: {', '.join(missed)}" if missed else "PASS",
         )
-    console = Console() if sys.stdout.isatty() else Console(width=120)
+    console = Console() if sys.stdout.isatty() else Console(width=150)
     console.print(shown)
     console.print(
         "Metres; in brackets the goal. Echowing with its defaults in each row, wanted distance "
         "3 m, leader at 2 m/s where not said otherwise. Found: the longest until the sonar has "
-        "the leader, from a start 3 m outside the slot.",
+        "the leader, from a start 3 m outside the slot; in reach: until it is near enough to be "
+        "heard at all. Known: mean error with the receivers' disagreement known; bound: RMSD with "
+        "it known, and with the estimate's own standard deviation.",
         highlight=False,
     )
 
@@ -173,6 +178,9 @@ def _accuracy_figures(kept: "list[Kept]") -> Iterator[Figure]:
             ("found", one.found_s, "s", f"within {FOUND_WITHIN_S:g}"),
         ):
             yield Figure(f"{name}: {what}", value, unit, wanted, what not in missed)
+        yield Figure(f"{name}: in reach", one.reached_s, "s")
+        yield Figure(f"{name}: mean error, disagreement known", one.known_error_m, "m")
+        yield Figure(f"{name}: bound of RMSD", one.bound_rmsd_m, "m")
 
 
 def _print_laws(table: "list[LawRow]") -> None:

@@ -52,6 +52,7 @@ REMEMBERED_S = 1.5  # longer than any link takes there and back
 # The applet's own targets (lua/echowing.md): too close, stream lost, backing off, holding.
 APPLET_STATE = "ECHO_STATE"
 APPLET_FLIES = (3, 5, 6, 7)
+APPLET_BACKS_OFF = 6
 WATCHDOG = "ECHO_STREAM_T"
 _FLIES_ON = "should this tool or the radio die, it flies on to its last point"
 WATCHDOG_ASKS = 3
@@ -440,6 +441,10 @@ class Guard:
     def switched(self, system_id: int) -> bool:
         """Whether the pilot's stop switch, or the leader's, has stopped it."""
         return self.switches.stops(system_id)
+
+    def backs_off(self, system_id: int) -> bool:
+        """Whether its applet flies it back from its leader, whatever points it gets."""
+        return self._watches[system_id].applet_state == APPLET_BACKS_OFF
 
     def stands(self, system_id: int) -> bool:
         """Whether this follower's stop has been verified."""

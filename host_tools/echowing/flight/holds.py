@@ -7,10 +7,12 @@ from echowing.flight.guidance import Horizontal
 from echowing.flight.heights import Heights
 from echowing.flight.own_motion import NOT_YET_S
 from echowing.flight.state import FollowerState
-from echowing.geo import GlobalPosition, displace
+from echowing.geo import GlobalPosition, displace, distance_m
 
 # A stop begins once it leans against its motion; a follower that hardly moves stops where it is.
 LEAN_S, STANDS_MPS = 0.3, 0.3
+# A hold that has been moved by this much has its place where the vehicle is.
+MOVED_M = 0.5
 
 
 class Holds:
@@ -33,6 +35,15 @@ class Holds:
         if self._guard is not None:
             self._guard.moving(follower.plan.system_id)
 
+    def go_along(self, follower: FollowerState, now_s: float) -> None:
+        """Hold one that its applet flies back from its leader where it gets to, not where it was.
+
+        Back there it would meet the leader again, and move although it is stopped.
+        """
+        backs_off = self._guard is not None and self._guard.backs_off(follower.plan.system_id)
+        if backs_off and moved_off(follower):
+            self._here(follower, now_s)
+
     def release(self, follower: FollowerState) -> None:
         """Hold it no longer."""
         follower.held_at = follower.hold_reason = follower.held_altitude_m = None
@@ -42,6 +53,13 @@ class Holds:
     def _here(self, follower: FollowerState, now_s: float) -> None:
         follower.held_at = _stopping_place(follower, now_s)
         follower.held_altitude_m = self._heights.to_keep_m(follower)
+
+
+def moved_off(follower: FollowerState) -> bool:
+    """Whether one that is held has been moved away from its place."""
+    if follower.held_at is None or follower.position is None:
+        return False
+    return distance_m(follower.held_at, follower.position) > MOVED_M
 
 
 def _stopping_place(follower: FollowerState, now_s: float) -> GlobalPosition | None:
@@ -64,16 +82,18 @@ def _gains_mps2(follower: FollowerState, velocity_mps: Horizontal) -> float:
     north_mps2, east_mps2 = follower.acceleration_mps2
     north, east = velocity_mps
     gains_mps2 = (north_mps2 * north + east_mps2 * east) / math.hypot(north, east)
-    most_mps2 = follower.handling.answer.decel_mps2
+    most_mps2 = follower.handling.answer_in_calm.decel_mps2
     return max(-most_mps2, min(most_mps2, gains_mps2))
 
 
 def _stopping_m(mps: float, gains_mps2: float, since_s: float, follower: FollowerState) -> float:
     """Metres to a stop: its speed goes on changing until it leans, from its report `since_s` ago.
 
-    As `stopping_m` of the applet.
+    As `stopping_m` of the applet. Without what the wind takes: to a place that is too far it would
+    speed up, and from one that is too near it comes back.
     """
     changes_s = since_s + LEAN_S
     then_mps = max(0.0, mps + gains_mps2 * changes_s)
     until_m = 0.5 * (mps + then_mps) * changes_s - mps * since_s
-    return until_m + then_mps * then_mps / (2.0 * follower.handling.answer.decel_mps2)
+    brakes_mps2 = follower.handling.answer_in_calm.decel_mps2
+    return until_m + then_mps * then_mps / (2.0 * brakes_mps2)

@@ -240,6 +240,7 @@ class FollowSession:
         reason = self._reason_to_stop(follower, fix, now_s)
         if reason is not None:
             self._hold(follower, reason, now_s)
+            self._holds.go_along(follower, now_s)
             return follower.held_at
         if fix is None:
             return None

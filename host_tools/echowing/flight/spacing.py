@@ -7,13 +7,12 @@ from echowing.flight.closing import MOST_MPS, Closing
 from echowing.flight.envelope import OTHERS_MPS2, Other, is_in_the_way, keep_apart, straight_out
 from echowing.flight.guard import Guard
 from echowing.flight.guidance import Horizontal, bearing_rad
+from echowing.flight.holds import moved_off
 from echowing.flight.jumps import SAME_RANGE_M
 from echowing.flight.offset_grid import Wandering
 from echowing.flight.state import LEADER, FollowerState, Known
-from echowing.geo import GlobalPosition, Ned, displace, distance_m, ned_between
+from echowing.geo import GlobalPosition, Ned, displace, ned_between
 
-# A hold that gives way by this much moves its place to where the vehicle is.
-MOVED_M = 0.5
 # The same text is not repeated sooner, however often the state comes and goes.
 REMARK_GAP_S = 10.0
 # A leader in its sonar is held by the applet, and points with a velocity are answered by it: 1 m/s
@@ -51,7 +50,7 @@ class Spacing:
         self._give_way(follower, other, now_s)
         if other is None:
             return point
-        if _moved_off(follower):
+        if moved_off(follower):
             follower.held_at = follower.position
         urgent = straight_out(flown, other, others, answer, self._least_m, own_mps)
         return _redirected(follower, here, point, (wanted, flown), urgent)
@@ -145,13 +144,6 @@ def _if_erred(there: GlobalPosition, shift_m: Horizontal) -> Iterator[GlobalPosi
     """Where another is, seen from here, if all that the two receivers jumped by was their error."""
     if math.hypot(*shift_m) >= SAME_RANGE_M:
         yield displace(there, (*shift_m, 0.0))
-
-
-def _moved_off(follower: FollowerState) -> bool:
-    """Whether one that is held has been moved away from its place."""
-    if follower.held_at is None or follower.position is None:
-        return False
-    return distance_m(follower.held_at, follower.position) > MOVED_M
 
 
 def _wanted_mps(

@@ -3,18 +3,24 @@
 Echowing with its defaults, in every row the same; seeds that nothing was chosen by. *Error* is the
 absolute separation error; a row's mean error and RMSD are the means of its flights', its least
 distance is the least of any flight and its time to find the leader the longest of any.
+
+Each flight is flown twice: as it is, and with the receivers' disagreement known. The second says
+what the rest of the product leaves, and with the estimate's own uncertainty what can be reached.
 """
 
 import math
 import os
 import statistics
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 
-from echowing.analysis.metrics import found_s
+from echowing.analysis.metrics import approach_s, found_s, metrics, within_s
+from echowing.flight.guidance import Horizontal
+from echowing.flight.offset_grid import OffsetGrid
+from echowing.sim.flight import FormationFlight
 from echowing.sim.scenario import load_scenario
-from echowing.sim.summary import fly
+from echowing.sim.sonar import FOIL_X8_RANGE_M
 
 # Nobody has flown these to choose anything.
 FIRST_SEED = 301
@@ -56,30 +62,41 @@ ROWS = (
 
 @dataclass(frozen=True)
 class Flown:
-    """One flight of a row. found_s: infinite where the sonar never had the leader."""
+    """One flight of a row.
+
+    found_s: until the sonar had the leader; reached_s: until the leader was within its reach,
+    wherever the nose pointed; infinite for never. sigma_m: what the estimate gives itself along the
+    line to the leader (root mean square).
+    """
 
     mean_error_m: float
     rmsd_m: float
     least_m: float
     found_s: float
+    reached_s: float
+    sigma_m: float
 
 
 @dataclass(frozen=True)
 class Kept:
-    """A row as it was flown, and whether each of its goals was met."""
+    """A row as it was flown, and whether each of its goals was met.
+
+    known: the same seeds with the receivers' disagreement known.
+    """
 
     row: Row
     flights: tuple[Flown, ...]
+    known: tuple[Flown, ...]
 
     @property
     def mean_error_m(self) -> float:
         """Mean of the flights' mean errors."""
-        return statistics.mean(one.mean_error_m for one in self.flights)
+        return _mean(one.mean_error_m for one in self.flights)
 
     @property
     def rmsd_m(self) -> float:
         """Mean of the flights' RMSD."""
-        return statistics.mean(one.rmsd_m for one in self.flights)
+        return _mean(one.rmsd_m for one in self.flights)
 
     @property
     def least_m(self) -> float:
@@ -90,6 +107,22 @@ class Kept:
     def found_s(self) -> float:
         """Longest time to find the leader in any flight."""
         return max(one.found_s for one in self.flights)
+
+    @property
+    def reached_s(self) -> float:
+        """Longest time in any flight until the leader was within the sonar's reach."""
+        return max(one.reached_s for one in self.flights)
+
+    @property
+    def known_error_m(self) -> float:
+        """Mean error with the receivers' disagreement known: no estimate of it leaves less."""
+        return _mean(one.mean_error_m for one in self.known)
+
+    @property
+    def bound_rmsd_m(self) -> float:
+        """What an estimate as unsure as it says it is adds to the RMSD with it known."""
+        known_m2 = _mean(one.rmsd_m**2 for one in self.known)
+        return math.sqrt(known_m2 + _mean(one.sigma_m**2 for one in self.flights))
 
     @property
     def missed(self) -> tuple[str, ...]:
@@ -104,38 +137,105 @@ class Kept:
         return tuple(name for name, is_met in met.items() if not is_met)
 
 
+def _mean(values: Iterable[float]) -> float:
+    return statistics.mean(values)
+
+
 def fly_rows(seeds: int, advance: Callable[[], None], jobs: int | None = None) -> list[Kept]:
     """Fly every row with `seeds` seeds on all cores; `advance` is called after each flight."""
-    plan = [(row, FIRST_SEED + number) for row in ROWS for number in range(seeds)]
-    flown: dict[tuple[Row, int], Flown] = {}
+    plan = [
+        (row, FIRST_SEED + number, known)
+        for row in ROWS
+        for known in (False, True)
+        for number in range(seeds)
+    ]
     with ProcessPoolExecutor(jobs or os.cpu_count()) as pool:
-        futures = {pool.submit(fly_row, *one): one for one in plan}
-        for future in as_completed(futures):
-            flown[futures[future]] = future.result()
+        futures = [pool.submit(fly_row, row, seed, known=known) for row, seed, known in plan]
+        for _ in as_completed(futures):
             advance()
-    return kept(flown)
-
-
-def kept(flown: dict[tuple[Row, int], Flown]) -> list[Kept]:
-    """The flights by row, in the table's order."""
-    listed = [(row, tuple(f for (of, _), f in flown.items() if of == row)) for row in ROWS]
-    return [Kept(row, flights) for row, flights in listed]
+    flown = [one.result() for one in futures]
+    return [
+        Kept(row, tuple(flown[at : at + seeds]), tuple(flown[at + seeds : at + 2 * seeds]))
+        for at, row in zip(range(0, len(flown), 2 * seeds), ROWS, strict=True)
+    ]
 
 
 def flight_count(seeds: int) -> int:
     """How many flights `fly_rows` flies."""
-    return len(ROWS) * seeds
+    return 2 * len(ROWS) * seeds
 
 
-def fly_row(row: Row, seed: int, changes: Sequence[str] = ()) -> Flown:
-    """One flight of a row; `changes` come on top."""
+def fly_row(row: Row, seed: int, changes: Sequence[str] = (), *, known: bool = False) -> Flown:
+    """One flight of a row; `changes` come on top. known: the receivers' disagreement is known."""
     scenario = load_scenario("echowing", [*row.changes, *changes])
-    one = fly(scenario, seed)
-    (measured,), (flight,) = one.metrics, one.flights
-    first_s = found_s(flight, scenario.guidance.sonar_inset_m)
+    flight = FormationFlight(scenario, seed)
+    watch = _Watch(flight, known=known)
+    result = flight.run(after_step=watch.step)
+    (flown,) = result.flights
+    approached_s, inset_m = approach_s(flown), scenario.guidance.sonar_inset_m
+    measured = metrics(flown, approached_s)
     return Flown(
         mean_error_m=measured.mean_abs_error_m,
         rmsd_m=measured.rmsd_m,
-        least_m=one.closest_m,
-        found_s=math.inf if first_s is None else first_s,
+        least_m=result.closest_m,
+        found_s=_or_never(found_s(flown, inset_m)),
+        reached_s=_or_never(within_s(flown, FOIL_X8_RANGE_M + inset_m)),
+        sigma_m=watch.sigma_m(approached_s),
     )
+
+
+def _or_never(first_s: float | None) -> float:
+    return math.inf if first_s is None else first_s
+
+
+class Known(OffsetGrid):
+    """The receivers' disagreement itself, in place of its estimate; `truth` gives it."""
+
+    def __init__(self, truth: Callable[[], Horizontal]) -> None:
+        super().__init__()
+        self._truth = truth
+        self._covariance = (0.0, 0.0, 0.0)
+
+    def advance(self, now_s: float) -> None:
+        """As good as heard at this moment."""
+        self._heard_at_s = now_s
+        self.north_m, self.east_m = self.most_likely_m = self._truth()
+
+    def heard(self, *_: object) -> None:
+        """Nothing to learn."""
+
+    def silent(self, *_: object) -> None:
+        """Nothing to learn."""
+
+
+class _Watch:
+    """Looks at the estimate while it flies, or puts the truth in its place."""
+
+    def __init__(self, flight: FormationFlight, *, known: bool) -> None:
+        self._flight = flight
+        (follower,) = flight.ground.session.followers.values()
+        self._estimate = follower.estimate
+        self._variances: list[tuple[float, float]] = []
+        if known:
+            self._estimate.offset = Known(self._truth)
+
+    def step(self) -> None:
+        """After each step."""
+        flight, offset = self._flight, self._estimate.offset
+        if isinstance(offset, Known):
+            offset.advance(flight.t_s)
+        leader, follower = flight.leader.body, flight.followers[0].body
+        north_m, east_m = leader.north_m - follower.north_m, leader.east_m - follower.east_m
+        sigma_m = offset.sigma_m(math.atan2(east_m, north_m))
+        self._variances.append((flight.t_s, sigma_m * sigma_m))
+
+    def sigma_m(self, from_s: float) -> float:
+        """Root mean square of what the estimate gives itself along the line to the leader."""
+        return math.sqrt(_mean(m2 for t_s, m2 in self._variances if t_s >= from_s))
+
+    def _truth(self) -> Horizontal:
+        leader, follower = self._flight.leader.body, self._flight.followers[0].body
+        return (
+            leader.est_north_m - leader.north_m - follower.est_north_m + follower.north_m,
+            leader.est_east_m - leader.east_m - follower.est_east_m + follower.east_m,
+        )
