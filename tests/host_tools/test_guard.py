@@ -317,6 +317,21 @@ def test_a_follower_that_has_fallen_silent_still_stands_where_it_was(silent_s: f
     assert closing_mps(there) < 0.3
 
 
+def test_one_that_its_applet_flies_back_is_given_way_to() -> None:
+    """Ordered forward it was met as if it flew there (0.09 m); its sonar had seen another."""
+    slowed = []
+    for applet_state in (1.0, 6.0):
+        there = Field(Limits(min_separation_m=1.0), followers=(FOLLOWER, 3), late_s=0.5, now_s=9.0)
+        there.north_m = {LEADER: 0.0, FOLLOWER: -6.0, 3: -12.0}
+        there.fly(1.0)
+        state = mavlink.MAVLink_named_value_float_message(0, b"ECHO_STATE", applet_state)
+        there.tell(FOLLOWER, state)
+        there.speed_mps[FOLLOWER] = -2.0
+        slowed.append(closing_mps(there))
+    # 0.5 s and the way of the order: a metre and more less room, from one that comes.
+    assert slowed[1] < slowed[0] - 1.0
+
+
 def test_one_that_has_landed_and_is_silent_is_in_nobodys_way() -> None:
     there = third_behind_second()
     there.tell(FOLLOWER, heartbeat(flying=False))

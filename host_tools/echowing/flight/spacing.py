@@ -108,17 +108,20 @@ class Spacing:
 
         Between followers no sonar tells which place is right after a receiver has jumped.
         """
-        there, age_s, velocity = other.then(arrives_s), 0.0, (0.0, 0.0, 0.0)
+        system_id = other.plan.system_id
+        backs_off = self._guard is not None and self._guard.backs_off(system_id)
+        there = other.straight_on(arrives_s) if backs_off else other.then(arrives_s)
+        age_s, velocity = 0.0, (0.0, 0.0, 0.0)
         if there is not None:
             # Its velocity then, by its orders: nobody runs into one in front that brakes.
             answers_s = arrives_s + follower.handling.answer.dead_s
-            velocity = (*other.velocity_then(answers_s), -other.climb_mps)
+            flown_mps = other.velocity_mps if backs_off else other.velocity_then(answers_s)
+            velocity = (*flown_mps, -other.climb_mps)
             age_s = arrives_s - other.position_at_s
         else:
             there = other.left_at
         if there is None:
             return
-        system_id = other.plan.system_id
         goal = here if follower.guided is None else follower.guided.slot
         mine, its = follower.own_jump.total_m, other.own_jump.total_m
         for place in (there, *_if_erred(there, (mine[0] - its[0], mine[1] - its[1]))):
@@ -129,7 +132,8 @@ class Spacing:
                 UNRANGED_SIGMA_M,
                 age_s,
                 is_in_the_way(ned_between(here, place), ned_between(here, goal)),
-                led=other.sent_to,
+                # Its applet flies it, and knows of nobody behind it.
+                led=other.sent_to and not backs_off,
             )
 
     def _between_m(

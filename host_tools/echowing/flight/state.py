@@ -170,6 +170,14 @@ class FollowerState:
             return None
         return self._motion_at(at_s)[0]
 
+    def straight_on(self, at_s: float) -> GlobalPosition | None:
+        """As `then`, for one that its applet flies back, whatever it is ordered."""
+        if self.position is None or at_s - self.position_at_s > LONGEST_CARRY_S:
+            return None
+        since_s = max(0.0, at_s - self.position_at_s)
+        north, east = self.velocity_mps
+        return displace(self.position, (north * since_s, east * since_s, -self.climb_mps * since_s))
+
     @property
     def left_at(self) -> GlobalPosition | None:
         """Where one that has fallen silent in the air stands; None: not known, or it does not fly.
