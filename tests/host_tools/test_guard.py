@@ -352,6 +352,20 @@ def test_a_receiver_that_jumped_leaves_two_places_to_keep_away_from() -> None:
     assert closing_mps(there) < 0.3
 
 
+def test_only_who_is_to_find_its_leader_leaves_the_leaders_braking_out() -> None:
+    """Pushed by the one behind it a follower met a leader that stopped (0.84 m)."""
+    closing = []
+    for radius_m in (4.4, 4.6):  # within reach of the sonar, and beyond
+        there = Field(Limits(min_separation_m=1.0), radius_m=radius_m)
+        there.north_m[FOLLOWER] = -7.0
+        quick(there)
+        there.fly(1.0)
+        there.speed_mps[FOLLOWER] = 3.0
+        closing.append(closing_mps(there, FOLLOWER))
+    assert closing[0] > 1.0
+    assert closing[1] < 0.5
+
+
 @pytest.mark.parametrize("whose", ["its own", "the leader's"])
 def test_a_receiver_that_jumped_leaves_two_places_of_the_leader(whose: str) -> None:
     """Led on after a jump of 12 m that no sonar denied it was flown at its leader (0.71 m)."""

@@ -2,6 +2,7 @@
 
 import json
 import socket
+import threading
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -28,6 +29,8 @@ class Feeder:
         self.scene = scene
         self._to = (LOOPBACK, port)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        # The truth comes in another thread than the one that closes.
+        self._in_use = threading.Lock()
         self._follower = follower
         follower.on_truth = self._tell
 
@@ -39,12 +42,16 @@ class Feeder:
             forward_m, right_m, down_m = body_frame(vector_ned_m, *angles)
             place = float(forward_m), float(right_m), float(down_m)
         names = ("forward_m", "right_m", "down_m")
-        self._socket.sendto(json.dumps(dict(zip(names, place, strict=True))).encode(), self._to)
+        told = json.dumps(dict(zip(names, place, strict=True))).encode()
+        with self._in_use:
+            if self._socket.fileno() >= 0:
+                self._socket.sendto(told, self._to)
 
     def close(self) -> None:
         """Say no more."""
         self._follower.on_truth = None
-        self._socket.close()
+        with self._in_use:
+            self._socket.close()
 
 
 def silence(state: State) -> Floats | None:

@@ -10,6 +10,7 @@ from echowing.flight.guidance import Horizontal, bearing_rad
 from echowing.flight.holds import moved_off
 from echowing.flight.jumps import SAME_RANGE_M
 from echowing.flight.offset_grid import Wandering
+from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.flight.state import LEADER, FollowerState, Known
 from echowing.geo import GlobalPosition, Ned, displace, ned_between
 
@@ -96,10 +97,17 @@ class Spacing:
                 leader.velocity_ned_mps,
                 follower.estimate.offset.sigma_m(bearing_rad(here, place)),
                 known.leader_age_s(arrives_s),
-                # A leader that is not heard is already kept so far off for the receivers' errors
-                # that with its braking added it would never be found.
-                brakes_mps2=OTHERS_MPS2 if follower.estimate.hears(now_s) else 0.0,
+                brakes_mps2=0.0 if self._looks_for_it(follower, now_s) else OTHERS_MPS2,
             )
+
+    def _looks_for_it(self, follower: FollowerState, now_s: float) -> bool:
+        """Whether its sonar is still to find the leader.
+
+        That is kept so far off for the receivers' errors that with its braking added it would never
+        be found.
+        """
+        within_reach = follower.plan.slot.radius_m < DETECTION_LIMIT_M
+        return within_reach and not follower.estimate.hears(now_s)
 
     def _other(
         self, follower: FollowerState, here: GlobalPosition, other: FollowerState, arrives_s: float
