@@ -958,10 +958,9 @@ end
 
 do
     -- How far the applet moves a point: little towards the leader, for the ground tool may know why the point is far
-    -- from it; more away from the leader. A sonar that is stuck then moves the vehicle no further.
+    -- from it; more away from the leader. A sonar that is stuck then moves the vehicle no further. The first also in m/s:
+    -- one with a stuck sonar takes its own speed for its leader's.
     local FORWARD_M, BACK_M = 1.0, 5.0
-    -- How much faster than the point towards the leader: one with a stuck sonar takes its own speed for its leader's.
-    local FASTER_MPS = 1.0
     -- From the second on a leader that goes on with its mission is where it was, and as fast as the ground tool says:
     -- until then the tool's reports may be older than what was seen last.
     local UNSEEN_MS, TOLD_MS = 300, 900
@@ -1000,7 +999,7 @@ do
         wanted_m = eased(wanted_m)
         if wanted_m > ahead_m + FORWARD_M then return ahead_m + FORWARD_M, math.min(mps, track.leader_mps) end
         if wanted_m < ahead_m - BACK_M then return ahead_m - BACK_M, mps end
-        return wanted_m, math.min(track.leader_mps, mps + FASTER_MPS)
+        return wanted_m, math.min(track.leader_mps, mps + FORWARD_M)
     end
 
     -- Towards the leader no faster than keeps it in the beam: a copter leans as it speeds up, and its sonar with it. Away
