@@ -140,6 +140,10 @@ def test_in_wind_that_takes_all_lean_it_is_counted_apart() -> None:
     retreats = np.full_like(lean, np.radians(10.0))
     retreats[30:50] = lean[30:50]
     assert separation(replace(record, scenario=windy, lean_rad=retreats))[0].name == "separation"
+    took_off = np.where(np.arange(len(lean))[:, np.newaxis] < 30, 0.0, lean)
+    height_m = np.where(took_off > 0.0, 10.0, 0.0)
+    just_up = replace(record, scenario=windy, lean_rad=took_off, height_m=height_m)
+    assert separation(just_up)[0].name == BLOWN
 
 
 def test_receivers_that_disagree_by_more_than_is_allowed_for_are_counted_apart() -> None:

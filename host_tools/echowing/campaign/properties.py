@@ -45,6 +45,8 @@ MAKING_ROOM_M = 0.5
 # a stop takes all the lean for a second, and is no excuse.
 ALL_LEAN_RAD, BLOWN_WIND_MPS, BLOWN_S = math.radians(28.5), 4.0, 3.0
 WIND_LEAN_RAD, WIND_LEAN_S = math.radians(20.0), 10.0
+# One that has just taken off has leant since then.
+IN_THE_AIR_M = 1.0
 # A jump of its own receiver moves a vehicle, held or not: so long until the tool is sure of it.
 JUMP_KNOWN_S = 2.0
 # Two receivers that were further off than is allowed for, up to so long before.
@@ -137,9 +139,10 @@ def _blown(record: FlightRecord, sample: int, vehicle: int) -> bool:
     """Whether the wind had just taken all the lean that a vehicle has."""
     if record.scenario.wind.speed_mps < BLOWN_WIND_MPS:
         return False
-    lean_rad = record.lean_rad[: sample + 1, vehicle]
+    flies = record.height_m[: sample + 1, vehicle] > IN_THE_AIR_M
+    lean_rad = record.lean_rad[: sample + 1, vehicle][flies][-round(WIND_LEAN_S / SAMPLE_S) :]
     at_limit = (lean_rad[-round(BLOWN_S / SAMPLE_S) - 1 :] >= ALL_LEAN_RAD).any()
-    return bool(at_limit and lean_rad[-round(WIND_LEAN_S / SAMPLE_S) :].mean() >= WIND_LEAN_RAD)
+    return bool(at_limit and lean_rad.mean() >= WIND_LEAN_RAD)
 
 
 def _misled(record: FlightRecord, sample: int, a: int, b: int) -> bool:
