@@ -912,9 +912,14 @@ do
         local here = -ahrs:get_relative_position_D_home() > 1.5 and vehicle:get_likely_flying() and ahrs:get_location()
         local behind_m = here and target_behind_m(here, t_ms) or 0.0
         -- Back to the wanted distance, and the leader's approach of one second more.
+        local evaded = guard.evading
         guard.evading = here and should_back_off(behind_m, near_m, closing_mps) and own.fly_back(clamp(
             stream.distance_m() - near_m + math.max(0.0, -track.leader_mps), EVADE_LEAST_M, EVADE_MOST_M))
-        if guard.evading then report.state = STATE.BACKING_OFF end
+        if guard.evading then
+            report.state = STATE.BACKING_OFF
+            -- Sent at once: the ground tool would call it back to where it held it.
+            if not evaded then report.named_ms = nil end
+        end
         if guard.evading or behind_m > EVADE_LEAST_M then return C.SPD_MAX end -- free to get away
         return C.SPD_MIN
     end

@@ -324,8 +324,7 @@ def test_one_that_its_applet_flies_back_is_given_way_to() -> None:
         there = Field(Limits(min_separation_m=1.0), followers=(FOLLOWER, 3), late_s=0.5, now_s=9.0)
         there.north_m = {LEADER: 0.0, FOLLOWER: -6.0, 3: -12.0}
         there.fly(1.0)
-        state = mavlink.MAVLink_named_value_float_message(0, b"ECHO_STATE", applet_state)
-        there.tell(FOLLOWER, state)
+        say_state(there, applet_state)
         there.speed_mps[FOLLOWER] = -2.0
         slowed.append(closing_mps(there))
     # 0.5 s and the way of the order: a metre and more less room, from one that comes.
@@ -732,13 +731,32 @@ def test_a_hold_goes_along_with_one_that_its_applet_flies_back(why: str) -> None
     (held, *_) = there.points()
     assert north_of(held) == pytest.approx(-4.0, abs=0.02)
 
-    there.tell(FOLLOWER, mavlink.MAVLink_named_value_float_message(0, b"ECHO_STATE", 6.0))
+    say_state(there, 6.0)
     there.north_m[FOLLOWER] = -9.0
     assert north_of(there.points()[-1]) == pytest.approx(-9.0, abs=0.02)
     assert there.state == f"holding: {why}"
-    there.tell(FOLLOWER, mavlink.MAVLink_named_value_float_message(0, b"ECHO_STATE", 5.0))
+    say_state(there, 5.0)
+    there.fly(TICK_S)
     there.north_m[FOLLOWER] = -8.0  # the wind: it is to come back
     assert north_of(there.points()[-1]) == pytest.approx(-9.0, abs=0.02)
+
+
+def test_a_hold_goes_along_until_one_that_backed_off_stands() -> None:
+    """0.3 s of backing off gave it 2 m/s; called back it met the leader that came (0.82 m)."""
+    there = Field(Limits())
+    there.fly(1.0)
+    there.silent = {LEADER}
+    there.fly(1.5)
+    say_state(there, 6.0)
+    say_state(there, 5.0)
+    there.north_m[FOLLOWER], there.speed_mps[FOLLOWER] = -5.5, -1.0
+    assert north_of(there.points()[-1]) < -5.5
+    there.north_m[FOLLOWER], there.speed_mps[FOLLOWER] = -6.0, 0.0
+    assert north_of(there.points(1.0)[-1]) < -5.5
+
+
+def say_state(there: Field, state: float) -> None:
+    there.tell(FOLLOWER, mavlink.MAVLink_named_value_float_message(0, b"ECHO_STATE", state))
 
 
 def test_a_stop_is_not_placed_further_off_because_of_the_wind(

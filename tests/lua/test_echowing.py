@@ -500,6 +500,17 @@ def test_backs_off_from_a_leader_that_closes(rig: MakeRig) -> None:
     assert r.speed_mps < 5.0
 
 
+def test_backing_off_is_reported_at_once(rig: MakeRig) -> None:
+    """Not up to half a second later: the tool would call it back to where it holds it."""
+    r = rig(LAW=1)
+    r.stream_every_ms, r.ahead_m = 120, 2.0
+    r.range(3.0).run(2.0)
+    near_m = 2.5
+    while "too close, backing off" not in r.texts:
+        near_m = close_in(r, near_m, 1.0, 0.05, own_mps=0.0)
+    assert r.state == 6
+
+
 def test_backs_off_from_a_leader_that_comes_until_the_wanted_distance_is_left(
     rig: MakeRig,
 ) -> None:

@@ -106,6 +106,7 @@ class _Watch:
     stuck_since_s: float | None = None
     refused: bool = False
     applet_state: int = 0
+    backed_off: bool = False
     released: bool = False
     unheard: bool = False
     low_told: bool = False
@@ -165,9 +166,13 @@ class Guard:
         elif kind == "POSITION_TARGET_LOCAL_NED":
             self._read_back_local(system_id, message, now_s)
         elif kind == "NAMED_VALUE_FLOAT" and message.name == APPLET_STATE:
-            self._watches[system_id].applet_state = round(message.value)
+            self._applet_said(self._watches[system_id], round(message.value))
         elif kind == "PARAM_VALUE" and message.param_id == WATCHDOG and self.limits.ready is None:
             self._find_watchdog(system_id, message.param_value, now_s)
+
+    def _applet_said(self, watch: _Watch, state: int) -> None:
+        watch.applet_state = state
+        watch.backed_off = watch.backed_off or state == APPLET_BACKS_OFF
 
     def _find_watchdog(self, system_id: int, silence_s: float, now_s: float) -> None:
         watch = self._watches[system_id]
@@ -445,6 +450,13 @@ class Guard:
     def backs_off(self, system_id: int) -> bool:
         """Whether its applet flies it back from its leader, whatever points it gets."""
         return self._watches[system_id].applet_state == APPLET_BACKS_OFF
+
+    def has_backed_off(self, system_id: int, *, stands: bool) -> bool:
+        """Whether its applet has flown it back; until that has ended, and it `stands`."""
+        watch = self._watches[system_id]
+        before, watch.backed_off = watch.backed_off, watch.backed_off and not stands
+        watch.backed_off = watch.backed_off or self.backs_off(system_id)
+        return before
 
     def stands(self, system_id: int) -> bool:
         """Whether this follower's stop has been verified."""

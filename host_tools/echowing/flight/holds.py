@@ -36,12 +36,16 @@ class Holds:
             self._guard.moving(follower.plan.system_id)
 
     def go_along(self, follower: FollowerState, now_s: float) -> None:
-        """Hold one that its applet flies back from its leader where it gets to, not where it was.
+        """Hold one that its applet has flown back where it gets to, not where it was.
 
         Back there it would meet the leader again, and move although it is stopped.
         """
-        backs_off = self._guard is not None and self._guard.backs_off(follower.plan.system_id)
-        if backs_off and moved_off(follower):
+        stands = follower.ground_speed_mps <= STANDS_MPS
+        if (
+            self._guard is not None
+            and self._guard.has_backed_off(follower.plan.system_id, stands=stands)
+            and moved_off(follower)
+        ):
             self._here(follower, now_s)
 
     def release(self, follower: FollowerState) -> None:
