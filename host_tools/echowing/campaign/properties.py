@@ -148,10 +148,10 @@ def _blown(record: FlightRecord, sample: int, vehicle: int) -> bool:
 def _misled(record: FlightRecord, sample: int, a: int, b: int) -> bool:
     """Whether two receivers have just shown a pair further apart than the envelope allows for.
 
-    A receiver that a fault has moved is no excuse: the tool sees its jump. Nor is one that a sonar
-    could correct: a leader that was ranged meanwhile.
+    A receiver that a fault has moved is no excuse: the tool sees its jump, where it runs. Nor is
+    one that a sonar could correct: a leader that was ranged meanwhile.
     """
-    if any(one.kind in _RECEIVERS for one in record.scenario.fault):
+    if record.tool[sample] and any(one.kind in _RECEIVERS for one in record.scenario.fault):
         return False
     recent = range(max(0, sample - round(MISLED_S / SAMPLE_S)), sample + 1)
     if a == 0 and any(_ranges_the_leader(record, at, b) for at in recent):
