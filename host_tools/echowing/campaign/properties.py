@@ -49,6 +49,8 @@ WIND_LEAN_RAD, WIND_LEAN_S = math.radians(20.0), 10.0
 IN_THE_AIR_M = 1.0
 # A jump of its own receiver moves a vehicle, held or not: so long until the tool is sure of it.
 JUMP_KNOWN_S = 2.0
+# And so long until its autopilot has flown it.
+FLOWN_S = 5.0
 # Two receivers that were further off than is allowed for, up to so long before.
 MISLED_S = 3.0
 # Faults at whose beginning and end a receiver moves its vehicle's position.
@@ -148,11 +150,14 @@ def _blown(record: FlightRecord, sample: int, vehicle: int) -> bool:
 def _misled(record: FlightRecord, sample: int, a: int, b: int) -> bool:
     """Whether two receivers have just shown a pair further apart than the envelope allows for.
 
-    A receiver that a fault has moved is no excuse: the tool sees its jump, where it runs. Nor is
-    one that a sonar could correct: a leader that was ranged meanwhile.
+    A receiver that a fault has moved is no excuse where the tool runs, which sees its jump; else
+    its autopilot flies it. Nor is one that a sonar could correct: a leader that was ranged
+    meanwhile.
     """
-    if record.tool[sample] and any(one.kind in _RECEIVERS for one in record.scenario.fault):
-        return False
+    if any(one.kind in _RECEIVERS for one in record.scenario.fault):
+        lately = slice(max(0, sample - round(FLOWN_S / SAMPLE_S)), sample + 1)
+        jumped = any(_jumps(record, one - 1)[lately].any() for one in (a, b) if one)
+        return bool(jumped and not record.tool[lately].any())
     recent = range(max(0, sample - round(MISLED_S / SAMPLE_S)), sample + 1)
     if a == 0 and any(_ranges_the_leader(record, at, b) for at in recent):
         return False
