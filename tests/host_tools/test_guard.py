@@ -317,10 +317,14 @@ def test_a_follower_that_has_fallen_silent_still_stands_where_it_was(silent_s: f
     assert closing_mps(there) < 0.3
 
 
-def test_one_that_its_applet_flies_back_is_given_way_to() -> None:
-    """Ordered forward it was met as if it flew there (0.09 m); its sonar had seen another."""
+@pytest.mark.parametrize("by_itself", [5.0, 6.0])
+def test_one_that_its_applet_flies_is_given_way_to(by_itself: float) -> None:
+    """Ordered forward it was met as if it flew there: back from another (0.09 m), or stopped.
+
+    The points of the second were lost on their way (0.88 m).
+    """
     slowed = []
-    for applet_state in (1.0, 6.0):
+    for applet_state in (1.0, by_itself):
         there = Field(Limits(min_separation_m=1.0), followers=(FOLLOWER, 3), late_s=0.5, now_s=9.0)
         there.north_m = {LEADER: 0.0, FOLLOWER: -6.0, 3: -12.0}
         there.fly(1.0)

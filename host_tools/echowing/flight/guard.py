@@ -53,6 +53,8 @@ REMEMBERED_S = 1.5  # longer than any link takes there and back
 APPLET_STATE = "ECHO_STATE"
 APPLET_FLIES = (3, 5, 6, 7)
 APPLET_BACKS_OFF = 6
+# In these states it flies targets of its own, whatever points the vehicle is sent.
+APPLET_IGNORES_POINTS = (5, 6)
 WATCHDOG = "ECHO_STREAM_T"
 _FLIES_ON = "should this tool or the radio die, it flies on to its last point"
 WATCHDOG_ASKS = 3
@@ -447,15 +449,15 @@ class Guard:
         """Whether the pilot's stop switch, or the leader's, has stopped it."""
         return self.switches.stops(system_id)
 
-    def backs_off(self, system_id: int) -> bool:
-        """Whether its applet flies it back from its leader, whatever points it gets."""
-        return self._watches[system_id].applet_state == APPLET_BACKS_OFF
+    def ignores_points(self, system_id: int) -> bool:
+        """Whether its applet flies it: back from its leader, or to a stop as no points reach it."""
+        return self._watches[system_id].applet_state in APPLET_IGNORES_POINTS
 
     def has_backed_off(self, system_id: int, *, stands: bool) -> bool:
         """Whether its applet has flown it back; until that has ended, and it `stands`."""
         watch = self._watches[system_id]
         before, watch.backed_off = watch.backed_off, watch.backed_off and not stands
-        watch.backed_off = watch.backed_off or self.backs_off(system_id)
+        watch.backed_off = watch.backed_off or watch.applet_state == APPLET_BACKS_OFF
         return before
 
     def stands(self, system_id: int) -> bool:

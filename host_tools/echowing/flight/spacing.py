@@ -117,13 +117,13 @@ class Spacing:
         Between followers no sonar tells which place is right after a receiver has jumped.
         """
         system_id = other.plan.system_id
-        backs_off = self._guard is not None and self._guard.backs_off(system_id)
-        there = other.straight_on(arrives_s) if backs_off else other.then(arrives_s)
+        by_itself = self._guard is not None and self._guard.ignores_points(system_id)
+        there = other.straight_on(arrives_s) if by_itself else other.then(arrives_s)
         age_s, velocity = 0.0, (0.0, 0.0, 0.0)
         if there is not None:
             # Its velocity then, by its orders: nobody runs into one in front that brakes.
             answers_s = arrives_s + follower.handling.answer.dead_s
-            flown_mps = other.velocity_mps if backs_off else other.velocity_then(answers_s)
+            flown_mps = other.velocity_mps if by_itself else other.velocity_then(answers_s)
             velocity = (*flown_mps, -other.climb_mps)
             age_s = arrives_s - other.position_at_s
         else:
@@ -140,8 +140,8 @@ class Spacing:
                 UNRANGED_SIGMA_M,
                 age_s,
                 is_in_the_way(ned_between(here, place), ned_between(here, goal)),
-                # Its applet flies it, and knows of nobody behind it.
-                led=other.sent_to and not backs_off,
+                # Its applet flies it, and knows of nobody beside it.
+                led=other.sent_to and not by_itself,
             )
 
     def _between_m(

@@ -171,7 +171,7 @@ class FollowerState:
         return self._motion_at(at_s)[0]
 
     def straight_on(self, at_s: float) -> GlobalPosition | None:
-        """As `then`, for one that its applet flies back, whatever it is ordered."""
+        """As `then`, for one that its applet flies, whatever it is ordered."""
         if self.position is None or at_s - self.position_at_s > LONGEST_CARRY_S:
             return None
         since_s = max(0.0, at_s - self.position_at_s)
