@@ -181,6 +181,18 @@ def test_a_stop_switch_stops_and_its_pilot_engages_again() -> None:
     assert not record.switched[between(record, 20.0, 24.0), 0].any()
 
 
+def test_a_switch_that_is_off_before_guided_is_reported_stops_nobody() -> None:
+    """Its pilot flies, engages and only then puts the switch off: by radio both come at once."""
+    record = flown(
+        {"kind": "pilot_takes_over", "vehicle": 2, "at_s": 8.0, "for_s": 5.0},
+        {"kind": "stop_switch", "vehicle": 2, "at_s": 10.0, "for_s": 3.04},
+    )
+
+    assert record.switched[between(record, 11.0, 13.0), 0].all()
+    assert not record.switched[between(record, 15.0, 17.0), 0].any()
+    assert judge(record) == []
+
+
 def test_a_tool_that_is_ended_stops_its_follower_and_then_itself() -> None:
     record = flown({"kind": "tool_stopped", "at_s": 10.0})
 

@@ -5,18 +5,12 @@ from itertools import pairwise
 
 import pytest
 
+from echowing.analysis.metrics import found_s
 from echowing.flight.guidance import GuidedPoint
-from echowing.flight.search import (
-    ASIDE_RAD,
-    BACK_RPS,
-    GATHERS_S,
-    PATIENCE_S,
-    PERIOD_S,
-    ROUNDS,
-    Search,
-    swung,
-)
+from echowing.flight.search import BACK_RPS, GATHERS_S, LOST, NEW, ROUNDS, Search, Swing, swung
 from echowing.geo import GlobalPosition, displace, ned_between
+from echowing.sim.fault_section import FaultSection
+from echowing.sim.flight import FormationFlight
 from echowing.sim.scenario import load_scenario
 from echowing.sim.summary import fly
 
@@ -28,27 +22,36 @@ SAID = "no echo, looking from the side"
 class Flown:
     """A search, tick by tick; `sides`: time, how far aside, the rate that was given."""
 
-    def __init__(self) -> None:
-        self.search, self.now_s = Search(), 0.0
+    def __init__(self, swing: Swing = NEW) -> None:
+        self.search, self.now_s, self.swing = Search(), 0.0, swing
         self.sides: list[tuple[float, float, float]] = []
 
     def on(self, span_s: float, *, misses: bool = True, in_slot: bool = True) -> "Flown":
         for _ in range(round(span_s / TICK_S)):
             self.now_s += TICK_S
-            rate_rps = self.search.update(self.now_s, misses=misses, in_slot=in_slot)
+            rate_rps = self.search.update(
+                self.now_s, misses=misses, in_slot=in_slot, new=self.swing is NEW
+            )
             self.sides.append((self.now_s, self.search.aside_rad, rate_rps))
         return self
+
+    def whole(self) -> "Flown":
+        """All of a search without an echo."""
+        return self.on(self.swing.patience_s + ROUNDS * self.swing.period_s + GATHERS_S + 1.0)
 
     @property
     def swings(self) -> bool:
         return self.search.is_under_way(self.now_s)
 
 
-def test_both_sides_are_seen_before_twenty_seconds_are_over() -> None:
-    """3 s at the tail, a second lost at the start, three quarters of a round."""
-    sides = Flown().on(20.0).sides
-    assert max(aside for _, aside, _ in sides) == pytest.approx(ASIDE_RAD, rel=0.01)
-    assert min(aside for _, aside, _ in sides) == pytest.approx(-ASIDE_RAD, rel=0.01)
+# The patience at the tail, a second lost at the start, three quarters of a round.
+@pytest.mark.parametrize(("swing", "aside_deg", "by_s"), [(NEW, 90.0, 22.5), (LOST, 60.0, 19.0)])
+def test_one_never_heard_is_looked_for_from_abeam(
+    swing: Swing, aside_deg: float, by_s: float
+) -> None:
+    sides = Flown(swing).on(by_s).sides
+    assert max(aside for _, aside, _ in sides) == pytest.approx(math.radians(aside_deg), rel=0.01)
+    assert min(aside for _, aside, _ in sides) == pytest.approx(-math.radians(aside_deg), rel=0.01)
 
 
 def test_the_rate_is_that_of_the_angle() -> None:
@@ -59,7 +62,7 @@ def test_the_rate_is_that_of_the_angle() -> None:
 
 def test_it_sets_out_and_ends_gently() -> None:
     """A quarter of a rad/s2 at the most: 0.8 m/s2 at 3 m."""
-    rates = [rate for _, _, rate in Flown().on(PATIENCE_S + ROUNDS * PERIOD_S + 5.0).sides]
+    rates = [rate for _, _, rate in Flown().whole().on(5.0).sides]
     hardest = max(abs(b - a) / TICK_S for a, b in pairwise(rates))
     assert hardest < 0.25
     assert max(rates) > 0.3
@@ -69,7 +72,7 @@ def test_it_begins_in_its_slot_and_after_some_patience() -> None:
     flown = Flown().on(30.0, in_slot=False)
     assert not flown.swings
     assert flown.search.aside_rad == 0.0
-    assert not flown.on(PATIENCE_S - 1.0).swings
+    assert not flown.on(NEW.patience_s - 1.0).swings
     assert flown.on(2.0).swings
     assert flown.on(5.0, in_slot=False).swings, "on its way round it is not in its slot"
 
@@ -77,12 +80,12 @@ def test_it_begins_in_its_slot_and_after_some_patience() -> None:
 def test_what_is_heard_again_within_the_patience_moves_nobody() -> None:
     flown = Flown()
     for _ in range(10):
-        flown.on(PATIENCE_S - 0.5).on(0.5, misses=False)
+        flown.on(NEW.patience_s - 0.5).on(0.5, misses=False)
     assert {aside for _, aside, _ in flown.sides} == {0.0}
 
 
 def test_heard_it_goes_back_to_the_tail_slowly() -> None:
-    flown = Flown().on(PATIENCE_S + PERIOD_S / 4.0)
+    flown = Flown().on(NEW.patience_s + NEW.period_s / 4.0)
     aside_rad = flown.search.aside_rad
     flown.on(1.0, misses=False)
     assert flown.search.aside_rad == pytest.approx(aside_rad - BACK_RPS, abs=1e-6)
@@ -91,11 +94,11 @@ def test_heard_it_goes_back_to_the_tail_slowly() -> None:
 
 
 def test_it_gives_up_until_it_has_heard_the_leader_again() -> None:
-    flown = Flown().on(PATIENCE_S + ROUNDS * PERIOD_S + GATHERS_S + 1.0)
+    flown = Flown().whole()
     assert not flown.swings
     assert not flown.on(60.0).swings
     assert flown.search.aside_rad == 0.0
-    assert flown.on(1.0, misses=False).on(PATIENCE_S + 1.0).swings
+    assert flown.on(1.0, misses=False).on(NEW.patience_s + 1.0).swings
 
 
 @pytest.mark.parametrize("aside_deg", [-60.0, 25.0, 60.0])
@@ -125,6 +128,25 @@ def test_a_leader_out_of_reach_from_the_tail_is_found_from_the_side(seed: int) -
     # Without the search: 1.3 to 3.2 m.
     assert measured.mean_abs_error_m < 0.5 * 1.3
     assert one.closest_m > 1.5
+
+
+def test_a_leader_that_was_never_heard_is_found_from_abeam() -> None:
+    """Swung by 60 degrees the follower found it after 41 s."""
+    scenario = load_scenario("echowing", ["leader.path=figure-eight", "duration_s=35"])
+    one = FormationFlight(scenario, 310).run()
+    found_at_s = found_s(one.flights[0], scenario.guidance.sonar_inset_m)
+    assert found_at_s is not None
+    assert found_at_s < 30.0
+
+
+def test_one_that_was_heard_is_looked_for_nearer_to_the_tail() -> None:
+    dead = FaultSection(kind="sonar_dead", vehicle=2, at_s=12.0)
+    scenario = load_scenario("echowing", ["duration_s=24"]).model_copy(update={"fault": (dead,)})
+    flight = FormationFlight(scenario, 303)
+    asides: list[float] = []
+    search = flight.ground.session.followers[2].search
+    flight.run(after_step=lambda: asides.append(search.aside_rad))
+    assert max(asides) == pytest.approx(LOST.aside_rad, rel=0.01)
 
 
 def test_a_leader_above_the_beam_is_not_looked_for_from_the_side() -> None:

@@ -204,13 +204,12 @@ class Observer:
         row("in_force", flight.faults.in_force)
 
     def _note_switches(self, ids: Sequence[int]) -> list[bool]:
-        """A switch that was on stops a follower until it has left Guided."""
+        """A switch that was on stops a follower until it says that it has left Guided."""
         leaders = self._links[LEADER].switch_on
         for number, system_id in enumerate(ids):
-            follower = self.flight.followers[number].autopilot.modes
-            on = leaders or self._links[system_id].switch_on
-            stays = self._switched[number] and follower.mode == GUIDED and follower.flying
-            self._switched[number] = on or stays
+            watch = self._links[system_id]
+            stays = self._switched[number] and watch.mode == GUIDED and watch.flying
+            self._switched[number] = leaders or watch.switch_on or stays
         return list(self._switched)
 
     def _row(self, name: str, value: object) -> None:

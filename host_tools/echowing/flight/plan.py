@@ -84,6 +84,7 @@ def _searching(
         now_s,
         misses=unheard and within_reach and estimate.listens(now_s),
         in_slot=here is not None and distance_m(here, guided.slot) < IN_SLOT_M,
+        new=math.isinf(estimate.missed_s),
     )
     return swung(guided, follower.search.aside_rad, rate_rps)
 

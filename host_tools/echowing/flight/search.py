@@ -12,12 +12,24 @@ from dataclasses import dataclass, replace
 from echowing.flight.guidance import GuidedPoint, Horizontal, carried_round
 from echowing.geo import displace, ned_between
 
-# The nose sways to both sides in 4 s: by then the search from the tail is complete, for a swing
-# begins slowly.
-PATIENCE_S = 3.0
-# At 60 degrees on either side 0.87 of the disagreement across the line counts; further round, the
-# leader could fly at the follower. There and back in 20 s is 1.4 m/s at most, 4.4 m away.
-ASIDE_RAD, PERIOD_S = math.radians(60.0), 20.0
+
+@dataclass(frozen=True, slots=True)
+class Swing:
+    """How a leader is looked for: after a time in the slot, so far aside, there and back."""
+
+    patience_s: float
+    aside_rad: float
+    period_s: float
+
+
+# A leader that was heard is near the tail. The nose sways to both sides in 4 s: by then the search
+# from the tail is complete, for a swing begins slowly. There and back in 20 s is 1.4 m/s at most,
+# 4.4 m away.
+LOST = Swing(3.0, math.radians(60.0), 20.0)
+# Of one that was never heard nothing is known. From abeam, what the receivers disagree by along the
+# tail does not count at all; further round, the leader flies at the follower. 1.7 m/s at most:
+# faster, the nose does not keep up behind slow radios.
+NEW = Swing(2.0, math.radians(90.0), 26.0)
 # A swing gathers speed, and loses it, in this time: ArduCopter 4.8 answers a point that sets out at
 # 1 m/s with 2.5 m/s.
 GATHERS_S = 2.0
@@ -34,23 +46,26 @@ class Search:
     """One follower's search; `aside_rad`: how far its slot is swung now, clockwise from above."""
 
     aside_rad: float = 0.0
+    _swing: Swing = NEW
     _begins_s: float | None = None
     _at_s: float = -math.inf
 
     def is_under_way(self, now_s: float) -> bool:
         """Whether the slot is swung to look for the leader."""
-        lasts_s = ROUNDS * PERIOD_S + GATHERS_S
+        lasts_s = ROUNDS * self._swing.period_s + GATHERS_S
         return self._begins_s is not None and 0.0 <= now_s - self._begins_s < lasts_s
 
-    def update(self, now_s: float, *, misses: bool, in_slot: bool) -> float:
+    def update(self, now_s: float, *, misses: bool, in_slot: bool, new: bool) -> float:
         """Swing on; returns the rate at which the slot swings now, rad/s.
 
-        misses: a leader that its sonar could hear is not heard; in_slot: it is where it should be.
+        misses: a leader that its sonar could hear is not heard; in_slot: it is where it should be;
+        new: the leader was never heard.
         """
         if not misses:
             self._begins_s = None
         elif self._begins_s is None and in_slot:
-            self._begins_s = now_s + PATIENCE_S
+            self._swing = NEW if new else LOST
+            self._begins_s = now_s + self._swing.patience_s
         elapsed_s = min(LONGEST_STEP_S, now_s - self._at_s)
         self._at_s = now_s
         before_rad = self.aside_rad
@@ -61,8 +76,9 @@ class Search:
         if self._begins_s is None or not self.is_under_way(now_s):
             left_rad = max(0.0, abs(self.aside_rad) - BACK_RPS * elapsed_s)
             return math.copysign(left_rad, self.aside_rad)
-        swung_s = _smoothly(now_s - self._begins_s, ROUNDS * PERIOD_S)
-        return ASIDE_RAD * math.sin(2.0 * math.pi * swung_s / PERIOD_S)
+        swing = self._swing
+        swung_s = _smoothly(now_s - self._begins_s, ROUNDS * swing.period_s)
+        return swing.aside_rad * math.sin(2.0 * math.pi * swung_s / swing.period_s)
 
 
 def _smoothly(since_s: float, whole_s: float) -> float:
