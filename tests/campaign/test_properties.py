@@ -162,6 +162,8 @@ def test_receivers_that_disagree_by_more_than_is_allowed_for_are_counted_apart()
     jump = FaultSection(kind="gps_jump", vehicle=3, at_s=4.0, jump_ned_m=(-3.0, 0.0, 0.0))
     jumped = record.scenario.model_copy(update={"fault": (jump,)})
     assert separation(replace(record, scenario=jumped))[0].name == "separation"
+    later = record.scenario.model_copy(update={"fault": (jump.model_copy(update={"at_s": 9.0}),)})
+    assert separation(replace(record, scenario=later))[0].name == MISLED
     # Without the tool nobody sees the jump: the autopilot flies it.
     alone = np.zeros_like(record.tool)
     assert separation(replace(record, scenario=jumped, tool=alone))[0].name == MISLED

@@ -154,7 +154,8 @@ def _misled(record: FlightRecord, sample: int, a: int, b: int) -> bool:
     its autopilot flies it. Nor is one that a sonar could correct: a leader that was ranged
     meanwhile.
     """
-    if any(one.kind in _RECEIVERS for one in record.scenario.fault):
+    now_s = record.time_s[sample]
+    if any(one.kind in _RECEIVERS and one.at_s <= now_s for one in record.scenario.fault):
         lately = slice(max(0, sample - round(FLOWN_S / SAMPLE_S)), sample + 1)
         jumped = any(_jumps(record, one - 1)[lately].any() for one in (a, b) if one)
         return bool(jumped and not record.tool[lately].any())

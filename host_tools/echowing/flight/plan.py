@@ -186,7 +186,8 @@ def _looking_around(follower: FollowerState, guided: GuidedPoint, now_s: float) 
     if follower.estimate.missed_s > LOST_S:
         north, east = offset.most_likely_m
         leader = displace(guided.leader, (offset.north_m - north, offset.east_m - east, 0.0))
-        return replace(guided, yaw_rad=bearing_rad(here, leader))
+        looks_rad = bearing_rad(here, leader) + follower.search.look_rad(now_s)
+        return replace(guided, yaw_rad=wrap_angle_rad(looks_rad))
     across_m = offset.sigma_m(guided.yaw_rad + math.pi / 2.0)
     unsure_rad = across_m / max(1.0, distance_m(here, guided.leader))
     off_rad = sway_rad(unsure_rad, now_s)

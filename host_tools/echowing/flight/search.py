@@ -30,6 +30,9 @@ LOST = Swing(3.0, math.radians(60.0), 20.0)
 # tail does not count at all; further round, the leader flies at the follower. 1.7 m/s at most:
 # faster, the nose does not keep up behind slow radios.
 NEW = Swing(2.0, math.radians(90.0), 26.0)
+# Before, the nose looks once to both sides: with receivers that disagree by 3 m a leader 2 m away
+# may be beside the beam, and the swing would fly at it (0.66 m in the demo's seed 26).
+LOOK_RAD, LOOK_S = math.radians(30.0), 4.0
 # A swing gathers speed, and loses it, in this time: ArduCopter 4.8 answers a point that sets out at
 # 1 m/s with 2.5 m/s.
 GATHERS_S = 2.0
@@ -54,6 +57,14 @@ class Search:
         """Whether the slot is swung to look for the leader."""
         lasts_s = ROUNDS * self._swing.period_s + GATHERS_S
         return self._begins_s is not None and 0.0 <= now_s - self._begins_s < lasts_s
+
+    def look_rad(self, now_s: float) -> float:
+        """How far aside the nose looks for one that was never heard, clockwise from above."""
+        if self._begins_s is None or self._swing is not NEW:
+            return 0.0
+        since_s = now_s - (self._begins_s - NEW.patience_s)
+        looks = 0.0 <= since_s < LOOK_S
+        return LOOK_RAD * math.sin(2.0 * math.pi * since_s / LOOK_S) if looks else 0.0
 
     def update(self, now_s: float, *, misses: bool, in_slot: bool, new: bool) -> float:
         """Swing on; returns the rate at which the slot swings now, rad/s.
