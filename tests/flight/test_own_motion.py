@@ -80,9 +80,14 @@ def test_what_is_forgotten_counts_no_more() -> None:
     assert motion.carried_on(HERE, (1.0, 0.0), 11.0, 12.0)[1] == (1.0, 0.0)
 
 
-def test_over_two_slow_radios_the_leader_is_found_and_held() -> None:
-    """Carried on at its velocity alone, the follower went to and fro, 5 to 13 m from its leader."""
-    one = flown("echowing", 101, "radio.follower.latency_s=0.46", "duration_s=45")
+@pytest.mark.parametrize("seed", [101, 102, 103, 104])
+def test_over_two_slow_radios_the_leader_is_found_and_held(seed: int) -> None:
+    """Carried on at its velocity alone, the follower went to and fro, 5 to 13 m from its leader.
+
+    The leader turns its first corner at 35 s: 3.2 to 4.7 m in 16 seeds that have found it.
+    """
+    one = flown("echowing", seed, "radio.follower.latency_s=0.46", "duration_s=45")
     late = one.flights[0].time_s > 35.0
-    assert one.flights[0].separation_m[late].max() < 4.0
+    assert one.flights[0].separation_m[late].max() < 5.0
+    assert one.flights[0].separation_m[late].mean() < 3.6
     assert one.closest_m > 1.2
