@@ -45,8 +45,8 @@ class Flown:
 
 
 # The patience at the tail, a second lost at the start, three quarters of a round.
-@pytest.mark.parametrize(("swing", "aside_deg", "by_s"), [(NEW, 90.0, 22.5), (LOST, 60.0, 19.0)])
-def test_one_never_heard_is_looked_for_from_abeam(
+@pytest.mark.parametrize(("swing", "aside_deg", "by_s"), [(NEW, 70.0, 19.5), (LOST, 60.0, 19.0)])
+def test_one_never_heard_is_looked_for_further_round(
     swing: Swing, aside_deg: float, by_s: float
 ) -> None:
     sides = Flown(swing).on(by_s).sides
@@ -149,7 +149,7 @@ def test_a_leader_out_of_reach_from_the_tail_is_found_from_the_side(seed: int) -
     assert one.closest_m > 1.5
 
 
-def test_a_leader_that_was_never_heard_is_found_from_abeam() -> None:
+def test_a_leader_that_was_never_heard_is_found_from_further_round() -> None:
     """Swung by 60 degrees the follower found it after 41 s."""
     scenario = load_scenario("echowing", ["leader.path=figure-eight", "duration_s=35"])
     one = FormationFlight(scenario, 310).run()

@@ -26,10 +26,10 @@ class Swing:
 # from the tail is complete, for a swing begins slowly. There and back in 20 s is 1.4 m/s at most,
 # 4.4 m away.
 LOST = Swing(3.0, math.radians(60.0), 20.0)
-# Of one that was never heard nothing is known. From abeam, what the receivers disagree by along the
-# tail does not count at all; further round, the leader flies at the follower. 1.7 m/s at most:
-# faster, the nose does not keep up behind slow radios.
-NEW = Swing(2.0, math.radians(90.0), 26.0)
+# Of one that was never heard nothing is known. From 70 degrees aside a third of what the receivers
+# disagree by along the tail counts. From abeam it is none, but a leader that turned a corner then
+# flew at the follower (0.82 m). 1.5 m/s at most.
+NEW = Swing(2.0, math.radians(70.0), 22.0)
 # Before, the nose looks once to both sides: with receivers that disagree by 3 m a leader 2 m away
 # may be beside the beam, and the swing would fly at it (0.66 m in the demo's seed 26).
 LOOK_RAD, LOOK_S = math.radians(30.0), 4.0
