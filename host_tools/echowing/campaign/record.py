@@ -204,12 +204,15 @@ class Observer:
         row("in_force", flight.faults.in_force)
 
     def _note_switches(self, ids: Sequence[int]) -> list[bool]:
-        """A switch that was on stops a follower until it says that it has left Guided."""
+        """A switch that was on stops a follower until it has left Guided.
+
+        Put off before the tool has heard of Guided it stops nobody.
+        """
         leaders = self._links[LEADER].switch_on
         for number, system_id in enumerate(ids):
-            watch = self._links[system_id]
-            stays = self._switched[number] and watch.mode == GUIDED and watch.flying
-            self._switched[number] = leaders or watch.switch_on or stays
+            watch, follower = self._links[system_id], self.flight.followers[number].autopilot.modes
+            led = follower.mode == GUIDED and follower.flying and watch.mode == GUIDED
+            self._switched[number] = leaders or watch.switch_on or (self._switched[number] and led)
         return list(self._switched)
 
     def _row(self, name: str, value: object) -> None:
