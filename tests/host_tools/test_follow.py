@@ -12,6 +12,7 @@ from echowing.flight.jumps import AGREEING_REPORTS
 from echowing.flight.leader_track import CLOCKS_AGREE_S, VehicleClock
 from echowing.flight.plan import CLOSES_MPS
 from echowing.flight.session import FollowSession
+from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.flight.state import FollowerPlan
 from echowing.geo import GlobalPosition, displace, ned_between
 from echowing.mavlink.messages import FORWARD, TOOL_SYSTEM_ID, sonar_range_m
@@ -142,6 +143,33 @@ def test_a_leader_is_heard_until_the_reports_have_come_and_gone() -> None:
     target = one_metre_behind_its_slot(unheard_s=1.5)
     assert metres_from_here(target)[0] == pytest.approx(-3.7, abs=0.03)
     assert target.vx == pytest.approx(0.49, abs=0.02)
+
+
+def opens_to_m(behind_m: float, *, heard: bool = True) -> float:
+    """The widest slot of one that hears a leader at 4 m/s, 3 m ahead, and then is so far behind."""
+    follow = session(GuidanceSettings())
+    state = follow.followers[FOLLOWER]
+    widest_m, lost_s = 0.0, 4.0
+    for tick in range(100):
+        now_s = 1.0 + 0.1 * tick
+        hears = heard and now_s < lost_s
+        leader = displace(HERE, (4.0 * now_s, 0.0, 0.0))
+        at = displace(leader, (-3.0 if hears else -behind_m, 0.0, 0.0))
+        follow.receive(from_vehicle(FOLLOWER, position(now_s, at, (4.0, 0.0))), now_s)
+        follow.receive(from_vehicle(LEADER, position(now_s, leader, (4.0, 0.0))), now_s)
+        state.estimate.heard(now_s, 3.0 if hears else DETECTION_LIMIT_M, 0.0)
+        follow.tick(now_s)
+        assert state.guided is not None
+        if now_s > lost_s:
+            widest_m = max(widest_m, math.hypot(*state.guided.offset_m))
+    return widest_m
+
+
+def test_one_that_fell_behind_closes_to_where_its_sonar_hears_the_leader() -> None:
+    """5 m behind it cannot hear it. A slot of 3.8 m, flown 0.5 m late, would keep it there."""
+    assert opens_to_m(5.0) == pytest.approx(3.0)
+    assert opens_to_m(4.0) > 3.5, "within reach, and not heard"
+    assert opens_to_m(5.0, heard=False) > 3.5, "never heard"
 
 
 def test_a_slot_that_was_opened_closes_slowly() -> None:

@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 
+from echowing.flight.estimate import HEARD_S
 from echowing.flight.guidance import (
     GuidanceSettings,
     GuidedPoint,
@@ -49,13 +50,13 @@ def planned(known: Known, follower: FollowerState, fix: LeaderFix, now_s: float)
     With feed-forward: the slot and its velocity. Position alone: a point ahead of the slot.
     """
     settings, least_m = known.settings, follower.reversal_m
-    if settings.learn_offset:
-        least_m = max(least_m, _least_radius_m(known, follower, now_s))
-        if least_m > 0.0 and not follower.estimate.hears(now_s):
-            least_m = max(least_m, _reversal_by_radio_m(known, follower, fix))
-    least_m = _closing_slowly(follower, least_m, now_s)
     arrives_s = now_s + follower.way_s
     leader = _leader(known, follower, fix, arrives_s)
+    if settings.learn_offset:
+        least_m = max(least_m, _least_radius_m(known, follower, now_s))
+        if least_m > 0.0 and _is_overdue(follower, leader, now_s):
+            least_m = max(least_m, _reversal_by_radio_m(known, follower, fix))
+    least_m = _closing_slowly(follower, least_m, now_s)
     guided = follower.guide.update(leader, arrives_s, follower.then(arrives_s), least_m)
     guided = replace(guided, age_s=max(0.0, now_s - fix.time_s))
     # In a formation another follower may be where it would search.
@@ -102,6 +103,19 @@ def _least_radius_m(known: Known, follower: FollowerState, now_s: float) -> floa
     line_rad = known.bearing_of_leader(follower, now_s) or 0.0
     unsure_m = settings.standoff_sigmas * offset.unproven_sigma_m(line_rad, now_s)
     return settings.clearance_m + unsure_m + offset.unproven_shift_m(line_rad, now_s)
+
+
+def _is_overdue(follower: FollowerState, leader: LeaderFix, now_s: float) -> bool:
+    """Whether the leader is not heard, though for a while it was within the sonar's reach.
+
+    One that was heard, and is out of reach because the follower fell behind at a corner, is heard
+    again on the way to the slot. If the slot opened meanwhile, it would stay out of reach.
+    """
+    here, estimate = follower.on_arrival(now_s), follower.estimate
+    if here is not None and distance_m(here, leader.position) > DETECTION_LIMIT_M:
+        follower.beyond_s = now_s
+    fell_behind = math.isfinite(estimate.missed_s) and now_s - follower.beyond_s <= HEARD_S
+    return not estimate.hears(now_s) and not fell_behind
 
 
 def _reversal_by_radio_m(known: Known, follower: FollowerState, fix: LeaderFix) -> float:

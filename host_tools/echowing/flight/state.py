@@ -96,7 +96,8 @@ class FollowerState:
     it leaves its plan; latched: why it is held until it leaves Guided; proven_m: the part of
     `Known.doubted_m` that the sonar has settled; reversal_m: the nearest slot from which it
     gets away if the leader turns round now; least_m, least_at_s: the nearest slot it was given
-    last, and when; opens: it was said that the slot opens for a reversal; searches: it looks
+    last, and when; beyond_s: when the leader was last out of its sonar's reach, as far as is
+    known; opens: it was said that the slot opens for a reversal; searches: it looks
     for the leader from the side.
     """
 
@@ -115,6 +116,7 @@ class FollowerState:
     reversal_m: float = 0.0
     least_m: float = 0.0
     least_at_s: float = 0.0
+    beyond_s: float = -math.inf
     opens: bool = False
     searches: bool = False
     raw_at_s: float = -math.inf
