@@ -330,5 +330,5 @@ def test_a_stuck_sonar_is_told_of_until_it_moves_again() -> None:
     assert record.sonar_m[between(record, 9.0, 15.0), 0].max() < 4.5
     (stuck_s,) = said(record, "follower 2: sonar is stuck, not believed")
     assert 10.9 < stuck_s < 11.8
-    (moves_s,) = said(record, "follower 2: sonar moves again")
+    (moves_s,) = said(record, "follower 2: sonar is believed again")
     assert 16.0 < moves_s < 16.5

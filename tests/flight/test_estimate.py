@@ -79,18 +79,61 @@ def swaying_m(range_m: float, number: int) -> float:
     return range_m + 0.01 * (number // 4 % 2)
 
 
-def test_a_sensor_that_is_stuck_teaches_nothing_more_and_is_believed_once_it_moves() -> None:
+def test_what_a_stuck_sensor_taught_is_forgotten_and_it_is_believed_once_it_moves() -> None:
     """3 s after its last change; a formation in the air repeats a centimetre five times."""
     estimate, leader = listening()
+    unknown_m = estimate.offset.sigma_m(0.0)
+    believed = 16 + STUCK_READINGS - 1
     for number in range(52):
+        if number == believed:
+            assert estimate.is_believed
+            assert estimate.offset.sigma_m(0.0) < 0.5 * unknown_m
         estimate.heard(4.5 + number * 0.1, swaying_m(2.8, min(number, 19)), 0.2)
         estimate.learn(leader)
-    last_s = 4.5 + 0.1 * (16 + STUCK_READINGS - 1)
-    assert estimate.offset.unheard_s(10.0) == pytest.approx(10.0 - last_s, abs=0.15)
+    assert not estimate.is_believed
+    assert estimate.offset.unheard_s(10.0) == math.inf
+    assert estimate.offset.sigma_m(0.0) == pytest.approx(unknown_m, rel=0.05)
 
     estimate.heard(9.7, 2.9, 0.2)
     estimate.learn(leader)
     assert estimate.offset.unheard_s(10.0) == pytest.approx(0.3 + SONAR_AGE_S)
+
+
+def test_a_sonar_that_hears_anything_teaches_nothing_and_is_believed_once_it_agrees() -> None:
+    """Of its readings one in ten is by chance like the one before: it moved the leader by 5 m."""
+    estimate, leader = listening()
+    unknown_m = estimate.offset.sigma_m(0.0)
+    chance = random.Random(7)
+    for number in range(40):
+        estimate.heard(2.0 + number * 0.1, chance.uniform(0.2, 7.65), 0.2)
+        estimate.learn(leader)
+    assert estimate.is_wild
+    assert not estimate.listens(6.0)
+    assert (estimate.offset.north_m, estimate.offset.east_m) == pytest.approx((0.0, 0.0), abs=0.05)
+    assert estimate.offset.sigma_m(0.0) == pytest.approx(unknown_m, rel=0.05)
+
+    for number in range(30):
+        estimate.heard(6.0 + number * 0.1, swaying_m(2.8, number), 0.2)
+    assert not estimate.is_wild
+    estimate.heard(9.8, 2.8, 0.2)
+    estimate.heard(9.9, 2.8, 0.2)
+    estimate.learn(leader)
+    assert estimate.offset.unheard_s(10.0) == pytest.approx(0.1 + SONAR_AGE_S)
+
+
+@pytest.mark.parametrize("wild_share", [0.01, 0.03])
+def test_a_healthy_sonar_is_believed_through_its_wild_readings(wild_share: float) -> None:
+    """Twenty minutes at the edge of the beam: 1.5 m/s, misses, wild ones."""
+    estimate = Estimate()
+    chance = random.Random(11)
+    for number in range(12_000):
+        range_m = 2.5 + 0.75 * math.sin(2.0 * number * 0.1)
+        if chance.random() < 0.3:
+            range_m = 7.65
+        if chance.random() < wild_share:
+            range_m = chance.uniform(0.2, 7.65)
+        estimate.heard(number * 0.1, range_m + chance.gauss(0.0, 0.01), 0.2)
+        assert not estimate.is_wild
 
 
 def test_nothing_in_reach_is_the_same_for_as_long_as_it_likes() -> None:

@@ -544,7 +544,8 @@ def offset_by_averages(orientation: int, raw_m: float | None, average_m: float =
         follow.receive(from_vehicle(FOLLOWER, position(t_s, FOLLOWER_AT)), t_s)
         if raw_m is not None:
             follow.receive(from_vehicle(FOLLOWER, sonar_reading(t_s, raw_m)), t_s)
-        follow.receive(from_vehicle(FOLLOWER, average(average_m, orientation)), t_s)
+        swaying_m = average_m + 0.01 * (number // 5 % 2)
+        follow.receive(from_vehicle(FOLLOWER, average(swaying_m, orientation)), t_s)
     return follow.followers[FOLLOWER].estimate.offset.north_m
 
 

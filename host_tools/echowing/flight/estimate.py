@@ -14,6 +14,10 @@ CONFIRM_S, CONFIRM_M = 0.3, 0.5
 # Between two vehicles in flight a range in centimetres changes within this many readings (3 s): if
 # it does not, the sensor is stuck.
 STUCK_READINGS = 30
+# A sonar that hears anything at all, an engine or another sonar, gives ranges of which four in ten
+# within reach are by chance like one of the two before. A healthy one gives one wild reading in a
+# hundred: six of thirty (3 s) are a fault.
+WILD_READINGS, WILD_OF = 6, 30
 # Readings come ten times a second, over a radio that may lose some.
 LISTENS_S = 3.0
 # A sonar that has detected the leader within this (readings are used a second late) is sure of it.
@@ -64,6 +68,8 @@ class Estimate:
         self._alignment = Alignment()
         self._before = (-math.inf, math.nan)
         self._alike = 0
+        self._within: deque[float] = deque(maxlen=2)  # the last readings of something in reach
+        self._scattered: deque[bool] = deque(maxlen=WILD_OF)
         self.jumped_m: Horizontal = (0.0, 0.0)
         """Receivers' jumps that are allowed for: the leader's, less the follower's."""
         self._used_to_s = -math.inf
@@ -72,6 +78,16 @@ class Estimate:
     def is_stuck(self) -> bool:
         """Whether the sonar keeps giving the same range."""
         return self._alike >= STUCK_READINGS and self._before[1] < DETECTION_LIMIT_M
+
+    @property
+    def is_wild(self) -> bool:
+        """Whether the sonar's ranges do not agree with each other."""
+        return sum(self._scattered) >= WILD_READINGS
+
+    @property
+    def is_believed(self) -> bool:
+        """Whether what the sonar says counts."""
+        return not self.is_stuck and not self.is_wild
 
     def hears(self, now_s: float) -> bool:
         """Whether its sonar has lately detected the leader."""
@@ -84,8 +100,8 @@ class Estimate:
         return self.offset.unheard_s(self._used_to_s) if known else math.inf
 
     def listens(self, now_s: float) -> bool:
-        """Whether its sonar works: readings come, and they change."""
-        return now_s - self._before[0] < LISTENS_S and not self.is_stuck
+        """Whether its sonar works: readings come, they change, and they agree."""
+        return now_s - self._before[0] < LISTENS_S and self.is_believed
 
     def reported(self, report: Report) -> None:
         """Take a report of the follower itself."""
@@ -94,9 +110,13 @@ class Estimate:
     def heard(self, time_s: float, range_m: float, inset_m: float) -> None:
         """Take a sonar reading; `inset_m`: how much less than the separation it is."""
         before_s, before_m = self._before
+        was_believed = self.is_believed
         self._before = (time_s, range_m)
         self._alike = self._alike + 1 if range_m == before_m else 0
-        if self.is_stuck:
+        self._compare(range_m)
+        if not self.is_believed:
+            if was_believed:  # it was wrong before that showed
+                self.offset, self._alignment = OffsetGrid(), Alignment()
             return
         if not time_s - before_s < CONFIRM_S:
             return
@@ -105,6 +125,14 @@ class Estimate:
             self._alignment.add(time_s, None)
         elif abs(range_m - before_m) < CONFIRM_M and 0.0 < range_m < DETECTION_LIMIT_M:
             self._alignment.add(time_s, range_m + inset_m)
+
+    def _compare(self, range_m: float) -> None:
+        """Note whether a range is like one of the two before it."""
+        in_reach = range_m < DETECTION_LIMIT_M
+        alone = all(abs(range_m - before_m) >= CONFIRM_M for before_m in self._within)
+        self._scattered.append(in_reach and len(self._within) == 2 and alone)
+        if in_reach:
+            self._within.append(range_m)
 
     def learn(self, leader: History) -> None:
         """Use the readings for which later reports of both vehicles have come."""

@@ -276,7 +276,7 @@ class FollowerState:
 
     def _take_range(self, time_s: float, range_m: float, inset_m: float) -> None:
         self.estimate.heard(time_s, range_m, inset_m)
-        if 0.0 < range_m < DETECTION_LIMIT_M and not self.estimate.is_stuck:
+        if 0.0 < range_m < DETECTION_LIMIT_M and self.estimate.is_believed:
             self.ranges.add(time_s, range_m)
 
 

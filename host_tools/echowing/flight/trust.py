@@ -38,7 +38,7 @@ class Trust:
         self._known, self._say, self._alert, self._doubt = known, say, alert, doubt
         self._strict = strict
         self._leader_jumps = self._two_leaders = False
-        self._stuck: set[int] = set()
+        self._unbelieved: set[int] = set()
 
     def leader_reported(self, message: Any, now_s: float) -> None:
         """Take the leader's GLOBAL_POSITION_INT."""
@@ -70,7 +70,7 @@ class Trust:
 
     def settle(self, follower: FollowerState, now_s: float) -> None:
         """Decide on a follower's own jump once the sonar has had time to deny it."""
-        self._note_stuck_sonar(follower, now_s)
+        self._note_sonar(follower, now_s)
         jump = follower.own_jump
         if jump.since_s is None:
             self._prove(follower, now_s)
@@ -102,15 +102,16 @@ class Trust:
         north_m, east_m = self._known.doubted_m(follower)
         follower.proven_m = follower.proven_m[0] + north_m, follower.proven_m[1] + east_m
 
-    def _note_stuck_sonar(self, follower: FollowerState, now_s: float) -> None:
-        """Say it once when a sonar sticks, and once when it moves again."""
-        system_id, stuck = follower.plan.system_id, follower.estimate.is_stuck
-        if not self._strict or stuck is (system_id in self._stuck):
+    def _note_sonar(self, follower: FollowerState, now_s: float) -> None:
+        """Say it once when a sonar is believed no more, and once when it is believed again."""
+        system_id, believed = follower.plan.system_id, follower.estimate.is_believed
+        if not self._strict or believed is (system_id not in self._unbelieved):
             return
-        self._stuck ^= {system_id}
-        text = "sonar is stuck, not believed" if stuck else "sonar moves again"
+        self._unbelieved ^= {system_id}
+        fault = "is stuck" if follower.estimate.is_stuck else "hears anything"
+        text = "sonar is believed again" if believed else f"sonar {fault}, not believed"
         self._say(now_s, f"follower {system_id}: {text}")
-        if stuck:
+        if not believed:
             self._alert(system_id, text)
 
     def _sonar_denies(self, follower: FollowerState, since_s: float) -> bool:
