@@ -332,3 +332,15 @@ def test_a_stuck_sonar_is_told_of_until_it_moves_again() -> None:
     assert 10.9 < stuck_s < 11.8
     (moves_s,) = said(record, "follower 2: sonar is believed again")
     assert 16.0 < moves_s < 16.5
+
+
+def test_a_sonar_that_hears_anything_is_told_of_until_its_readings_agree() -> None:
+    record = flown({"kind": "sonar_wild", "vehicle": 2, "at_s": 8.0, "for_s": 8.0})
+
+    # Two readings in five are odd, so the sixth comes after 1.5 s, and six leave the last 3 s.
+    told_s = said(record, "follower 2: sonar hears anything, not believed")
+    assert 8.5 < told_s[0] < 11.0
+    again_s = said(record, "follower 2: sonar is believed again")
+    assert 16.0 < again_s[-1] < 19.5
+    assert len(told_s) == len(again_s) <= 2
+    assert judge(record) == []
