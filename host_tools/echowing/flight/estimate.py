@@ -116,7 +116,7 @@ class Estimate:
         self._compare(range_m)
         if not self.is_believed:
             if was_believed:  # it was wrong before that showed
-                self.offset, self._alignment = OffsetGrid(), Alignment()
+                self._unlearn()
             return
         if not time_s - before_s < CONFIRM_S:
             return
@@ -147,9 +147,13 @@ class Estimate:
 
     def forget(self) -> None:
         """Drop what was learnt: a receiver has started anew."""
+        self._unlearn()
+        self.jumped_m = (0.0, 0.0)
+
+    def _unlearn(self) -> None:
+        """Drop what the sonar taught; the receivers' jumps stay allowed for."""
         self.offset = OffsetGrid()
         self._alignment = Alignment()
-        self.jumped_m = (0.0, 0.0)
 
     def jumped(self, moved_m: tuple[float, float]) -> None:
         """The leader's receiver has jumped by (north, east), or the follower's by the opposite."""

@@ -51,13 +51,15 @@ def planned(known: Known, follower: FollowerState, fix: LeaderFix, now_s: float)
     """
     settings, least_m = known.settings, follower.reversal_m
     arrives_s = now_s + follower.way_s
-    leader = _leader(known, follower, fix, arrives_s)
+    leader, here = _leader(known, follower, fix, arrives_s), follower.then(arrives_s)
     if settings.learn_offset:
         least_m = max(least_m, _least_radius_m(known, follower, now_s))
-        if least_m > 0.0 and _is_overdue(follower, leader, now_s):
+        if here is not None and distance_m(here, leader.position) > DETECTION_LIMIT_M:
+            follower.beyond_s = now_s
+        if least_m > 0.0 and _is_overdue(follower, now_s):
             least_m = max(least_m, _reversal_by_radio_m(known, follower, fix))
     least_m = _closing_slowly(follower, least_m, now_s)
-    guided = follower.guide.update(leader, arrives_s, follower.then(arrives_s), least_m)
+    guided = follower.guide.update(leader, arrives_s, here, least_m)
     guided = replace(guided, age_s=max(0.0, now_s - fix.time_s))
     # In a formation another follower may be where it would search.
     if settings.learn_offset and len(known.followers) == 1:
@@ -105,15 +107,13 @@ def _least_radius_m(known: Known, follower: FollowerState, now_s: float) -> floa
     return settings.clearance_m + unsure_m + offset.unproven_shift_m(line_rad, now_s)
 
 
-def _is_overdue(follower: FollowerState, leader: LeaderFix, now_s: float) -> bool:
+def _is_overdue(follower: FollowerState, now_s: float) -> bool:
     """Whether the leader is not heard, though for a while it was within the sonar's reach.
 
     One that was heard, and is out of reach because the follower fell behind at a corner, is heard
     again on the way to the slot. If the slot opened meanwhile, it would stay out of reach.
     """
-    here, estimate = follower.on_arrival(now_s), follower.estimate
-    if here is not None and distance_m(here, leader.position) > DETECTION_LIMIT_M:
-        follower.beyond_s = now_s
+    estimate = follower.estimate
     fell_behind = math.isfinite(estimate.missed_s) and now_s - follower.beyond_s <= HEARD_S
     return not estimate.hears(now_s) and not fell_behind
 
