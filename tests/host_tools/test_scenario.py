@@ -5,6 +5,8 @@ import pytest
 from echowing.errors import EchowingError
 from echowing.flight.guidance import GuidanceSettings
 from echowing.paths import repository_root
+from echowing.sim.flight import FormationWorld
+from echowing.sim.hangar import Hangar
 from echowing.sim.scenario import load_scenario, scenario_names
 from echowing.sim.scenario_page import page
 
@@ -55,6 +57,24 @@ def test_the_theses_flights_have_none_of_our_protections(name: str) -> None:
 
 def test_many_means_fifty() -> None:
     assert len(load_scenario("many").slots()) == 50
+
+
+def test_the_applets_distance_is_its_slots_radius_unless_told_otherwise() -> None:
+    slots = "formation.slots=[{radius_m=4.0}, {radius_m=8.0}, {radius_m=12.0, echo_dist_m=3.5}]"
+    scenario = load_scenario("echowing", [slots])
+    # 8 m is more than the applet accepts, and beyond the sonar.
+    assert [scenario.echo_dist_m(index) for index in range(3)] == [4.0, None, 3.5]
+    told = load_scenario("echowing", [slots, "applet.ECHO_DIST=2.0"])
+    assert [told.echo_dist_m(index) for index in range(3)] == [None, None, 3.5]
+
+
+@pytest.mark.parametrize(
+    ("changes", "dist_m"), [([], 4.0), (["applet.ECHO_DIST=3.5"], 3.5), (["law=thesis"], 4.0)]
+)
+def test_a_follower_flies_with_that_distance(changes: list[str], dist_m: float) -> None:
+    scenario = load_scenario("echowing", ["formation.slots=[{radius_m=4.0}]", *changes])
+    follower = FormationWorld(scenario, Hangar(scenario, 1)).followers[0]
+    assert follower.autopilot.parameters.saved["ECHO_DIST"] == dist_m
 
 
 def test_a_users_file_is_taken(tmp_path: Path) -> None:
