@@ -2,6 +2,7 @@ from pathlib import Path
 
 import pytest
 
+from echowing.cli import main
 from echowing.errors import EchowingError
 from echowing.flight.guidance import GuidanceSettings
 from echowing.paths import repository_root
@@ -106,12 +107,43 @@ def test_changes_reach_nested_keys() -> None:
         ("leader.path=track", "path 'track' needs `track`"),
         ("gps", "write key=value"),
         ("title.x=1", "'title' is a value, not a section"),
+        (
+            "applet.ECHO_DETEKT=3",
+            r"applet\.ECHO_DETEKT: the applet has no such parameter; .* ECHO_DETECT$",
+        ),
+        ("applet.ECHO_DIST=9", r"applet\.ECHO_DIST: 9 is not accepted; give 1\.5 to 6$"),
+        ("applet.ECHO_DIST=nan", r"applet\.ECHO_DIST: nan is not accepted"),
+        (
+            "follower.parameters.WP_SDP=1",
+            r"follower\.parameters\.WP_SDP: the simulated ArduCopter 4\.8 has .* WP_SPD$",
+        ),
+        ("follower.parameters.FOO=1", r"follower\.parameters\.FOO: .* has no such parameter$"),
+        ("follower.parameters.WPNAV_SPEED=500", r"ArduCopter 4\.8 has no such parameter"),
+        ("follower.parameters.WP_YAW_BEHAVIOR=128", r"give -128 to 127$"),
+        ("follower.parameters.ECHO_DIST=9", r"9 is not accepted; give 1\.5 to 6$"),
         ("nonsense=1", r"nonsense: no such key; allowed here: .*duration_s"),
     ],
 )
 def test_a_wrong_change_names_itself_and_what_is_allowed(change: str, says: str) -> None:
     with pytest.raises(EchowingError, match=says):
         load_scenario("echowing", [change])
+
+
+def test_parameters_that_the_devices_have_are_taken() -> None:
+    changes = [
+        "applet.ECHO_DIST=4",
+        'follower.generation="4.6"',
+        "follower.parameters.WPNAV_SPEED=500",
+        "follower.parameters.ECHO_DETECT=4",
+    ]
+    scenario = load_scenario("echowing", changes)
+    assert scenario.follower.parameters == {"WPNAV_SPEED": 500.0, "ECHO_DETECT": 4.0}
+
+
+def test_a_wrong_parameter_ends_the_command(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["sim", "echowing", "--set", "applet.ECHO_DIST=9"]) != 0
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert "ECHO_DIST" in line
 
 
 def test_a_wrong_key_in_a_list_names_its_place(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from echowing.flight.build_up import LEAST_DIST_M, MOST_DIST_M
 from echowing.flight.formation import DEFAULT_SLOT_SEPARATION_M, check_formation
 from echowing.flight.guidance import GRAY, GuidanceSettings, Slot
 from echowing.sim.fault_section import LEADER_FAULTS, FaultSection, objection
+from echowing.sim.named_parameters import objections
 from echowing.sim.parameters import Generation
 from echowing.sim.radio import RadioSettings
 from echowing.sim.section import NotNegative, Positive, Section, Share
@@ -431,6 +432,10 @@ def scenario_of(table: Mapping[str, Any], source: str) -> Scenario:
     except ValidationError as error:
         lines = [_explained(item) for item in error.errors()]
         raise EchowingError("\n".join(f"{source}: {line}" for line in lines)) from error
+    generation = scenario.follower.autopilot_generation()
+    wrong = list(objections(generation, scenario.applet, scenario.follower.parameters))
+    if wrong:
+        raise EchowingError("\n".join(f"{source}: {line}" for line in wrong))
     try:
         check_formation(scenario.slots(), scenario.formation.slot_separation_m)
     except EchowingError as error:
