@@ -169,6 +169,8 @@ def log_folder(args: argparse.Namespace) -> Path | None:
 
 
 def _add_safety(safety: "argparse._ArgumentGroup") -> None:
+    from echowing.flight.guard import MIN_SEPARATION_M  # noqa: PLC0415
+
     safety.add_argument(
         "--engage", action="store_true", help="send points; without --engage the tool only watches"
     )
@@ -204,7 +206,7 @@ def _add_safety(safety: "argparse._ArgumentGroup") -> None:
     safety.add_argument(
         "--min-separation",
         type=float,
-        default=1.0,
+        default=MIN_SEPARATION_M,
         metavar="M",
         help="distance that is certain to remain between any two vehicles (1.0): a follower that "
         "would come nearer slows down, gives way or backs off",
