@@ -33,7 +33,7 @@ from echowing.flight.state import GUIDED_MODE, FollowerPlan, FollowerState, Know
 from echowing.flight.take_off import Lift, TakeOff, TakeOffs
 from echowing.flight.trust import Trust
 from echowing.geo import GlobalPosition
-from echowing.mavlink.messages import TOOL_SYSTEM_ID, is_nonsense, position_target, status_text
+from echowing.mavlink.messages import TOOL_SYSTEM_ID, position_target, status_text
 
 STALE = "leader is stale"
 DISTANCE_HZ, ATTITUDE_HZ = 5.0, 2.0
@@ -110,11 +110,12 @@ class FollowSession:
     # ---- messages -------------------------------------------------------------------------------
 
     def receive(self, message: Any, now_s: float) -> None:
-        """Take any MAVLink message from any link; what is not needed is ignored."""
+        """Take any message that has come through a link's door (see `mavlink.plausible`).
+
+        What is not needed is ignored.
+        """
         system_id = message.get_srcSystem()
         kind = message.get_type()
-        if is_nonsense(kind, message):
-            return
         if self.guard is not None and (system_id == self.leader_id or system_id in self.followers):
             self.guard.receive(system_id, kind, message, now_s)
         if self.engagement is not None:
