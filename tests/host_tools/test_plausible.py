@@ -115,6 +115,7 @@ class TestDoor:
             assert not door.admits(received(3, attitude(roll=math.nan)))
             assert not door.admits(received(2, parameter("WP_ACC", 1e-30), component=191))
         assert door.refused == {"ATTITUDE": 6, "PARAM_VALUE": 3}
+        assert door.summary == "6 ATTITUDE, 3 PARAM_VALUE"
         assert door.news == [
             "system 2: ATTITUDE.roll nan cannot be: not believed",
             "system 3: ATTITUDE.roll nan cannot be: not believed",

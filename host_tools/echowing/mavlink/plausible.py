@@ -217,6 +217,11 @@ class Door:
             setattr(message, name, printable(getattr(message, name)))
         return True
 
+    @property
+    def summary(self) -> str:
+        """What was not let in, in words."""
+        return ", ".join(f"{count} {kind}" for kind, count in sorted(self.refused.items()))
+
     def _refuse(self, message: Any, fault: Fault) -> None:
         self.refused[message.get_type()] += 1
         who = message.get_srcSystem(), fault.name
