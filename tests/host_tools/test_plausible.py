@@ -13,7 +13,7 @@ from tests.host_tools.yard import FOLLOWER, Vehicle, Yard
 
 import echowing
 from echowing.flight.engage import APPLET, RTL
-from echowing.flight.handling import ACCELERATIONS, JERKS, LEANS
+from echowing.flight.vehicle_limits import BY_NAME, is_plausible
 from echowing.mavlink.links import Link, parse_address
 from echowing.mavlink.plausible import FIELDS, MOST_TOLD, PARAMETERS, Door, fault_of, printable
 from echowing.mavlink.seats import OpenLink
@@ -115,6 +115,7 @@ class TestDoor:
             assert not door.admits(received(3, attitude(roll=math.nan)))
             assert not door.admits(received(2, parameter("WP_ACC", 1e-30), component=191))
         assert door.refused == {"ATTITUDE": 6, "PARAM_VALUE": 3}
+        assert door.summary == "6 ATTITUDE, 3 PARAM_VALUE"
         assert door.news == [
             "system 2: ATTITUDE.roll nan cannot be: not believed",
             "system 3: ATTITUDE.roll nan cannot be: not believed",
@@ -223,4 +224,11 @@ class TestLinks:
 
 
 def test_each_parameter_that_the_flight_core_reads_has_a_span() -> None:
-    assert {*APPLET, *RTL, *ACCELERATIONS, *JERKS, *LEANS} <= set(PARAMETERS)
+    assert {*APPLET, *RTL, *BY_NAME} <= set(PARAMETERS)
+
+
+@pytest.mark.parametrize("name", sorted(BY_NAME))
+def test_the_door_and_the_flight_core_agree_on_the_ends_of_a_span(name: str) -> None:
+    least, most = PARAMETERS[name]
+    for value in (0.999 * least, 1.001 * least, 0.999 * most, 1.001 * most):
+        assert (fault_of(received(2, parameter(name, value))) is None) is is_plausible(name, value)

@@ -16,6 +16,8 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.flight.vehicle_limits import LIMITS
+
 Span = tuple[float, float]
 """The least and the greatest value; a value that is not a number is in no span."""
 
@@ -108,14 +110,15 @@ NAMED: dict[str, Span] = {
 }
 """The spans of named floats; others are finite."""
 
+# A 32-bit float carries seven digits: the ends of a span are in it.
+_WIDER = 1e-6
+
 PARAMETERS: dict[str, Span] = {
-    # ArduCopter's own span is 0.5 to 5 m/s2, and PSC_JERK's 1 to 20 m/s3: less holds nothing back.
-    "WP_ACC": (0.5, 20.0),
-    "WPNAV_ACCEL": (50.0, 2_000.0),
-    "PSC_JERK_NE": (0.5, 100.0),
-    "PSC_JERK_XY": (0.5, 100.0),
-    "ATC_ANGLE_MAX": (10.0, 80.0),
-    "ANGLE_MAX": (1_000.0, 8_000.0),
+    **{
+        name: ((1.0 - _WIDER) * limit.least / unit, (1.0 + _WIDER) * limit.most / unit)
+        for limit in LIMITS
+        for name, unit in limit.names.items()
+    },
     "ECHO_ENABLE": (0.0, 1.0),
     "ECHO_LAW": (0.0, 2.0),
     "ECHO_DIST": (0.0, 100.0),
@@ -213,6 +216,11 @@ class Door:
         for name in _texts(message.get_msgId()):
             setattr(message, name, printable(getattr(message, name)))
         return True
+
+    @property
+    def summary(self) -> str:
+        """What was not let in, in words."""
+        return ", ".join(f"{count} {kind}" for kind, count in sorted(self.refused.items()))
 
     def _refuse(self, message: Any, fault: Fault) -> None:
         self.refused[message.get_type()] += 1
