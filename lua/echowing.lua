@@ -1553,6 +1553,7 @@ do
 
     local function hand_back(reason)
         if not control.active then return end
+        speed.watch(own.at_ms) -- the pilot may have set it since the last update
         control.active = false
         speed.give_back(speed.pilot_units)
         report.state = STATE.OFF
