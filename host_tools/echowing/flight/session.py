@@ -198,7 +198,8 @@ class FollowSession:
         """The messages to send now: guided points, time synchronisation, heartbeat, rates."""
         messages = self._requests.messages(now_s)
         if self.engagement is not None:
-            self.engagement.prepare(now_s, engaged=self.engaged)
+            rising_m = {} if self.take_offs is None else self.take_offs.rising_m()
+            self.engagement.prepare(now_s, engaged=self.engaged, rising_m=rising_m)
             messages.extend(self.engagement.messages(now_s))
         if self.take_offs is not None:
             messages.extend(self._lift(self.take_offs, now_s))
