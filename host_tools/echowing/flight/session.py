@@ -116,6 +116,8 @@ class FollowSession:
         """
         system_id = message.get_srcSystem()
         kind = message.get_type()
+        if kind == "GLOBAL_POSITION_INT" and not self._trust.is_sure(system_id, message, now_s):
+            return
         if self.guard is not None and (system_id == self.leader_id or system_id in self.followers):
             self.guard.receive(system_id, kind, message, now_s)
         if self.engagement is not None:
@@ -368,7 +370,8 @@ class FollowSession:
         """Whether points go to this follower now."""
         stopped_rising = self.lift_of(follower) is Lift.STOPPED and follower.guided_mode
         ours = follower.in_guided or (stopped_rising and follower.armed)
-        if not ours or not self._may_lead(follower):
+        # To a place of another vehicle's, or to two vehicles at once, no point goes: not a hold.
+        if not ours or follower.unsure or not self._may_lead(follower):
             return False
         if self._stopping is not None and not follower.flown:
             return False
