@@ -330,7 +330,8 @@ class Flight:
                 vehicle.switches[option] = position
             case ("traffic", name, value):
                 setattr(self.traffic, name, value)
-            case ("kill", instructions):
+            case ("kill", instructions) if self.host.next_run_ms:
+                # Not while it loads: its parameters are added anew then, the mirror among them.
                 self.host.kill_after(instructions)
                 self.killed = True
             case ("restart",):
