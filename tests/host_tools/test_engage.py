@@ -255,7 +255,7 @@ def test_a_parameter_that_no_vehicle_has_is_named() -> None:
     yard = Yard()
     yard.vehicles[FOLLOWER].parameters["WP_ACC"] = 0.1
     assert yard.fly(SOON_S) == []
-    assert yard.said("WP_ACC 0.1 is not believed")
+    assert yard.door.news == ["system 2: WP_ACC 0.1 cannot be: not believed"]
 
 
 def test_limits_that_are_not_told_are_not_guessed() -> None:

@@ -637,10 +637,8 @@ def _cell(finding: Finding | None) -> str:
 
 def _unsure_of(handling: Handling) -> str:
     """What a follower's limits are computed without, as the end of a sentence."""
-    refused = [f"{name} {value:g} is not believed" for name, value in handling.refused.items()]
     missing = handling.missing if handling.known else []
-    worst = [f"not known, so taken as the worst: {', '.join(missing)}"] if missing else []
-    return "".join(f"; {text}" for text in (*refused, *worst))
+    return f"; not known, so taken as the worst: {', '.join(missing)}" if missing else ""
 
 
 def _clock(whose: str, clock: Any) -> Finding:
