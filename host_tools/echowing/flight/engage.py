@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.flight.guard import Guard
 from echowing.flight.guidance import MOVING_MPS, Horizontal, LeaderFix, slot_offset_m
-from echowing.flight.handling import least_slot_m
+from echowing.flight.handling import Handling, least_slot_m
 from echowing.flight.heights import Heights
 from echowing.flight.readiness import Readiness
 from echowing.flight.sonar import DETECTION_LIMIT_M
@@ -227,6 +227,7 @@ class Engagement:
         self._since_s: float | None = None
         self._table_shown = False
         self._doubts: dict[int, str] = {}
+        self._rising_m: Mapping[int, float] = {}
 
     # ---- what comes in, and what is asked -------------------------------------------------------
 
@@ -289,8 +290,14 @@ class Engagement:
 
     # ---- results --------------------------------------------------------------------------------
 
-    def prepare(self, now_s: float, *, engaged: bool) -> None:
-        """Once a tick, before any point: show the table, and check those not engaged yet."""
+    def prepare(
+        self, now_s: float, *, engaged: bool, rising_m: Mapping[int, float] | None = None
+    ) -> None:
+        """Once a tick, before any point: show the table, and check those not engaged yet.
+
+        rising_m: how high the followers take off that are still to be up. They are judged then.
+        """
+        self._rising_m = rising_m or {}
         if self._since_s is None:
             self._since_s = now_s
         if not self._table_shown:
@@ -301,7 +308,8 @@ class Engagement:
             if turn.cleared:
                 continue
             self._heights.take_leaders(follower)
-            if self._table_shown and engaged and follower.in_guided:
+            up = system_id not in self._rising_m
+            if self._table_shown and engaged and follower.in_guided and up:
                 self._judge(follower, turn, now_s)
 
     def cleared(self, system_id: int) -> bool:
@@ -466,15 +474,17 @@ class Engagement:
         if not self.readiness.reversal:
             return []
         handling = follower.handling
+        unsure = _unsure_of(handling)
         if not handling.known:
-            return [Finding("least", "?", "its acceleration and jerk are not known (WP_ACC)")]
+            wrong = f"its acceleration and jerk are not known (WP_ACC){unsure}"
+            return [Finding("least", "?", wrong)]
         least_m = least_slot_m(TURNS_MPS, handling.answer_in_calm)
         wrong = ""
         if radius_m < least_m:
             wrong = (
                 f"its slot is {radius_m:g} m from the leader, and {least_m:.1f} m is the least at "
                 f"which it gets away from a leader that turns round at {TURNS_MPS:g} m/s: "
-                f"`echowing setup apply` (WP_ACC, PSC_JERK_NE), or a larger --radius"
+                f"`echowing setup apply` (WP_ACC, PSC_JERK_NE), or a larger --radius{unsure}"
             )
         return [Finding("least", f"{least_m:.1f} m", wrong)]
 
@@ -505,6 +515,9 @@ class Engagement:
         return [Finding("home", f"{higher_m:+.1f} m", wrong)]
 
     def _height(self, follower: FollowerState) -> list[Finding]:
+        rises_to_m = self._rising_m.get(follower.plan.system_id)
+        if rises_to_m is not None:
+            return [Finding("height", f"to {rises_to_m:.1f} m")]
         wanted_m, height_m = self._heights.wanted_m(follower), follower.altitude_m
         if wanted_m is None or height_m is None:
             return [Finding("height", "?", "its height or the leader's is not known")]
@@ -620,6 +633,14 @@ def _that_fit(vehicles: list[str], columns: list[list[str]]) -> int:
 
 def _cell(finding: Finding | None) -> str:
     return "-" if finding is None else finding.shown + ("!" if finding.wrong else "")
+
+
+def _unsure_of(handling: Handling) -> str:
+    """What a follower's limits are computed without, as the end of a sentence."""
+    refused = [f"{name} {value:g} is not believed" for name, value in handling.refused.items()]
+    missing = handling.missing if handling.known else []
+    worst = [f"not known, so taken as the worst: {', '.join(missing)}"] if missing else []
+    return "".join(f"; {text}" for text in (*refused, *worst))
 
 
 def _clock(whose: str, clock: Any) -> Finding:

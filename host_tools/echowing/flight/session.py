@@ -221,7 +221,8 @@ class FollowSession:
         """The messages to send now: guided points, time synchronisation, heartbeat, rates."""
         messages = self._requests.messages(now_s)
         if self.engagement is not None:
-            self.engagement.prepare(now_s, engaged=self.engaged)
+            rising_m = {} if self.take_offs is None else self.take_offs.rising_m()
+            self.engagement.prepare(now_s, engaged=self.engaged, rising_m=rising_m)
             messages.extend(self.engagement.messages(now_s))
         if self.take_offs is not None:
             messages.extend(self._lift(self.take_offs, now_s))
@@ -268,7 +269,9 @@ class FollowSession:
             return follower.held_at
         if fix is None:
             return None
-        if self.engagement is not None and self.engagement.readiness.reversal:
+        reversal = self.engagement is not None and self.engagement.readiness.reversal
+        # Until it is cleared, its limits may be on their way, and what is not known is the worst.
+        if reversal and self._cleared(follower):
             self._allow_for_reversal(follower, fix, now_s)
         if follower.held_at is not None:
             self._let_go(follower, now_s)
