@@ -316,7 +316,7 @@ def test_the_stop_switch_has_to_be_seen_and_off(who: int) -> None:
     assert yard.said(f"follower 2: not engaged, {whose} stop switch is on")
     hear(1100)
     assert yard.fly(1.0) == []  # as the docstring says: until Guided is left
-    for mode in (LOITER, GUIDED):
+    for mode in (LOITER, LOITER, GUIDED):
         yard.vehicles[FOLLOWER].mode = mode
         yard.tell(FOLLOWER, yard.vehicles[FOLLOWER].heartbeat())
     assert yard.fly(1.0) != []

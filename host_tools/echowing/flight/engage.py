@@ -450,8 +450,8 @@ class Engagement:
         whose = "the leader's" if whose == "leader" else whose
         wrong = {
             "not seen": f"{whose} stop switch is not seen: check its transmitter and the channel",
-            "on": f"{whose} stop switch is on: switch it off, then leave Guided and come back",
-            "was on": f"{whose} stop switch was on: leave Guided and come back",
+            "on": f"{whose} stop switch is on: switch it off, then leave Guided for 2 s",
+            "was on": f"{whose} stop switch was on: leave Guided for 2 s",
         }
         return [Finding("switch", "?" if shown == "not seen" else shown, wrong.get(shown, ""))]
 
