@@ -35,7 +35,7 @@ from echowing.setup.checks import Finding, Verdict, examine, exit_code
 from echowing.setup.job import Work
 from echowing.setup.readout import CardApplet, Readout, Reports, Role
 from echowing.setup.settings import settings_for
-from echowing.setup.view import as_json, as_lines, differences
+from echowing.setup.view import as_json, as_lines, differences, tuning_note
 from echowing.sim.parameters import Generation, Parameters
 
 from .test_background import read_until
@@ -641,3 +641,11 @@ def test_every_help_has_an_example(part: str, capsys: pytest.CaptureFixture[str]
     with pytest.raises(SystemExit):
         main(["setup", part, "--help"])
     assert f"  echowing setup {part} " in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", ["WP_ACC", "WPNAV_ACCEL", "PSC_JERK_NE", "PSC_JERK_XY"])
+def test_higher_limits_are_raised_only_with_a_word_on_what_they_do_elsewhere(name: str) -> None:
+    note = "\n".join(tuning_note([Change("SCR_ENABLE", 0.0, 1.0), Change(name, 2.5, 5.0)]))
+    assert note.startswith(f"{name}: in Auto and RTL, too")
+    assert "tuned (AutoTune)" in note
+    assert tuning_note([Change("SCR_ENABLE", 0.0, 1.0)]) == []
