@@ -146,7 +146,8 @@ class Vehicle:
             self.hdop = message.eph / 100.0 if 0 < message.eph < UNKNOWN_EPH else None
         elif kind == "EKF_STATUS_REPORT":
             self.ekf_flags = message.flags
-            self.ekf_doubts = message.pos_horiz_variance >= DOUBTED_VARIANCE
+            # Not a number is no reason to trust it.
+            self.ekf_doubts = not message.pos_horiz_variance < DOUBTED_VARIANCE
         elif kind == "SYS_STATUS":
             self.battery_percent, self.voltage_mv = (
                 message.battery_remaining,

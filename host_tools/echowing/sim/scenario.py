@@ -8,12 +8,13 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, Field, ValidationError, model_validator
+from pydantic import BaseModel, Field, ValidationError, field_validator, model_validator
 
 from echowing.errors import EchowingError
 from echowing.flight.build_up import LEAST_DIST_M, MOST_DIST_M
 from echowing.flight.formation import DEFAULT_SLOT_SEPARATION_M, check_formation
 from echowing.flight.guidance import GRAY, GuidanceSettings, Slot
+from echowing.sim.cutter import ByteLoss
 from echowing.sim.fault_section import LEADER_FAULTS, FaultSection, objection
 from echowing.sim.named_parameters import objections
 from echowing.sim.parameters import Generation
@@ -204,7 +205,36 @@ class WindSection(Section):
     """Standard deviation of the gusts, as a share of the mean wind."""
 
 
-class RadioSection(Section):
+PacketBytes = Annotated[int, Field(ge=1, le=1000)]
+
+
+class LossySection(Section):
+    """What a link does to the bytes on it, both ways alike (see `echowing.sim.cutter`)."""
+
+    byte_loss: Share = 0.0
+    """Share of the radio's packets lost, which are cut from the bytes anywhere."""
+    packet_bytes: tuple[PacketBytes, PacketBytes] = (20, 80)
+    """Of `byte_loss` and `flip`: least and most bytes of a packet."""
+    flip: Share = 0.0
+    """Share of the radio's packets that arrive with one wrong bit."""
+
+    @field_validator("packet_bytes")
+    @classmethod
+    def _rises(cls, least_most: tuple[int, int]) -> tuple[int, int]:
+        if least_most[0] > least_most[1]:
+            raise ValueError("the least first, then the most")
+        return least_most
+
+    def byte_settings(self) -> ByteLoss:
+        """The same for the model of the bytes."""
+        return ByteLoss(self.byte_loss, self.packet_bytes, self.flip)
+
+
+class WireSection(LossySection):
+    """The wire between a follower's autopilot and its co-processor."""
+
+
+class RadioSection(LossySection):
     """One link, both ways alike."""
 
     latency_s: NotNegative = 0.0
@@ -212,19 +242,19 @@ class RadioSection(Section):
     jitter_s: NotNegative = 0.0
     """Random delay on top, up to this."""
     loss: Share = 0.0
-    """Share of the packets lost."""
+    """Share of the MAVLink frames lost, whole ones."""
     bandwidth_bytes_ps: Positive | None = None
     """Bytes per second; none: no limit."""
     reorder: Share = 0.0
-    """Share of the packets that arrive late."""
+    """Share of the frames that arrive late."""
     reorder_s: NotNegative = 0.3
     """How much later."""
     duplicate: Share = 0.0
-    """Share of the packets that arrive twice."""
+    """Share of the frames that arrive twice."""
 
     def settings(self) -> RadioSettings:
         """The same for the radio model."""
-        return RadioSettings(**self.model_dump())
+        return RadioSettings(**self.model_dump(exclude=set(LossySection.model_fields)))
 
 
 class LeaderRadioSection(RadioSection):
@@ -324,6 +354,8 @@ class Scenario(Section):
     """The wind."""
     radio: RadiosSection = RadiosSection()
     """The radio links."""
+    wire: WireSection = WireSection()
+    """The wires between autopilots and co-processors."""
     airframe: AirframeSection = AirframeSection()
     """How the vehicles differ from SITL's quad."""
     fault: tuple[FaultSection, ...] = ()
