@@ -342,16 +342,34 @@ def test_signing_silences_the_co_processor_and_the_fix_is_named() -> None:
 
 
 def test_a_leader_is_not_judged_as_a_follower() -> None:
-    bare = Readout({**factory(), **PILOTS})
+    bare = Readout({**factory(), **PILOTS, "WP_SPD": 4.0})
     assert [one for one in examine(bare, Role.LEADER) if one.verdict is not Verdict.FINE] == []
     assert exit_code(examine(bare)) == 1
     careless = Readout({**factory(), "ECHO_ENABLE": 1.0, "ECHO_STREAM_T": 0.0})
     doubts = {one.about for one in examine(careless, Role.LEADER) if one.verdict is Verdict.YOURS}
-    assert doubts == {"ECHO_ENABLE", "FS_GCS_ENABLE", "BATT_FS_LOW_ACT", "FENCE_ENABLE"}
+    assert doubts == {"WP_SPD", "ECHO_ENABLE", "FS_GCS_ENABLE", "BATT_FS_LOW_ACT", "FENCE_ENABLE"}
     assert exit_code(examine(careless, Role.LEADER)) == 0
 
 
 # ---- what is printed --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "slower"),
+    [("WP_SPD", 10.0, "WP_SPD 4,"), ("WPNAV_SPEED", 450.0, "WPNAV_SPEED 400,")],
+)
+def test_a_leader_whose_missions_outrun_its_followers_is_told(
+    name: str, value: float, slower: str
+) -> None:
+    parameters = {**factory(Generation.V4_6 if "NAV" in name else Generation.V4_8), **PILOTS}
+    (speed,) = (
+        one
+        for one in examine(Readout({**parameters, name: value}), Role.LEADER)
+        if one.about == name
+    )
+    assert speed.verdict is Verdict.YOURS
+    assert "up to 4 m/s" in speed.why
+    assert slower in speed.fix
 
 
 def test_lines_say_why_and_what_to_type_and_fold_what_is_dull() -> None:
