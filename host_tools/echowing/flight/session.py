@@ -248,7 +248,9 @@ class FollowSession:
             return follower.held_at
         if fix is None:
             return None
-        if self.engagement is not None and self.engagement.readiness.reversal:
+        reversal = self.engagement is not None and self.engagement.readiness.reversal
+        # Until it is cleared, its limits may be on their way, and what is not known is the worst.
+        if reversal and self._cleared(follower):
             self._allow_for_reversal(follower, fix, now_s)
         if follower.held_at is not None:
             self._let_go(follower, now_s)
