@@ -17,7 +17,7 @@ from pyarrow import parquet
 
 from echowing.campaign.draw import draw, flight_seed, load_description, parse_description
 from echowing.campaign.files import ROWS, Folder
-from echowing.campaign.fly import fly_one
+from echowing.campaign.fly import fly_and_judge, fly_one
 from echowing.campaign.properties import Broken, judge
 from echowing.campaign.record import fly_recorded
 from echowing.campaign.report import write_report
@@ -334,6 +334,34 @@ def test_the_report_names_faults_coverage_and_the_worst(flown: Path) -> None:
 def broken_row(index: int, value: float, name: str = "separation") -> dict[str, Any]:
     found = {"name": name, "time_s": 1.0, "vehicle": 2, "value": value, "text": f"{value} m"}
     return {"index": index, "seed": 1, "broken": [found]}
+
+
+def test_an_autopilot_that_ends_in_flight_is_a_find(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """As ArduPilot ends where a script gives Guided a number that is none."""
+    script = tmp_path / "careless.lua"
+    script.write_text("""
+        local nowhere = Vector3f()
+        nowhere:x(0.0 / 0.0)
+        local function update()
+          if millis():toint() > 3000 then
+            vehicle:set_target_pos_NED(nowhere, false, 0, false, 0, false, false)
+          end
+          return update, 100
+        end
+        return update()
+    """)
+    monkeypatch.setattr("echowing.sim.hangar.shipped", lambda name: script)
+
+    judged = fly_and_judge(load_scenario("echowing", ["duration_s=10"]), 3)
+
+    assert judged.record is None
+    [broken] = judged.broken
+    assert (broken.name, broken.vehicle) == ("no error", 2)
+    assert broken.time_s == pytest.approx(3.1, abs=0.11)
+    assert "floating point exception" in broken.text
+    assert main(["sim", "echowing", "--set", "duration_s=10"]) == 2
 
 
 def test_the_worst_find_comes_first() -> None:

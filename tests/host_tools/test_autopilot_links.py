@@ -1,5 +1,6 @@
 """The simulated autopilot's MAVLink: rangefinder, parameters, streams, routing, texts, signing."""
 
+import math
 import struct
 from pathlib import Path
 from typing import Any
@@ -7,9 +8,10 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.sim.autopilot import AutopilotEndedError
 from echowing.sim.parameters import Generation, dialect_of, float32
 
-from .autopilot_bench import FORWARD_SONAR, SYSTEM_ID, TOOL, Bench
+from .autopilot_bench import FORWARD_SONAR, POSITION_VELOCITY, SYSTEM_ID, TOOL, Bench
 
 NO_DATA, LOW, HIGH, GOOD = 1, 2, 3, 4
 ACCEPTED, DENIED, FAILED = 0, 2, 4
@@ -473,6 +475,101 @@ def test_garbage_and_broken_frames_are_skipped() -> None:
     bench.autopilot.receive("telemetry", frame[7:])
     bench.step()
     assert bench.autopilot.links["telemetry"].active
+
+
+# A script that says what it hears, and flies where a point says, as one that checks nothing does.
+LISTENS = """
+    mavlink:init(10, 2)
+    mavlink:register_rx_msgid(86)
+    mavlink:register_rx_msgid(251)
+    local function update()
+      local message = mavlink:receive_chan()
+      while message do
+        local shift = #message >= 299 and 3 or 0
+        local id = string.unpack('<I3', message, 10 + shift)
+        local first = string.unpack('<f', message, 29 + shift) -- of a point's velocity
+        gcs:send_text(6, string.format('heard %d', id))
+        if id == 86 then
+          local at, velocity, still = Vector3f(), Vector3f(), Vector3f()
+          velocity:x(first)
+          vehicle:set_target_posvelaccel_NED(at, velocity, still, false, 0, false, 0, false)
+        end
+        message = mavlink:receive_chan()
+      end
+      return update, 100
+    end
+    return update()
+"""
+
+
+def with_script(text: str, folder: Path, generation: Generation = Generation.V4_8) -> Bench:
+    bench = Bench(generation=generation)
+    script = folder / "probe.lua"
+    script.write_text(text)
+    bench.autopilot.load_script(script)
+    bench.send(BEAT)
+    bench.step()
+    return bench
+
+
+def named_float(*, whole: bool) -> bytes:
+    frame = mavlink.MAVLink_named_value_float_message(0, b"X", 1.5).pack(
+        mavlink.MAVLink(None, 9, 1)
+    )
+    return bytes(frame) if whole else bytes(frame[:-1]) + bytes([frame[-1] ^ 1])
+
+
+@pytest.mark.parametrize("generation", list(Generation))
+def test_scripts_hear_frames_with_a_wrong_checksum_from_4_6_on(
+    tmp_path: Path, generation: Generation
+) -> None:
+    """And nobody else: they are not forwarded, and who sent them is not known here by them."""
+    bench = with_script(LISTENS, tmp_path, generation)
+    bench.send(BEAT, link="coprocessor", source=COPROCESSOR)
+    bench.step()
+    bench.forget()
+    bench.autopilot.receive("telemetry", named_float(whole=False))
+    bench.run(0.2)
+    heard = 0 if generation is Generation.V4_5 else 1
+    assert bench.texts().count("heard 251") == heard
+    assert not bench.heard("NAMED_VALUE_FLOAT", "coprocessor")
+    assert (9, 1) not in bench.autopilot.links["telemetry"].routes
+
+    bench.autopilot.receive("telemetry", named_float(whole=True))
+    bench.run(0.2)
+    assert bench.texts().count("heard 251") == heard + 1
+    assert bench.heard("NAMED_VALUE_FLOAT", "coprocessor")
+
+
+def test_scripts_hear_frames_with_a_wrong_checksum_on_a_signed_link_too(tmp_path: Path) -> None:
+    bench = with_script(LISTENS, tmp_path)
+    bench.autopilot.sign_link("telemetry", b"k" * 32)
+    bench.autopilot.receive("telemetry", named_float(whole=True))
+    bench.run(0.2)
+    assert "heard 251" not in bench.texts()
+    bench.autopilot.receive("telemetry", named_float(whole=False))
+    bench.run(0.2)
+    assert bench.texts().count("heard 251") == 1
+
+
+@pytest.mark.parametrize("velocity_mps", [math.nan, math.inf])
+def test_a_number_that_is_none_ends_the_autopilot_if_a_script_hands_it_to_guided(
+    tmp_path: Path, velocity_mps: float
+) -> None:
+    bench = with_script(LISTENS, tmp_path)
+    bench.target(5.0, mask=POSITION_VELOCITY, velocity=(1.0, 0.0, 0.0))
+    bench.run(0.5)
+
+    bench.target(5.0, mask=POSITION_VELOCITY, velocity=(velocity_mps, 0.0, 0.0))
+    with pytest.raises(AutopilotEndedError, match="vehicle 7 ended"):
+        bench.run(0.2)
+
+
+def test_a_place_that_is_none_is_an_error_of_the_script(tmp_path: Path) -> None:
+    bench = with_script("local place = Location() place:lat(900000001)", tmp_path)
+    script = bench.autopilot.script
+    assert script is not None
+    assert "bad argument #1 to 'lat' (argument out of range)" in str(script.error)
 
 
 def test_mavlink_1_is_understood_too() -> None:

@@ -29,6 +29,7 @@ from echowing.flight.switch import StopSwitch, parse_stop_switch
 from echowing.flight.tow_bar import TowBar
 from echowing.flight.vehicle_limits import usual_parameters
 from echowing.geo import GlobalPosition, displace, ned_between
+from echowing.mavlink.plausible import Door
 from echowing.tool.panel import Panel, left_as, state_of
 
 LEADER, FOLLOWER, SECOND = 1, 2, 3
@@ -75,6 +76,7 @@ class Field:
     feed_forward: bool = True
     silent: set[int] = field(default_factory=set)
     now_s: float = 0.0
+    door: Door = field(default_factory=Door)
 
     def __post_init__(self) -> None:
         plans = [FollowerPlan(i, Slot(self.radius_m * (i - 1)), 10.0) for i in self.followers]
@@ -92,7 +94,9 @@ class Field:
                 follower.handling.receive(name, value)
 
     def tell(self, system_id: int, message: Any) -> None:
-        self.session.receive(received(system_id, message), self.now_s)
+        heard = received(system_id, message)
+        if self.door.admits(heard):
+            self.session.receive(heard, self.now_s)
 
     def fly(self, seconds: float) -> list[Any]:
         """Let time pass; returns all that was sent."""

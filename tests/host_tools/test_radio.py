@@ -2,6 +2,7 @@ import random
 
 import pytest
 
+from echowing.sim.cutter import ByteLoss, PacketCutter
 from echowing.sim.radio import Radio, RadioSettings
 
 
@@ -57,6 +58,21 @@ def test_bandwidth_makes_packets_queue() -> None:
     got = arrivals(radio(bandwidth_bytes_ps=20.0), 5, every_s=0.0, until_s=2.0)
 
     assert [t for t, _ in got] == pytest.approx([0.1, 0.2, 0.3, 0.4, 0.5], abs=0.002)
+
+
+def test_a_radio_that_loses_bytes_brings_the_rest_of_a_frame_at_its_time() -> None:
+    cutter = PacketCutter(ByteLoss(byte_loss=0.3, packet_bytes=(20, 80)), random.Random(2))
+    link = Radio(RadioSettings(latency_s=0.46), random.Random(1), cutter)
+    for number in range(200):
+        link.send(number * 0.1, bytes([number]) * 50)
+
+    assert link.receive(0.4) == []
+    lengths = [len(packet) for packet in link.receive(30.0)]
+    # 7000 of 10,000 bytes; 200 packets, standard deviation 360 bytes.
+    assert 5600 < sum(lengths) < 8400
+    assert 0 in lengths
+    assert 50 in lengths
+    assert any(0 < length < 50 for length in lengths)
 
 
 def test_a_silent_radio_carries_nothing() -> None:

@@ -20,6 +20,7 @@ from echowing.campaign.properties import Broken, judge, nothing_wrong
 from echowing.campaign.record import FlightRecord, Observer
 from echowing.campaign.swarm import Swarm, swarm
 from echowing.errors import EchowingError
+from echowing.sim.autopilot import AutopilotEndedError
 from echowing.sim.fault_section import LEADER
 from echowing.sim.flight import SAMPLE_S, FormationFlight
 from echowing.sim.scenario import Scenario
@@ -79,6 +80,9 @@ def _flown(scenario: Scenario, seed: int, out: Path | None) -> Judged:
         flight = FormationFlight(scenario, seed, out=out)
         observer = Observer(flight)
         record = observer.record(flight.run(after_step=observer.step))
+    except AutopilotEndedError as error:
+        at_s = 0.0 if flight is None else flight.t_s
+        return Judged(None, [Broken(CRASHED, at_s, error.system_id, 0.0, str(error))])
     except EchowingError:
         raise
     except Exception as error:  # whatever it is, it is what a campaign looks for

@@ -33,7 +33,7 @@ from echowing.flight.state import GUIDED_MODE, FollowerPlan, FollowerState, Know
 from echowing.flight.take_off import Lift, TakeOff, TakeOffs
 from echowing.flight.trust import Trust
 from echowing.geo import GlobalPosition
-from echowing.mavlink.messages import TOOL_SYSTEM_ID, is_nonsense, position_target, status_text
+from echowing.mavlink.messages import TOOL_SYSTEM_ID, position_target, status_text
 
 STALE = "leader is stale"
 DISTANCE_HZ, ATTITUDE_HZ = 5.0, 2.0
@@ -110,10 +110,13 @@ class FollowSession:
     # ---- messages -------------------------------------------------------------------------------
 
     def receive(self, message: Any, now_s: float) -> None:
-        """Take any MAVLink message from any link; what is not needed is ignored."""
+        """Take any message that has come through a link's door (see `mavlink.plausible`).
+
+        What is not needed is ignored.
+        """
         system_id = message.get_srcSystem()
         kind = message.get_type()
-        if is_nonsense(kind, message):
+        if kind == "GLOBAL_POSITION_INT" and not self._trust.is_sure(system_id, message, now_s):
             return
         if self.guard is not None and (system_id == self.leader_id or system_id in self.followers):
             self.guard.receive(system_id, kind, message, now_s)
@@ -197,7 +200,8 @@ class FollowSession:
         """The messages to send now: guided points, time synchronisation, heartbeat, rates."""
         messages = self._requests.messages(now_s)
         if self.engagement is not None:
-            self.engagement.prepare(now_s, engaged=self.engaged)
+            rising_m = {} if self.take_offs is None else self.take_offs.rising_m()
+            self.engagement.prepare(now_s, engaged=self.engaged, rising_m=rising_m)
             messages.extend(self.engagement.messages(now_s))
         if self.take_offs is not None:
             messages.extend(self._lift(self.take_offs, now_s))
@@ -368,7 +372,8 @@ class FollowSession:
         """Whether points go to this follower now."""
         stopped_rising = self.lift_of(follower) is Lift.STOPPED and follower.guided_mode
         ours = follower.in_guided or (stopped_rising and follower.armed)
-        if not ours or not self._may_lead(follower):
+        # To a place of another vehicle's, or to two vehicles at once, no point goes: not a hold.
+        if not ours or follower.unsure or not self._may_lead(follower):
             return False
         if self._stopping is not None and not follower.flown:
             return False

@@ -20,9 +20,12 @@ FORWARD = mavlink.MAV_SENSOR_ROTATION_NONE
 
 STATUS_TEXT_BYTES = 50
 
-# GLOBAL_POSITION_INT: the ends of its degrees, and MAVLink's value for no heading.
-MOST_LAT_E7, MOST_LON_E7 = 900_000_000, 1_800_000_000
+# GLOBAL_POSITION_INT: MAVLink's value for no heading.
 UNKNOWN_HEADING = 65_535
+
+# How a point with a velocity carries more than a point, in fields that the autopilot ignores. The
+# applet refuses another format, and shows its own as ECHO_FORMAT.
+POINT_FORMAT = 2.0
 
 _POSITION_VELOCITY = (
     mavlink.POSITION_TARGET_TYPEMASK_AX_IGNORE
@@ -53,7 +56,8 @@ def position_target(
 
     velocity_mps: (north, east); None: the position only. For the applet, in fields that the
     autopilot ignores: opens_m: the distance to keep where the slot has opened (0: it has not);
-    makes_way: this leads past another vehicle than the leader, and the applet is not to undo it.
+    makes_way: this leads past another vehicle than the leader, and the applet is not to undo it;
+    and POINT_FORMAT.
     """
     mask = _POSITION_ONLY if velocity_mps is None else _POSITION_VELOCITY
     if yaw_rad is None:
@@ -71,22 +75,10 @@ def position_target(
         0.0,
         opens_m,
         float(makes_way),
-        0.0,
+        POINT_FORMAT,
         yaw_rad or 0.0,
         0.0,
     )
-
-
-def is_nonsense(kind: str, message: Any) -> bool:
-    """Whether a message is nonsense: a value that is not a number, an impossible position.
-
-    Failing scripts and filters send such messages.
-    """
-    if kind == "NAMED_VALUE_FLOAT":
-        return not math.isfinite(message.value)
-    if kind == "GLOBAL_POSITION_INT":
-        return bool(abs(message.lat) > MOST_LAT_E7 or abs(message.lon) > MOST_LON_E7)
-    return False
 
 
 def heading_of(message: Any, before_rad: float) -> float:

@@ -9,6 +9,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.flight.session import FollowSession
 from echowing.mavlink.messages import TOOL_COMPONENT_ID, TOOL_SYSTEM_ID
+from echowing.mavlink.plausible import Door
+from echowing.mavlink.signing import Parser
 from echowing.sim.autopilot import Autopilot
 from echowing.sim.radio import Radio
 from echowing.sim.streams import START_UNIX_S
@@ -69,6 +71,7 @@ class Telemetry:
         self.up = up
         self.tap: Tap | None = None
         self._log = log
+        self._parsers = {radio: Parser() for radio in (down, up)}
         autopilot.add_link(TELEMETRY)
 
     def collect(self, t_s: float) -> list[bytes]:
@@ -77,7 +80,7 @@ class Telemetry:
         if sent:
             for frame in frames(sent):
                 self.down.send(t_s, frame)
-        arrived = self.down.receive(t_s)
+        arrived = self._whole(self.down, self.down.receive(t_s))
         for frame in arrived:
             self._record(t_s, frame)
             self._show("arrived", t_s, frame)
@@ -85,9 +88,19 @@ class Telemetry:
 
     def deliver(self, t_s: float) -> None:
         """Hand the vehicle what has reached it."""
-        for packet in self.up.receive(t_s):
-            self._show("delivered", t_s, packet)
+        packets = self.up.receive(t_s)
+        for packet in packets:
             self.autopilot.receive(TELEMETRY, packet)
+        if self.tap is not None:
+            for frame in self._whole(self.up, packets):
+                self.tap("delivered", t_s, frame)
+
+    def _whole(self, radio: Radio, packets: list[bytes]) -> list[bytes]:
+        """The whole frames of what a radio has brought, as the ground tool's links find them."""
+        if radio.cutter is None or not radio.cutter.has_cut:
+            return packets
+        found = self._parsers[radio].parse_buffer(b"".join(packets)) or ()
+        return [bytes(message.get_msgbuf()) for message in found if message.get_msgId() >= 0]
 
     def send(self, t_s: float, frame: bytes) -> None:
         """Send a frame from the ground."""
@@ -126,6 +139,7 @@ class GroundStation:
         self.session = session
         self.running = True
         self.distort: Callable[[Any], Any] | None = None
+        self._door = Door()
         self._ends_s: float | None = None
         self._former_events: list[tuple[float, str]] = []
         self.links = links
@@ -158,12 +172,18 @@ class GroundStation:
             link.deliver(t_s)
             for frame in link.collect(t_s):
                 if self.running and message_id(frame) in self._heard:
-                    self.session.receive(self._mav.decode(bytearray(frame)), t_s)
+                    self._hear(self._mav.decode(bytearray(frame)), t_s)
         if t_s >= self._due_s - 1e-9:
             self._due_s += self._period_s
             if self.running:
                 self._send(t_s)
                 self._end_once_all_stand(t_s)
+
+    def _hear(self, message: Any, t_s: float) -> None:
+        if self._door.admits(message):
+            self.session.receive(message, t_s)
+        self.session.events.extend((t_s, text) for text in self._door.news)
+        self._door.news.clear()
 
     def _end_once_all_stand(self, t_s: float) -> None:
         if self._ends_s is not None and (self.session.stopped(t_s) or t_s >= self._ends_s):

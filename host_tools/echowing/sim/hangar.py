@@ -13,12 +13,13 @@ from echowing.setup.settings import ACCELERATION_MPS2, JERK_MPS3
 from echowing.sim.autopilot import Autopilot
 from echowing.sim.coprocessor import NativeCoprocessor
 from echowing.sim.copter import Copter, Tuning, tuning_of
+from echowing.sim.cutter import PacketCutter
 from echowing.sim.gps import GpsDrift
 from echowing.sim.ground import Telemetry, open_log
 from echowing.sim.leader import TrackedBody, load_track, walk
 from echowing.sim.parameters import Generation
 from echowing.sim.radio import Radio
-from echowing.sim.scenario import LAWS, RadioSection, Scenario
+from echowing.sim.scenario import LAWS, LossySection, RadioSection, Scenario
 from echowing.sim.vehicles import Body, MakeCoprocessor, SimFollower, SimVehicle
 from echowing.sim.wind import Wind
 
@@ -89,6 +90,7 @@ class Hangar:
             listen=listen,
             make_coprocessor=self._make_coprocessor,
             rng=self.rng(f"sonar {index}"),
+            wire=self._cutters(f"wire {index}", scenario.wire),
             wind=wind,
         )
         if scenario.law != "none":
@@ -97,12 +99,19 @@ class Hangar:
 
     def telemetry(self, vehicle: SimVehicle, name: str, radio: RadioSection) -> Telemetry:
         """The vehicle's radio link."""
+        down, up = self._cutters(name, radio)
         return Telemetry(
             vehicle.autopilot,
-            down=Radio(radio.settings(), self.rng(f"radio down {name}")),
-            up=Radio(radio.settings(), self.rng(f"radio up {name}")),
+            down=Radio(radio.settings(), self.rng(f"radio down {name}"), down),
+            up=Radio(radio.settings(), self.rng(f"radio up {name}"), up),
             log=open_log(self._out, name),
         )
+
+    def _cutters(self, name: str, link: LossySection) -> tuple[PacketCutter, PacketCutter]:
+        """What a link does to the bytes of either way."""
+        loss = link.byte_settings()
+        down, up = (self.rng(f"bytes {way} {name}") for way in ("down", "up"))
+        return PacketCutter(loss, down), PacketCutter(loss, up)
 
     def _parameters(self, index: int, speed_mps: float) -> dict[str, float]:
         scenario = self.scenario
@@ -118,7 +127,7 @@ class Hangar:
         applet: dict[str, float] = {}
         if scenario.law != "none":
             applet = {"ECHO_ENABLE": 1.0, "ECHO_LAW": LAWS[scenario.law], **scenario.applet}
-            echo_dist_m = scenario.formation.slots[index].echo_dist_m
+            echo_dist_m = scenario.echo_dist_m(index)
             applet |= {} if echo_dist_m is None else {"ECHO_DIST": echo_dist_m}
         return {
             "RNGFND1_TYPE": 10.0,

@@ -9,6 +9,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.mavlink.signing import NEEDS_NO_SIGNATURE, SIGNING_EPOCH_UNIX_S, SIGNING_TICKS_PER_S
+from echowing.sim.framing import Framer
 
 _NOT_FORWARDED = {
     mavlink.MAVLINK_MSG_ID_RADIO,
@@ -16,6 +17,8 @@ _NOT_FORWARDED = {
     mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE,
 }
 _BROADCAST = 0
+# pymavlink's word for a wrong checksum.
+_BAD_CHECKSUM = "invalid MAVLink CRC"
 
 
 class SerialLink:
@@ -28,7 +31,7 @@ class SerialLink:
         self._incoming = bytearray()
         self._outgoing = bytearray()
         self._mav = mavlink.MAVLink(None, system_id, mavlink.MAV_COMP_ID_AUTOPILOT1)
-        self._mav.robust_parsing = True  # garbage is skipped, as by the autopilot's parser
+        self._framer = Framer()
 
     @property
     def active(self) -> bool:
@@ -60,17 +63,24 @@ class SerialLink:
         self._mav.signing = mavlink.MAVLinkSigning()
 
     def feed(self, data: bytes) -> None:
-        """Bytes off the wire, to be parsed at the next `messages`."""
+        """Bytes off the wire, to be parsed at the next `received`."""
         self._incoming += data
 
-    def messages(self) -> Iterator[Any]:
-        """Whole messages of what has come; garbage and unknown messages are dropped."""
-        if not self._incoming:
-            return
-        data, self._incoming = self._incoming, bytearray()
-        for message in self._mav.parse_buffer(data) or ():
-            if message.get_msgId() >= 0:  # bad data and unknown messages are below 0
-                yield message
+    def received(self) -> Iterator[tuple[bytes, Any]]:
+        """The frames of what has come, each with its message.
+
+        The message is None where the checksum is wrong, and so where the message is unknown, as its
+        checksum cannot be known. What signing refuses is dropped.
+        """
+        data, self._incoming = bytes(self._incoming), bytearray()
+        for frame in self._framer.cut(data):
+            try:
+                message = self._mav.decode(frame)
+            except mavlink.MAVError as error:
+                if str(error).startswith(_BAD_CHECKSUM):
+                    yield bytes(frame), None
+                continue
+            yield bytes(frame), message if message.get_msgId() >= 0 else None  # unknown: below 0
 
     def send(self, message: Any) -> None:
         """Pack a message and queue its bytes."""

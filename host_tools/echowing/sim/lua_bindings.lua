@@ -75,11 +75,11 @@ local Location_ud = {}
 ---@return Location_ud # latitude, longitude and altitude 0
 function Location() end
 
----@param value? integer # 1e-7 degrees
+---@param value? integer -900000000..900000000 # 1e-7 degrees
 ---@return integer
 function Location_ud:lat(value) end
 
----@param value? integer # 1e-7 degrees
+---@param value? integer -1800000000..1800000000 # 1e-7 degrees
 ---@return integer
 function Location_ud:lng(value) end
 

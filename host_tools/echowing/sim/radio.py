@@ -1,9 +1,11 @@
-"""A radio link, one way: bytes go in, and come out late, some lost, some out of order."""
+"""A radio link, one way: frames go in, and come out late, some lost, some cut, some reordered."""
 
 import heapq
 import random
 from dataclasses import dataclass
 from itertools import count
+
+from echowing.sim.cutter import PacketCutter
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,10 +28,13 @@ class RadioSettings:
 
 
 class Radio:
-    """One direction of a link. Packets are whole MAVLink frames, as radios send them."""
+    """One direction of a link. Packets are whole MAVLink frames, until `cutter` cuts them."""
 
-    def __init__(self, settings: RadioSettings, rng: random.Random) -> None:
+    def __init__(
+        self, settings: RadioSettings, rng: random.Random, cutter: PacketCutter | None = None
+    ) -> None:
         self.settings = settings
+        self.cutter = cutter
         self.silent = False  # the vehicle's radio is off: nothing gets through
         self.outage = False  # a fault in between, with the same effect
         self._rng = rng
@@ -57,10 +62,11 @@ class Radio:
         else:
             # Jitter alone keeps the order, as a serial link does.
             self._newest_out_s = arrives_s = max(arrives_s, self._newest_out_s)
-        heapq.heappush(self._flying, (arrives_s, next(self._number), packet))
+        arrives = packet if self.cutter is None else self.cutter.carry(packet)
+        heapq.heappush(self._flying, (arrives_s, next(self._number), arrives))
 
     def receive(self, t_s: float) -> list[bytes]:
-        """The packets that have arrived by `t_s`, in order of arrival."""
+        """What has arrived by `t_s`, in order of arrival, a packet each; once cut, any bytes."""
         arrived = []
         while self._flying and self._flying[0][0] <= t_s:
             arrived.append(heapq.heappop(self._flying)[2])

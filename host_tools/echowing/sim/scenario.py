@@ -8,12 +8,15 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, Field, ValidationError, model_validator
+from pydantic import BaseModel, Field, ValidationError, field_validator, model_validator
 
 from echowing.errors import EchowingError
+from echowing.flight.build_up import LEAST_DIST_M, MOST_DIST_M
 from echowing.flight.formation import DEFAULT_SLOT_SEPARATION_M, check_formation
 from echowing.flight.guidance import GRAY, GuidanceSettings, Slot
+from echowing.sim.cutter import ByteLoss
 from echowing.sim.fault_section import LEADER_FAULTS, FaultSection, objection
+from echowing.sim.named_parameters import objections
 from echowing.sim.parameters import Generation
 from echowing.sim.radio import RadioSettings
 from echowing.sim.section import NotNegative, Positive, Section, Share
@@ -98,7 +101,8 @@ class SlotSection(Section):
     altitude_step_m: float = 0.0
     """Above the leader."""
     echo_dist_m: Positive | None = None
-    """Its applet's `ECHO_DIST`; none: as under `[applet]`."""
+    """Its applet's `ECHO_DIST`; none: as under `[applet]`, else the radius where the applet takes
+    it (1.5 to 6 m)."""
     starts_at: Annotated[int, Field(ge=1)] | None = None
     """Number of the slot (from 1) that its follower starts behind; none: its own."""
 
@@ -201,7 +205,36 @@ class WindSection(Section):
     """Standard deviation of the gusts, as a share of the mean wind."""
 
 
-class RadioSection(Section):
+PacketBytes = Annotated[int, Field(ge=1, le=1000)]
+
+
+class LossySection(Section):
+    """What a link does to the bytes on it, both ways alike (see `echowing.sim.cutter`)."""
+
+    byte_loss: Share = 0.0
+    """Share of the radio's packets lost, which are cut from the bytes anywhere."""
+    packet_bytes: tuple[PacketBytes, PacketBytes] = (20, 80)
+    """Of `byte_loss` and `flip`: least and most bytes of a packet."""
+    flip: Share = 0.0
+    """Share of the radio's packets that arrive with one wrong bit."""
+
+    @field_validator("packet_bytes")
+    @classmethod
+    def _rises(cls, least_most: tuple[int, int]) -> tuple[int, int]:
+        if least_most[0] > least_most[1]:
+            raise ValueError("the least first, then the most")
+        return least_most
+
+    def byte_settings(self) -> ByteLoss:
+        """The same for the model of the bytes."""
+        return ByteLoss(self.byte_loss, self.packet_bytes, self.flip)
+
+
+class WireSection(LossySection):
+    """The wire between a follower's autopilot and its co-processor."""
+
+
+class RadioSection(LossySection):
     """One link, both ways alike."""
 
     latency_s: NotNegative = 0.0
@@ -209,19 +242,19 @@ class RadioSection(Section):
     jitter_s: NotNegative = 0.0
     """Random delay on top, up to this."""
     loss: Share = 0.0
-    """Share of the packets lost."""
+    """Share of the MAVLink frames lost, whole ones."""
     bandwidth_bytes_ps: Positive | None = None
     """Bytes per second; none: no limit."""
     reorder: Share = 0.0
-    """Share of the packets that arrive late."""
+    """Share of the frames that arrive late."""
     reorder_s: NotNegative = 0.3
     """How much later."""
     duplicate: Share = 0.0
-    """Share of the packets that arrive twice."""
+    """Share of the frames that arrive twice."""
 
     def settings(self) -> RadioSettings:
         """The same for the radio model."""
-        return RadioSettings(**self.model_dump())
+        return RadioSettings(**self.model_dump(exclude=set(LossySection.model_fields)))
 
 
 class LeaderRadioSection(RadioSection):
@@ -321,6 +354,8 @@ class Scenario(Section):
     """The wind."""
     radio: RadiosSection = RadiosSection()
     """The radio links."""
+    wire: WireSection = WireSection()
+    """The wires between autopilots and co-processors."""
     airframe: AirframeSection = AirframeSection()
     """How the vehicles differ from SITL's quad."""
     fault: tuple[FaultSection, ...] = ()
@@ -353,6 +388,18 @@ class Scenario(Section):
     def slots(self) -> list[Slot]:
         """The formation's slots."""
         return [section.slot() for section in self.formation.slots]
+
+    def echo_dist_m(self, index: int) -> float | None:
+        """`ECHO_DIST` of follower `index` (from 0): its slot's radius unless told otherwise.
+
+        So a pilot sets it before the flight: `follow` does not engage where the two differ. None:
+        as under `[applet]`, or the applet's own where it does not take the radius.
+        """
+        slot = self.formation.slots[index]
+        if slot.echo_dist_m is not None:
+            return slot.echo_dist_m
+        taken = LEAST_DIST_M <= slot.radius_m <= MOST_DIST_M
+        return slot.radius_m if taken and "ECHO_DIST" not in self.applet else None
 
 
 def scenario_names() -> list[str]:
@@ -417,6 +464,10 @@ def scenario_of(table: Mapping[str, Any], source: str) -> Scenario:
     except ValidationError as error:
         lines = [_explained(item) for item in error.errors()]
         raise EchowingError("\n".join(f"{source}: {line}" for line in lines)) from error
+    generation = scenario.follower.autopilot_generation()
+    wrong = list(objections(generation, scenario.applet, scenario.follower.parameters))
+    if wrong:
+        raise EchowingError("\n".join(f"{source}: {line}" for line in wrong))
     try:
         check_formation(scenario.slots(), scenario.formation.slot_separation_m)
     except EchowingError as error:

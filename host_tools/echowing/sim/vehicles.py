@@ -9,6 +9,7 @@ from echowing.geo import Ned
 from echowing.sim.autopilot import Autopilot
 from echowing.sim.coprocessor import Coprocessor, SonarBus
 from echowing.sim.copter import Copter
+from echowing.sim.cutter import PacketCutter
 from echowing.sim.gps import GpsDrift
 from echowing.sim.leader import TrackedBody, mission
 from echowing.sim.scenario import LeaderEvent, LeaderSection
@@ -82,7 +83,8 @@ class SimFollower(SimVehicle):
     """A follower: the vehicle, with gimbal, sonar and co-processor on it.
 
     Faults: `hears` makes something else of what the sonar hears; `reflector_m`: so far ahead is
-    something loud; `beam_half_angle_rad`: the beam that it really has.
+    something loud; `beam_half_angle_rad`: the beam that it really has. `wire`: how the bytes fare
+    between autopilot and co-processor, to it and from it.
     """
 
     def __init__(
@@ -94,9 +96,11 @@ class SimFollower(SimVehicle):
         listen: Callable[["SimFollower", float], float | None],
         make_coprocessor: MakeCoprocessor,
         rng: random.Random,
+        wire: tuple[PacketCutter, PacketCutter],
         wind: Wind | None = None,
     ) -> None:
         super().__init__(body, autopilot, drift, wind)
+        self.wire_down, self.wire_up = wire
         self.gimbal = Gimbal()
         self.ear = Ear(rng)
         self.hears: Callable[[float | None], float | None] | None = None
@@ -146,11 +150,11 @@ class SimFollower(SimVehicle):
             return
         self.gimbal.step(dt_s, coprocessor.pan_us, coprocessor.tilt_us)
         if down:
-            coprocessor.feed(AUTOPILOT_PORT, down)
+            coprocessor.feed(AUTOPILOT_PORT, self.wire_down.carry(down))
         coprocessor.run_until(t_us - self._powered_since_us)
         up = coprocessor.take(AUTOPILOT_PORT)
         if up:
-            self.autopilot.receive(COPROCESSOR, up)
+            self.autopilot.receive(COPROCESSOR, self.wire_up.carry(up))
 
     def load_applet(self, path: Path) -> None:
         """Put the applet on this vehicle's SD card and start it."""
