@@ -274,7 +274,7 @@ def test_a_parameter_that_no_vehicle_has_is_named() -> None:
     yard = Yard()
     yard.vehicles[FOLLOWER].parameters["WP_ACC"] = 0.1
     assert yard.fly(SOON_S) == []
-    assert yard.said("WP_ACC 0.1 is not believed")
+    assert yard.door.news == ["system 2: WP_ACC 0.1 cannot be: not believed"]
 
 
 def test_limits_that_are_not_told_are_not_guessed() -> None:
@@ -335,7 +335,7 @@ def test_the_stop_switch_has_to_be_seen_and_off(who: int) -> None:
     assert yard.said(f"follower 2: not engaged, {whose} stop switch is on")
     hear(1100)
     assert yard.fly(1.0) == []  # as the docstring says: until Guided is left
-    for mode in (LOITER, GUIDED):
+    for mode in (LOITER, LOITER, GUIDED):
         yard.vehicles[FOLLOWER].mode = mode
         yard.tell(FOLLOWER, yard.vehicles[FOLLOWER].heartbeat())
     assert yard.fly(1.0) != []

@@ -468,8 +468,8 @@ class Engagement:
         whose = "the leader's" if whose == "leader" else whose
         wrong = {
             "not seen": f"{whose} stop switch is not seen: check its transmitter and the channel",
-            "on": f"{whose} stop switch is on: switch it off, then leave Guided and come back",
-            "was on": f"{whose} stop switch was on: leave Guided and come back",
+            "on": f"{whose} stop switch is on: switch it off, then leave Guided for 2 s",
+            "was on": f"{whose} stop switch was on: leave Guided for 2 s",
         }
         return [Finding("switch", "?" if shown == "not seen" else shown, wrong.get(shown, ""))]
 
@@ -655,10 +655,8 @@ def _cell(finding: Finding | None) -> str:
 
 def _unsure_of(handling: Handling) -> str:
     """What a follower's limits are computed without, as the end of a sentence."""
-    refused = [f"{name} {value:g} is not believed" for name, value in handling.refused.items()]
     missing = handling.missing if handling.known else []
-    worst = [f"not known, so taken as the worst: {', '.join(missing)}"] if missing else []
-    return "".join(f"; {text}" for text in (*refused, *worst))
+    return f"; not known, so taken as the worst: {', '.join(missing)}" if missing else ""
 
 
 def _clock(whose: str, clock: Any) -> Finding:
