@@ -2,8 +2,8 @@
 
 import pytest
 
+from echowing.flight.envelope import LEAST_M
 from echowing.flight.formation import receivers_demand_m
-from echowing.flight.guard import MIN_SEPARATION_M
 from echowing.flight.leader_speed import MOST_LEADER_MPS
 from echowing.paths import repository_root
 
@@ -24,7 +24,7 @@ def test_when_to_abort_stands_on_one_page_and_the_other_leads_there() -> None:
 @pytest.mark.parametrize(
     ("words", "figure"),
     [
-        ("at least {} m apart", f"{receivers_demand_m(MIN_SEPARATION_M):.2f}"),
+        ("at least {} m apart", f"{receivers_demand_m(LEAST_M):.2f}"),
         ("**The leader's speed.** At up to {} m/s", f"{MOST_LEADER_MPS:g}"),
     ],
 )
