@@ -13,6 +13,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.flight.envelope import LEAST_M
 from echowing.flight.lowest import LOWEST_M
 from echowing.flight.readiness import Readiness
 from echowing.flight.state import FollowerState, Say
@@ -92,10 +93,9 @@ class Limits:
 
 
 # The defaults of `echowing follow`, flown by the simulator too.
-MIN_SEPARATION_M = 1.0
 FIELD_LIMITS = Limits(
     max_distance_m=100.0,
-    min_separation_m=MIN_SEPARATION_M,
+    min_separation_m=LEAST_M,
     home_difference_m=5.0,
     ready=Readiness(),
 )
