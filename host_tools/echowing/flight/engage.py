@@ -16,6 +16,8 @@ from echowing.flight.guard import Guard
 from echowing.flight.guidance import MOVING_MPS, Horizontal, LeaderFix, slot_offset_m
 from echowing.flight.handling import Handling, least_slot_m
 from echowing.flight.heights import Heights
+from echowing.flight.leader_speed import MOST_LEADER_MPS, LeaderSpeed
+from echowing.flight.lowest import LOWEST_M
 from echowing.flight.readiness import Readiness
 from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.flight.state import FollowerState, Known, Say
@@ -48,7 +50,6 @@ INSET_M = 0.1
 # Two receivers on one field differ by a metre in height: beyond HOMES_M the operator has to say
 # what that means. A climb or descent beyond HEIGHTS_M begins only if the operator asks for it.
 HOMES_M, HEIGHTS_M = 1.0, 3.0
-LOWEST_M = 1.0
 # A leader may turn round at this speed without danger: the thesis's leader flew at it.
 TURNS_MPS = 2.0
 # A follower that can brake no harder is not engaged: a stop from 1 m/s takes a second.
@@ -228,6 +229,7 @@ class Engagement:
         self._table_shown = False
         self._doubts: dict[int, str] = {}
         self._rising_m: Mapping[int, float] = {}
+        self._leader_speed = LeaderSpeed()
 
     # ---- what comes in, and what is asked -------------------------------------------------------
 
@@ -302,6 +304,7 @@ class Engagement:
             self._since_s = now_s
         if not self._table_shown:
             self._show_table(now_s)
+        self._warn_of_speed(now_s)
         for system_id, follower in self._known.followers.items():
             turn = self._turns[system_id]
             self._warn_of_return(follower, turn, now_s)
@@ -375,6 +378,8 @@ class Engagement:
         self._table_shown = True
         for line in table(rows):
             self._say(now_s, line)
+        if self.readiness.reversal:
+            self._say(now_s, f"the leader may fly at up to {MOST_LEADER_MPS:g} m/s")
         for name, findings in rows:
             for one in findings:
                 if one.wrong:
@@ -388,6 +393,19 @@ class Engagement:
             self._say(now_s, f"follower {system_id}: {note}")
             self._alert(system_id, note)
         turn.level = bool(note) and self._table_shown
+
+    def _warn_of_speed(self, now_s: float) -> None:
+        """Warn of a leader that its followers will lose at the next corner."""
+        fix = self._known.leader.fix
+        if fix is None or not self.readiness.reversal:
+            return
+        warning = self._leader_speed.warning(fix.speed_mps, now_s)
+        if warning is None:
+            return
+        self._say(now_s, f"{warning}: its followers lose it at corners")
+        for system_id, follower in self._known.followers.items():
+            if follower.in_guided:
+                self._alert(system_id, warning)
 
     def _waited(self, now_s: float) -> bool:
         return self._since_s is not None and now_s - self._since_s >= PATIENCE_S
@@ -637,10 +655,8 @@ def _cell(finding: Finding | None) -> str:
 
 def _unsure_of(handling: Handling) -> str:
     """What a follower's limits are computed without, as the end of a sentence."""
-    refused = [f"{name} {value:g} is not believed" for name, value in handling.refused.items()]
     missing = handling.missing if handling.known else []
-    worst = [f"not known, so taken as the worst: {', '.join(missing)}"] if missing else []
-    return "".join(f"; {text}" for text in (*refused, *worst))
+    return f"; not known, so taken as the worst: {', '.join(missing)}" if missing else ""
 
 
 def _clock(whose: str, clock: Any) -> Finding:
