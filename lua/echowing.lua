@@ -33,6 +33,9 @@ local QUICK_MS = 20 -- pause between updates while the applet flies targets of i
 local IDLE_MS = 200 -- pause before the next update while not in control
 local BLIND_MS = 2500 -- a target lost while too close is taken to be there for this time: no speed without sonar yet
 local SPEED_FLOOR_MPS = 0.2 -- below this the autopilot saves its own least value over the pilot's; 0 means no limit
+local POINT_FORMAT = 2 -- how points carry more than a point: POINT_FORMAT of the ground tool, ECHO_FORMAT here
+local FASTEST_MPS = 30.0 -- no copter flies faster; WPNAV_SPEED and WP_SPD reach 20
+local FURTHEST_M = 20.0 -- no sonar reads further; the longest reach of the MaxBotix kind is 10.7 m
 
 local function say(severity, text)
     gcs:send_text(severity, TEXT .. text)
@@ -42,8 +45,8 @@ local function clamp(value, low, high)
     return math.max(low, math.min(high, value))
 end
 
-local function is_number(value) -- neither NaN nor infinite
-    return value and value - value == 0.0
+local function is_within(value, most) -- neither NaN nor beyond, to either side
+    return value and value >= -most and value <= most
 end
 
 -- What the firmware offers -------------------------------------------------------------------------------------------
@@ -340,6 +343,15 @@ local PARAMETERS = {
       // @User: Advanced
     --]]
     { 'MIRROR', 0, 0, 5000 },
+    --[[
+      // @Param: ECHO_FORMAT
+      // @DisplayName: Echowing point format
+      // @Description: Format of the guided points that the applet understands. For another one update the applet or the ground tool
+      // @Range: 2 2
+      // @ReadOnly: True
+      // @User: Advanced
+    --]]
+    { 'FORMAT', 2, 2, 2 },
 }
 
 local C = {} -- values in force: C.DIST, ...
@@ -369,7 +381,7 @@ do
     function parameters.read_some()
         for _ = 1, A_TURN do
             read(next_number)
-            next_number = next_number % (#names - 1) + 1 -- all but the mirror
+            next_number = next_number % (#names - 2) + 1 -- all but the last two, which the applet writes
             if next_number == 1 then C.SPD_MAX = math.max(C.SPD_MAX, C.SPD_MIN) end
         end
     end
@@ -383,9 +395,10 @@ do
         names[i], C[row[1]], lowest[i], highest[i] = table.unpack(row)
         objects[i] = Parameter(PREFIX .. row[1])
     end
+    objects[#objects]:set(POINT_FORMAT)
     for i = 1, #names do read(i) end
     C.SPD_MAX = math.max(C.SPD_MAX, C.SPD_MIN)
-    parameters.mirror = objects[#objects]
+    parameters.mirror = objects[#objects - 1]
     if left_in_mirror then parameters.mirror:set(left_in_mirror) end
 end
 
@@ -405,9 +418,9 @@ local laws = { -- the range becomes a speed: the law's wish, and the same after 
 local hold = { active = false, mps = 0.0, at_ms = nil } -- moves points that carry a velocity along the beam
 local guard = { too_close = false, evading = false, close_ms = 0 } -- keeps away from the leader
 local stream = { -- the ground tool's guided points, and what happens when they end
-    at_ms = nil, points = 0, holding = false, stands = false, lat = nil, lng = nil, up_m = nil, north_mps = 0.0,
-    east_mps = 0.0, yaw_rad = nil, moving = false, opens_m = 0.0, makes_way = false,
-    yaw_rps = 0.0,
+    at_ms = nil, points = 0, sender = nil, heard_ms = nil, holding = false, stands = false, lat = nil, lng = nil,
+    up_m = nil, north_mps = 0.0, east_mps = 0.0, yaw_rad = nil, yaw_rps = 0.0, moving = false, opens_m = 0.0,
+    makes_way = false,
 }
 local speed = { -- the speed parameter: ours, the pilot's, another script's
     out_mps = 0.0, written = nil, pilot_units = nil, ground_units = nil, changes = {}, conflict = false,
@@ -415,7 +428,55 @@ local speed = { -- the speed parameter: ours, the pilot's, another script's
 local report = { -- what pilots see
     state = STATE.OFF, announced = STATE.OFF, announced_ms = {}, named_ms = nil, log_ms = nil,
 }
-local control = { active = false, error = nil } -- takes control and hands back
+local control = { -- takes control and hands back
+    active = false, error = nil, deaf = false, NO_PLACE = 'other scripts leave no place to receive',
+}
+local refused = { count = 0, last_ms = {} } -- what was heard and not used, or not sent
+
+-- Counts it, and tells the pilot; again only after a while without: radios damage messages all the time.
+local AGAIN_MS = 30000
+local function refuse(what)
+    local last_ms = refused.last_ms[what]
+    refused.count, refused.last_ms[what] = refused.count + 1, own.at_ms
+    if not last_ms or own.at_ms - last_ms > AGAIN_MS then say(SEVERITY.WARNING, what .. ', not used') end
+    return false
+end
+
+-- The way out --------------------------------------------------------------------------------------------------------
+
+-- Every target and every speed that leaves the applet passes here: numbers, near, and no more than a copter can. What is
+-- not goes nowhere. mps: the speed limit; nil: a target, with its velocity and acceleration or without either. False: it
+-- was not sent, or the autopilot refused it.
+local order
+do
+    local NEAR_M = 50.0 -- the leader is within the sonar's reach, and its point within a second's flight of it
+    local HARDEST_MPS2, FASTEST_RPS = 10.0, 4.0 -- as the highest ECHO_DECEL; no copter's nose turns faster
+    local TURN_RAD = 2.0 * math.pi -- the autopilot takes a yaw of up to 360 degrees
+
+    local function is_near(position)
+        local here = ahrs:get_relative_position_NED_origin()
+        if not here then return false end
+        here:x(position:x() - here:x())
+        here:y(position:y() - here:y())
+        here:z(position:z() - here:z())
+        return is_within(here:length(), NEAR_M)
+    end
+
+    function order(mps, position, velocity, acceleration, look_rad, turn_rps)
+        if mps then
+            if not is_within(mps, FASTEST_MPS) or mps <= 0.0 then return refuse('implausible speed') end
+            vehicle:set_desired_speed(mps)
+            return true
+        end
+        if not (is_near(position) and is_within(look_rad, TURN_RAD)) then return refuse('implausible target') end
+        local yaw_deg = math.deg(look_rad)
+        if not velocity then return vehicle:set_target_pos_NED(position, true, yaw_deg, false, 0.0, false, false) end
+        if not (is_within(velocity:length(), FASTEST_MPS) and is_within(acceleration:length(), HARDEST_MPS2)
+            and is_within(turn_rps, FASTEST_RPS)) then return refuse('implausible target') end
+        return vehicle:set_target_posvelaccel_NED(position, velocity, acceleration, true, yaw_deg, turn_rps ~= 0.0,
+            math.deg(turn_rps), false)
+    end
+end
 
 -- This vehicle's motion ----------------------------------------------------------------------------------------------
 
@@ -432,7 +493,7 @@ do
         if not velocity then return 0.0 end
         local yaw = yaw_rad(ahrs)
         local forward_mps = velocity:x() * math.cos(yaw) + velocity:y() * math.sin(yaw)
-        return is_number(forward_mps) and forward_mps or 0.0
+        return is_within(forward_mps, FASTEST_MPS) and forward_mps or 0.0
     end
 
     -- Own speed and how it is changing: smoothed, and no more than the vehicle can.
@@ -454,11 +515,8 @@ do
         position:y(position:y() + east_m)
         -- In the way that it is flown: Guided starts another with the lean of the moment for its steady part, and a
         -- vehicle that brakes or speeds up would swing by metres.
-        if stream.moving then
-            return vehicle:set_target_posvelaccel_NED(position, Vector3f(), Vector3f(), true, math.deg(yaw_rad(ahrs)),
-                false, 0.0, false)
-        end
-        return vehicle:set_target_pos_NED(position, true, math.deg(yaw_rad(ahrs)), false, 0.0, false, false)
+        if stream.moving then return order(nil, position, Vector3f(), Vector3f(), yaw_rad(ahrs), 0.0) end
+        return order(nil, position, nil, nil, yaw_rad(ahrs))
     end
 
     -- Flies to a place so far straight back, at this height, looking where it looks now.
@@ -490,7 +548,7 @@ do
         if not (position and velocity) then return false end
         local north_mps, east_mps = velocity:x(), velocity:y()
         local mps = math.sqrt(north_mps * north_mps + east_mps * east_mps)
-        if not is_number(mps) or mps < 0.01 then return fly_to(position, 0.0, 0.0) end
+        if not is_within(mps, FASTEST_MPS) or mps < 0.01 then return fly_to(position, 0.0, 0.0) end
         local share = stopping_m(mps, own.accel_mps2 * own.mps / mps) / mps
         return fly_to(position, share * north_mps, share * east_mps)
     end
@@ -533,7 +591,7 @@ do
         else
             range_m = rangefinder:distance_cm_orient(FORWARD) / 100.0
         end
-        if not is_number(range_m) or range_m < 0.0 or (range_m == 0.0 and status == STATUS_GOOD) then
+        if not is_within(range_m, FURTHEST_M) or range_m < 0.0 or (range_m == 0.0 and status == STATUS_GOOD) then
             return nil, status
         end
         return range_m + C.INSET, status
@@ -560,7 +618,7 @@ do
     -- 16 to 32 tells: a board whose clock is 1 % slow is 32 ms off then.
     local function taken_ms(board_ms, t_ms)
         local late_ms = t_ms - board_ms
-        local goes_on = board_ms > track.board_ms and math.abs(late_ms - track.late_ms) < LATEST_MS
+        local goes_on = board_ms > track.board_ms and is_within(late_ms - track.late_ms, LATEST_MS)
         track.board_ms = board_ms
         if not goes_on then track.late_ms, track.quickest_ms, track.dated = late_ms, late_ms, 0 end
         track.quickest_ms, track.dated = math.min(track.quickest_ms, late_ms), track.dated + 1
@@ -584,9 +642,10 @@ do
         return track.same >= SAME_READINGS and track.fastest_mps - track.slowest_mps > SAME_MPS
     end
 
-    function track.take(message, payload, t_ms)
-        local board_ms, value, name = string.unpack('<I4fc10', message, payload)
-        if name ~= RAW_NAME or not is_number(value) or value <= 0.0 then return end
+    function track.take(payload, t_ms)
+        local board_ms, value, name = string.unpack('<I4fc10', payload)
+        if name ~= RAW_NAME then return end
+        if not is_within(value, FURTHEST_M) or value <= 0.0 then return refuse('implausible reading') end
         track.raw_m, track.raw_ms = value + C.INSET, taken_ms(board_ms, t_ms)
         local stuck = is_stuck(track.raw_m) and track.is_target(track.raw_m)
         if stuck and not track.stuck then say(SEVERITY.WARNING, 'sonar stuck, not used') end
@@ -1058,8 +1117,7 @@ do
         -- 6 of the 20 degrees to the edge of the beam. One that flies back is too near for a rate from its estimated bearing.
         local yaw_rps = stream.yaw_rad and flies_on() and stream.yaw_rps or 0.0
         local look_rad = (stream.yaw_rad or yaw) + yaw_rps * ((t_ms - stream.at_ms) * 0.001 + NOSE_LATE_S)
-        return vehicle:set_target_posvelaccel_NED(position, velocity, acceleration, true,
-            math.deg(look_rad), yaw_rps ~= 0.0, math.deg(yaw_rps), false)
+        return order(nil, position, velocity, acceleration, look_rad, yaw_rps)
     end
 
     -- A point with no velocity at all is where the ground tool has stopped it: there it stays.
@@ -1086,6 +1144,10 @@ do
     local TARGET_FRESH_MS = 1000 -- an older streamed point is not the target in force
     local ABOVE_HOME = { [3] = true, [6] = true } -- MAV_FRAME_GLOBAL_RELATIVE_ALT and its _INT
     local MOST_OPEN_M = 6.0 -- as the highest ECHO_DIST
+    -- What a point can say: degrees of latitude in 1e-7, metres above home, yaw from -pi to pi or from 0 to 2 pi, and a
+    -- slot that opens for a vehicle that hardly brakes.
+    local MOST_LAT, HIGHEST_M, MOST_YAW_RAD, MOST_OPENED_M = 900000000, 10000.0, 2.0 * math.pi, 1000.0
+    local SILENT_MS = 1000 -- a sender of points that is silent for so long is gone
     local SOON_S, LATE_S = 0.05, 0.4 -- points nearer in time, or further, do not tell how fast the yaw turns
     local TURN_RPS = 1.0 -- as ATC_RATE_WPY_MAX, 60 deg/s
     local LENGTH = 3 -- so many points without a gap are a stream; one alone may be a pilot's click on the map
@@ -1096,35 +1158,53 @@ do
         local rate_rps = 0.0
         if stream.yaw_rad and before_rad and dt_s > SOON_S and dt_s < LATE_S then
             local turn_rad = (stream.yaw_rad - before_rad + math.pi) % (2.0 * math.pi) - math.pi
-            if is_number(turn_rad) then rate_rps = clamp(turn_rad / dt_s, -TURN_RPS, TURN_RPS) end
+            rate_rps = clamp(turn_rad / dt_s, -TURN_RPS, TURN_RPS)
         end
         stream.yaw_rps = 0.5 * (stream.yaw_rps + rate_rps)
     end
 
-    function stream.take(message, payload, t_ms)
-        local lat, lng, up_m, vn, ve = string.unpack('<i4i4fff', message, payload + 4)
-        local mask, system = string.unpack('<I2B', message, payload + 48)
+    -- Whether a field that counts is one of a copter's: a number, and not beyond what there is.
+    local function fits(counts, value, most)
+        return not counts or is_within(value, most)
+    end
+
+    -- Points count from one sender until it has been silent: those of two would pull the vehicle to and fro.
+    local function is_other(sender, t_ms)
+        local other = sender ~= stream.sender and stream.heard_ms and t_ms - stream.heard_ms < SILENT_MS
+        if not other then stream.sender, stream.heard_ms = sender, t_ms end
+        return other
+    end
+
+    function stream.take(payload, sender, t_ms)
+        local lat, lng, up_m, vn, ve, _, opens_m, makes_way, format, yaw, _, mask, system, _, frame =
+            string.unpack('<i4i4fffffffffI2BBB', payload, 5)
         if system ~= 0 and system ~= MY_SYSTEM then return end
+        local placed, moving, looks = mask & 0x0003 == 0, mask & 0x0018 == 0, mask & 0x0400 == 0
+        local raised = mask & 0x0004 == 0 and ABOVE_HOME[frame]
+        -- Of the acceleration, which the autopilot is told to ignore: how far the slot has opened, whether the tool leads
+        -- it past another vehicle than the leader, and the format that says so.
+        if moving and not (mask & 0x01C0 == 0x01C0 and format == POINT_FORMAT) then
+            return refuse('points of another version of the tool')
+        end
+        if not (fits(placed, lat, MOST_LAT) and fits(placed, lng, 2 * MOST_LAT) and fits(raised, up_m, HIGHEST_M)
+            and fits(moving, vn, FASTEST_MPS) and fits(moving, ve, FASTEST_MPS) and fits(looks, yaw, MOST_YAW_RAD)
+            and fits(moving, opens_m, MOST_OPENED_M) and fits(moving, makes_way, 1.0)) then
+            return refuse('implausible point')
+        end
+        if is_other(sender, t_ms) then return refuse('points of a second sender') end
         if stream.points < LENGTH then
             local gap = not stream.at_ms or t_ms - stream.at_ms > TARGET_FRESH_MS
             stream.points = gap and 1 or stream.points + 1
         end
         local before_ms, before_rad = stream.at_ms, stream.yaw_rad
         stream.at_ms = t_ms
-        stream.lat, stream.lng, stream.up_m, stream.yaw_rad = nil, nil, nil, nil
-        if mask & 0x0003 == 0 then stream.lat, stream.lng = lat, lng end
-        if mask & 0x0004 == 0 and ABOVE_HOME[string.unpack('B', message, payload + 52)] then stream.up_m = up_m end
-        if mask & 0x0400 == 0 then stream.yaw_rad = string.unpack('<f', message, payload + 40) end
+        stream.lat, stream.lng = placed and lat or nil, placed and lng or nil
+        stream.up_m, stream.yaw_rad = raised and up_m or nil, looks and yaw or nil
         turned(before_rad, before_ms)
-        -- Of the acceleration, which the autopilot is told to ignore: how far the slot has opened, and whether the tool
-        -- leads it past another vehicle than the leader.
-        local opens_m, makes_way = 0.0, 0.0
-        if mask & 0x01C0 == 0x01C0 then opens_m, makes_way = string.unpack('<ff', message, payload + 28) end
-        stream.opens_m = is_number(opens_m) and math.min(opens_m, MOST_OPEN_M) or 0.0
-        stream.makes_way = makes_way == 1.0
-        stream.moving = mask & 0x0018 == 0
-        stream.north_mps, stream.east_mps = 0.0, 0.0
-        if stream.moving then stream.north_mps, stream.east_mps = vn, ve end
+        stream.moving = moving
+        stream.opens_m = moving and math.min(opens_m, MOST_OPEN_M) or 0.0
+        stream.makes_way = moving and makes_way == 1.0
+        stream.north_mps, stream.east_mps = moving and vn or 0.0, moving and ve or 0.0
     end
 
     -- Whether the newest streamed point is the vehicle's target, and a place.
@@ -1181,26 +1261,76 @@ end
 
 -- MAVLink: points for the stream watch, single readings for the sonar track ------------------------------------------
 
+-- Frames whose checksum is wrong reach scripts too, and the autopilot does not say which they are.
 local take_messages
 do
-    local SET_POSITION_TARGET_GLOBAL_INT, NAMED_VALUE_FLOAT = 86, 251
+    local POINT, FLOAT = 86, 251 -- SET_POSITION_TARGET_GLOBAL_INT, NAMED_VALUE_FLOAT
+    local CRC_EXTRA = { [POINT] = 5, [FLOAT] = 170 }
+    local LONGEST = 53 -- bytes of the longer payload
     local WIDE_STRUCTURE = 299 -- bytes of mavlink_message_t where system ids have 32 bits; 291 where they have 8
+    local MAVLINK_1, SIGNED = 0xFE, 1 -- the first byte on the wire; the one flag that changes nothing before the checksum
+    local QUEUE = 10
+    local REPEAT_MS = 10000
 
-    mavlink:init(10, 2)
-    mavlink:register_rx_msgid(SET_POSITION_TARGET_GLOBAL_INT)
-    mavlink:register_rx_msgid(NAMED_VALUE_FLOAT)
+    local told_ms
+    control.deaf = not pcall(function()
+        mavlink:init(QUEUE, 2)
+        mavlink:register_rx_msgid(POINT)
+        mavlink:register_rx_msgid(FLOAT)
+    end)
+
+    -- Whether bytes that end with their checksum are whole (X.25, which is then 0): four bytes at a time. Zeros that follow
+    -- change nothing.
+    local function is_whole(bytes)
+        local unpack, crc = string.unpack, 0xFFFF
+        for i = 1, #bytes - 3, 4 do
+            local q = unpack('<i4', bytes, i) ~ crc
+            q = q ~ q << 4 ~ q << 11 ~ q << 16
+            q = q ~ q << 8 ~ q << 22
+            q = q ~ q << 16
+            crc = q >> 16 ~ q >> 21 ~ q >> 28
+        end
+        return crc == 0
+    end
+
+    -- Id, sender and payload of a mavlink_message_t, the payload with the zeros that MAVLink 2 leaves out; nil for a message
+    -- that is for another script, or damaged. Bytes that the checksum does not cover are not used.
+    local function read(message)
+        local sub, wide = string.sub, #message >= WIDE_STRUCTURE and 3 or 0
+        local magic, length, flags = string.unpack('BBB', message, 3)
+        local component, id = string.unpack('<BI3', message, 9 + wide)
+        local extra = CRC_EXTRA[id]
+        if not extra then return nil end
+        local old = magic == MAVLINK_1
+        if length > LONGEST or not (old or flags & ~SIGNED == 0) then return nil, refuse('damaged message') end
+        local payload = sub(message, 13 + wide, 12 + wide + length)
+        -- As on the wire: from the length to one byte of the system's id, its component, one or three bytes of message id.
+        local sent = sub(message, 4, old and 4 or 6) .. sub(message, 7, 8)
+            .. sub(message, 9 + wide, (old and 10 or 12) + wide) .. payload
+        if not is_whole(sent .. string.char(extra) .. sub(message, 1, 2) .. '\0\0\0') then
+            return nil, refuse('damaged message')
+        end
+        local system = string.byte(message, 8)
+        return id, system, system << 8 | component, payload .. string.rep('\0', LONGEST - length)
+    end
+
+    -- No place was left: scripts that were there first have them all.
+    local function tell(t_ms)
+        if C.ENABLE < 1 or (told_ms and t_ms - told_ms < REPEAT_MS) then return end
+        told_ms = t_ms
+        say(SEVERITY.ERROR, control.NO_PLACE)
+    end
 
     function take_messages(t_ms)
-        for _ = 1, 10 do
+        if control.deaf then return tell(t_ms) end
+        for _ = 1, QUEUE do
             local message = mavlink:receive_chan()
             if not message then return end
-            local wide = #message >= WIDE_STRUCTURE and 3 or 0
-            local system = string.unpack(wide > 0 and '<I4' or '<B', message, 8)
-            local id = string.unpack('<I3', message, 10 + wide)
-            if id == SET_POSITION_TARGET_GLOBAL_INT then
-                stream.take(message, 13 + wide, t_ms)
-            elseif system == MY_SYSTEM then
-                track.take(message, 13 + wide, t_ms)
+            local id, system, sender, payload = read(message)
+            if id == POINT then
+                stream.take(payload, sender, t_ms)
+            elseif id and system == MY_SYSTEM then
+                track.take(payload, t_ms)
             end
         end
     end
@@ -1213,6 +1343,15 @@ do
 
     local parameter, mirror = Parameter(SPEED_NAME), parameters.mirror
 
+    -- A value of the speed parameter, in its unit, that is a pilot's.
+    local function is_speed(units)
+        return is_within(units, FASTEST_MPS * SPEED_UNITS) and units > 0.0
+    end
+
+    function speed.is_set()
+        return control.active or is_speed(parameter:get())
+    end
+
     function speed.take_over()
         speed.pilot_units = parameter:get()
         mirror:set(speed.pilot_units) -- before the speed is touched: a restart must find it
@@ -1220,15 +1359,15 @@ do
     end
 
     function speed.write(mps)
+        if not order(mps) then return end
         parameter:set(mps * SPEED_UNITS)
         speed.written = parameter:get()
-        vehicle:set_desired_speed(mps)
         speed.out_mps = mps
     end
 
     function speed.give_back(units)
         parameter:set(units)
-        if vehicle:get_mode() == GUIDED then vehicle:set_desired_speed(units / SPEED_UNITS) end
+        if vehicle:get_mode() == GUIDED then order(units / SPEED_UNITS) end
         mirror:set(0)
         speed.written = nil
     end
@@ -1236,7 +1375,7 @@ do
     -- A script that died in control left the pilot's value in the mirror.
     function speed.repair()
         local units = mirror:get()
-        if not (units and units > 0.0) then return end
+        if not is_speed(units) then return end
         speed.give_back(units)
         say(SEVERITY.WARNING, string.format('restarted, %s back to %.2f', SPEED_NAME, units))
     end
@@ -1254,7 +1393,7 @@ do
     -- The pilot has set the speed parameter while the applet is in control: his value from now on.
     function speed.watch(t_ms)
         local units = parameter:get()
-        if not speed.written or units == speed.written then return end
+        if not speed.written or units == speed.written or not is_speed(units) then return end
         speed.pilot_units = units
         mirror:set(units)
         note_change(t_ms)
@@ -1314,8 +1453,8 @@ do
         if C.LOG_HZ <= 0.0 or (report.log_ms and t_ms - report.log_ms < 1000.0 / C.LOG_HZ - 1.0) then return end
         report.log_ms = t_ms
         local error_m = range_m and range_m - stream.distance_m() or 0.0
-        logger:write('ECHO', 'Rng,Flt,Err,Law,Spd,St', 'fffffB', 'mmmnn-', '00000-', range_m or 0.0,
-            track.range_m or 0.0, error_m, laws.wish_mps, speed.out_mps, report.state)
+        logger:write('ECHO', 'Rng,Flt,Err,Law,Spd,St,Ref', 'fffffBI', 'mmmnn--', '00000--', range_m or 0.0,
+            track.range_m or 0.0, error_m, laws.wish_mps, speed.out_mps, report.state, refused.count)
     end
 
     function report.send(range_m, t_ms)
@@ -1347,6 +1486,7 @@ do
     end
 
     local function reason_not_to_arm(t_ms)
+        if control.deaf then return control.NO_PLACE end
         local kind = forward_type()
         if not kind or not rangefinder:has_orientation(FORWARD) then return 'no forward rangefinder' end
         if kind ~= MAVLINK_RANGEFINDER then return 'forward rangefinder is not MAVLink' end
@@ -1393,6 +1533,8 @@ do
             return 'disarmed'
         end
         if vehicle:get_mode() ~= GUIDED then return 'mode' end
+        if control.deaf then return 'deaf' end
+        if not speed.is_set() then return SPEED_NAME .. ' out of range' end
         if speed.conflict then return 'another script sets ' .. SPEED_NAME end
         if C.SWITCH > 0 and not switch_is_high() then return 'switch' end
         return nil

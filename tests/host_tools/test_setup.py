@@ -354,7 +354,7 @@ def test_lines_say_why_and_what_to_type_and_fold_what_is_dull() -> None:
     assert "returns home at the speed parameter" in lines[at + 1]
     assert "param set RTL_SPEED_MS 5" in lines[at + 2]
     assert not any("ECHO_TAU" in line for line in lines)
-    folded = len(applet_parameters()) - 1  # ECHO_MIRROR is no setting
+    folded = len(applet_parameters()) - 2  # ECHO_MIRROR and ECHO_FORMAT are no settings
     assert any(f"{folded} parameters within their ranges" in line for line in lines)
     assert lines[-1].startswith("1 wrong, ")
 

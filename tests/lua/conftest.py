@@ -9,7 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from pymavlink.generator.mavcrc import x25crc
 
+from echowing.mavlink.messages import POINT_FORMAT
 from echowing.paths import lua_folder
 from echowing.sim.desk_vehicle import GOOD, NO_DATA, DeskVehicle, restarted
 from echowing.sim.luahost import LuaHost
@@ -40,9 +43,20 @@ OLD = Names(Generation.V4_6, "WPNAV_SPEED", 100.0, "SYSID_THISMAV")
 NEW = Names(Generation.V4_8, "WP_SPD", 1.0, "MAV_SYSID")
 
 
-def mavlink_frame(message_id: int, payload: bytes, system: int) -> bytes:
-    head = bytes([0xFD, len(payload), 0, 0, 0, system, 191]) + message_id.to_bytes(3, "little")
-    return head + payload + b"\0\0"
+def mavlink_frame(
+    message_id: int, payload: bytes, system: int, *, component: int = 191, old: bool = False
+) -> bytes:
+    """A whole frame as a radio or wire brings it; old: MAVLink 1, with its zeros at the end."""
+    if old:
+        head = bytes([len(payload), 0, system, component, message_id])
+    else:
+        payload = payload.rstrip(b"\0") or b"\0"
+        head = bytes([len(payload), 0, 0, 0, system, component])
+        head += message_id.to_bytes(3, "little")
+    extra = mavlink.mavlink_map[message_id].crc_extra
+    checksum: int = x25crc(head + payload + bytes([extra])).crc
+    start = b"\xfe" if old else b"\xfd"
+    return start + head + payload + checksum.to_bytes(2, "little")
 
 
 class Rig:
@@ -137,11 +151,13 @@ class Rig:
         opens_m: float = 0.0,
         makes_way: bool = False,
         ignored: int = ACCELERATION_IGNORED,
+        form: float = POINT_FORMAT,
+        sender: int = GROUND_TOOL,
     ) -> None:
         """A guided point so far north and east of HERE, with or without a velocity (there, too).
 
         up_m: above home; yaw_rad: None: the autopilot's choice; opens_m: the distance to keep;
-        makes_way: this leads past another vehicle; both in fields that are ignored.
+        makes_way: this leads past another vehicle; form: the format of both, in ignored fields.
         """
         lat = round(HERE[0] * 1e7 + ahead_m / METRES_PER_E7)
         metres_per_e7 = METRES_PER_E7 * math.cos(math.radians(HERE[0]))
@@ -151,9 +167,9 @@ class Rig:
         if yaw_rad is not None:
             mask &= ~YAW_IGNORED
         velocity = (0.0, 0.0) if velocity_mps is None else (velocity_mps, aside_mps)
-        fields = (lat, lng, up_m, *velocity, 0.0, opens_m, makes_way, 0.0, yaw_rad or 0.0, 0.0)
+        fields = (lat, lng, up_m, *velocity, 0.0, opens_m, makes_way, form, yaw_rad or 0.0, 0.0)
         payload = struct.pack("<Iii9fHBBB", self.vehicle.t_ms, *fields, mask, system, 1, 6)
-        self.vehicle.inbox.append((mavlink_frame(86, payload, GROUND_TOOL), 0))
+        self.vehicle.inbox.append((mavlink_frame(86, payload, sender), 0))
 
     @property
     def speed_mps(self) -> float:

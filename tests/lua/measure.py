@@ -12,6 +12,9 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 
+from tests.lua.conftest import mavlink_frame
+
+from echowing.mavlink.messages import POINT_FORMAT
 from echowing.paths import lua_folder
 from echowing.sim.desk_vehicle import GOOD, DeskVehicle
 from echowing.sim.luahost import LuaHost
@@ -29,20 +32,17 @@ def new_vehicle(law: int) -> DeskVehicle:
     return vehicle
 
 
-def frame(message_id: int, payload: bytes, system: int) -> bytes:
-    """A MAVLink 2 frame."""
-    head = bytes([0xFD, len(payload), 0, 0, 0, system, 191]) + message_id.to_bytes(3, "little")
-    return head + payload + b"\0\0"
-
-
 def feed(vehicle: DeskVehicle, range_m: float, mask: int) -> None:
     """A single reading every 50 ms and a guided point every 120 ms."""
     if vehicle.t_ms % 50 == 0:
         vehicle.ranges[0] = (GOOD, range_m)
-        vehicle.inbox.append((frame(251, struct.pack("<If10s", 0, range_m, b"SNR_RAW"), 1), 1))
+        vehicle.inbox.append(
+            (mavlink_frame(251, struct.pack("<If10s", 0, range_m, b"SNR_RAW"), 1), 1)
+        )
     if vehicle.t_ms % 120 == 0:
-        fields = (0, 393400300, -860300000, 10.0, *(0.0,) * 8, mask, 1, 1, 6)
-        vehicle.inbox.append((frame(86, struct.pack("<Iii9fHBBB", *fields), 245), 0))
+        rest = (0.0, 0.0, 0.0, 0.0, 0.0, POINT_FORMAT, 0.0, 0.0)
+        fields = (0, 393400300, -860300000, 10.0, *rest, mask, 1, 1, 6)
+        vehicle.inbox.append((mavlink_frame(86, struct.pack("<Iii9fHBBB", *fields), 245), 0))
 
 
 def most(law: int, range_m: Callable[[float], float], mask: int) -> tuple[int, int, int]:

@@ -232,7 +232,7 @@ def test_stops_when_its_parameter_key_is_taken(rig: MakeRig) -> None:
 
 @pytest.mark.parametrize("velocity_mps", [None, 0.0])
 def test_an_update_stays_far_below_the_limits(rig: MakeRig, velocity_mps: float | None) -> None:
-    """An eighth of SCR_VM_I_COUNT an update, under half of the heap (64-bit pointers)."""
+    """A quarter of SCR_VM_I_COUNT an update with two messages, over half of the heap is free."""
     r = rig(LAW=2)
     r.host = LuaHost(r.vehicle, r.script, generation=r.names.generation, count_instructions=True)
     r.raw_every_ms = 50
@@ -243,9 +243,9 @@ def test_an_update_stays_far_below_the_limits(rig: MakeRig, velocity_mps: float 
         r.range(3.0 if i < 250 else 1.2).step()
         if r.vehicle.t_ms > 500:  # the first run sets everything up
             worst = max(worst, r.host.instructions)
-    assert 200 < worst < 1350
+    assert 200 < worst < 2500
     # Here pointers take 64 bits, on the autopilot half of that: about a quarter of its heap.
-    assert r.host.heap_bytes() < 204800 * 0.5
+    assert r.host.heap_bytes() < 204800 * 0.6
 
 
 # Too close
@@ -690,7 +690,7 @@ def test_parameters_change_in_flight(rig: MakeRig) -> None:
 def test_parameter_names_fit_and_are_documented() -> None:
     source = (lua_folder() / "echowing.lua").read_text(encoding="utf-8")
     documented = [line.split()[-1] for line in source.splitlines() if "// @Param:" in line]
-    assert len(documented) == len(set(documented)) == 28
+    assert len(documented) == len(set(documented)) == 29
     assert all(len(name) <= 16 for name in documented)
     for field in ("@DisplayName", "@Description", "@User"):
         assert source.count(f"// {field}:") == len(documented)
@@ -719,6 +719,14 @@ def test_every_text_is_explained_in_the_doc() -> None:
         "stopped",
         "error",
         "ready",
+        "damaged message, not used",
+        "implausible point, not used",
+        "implausible reading, not used",
+        "implausible target, not used",
+        "implausible speed, not used",
+        "points of another version of the tool, not used",
+        "points of a second sender, not used",
+        "other scripts leave no place to receive",
     ):
         assert f"`{text}" in doc or text in doc, text
 
@@ -810,9 +818,9 @@ def test_named_floats_and_log(rig: MakeRig) -> None:
     assert named["ECHO_SPD"][-1] == r.speed_mps
     assert 18 <= len(named["ECHO_RNG"]) <= 21  # 2 a second
     assert 45 <= len(r.vehicle.log) <= 51
-    name, (range_m, filtered_m, error_m, law, speed, state) = r.vehicle.log[-1]
+    name, (range_m, filtered_m, error_m, law, speed, state, refused) = r.vehicle.log[-1]
     assert name == "ECHO"
-    assert (range_m, error_m, speed, state) == (3.5, 0.5, r.speed_mps, TRACKING)
+    assert (range_m, error_m, speed, state, refused) == (3.5, 0.5, r.speed_mps, TRACKING, 0)
     assert filtered_m == pytest.approx(3.5, abs=0.01)
     assert law == 5.0
 

@@ -24,6 +24,10 @@ STATUS_TEXT_BYTES = 50
 MOST_LAT_E7, MOST_LON_E7 = 900_000_000, 1_800_000_000
 UNKNOWN_HEADING = 65_535
 
+# How a point with a velocity carries more than a point, in fields that the autopilot ignores. The
+# applet refuses another format, and shows its own as ECHO_FORMAT.
+POINT_FORMAT = 2.0
+
 _POSITION_VELOCITY = (
     mavlink.POSITION_TARGET_TYPEMASK_AX_IGNORE
     | mavlink.POSITION_TARGET_TYPEMASK_AY_IGNORE
@@ -53,7 +57,8 @@ def position_target(
 
     velocity_mps: (north, east); None: the position only. For the applet, in fields that the
     autopilot ignores: opens_m: the distance to keep where the slot has opened (0: it has not);
-    makes_way: this leads past another vehicle than the leader, and the applet is not to undo it.
+    makes_way: this leads past another vehicle than the leader, and the applet is not to undo it;
+    and POINT_FORMAT.
     """
     mask = _POSITION_ONLY if velocity_mps is None else _POSITION_VELOCITY
     if yaw_rad is None:
@@ -71,7 +76,7 @@ def position_target(
         0.0,
         opens_m,
         float(makes_way),
-        0.0,
+        POINT_FORMAT,
         yaw_rad or 0.0,
         0.0,
     )

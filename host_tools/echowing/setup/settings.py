@@ -240,7 +240,7 @@ def _applet(readout: Readout) -> Iterator[Setting]:
         return
     yield _exactly("ECHO_ENABLE", 1.0, "the applet does nothing while it is 0")
     for row in applet_parameters():
-        if row.name in ("ECHO_ENABLE", "ECHO_MIRROR"):
+        if row.name in ("ECHO_ENABLE", "ECHO_MIRROR", "ECHO_FORMAT"):
             continue
         yield Setting(
             row.name,
