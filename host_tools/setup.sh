@@ -77,10 +77,23 @@ lua_is_32_bit() {
   .venv/bin/python -c 'import lupa.lua53 as l, sys
 sys.exit(l.LuaRuntime().eval("math.maxinteger") != 2**31 - 1)' 2>/dev/null
 }
+lua_source=build/tools/lua53   # Lua's own files of lupa's source: the tests build them for the autopilot
+if [ "$group" = test ] && [ ! -f "$lua_source/lua.h" ]; then lua_source_missing=1; else lua_source_missing=; fi
+if [ -n "$lua_source_missing" ] || ! lua_is_32_bit; then
+  lupa=$(mktemp -d)
+  trap 'rm -rf "$lupa"' EXIT
+  .venv/bin/pip download -q --disable-pip-version-check --no-cache-dir --no-deps --no-binary lupa \
+    --dest "$lupa" 'lupa>=2.4'
+fi
 if ! lua_is_32_bit; then
   say "building lupa (Lua 5.3 with the autopilot's 32-bit numbers; about a minute)"
   CFLAGS=-DLUA_32BITS .venv/bin/pip install -q --disable-pip-version-check --force-reinstall \
-    --no-cache-dir --no-deps --no-binary lupa 'lupa>=2.4'
+    --no-cache-dir --no-deps "$lupa"/lupa-*.tar.gz
+fi
+if [ -n "$lua_source_missing" ]; then
+  mkdir -p "$lua_source"
+  tar -xzf "$lupa"/lupa-*.tar.gz -C "$lua_source" --strip-components=3 --wildcards --no-wildcards-match-slash \
+    '*/third-party/lua53/*.c' '*/third-party/lua53/*.h'
 fi
 say "installing Python packages into .venv ($extras)"
 .venv/bin/pip install -q --disable-pip-version-check -e ".[$extras]"

@@ -450,6 +450,7 @@ end
 local order
 do
     local NEAR_M = 50.0 -- the leader is within the sonar's reach, and its point within a second's flight of it
+    local ORIGIN_M = 1e5 -- no copter flies further from where its estimator began
     local HARDEST_MPS2, FASTEST_RPS = 10.0, 4.0 -- as the highest ECHO_DECEL; no copter's nose turns faster
     local TURN_RAD = 2.0 * math.pi -- the autopilot takes a yaw of up to 360 degrees
 
@@ -459,7 +460,7 @@ do
         here:x(position:x() - here:x())
         here:y(position:y() - here:y())
         here:z(position:z() - here:z())
-        return is_within(here:length(), NEAR_M)
+        return is_within(here:length(), NEAR_M) and is_within(position:length(), ORIGIN_M)
     end
 
     function order(mps, position, velocity, acceleration, look_rad, turn_rps)
@@ -1553,6 +1554,7 @@ do
 
     local function hand_back(reason)
         if not control.active then return end
+        speed.watch(own.at_ms) -- the pilot may have set it since the last update
         control.active = false
         speed.give_back(speed.pilot_units)
         report.state = STATE.OFF

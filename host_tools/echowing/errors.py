@@ -1,5 +1,14 @@
 """Errors that are the user's to fix: printed as one clear message, never as a traceback."""
 
+import difflib
+from collections.abc import Iterable
+
 
 class EchowingError(Exception):
     """Something outside the program is wrong: says what, where and what to do about it."""
+
+
+def nearest(name: str, names: Iterable[str]) -> str:
+    """The end of an error about an unknown name: `; the nearest is NAME`, empty if none is near."""
+    found = difflib.get_close_matches(name, list(names), n=1)
+    return f"; the nearest is {found[0]}" if found else ""

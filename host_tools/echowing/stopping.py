@@ -9,17 +9,38 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
+from echowing.errors import EchowingError
+
 # Windows knows no hang-up.
 _SIGNALS = tuple(
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
 )
 
 
-class StopRequest:
-    """Counts the requests to end; the signal handlers only write here."""
+class NotHeededError(EchowingError):
+    """Nobody has looked at a request to end: what was going on is interrupted."""
 
-    def __init__(self) -> None:
-        self.count = 0
+
+class StopRequest:
+    """Counts the requests to end; the signal handlers only write here.
+
+    patience_s: a request that nobody has looked at for so long interrupts what is going on; None:
+    it waits.
+    """
+
+    def __init__(self, patience_s: float | None = None) -> None:
+        self._count = self._heeded = 0
+        self._patience_s = patience_s
+
+    @property
+    def count(self) -> int:
+        """How often the end was requested."""
+        self._heeded = self._count
+        return self._count
+
+    @count.setter
+    def count(self, count: int) -> None:
+        self._count = count
 
     def __call__(self) -> bool:
         """Whether the end was requested."""
@@ -27,22 +48,42 @@ class StopRequest:
 
     def ask(self, number: int, frame: FrameType | None) -> None:
         """A signal has come."""
-        self.count += 1
+        self._count += 1
+        if self._patience_s is not None:
+            signal.setitimer(signal.ITIMER_REAL, self._patience_s)
+
+    def insist(self, number: int, frame: FrameType | None) -> None:
+        """The time is over in which a request should have been looked at."""
+        if self._patience_s is not None and self._heeded < self._count:
+            raise NotHeededError(f"no answer to Ctrl-C for {self._patience_s:g} s: interrupted")
+
+    def be_patient(self) -> None:
+        """Interrupt nothing any more: what is left takes its time."""
+        self._patience_s = None
 
 
 @contextmanager
-def stop_on_signals() -> Iterator[StopRequest]:
+def stop_on_signals(patience_s: float | None = None) -> Iterator[StopRequest]:
     """Signals to end count as requests instead of ending the process.
+
+    With `patience_s` a request that nobody has looked at for so long raises NotHeededError where
+    the process is: a loop that does not end can be ended too (not on Windows).
 
     An ignored signal stays ignored: `nohup` keeps a verb running without its terminal. After the
     requested end the verb has done its work: another signal changes nothing.
     """
-    request = StopRequest()
+    has_timer = hasattr(signal, "setitimer")
+    request = StopRequest(patience_s if has_timer else None)
     heeded = [number for number in _SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
     before = {number: signal.signal(number, request.ask) for number in heeded}
+    if has_timer and patience_s is not None:
+        before[signal.SIGALRM] = signal.signal(signal.SIGALRM, request.insist)
     try:
         yield request
     finally:
+        request.be_patient()
+        if has_timer and patience_s is not None:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
         if request():
             ignore_signals()
         else:

@@ -113,3 +113,51 @@ def test_a_leader_that_stands_turns_no_way() -> None:
         1.0 + least_slot_m(2.0, Answer())
     )
     assert math.isfinite(least_slot_m(20.0, Answer(2.0, 0.5)))
+
+
+def test_the_least_slot_is_what_flying_the_reversal_step_by_step_loses() -> None:
+    """In steps of 1 ms: braking harder than the leader, alike, less hard, and knowing very late."""
+    for decel_mps2, noticed_s in ((5.0, 0.3), (4.0, 1.0), (2.5, 0.3), (1.0, 0.3), (8.0, 4.0)):
+        for speed_mps in (0.3, 2.0, 8.0):
+            leader_mps = follower_mps = speed_mps
+            lost_m = most_m = 0.0
+            for step in range(40_000):
+                leader_mps = max(-speed_mps, leader_mps - 2.5e-3)
+                if step * 1e-3 > noticed_s + 0.5:
+                    follower_mps = max(-speed_mps, follower_mps - decel_mps2 * 1e-3)
+                lost_m += (follower_mps - leader_mps) * 1e-3
+                most_m = max(most_m, lost_m)
+            least_m = least_slot_m(speed_mps, Answer(0.5, decel_mps2), 1.0, noticed_s, 2.5)
+            assert least_m == pytest.approx(1.0 + most_m, abs=0.02)
+
+
+@pytest.mark.parametrize("decel_mps2", [0.0, -1.0, math.nan])
+def test_there_is_no_slot_for_one_that_cannot_brake(decel_mps2: float) -> None:
+    assert least_slot_m(2.0, Answer(0.5, decel_mps2)) == math.inf
+
+
+def test_there_is_no_slot_behind_a_leader_of_which_nothing_is_known() -> None:
+    assert least_slot_m(math.nan, Answer()) == math.inf
+    assert least_slot_m(2.0, Answer(math.inf, 2.5)) == math.inf
+    assert least_slot_m(2.0, Answer(), brakes_mps2=math.nan) == math.inf
+
+
+def test_one_that_hardly_brakes_needs_a_slot_out_of_sight() -> None:
+    """Stepping through such a reversal would take for ever."""
+    assert least_slot_m(2.0, Answer(0.5, 1e-30)) > 1e30
+
+
+@pytest.mark.parametrize("value", [1e-30, 0.0, -5.0, 1e30, math.nan, math.inf])
+def test_a_parameter_that_no_vehicle_has_is_not_known(value: float) -> None:
+    handling = Handling()
+    for name in ("WP_ACC", "WPNAV_ACCEL", "PSC_JERK_NE", "ATC_ANGLE_MAX"):
+        handling.receive(name, value)
+    assert not handling.known
+    assert handling.answer == Answer()
+    assert {"WP_ACC", "PSC_JERK_NE"} <= set(handling.asks(0.0))
+    handling.receive("WP_ACC", 5.0)
+    handling.receive("PSC_JERK_NE", 20.0)
+    known = handling.answer
+    for name in ("WP_ACC", "PSC_JERK_NE"):
+        handling.receive(name, value)
+    assert handling.answer == known

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from echowing.flight.closing import Closing
-from echowing.flight.own_motion import BEGINS_S, OwnMotion
+from echowing.flight.own_motion import BEGINS_S, REMEMBERED_S, OwnMotion
 from echowing.geo import GlobalPosition, displace
 
 from ..system.flown import flown
@@ -91,3 +91,11 @@ def test_over_two_slow_radios_the_leader_is_found_and_held(seed: int) -> None:
     assert one.flights[0].separation_m[late].max() < 5.0
     assert one.flights[0].separation_m[late].mean() < 3.6
     assert one.closest_m > 1.2
+
+
+@pytest.mark.parametrize("to_s", [1e9, math.inf])
+def test_an_old_report_is_carried_on_no_longer_than_orders_are_remembered(to_s: float) -> None:
+    motion = OwnMotion()
+    motion.ordered(10.0, there(3.0), (0.0, 0.0), CLOSING)
+    carried = motion.carried_on(HERE, (0.0, 0.0), 10.0, to_s)
+    assert carried == motion.carried_on(HERE, (0.0, 0.0), 10.0, 10.0 + REMEMBERED_S)

@@ -3,19 +3,27 @@
 import math
 import os
 import signal
+import threading
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.flight.guard import Limits
 from echowing.flight.guidance import GuidanceSettings, Slot
+from echowing.flight.session import FollowSession
+from echowing.flight.state import FollowerPlan
+from echowing.geo import ned_between
 from echowing.mavlink.links import Address, Link
+from echowing.mavlink.messages import TOOL_SYSTEM_ID
 from echowing.mavlink.seats import parse_seat
 from echowing.mavlink.signing import LinkSigning
-from echowing.sim.autopilot import Autopilot
+from echowing.sim.autopilot import ORIGIN, Autopilot
 from echowing.sim.copter import Copter
-from echowing.stopping import StopRequest, stop_on_signals
+from echowing.stopping import NotHeededError, StopRequest, stop_on_signals
+from echowing.tool.again import fly_again
 from echowing.tool.panel import Row
 from echowing.tool.run import FollowOptions, FollowTool, Page
 
@@ -23,6 +31,7 @@ LEADER, FOLLOWER = 1, 2
 STEP_S, GLANCE_S = 0.02, 0.005
 NEVER_S = 1e9
 TELEMETRY = "telemetry"
+POINT = "SET_POSITION_TARGET_GLOBAL_INT"
 
 
 class Clock:
@@ -106,6 +115,7 @@ class Flight:
         keys: Callable[[], bytes] | None = None,
         build_up: tuple[float, ...] = (),
         page: Page | None = None,
+        stop: StopRequest | None = None,
     ) -> None:
         starts = {LEADER: (0.0, 0.0, -10.0), FOLLOWER: (-5.0, 0.0, -10.0)}
         self.copters = {i: Copter(start, flying=True) for i, start in starts.items()}
@@ -127,7 +137,7 @@ class Flight:
         self.tool = FollowTool(
             options,
             screen,
-            StopRequest(),
+            stop or StopRequest(),
             clock=Clock(),
             make_link=self._make_link,
             keys=keys,
@@ -172,6 +182,107 @@ def test_a_fault_of_ours_stops_the_follower_before_it_is_shown(
     monkeypatch.setattr(flight.tool, "_tell", Once(flight, at_north_m=3.0))
     with pytest.raises(ZeroDivisionError):
         flight.tool.run()
+    assert flight.speed_mps() < 0.3
+    assert ": stopped, " in screen.texts[-1]
+
+
+@pytest.fixture
+def _fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The session's tick fails from the moment on at which the follower is 3 m north of its home.
+
+    The fault is in the session's own state: it comes again with the same messages.
+    """
+    tick = FollowSession.tick
+
+    def failing(session: FollowSession, now_s: float) -> list[tuple[int, Any]]:
+        place = session.followers[FOLLOWER].position
+        if place is not None and ned_between(ORIGIN, place)[0] > 3.0:
+            raise ZeroDivisionError(f"at {now_s:.3f} s")
+        return tick(session, now_s)
+
+    monkeypatch.setattr(FollowSession, "tick", failing)
+
+
+@pytest.mark.usefixtures("_fails")
+def test_a_tick_that_fails_for_good_stops_the_follower_and_tells_everybody(tmp_path: Path) -> None:
+    """The way of stopping ran through the same tick: the follower was left to its watchdog."""
+    screen = Screen(NEVER_S, OSError())
+    flight = Flight(screen)
+    flight.tool._options.log = tmp_path
+    with pytest.raises(ZeroDivisionError) as fault:
+        flight.tool.run()
+    assert 3.0 < flight.copters[FOLLOWER].north_m < 8.0
+    assert flight.speed_mps() < 0.3
+    assert any("fault of this tool, all followers hold" in text for text in screen.texts)
+    assert any(": stopped, " in text for text in screen.texts)
+    (tlog,) = tmp_path.glob("follow-*.tlog")
+    assert tlog.read_bytes().count(b"Echowing: ground tool failed, holding") == 2
+    points = [one for one in sent(tlog) if one.get_type() == POINT]
+    holds = [one for one in points if (one.vx, one.vy) == (0.0, 0.0)]
+    assert len(holds) > 8  # a second of standing, at 8 Hz
+    assert holds == points[-len(holds) :]
+    assert len({(one.lat_int, one.lon_int, one.alt) for one in holds}) == 1
+    (told,) = tmp_path.glob("follow-*-fault.json")
+    assert "raise ZeroDivisionError" in told.read_text()
+    again = a_session()
+    with pytest.raises(ZeroDivisionError) as once_more:
+        fly_again(tmp_path, again.receive, again.tick)
+    assert str(once_more.value) == str(fault.value)
+
+
+def a_session() -> FollowSession:
+    plans = [FollowerPlan(FOLLOWER, Slot(3.0))]
+    return FollowSession(LEADER, plans, GuidanceSettings(learn_offset=False), limits=Limits())
+
+
+def sent(tlog: Path) -> Iterator[Any]:
+    """What the tool has sent."""
+    data, ear, start = tlog.read_bytes(), mavlink.MAVLink(None), 0
+    while start < len(data):
+        length = 12 + data[start + 9]
+        message = ear.decode(bytearray(data[start + 8 : start + 8 + length]))
+        start += 8 + length
+        if message.get_srcSystem() == TOOL_SYSTEM_ID:
+            yield message
+
+
+def test_a_message_that_cannot_be_taken_stops_the_follower(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    screen = Screen(NEVER_S, OSError())
+    flight = Flight(screen)
+    take = FollowSession.receive
+
+    def failing(session: FollowSession, message: Any, now_s: float) -> None:
+        if now_s > 12.0 and message.get_type() == "HEARTBEAT":
+            raise KeyError("mode")
+        take(session, message, now_s)
+
+    monkeypatch.setattr(FollowSession, "receive", failing)
+    with pytest.raises(KeyError):
+        flight.tool.run()
+    assert flight.speed_mps() < 0.3
+    assert ": stopped, " in screen.texts[-1]
+
+
+@pytest.mark.usefixtures("_handlers")
+def test_ctrl_c_ends_a_tick_that_does_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A signal only counted, and a tick that hung never looked: the process had to be killed."""
+    screen = Screen(NEVER_S, OSError())
+    with stop_on_signals(0.2) as stop:
+        flight = Flight(screen, stop=stop)
+        tick = FollowSession.tick
+
+        def hanging(session: FollowSession, now_s: float) -> list[tuple[int, Any]]:
+            if now_s > 12.0:
+                threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGINT)).start()
+                while True:
+                    pass
+            return tick(session, now_s)
+
+        monkeypatch.setattr(FollowSession, "tick", hanging)
+        with pytest.raises(NotHeededError, match="no answer to Ctrl-C"):
+            flight.tool.run()
     assert flight.speed_mps() < 0.3
     assert ": stopped, " in screen.texts[-1]
 

@@ -178,16 +178,6 @@ def test_a_sonar_that_hears_something_else_is_told_of_once() -> None:
     ]
 
 
-@pytest.mark.parametrize("value", [math.nan, math.inf])
-def test_a_named_float_that_is_no_number_is_not_shown(value: float) -> None:
-    panel, follow = Panel([LEADER, FOLLOWER]), session()
-    for name in (b"SNR_STATE", b"ECHO_SPD"):
-        odd = mavlink.MAVLink_named_value_float_message(1, name, value)
-        panel.receive(received(FOLLOWER, odd, component=191), 1.0)
-    (shown,) = panel.rows(follow, 1.0)
-    assert (shown.gimbal, shown.command_mps) == (None, None)
-
-
 def test_the_link_is_the_share_of_frames_that_came() -> None:
     panel = Panel([FOLLOWER])
     for step in range(51):

@@ -28,6 +28,7 @@ from echowing.flight.state import FollowerPlan, FollowerState
 from echowing.flight.switch import StopSwitch, parse_stop_switch
 from echowing.flight.tow_bar import TowBar
 from echowing.geo import GlobalPosition, displace, ned_between
+from echowing.mavlink.plausible import Door
 from echowing.tool.panel import Panel, left_as, state_of
 
 LEADER, FOLLOWER, SECOND = 1, 2, 3
@@ -74,6 +75,7 @@ class Field:
     feed_forward: bool = True
     silent: set[int] = field(default_factory=set)
     now_s: float = 0.0
+    door: Door = field(default_factory=Door)
 
     def __post_init__(self) -> None:
         plans = [FollowerPlan(i, Slot(self.radius_m * (i - 1)), 10.0) for i in self.followers]
@@ -88,7 +90,9 @@ class Field:
             self.tell(system_id, heartbeat())
 
     def tell(self, system_id: int, message: Any) -> None:
-        self.session.receive(received(system_id, message), self.now_s)
+        heard = received(system_id, message)
+        if self.door.admits(heard):
+            self.session.receive(heard, self.now_s)
 
     def fly(self, seconds: float) -> list[Any]:
         """Let time pass; returns all that was sent."""

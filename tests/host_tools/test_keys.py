@@ -111,6 +111,15 @@ def test_stop_and_hold_ask_nobody_and_work_while_a_question_waits(key: bytes) ->
     assert desk.field.said("STOP by key: all that were moved hold, for good")
 
 
+def test_what_would_be_refused_is_not_asked_first() -> None:
+    desk = Desk()
+    desk.press(b"e")
+    assert desk.said == ["engaged already"]
+    desk.press(b"s", b"e")
+    assert desk.said[1:] == ["all were stopped: end this tool and start it anew to engage"]
+    assert desk.line().startswith("keys:")
+
+
 def test_the_first_line_of_the_live_view_is_what_keys_do() -> None:
     output = io.StringIO()
     console = Console(file=output, force_terminal=True, width=80, _environ={"TERM": "xterm"})

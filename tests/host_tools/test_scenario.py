@@ -2,9 +2,12 @@ from pathlib import Path
 
 import pytest
 
+from echowing.cli import main
 from echowing.errors import EchowingError
 from echowing.flight.guidance import GuidanceSettings
 from echowing.paths import repository_root
+from echowing.sim.flight import FormationWorld
+from echowing.sim.hangar import Hangar
 from echowing.sim.scenario import load_scenario, scenario_names
 from echowing.sim.scenario_page import page
 
@@ -57,6 +60,24 @@ def test_many_means_fifty() -> None:
     assert len(load_scenario("many").slots()) == 50
 
 
+def test_the_applets_distance_is_its_slots_radius_unless_told_otherwise() -> None:
+    slots = "formation.slots=[{radius_m=4.0}, {radius_m=8.0}, {radius_m=12.0, echo_dist_m=3.5}]"
+    scenario = load_scenario("echowing", [slots])
+    # 8 m is more than the applet accepts, and beyond the sonar.
+    assert [scenario.echo_dist_m(index) for index in range(3)] == [4.0, None, 3.5]
+    told = load_scenario("echowing", [slots, "applet.ECHO_DIST=2.0"])
+    assert [told.echo_dist_m(index) for index in range(3)] == [None, None, 3.5]
+
+
+@pytest.mark.parametrize(
+    ("changes", "dist_m"), [([], 4.0), (["applet.ECHO_DIST=3.5"], 3.5), (["law=thesis"], 4.0)]
+)
+def test_a_follower_flies_with_that_distance(changes: list[str], dist_m: float) -> None:
+    scenario = load_scenario("echowing", ["formation.slots=[{radius_m=4.0}]", *changes])
+    follower = FormationWorld(scenario, Hangar(scenario, 1)).followers[0]
+    assert follower.autopilot.parameters.saved["ECHO_DIST"] == dist_m
+
+
 def test_a_users_file_is_taken(tmp_path: Path) -> None:
     scenario = load_scenario(user_file(tmp_path, 'title = "mine"\n[gps]\nsigma_m = 0.1\n'))
 
@@ -86,12 +107,43 @@ def test_changes_reach_nested_keys() -> None:
         ("leader.path=track", "path 'track' needs `track`"),
         ("gps", "write key=value"),
         ("title.x=1", "'title' is a value, not a section"),
+        (
+            "applet.ECHO_DETEKT=3",
+            r"applet\.ECHO_DETEKT: the applet has no such parameter; .* ECHO_DETECT$",
+        ),
+        ("applet.ECHO_DIST=9", r"applet\.ECHO_DIST: 9 is not accepted; give 1\.5 to 6$"),
+        ("applet.ECHO_DIST=nan", r"applet\.ECHO_DIST: nan is not accepted"),
+        (
+            "follower.parameters.WP_SDP=1",
+            r"follower\.parameters\.WP_SDP: the simulated ArduCopter 4\.8 has .* WP_SPD$",
+        ),
+        ("follower.parameters.FOO=1", r"follower\.parameters\.FOO: .* has no such parameter$"),
+        ("follower.parameters.WPNAV_SPEED=500", r"ArduCopter 4\.8 has no such parameter"),
+        ("follower.parameters.WP_YAW_BEHAVIOR=128", r"give -128 to 127$"),
+        ("follower.parameters.ECHO_DIST=9", r"9 is not accepted; give 1\.5 to 6$"),
         ("nonsense=1", r"nonsense: no such key; allowed here: .*duration_s"),
     ],
 )
 def test_a_wrong_change_names_itself_and_what_is_allowed(change: str, says: str) -> None:
     with pytest.raises(EchowingError, match=says):
         load_scenario("echowing", [change])
+
+
+def test_parameters_that_the_devices_have_are_taken() -> None:
+    changes = [
+        "applet.ECHO_DIST=4",
+        'follower.generation="4.6"',
+        "follower.parameters.WPNAV_SPEED=500",
+        "follower.parameters.ECHO_DETECT=4",
+    ]
+    scenario = load_scenario("echowing", changes)
+    assert scenario.follower.parameters == {"WPNAV_SPEED": 500.0, "ECHO_DETECT": 4.0}
+
+
+def test_a_wrong_parameter_ends_the_command(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["sim", "echowing", "--set", "applet.ECHO_DIST=9"]) != 0
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert "ECHO_DIST" in line
 
 
 def test_a_wrong_key_in_a_list_names_its_place(tmp_path: Path) -> None:

@@ -4,18 +4,20 @@ import threading
 import time
 from collections.abc import Iterator
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import pytest
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.commands.follow import options_of
 from echowing.errors import EchowingError
 from echowing.sim.autopilot import Autopilot
 from echowing.sim.copter import Copter
 from echowing.sim.scenario import load_scenario
 from echowing.sim.serve import HOPELESS_S, STEP_S, Server, open_port
-from echowing.sim.serve_flight import set_up
+from echowing.sim.serve_flight import say_how_to_go_on
 
 SYSTEM_ID = 3
 PATIENCE_S = 60.0  # what is heard ends it early
@@ -178,10 +180,30 @@ def test_a_taken_port_is_named() -> None:
     first.close()
 
 
-def test_served_applets_keep_the_distance_of_their_slots_or_as_the_scenario_says() -> None:
-    slots = "formation.slots=[{radius_m=4.0}, {radius_m=8.0}, {radius_m=12.0, echo_dist_m=3.5}]"
-    served = set_up(load_scenario("echowing", [slots]))
-    # 8 m is more than the applet accepts, and beyond the sonar.
-    assert [slot.echo_dist_m for slot in served.formation.slots] == [4.0, None, 3.5]
-    given = load_scenario("echowing", [slots, "applet.ECHO_DIST=2.0"])
-    assert set_up(given) == given
+LINE_ASTERN = "formation.slots=[{radius_m=4.0}, {radius_m=7.9}]"
+FOLLOW_TWO = ["--leader", "udpin:1@1", "--follower", "udpin:1@2", "--follower", "udpin:1@3"]
+
+
+@pytest.mark.parametrize("allowed", [[], ["formation.slot_separation_m=2.0"]])
+def test_a_served_formation_does_not_loosen_what_follow_demands(
+    allowed: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    say_how_to_go_on(load_scenario("echowing", [LINE_ASTERN, *allowed]), 5760)
+    said = capsys.readouterr().out
+    assert "follow will refuse it: formation: slots 1 and 2 are 3.90 m apart" in said
+    with pytest.raises(EchowingError, match=r"3\.90 m apart, less than 4\.83"):
+        options_of([*FOLLOW_TWO, "--formation", "out/formation-5760.toml"])
+
+
+def test_a_served_formation_keeps_a_stricter_demand_of_its_scenario(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    say_how_to_go_on(load_scenario("many"), 5760)  # says 5 m
+    assert "refuse" not in capsys.readouterr().out
+    written = Path("out/formation-5760.toml").read_text(encoding="utf-8")
+    assert written.startswith("slot_separation_m = 5.0\n")

@@ -3,7 +3,11 @@
 import io
 import json
 import math
+import os
+import pty
 import re
+import subprocess
+import sys
 from collections.abc import Mapping
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -33,6 +37,8 @@ from echowing.setup.readout import CardApplet, Readout, Reports, Role
 from echowing.setup.settings import settings_for
 from echowing.setup.view import as_json, as_lines, differences
 from echowing.sim.parameters import Generation, Parameters
+
+from .test_background import read_until
 
 NOW = datetime(2026, 11, 21, 9, 30)
 STEADY = Reports(count=60, heard_for_s=3.0, longest_gap_s=0.06, orientation=0, sensor_id=0)
@@ -555,6 +561,36 @@ def test_the_answer_may_come_through_a_pipe(
     monkeypatch.setattr("sys.stdin", io.StringIO(typed))
     assert setup.agreed("Write these to vehicle 2 on V? [y/N] ") is yes
     assert capsys.readouterr().out == "Write these to vehicle 2 on V? [y/N] "
+
+
+ASK_BESIDE_A_BAR = """
+from echowing.commands.setup import agreed, progress_bar
+with progress_bar() as bar:
+    step = bar("writing")
+    step(1, 2)
+    step(2, 2)
+    print("[done]")
+    print(agreed("Write these too? [y/N] "))
+"""
+
+
+def test_a_question_on_a_terminal_shows_its_answers() -> None:
+    master, terminal = pty.openpty()
+    with subprocess.Popen(
+        [sys.executable, "-c", ASK_BESIDE_A_BAR],
+        stdin=terminal,
+        stdout=terminal,
+        stderr=terminal,
+        env={**os.environ, "TERM": "xterm"},
+    ) as asking:
+        os.close(terminal)
+        try:
+            read_until(master, b"Write these too? [y/N] ")
+            os.write(master, b"y\n")
+            read_until(master, b"True")
+        finally:
+            os.close(master)  # a question that waits is hung up
+    assert asking.returncode == 0
 
 
 def test_where_nobody_answers_nothing_is_taken_for_granted(monkeypatch: pytest.MonkeyPatch) -> None:

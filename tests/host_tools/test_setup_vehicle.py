@@ -283,7 +283,8 @@ def test_a_new_applet_alone_needs_no_restart_of_the_autopilot(
 def test_a_value_out_of_range_that_shows_only_later_is_asked_for(
     make_desk: MakeDesk, tmp_path: Path
 ) -> None:
-    desk = make_desk(parameters="{SCR_ENABLE=0, ECHO_DIST=0.5}")
+    desk = make_desk(parameters="{SCR_ENABLE=0}")
+    desk.autopilot.parameters.saved["ECHO_DIST"] = 0.5
     job = Job(desk, tmp_path / "old.params.json")
     assert job.apply.run() == 0
     assert job.asked[1].startswith("Write these too")

@@ -7,6 +7,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.flight.guard import Limits
 from echowing.flight.guidance import GuidanceSettings, Slot
+from echowing.flight.readiness import Readiness
 from echowing.flight.session import FollowSession
 from echowing.flight.state import FollowerPlan
 from echowing.flight.switch import StopSwitch
@@ -26,7 +27,9 @@ SWITCH = StopSwitch(7, 1700)
 class Field:
     """A leader in the air, two followers on the ground, and a session that hears them all."""
 
-    def __init__(self, *, engaged: bool = False, next_at_m: float = 4.0) -> None:
+    def __init__(
+        self, *, engaged: bool = False, next_at_m: float = 4.0, ready: Readiness | None = None
+    ) -> None:
         starts = {LEADER: (0.0, 0.0, -10.0), FIRST: (-6.0, 0.0, 0.0), SECOND: (-12.0, 0.0, 0.0)}
         self.copters = {i: Copter(start, flying=i == LEADER) for i, start in starts.items()}
         self.autopilots = {i: Autopilot(c, system_id=i) for i, c in self.copters.items()}
@@ -37,7 +40,7 @@ class Field:
             LEADER,
             plans,
             GuidanceSettings(learn_offset=False),
-            limits=Limits(min_separation_m=1.5, switch=SWITCH),
+            limits=Limits(min_separation_m=1.5, switch=SWITCH, ready=ready),
             engaged=engaged,
             take_off=TakeOff(5.0, next_at_m),
         )
@@ -142,6 +145,22 @@ def test_engaged_it_is_led_only_once_it_is_up() -> None:
     field.run(6.0)
     assert field.state(FIRST) == "following"
     assert field.height_m(FIRST) == pytest.approx(10.0, abs=0.3)
+
+
+def test_a_climb_is_no_reason_not_to_be_engaged() -> None:
+    """At 0.3 m it was said that it would be flown to 10 m, which is too far."""
+    ready = Readiness(applet=False, reversal=False, sides=False)
+    field = Field(engaged=True, ready=ready)
+    field.arm(FIRST)
+    field.until("follower 2: has taken off", 40.0)
+    field.run(1.0)
+    events = field.events()
+    assert any("to 5.0 m" in text and text.startswith("follower 2 ") for text in events)  # a row
+    judged = [number for number, text in enumerate(events) if "would be flown" in text]
+    up = next(number for number, text in enumerate(events) if "has taken off" in text)
+    assert judged
+    assert judged[0] > up  # then 5 m are not near enough to 10 m
+    assert FIRST not in field.points()
 
 
 def test_nobody_takes_off_whom_no_pilot_has_armed_in_guided() -> None:

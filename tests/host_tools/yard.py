@@ -13,6 +13,7 @@ from echowing.flight.readiness import Readiness
 from echowing.flight.session import FollowSession
 from echowing.flight.state import FollowerPlan
 from echowing.geo import GlobalPosition, displace
+from echowing.mavlink.plausible import Door
 from echowing.tool.panel import state_of
 
 LEADER, FOLLOWER, SECOND = 1, 2, 3
@@ -134,6 +135,7 @@ class Yard:
     ) -> None:
         self.vehicles = vehicles or {LEADER: Vehicle((0.0, 0.0)), FOLLOWER: Vehicle((-4.0, 0.0))}
         self.now_s = 0.0
+        self.door = Door()
         followers = [system_id for system_id in self.vehicles if system_id != LEADER]
         limits = limits or Limits(home_difference_m=5.0)
         self.session = FollowSession(
@@ -149,7 +151,8 @@ class Yard:
     def tell(self, system_id: int, message: Any, component: int = 1) -> None:
         sender = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=component)
         parsed = mavlink.MAVLink(None).decode(bytearray(message.pack(sender)))
-        self.session.receive(parsed, self.now_s)
+        if self.door.admits(parsed):
+            self.session.receive(parsed, self.now_s)
 
     def fly(self, seconds: float) -> list[Any]:
         """Let time pass; returns the points that were sent."""

@@ -1,10 +1,9 @@
-"""Instructions and heap of the applet per update, as figures for its doc.
+"""Lua instructions of the applet per update, as figures for its doc.
 
     .venv/bin/python tests/lua/measure.py
 
 Each situation is flown on a vehicle on the desk with the instruction counter on: it counts the
-applet's own instructions; what ArduPilot does in C costs one each. The heap is the script's alone,
-after a full collection, with this machine's 64-bit pointers (the autopilot's take half of that).
+applet's own instructions; what ArduPilot does in C costs one each. For the memory see heap.py.
 """
 
 from __future__ import annotations
@@ -45,8 +44,8 @@ def feed(vehicle: DeskVehicle, range_m: float, mask: int) -> None:
         vehicle.inbox.append((mavlink_frame(86, struct.pack("<Iii9fHBBB", *fields), 245), 0))
 
 
-def most(law: int, range_m: Callable[[float], float], mask: int) -> tuple[int, int, int]:
-    """Most instructions of the start and of any update in 20 s, and the heap at the end."""
+def most(law: int, range_m: Callable[[float], float], mask: int) -> tuple[int, int]:
+    """Most instructions of the start and of any update in 20 s."""
     vehicle = new_vehicle(law)
     host = LuaHost(
         vehicle,
@@ -64,7 +63,7 @@ def most(law: int, range_m: Callable[[float], float], mask: int) -> tuple[int, i
         worst = max(worst, host.instructions)
     if host.error is not None:
         raise SystemExit(host.error)
-    return start, worst, host.heap_bytes()
+    return start, worst
 
 
 def main() -> None:
@@ -77,8 +76,8 @@ def main() -> None:
         ("law 2, holding", 2, lambda t: 3.0, POSITION_VELOCITY),
     ]
     for name, law, range_m, mask in situations:
-        start, worst, heap = most(law, range_m, mask)
-        print(f"{name:24} start {start:5d}, update {worst:5d} of 10000; heap {heap / 1024:.1f} KiB")
+        start, worst = most(law, range_m, mask)
+        print(f"{name:24} start {start:5d}, update {worst:5d} of 10000")
 
 
 if __name__ == "__main__":

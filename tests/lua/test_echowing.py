@@ -109,6 +109,15 @@ def test_pilot_may_change_the_speed_parameter_in_flight(rig: MakeRig) -> None:
     assert r.parameter_mps == 7.0
 
 
+def test_pilot_may_set_the_speed_and_leave_guided_at_once(rig: MakeRig) -> None:
+    """Both between two updates, which are 50 ms apart."""
+    r = flying_along(rig(LAW=1)).run(2.0)
+    r.vehicle.parameters[r.names.speed] = 7.0 * r.names.units_per_mps
+    r.vehicle.mode = 5
+    r.run(0.5)
+    assert r.parameter_mps == 7.0
+
+
 def test_gives_up_against_another_script(rig: MakeRig) -> None:
     r = rig().range(3.0).run(2.0)
     for _ in range(20):

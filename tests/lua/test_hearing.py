@@ -332,9 +332,10 @@ def test_no_far_target_leaves(rig: MakeRig) -> None:
 def test_no_target_leaves_where_the_vehicle_does_not_know_its_place(rig: MakeRig) -> None:
     r = led(rig())
     before = len(r.vehicle.targets)
-    r.vehicle.position = (math.nan, 0.0, -10.0)
-    led(r)
-    assert len(r.vehicle.targets) == before
+    for nowhere in (math.nan, math.inf, -3.4e38, 2e5):
+        r.vehicle.position = (nowhere, 0.0, -10.0)
+        led(r)
+        assert len(r.vehicle.targets) == before
     r.vehicle.position = (0.0, 0.0, -10.0)
     r.vehicle.yaw = math.nan
     led(r)

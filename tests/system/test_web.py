@@ -215,6 +215,18 @@ def test_the_table_before_engaging_stands_as_it_was_said(live: LivePage, browser
     sight.close()
 
 
+@pytest.mark.parametrize(("source", "words"), [("follow", "by GPS"), ("sim", "in truth")])
+def test_the_curve_says_what_it_is(source: str, words: str, browser: Browser) -> None:
+    page = LivePage(PageAddress(HERE, 0), source)
+    sight = Sight(browser)
+    sight.open(page.url)
+    page.show(moment(1.0))
+    sight.until("document.getElementById('separation-legend').innerText !== ''")
+    assert sight.text("separation-legend").startswith(f"line: {words};")
+    sight.close()
+    page.close()
+
+
 def test_fifty_vehicles_are_all_drawn(live: LivePage, browser: Browser) -> None:
     sight = Sight(browser)
     sight.open(live.url)

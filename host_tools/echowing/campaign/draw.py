@@ -19,8 +19,6 @@ from echowing.sim.fault_section import LEADER
 from echowing.sim.scenario import Scenario, scenario_of
 
 SHIPPED = ("field", "many", "formations")
-# The applet's range of ECHO_DIST, and the sonar's reach less its inset (lua/echowing.md).
-ECHO_DIST_M, REACH_M = (1.5, 6.0), 4.5
 _SHAPES = ("column", "vee", "echelon", "wedge")
 # Rows of a vee, an echelon and a wedge go back by this share of the spacing.
 _ROW_SHARE = 0.7
@@ -157,8 +155,6 @@ def _formation(wish: Mapping[str, Any], source: str) -> dict[str, Any]:
             "angle_deg": round(math.degrees(math.atan2(left_m, back_m)), 3),
             "altitude_step_m": round(number * wish.get("altitude_step_m", 0.0), 3),
         }
-        if ECHO_DIST_M[0] <= slot["radius_m"] <= min(REACH_M, ECHO_DIST_M[1]):
-            slot["echo_dist_m"] = slot["radius_m"]
         if wish.get("crossing") and count > 1:
             slot["starts_at"] = count - number
         slots.append(slot)

@@ -25,6 +25,8 @@ RADIUS_M = 3.0
 LEAST_ALTITUDE_M, MOST_ALTITUDE_M = 1.0, 500.0
 # Over a leader that is carried at a metre or two.
 CARRIED_ALTITUDE_M = 10.0
+# Longer than any turn of the flying loop: what is not back by then never comes back.
+PATIENCE_S = 3.0
 LOG_FOLDER = Path("out/flights")
 
 EXAMPLES = """\
@@ -169,6 +171,8 @@ def log_folder(args: argparse.Namespace) -> Path | None:
 
 
 def _add_safety(safety: "argparse._ArgumentGroup") -> None:
+    from echowing.flight.guard import MIN_SEPARATION_M  # noqa: PLC0415
+
     safety.add_argument(
         "--engage", action="store_true", help="send points; without --engage the tool only watches"
     )
@@ -204,7 +208,7 @@ def _add_safety(safety: "argparse._ArgumentGroup") -> None:
     safety.add_argument(
         "--min-separation",
         type=float,
-        default=1.0,
+        default=MIN_SEPARATION_M,
         metavar="M",
         help="distance that is certain to remain between any two vehicles (1.0): a follower that "
         "would come nearer slows down, gives way or backs off",
@@ -261,7 +265,7 @@ def fly(
     if options.build_up and not seen:
         raise EchowingError("--build-up needs keys: run it on a terminal, without --json")
     keyboard = pressed if seen else None
-    with stop_on_signals() as stop, page or nullcontext() as shown:
+    with stop_on_signals(PATIENCE_S) as stop, page or nullcontext() as shown:
         keys = None if keyboard is None else keyboard.read
         view = open_view(as_json=as_json)
         tool = FollowTool(options, view, stop, keys=keys, page=shown)

@@ -4,7 +4,7 @@ import argparse
 import json
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -235,7 +235,7 @@ def _apply(args: argparse.Namespace) -> int:
     from echowing.setup.apply import default_file  # noqa: PLC0415
     from echowing.setup.job import Apply  # noqa: PLC0415
 
-    with _vehicle(args.vehicle, args) as vehicle, _progress_bar() as bar:
+    with _vehicle(args.vehicle, args) as vehicle, progress_bar() as bar:
         _tell(f"{vehicle.name}: reading parameters …")
         job = Apply(
             _work(vehicle, args),
@@ -298,7 +298,7 @@ def _lua_over_link(args: argparse.Namespace) -> int:
     with _vehicle(args.vehicle, args) as vehicle:
         vehicle.refuse_armed("scripts are replaced")
         folder = args.folder.strip("/")
-        with _progress_bar() as bar:
+        with progress_bar() as bar:
             written = install_over_link(FtpClient(vehicle), bar, folder)
         crc = ardupilot_crc32(applet_path().read_bytes())
         state = "written, read back" if written else "the same applet is there already"
@@ -308,17 +308,31 @@ def _lua_over_link(args: argparse.Namespace) -> int:
 
 
 @contextmanager
-def _progress_bar() -> "Iterator[Callable[[str], Progress]]":
-    """A bar for each step; lines where nobody watches."""
+def progress_bar() -> "Iterator[Callable[[str], Progress]]":
+    """A bar for each step; lines where nobody watches.
+
+    A bar that is shown takes over what is printed, and reads `[y/N]` as a style: so none is left
+    when a step is done, and nothing is taken over.
+    """
     from rich.console import Console  # noqa: PLC0415
     from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn  # noqa: PLC0415
 
     columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn())
-    with Progress(*columns, console=Console(stderr=True)) as bars:
+    with ExitStack() as shown:
 
         def step(title: str) -> Callable[[int, int], None]:
+            shown.close()
+            console = Console(stderr=True)
+            bars = Progress(*columns, console=console, redirect_stdout=False, redirect_stderr=False)
+            shown.enter_context(bars)
             task = bars.add_task(title, total=None)
-            return lambda done, total: bars.update(task, completed=done, total=total)
+
+            def update(done: int, total: int) -> None:
+                bars.update(task, completed=done, total=total)
+                if done >= total:
+                    shown.close()
+
+            return update
 
         yield step
 

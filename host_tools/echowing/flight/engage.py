@@ -146,7 +146,8 @@ class Vehicle:
             self.hdop = message.eph / 100.0 if 0 < message.eph < UNKNOWN_EPH else None
         elif kind == "EKF_STATUS_REPORT":
             self.ekf_flags = message.flags
-            self.ekf_doubts = message.pos_horiz_variance >= DOUBTED_VARIANCE
+            # Not a number is no reason to trust it.
+            self.ekf_doubts = not message.pos_horiz_variance < DOUBTED_VARIANCE
         elif kind == "SYS_STATUS":
             self.battery_percent, self.voltage_mv = (
                 message.battery_remaining,
@@ -226,6 +227,7 @@ class Engagement:
         self._since_s: float | None = None
         self._table_shown = False
         self._doubts: dict[int, str] = {}
+        self._rising_m: Mapping[int, float] = {}
 
     # ---- what comes in, and what is asked -------------------------------------------------------
 
@@ -288,8 +290,14 @@ class Engagement:
 
     # ---- results --------------------------------------------------------------------------------
 
-    def prepare(self, now_s: float, *, engaged: bool) -> None:
-        """Once a tick, before any point: show the table, and check those not engaged yet."""
+    def prepare(
+        self, now_s: float, *, engaged: bool, rising_m: Mapping[int, float] | None = None
+    ) -> None:
+        """Once a tick, before any point: show the table, and check those not engaged yet.
+
+        rising_m: how high the followers take off that are still to be up. They are judged then.
+        """
+        self._rising_m = rising_m or {}
         if self._since_s is None:
             self._since_s = now_s
         if not self._table_shown:
@@ -300,7 +308,8 @@ class Engagement:
             if turn.cleared:
                 continue
             self._heights.take_leaders(follower)
-            if self._table_shown and engaged and follower.in_guided:
+            up = system_id not in self._rising_m
+            if self._table_shown and engaged and follower.in_guided and up:
                 self._judge(follower, turn, now_s)
 
     def cleared(self, system_id: int) -> bool:
@@ -504,6 +513,9 @@ class Engagement:
         return [Finding("home", f"{higher_m:+.1f} m", wrong)]
 
     def _height(self, follower: FollowerState) -> list[Finding]:
+        rises_to_m = self._rising_m.get(follower.plan.system_id)
+        if rises_to_m is not None:
+            return [Finding("height", f"to {rises_to_m:.1f} m")]
         wanted_m, height_m = self._heights.wanted_m(follower), follower.altitude_m
         if wanted_m is None or height_m is None:
             return [Finding("height", "?", "its height or the leader's is not known")]

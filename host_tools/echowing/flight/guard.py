@@ -94,8 +94,12 @@ class Limits:
 
 
 # The defaults of `echowing follow`, flown by the simulator too.
+MIN_SEPARATION_M = 1.0
 FIELD_LIMITS = Limits(
-    max_distance_m=100.0, min_separation_m=1.0, home_difference_m=5.0, ready=Readiness()
+    max_distance_m=100.0,
+    min_separation_m=MIN_SEPARATION_M,
+    home_difference_m=5.0,
+    ready=Readiness(),
 )
 
 

@@ -6,18 +6,14 @@ left when a leader turns round, and how near a slot may be.
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.flight.closing import Closing
 from echowing.flight.envelope import LEAST_M, OTHERS_MPS2, Answer
+from echowing.flight.vehicle_limits import ACCELERATION, BY_NAME, JERK, LEAN
 from echowing.flight.wind import GRAVITY_MPS2
 
-# Names in ArduCopter 4.7 and later, and before, with the factor to SI units.
-ACCELERATIONS = {"WP_ACC": 1.0, "WPNAV_ACCEL": 0.01}
-JERKS = {"PSC_JERK_NE": 1.0, "PSC_JERK_XY": 1.0}
-LEANS = {"ATC_ANGLE_MAX": math.radians(1.0), "ANGLE_MAX": math.radians(0.01)}
 # Once a second at first, then seldom: a noisy radio loses both request and answer.
 ASK_PERIOD_S, SELDOM_S = 1.0, 5.0
 OFTEN = 5
@@ -41,7 +37,6 @@ STEERED_MPS2 = 3.4
 # reading that confirms it, and the time until the range differs (0.1 s at 2.5 m/s2 is 0.01 m, a
 # sonar's step; 0.15 s are 0.03 m).
 NOTICED_S = 0.3
-STEP_S = 0.005
 
 
 @dataclass(slots=True)
@@ -86,13 +81,17 @@ class Handling:
         return self.decel_mps2 is not None and self.jerk_mps3 is not None
 
     def receive(self, name: str, value: float) -> None:
-        """Take a parameter of its autopilot."""
-        if name in ACCELERATIONS and value > 0.0:
-            self.decel_mps2 = value * ACCELERATIONS[name]
-        elif name in JERKS and value > 0.0:
-            self.jerk_mps3 = value * JERKS[name]
-        elif name in LEANS and value > 0.0:
-            self.lean_max_rad = value * LEANS[name]
+        """Take a parameter of its autopilot; one out of its span tells nothing."""
+        limit = BY_NAME.get(name)
+        read = None if limit is None else limit.read(name, value)
+        if read is None:
+            return
+        if limit is ACCELERATION:
+            self.decel_mps2 = read
+        elif limit is JERK:
+            self.jerk_mps3 = read
+        elif limit is LEAN:
+            self.lean_max_rad = math.radians(read)
 
     def asks(self, now_s: float) -> list[str]:
         """The parameters to request now."""
@@ -101,9 +100,9 @@ class Handling:
             return []
         self._asked_at_s = now_s
         self._asks += 1
-        missing = ACCELERATIONS if self.decel_mps2 is None else {}
-        first = LEANS if self._asks <= OFTEN else {}
-        return [*missing, *(JERKS if self.jerk_mps3 is None else {}), *first]
+        missing = ACCELERATION.names if self.decel_mps2 is None else {}
+        first = LEAN.names if self._asks <= OFTEN else {}
+        return [*missing, *(JERK.names if self.jerk_mps3 is None else {}), *first]
 
 
 def answer_of(decel_mps2: float | None, jerk_mps3: float | None) -> Answer:
@@ -127,7 +126,6 @@ def leader_brakes_mps2(mode: int | None) -> float:
     return OTHERS_MPS2 if mode in MISSION_MODES else STEERED_MPS2
 
 
-@lru_cache(maxsize=256)
 def least_slot_m(
     speed_mps: float,
     answer: Answer,
@@ -135,20 +133,26 @@ def least_slot_m(
     noticed_s: float = NOTICED_S,
     brakes_mps2: float = OTHERS_MPS2,
 ) -> float:
-    """The nearest slot from which a reversal of the leader leaves `least_m`.
+    """The nearest slot from which a reversal of the leader leaves `least_m`; inf: none does.
 
     speed_mps: the leader's; it reverses to the same speed the other way at `brakes_mps2`. After
     `noticed_s` the sonar, or a report, shows it to the follower, which then reverses by its own
     `answer`.
     """
-    notices_s = noticed_s + answer.dead_s
-    leader_mps = follower_mps = abs(speed_mps)
-    lost_m = most_lost_m = t_s = 0.0
-    while leader_mps > -abs(speed_mps) or follower_mps > leader_mps:
-        t_s += STEP_S
-        leader_mps = max(-abs(speed_mps), leader_mps - brakes_mps2 * STEP_S)
-        if t_s > notices_s:
-            follower_mps = max(-abs(speed_mps), follower_mps - answer.decel_mps2 * STEP_S)
-        lost_m += (follower_mps - leader_mps) * STEP_S
-        most_lost_m = max(most_lost_m, lost_m)
-    return least_m + most_lost_m
+    speed_mps, decel_mps2 = abs(speed_mps), answer.decel_mps2
+    unaware_s = noticed_s + answer.dead_s
+    if speed_mps == 0.0:
+        return least_m
+    if not (decel_mps2 > 0.0 and brakes_mps2 > 0.0 and math.isfinite(speed_mps + unaware_s)):
+        return math.inf
+    # Both fly back at `speed_mps` in the end: the later one was so much longer on its way out.
+    later_s = unaware_s + speed_mps / decel_mps2 - speed_mps / brakes_mps2
+    lost_m = 2.0 * speed_mps * later_s
+    gains_mps2 = decel_mps2 - brakes_mps2
+    if gains_mps2 > 0.0:
+        # One that brakes harder is as fast as the leader sooner, if that is before the end.
+        closing_mps = brakes_mps2 * unaware_s
+        equal_s = unaware_s + closing_mps / gains_mps2
+        if equal_s * brakes_mps2 <= 2.0 * speed_mps:
+            lost_m = 0.5 * closing_mps * equal_s
+    return least_m + lost_m

@@ -41,13 +41,17 @@ class Orders:
 
     # ---- orders ---------------------------------------------------------------------------------
 
+    def objection_to_engage(self) -> str | None:
+        """Why `engage` would do nothing; None: it would."""
+        if self.stopped:
+            return "all were stopped: end this tool and start it anew to engage"
+        return "engaged already" if self._session.engaged and not self.held else None
+
     def engage(self, now_s: float) -> None:
         """Send points to the followers that pass their checks; ends a hold."""
-        session = self._session
-        if self.stopped:
-            self._say(now_s, "all were stopped: end this tool and start it anew to engage")
-        elif session.engaged and not self.held:
-            self._say(now_s, "engaged already")
+        session, objection = self._session, self.objection_to_engage()
+        if objection is not None:
+            self._say(now_s, objection)
         elif self.held:
             self.held = False
             for follower in session.followers.values():

@@ -77,6 +77,7 @@ class OwnMotion:
         self, place: GlobalPosition, velocity_mps: Horizontal, since_s: float, to_s: float
     ) -> tuple[Horizontal, Horizontal]:
         """By how much it moves from a place, and its velocity then, (north, east) each."""
+        to_s = min(to_s, since_s + REMEMBERED_S)
         span_s = to_s - since_s
         straight_m = velocity_mps[0] * span_s, velocity_mps[1] * span_s
         share = min(1.0, (span_s - NOT_YET_S) / (ALL_S - NOT_YET_S))

@@ -33,7 +33,7 @@ from echowing.flight.state import GUIDED_MODE, FollowerPlan, FollowerState, Know
 from echowing.flight.take_off import Lift, TakeOff, TakeOffs
 from echowing.flight.trust import Trust
 from echowing.geo import GlobalPosition
-from echowing.mavlink.messages import TOOL_SYSTEM_ID, is_nonsense, position_target, status_text
+from echowing.mavlink.messages import TOOL_SYSTEM_ID, position_target, status_text
 
 STALE = "leader is stale"
 DISTANCE_HZ, ATTITUDE_HZ = 5.0, 2.0
@@ -110,11 +110,12 @@ class FollowSession:
     # ---- messages -------------------------------------------------------------------------------
 
     def receive(self, message: Any, now_s: float) -> None:
-        """Take any MAVLink message from any link; what is not needed is ignored."""
+        """Take any message that has come through a link's door (see `mavlink.plausible`).
+
+        What is not needed is ignored.
+        """
         system_id = message.get_srcSystem()
         kind = message.get_type()
-        if is_nonsense(kind, message):
-            return
         if self.guard is not None and (system_id == self.leader_id or system_id in self.followers):
             self.guard.receive(system_id, kind, message, now_s)
         if self.engagement is not None:
@@ -197,7 +198,8 @@ class FollowSession:
         """The messages to send now: guided points, time synchronisation, heartbeat, rates."""
         messages = self._requests.messages(now_s)
         if self.engagement is not None:
-            self.engagement.prepare(now_s, engaged=self.engaged)
+            rising_m = {} if self.take_offs is None else self.take_offs.rising_m()
+            self.engagement.prepare(now_s, engaged=self.engaged, rising_m=rising_m)
             messages.extend(self.engagement.messages(now_s))
         if self.take_offs is not None:
             messages.extend(self._lift(self.take_offs, now_s))

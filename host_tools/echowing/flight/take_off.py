@@ -78,6 +78,15 @@ class TakeOffs:
         """How far a follower's take-off is."""
         return self._climbers[system_id].lift
 
+    def rising_m(self) -> dict[int, float]:
+        """How high each follower takes off that is still to be up."""
+        under_way = (Lift.WAITING, Lift.WARNED, Lift.CLIMBING)
+        return {
+            system_id: self.plan.altitude_m
+            for system_id, climber in self._climbers.items()
+            if climber.lift in under_way
+        }
+
     def reason_to_hold(self, system_id: int) -> str | None:
         """Why a follower is stopped on its way up; None: it is not."""
         climber = self._climbers[system_id]

@@ -20,8 +20,7 @@ FORWARD = mavlink.MAV_SENSOR_ROTATION_NONE
 
 STATUS_TEXT_BYTES = 50
 
-# GLOBAL_POSITION_INT: the ends of its degrees, and MAVLink's value for no heading.
-MOST_LAT_E7, MOST_LON_E7 = 900_000_000, 1_800_000_000
+# GLOBAL_POSITION_INT: MAVLink's value for no heading.
 UNKNOWN_HEADING = 65_535
 
 # How a point with a velocity carries more than a point, in fields that the autopilot ignores. The
@@ -80,18 +79,6 @@ def position_target(
         yaw_rad or 0.0,
         0.0,
     )
-
-
-def is_nonsense(kind: str, message: Any) -> bool:
-    """Whether a message is nonsense: a value that is not a number, an impossible position.
-
-    Failing scripts and filters send such messages.
-    """
-    if kind == "NAMED_VALUE_FLOAT":
-        return not math.isfinite(message.value)
-    if kind == "GLOBAL_POSITION_INT":
-        return bool(abs(message.lat) > MOST_LAT_E7 or abs(message.lon) > MOST_LON_E7)
-    return False
 
 
 def heading_of(message: Any, before_rad: float) -> float:

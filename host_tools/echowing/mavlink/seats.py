@@ -14,6 +14,7 @@ from echowing.mavlink.messages import (
     TOOL_SYSTEM_ID,
     tool_heartbeat,
 )
+from echowing.mavlink.plausible import Door
 
 # Heartbeats come once per second: after this time every vehicle on a link has reported, even if
 # three in a row were lost.
@@ -44,10 +45,11 @@ def parse_seat(role: str, text: str, baud: int = DEFAULT_BAUD) -> Seat:
 
 
 class OpenLink:
-    """A link and our identity on it: each link has sequence numbers of its own."""
+    """A link, its door, and our identity on it: each link has sequence numbers of its own."""
 
-    def __init__(self, link: Link) -> None:
+    def __init__(self, link: Link, door: Door | None = None) -> None:
         self.link = link
+        self.door = door or Door()
         self._packer = mavlink.MAVLink(
             None, srcSystem=TOOL_SYSTEM_ID, srcComponent=TOOL_COMPONENT_ID
         )
@@ -55,11 +57,12 @@ class OpenLink:
             link.signing.apply(self._packer)
 
     def receive(self, now_s: float, say: Say) -> list[Any]:
-        """The new messages; the link's own news is reported."""
-        messages = self.link.receive(now_s)
-        for news in self.link.news:
+        """The new messages that make sense; news of the link and of its door is reported."""
+        messages = [one for one in self.link.receive(now_s) if self.door.admits(one)]
+        for news in (*self.link.news, *self.door.news):
             say(news)
         self.link.news.clear()
+        self.door.news.clear()
         return messages
 
     def send(self, message: Any, now_s: float) -> bytes:

@@ -9,6 +9,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.mavlink.plausible import Door
 from echowing.mavlink.signing import Parser
 
 # Sender of a message: system id and component id.
@@ -31,6 +32,7 @@ class Counts:
 
     bytes: int = 0
     frames: int = 0  # whole and undamaged
+    refused: int = 0  # of these, that cannot be
     damaged: int = 0  # frames that failed their checksum, after the first good one
     garbage_bytes: int = 0  # bytes between frames, after the first
     lost: int = 0  # by the gaps in the sequence numbers
@@ -41,6 +43,7 @@ class Frames:
 
     def __init__(self) -> None:
         self.counts = Counts()
+        self.door = Door(parameters={})
         self._parser = Parser()
         self._sequences: dict[Source, int] = {}
 
@@ -51,7 +54,7 @@ class Frames:
         return [message for message in parsed if self._is_good(message, now_s)]
 
     def _is_good(self, message: Any, now_s: float) -> bool:
-        """Count it; returns whether it is a message with a right checksum."""
+        """Count it; returns whether it is a message with a right checksum that makes sense."""
         message._timestamp = now_s
         if message.get_type() == "BAD_DATA":
             self._count_bad(message)
@@ -63,7 +66,9 @@ class Frames:
         if source in self._sequences:
             self.counts.lost += (sequence - self._sequences[source] - 1) % 256
         self._sequences[source] = sequence
-        return True
+        admitted = self.door.admits(message)
+        self.counts.refused += not admitted
+        return admitted
 
     def _count_bad(self, message: Any) -> None:
         if self.counts.frames == 0:  # we came in the middle of a frame, or there are none

@@ -1,11 +1,12 @@
 """What is known of the board now, from the messages it has sent."""
 
-import math
 from collections import Counter, deque
 from dataclasses import dataclass, field
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from echowing.mavlink.plausible import printable
 
 # In the order of the firmware's DeviceState, as SNR_STATE tells it.
 STATE_NAMES = ("starting", "searching", "tracking", "sonar fault")
@@ -32,7 +33,7 @@ class Version:
         """Out of an AUTOPILOT_VERSION."""
         number = message.flight_sw_version
         git = bytes(message.flight_custom_version).rstrip(b"\0").decode("ascii", "replace")
-        return cls(f"{number >> 24}.{number >> 16 & 255}.{number >> 8 & 255}", git)
+        return cls(f"{number >> 24}.{number >> 16 & 255}.{number >> 8 & 255}", printable(git))
 
 
 @dataclass(slots=True)
@@ -127,8 +128,6 @@ class BoardState:
         self.restarts += message.time_boot_ms < self._boot_ms
         self._boot_ms = int(message.time_boot_ms)
         value = float(message.value)
-        if not math.isfinite(value):
-            return
         match name:
             case "SNR_RAW":
                 self.raw_m = round(value, 3) if value < NOTHING_HEARD_M else None

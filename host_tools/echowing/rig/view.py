@@ -94,6 +94,7 @@ def snapshot(board: Board) -> dict[str, Any]:
             "damaged": counts.damaged,
             "garbage_bytes": counts.garbage_bytes,
             "lost": counts.lost,
+            "refused": counts.refused,
         },
     }
 
@@ -128,7 +129,7 @@ def plain_line(board: Board) -> str:
     return (
         f"{state.state}, range {_range(state)}, reading {_reading(state)}, "
         f"pan {_pulse(state.pan_us)}, tilt {_pulse(state.tilt_us)}, "
-        f"{state.rate_hz('DISTANCE_SENSOR'):.1f} ranges/s, {_wire(board)}"
+        f"{state.rate_hz('DISTANCE_SENSOR'):.1f} ranges/s, {wire_of(board)}"
     )
 
 
@@ -259,15 +260,17 @@ def _books(board: Board) -> Table:
     rates = ", ".join(f"{name} {state.rate_hz(kind):.1f} Hz" for name, kind in _RATES.items())
     rows = Table.grid(padding=(0, 2))
     rows.add_row("rates", rates)
-    rows.add_row("wire", _wire(board))
+    rows.add_row("wire", wire_of(board))
     if state.restarts or state.errors:
         rows.add_row("board", Text(f"restarts {state.restarts}, warnings {state.errors}", "yellow"))
     return rows
 
 
-def _wire(board: Board) -> str:
-    counts = board.frames.counts
-    return (
+def wire_of(board: Board) -> str:
+    """What has come in from a board, counted."""
+    counts, refused = board.frames.counts, board.frames.door.news
+    text = (
         f"{counts.frames} frames, {counts.lost} lost, {counts.damaged} damaged, "
         f"{counts.garbage_bytes} stray bytes"
     )
+    return f"{text}, {counts.refused} refused: {refused[-1]}" if refused else text

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from echowing.errors import EchowingError
+from echowing.mavlink.plausible import printable
 from echowing.setup.ftp_format import DATA_BYTES, SEQUENCES, Fault, Op, Packet, next_sequence
 
 # A frame of this fits a telemetry radio's packet of 252 bytes, signed: 12 of MAVLink's header
@@ -364,9 +365,9 @@ def _fault(answer: Packet) -> int | None:
 def _entry(text: bytes) -> Entry:
     kind, rest = text[:1], text[1:].decode("utf-8", "replace")
     if kind == b"D":
-        return Entry(rest, is_folder=True)
+        return Entry(printable(rest), is_folder=True)
     name, _, size = rest.partition("\t")
-    return Entry(name, is_folder=False, size_bytes=int(size) if size.isdecimal() else 0)
+    return Entry(printable(name), is_folder=False, size_bytes=int(size) if size.isdecimal() else 0)
 
 
 # FatFS returns this if the card is missing or broken (AP_Filesystem_FATFS.cpp, fatfs_to_errno).

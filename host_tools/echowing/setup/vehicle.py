@@ -23,6 +23,7 @@ from echowing.mavlink.messages import (
     command_long,
     tool_heartbeat,
 )
+from echowing.mavlink.plausible import Door
 from echowing.mavlink.seats import OpenLink, Say, find_vehicles, known_id, parse_seat
 from echowing.mavlink.signing import SETUP_LINK_ID, LinkSigning, read_key
 
@@ -362,7 +363,9 @@ def open_vehicle(
     """
     seat = parse_seat("vehicle", where, baud)
     key = read_key(signing_key_file)
-    link = OpenLink(Link(seat.address, None if key is None else LinkSigning(key, SETUP_LINK_ID)))
+    signing = None if key is None else LinkSigning(key, SETUP_LINK_ID)
+    # What a parameter is has to be seen here to be set right.
+    link = OpenLink(Link(seat.address, signing), Door(parameters={}))
     link.link.open()
     try:
         until_s = clock() + FIND_TIMEOUT_S

@@ -10,7 +10,7 @@ from functools import cache
 from pathlib import Path
 from typing import Protocol
 
-from echowing.errors import EchowingError
+from echowing.errors import EchowingError, nearest
 
 AUTOPILOT_PORT = 0
 USB_PORT = 1
@@ -225,6 +225,7 @@ def _parameter_index(name: str) -> int:
     if name not in names:
         raise EchowingError(
             f"the co-processor has no parameter {name!r}; it has {', '.join(names)}"
+            f"{nearest(name, names)}"
         )
     return names.index(name)
 

@@ -9,6 +9,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.flight.session import FollowSession
 from echowing.mavlink.messages import TOOL_COMPONENT_ID, TOOL_SYSTEM_ID
+from echowing.mavlink.plausible import Door
 from echowing.mavlink.signing import Parser
 from echowing.sim.autopilot import Autopilot
 from echowing.sim.radio import Radio
@@ -138,6 +139,7 @@ class GroundStation:
         self.session = session
         self.running = True
         self.distort: Callable[[Any], Any] | None = None
+        self._door = Door()
         self._ends_s: float | None = None
         self._former_events: list[tuple[float, str]] = []
         self.links = links
@@ -170,12 +172,18 @@ class GroundStation:
             link.deliver(t_s)
             for frame in link.collect(t_s):
                 if self.running and message_id(frame) in self._heard:
-                    self.session.receive(self._mav.decode(bytearray(frame)), t_s)
+                    self._hear(self._mav.decode(bytearray(frame)), t_s)
         if t_s >= self._due_s - 1e-9:
             self._due_s += self._period_s
             if self.running:
                 self._send(t_s)
                 self._end_once_all_stand(t_s)
+
+    def _hear(self, message: Any, t_s: float) -> None:
+        if self._door.admits(message):
+            self.session.receive(message, t_s)
+        self.session.events.extend((t_s, text) for text in self._door.news)
+        self._door.news.clear()
 
     def _end_once_all_stand(self, t_s: float) -> None:
         if self._ends_s is not None and (self.session.stopped(t_s) or t_s >= self._ends_s):

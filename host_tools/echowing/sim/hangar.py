@@ -127,7 +127,7 @@ class Hangar:
         applet: dict[str, float] = {}
         if scenario.law != "none":
             applet = {"ECHO_ENABLE": 1.0, "ECHO_LAW": LAWS[scenario.law], **scenario.applet}
-            echo_dist_m = scenario.formation.slots[index].echo_dist_m
+            echo_dist_m = scenario.echo_dist_m(index)
             applet |= {} if echo_dist_m is None else {"ECHO_DIST": echo_dist_m}
         return {
             "RNGFND1_TYPE": 10.0,

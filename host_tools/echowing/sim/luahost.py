@@ -387,7 +387,8 @@ class LuaHost:
         self._sethook = self._lua.globals().debug.sethook
         self._host = self._prelude(version)
         self._base_bytes = self._collect()
-        self._function = self._load(script, heap_bytes)
+        self._heap_bytes = heap_bytes
+        self._function = self._load(script)
         self._lua.set_max_memory(self._base_bytes + heap_bytes)
         chunk = "@" + self._name
         self._hook, self._reset, self._tell = (
@@ -427,13 +428,13 @@ class LuaHost:
                 host.bind(binding.owner, binding.name, text)
         return host
 
-    def _load(self, script: Path, heap_bytes: int) -> Any:
+    def _load(self, script: Path) -> Any:
         try:
             source = script.read_bytes()
         except OSError as problem:
             raise EchowingError(f"cannot read the script {script}: {problem.strerror}") from problem
         # The vehicle reads the text piece by piece; here all of it is in the memory while it loads.
-        self._lua.set_max_memory(self._base_bytes + heap_bytes + len(source))
+        self._lua.set_max_memory(self._base_bytes + self._heap_bytes + len(source))
         loaded = self._host.load(source, "@" + self._name)
         if not isinstance(loaded, tuple):
             return loaded

@@ -112,6 +112,7 @@ _MAVLINK_TYPES = {
     "real32": mavlink.MAV_PARAM_TYPE_REAL32,
 }
 _SPANS = {"int8": 2**7, "int16": 2**15, "int32": 2**31}
+_LARGEST = 3.4e38  # a 32-bit float
 
 
 @cache
@@ -119,6 +120,13 @@ def _rows(generation: Generation) -> tuple[tuple[str, str, float], ...]:
     column = 2 + list(Generation).index(generation)
     fields = [line.split() for line in TABLE.strip().splitlines()]
     return tuple((f[0], f[1], float(f[column])) for f in fields if f[column] != "-")
+
+
+@cache
+def spans_of(generation: Generation) -> Mapping[str, tuple[float, float]]:
+    """The least and greatest value of each parameter that this generation has, by its type."""
+    spans = {kind: (float(-span), float(span - 1)) for kind, span in _SPANS.items()}
+    return {name: spans.get(kind, (-_LARGEST, _LARGEST)) for name, kind, _ in _rows(generation)}
 
 
 def float32(value: float) -> float:

@@ -11,10 +11,12 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, Field, ValidationError, field_validator, model_validator
 
 from echowing.errors import EchowingError
+from echowing.flight.build_up import LEAST_DIST_M, MOST_DIST_M
 from echowing.flight.formation import DEFAULT_SLOT_SEPARATION_M, check_formation
 from echowing.flight.guidance import GRAY, GuidanceSettings, Slot
 from echowing.sim.cutter import ByteLoss
 from echowing.sim.fault_section import LEADER_FAULTS, FaultSection, objection
+from echowing.sim.named_parameters import objections
 from echowing.sim.parameters import Generation
 from echowing.sim.radio import RadioSettings
 from echowing.sim.section import NotNegative, Positive, Section, Share
@@ -99,7 +101,8 @@ class SlotSection(Section):
     altitude_step_m: float = 0.0
     """Above the leader."""
     echo_dist_m: Positive | None = None
-    """Its applet's `ECHO_DIST`; none: as under `[applet]`."""
+    """Its applet's `ECHO_DIST`; none: as under `[applet]`, else the radius where the applet takes
+    it (1.5 to 6 m)."""
     starts_at: Annotated[int, Field(ge=1)] | None = None
     """Number of the slot (from 1) that its follower starts behind; none: its own."""
 
@@ -391,6 +394,18 @@ class Scenario(Section):
         """The formation's slots."""
         return [section.slot() for section in self.formation.slots]
 
+    def echo_dist_m(self, index: int) -> float | None:
+        """`ECHO_DIST` of follower `index` (from 0): its slot's radius unless told otherwise.
+
+        So a pilot sets it before the flight: `follow` does not engage where the two differ. None:
+        as under `[applet]`, or the applet's own where it does not take the radius.
+        """
+        slot = self.formation.slots[index]
+        if slot.echo_dist_m is not None:
+            return slot.echo_dist_m
+        taken = LEAST_DIST_M <= slot.radius_m <= MOST_DIST_M
+        return slot.radius_m if taken and "ECHO_DIST" not in self.applet else None
+
 
 def scenario_names() -> list[str]:
     """Names of the scenarios that come with the package, in the order of the demo."""
@@ -454,6 +469,10 @@ def scenario_of(table: Mapping[str, Any], source: str) -> Scenario:
     except ValidationError as error:
         lines = [_explained(item) for item in error.errors()]
         raise EchowingError("\n".join(f"{source}: {line}" for line in lines)) from error
+    generation = scenario.follower.autopilot_generation()
+    wrong = list(objections(generation, scenario.applet, scenario.follower.parameters))
+    if wrong:
+        raise EchowingError("\n".join(f"{source}: {line}" for line in wrong))
     try:
         check_formation(scenario.slots(), scenario.formation.slot_separation_m)
     except EchowingError as error:

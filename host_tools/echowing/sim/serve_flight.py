@@ -5,6 +5,8 @@ from contextlib import closing
 from pathlib import Path
 
 from echowing.errors import EchowingError
+from echowing.flight.formation import check_formation, receivers_demand_m
+from echowing.flight.guard import MIN_SEPARATION_M
 from echowing.geo import Ned
 from echowing.sim.cutter import PacketCutter
 from echowing.sim.flight import FormationWorld
@@ -29,8 +31,6 @@ STARTS = "The leader starts to fly when follow sends the first points."
 LED = (SubMode.POSITION, SubMode.POSITION_VELOCITY)
 # Of a slot of a scenario, what `follow --formation` needs.
 PLACE = {"radius_m", "angle_deg", "altitude_step_m"}
-# What the applet accepts for ECHO_DIST (lua/echowing.md, Parameters).
-LEAST_DIST_M, MOST_DIST_M = 1.5, 6.0
 
 
 class WaitingPilot(LeaderPilot):
@@ -116,7 +116,7 @@ def serve(
     if scenario.fault:
         raise EchowingError(f"--serve: the faults of {scenario.name} are flown without it only")
     _check_ports(port, 1 + len(scenario.slots()))
-    world = _world(scenario if parked else set_up(scenario), seed, parked=parked)
+    world = _world(scenario, seed, parked=parked)
     if cards is not None:
         insert_cards(world.followers, cards)
     step = world.step if page is None else WorldOnPage(world, page).step
@@ -125,29 +125,12 @@ def serve(
         if signing_key is not None:
             for vehicle in (world.leader, *world.followers):
                 vehicle.autopilot.sign_link(TELEMETRY, signing_key)
-        _say_how_to_go_on(scenario, port, parked=parked, signed=signing_key is not None)
+        say_how_to_go_on(scenario, port, parked=parked, signed=signing_key is not None)
         if page is not None:
             print(page.said, flush=True)
         server.run(stop)
     print("stopped", flush=True)
     return 0
-
-
-def set_up(scenario: Scenario) -> Scenario:
-    """With each applet's ECHO_DIST at its slot's radius, unless the scenario gives another.
-
-    As a pilot sets it before the flight: `follow` does not engage where the two differ.
-    """
-    if "ECHO_DIST" in scenario.applet:
-        return scenario
-    slots = tuple(
-        slot.model_copy(update={"echo_dist_m": slot.radius_m})
-        if slot.echo_dist_m is None and LEAST_DIST_M <= slot.radius_m <= MOST_DIST_M
-        else slot
-        for slot in scenario.formation.slots
-    )
-    formation = scenario.formation.model_copy(update={"slots": slots})
-    return scenario.model_copy(update={"formation": formation})
 
 
 def _world(scenario: Scenario, seed: int, *, parked: bool) -> FormationWorld:
@@ -185,7 +168,9 @@ def _connect(server: Server, world: FormationWorld, port: int) -> None:
         )
 
 
-def _say_how_to_go_on(scenario: Scenario, port: int, *, parked: bool, signed: bool) -> None:
+def say_how_to_go_on(
+    scenario: Scenario, port: int, *, parked: bool = False, signed: bool = False
+) -> None:
     """Print the commands for another terminal."""
     followers = [f"tcp:127.0.0.1:{port + VEHICLE_PORTS * (1 + i)}" for i in _indices(scenario)]
     key = " --signing-key-file FILE" if signed else ""
@@ -199,7 +184,16 @@ def _say_how_to_go_on(scenario: Scenario, port: int, *, parked: bool, signed: bo
     leader = f"--leader tcp:127.0.0.1:{port}"
     print("To fly the formation, in another terminal:")
     print(f"  echowing follow {leader} {ends} {_places(scenario, port)}{key} --engage")
+    _warn_of_refusal(scenario)
     print(f"{STARTS} Ctrl-C ends it.", flush=True)
+
+
+def _warn_of_refusal(scenario: Scenario) -> None:
+    """Say that `follow` does not take this formation, though a scenario does."""
+    try:
+        check_formation(scenario.slots(), _demanded_m(scenario.formation))
+    except EchowingError as error:
+        print(f"follow will refuse it: {error} in that file")
 
 
 def _indices(scenario: Scenario) -> range:
@@ -222,12 +216,22 @@ def _places(scenario: Scenario, port: int) -> str:
     return f"--formation {path}"
 
 
+def _demanded_m(formation: FormationSection) -> float:
+    """How far apart `follow` wants these slots: at least as far as without a word from anybody.
+
+    What a scenario allows for a simulated flight must not loosen what the field tool demands.
+    """
+    return max(formation.slot_separation_m, receivers_demand_m(MIN_SEPARATION_M))
+
+
 def _as_toml(formation: FormationSection) -> str:
-    lines = [f"slot_separation_m = {formation.slot_separation_m}"]
+    demanded_m = _demanded_m(formation)
+    told = demanded_m == formation.slot_separation_m
+    lines = [f"slot_separation_m = {demanded_m}"] if told else []
     for slot in formation.slots:
         lines += [
             "",
             "[[slots]]",
             *(f"{key} = {value}" for key, value in slot.model_dump(include=PLACE).items()),
         ]
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines).lstrip() + "\n"

@@ -176,6 +176,10 @@ class BackgroundLog:
         """As `FollowLog`."""
         self._do(lambda: self._log.event(unix_s, text))
 
+    def fault(self, text: str) -> None:
+        """As `FollowLog`."""
+        self._do(lambda: self._log.fault(text))
+
     def tell(self, say: Callable[[str], None]) -> None:
         """Report what the log has reported since the last call."""
         while self._said:

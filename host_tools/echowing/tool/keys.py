@@ -45,12 +45,18 @@ class KeyDesk:
         elif key == "b":
             orders.further(now_s)
         elif key == "e":
-            self._ask(now_s, self._engage_question(), orders.engage)
+            self._ask_engage(now_s)
         elif key == "n":
             self._ask_nearer(now_s)
 
-    def _engage_question(self) -> str:
-        return "end the hold?" if self._orders.held else "engage: send points to all in Guided?"
+    def _ask_engage(self, now_s: float) -> None:
+        orders = self._orders
+        objection = orders.objection_to_engage()
+        if objection is not None:
+            self._say(now_s, objection)
+            return
+        question = "end the hold?" if orders.held else "engage: send points to all in Guided?"
+        self._ask(now_s, question, orders.engage)
 
     def _ask_nearer(self, now_s: float) -> None:
         objection = self._orders.objection_to_nearer(now_s)

@@ -31,6 +31,7 @@ class FollowLog:
         self._table: TextIO | None = None
         self._events: TextIO | None = None
         stamp = datetime.fromtimestamp(start_unix_s, UTC).strftime("%Y%m%d-%H%M%S")
+        self._fault = folder / f"follow-{stamp}-fault.json"
         try:
             folder.mkdir(parents=True, exist_ok=True)
             self._tlog = (folder / f"follow-{stamp}.tlog").open("wb")
@@ -62,6 +63,14 @@ class FollowLog:
         try:
             self._events.write(f"{unix_s:.3f} {' '.join(text.splitlines())}\n")
             self._events.flush()
+        except OSError as error:
+            self._give_up(error)
+
+    def fault(self, text: str) -> None:
+        """A fault of the tool, and what brings it again (see `tool.again`)."""
+        try:
+            self._fault.write_text(text, encoding="utf-8")
+            self._say(f"log: the fault is in {self._fault}; please send us the folder")
         except OSError as error:
             self._give_up(error)
 

@@ -14,7 +14,7 @@ from echowing.flight.session import FollowSession
 from echowing.flight.state import FollowerState
 from echowing.flight.take_off import Lift
 from echowing.geo import distance_m, ned_between
-from echowing.mavlink.messages import FORWARD, is_nonsense, sonar_range_m
+from echowing.mavlink.messages import FORWARD, sonar_range_m
 
 LIFT_STATES: dict[Lift | None, str] = {
     Lift.WAITING: "waiting to take off",
@@ -164,13 +164,11 @@ class Panel:
         self.texts: list[tuple[int, str]] = []
 
     def receive(self, message: Any, now_s: float) -> None:
-        """Take any message of any vehicle."""
+        """Take any message of any vehicle that has come through its link's door."""
         readings = self._readings.get(message.get_srcSystem())
         if readings is None:
             return
         kind = message.get_type()
-        if is_nonsense(kind, message):
-            return
         if message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1:
             readings.quality.count(message.get_seq(), now_s)
             self._autopilot_says(readings, kind, message)

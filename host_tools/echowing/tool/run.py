@@ -1,7 +1,7 @@
 """The follow tool at work: links, clock and logs around the pure follow session."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -15,6 +15,7 @@ from echowing.flight.guidance import GuidanceSettings, Slot
 from echowing.flight.health import Cohesion
 from echowing.flight.orders import Orders
 from echowing.flight.session import FollowSession
+from echowing.flight.standstill import Standstill
 from echowing.flight.state import FollowerPlan, Guide
 from echowing.flight.take_off import TakeOff
 from echowing.mavlink.links import Address, Link, wait
@@ -22,6 +23,7 @@ from echowing.mavlink.messages import status_text
 from echowing.mavlink.seats import OpenLink, Seat, StrangerWatch, find_vehicles, known_id
 from echowing.mavlink.signing import LinkSigning
 from echowing.stopping import StopRequest
+from echowing.tool.again import History
 from echowing.tool.background import BackgroundLog, BackgroundView
 from echowing.tool.keys import KeyDesk
 from echowing.tool.log import FollowLog
@@ -42,6 +44,7 @@ UNKNOWN_ALTITUDE_M = 10.0
 # If the loop is this late, the missed points are not sent.
 HOPELESS_S = 0.5
 TAKE_OVER = "Echowing: not confirmed stopped, TAKE OVER"
+FAULT = "Echowing: ground tool failed, holding"
 # Messages accepted from another component of a vehicle, the co-processor.
 _COMPONENTS_SAY = {"DISTANCE_SENSOR", "NAMED_VALUE_FLOAT"}
 
@@ -124,6 +127,9 @@ class FollowTool:
             if seat.address.text not in self._links:
                 self._links[seat.address.text] = self._link_of(seat)
         self._log: BackgroundLog | None = None
+        self._history = History(self._start_unix_s)
+        self._fault: Exception | None = None
+        self._ticks = True
         self._next_tick_s = self._next_rows_s = self._next_health_s = 0.0
         self._events_told = self._alerts_told = 0
 
@@ -145,14 +151,11 @@ class FollowTool:
                 self._say("ended before all vehicles had reported; nothing was moved")
                 return self._unheard_code()
             self._make_session()
-            try:
-                self._fly()
-            except Exception as error:
-                # After a fault of this tool the followers must be stopped too.
-                self._warn(f"fault of this tool, stopping: {error!r}")
-                self._end()
-                raise
-            return self._end()
+            self._fly()
+            code = self._end()
+            if self._fault is not None:
+                raise self._fault
+            return code
         finally:
             self._close()
 
@@ -203,6 +206,7 @@ class FollowTool:
                 follower.guide = options.make_guide()
         build_up = BuildUp(options.build_up, options.slots) if options.build_up else None
         self._orders = Orders(self._session, build_up)
+        self._standstill = Standstill(self._session)
         self._desk = KeyDesk(self._orders, self._event)
         self._panel = Panel([known_id(seat) for seat in options.seats])
         self._cohesion = Cohesion(known_id(leader))
@@ -219,7 +223,7 @@ class FollowTool:
     def _over(self) -> bool:
         duration_s = self._options.duration_s
         # Without a view the tool ends.
-        ended = self._stop() or self._view.lost is not None
+        ended = self._stop() or self._view.lost is not None or self._fault is not None
         return ended or (duration_s is not None and self._now_s() >= duration_s)
 
     def _unheard_code(self) -> int:
@@ -234,27 +238,74 @@ class FollowTool:
     def _turn(self) -> None:
         """Take new messages; send and show when due; wait for what comes next."""
         for link in self._links.values():
-            for message in link.receive(self._now_s(), self._say):
-                self._take(link, message, self._now_s())
+            self._attempt(self._listen, link)
         now_s = self._now_s()
-        self._heed_keys(now_s)
+        self._attempt(self._heed_keys, now_s)
         if now_s >= self._next_tick_s:
             late = now_s - self._next_tick_s > HOPELESS_S
             self._next_tick_s = (now_s if late else self._next_tick_s) + 1.0 / self._options.rate_hz
-            ordered = self._orders.prepare(now_s)
-            # Points first: other messages can wait for them.
-            for system_id, message in sorted(self._session.tick(now_s) + ordered, key=_is_no_point):
-                self._write(now_s, self._ways[system_id].send(message, now_s))
+            self._attempt(self._tick, now_s)
+            if not self._ticks:
+                self._attempt(self._stand, now_s)
         if now_s >= self._next_rows_s:
             self._next_rows_s = now_s + ROWS_PERIOD_S
-            self._show(now_s)
+            self._attempt(self._show, now_s)
         due_s = min(self._next_tick_s, self._next_rows_s)
         wait([link.link for link in self._links.values()], due_s - self._now_s())
 
+    def _listen(self, link: OpenLink) -> None:
+        for message in link.receive(self._now_s(), self._say):
+            self._attempt(self._take, link, message, self._now_s())
+
+    def _tick(self, now_s: float) -> None:
+        """Send what the session and the operator order."""
+        if not self._ticks:
+            return
+        self._history.ticked(now_s)
+        # Until it has come to its end: one that fails fails again, or hangs again.
+        self._ticks = False
+        ordered = self._orders.prepare(now_s)
+        messages = self._session.tick(now_s) + ordered
+        self._ticks = True
+        # Points first: other messages can wait for them.
+        self._send(sorted(messages, key=_is_no_point), now_s)
+
+    def _stand(self, now_s: float) -> None:
+        """Hold every follower that was moved, without the session's tick."""
+        self._send(self._standstill.messages(now_s), now_s)
+        self._standstill.verify(now_s)
+
+    def _send(self, messages: Iterable[tuple[int, Any]], now_s: float) -> None:
+        for system_id, message in messages:
+            self._write(now_s, self._ways[system_id].send(message, now_s))
+
     def _heed_keys(self, now_s: float) -> None:
         if self._keys is not None:
-            self._desk.press(self._keys(), now_s)
+            pressed = self._keys()
+            self._history.pressed(pressed, now_s)
+            self._desk.press(pressed, now_s)
             self._view.keys(self._desk.line(now_s))
+
+    # ---- a fault of ours ------------------------------------------------------------------------
+
+    def _attempt(self, work: Callable[..., None], *arguments: Any) -> None:
+        """Do what may fail: in flight no fault of ours ends the way of stopping."""
+        try:
+            work(*arguments)
+        except Exception as error:
+            if self._fault is None:
+                self._fault = error
+                self._stop_by_fault(error)
+
+    def _stop_by_fault(self, error: Exception) -> None:
+        """Hold every follower, tell it to all, and leave a log that brings the fault again."""
+        now_s = self._now_s()
+        self._session.stop("fault of the ground tool")
+        if self._log is not None:
+            self._log.fault(self._history.text(error, now_s))
+        self._warn(f"fault of this tool, all followers hold and the tool ends: {error!r}")
+        told = status_text(mavlink.MAV_SEVERITY_CRITICAL, FAULT)
+        self._send([(system_id, told) for system_id in self._ways], now_s)
 
     def _take(self, link: OpenLink, message: Any, now_s: float) -> None:
         """Pass on a message that one of our vehicles has sent on its own link."""
@@ -331,20 +382,29 @@ class FollowTool:
         until_s = self._now_s() + STOPPING_S
         self._next_tick_s = self._now_s()
         self._turn()
-        while not session.stopped(self._now_s()) and self._now_s() < until_s:
+        while not self._stopped() and self._now_s() < until_s:
             if self._stop.count > asked:
                 self._say("asked twice: not waiting for the followers to stop")
                 break
             self._turn()
         safe = self._put_back(asked)
         now_s = self._now_s()
-        self._show(now_s)
+        self._attempt(self._show, now_s)
         for follower in session.followers.values():
             text, well = left_as(session, follower, now_s)
             safe = safe and well
             self._tell_how_left(follower.plan.system_id, text, well=well, now_s=now_s)
+        for link in self._links.values():
+            if link.door.refused:
+                self._say(f"{link.link.name}: not believed: {link.door.summary}")
         self._view.settle()
         return 0 if safe and self._view.lost is None else 1
+
+    def _stopped(self) -> bool:
+        try:
+            return self._session.stopped(self._now_s())
+        except Exception:
+            return False
 
     def _tell_how_left(self, system_id: int, text: str, *, well: bool, now_s: float) -> None:
         """Report how a follower was left; to its pilot's display too if the pilot must act."""
@@ -370,6 +430,7 @@ class FollowTool:
         return all(well for _, well in left)
 
     def _close(self) -> None:
+        self._stop.be_patient()
         for link in self._links.values():
             link.link.close()
         try:

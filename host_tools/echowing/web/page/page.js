@@ -511,8 +511,9 @@ function drawSeparation(box) {
   const now = model.frame, few = now.followers.length <= MOST_LINES;
   put(byId("separation-title"), few
     ? "Separation from the leader, last minute" : "Error of the separation, last minute");
+  const source = model.hello.source === "sim" ? "in truth" : "by GPS";
   put(byId("separation-legend"), few
-    ? "line: by GPS; dots: by sonar; dashed: wanted" : "separation minus wanted separation, by GPS");
+    ? `line: ${source}; dots: by sonar; dashed: wanted` : `separation minus wanted separation, ${source}`);
   const shown = f => f[SEPARATION] === null ? null : f[SEPARATION] - (few ? 0 : f[WANTED] ?? 0);
   const all = model.past.flatMap(one => one.followers.flatMap(f => [shown(f), few ? f[WANTED] : null]))
     .filter(value => value !== null);

@@ -1,0 +1,57 @@
+"""Holds the followers of a session whose own tick has failed. Pure.
+
+It uses no more of the session than what its followers have reported, so that what made the tick
+fail does not make this fail.
+"""
+
+import math
+from typing import Any
+
+from echowing.flight.guard import UNHEARD_S
+from echowing.flight.session import FollowSession
+from echowing.flight.state import FollowerState
+from echowing.geo import GlobalPosition
+from echowing.mavlink.messages import position_target
+
+Place = tuple[GlobalPosition, float]
+
+
+class Standstill:
+    """Where each follower that was moved comes to a stand."""
+
+    def __init__(self, session: FollowSession) -> None:
+        self._session = session
+        self._places: dict[int, Place] = {}
+
+    def messages(self, now_s: float) -> list[tuple[int, Any]]:
+        """A point at its place for each follower that was moved, flies in Guided and reports."""
+        feed_mps = (0.0, 0.0) if self._session.settings.feed_forward else None
+        messages = []
+        for system_id, follower in self._session.followers.items():
+            heard = now_s - follower.position_at_s <= UNHEARD_S
+            if not (follower.in_guided and follower.flown and heard):
+                self._places.pop(system_id, None)
+                continue
+            place = self._places.get(system_id) or _place(follower)
+            if place is not None:
+                self._places[system_id] = place
+                point = position_target(system_id, *place, None, now_s, feed_mps)
+                messages.append((system_id, point))
+        return messages
+
+    def verify(self, now_s: float) -> None:
+        """Check whether they stand, as a hold of the session does."""
+        guard = self._session.guard
+        for system_id in self._places if guard is not None else ():
+            guard.holding(self._session.followers[system_id], now_s)  # type: ignore[union-attr]
+
+
+def _place(follower: FollowerState) -> Place | None:
+    """Where it was to hold already, or where it comes to a stop."""
+    for at, height_m in (
+        (follower.held_at, follower.held_altitude_m),
+        (follower.left_at, follower.altitude_m),
+    ):
+        if at is not None and height_m is not None and all(map(math.isfinite, (*at, height_m))):
+            return at, height_m
+    return None

@@ -1,0 +1,16 @@
+/* What the vehicle answered in a flight that was recorded: see tests/lua/heap.py for the format. */
+#pragma once
+
+#include "lua.h"
+
+/* Begins the flight anew. */
+void replay_begin(const unsigned char* record, unsigned size);
+
+/* Whether another update follows. */
+int replay_next_update(void);
+
+/* What the script did that the record has not; NULL: nothing. */
+const char* replay_trouble(void);
+
+/* Where the bindings' globals come from: the sandbox, on the stack, gets its metatable. */
+void replay_open(lua_State* L);

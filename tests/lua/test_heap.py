@@ -1,0 +1,102 @@
+"""Each applet loads and flies in the memory that its autopilots have; and the measure is right.
+
+Lua runs on a 32-bit processor here (QEMU), see heap.py.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from tests.lua import heap
+
+from echowing.applets import APPLETS
+from echowing.paths import lua_folder
+
+pytestmark = pytest.mark.seconds(25)
+
+SMALL = """
+local kept = {}
+%s
+local function update() return kept and update, 50 end
+return update, 50
+"""
+
+Measure = Callable[[str], heap.Need]
+
+
+@pytest.fixture
+def needs(tmp_path: Path) -> Measure:
+    """What a small script with these lines needs."""
+
+    def measured(lines: str) -> heap.Need:
+        applet = tmp_path / "small.lua"
+        applet.write_text(SMALL % lines, encoding="utf-8")
+        return heap.need(applet)
+
+    return measured
+
+
+@pytest.mark.parametrize("file", sorted(file.name for file in lua_folder().glob("*.lua")))
+def test_an_applet_loads_and_flies_in_its_heap(file: str) -> None:
+    allowed = next(applet.heap_bytes for applet in APPLETS if applet.file == file)
+    flight = heap.need(lua_folder() / file, allowed)
+    assert flight.trouble is None, (
+        f"{file} in {allowed} bytes: {flight.trouble}; it needs "
+        f"{heap.need(lua_folder() / file).least_bytes}"
+    )
+    assert flight.updates > 300  # 25 s in the air, 20 a second and more, and 2 s on the ground
+
+
+def test_a_heap_that_is_too_small_is_told() -> None:
+    too_small = heap.need(lua_folder() / "echowing.lua", 43 * 1024)  # the default of an F427
+    assert "not enough memory" in (too_small.trouble or "")
+
+
+def test_numbers_and_pointers_take_32_bits(needs: Measure) -> None:
+    one = needs("kept[1] = kept")
+    thousand = needs("for i = 1, 1000 do kept[i] = kept end")
+    # A value takes 8 bytes, and a table with 1000 of them has room for 1024.
+    assert thousand.live_bytes - one.live_bytes == 1023 * 8
+    # While it grows, half of it is there twice.
+    assert thousand.least_bytes - one.least_bytes > (1023 + 512 - 1) * 8
+
+
+def test_a_block_has_a_header_and_is_moved_to_grow(needs: Measure) -> None:
+    """ChibiOS: 8 bytes before each block, and whole 8 bytes; Lua's string: 16 and a zero."""
+    many = "for i = 1, 100 do kept[i] = string.rep('x', {}) .. i + 100 end"
+    none = needs(many.format(0))
+    for letters, block_bytes in ((44, 64), (45, 72), (52, 72)):
+        some = needs(many.format(letters))
+        assert some.live_bytes - none.live_bytes == 100 * (block_bytes + 8 - 32), letters
+
+
+def test_holes_count_as_the_first_that_is_large_enough_is_taken(needs: Measure) -> None:
+    """Every second text goes: together they would have room for the long one."""
+    holes = """
+for i = 1, 300 do kept[i] = string.rep('x', 100) .. i end
+for i = 1, 300, 2 do kept[i] = nil end
+"""
+    short = needs(holes + "kept[1] = string.rep('y', 60)")
+    long = needs(holes + "kept[1] = string.rep('y', 12000)")
+    assert long.peak_bytes < 204800
+    assert long.least_bytes - short.least_bytes > 12000
+
+
+@pytest.mark.parametrize(
+    ("lines", "trouble"),
+    [
+        ("\n".join(f"local v{i} = {i}" for i in range(101)), "limit is 100"),
+        ("select('#', 1)", "'select'"),
+        ("string.dump(print)", "'dump'"),
+        ("vehicle:no_such_call()", "'no_such_call'"),
+        ("millis()", "called :millis, recorded is"),
+        ("while true do end", "Exceeded CPU time"),
+    ],
+)
+def test_the_engine_is_the_vehicles(tmp_path: Path, lines: str, trouble: str) -> None:
+    good, bad, record = tmp_path / "good.lua", tmp_path / "bad.lua", tmp_path / "record"
+    good.write_text(SMALL % "", encoding="utf-8")
+    bad.write_text(SMALL % lines, encoding="utf-8")
+    heap.record_flight(good, record)
+    assert heap.fly_recorded(good, record).trouble is None
+    assert trouble in (heap.fly_recorded(bad, record).trouble or "")
