@@ -29,7 +29,7 @@ STILL_FOR_S = 1.0
 FRESH_S = 1.0
 # From 2 m/s a copter stands within 3 s; the tool reports one that still moves then.
 REMIND_S = 3.0
-# Two missed heartbeats of a second each, and the mode is no longer known; a radio that holds
+# After two missed heartbeats, one a second, the mode is not known any more. A radio that holds
 # reports back for so long is as good as silent.
 UNHEARD_S = 2.0
 # One that was led and reports again is held until it has done so for this long: its pilot sees on
