@@ -32,6 +32,9 @@ REMIND_S = 3.0
 # After two missed heartbeats, one a second, the mode is not known any more. A radio that holds
 # reports back for so long is as good as silent.
 UNHEARD_S = 2.0
+# One that was led and reports again is held until it has done so for this long: its pilot sees on
+# the display that the tool is back before it moves.
+STEADY_S = 3.0
 # A stop ends only when things are this much better than what caused it.
 CLEAR_M = 0.5
 CLEAR_SHARE = 0.9
@@ -113,6 +116,7 @@ class _Watch:
     backed_off: bool = False
     released: bool = False
     unheard: bool = False
+    back_at_s: float = -math.inf
     low_told: bool = False
     still_since_s: float | None = None
     told_at_s: float | None = None
@@ -249,6 +253,9 @@ class Guard:
             return "stop switch"
         if watch.refused:
             return "its points are refused"
+        comes_back = watch.unheard and now_s - follower.position_at_s <= UNHEARD_S
+        if follower.flown and (comes_back or now_s - watch.back_at_s < STEADY_S):
+            return "its link was lost"
         if self.limits.leader_flies and self._leader_flies is not True:
             return "leader is not known to fly"
         if follower.position is None:
@@ -353,6 +360,9 @@ class Guard:
             watch.unheard = unheard
             text = f"no report for {UNHEARD_S:g} s, no points sent" if unheard else "reports again"
             self._say(now_s, f"follower {system_id}: {text}")
+            if not unheard and follower.flown:
+                watch.back_at_s = now_s
+                self._alert(system_id, "link was lost, holding")
         handed_back = watch.released or (self.switched(system_id) and not follower.flown)
         return not unheard and not handed_back and not self._too_low(follower, watch, now_s)
 
