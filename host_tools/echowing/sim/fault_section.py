@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from echowing.geo import Ned
-from echowing.sim.section import NotNegative, Positive, Section, Share
+from echowing.section import NotNegative, Positive, Section, Share
 
 FaultKind = Literal[
     "autopilot_rebooted",

@@ -16,10 +16,11 @@ from echowing.sim.hangar import Hangar
 from echowing.sim.modes import GUIDED
 from echowing.sim.page import WorldOnPage
 from echowing.sim.parked import ParkedHangar, ParkedWorld, insert_cards
-from echowing.sim.scenario import FormationSection, Scenario
+from echowing.sim.scenario import Scenario
 from echowing.sim.serve import Endpoint, Server
 from echowing.sim.vehicles import LeaderPilot, SimFollower, SimVehicle
 from echowing.stopping import stop_on_signals
+from echowing.tool.formation_file import FormationSection
 from echowing.tool.run import Page
 
 # Ports of one vehicle, as SITL lays them out: the next vehicle 10 on, a second link 2 on.
