@@ -968,8 +968,10 @@ do
         guard.too_close, guard.close_ms = true, t_ms
         report.state = STATE.TOO_CLOSE
         if C.LAW >= 1 then allow_no_more(C.SPD_MIN) end
-        -- Lower than 1.5 m up what is near is most likely the ground; points lead 2 m up and higher (flight/guard.py).
-        local here = -ahrs:get_relative_position_D_home() > 1.5 and vehicle:get_likely_flying() and ahrs:get_location()
+        -- Half a metre lower than points lead (flight/lowest.py) what is near is most likely the ground.
+        local LOWEST_M = 2.0
+        local up = vehicle:get_likely_flying() and -ahrs:get_relative_position_D_home() > LOWEST_M - 0.5
+        local here = up and ahrs:get_location()
         local behind_m = here and target_behind_m(here, t_ms) or 0.0
         -- Back to the wanted distance, and the leader's approach of one second more.
         local evaded = guard.evading
