@@ -1028,8 +1028,8 @@ do
     -- from it; more away from the leader. A sonar that is stuck then moves the vehicle no further. The first also in m/s:
     -- one with a stuck sonar takes its own speed for its leader's.
     local FORWARD_M, BACK_M = 1.0, 5.0
-    -- From the second on a leader that goes on with its mission is where it was, and as fast as the ground tool says:
-    -- until then the tool's reports may be older than what was seen last.
+    -- A leader on a mission that is lost in a corner: after the second time the tool's reports are newer than what was
+    -- seen last. From then on it is carried on, from the place where it was seen, at the speed that the tool gives.
     local UNSEEN_MS, TOLD_MS = 300, 900
     local NOSE_LATE_S = 0.2 -- so much later than its attitude's target the nose turns (SITL 4.6 0.2 s, 4.8 0.25 s)
     -- Towards the leader: 8 degrees of lean, and what the air takes. Guided closes a gap of 0.4 m with all its acceleration

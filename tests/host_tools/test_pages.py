@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from echowing.flight.envelope import LEAST_M
 from echowing.flight.formation import receivers_demand_m
-from echowing.flight.guard import MIN_SEPARATION_M
 from echowing.flight.leader_speed import MOST_LEADER_MPS
 from echowing.paths import repository_root
 
@@ -31,7 +31,7 @@ def test_when_to_abort_stands_on_one_page_and_the_other_leads_there() -> None:
 @pytest.mark.parametrize(
     ("page", "words", "figure"),
     [
-        ("FLYING.md", "at least {} m apart", f"{receivers_demand_m(MIN_SEPARATION_M):.2f}"),
+        ("FLYING.md", "at least {} m apart", f"{receivers_demand_m(LEAST_M):.2f}"),
         ("GUIDANCE.md", "A leader flies at up to {} m/s", f"{MOST_LEADER_MPS:g}"),
         ("README.md", "leader up to {} m/s", f"{MOST_LEADER_MPS:g}"),
     ],

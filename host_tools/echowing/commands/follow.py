@@ -59,7 +59,7 @@ The pilot takes over by any change of mode. When the pilot returns to Guided, po
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The verb's options."""
     from echowing.flight.guidance import GuidanceSettings  # noqa: PLC0415 (when the verb is used)
-    from echowing.mavlink.links import CONN, DEFAULT_BAUD  # noqa: PLC0415
+    from echowing.mavlink.connection import CONN, DEFAULT_BAUD  # noqa: PLC0415
     from echowing.web.options import add_web_arguments  # noqa: PLC0415
 
     parser.epilog = EXAMPLES
@@ -172,7 +172,7 @@ def log_folder(args: argparse.Namespace) -> Path | None:
 
 
 def _add_safety(safety: "argparse._ArgumentGroup") -> None:
-    from echowing.flight.guard import MIN_SEPARATION_M  # noqa: PLC0415
+    from echowing.flight.envelope import LEAST_M  # noqa: PLC0415
 
     safety.add_argument(
         "--engage", action="store_true", help="send points; without --engage the tool only watches"
@@ -209,7 +209,7 @@ def _add_safety(safety: "argparse._ArgumentGroup") -> None:
     safety.add_argument(
         "--min-separation",
         type=float,
-        default=MIN_SEPARATION_M,
+        default=LEAST_M,
         metavar="M",
         help="distance that is certain to remain between any two vehicles (1.0): a follower that "
         "would come nearer slows down, gives way or backs off",

@@ -212,11 +212,11 @@ class LossySection(Section):
     """What a link does to the bytes on it, both ways alike (see `echowing.sim.cutter`)."""
 
     byte_loss: Share = 0.0
-    """Share of the radio's packets lost, which are cut from the bytes anywhere."""
+    """Share of the packets lost, which are cut from the bytes anywhere; with `--serve`, too."""
     packet_bytes: tuple[PacketBytes, PacketBytes] = (20, 80)
     """Of `byte_loss` and `flip`: least and most bytes of a packet."""
     flip: Share = 0.0
-    """Share of the radio's packets that arrive with one wrong bit."""
+    """Share of those packets that arrive with one wrong bit."""
 
     @field_validator("packet_bytes")
     @classmethod
@@ -251,6 +251,11 @@ class RadioSection(LossySection):
     """How much later."""
     duplicate: Share = 0.0
     """Share of the frames that arrive twice."""
+
+    @property
+    def frames_lost(self) -> float:
+        """Share of the frames that do not arrive: most lie in two of the packets that are cut."""
+        return 1.0 - (1.0 - self.loss) * ((1.0 - self.byte_loss) * (1.0 - self.flip)) ** 2
 
     def settings(self) -> RadioSettings:
         """The same for the radio model."""
