@@ -42,6 +42,7 @@ COUNTED_EVERY = 20
 FAR_M = 150.0
 FAST_MPS = 60.0
 SPEED_MPS = 4.0
+HANGS_S = 600.0
 NUMBERS = (math.nan, math.inf, -math.inf, 0.0, -0.0, 1e-30, -1e-30, 3.4e38, -3.4e38, 1.0, -1.0)
 BYTES = {"float": 4, "double": 8, "uint64_t": 8, "int64_t": 8, "uint32_t": 4, "int32_t": 4}
 KINDS = {one.msgname: one for one in mavlink.mavlink_map.values()}
@@ -263,7 +264,8 @@ def main() -> int:
     args = parser.parse_args()
     until_s, seed, points = time.monotonic() + args.seconds, args.seed, 0
     while time.monotonic() < until_s:
-        faulthandler.dump_traceback_later(120, exit=True)  # a tick that hangs between counted ones
+        # A tick that hangs between the counted ones; a flight takes a second.
+        faulthandler.dump_traceback_later(HANGS_S, exit=True)
         flight = Fuzz(seed)
         try:
             flight.fly()

@@ -1,6 +1,6 @@
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import pytest
@@ -10,6 +10,7 @@ from echowing.errors import EchowingError
 from echowing.flight.closing import Closing
 from echowing.flight.envelope import OTHERS_MPS2, closing_limit_mps
 from echowing.flight.guard import (
+    FIELD_LIMITS,
     REFUSED_FOR_S,
     REMEMBERED_S,
     REMIND_S,
@@ -23,6 +24,7 @@ from echowing.flight.guard import (
     Limits,
 )
 from echowing.flight.guidance import GuidanceSettings, Slot
+from echowing.flight.plan import planned
 from echowing.flight.requests import RATE_WINDOW_S, RateWatch
 from echowing.flight.session import FollowSession
 from echowing.flight.state import FollowerPlan, FollowerState
@@ -675,6 +677,33 @@ def test_targets_near_enough_or_the_applets_own_are_no_refusal(
         (sent,) = there.points()
         there.tell(FOLLOWER, read_back(sent, shift_m))
     assert there.state == "following"
+
+
+@pytest.mark.parametrize(
+    ("off_m", "velocity_mps"),
+    [((400.0, 0.0), (0.0, 0.0)), ((0.0, 0.0), (math.nan, 0.0)), ((0.0, -400.0), (1.0, 0.0))],
+)
+def test_no_point_leaves_that_is_far_or_not_finite_whatever_was_reckoned_with(
+    off_m: tuple[float, float],
+    velocity_mps: tuple[float, float],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    yard = Yard(limits=FIELD_LIMITS)
+    yard.fly(6.0)
+    reckoned = planned
+
+    def wrong(*arguments: Any) -> Any:
+        guided = reckoned(*arguments)
+        far = displace(guided.point, (*off_m, 0.0))
+        return replace(guided, point=far, velocity_mps=velocity_mps)
+
+    monkeypatch.setattr("echowing.flight.session.planned", wrong)
+    points = yard.fly(2.0)
+    assert len(points) == 16
+    assert all((one.vx, one.vy) == (0.0, 0.0) for one in points)
+    assert all(abs(north_of(one) + 4.0) < 1.0 for one in points)
+    assert yard.state() == "holding: its point was out of reach, until it leaves Guided"
+    assert sum("its point was out of reach" in text for text in yard.events()) == 1
 
 
 def test_an_unheard_follower_is_sent_nothing() -> None:

@@ -38,6 +38,8 @@ STEADY_S = 3.0
 # A stop ends only when things are this much better than what caused it.
 CLEAR_M = 0.5
 CLEAR_SHARE = 0.9
+# A point is as far as the leader may be away, with a slot beyond it and what an envelope adds.
+NEAR_SHARE = 1.5
 # A correction of the altitude is reported when it begins and when it changes by more than this.
 DATUM_TOLD_M = 0.3
 
@@ -315,6 +317,14 @@ class Guard:
             most_m *= CLEAR_SHARE
         apart_m = distance_m(follower.position, leader)
         return f"leader is beyond {most_m:.0f} m" if apart_m > most_m else None
+
+    def is_near(self, follower: FollowerState, point: GlobalPosition) -> bool:
+        """Whether a point is where a follower may be sent: it flies about as far as its leader."""
+        most_m = self.limits.max_distance_m
+        if most_m is None or follower.position is None:
+            return True
+        most_m = NEAR_SHARE * most_m + 2.0 * follower.plan.slot.radius_m
+        return _apart_m(point, follower.position) <= most_m
 
     def too_near(
         self,

@@ -14,6 +14,7 @@ switch in the pilot's hand may), it sends points only to a vehicle that reports 
 Guided, and on old or jumping leader data it stops the follower where it is.
 """
 
+import math
 from collections.abc import Iterable
 from typing import Any
 
@@ -247,6 +248,9 @@ class FollowSession:
             follower.not_ordered()
             return []
         point = self._spacing.kept_apart(follower, point, now_s)
+        if not self._may_leave(follower, point):
+            self._stop_out_of_reach(follower, now_s)
+            point = follower.held_at or point
         follower.ordered(point, now_s)
         command = self._command(follower, point, now_s)
         follower.flown = True
@@ -255,6 +259,18 @@ class FollowSession:
             if follower.held_at is not None:
                 self.guard.holding(follower, now_s)
         return [(follower.plan.system_id, command)]
+
+    def _may_leave(self, follower: FollowerState, point: GlobalPosition) -> bool:
+        """Whether a point is finite, and near: whatever was reckoned with, nothing else leaves."""
+        if not all(map(math.isfinite, (*point, *(follower.feed_mps or ())))):
+            return False
+        return self.guard is None or self.guard.is_near(follower, point)
+
+    def _stop_out_of_reach(self, follower: FollowerState, now_s: float) -> None:
+        follower.latched = "its point was out of reach, until it leaves Guided"
+        self._holds.release(follower)
+        self._hold(follower, follower.latched, now_s)
+        follower.feed_mps = (0.0, 0.0) if self.settings.feed_forward else None
 
     def _point_for(self, follower: FollowerState, now_s: float) -> GlobalPosition | None:
         """Where it is to be; None: not known."""
