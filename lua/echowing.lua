@@ -482,30 +482,21 @@ end
 -- This vehicle's motion ----------------------------------------------------------------------------------------------
 
 do
-    local ACCEL_MS = 100 -- smooths the estimator's change of speed
-    local STANDS_MPS, STANDS_MPS2 = 0.3, 1.0 -- below both, it stands
-    -- Until it leans against its motion. ArduCopter 4.8 stood 2.3 s after a link was lost; with 0.5 s here it crept on
-    -- (3.5 s), with 0.35 s and with 0.15 s it swung back (2.6 and 2.4 s).
-    local LEAN_S = 0.25
-
-    -- Own speed along the heading; 0 while the estimator has none.
-    local function forward_speed()
-        local velocity = ahrs:get_velocity_NED()
-        if not velocity then return 0.0 end
-        local yaw = yaw_rad(ahrs)
-        local forward_mps = velocity:x() * math.cos(yaw) + velocity:y() * math.sin(yaw)
-        return is_within(forward_mps, FASTEST_MPS) and forward_mps or 0.0
-    end
-
-    -- Own speed and how it is changing: smoothed, and no more than the vehicle can.
+    -- Own speed along the heading, 0 while the estimator has none, and how it is changing: smoothed (100 ms), and no more
+    -- than the vehicle can.
     function own.update(t_ms)
-        local mps = forward_speed()
+        local velocity, mps = ahrs:get_velocity_NED(), 0.0
+        if velocity then
+            local yaw = yaw_rad(ahrs)
+            mps = velocity:x() * math.cos(yaw) + velocity:y() * math.sin(yaw)
+            if not is_within(mps, FASTEST_MPS) then mps = 0.0 end
+        end
         local dt_ms = own.at_ms and t_ms - own.at_ms or math.maxinteger
         if dt_ms > IDLE_MS then
             own.accel_mps2 = 0.0 -- too long ago to compare with
         elseif dt_ms > 0 then
             local change_mps2 = clamp((mps - own.mps) * 1000.0 / dt_ms, -C.DECEL, C.DECEL)
-            own.accel_mps2 = own.accel_mps2 + (change_mps2 - own.accel_mps2) * dt_ms / (dt_ms + ACCEL_MS)
+            own.accel_mps2 = own.accel_mps2 + (change_mps2 - own.accel_mps2) * dt_ms / (dt_ms + 100)
         end
         own.mps, own.at_ms = mps, t_ms
     end
@@ -530,27 +521,24 @@ do
 
     -- Whether it has come to rest, but for what the estimator is off: one that still leans only turns round.
     function own.stands()
-        if math.abs(own.accel_mps2) > STANDS_MPS2 then return false end
         local velocity = ahrs:get_velocity_NED()
-        if not velocity then return false end
+        if not velocity or math.abs(own.accel_mps2) > 1.0 then return false end
         local north_mps, east_mps = velocity:x(), velocity:y()
-        return north_mps * north_mps + east_mps * east_mps < STANDS_MPS * STANDS_MPS
+        return north_mps * north_mps + east_mps * east_mps < 0.3 * 0.3
     end
 
-    -- Metres to a stop from a speed, which goes on changing at a rate until the vehicle leans against its motion.
-    local function stopping_m(mps, mps2)
-        local then_mps = math.max(0.0, mps + mps2 * LEAN_S)
-        return 0.5 * (mps + then_mps) * LEAN_S + then_mps * then_mps / (2.0 * C.DECEL)
-    end
-
-    -- Stays where it comes to a stop: a place it has to come back to would take longer.
+    -- Stays where it comes to a stop: a place it has to come back to would take longer. Its speed goes on changing until it
+    -- leans against its motion. ArduCopter 4.8 stood 2.3 s after a link was lost; with 0.5 s here it crept on (3.5 s), with
+    -- 0.35 s and with 0.15 s it swung back (2.6 and 2.4 s).
     function own.stop()
+        local LEAN_S = 0.25
         local position, velocity = ahrs:get_relative_position_NED_origin(), ahrs:get_velocity_NED()
         if not (position and velocity) then return false end
         local north_mps, east_mps = velocity:x(), velocity:y()
         local mps = math.sqrt(north_mps * north_mps + east_mps * east_mps)
         if not is_within(mps, FASTEST_MPS) or mps < 0.01 then return fly_to(position, 0.0, 0.0) end
-        local share = stopping_m(mps, own.accel_mps2 * own.mps / mps) / mps
+        local then_mps = math.max(0.0, mps + own.accel_mps2 * own.mps / mps * LEAN_S)
+        local share = (0.5 * (mps + then_mps) * LEAN_S + then_mps * then_mps / (2.0 * C.DECEL)) / mps
         return fly_to(position, share * north_mps, share * east_mps)
     end
 end
@@ -558,28 +546,9 @@ end
 -- Sonar track --------------------------------------------------------------------------------------------------------
 
 do
-    local RAW_FRESH_MS = 300 -- an older single reading is not "the newest": 3 periods of the slower sonar rate
-    local RAW_NAME = 'SNR_RAW\0\0\0' -- ten characters on the wire
-    local SAME_READINGS, SAME_MPS = 8, 0.3 -- so many readings that are the same, and a change of the own speed meanwhile
-    local DATED_READINGS = 16 -- so many tell what the board's clock differs by
-    local LATEST_MS = 1000 -- no reading waits so long: the board, or its link, has started anew
-    -- A single reading this far from the prediction, or after so long without one, waits for a second one like it:
-    -- readings 0.1 s apart differ by less even where both vehicles change their speed at 5 m/s2.
-    local SPIKE_M, SPIKE_MS = 0.15, 300
-    local MOST_MPS = 5.0 -- two vehicles close no faster
-    local JUMP_M = 0.6 -- a leader's speed wrong by 1 m/s, for about as long as its track is carried on
-    -- So many readings in agreement are a target; one that did not agree takes one of them off, of so many at the most.
-    local TRUST_READINGS, KNOWN_READINGS = 3, 6
-    local TRACK_GAP_MS = 700 -- after a gap this long the tracker starts again
+    local TRUST_READINGS = 3 -- so many readings in agreement are a target; two wild ones in a row happen
     local READING_S = 0.05 -- age of a single reading as it is sent, and what the wire takes at the least
-    -- The leader's acceleration is noise of the sonar (1 cm) within the first, and no copter brakes harder than the
-    -- second. It needs readings enough.
-    local NOISE_MPS2, HARDEST_MPS2, SETTLED_READINGS = 0.8, 4.0, 5
-    -- A leader for which the slot was opened, near and braking when it was lost, goes on braking until it stands, or to
-    -- this speed if it flew back already, for as long as the ground tool does not know of it yet (1 s of radio). Braking is
-    -- more than what a corner takes of the speed along the beam (1 m/s2 at 2 m/s). Without the opened slot the leader is
-    -- on a mission, or slow, and most likely flies round a corner.
-    local UNSEEN_MS, KNOWN_MS, BACK_MPS, CORNER_MPS2 = 150, 1000, -2.0, 1.5
+    local HARDEST_MPS2 = 4.0 -- no copter brakes harder
 
     -- Distance by the rangefinder's running average, nil where it is no measurement; and the status. All distances here
     -- are between the two vehicles' centres.
@@ -603,15 +572,9 @@ do
         return range_m ~= nil and range_m < C.DETECT + C.INSET
     end
 
-    -- The newest single reading, nil if it is old.
+    -- The newest single reading, nil if it is old: 3 periods of the slower sonar rate.
     function track.newest(t_ms)
-        return track.raw_ms and t_ms - track.raw_ms <= RAW_FRESH_MS and track.raw_m or nil
-    end
-
-    -- What the two clocks differ by, told anew: the readings before are dated by it too.
-    local function set_clock(late_ms)
-        local shift_ms = late_ms - track.late_ms
-        track.late_ms, track.seen_ms, track.spike_ms = late_ms, track.seen_ms + shift_ms, track.spike_ms + shift_ms
+        return track.raw_ms and t_ms - track.raw_ms <= 300 and track.raw_m or nil
     end
 
     -- When a reading was taken, by the applet's clock: readings wait for the wire and for the applet, most of them longer
@@ -619,15 +582,15 @@ do
     -- 16 to 32 tells: a board whose clock is 1 % slow is 32 ms off then.
     local function taken_ms(board_ms, t_ms)
         local late_ms = t_ms - board_ms
-        local goes_on = board_ms > track.board_ms and is_within(late_ms - track.late_ms, LATEST_MS)
+        -- No reading waits for a second: the board, or its link, has started anew.
+        local goes_on = board_ms > track.board_ms and is_within(late_ms - track.late_ms, 1000)
         track.board_ms = board_ms
         if not goes_on then track.late_ms, track.quickest_ms, track.dated = late_ms, late_ms, 0 end
         track.quickest_ms, track.dated = math.min(track.quickest_ms, late_ms), track.dated + 1
-        if late_ms < track.late_ms then set_clock(late_ms) end
-        if track.dated >= DATED_READINGS then
-            set_clock(track.quickest_ms)
-            track.quickest_ms, track.dated = late_ms, 0
-        end
+        local clock_ms = math.min(track.late_ms, late_ms)
+        if track.dated >= 16 then clock_ms, track.quickest_ms, track.dated = track.quickest_ms, late_ms, 0 end
+        local shift_ms = clock_ms - track.late_ms -- the readings before are dated by it too
+        track.late_ms, track.seen_ms, track.spike_ms = clock_ms, track.seen_ms + shift_ms, track.spike_ms + shift_ms
         return board_ms + track.late_ms
     end
 
@@ -640,12 +603,12 @@ do
         track.same = track.same + 1
         track.slowest_mps = math.min(track.slowest_mps, own.mps)
         track.fastest_mps = math.max(track.fastest_mps, own.mps)
-        return track.same >= SAME_READINGS and track.fastest_mps - track.slowest_mps > SAME_MPS
+        return track.same >= 8 and track.fastest_mps - track.slowest_mps > 0.3
     end
 
     function track.take(payload, t_ms)
         local board_ms, value, name = string.unpack('<I4fc10', payload)
-        if name ~= RAW_NAME then return end
+        if name ~= 'SNR_RAW\0\0\0' then return end
         if not is_within(value, FURTHEST_M) or value <= 0.0 then return refuse('implausible reading') end
         track.raw_m, track.raw_ms = value + C.INSET, taken_ms(board_ms, t_ms)
         local stuck = is_stuck(track.raw_m) and track.is_target(track.raw_m)
@@ -660,43 +623,36 @@ do
         end
     end
 
-    -- Range of the target, the leader's speed along the line of sight, and its acceleration: a critically damped observer
-    -- that knows the own speed, so that own braking is not taken for the leader's.
-    local function start(range_m, read_ms, t_ms)
-        track.range_m, track.leader_mps, track.own_mps, track.at_ms = range_m, own.mps, own.mps, t_ms
-        track.seen_ms, track.readings = read_ms, 1
-        track.seen_mps, track.leader_mps2 = own.mps, 0.0
-    end
-
     -- While it backs off the nose is up and the sonar often sees nothing: a leader lost while near is near until the
     -- sonar shows otherwise, for as long as the track can be carried on.
     local function fresh(t_ms)
         if not track.range_m then return false end
         local near = guard.evading or (hold.active and track.range_m < stream.distance_m())
-        return t_ms - track.seen_ms <= (near and BLIND_MS or TRACK_GAP_MS)
+        return t_ms - track.seen_ms <= (near and BLIND_MS or 700)
     end
 
-    -- Two wild readings in a row happen; three that agree are a target.
     function track.trusted(t_ms)
         return fresh(t_ms) and track.readings >= TRUST_READINGS
     end
 
-    -- How hard the leader brakes, or speeds up towards this vehicle, by what was seen last: 0 or less.
+    -- How hard the leader brakes, or speeds up towards this vehicle, by what was seen last: 0 or less. Under 0.8 m/s2 it is
+    -- noise of the sonar (1 cm). After 1 s, of radio, the ground tool knows of it; a leader for which the slot was not opened
+    -- is on a mission, or slow, and most likely flies round a corner.
     function track.braking_mps2(t_ms)
-        local counts_ms = stream.is_opened() and KNOWN_MS or RAW_FRESH_MS
-        if t_ms - track.seen_ms > counts_ms or track.leader_mps2 > -NOISE_MPS2 then return 0.0 end
+        local counts_ms = stream.is_opened() and 1000 or 300
+        if t_ms - track.seen_ms > counts_ms or track.leader_mps2 > -0.8 then return 0.0 end
         return math.max(-HARDEST_MPS2, track.leader_mps2)
     end
 
-    -- The leader's speed, carried on over dt_s to a moment that long after a reading. Not seen, it speeds up no further.
+    -- The leader's speed, carried on over dt_s to a moment that long after a reading. Not seen, it speeds up no further. One
+    -- that was near and braking goes on braking until it stands, or to 2 m/s back if it flew back already. Braking is more
+    -- than what a corner takes of the speed along the beam, 1 m/s2 at 2 m/s.
     local function carried_mps(unseen_ms, t_ms, dt_s)
-        if unseen_ms <= UNSEEN_MS then return track.leader_mps + track.leader_mps2 * dt_s end
-        if unseen_ms > KNOWN_MS then return track.seen_mps end
-        local least_mps = track.seen_mps > 0.0 and 0.0 or BACK_MPS
+        if unseen_ms <= 150 then return track.leader_mps + track.leader_mps2 * dt_s end
+        if unseen_ms > 1000 then return track.seen_mps end
+        local least_mps = track.seen_mps > 0.0 and 0.0 or -2.0
         local near = track.range_m < stream.distance_m() and track.leader_mps > least_mps
-        if not near or track.braking_mps2(t_ms) > -CORNER_MPS2 then
-            return math.min(track.leader_mps, track.seen_mps)
-        end
+        if not near or track.braking_mps2(t_ms) > -1.5 then return math.min(track.leader_mps, track.seen_mps) end
         return math.max(least_mps, track.leader_mps + track.braking_mps2(t_ms) * dt_s)
     end
 
@@ -714,30 +670,18 @@ do
         track.leader_mps, track.own_mps, track.at_ms = leader_mps, own.mps, t_ms
     end
 
-    -- How old a reading is now.
-    local function age_s(read_ms, t_ms)
-        return READING_S + (t_ms - read_ms) * 0.001
-    end
-
-    -- A reading that was not foreseen waits for another one like it.
+    -- A reading that was not foreseen waits for another one like it, and takes one of six in agreement off.
     local function wait(range_m, read_ms)
         track.spike_m, track.spike_ms, track.spike_own_mps = range_m, read_ms, own.mps
-        if track.readings >= TRUST_READINGS then track.readings = math.min(track.readings, KNOWN_READINGS) - 1 end
+        if track.readings >= TRUST_READINGS then track.readings = math.min(track.readings, 6) - 1 end
     end
 
-    -- Whether it is like the one that waits, nearly the same range shortly after it; and the time between them.
+    -- Whether it is like the one that waits, nearly the same range shortly after it (two vehicles close no faster than
+    -- 5 m/s); and the time between them.
     local function is_second(range_m, read_ms)
         if not track.spike_m then return false end
         local dt_s = (read_ms - track.spike_ms) * 0.001
-        return dt_s > 0.0 and dt_s < SPIKE_MS * 0.001 and
-            math.abs(range_m - track.spike_m) < SPIKE_M + MOST_MPS * dt_s, dt_s
-    end
-
-    -- A known leader does not jump so far: two alike may be late echoes of something else, and three are believed.
-    local function is_doubtful(jump_m, read_ms)
-        local unseen_s = math.min(read_ms - track.seen_ms, TRACK_GAP_MS) * 0.001
-        return not track.doubted and track.readings >= TRUST_READINGS and
-            jump_m > JUMP_M + 0.5 * HARDEST_MPS2 * unseen_s * unseen_s
+        return dt_s > 0.0 and dt_s < 0.3 and math.abs(range_m - track.spike_m) < 0.15 + 5.0 * dt_s, dt_s
     end
 
     -- A reading that was not foreseen counts only when the next one is like it: propellers make single wild ones. The two
@@ -745,11 +689,15 @@ do
     local function unforeseen(range_m, read_ms, t_ms, jump_m)
         local second, dt_s = is_second(range_m, read_ms)
         local third = track.doubted
-        track.doubted = second and is_doubtful(jump_m, read_ms)
+        -- A known leader does not jump so far (0.6 m: a speed wrong by 1 m/s, for about as long as its track is carried on):
+        -- two alike may be late echoes of something else, and three are believed.
+        local unseen_s = math.min(read_ms - track.seen_ms, 700) * 0.001
+        track.doubted = second and not third and track.readings >= TRUST_READINGS and
+            jump_m > 0.6 + 0.5 * HARDEST_MPS2 * unseen_s * unseen_s
         if track.doubted or not second then return wait(range_m, read_ms) end
-        local rate_mps = clamp((range_m - track.spike_m) / dt_s, -MOST_MPS, MOST_MPS)
+        local rate_mps = clamp((range_m - track.spike_m) / dt_s, -5.0, 5.0)
         track.leader_mps = rate_mps + 0.5 * (track.spike_own_mps + own.mps) - own.accel_mps2 * READING_S
-        track.range_m = range_m + (track.leader_mps - own.mps) * age_s(read_ms, t_ms)
+        track.range_m = range_m + (track.leader_mps - own.mps) * (READING_S + (t_ms - read_ms) * 0.001)
         track.own_mps, track.at_ms, track.seen_ms = own.mps, t_ms, read_ms
         track.seen_mps, track.leader_mps2 = track.leader_mps, 0.0
         -- Two alike may still be wild ones, until a third is foreseen.
@@ -757,19 +705,24 @@ do
         track.readings, track.spike_m = trusted and TRUST_READINGS or 2, nil
     end
 
-    -- Takes a range that was read at read_ms; now it is t_ms.
+    -- Takes a range that was read at read_ms; now it is t_ms. The range of the target, the leader's speed along the line of
+    -- sight, and its acceleration: a critically damped observer that knows the own speed, so that own braking is not taken
+    -- for the leader's.
     function track.update(range_m, read_ms, t_ms)
         if not fresh(t_ms) then
             local second = is_second(range_m, read_ms)
-            start(range_m, read_ms, t_ms)
+            track.range_m, track.leader_mps, track.own_mps, track.at_ms = range_m, own.mps, own.mps, t_ms
+            track.seen_ms, track.readings = read_ms, 1
+            track.seen_mps, track.leader_mps2 = own.mps, 0.0
             return (second and unforeseen or wait)(range_m, read_ms, t_ms, 0.0)
         end
         local dt_s = (read_ms - track.seen_ms) * 0.001
         if dt_s <= 0.0 then return end
         track.carry(t_ms)
-        local aged_s = age_s(read_ms, t_ms)
+        local aged_s = READING_S + (t_ms - read_ms) * 0.001
         local residual_m = range_m + (track.leader_mps - own.mps) * aged_s - track.range_m
-        if math.abs(residual_m) > SPIKE_M or dt_s > SPIKE_MS * 0.001 then
+        -- Readings 0.1 s apart differ by less than 0.15 m even where both vehicles change their speed at 5 m/s2.
+        if math.abs(residual_m) > 0.15 or dt_s > 0.3 then
             return unforeseen(range_m, read_ms, t_ms, math.abs(residual_m))
         end
         local keep = math.exp(-dt_s / C.TAU)
@@ -782,7 +735,7 @@ do
         -- it once more, and the observer swings; from 0.14 s of age on it swings ever wider.
         track.range_m = track.range_m + range_share * residual_m + change_mps * aged_s
         track.leader_mps = track.leader_mps + change_mps
-        if n > SETTLED_READINGS then
+        if n > 5 then -- fewer tell no acceleration
             track.leader_mps2 = track.leader_mps2 + lose * lose * lose / (dt_s * dt_s) * residual_m
         end
         track.seen_mps = track.leader_mps
