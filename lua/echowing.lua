@@ -94,7 +94,8 @@ local yaw_rad = ahrs.get_yaw_rad or ahrs.get_yaw
 
 -- Parameters ---------------------------------------------------------------------------------------------------------
 
--- Name, default, lowest and highest accepted value of each parameter, in the order of their numbers.
+-- Name, default, lowest and highest accepted value of each parameter. Its place is its number, by which the autopilot
+-- finds what a pilot has saved: the places of parameters that are gone stay empty.
 local PARAMETERS = {
     --[[
       // @Param: ECHO_ENABLE
@@ -104,14 +105,7 @@ local PARAMETERS = {
       // @User: Standard
     --]]
     { 'ENABLE', 0, 0, 1 },
-    --[[
-      // @Param: ECHO_LAW
-      // @DisplayName: Echowing speed law
-      // @Description: How the range sets the speed. Thesis: fixed steps by bands; no change while no target is detected. Bands: the same steps; the speed recovers when the target is lost. Continuous: the leader's speed, from the range rate, plus a share of the range error
-      // @Values: 0:Thesis,1:Bands,2:Continuous
-      // @User: Standard
-    --]]
-    { 'LAW', 2, 0, 2 },
+    false,
     --[[
       // @Param: ECHO_DIST
       // @DisplayName: Echowing wanted distance
@@ -130,72 +124,11 @@ local PARAMETERS = {
       // @User: Standard
     --]]
     { 'DETECT', 4.5, 2.0, 7.6 },
-    --[[
-      // @Param: ECHO_BAND_IN
-      // @DisplayName: Echowing monitor band
-      // @Description: Laws 0 and 1: the speed does not change while the range is within this of the wanted distance
-      // @Range: 0.01 0.5
-      // @Units: m
-      // @User: Advanced
-    --]]
-    { 'BAND_IN', 0.05, 0.01, 0.5 },
-    --[[
-      // @Param: ECHO_BAND_OUT
-      // @DisplayName: Echowing small step band
-      // @Description: Laws 0 and 1: the speed changes by the small step while the range is within this of the wanted distance, else by the big step
-      // @Range: 0.05 1.5
-      // @Units: m
-      // @User: Advanced
-    --]]
-    { 'BAND_OUT', 0.25, 0.05, 1.5 },
-    --[[
-      // @Param: ECHO_STEP_SML
-      // @DisplayName: Echowing small step
-      // @Description: Laws 0 and 1: change of speed per period, near the wanted distance
-      // @Range: 0.05 2
-      // @Units: m/s
-      // @User: Advanced
-    --]]
-    { 'STEP_SML', 0.5, 0.05, 2.0 },
-    --[[
-      // @Param: ECHO_STEP_BIG
-      // @DisplayName: Echowing big step
-      // @Description: Laws 0 and 1: change of speed per period, far from the wanted distance
-      // @Range: 0.05 3
-      // @Units: m/s
-      // @User: Advanced
-    --]]
-    { 'STEP_BIG', 1.0, 0.05, 3.0 },
-    --[[
-      // @Param: ECHO_PERIOD
-      // @DisplayName: Echowing law period
-      // @Description: Laws 0 and 1: time between two steps
-      // @Range: 0.1 2
-      // @Units: s
-      // @User: Advanced
-    --]]
-    { 'PERIOD', 0.45, 0.1, 2.0 },
-    --[[
-      // @Param: ECHO_GAIN_P
-      // @DisplayName: Echowing range gain
-      // @Description: Law 2: speed towards the leader for each metre of range error
-      // @Range: 0.1 1.2
-      // @Units: 1/s
-      // @User: Advanced
-    --]]
-    { 'GAIN_P', 0.7, 0.1, 1.2 },
-    --[[
-      // @Param: ECHO_GAIN_D
-      // @DisplayName: Echowing rate gain
-      // @Description: Law 2: speed for each m/s of range rate
-      // @Range: 0 1
-      // @User: Advanced
-    --]]
-    { 'GAIN_D', 0.3, 0.0, 1.0 },
+    false, false, false, false, false, false, false,
     --[[
       // @Param: ECHO_TAU
       // @DisplayName: Echowing filter of single readings
-      // @Description: Time constant of the filter that computes range and leader speed from the sonar's single readings. Law 2 and the closing distance use it
+      // @Description: Time constant of the filter that computes range and leader speed from the sonar's single readings. The hold and the closing distance use it
       // @Range: 0.1 1
       // @Units: s
       // @User: Advanced
@@ -219,19 +152,11 @@ local PARAMETERS = {
       // @User: Standard
     --]]
     { 'SPD_MAX', 5.0, 1.0, 15.0 },
-    --[[
-      // @Param: ECHO_SPD_INIT
-      // @DisplayName: Echowing initial speed
-      // @Description: Speed limit when the applet takes control
-      // @Range: 0.2 15
-      // @Units: m/s
-      // @User: Standard
-    --]]
-    { 'SPD_INIT', 2.5, SPEED_FLOOR_MPS, 15.0 },
+    false,
     --[[
       // @Param: ECHO_SPD_LOST
       // @DisplayName: Echowing speed without sonar
-      // @Description: Speed limit while the sonar sends no data or detects no target (law 0 keeps its speed while it detects no target)
+      // @Description: Limit of the correction while the distance is not held: the sonar sends no data or detects no target
       // @Range: 0.2 15
       // @Units: m/s
       // @User: Standard
@@ -282,15 +207,7 @@ local PARAMETERS = {
       // @User: Advanced
     --]]
     { 'DECEL', 2.5, 0.5, 10.0 },
-    --[[
-      // @Param: ECHO_RATE
-      // @DisplayName: Echowing rate limit
-      // @Description: Laws 1 and 2: highest rate of change of the speed limit, except when too close. 0: no rate limit
-      // @Range: 0 20
-      // @Units: m/s/s
-      // @User: Advanced
-    --]]
-    { 'RATE', 4.0, 0.0, 20.0 },
+    false,
     --[[
       // @Param: ECHO_STREAM_T
       // @DisplayName: Echowing stream watchdog
@@ -390,10 +307,13 @@ do
     local left_in_mirror = param:get(PREFIX .. 'MIRROR')
     local taken = TEXT .. 'parameter table key ' .. TABLE_KEY .. ' is taken'
     assert(param:add_table(TABLE_KEY, PREFIX, #PARAMETERS), taken)
-    for i, row in ipairs(PARAMETERS) do
-        assert(param:add_param(TABLE_KEY, i, row[1], row[2]), TEXT .. 'cannot add ' .. PREFIX .. row[1])
-        names[i], C[row[1]], lowest[i], highest[i] = table.unpack(row)
-        objects[i] = Parameter(PREFIX .. row[1])
+    for number, row in ipairs(PARAMETERS) do
+        if row then
+            local i = #names + 1
+            assert(param:add_param(TABLE_KEY, number, row[1], row[2]), TEXT .. 'cannot add ' .. PREFIX .. row[1])
+            names[i], C[row[1]], lowest[i], highest[i] = table.unpack(row)
+            objects[i] = Parameter(PREFIX .. row[1])
+        end
     end
     objects[#objects]:set(POINT_FORMAT)
     for i = 1, #names do read(i) end
@@ -412,11 +332,8 @@ local track = { -- what the sonar reads (averages, single readings), and where t
     seen_ms = 0, readings = 0, spike_m = nil, spike_ms = 0, spike_own_mps = 0.0, doubted = false,
     same_m = nil, same = 0, slowest_mps = 0.0, fastest_mps = 0.0, stuck = false,
 }
-local laws = { -- the range becomes a speed: the law's wish, and the same after the rate limit
-    wish_mps = 0.0, speed_mps = 0.0, step_ms = 0, update_ms = 0, seen_ms = 0, data_ms = 0,
-}
 local hold = { active = false, mps = 0.0, at_ms = nil } -- moves points that carry a velocity along the beam
-local guard = { too_close = false, evading = false, close_ms = 0 } -- keeps away from the leader
+local guard = { too_close = false, evading = false, close_ms = 0, seen_ms = 0, data_ms = 0 } -- keeps away from the leader
 local stream = { -- the ground tool's guided points, and what happens when they end
     at_ms = nil, points = 0, sender = nil, heard_ms = nil, holding = false, stands = false, lat = nil, lng = nil,
     up_m = nil, north_mps = 0.0, east_mps = 0.0, yaw_rad = nil, yaw_rps = 0.0, moving = false, opens_m = 0.0,
@@ -445,8 +362,8 @@ end
 -- The way out --------------------------------------------------------------------------------------------------------
 
 -- Every target and every speed that leaves the applet passes here: numbers, near, and no more than a copter can. What is
--- not goes nowhere. mps: the speed limit; nil: a target, with its velocity and acceleration or without either. False: it
--- was not sent, or the autopilot refused it.
+-- not goes nowhere. mps: the speed limit; nil: a target with its velocity and acceleration. False: it was not sent, or
+-- the autopilot refused it.
 local order
 do
     local NEAR_M = 50.0 -- the leader is within the sonar's reach, and its point within a second's flight of it
@@ -471,7 +388,6 @@ do
         end
         if not (is_near(position) and is_within(look_rad, TURN_RAD)) then return refuse('implausible target') end
         local yaw_deg = math.deg(look_rad)
-        if not velocity then return vehicle:set_target_pos_NED(position, true, yaw_deg, false, 0.0, false, false) end
         if not (is_within(velocity:length(), FASTEST_MPS) and is_within(acceleration:length(), HARDEST_MPS2)
             and is_within(turn_rps, FASTEST_RPS)) then return refuse('implausible target') end
         return vehicle:set_target_posvelaccel_NED(position, velocity, acceleration, true, yaw_deg, turn_rps ~= 0.0,
@@ -505,10 +421,9 @@ do
     local function fly_to(position, north_m, east_m)
         position:x(position:x() + north_m)
         position:y(position:y() + east_m)
-        -- In the way that it is flown: Guided starts another with the lean of the moment for its steady part, and a
-        -- vehicle that brakes or speeds up would swing by metres.
-        if stream.moving then return order(nil, position, Vector3f(), Vector3f(), yaw_rad(ahrs), 0.0) end
-        return order(nil, position, nil, nil, yaw_rad(ahrs))
+        -- With a velocity, as the points: Guided starts another way of flying with the lean of the moment for its steady
+        -- part, and a vehicle that brakes or speeds up would swing by metres.
+        return order(nil, position, Vector3f(), Vector3f(), yaw_rad(ahrs), 0.0)
     end
 
     -- Flies to a place so far straight back, at this height, looking where it looks now.
@@ -743,111 +658,19 @@ do
     end
 end
 
--- Laws ---------------------------------------------------------------------------------------------------------------
-
-do
-    -- Change of speed for a range, thesis Appendix A and Table 6.
-    local function band_change(range_m)
-        if range_m >= C.DIST + C.BAND_OUT then return C.STEP_BIG end
-        if range_m >= C.DIST + C.BAND_IN then return C.STEP_SML end
-        if range_m >= C.DIST - C.BAND_IN then return 0.0 end
-        if range_m >= C.DIST - C.BAND_OUT then return -C.STEP_SML end
-        return -C.STEP_BIG
-    end
-
-    -- Law 0, Appendix A: one step. A step that would reach a limit is refused.
-    local function thesis_step(speed_mps, range_m)
-        local change_mps = band_change(range_m)
-        local new_mps = speed_mps + change_mps
-        if change_mps > 0.0 and new_mps >= C.SPD_MAX then return speed_mps end
-        if change_mps < 0.0 and new_mps <= C.SPD_MIN then return speed_mps end
-        return new_mps
-    end
-
-    -- Law 1: the same step, which stops at the limits instead of being refused.
-    local function band_step(speed_mps, range_m)
-        return clamp(speed_mps + band_change(range_m), C.SPD_MIN, C.SPD_MAX)
-    end
-
-    -- Law 2: the leader's speed along the line of sight, a share of the range error, and a share of its rate, which
-    -- stands for where the error will be once the vehicle has answered.
-    local function continuous_speed(range_m, rate_mps, leader_mps)
-        local wanted_m = stream.distance_m()
-        return clamp(leader_mps + C.GAIN_P * (range_m - wanted_m) + C.GAIN_D * rate_mps, C.SPD_MIN, C.SPD_MAX)
-    end
-
-    -- The law's wish for this update.
-    local function run(range_m, t_ms)
-        if C.LAW >= 2 then
-            if not track.trusted(t_ms) then return end
-            laws.wish_mps = continuous_speed(track.range_m, track.leader_mps - own.mps, track.leader_mps)
-            return
-        end
-        if t_ms - laws.step_ms < C.PERIOD * 1000.0 then return end
-        laws.step_ms = t_ms
-        laws.wish_mps = C.LAW < 1 and thesis_step(laws.wish_mps, range_m) or band_step(laws.wish_mps, range_m)
-    end
-
-    -- Detection gate: a range at or beyond the limit is no target; what a lost target or a silent sonar means.
-    local function gate(range_m, status, t_ms)
-        if status > STATUS_NO_DATA then laws.data_ms = t_ms end
-        report.state = STATE.TRACKING
-        if track.is_target(range_m) then
-            laws.seen_ms = t_ms
-            run(range_m, t_ms)
-            return
-        end
-        laws.step_ms = t_ms -- the next average begins when the target is back
-        if t_ms - laws.data_ms >= C.NODATA_T * 1000.0 then
-            laws.wish_mps = C.SPD_LOST
-            report.state = STATE.NO_SONAR
-        elseif t_ms - laws.seen_ms >= C.LOST_T * 1000.0 and t_ms - guard.close_ms >= BLIND_MS then
-            if C.LAW >= 1 then laws.wish_mps = C.SPD_LOST end
-            report.state = STATE.SEARCHING
-        end
-    end
-
-    local function limit_rate(t_ms)
-        laws.wish_mps = clamp(laws.wish_mps, C.SPD_MIN, C.SPD_MAX)
-        local most_mps = C.RATE * (t_ms - laws.update_ms) * 0.001
-        if C.LAW < 1 or C.RATE <= 0.0 then
-            laws.speed_mps = laws.wish_mps
-        else
-            laws.speed_mps = laws.speed_mps + clamp(laws.wish_mps - laws.speed_mps, -most_mps, most_mps)
-        end
-        laws.speed_mps = clamp(laws.speed_mps, C.SPD_MIN, C.SPD_MAX)
-    end
-
-    function laws.begin(t_ms)
-        laws.step_ms, laws.update_ms, laws.seen_ms, laws.data_ms = t_ms, t_ms, t_ms, t_ms
-        laws.speed_mps = clamp(C.SPD_INIT, C.SPD_MIN, C.SPD_MAX)
-        laws.wish_mps = laws.speed_mps
-    end
-
-    -- Computes the speed from the average and its status.
-    function laws.update(range_m, status, t_ms)
-        gate(range_m, status, t_ms)
-        limit_rate(t_ms)
-        laws.update_ms = t_ms
-    end
-end
-
--- Guard: too close wins over every law -------------------------------------------------------------------------------
+-- Guard: keeps away from the leader where the distance is not held ----------------------------------------------------
 
 do
     local HARD_CLOSE_M = 1.0 -- under this it is too close, closing or not
-    local CLEAR_M = 0.3 -- too close ends this far beyond where it began
     local CLOSING_MPS = 0.15 -- slower is noise of the tracker (1 cm steps at 10 Hz)
-    local EVADE_LEAST_M, EVADE_MOST_M = 0.5, 5.0 -- how far back a target away from the leader lies
-    local ANSWER_S = 0.1 -- so long a lean takes to follow its command
-    local JERK_MPS3 = 5.0 -- PSC_JERK_NE (PSC_JERK_XY) as it comes
+    local EVADE_LEAST_M = 0.5 -- a place away from the leader lies so far back at the least
 
     -- Distance still closed at this rate before the vehicle stops. An acceleration that is under way goes on until the
-    -- answer begins, and then dies away at the autopilot's jerk: until then the closing speed rises by
-    -- a * ANSWER_S + a^2 / (2 JERK).
+    -- answer begins 0.1 s later, and then dies away at the autopilot's jerk (PSC_JERK_NE, 5 m/s3 as it comes): until then
+    -- the closing speed rises.
     local function closing_distance(closing_mps)
         local a = math.max(0.0, own.accel_mps2)
-        local peak_mps = math.max(0.0, closing_mps + a * ANSWER_S + 0.5 * a * a / JERK_MPS3)
+        local peak_mps = math.max(0.0, closing_mps + a * 0.1 + 0.5 * a * a / 5.0)
         return peak_mps * C.DELAY + peak_mps * peak_mps / (2.0 * C.DECEL)
     end
 
@@ -858,48 +681,14 @@ do
         return math.sqrt(lag_mps * lag_mps + 2.0 * C.DECEL * math.max(0.0, range_m - C.CLOSE)) - lag_mps
     end
 
-    -- Metres that a place lies ahead (along the heading) of the vehicle, and how far away it is.
-    local function ahead_m(here, lat, lng)
-        local target = here:copy()
-        target:lat(lat)
-        target:lng(lng)
-        local offset = here:get_distance_NE(target)
+    -- Metres that the point in force lies behind the vehicle, away from the leader; 0 if it leads towards the leader.
+    local function point_behind_m(here, t_ms)
+        local north_m, east_m = stream.offset(here, t_ms)
+        if not north_m then return 0.0 end
         local yaw = yaw_rad(ahrs)
-        return offset:x() * math.cos(yaw) + offset:y() * math.sin(yaw), here:get_distance(target)
-    end
-
-    -- Metres that the target in force lies behind the vehicle, away from the leader; 0 if it leads towards the leader.
-    local function target_behind_m(here, t_ms)
-        if stream.in_force(t_ms) then
-            local yaw = yaw_rad(ahrs)
-            if stream.north_mps * math.cos(yaw) + stream.east_mps * math.sin(yaw) > 0.0 then return 0.0 end
-            return math.max(0.0, -ahead_m(here, stream.lat, stream.lng))
-        end
-        local target = vehicle:get_target_location()
-        return target and math.max(0.0, -ahead_m(here, target:lat(), target:lng())) or 0.0
-    end
-
-    -- Whether the streamed target leads clear of the leader: back, or more than 60 degrees to the side of where the
-    -- sonar looks. The limit is against coming nearer, never against getting away.
-    local function leads_clear(t_ms)
-        if not stream.in_force(t_ms) then return false end
-        local here = vehicle:get_likely_flying() and ahrs:get_location()
-        if not here then return false end
-        local to_m, distance_m = ahead_m(here, stream.lat, stream.lng)
-        return distance_m > EVADE_LEAST_M and to_m < 0.5 * distance_m
-    end
-
-    -- The shorter of the newest single reading and the average.
-    local function nearest(range_m, t_ms)
-        local raw_m = track.newest(t_ms)
-        if not track.is_target(raw_m) then raw_m = nil end
-        if raw_m and range_m then return math.min(raw_m, range_m) end
-        return raw_m or range_m
-    end
-
-    -- The law's speed is not beyond this, and the wish is not kept for later.
-    local function allow_no_more(speed_mps)
-        laws.wish_mps, laws.speed_mps = math.min(laws.wish_mps, speed_mps), math.min(laws.speed_mps, speed_mps)
+        local cos, sin = math.cos(yaw), math.sin(yaw)
+        if stream.north_mps * cos + stream.east_mps * sin > 0.0 then return 0.0 end
+        return math.max(0.0, -(north_m * cos + east_m * sin))
     end
 
     local function is_too_close(near_m, closing_mps, margin_m)
@@ -916,18 +705,17 @@ do
         return approach_mps > CLOSING_MPS or near_m < C.CLOSE or near_m - closing_distance(closing_mps) < HARD_CLOSE_M
     end
 
-    -- Too close and the track agrees: the state, backing off, and the law starts again from the bottom.
+    -- Too close and the track agrees: the state, and backing off.
     local function too_close(near_m, closing_mps, t_ms)
         guard.too_close, guard.close_ms = true, t_ms
         report.state = STATE.TOO_CLOSE
-        if C.LAW >= 1 then allow_no_more(C.SPD_MIN) end
         -- Lower than 1.5 m up what is near is most likely the ground; points lead 2 m up and higher (flight/guard.py).
         local here = -ahrs:get_relative_position_D_home() > 1.5 and vehicle:get_likely_flying() and ahrs:get_location()
-        local behind_m = here and target_behind_m(here, t_ms) or 0.0
+        local behind_m = here and point_behind_m(here, t_ms) or 0.0
         -- Back to the wanted distance, and the leader's approach of one second more.
         local evaded = guard.evading
         guard.evading = here and should_back_off(behind_m, near_m, closing_mps) and own.fly_back(clamp(
-            stream.distance_m() - near_m + math.max(0.0, -track.leader_mps), EVADE_LEAST_M, EVADE_MOST_M))
+            stream.distance_m() - near_m + math.max(0.0, -track.leader_mps), EVADE_LEAST_M, 5.0))
         if guard.evading then
             report.state = STATE.BACKING_OFF
             -- Sent at once: the ground tool would call it back to where it held it.
@@ -939,6 +727,19 @@ do
 
     function guard.begin(t_ms)
         guard.evading, guard.close_ms = false, t_ms - BLIND_MS
+        guard.seen_ms, guard.data_ms = t_ms, t_ms
+    end
+
+    -- What a range beyond the detection limit, a lost target or a silent sonar means for the state.
+    function guard.look(range_m, status, t_ms)
+        if status > STATUS_NO_DATA then guard.data_ms = t_ms end
+        if track.is_target(range_m) then guard.seen_ms = t_ms end
+        report.state = STATE.TRACKING
+        if t_ms - guard.data_ms >= C.NODATA_T * 1000.0 then
+            report.state = STATE.NO_SONAR
+        elseif t_ms - guard.seen_ms >= C.LOST_T * 1000.0 and t_ms - guard.close_ms >= BLIND_MS then
+            report.state = STATE.SEARCHING
+        end
     end
 
     -- The distance is kept otherwise: nothing is too close, and no target of the guard's is in force.
@@ -946,12 +747,12 @@ do
         guard.too_close, guard.evading = false, false
     end
 
-    -- The speed to set, from the average and its status.
-    function guard.update(range_m, status, t_ms)
+    -- The limit to set, by the sonar's status.
+    function guard.update(status, t_ms)
         local trusted = track.trusted(t_ms)
         local closing_mps = trusted and own.mps - track.leader_mps or 0.0
         local tracked_m = trusted and track.range_m or nil
-        local margin_m = guard.too_close and CLEAR_M or 0.0
+        local margin_m = guard.too_close and 0.3 or 0.0 -- it ends so far beyond where it began
         -- From a leader that comes (0.5 m/s) it backs off to the wanted distance: if it stopped as soon as it was as fast,
         -- it would begin anew from nearer, its nose and its sonar down.
         if status == STATUS_LOW or (tracked_m and (is_too_close(tracked_m, closing_mps, margin_m)
@@ -959,16 +760,7 @@ do
             return too_close(tracked_m or 0.0, closing_mps, t_ms)
         end
         guard.rest()
-        if C.LAW >= 1 and leads_clear(t_ms) then return C.SPD_MAX end
-        local near_m = nearest(range_m, t_ms)
-        -- Readings that are not yet trusted slow the vehicle, no more.
-        if near_m and is_too_close(near_m, closing_mps, 0.0) then return C.SPD_MIN end
-        -- Law 1 adds step to step for as long as the leader is far. Law 2 never wishes for so much, and law 0 is the
-        -- thesis's.
-        if tracked_m and C.LAW == 1 then
-            allow_no_more(math.max(C.SPD_MIN, track.leader_mps + guard.stoppable_mps(tracked_m)))
-        end
-        return laws.speed_mps
+        return clamp(C.SPD_LOST, C.SPD_MIN, C.SPD_MAX)
     end
 end
 
@@ -1076,7 +868,7 @@ do
 
     -- A point with no velocity at all is where the ground tool has stopped it: there it stays.
     function hold.is_wanted()
-        return stream.moving and C.LAW >= 2 and (stream.north_mps ~= 0.0 or stream.east_mps ~= 0.0)
+        return stream.moving and (stream.north_mps ~= 0.0 or stream.east_mps ~= 0.0)
     end
 
     -- Whether the distance is held: points carry a velocity, and there is a leader to hold on to.
@@ -1390,7 +1182,7 @@ do
         if last_ms and t_ms - last_ms < gap_ms then return end
         report.announced, report.announced_ms[state] = state, t_ms
         if state == STATE.SEARCHING or state == STATE.NO_SONAR then
-            text = string.format('%s, %.1f m/s', text, laws.wish_mps)
+            text = string.format('%s, %.1f m/s', text, C.SPD_LOST)
         end
         say(severity, text)
     end
@@ -1407,8 +1199,8 @@ do
         if C.LOG_HZ <= 0.0 or (report.log_ms and t_ms - report.log_ms < 1000.0 / C.LOG_HZ - 1.0) then return end
         report.log_ms = t_ms
         local error_m = range_m and range_m - stream.distance_m() or 0.0
-        logger:write('ECHO', 'Rng,Flt,Err,Law,Spd,St,Ref', 'fffffBI', 'mmmnn--', '00000--', range_m or 0.0,
-            track.range_m or 0.0, error_m, laws.wish_mps, speed.out_mps, report.state, refused.count)
+        logger:write('ECHO', 'Rng,Flt,Err,Spd,St,Ref', 'ffffBI', 'mmmn--', '0000--', range_m or 0.0,
+            track.range_m or 0.0, error_m, speed.out_mps, report.state, refused.count)
     end
 
     function report.send(range_m, t_ms)
@@ -1498,11 +1290,10 @@ do
         speed.take_over()
         control.active = true
         stream.begin()
-        laws.begin(t_ms)
         guard.begin(t_ms)
         report.begin()
         track.range_m = nil
-        say(SEVERITY.INFO, string.format('in control, law %.0f, %.1f m/s', C.LAW // 1, laws.speed_mps))
+        say(SEVERITY.INFO, 'in control')
     end
 
     local function hand_back(reason)
@@ -1514,8 +1305,8 @@ do
         say(SEVERITY.NOTICE, string.format('handed back, %s %.2f (%s)', SPEED_NAME, speed.pilot_units, reason))
     end
 
-    -- The limit of the total speed; where points carry a velocity, of the correction towards them.
-    local function limit(range_m, status, t_ms)
+    -- The limit of the correction towards the points.
+    local function limit(status, t_ms)
         if hold.update(t_ms) then
             guard.rest()
             return C.SPD_MAX
@@ -1524,7 +1315,7 @@ do
             guard.rest()
             return clamp(C.SPD_LOST, C.SPD_MIN, C.SPD_MAX)
         end
-        return guard.update(range_m, status, t_ms)
+        return guard.update(status, t_ms)
     end
 
     local function act(t_ms)
@@ -1534,8 +1325,8 @@ do
         if track.is_target(range_m) and not track.newest(t_ms) then
             track.update(range_m, t_ms, t_ms) -- no single readings: the average has to do
         end
-        laws.update(range_m, status, t_ms)
-        local limit_mps = limit(range_m, status, t_ms)
+        guard.look(range_m, status, t_ms)
+        local limit_mps = limit(status, t_ms)
         stream.watch(t_ms)
         speed.write(limit_mps)
         report.announce(t_ms)
