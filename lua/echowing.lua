@@ -20,25 +20,12 @@
 
 ---@diagnostic disable: need-check-nil
 
-local TEXT = 'ECHO: '
-local SEVERITY = { CRITICAL = 2, ERROR = 3, WARNING = 4, NOTICE = 5, INFO = 6 }
-local GUIDED = 4 -- Copter's mode number
-local FORWARD = 0 -- orientation of the rangefinder
-local STATUS_NO_DATA, STATUS_LOW, STATUS_GOOD = 1, 2, 4 -- RangeFinder::Status
-local STATE = {
-    OFF = 0, SEARCHING = 1, TRACKING = 2, TOO_CLOSE = 3, NO_SONAR = 4, STREAM_LOST = 5, BACKING_OFF = 6, HOLDING = 7,
-}
-
-local QUICK_MS = 20 -- pause between updates while the applet flies targets of its own
-local IDLE_MS = 200 -- pause before the next update while not in control
+-- The vehicle's memory is small: a number that is used once stands where it is used.
 local BLIND_MS = 2500 -- a target lost while too close is taken to be there for this time: no speed without sonar yet
-local SPEED_FLOOR_MPS = 0.2 -- below this the autopilot saves its own least value over the pilot's; 0 means no limit
-local POINT_FORMAT = 2 -- how points carry more than a point: POINT_FORMAT of the ground tool, ECHO_FORMAT here
 local FASTEST_MPS = 30.0 -- no copter flies faster; WPNAV_SPEED and WP_SPD reach 20
-local FURTHEST_M = 20.0 -- no sonar reads further; the longest reach of the MaxBotix kind is 10.7 m
 
-local function say(severity, text)
-    gcs:send_text(severity, TEXT .. text)
+local function say(severity, text) -- MAV_SEVERITY: 2 critical, 3 error, 4 warning, 5 notice, 6 information
+    gcs:send_text(severity, 'ECHO: ' .. text)
 end
 
 local function clamp(value, low, high)
@@ -51,41 +38,21 @@ end
 
 -- What the firmware offers -------------------------------------------------------------------------------------------
 
--- What the applet needs of the autopilot; the name of the first thing missing, or nil.
-local function missing_call()
-    local needs = {
-        { 'vehicle', vehicle, { 'set_desired_speed', 'set_target_pos_NED', 'set_target_posvelaccel_NED',
-            'get_target_location', 'get_mode' } },
-        { 'rangefinder', rangefinder, { 'status_orient', 'has_orientation' } },
-        { 'ahrs', ahrs, { 'get_location', 'get_velocity_NED', 'get_relative_position_NED_origin',
-            'get_relative_position_D_home' } },
-        { 'mavlink', mavlink, { 'init', 'register_rx_msgid', 'receive_chan' } },
-        { 'param', param, { 'add_table', 'add_param' } },
-        { 'arming', arming, { 'is_armed' } },
-        { 'rc', rc, { 'find_channel_for_option' } },
-        { 'logger', logger, { 'write' } },
-    }
-    for _, need in ipairs(needs) do
-        if not need[2] then return need[1] end
-        for _, call in ipairs(need[3]) do
-            if not need[2][call] then return need[1] .. ':' .. call end
-        end
+-- The first thing missing of what the applet needs of the autopilot.
+for owner, call in string.gmatch('vehicle set_target_posvelaccel_NED, mavlink receive_chan, param add_table, rangefinder '
+    .. 'status_orient, ahrs get_relative_position_NED_origin, arming is_armed, rc find_channel_for_option, logger write',
+    '(%w+) ([%w_]+)') do
+    if not (_ENV[owner] and _ENV[owner][call]) then
+        say(3, 'stopped, this firmware lacks ' .. owner .. ':' .. call)
+        return
     end
-    if not (rangefinder.distance_orient or rangefinder.distance_cm_orient) then return 'rangefinder:distance_orient' end
-    return nil
-end
-
-local missing = missing_call()
-if missing then
-    say(SEVERITY.ERROR, 'stopped, this firmware lacks ' .. missing)
-    return
 end
 
 -- The speed parameter and how many of its units make 1 m/s: WP_SPD from later 4.7 on, WPNAV_SPEED before.
 local SPEED_NAME = param:get('WP_SPD') and 'WP_SPD' or 'WPNAV_SPEED'
 local SPEED_UNITS = SPEED_NAME == 'WP_SPD' and 1.0 or 100.0
 if not param:get(SPEED_NAME) then
-    say(SEVERITY.ERROR, 'stopped, no parameter WP_SPD or WPNAV_SPEED')
+    say(3, 'stopped, no parameter WP_SPD or WPNAV_SPEED')
     return
 end
 
@@ -142,7 +109,7 @@ local PARAMETERS = {
       // @Units: m/s
       // @User: Standard
     --]]
-    { 'SPD_MIN', 0.2, SPEED_FLOOR_MPS, 2.0 },
+    { 'SPD_MIN', 0.2, 0.2, 2.0 },
     --[[
       // @Param: ECHO_SPD_MAX
       // @DisplayName: Echowing highest speed
@@ -161,7 +128,7 @@ local PARAMETERS = {
       // @Units: m/s
       // @User: Standard
     --]]
-    { 'SPD_LOST', 3.0, SPEED_FLOOR_MPS, 15.0 },
+    { 'SPD_LOST', 3.0, 0.2, 15.0 },
     --[[
       // @Param: ECHO_LOST_T
       // @DisplayName: Echowing target lost time
@@ -272,12 +239,8 @@ local PARAMETERS = {
 }
 
 local C = {} -- values in force: C.DIST, ...
-local parameters = { mirror = nil } -- the mirror is written by part "speed"
+local read_some, mirror -- the mirror is written by part "speed"
 do
-    local TABLE_KEY = 95 -- used by no script in ArduPilot's tree
-    local PREFIX = 'ECHO_'
-    local A_TURN = 3 -- read at each update: all of them within half a second in control, two seconds otherwise
-
     -- Columns of the table above. They take less heap than its rows, which are dropped after the start.
     local names, lowest, highest, objects = {}, {}, {}, {}
     local complained = {}
@@ -291,12 +254,13 @@ do
             complained[name] = nil
         elseif not complained[name] then
             complained[name] = true
-            say(SEVERITY.WARNING, string.format('%s%s out of range, using %.2f', PREFIX, name, C[name]))
+            say(4, string.format('ECHO_%s out of range, using %.2f', name, C[name]))
         end
     end
 
-    function parameters.read_some()
-        for _ = 1, A_TURN do
+    -- Three at each update: all of them within half a second in control, two seconds otherwise.
+    function read_some()
+        for _ = 1, 3 do
             read(next_number)
             next_number = next_number % (#names - 2) + 1 -- all but the last two, which the applet writes
             if next_number == 1 then C.SPD_MAX = math.max(C.SPD_MAX, C.SPD_MIN) end
@@ -304,95 +268,72 @@ do
     end
 
     -- When a script restarts, values that were not saved return to their defaults as the table is added again.
-    local left_in_mirror = param:get(PREFIX .. 'MIRROR')
-    local taken = TEXT .. 'parameter table key ' .. TABLE_KEY .. ' is taken'
-    assert(param:add_table(TABLE_KEY, PREFIX, #PARAMETERS), taken)
+    -- 95 is the table key that no script in ArduPilot's tree uses.
+    local left = param:get('ECHO_MIRROR')
+    assert(param:add_table(95, 'ECHO_', #PARAMETERS), 'ECHO: parameter table key 95 is taken')
     for number, row in ipairs(PARAMETERS) do
         if row then
             local i = #names + 1
-            assert(param:add_param(TABLE_KEY, number, row[1], row[2]), TEXT .. 'cannot add ' .. PREFIX .. row[1])
+            assert(param:add_param(95, number, row[1], row[2]), 'ECHO: cannot add ECHO_' .. row[1])
             names[i], C[row[1]], lowest[i], highest[i] = table.unpack(row)
-            objects[i] = Parameter(PREFIX .. row[1])
+            objects[i] = Parameter('ECHO_' .. row[1])
         end
     end
-    objects[#objects]:set(POINT_FORMAT)
+    objects[#objects]:set(2)
     for i = 1, #names do read(i) end
     C.SPD_MAX = math.max(C.SPD_MAX, C.SPD_MIN)
-    parameters.mirror = objects[#objects - 1]
-    if left_in_mirror then parameters.mirror:set(left_in_mirror) end
+    mirror = objects[#objects - 1]
+    if left then mirror:set(left) end
 end
 
 -- The parts and their state -------------------------------------------------------------------------------------------
 
 -- Speeds are along the nose, where the sonar looks. Times are in ms; nil is "never".
-local own = { mps = 0.0, accel_mps2 = 0.0, at_ms = nil } -- this vehicle's motion
+local own = { mps = 0.0, accel_mps2 = 0.0 } -- this vehicle's motion; at_ms: when
 local track = { -- what the sonar reads (averages, single readings), and where the leader is by that, and how fast
-    raw_m = nil, raw_ms = nil, board_ms = 0, late_ms = 0, quickest_ms = 0, dated = 0,
-    range_m = nil, leader_mps = 0.0, seen_mps = 0.0, leader_mps2 = 0.0, own_mps = 0.0, at_ms = 0,
-    seen_ms = 0, readings = 0, spike_m = nil, spike_ms = 0, spike_own_mps = 0.0, doubted = false,
-    same_m = nil, same = 0, slowest_mps = 0.0, fastest_mps = 0.0, stuck = false,
+    board_ms = 0, late_ms = 0, quickest_ms = 0, dated = 0, leader_mps = 0.0, seen_mps = 0.0, leader_mps2 = 0.0,
+    own_mps = 0.0, at_ms = 0, seen_ms = 0, readings = 0, spike_ms = 0, same = 0,
 }
-local hold = { active = false, mps = 0.0, at_ms = nil } -- moves points that carry a velocity along the beam
-local guard = { too_close = false, evading = false, close_ms = 0, seen_ms = 0, data_ms = 0 } -- keeps away from the leader
-local stream = { -- the ground tool's guided points, and what happens when they end
-    at_ms = nil, points = 0, sender = nil, heard_ms = nil, holding = false, stands = false, lat = nil, lng = nil,
-    up_m = nil, north_mps = 0.0, east_mps = 0.0, yaw_rad = nil, yaw_rps = 0.0, moving = false, opens_m = 0.0,
-    makes_way = false,
-}
-local speed = { -- the speed parameter: ours, the pilot's, another script's
-    out_mps = 0.0, written = nil, pilot_units = nil, ground_units = nil, changes = {}, conflict = false,
-}
-local report = { -- what pilots see
-    state = STATE.OFF, announced = STATE.OFF, announced_ms = {}, named_ms = nil, log_ms = nil,
-}
-local control = { -- takes control and hands back
-    active = false, error = nil, deaf = false, NO_PLACE = 'other scripts leave no place to receive',
-}
+local hold = { mps = 0.0 } -- moves points along the beam
+local guard = {} -- keeps away from the leader
+local stream = { north_mps = 0.0, east_mps = 0.0, opens_m = 0.0, yaw_rps = 0.0 } -- the ground tool's guided points
+local speed = { out_mps = 0.0, changes = {} } -- the speed parameter: ours, the pilot's, another script's
+-- What pilots see: 0 off, 1 searching, 2 tracking, 3 too close, 4 no sonar data, 5 stream lost, 6 backing off, 7 holding.
+local report = { state = 0 }
+local control = {} -- takes control and hands back
 local refused = { count = 0, last_ms = {} } -- what was heard and not used, or not sent
 
--- Counts it, and tells the pilot; again only after a while without: radios damage messages all the time.
-local AGAIN_MS = 30000
+-- Counts it, and tells the pilot; again only after half a minute without: radios damage messages all the time.
 local function refuse(what)
     local last_ms = refused.last_ms[what]
     refused.count, refused.last_ms[what] = refused.count + 1, own.at_ms
-    if not last_ms or own.at_ms - last_ms > AGAIN_MS then say(SEVERITY.WARNING, what .. ', not used') end
+    if not last_ms or own.at_ms - last_ms > 30000 then say(4, what .. ', not used') end
     return false
 end
 
 -- The way out --------------------------------------------------------------------------------------------------------
 
 -- Every target and every speed that leaves the applet passes here: numbers, near, and no more than a copter can. What is
--- not goes nowhere. mps: the speed limit; nil: a target with its velocity and acceleration. False: it was not sent, or
--- the autopilot refused it.
-local order
-do
-    local NEAR_M = 50.0 -- the leader is within the sonar's reach, and its point within a second's flight of it
-    local ORIGIN_M = 1e5 -- no copter flies further from where its estimator began
-    local HARDEST_MPS2, FASTEST_RPS = 10.0, 4.0 -- as the highest ECHO_DECEL; no copter's nose turns faster
-    local TURN_RAD = 2.0 * math.pi -- the autopilot takes a yaw of up to 360 degrees
-
-    local function is_near(position)
-        local here = ahrs:get_relative_position_NED_origin()
-        if not here then return false end
-        here:x(position:x() - here:x())
-        here:y(position:y() - here:y())
-        here:z(position:z() - here:z())
-        return is_within(here:length(), NEAR_M) and is_within(position:length(), ORIGIN_M)
+-- not goes nowhere. mps: the speed limit; nil: a target. False: it was not sent, or the autopilot refused it.
+local function order(mps, position, velocity, acceleration, look_rad, turn_rps)
+    if mps then
+        if not is_within(mps, FASTEST_MPS) or mps <= 0.0 then return refuse('implausible speed') end
+        vehicle:set_desired_speed(mps)
+        return true
     end
-
-    function order(mps, position, velocity, acceleration, look_rad, turn_rps)
-        if mps then
-            if not is_within(mps, FASTEST_MPS) or mps <= 0.0 then return refuse('implausible speed') end
-            vehicle:set_desired_speed(mps)
-            return true
-        end
-        if not (is_near(position) and is_within(look_rad, TURN_RAD)) then return refuse('implausible target') end
-        local yaw_deg = math.deg(look_rad)
-        if not (is_within(velocity:length(), FASTEST_MPS) and is_within(acceleration:length(), HARDEST_MPS2)
-            and is_within(turn_rps, FASTEST_RPS)) then return refuse('implausible target') end
-        return vehicle:set_target_posvelaccel_NED(position, velocity, acceleration, true, yaw_deg, turn_rps ~= 0.0,
-            math.deg(turn_rps), false)
-    end
+    local here = ahrs:get_relative_position_NED_origin()
+    if not here then return false end
+    here:x(position:x() - here:x())
+    here:y(position:y() - here:y())
+    here:z(position:z() - here:z())
+    -- The leader is within the sonar's reach, and its point within a second's flight of it; no copter is 100 km from where
+    -- its estimator began, decelerates harder than the highest ECHO_DECEL, or turns its nose by 4 rad/s. The autopilot takes
+    -- a yaw of up to 360 degrees.
+    if not (is_within(here:length(), 50.0) and is_within(position:length(), 1e5)
+        and is_within(velocity:length(), FASTEST_MPS) and is_within(acceleration:length(), 10.0)
+        and is_within(look_rad, 2.0 * math.pi) and is_within(turn_rps, 4.0)) then return refuse('implausible target') end
+    return vehicle:set_target_posvelaccel_NED(position, velocity, acceleration, true, math.deg(look_rad), turn_rps ~= 0.0,
+        math.deg(turn_rps), false)
 end
 
 -- This vehicle's motion ----------------------------------------------------------------------------------------------
@@ -408,7 +349,7 @@ do
             if not is_within(mps, FASTEST_MPS) then mps = 0.0 end
         end
         local dt_ms = own.at_ms and t_ms - own.at_ms or math.maxinteger
-        if dt_ms > IDLE_MS then
+        if dt_ms > 200 then
             own.accel_mps2 = 0.0 -- too long ago to compare with
         elseif dt_ms > 0 then
             local change_mps2 = clamp((mps - own.mps) * 1000.0 / dt_ms, -C.DECEL, C.DECEL)
@@ -468,17 +409,12 @@ do
     -- Distance by the rangefinder's running average, nil where it is no measurement; and the status. All distances here
     -- are between the two vehicles' centres.
     function track.average()
-        local status = rangefinder:status_orient(FORWARD)
-        if status ~= STATUS_GOOD and status ~= STATUS_LOW then return nil, status end
-        local range_m
-        if rangefinder.distance_orient then
-            range_m = rangefinder:distance_orient(FORWARD)
-        else
-            range_m = rangefinder:distance_cm_orient(FORWARD) / 100.0
-        end
-        if not is_within(range_m, FURTHEST_M) or range_m < 0.0 or (range_m == 0.0 and status == STATUS_GOOD) then
-            return nil, status
-        end
+        local status = rangefinder:status_orient(0) -- forward; 1 no data, 2 too low, 4 good
+        if status ~= 4 and status ~= 2 then return nil, status end
+        local range_m = rangefinder.distance_orient and rangefinder:distance_orient(0)
+            or rangefinder:distance_cm_orient(0) / 100.0
+        -- The longest reach of a MaxBotix sonar is 10.7 m.
+        if not is_within(range_m, 20.0) or range_m < 0.0 or (range_m == 0.0 and status == 4) then return nil, status end
         return range_m + C.INSET, status
     end
 
@@ -524,10 +460,10 @@ do
     function track.take(payload, t_ms)
         local board_ms, value, name = string.unpack('<I4fc10', payload)
         if name ~= 'SNR_RAW\0\0\0' then return end
-        if not is_within(value, FURTHEST_M) or value <= 0.0 then return refuse('implausible reading') end
+        if not is_within(value, 20.0) or value <= 0.0 then return refuse('implausible reading') end
         track.raw_m, track.raw_ms = value + C.INSET, taken_ms(board_ms, t_ms)
         local stuck = is_stuck(track.raw_m) and track.is_target(track.raw_m)
-        if stuck and not track.stuck then say(SEVERITY.WARNING, 'sonar stuck, not used') end
+        if stuck and not track.stuck then say(4, 'sonar stuck, not used') end
         track.stuck = stuck
         if stuck then
             track.range_m, track.readings = nil, 0
@@ -661,10 +597,6 @@ end
 -- Guard: keeps away from the leader where the distance is not held ----------------------------------------------------
 
 do
-    local HARD_CLOSE_M = 1.0 -- under this it is too close, closing or not
-    local CLOSING_MPS = 0.15 -- slower is noise of the tracker (1 cm steps at 10 Hz)
-    local EVADE_LEAST_M = 0.5 -- a place away from the leader lies so far back at the least
-
     -- Distance still closed at this rate before the vehicle stops. An acceleration that is under way goes on until the
     -- answer begins 0.1 s later, and then dies away at the autopilot's jerk (PSC_JERK_NE, 5 m/s3 as it comes): until then
     -- the closing speed rises.
@@ -681,47 +613,40 @@ do
         return math.sqrt(lag_mps * lag_mps + 2.0 * C.DECEL * math.max(0.0, range_m - C.CLOSE)) - lag_mps
     end
 
-    -- Metres that the point in force lies behind the vehicle, away from the leader; 0 if it leads towards the leader.
-    local function point_behind_m(here, t_ms)
-        local north_m, east_m = stream.offset(here, t_ms)
-        if not north_m then return 0.0 end
-        local yaw = yaw_rad(ahrs)
-        local cos, sin = math.cos(yaw), math.sin(yaw)
-        if stream.north_mps * cos + stream.east_mps * sin > 0.0 then return 0.0 end
-        return math.max(0.0, -(north_m * cos + east_m * sin))
-    end
-
     local function is_too_close(near_m, closing_mps, margin_m)
-        if near_m < HARD_CLOSE_M + margin_m then return true end
+        if near_m < 1.0 + margin_m then return true end -- closing or not
         return near_m - closing_distance(closing_mps) < C.CLOSE + margin_m
     end
 
-    -- Whether to fly a target of the applet's own away from the leader: it is still closing, and the target in force
-    -- does not lead away fast enough (Guided flies about 1 m/s for each metre to its target).
+    -- Whether to fly a target of the applet's own away from the leader: it is still closing (slower than 0.15 m/s is noise
+    -- of the tracker), and the point in force does not lead away fast enough (Guided flies about 1 m/s for each metre to it).
     local function should_back_off(behind_m, near_m, closing_mps)
         local approach_mps = -track.leader_mps
-        if guard.evading then return approach_mps > CLOSING_MPS or closing_mps > 0.0 end
-        if closing_mps <= CLOSING_MPS or behind_m > math.max(EVADE_LEAST_M, approach_mps) then return false end
-        return approach_mps > CLOSING_MPS or near_m < C.CLOSE or near_m - closing_distance(closing_mps) < HARD_CLOSE_M
+        if guard.evading then return approach_mps > 0.15 or closing_mps > 0.0 end
+        if closing_mps <= 0.15 or behind_m > math.max(0.5, approach_mps) then return false end
+        return approach_mps > 0.15 or near_m < C.CLOSE or near_m - closing_distance(closing_mps) < 1.0
     end
 
     -- Too close and the track agrees: the state, and backing off.
     local function too_close(near_m, closing_mps, t_ms)
         guard.too_close, guard.close_ms = true, t_ms
-        report.state = STATE.TOO_CLOSE
+        report.state = 3
         -- Lower than 1.5 m up what is near is most likely the ground; points lead 2 m up and higher (flight/guard.py).
         local here = -ahrs:get_relative_position_D_home() > 1.5 and vehicle:get_likely_flying() and ahrs:get_location()
-        local behind_m = here and point_behind_m(here, t_ms) or 0.0
-        -- Back to the wanted distance, and the leader's approach of one second more.
+        -- Metres that the point in force lies behind the vehicle, away from the leader; 0 if it leads towards the leader.
+        local behind_m = 0.0
+        local ahead_m, mps = stream.ahead(here, t_ms)
+        if ahead_m and mps <= 0.0 then behind_m = math.max(0.0, -ahead_m) end
+        -- Back to the wanted distance, and the leader's approach of one second more, by 0.5 to 5 m.
         local evaded = guard.evading
         guard.evading = here and should_back_off(behind_m, near_m, closing_mps) and own.fly_back(clamp(
-            stream.distance_m() - near_m + math.max(0.0, -track.leader_mps), EVADE_LEAST_M, 5.0))
+            stream.distance_m() - near_m + math.max(0.0, -track.leader_mps), 0.5, 5.0))
         if guard.evading then
-            report.state = STATE.BACKING_OFF
+            report.state = 6
             -- Sent at once: the ground tool would call it back to where it held it.
             if not evaded then report.named_ms = nil end
         end
-        if guard.evading or behind_m > EVADE_LEAST_M then return C.SPD_MAX end -- free to get away
+        if guard.evading or behind_m > 0.5 then return C.SPD_MAX end -- free to get away
         return C.SPD_MIN
     end
 
@@ -732,13 +657,13 @@ do
 
     -- What a range beyond the detection limit, a lost target or a silent sonar means for the state.
     function guard.look(range_m, status, t_ms)
-        if status > STATUS_NO_DATA then guard.data_ms = t_ms end
+        if status > 1 then guard.data_ms = t_ms end
         if track.is_target(range_m) then guard.seen_ms = t_ms end
-        report.state = STATE.TRACKING
+        report.state = 2
         if t_ms - guard.data_ms >= C.NODATA_T * 1000.0 then
-            report.state = STATE.NO_SONAR
+            report.state = 4
         elseif t_ms - guard.seen_ms >= C.LOST_T * 1000.0 and t_ms - guard.close_ms >= BLIND_MS then
-            report.state = STATE.SEARCHING
+            report.state = 1
         end
     end
 
@@ -755,7 +680,7 @@ do
         local margin_m = guard.too_close and 0.3 or 0.0 -- it ends so far beyond where it began
         -- From a leader that comes (0.5 m/s) it backs off to the wanted distance: if it stopped as soon as it was as fast,
         -- it would begin anew from nearer, its nose and its sonar down.
-        if status == STATUS_LOW or (tracked_m and (is_too_close(tracked_m, closing_mps, margin_m)
+        if status == 2 or (tracked_m and (is_too_close(tracked_m, closing_mps, margin_m)
             or (guard.evading and track.leader_mps < -0.5 and tracked_m < stream.distance_m()))) then
             return too_close(tracked_m or 0.0, closing_mps, t_ms)
         end
@@ -767,66 +692,49 @@ end
 -- Hold: points that carry a velocity -----------------------------------------------------------------------------------
 
 do
-    -- How far the applet moves a point: little towards the leader, for the ground tool may know why the point is far
-    -- from it; more away from the leader. A sonar that is stuck then moves the vehicle no further. The first also in m/s:
-    -- one with a stuck sonar takes its own speed for its leader's.
-    local FORWARD_M, BACK_M = 1.0, 5.0
-    -- From the second on a leader that goes on with its mission is where it was, and as fast as the ground tool says:
-    -- until then the tool's reports may be older than what was seen last.
-    local UNSEEN_MS, TOLD_MS = 300, 900
-    local NOSE_LATE_S = 0.2 -- so much later than its attitude's target the nose turns (SITL 4.6 0.2 s, 4.8 0.25 s)
-    -- Towards the leader: 8 degrees of lean, and what the air takes. Guided closes a gap of 0.4 m with all its acceleration
-    -- (4.8, 5 m/s2), so a target is hardly ahead; what is left of the gap is flown by speed, 1 m/s for each metre.
-    local GENTLE_MPS2, NEARER_M, CATCH_UP_PER_S, CATCH_UP_M = 1.4, 0.2, 1.0, 1.0
     local LEAD_S = 0.3 -- until this vehicle leans against its motion
-    -- Too near to a leader for which the slot was not opened, and that does not fly back faster than this, a share of
-    -- the distance is flown back: at a corner in full the vehicle would fly back from a leader that only turns, lean by
-    -- it, and lose it.
-    local EASE, TURNS_MPS = 0.4, -0.5
 
     -- Whether the leader most likely goes on with its mission.
     local function flies_on()
-        return not stream.is_opened() and track.leader_mps > TURNS_MPS
+        return not stream.is_opened() and track.leader_mps > -0.5
     end
 
+    -- Too near to a leader for which the slot was not opened, and that does not fly back, a share of the distance is flown
+    -- back: at a corner in full the vehicle would fly back from a leader that only turns, lean by it, and lose it.
     local function eased(wanted_m)
         local in_full = not flies_on() or track.range_m < C.CLOSE
-        return in_full and wanted_m or math.max(wanted_m, EASE * wanted_m)
+        return in_full and wanted_m or math.max(wanted_m, 0.4 * wanted_m)
     end
 
     -- Where the point belongs along the beam (metres ahead of here), and its speed there: at the wanted distance from
     -- the leader and as fast as the leader. ahead_m, mps: the same of the streamed point. While the sonar sees nothing,
-    -- of the track and the point whichever is the more cautious.
+    -- of the track and the point whichever is the more cautious; from 0.9 s on a leader that goes on with its mission is
+    -- where it was, and as fast as the ground tool says: until then the tool's reports may be older than what was seen.
+    -- A point is moved little towards the leader, 1 m and 1 m/s, for the ground tool may know why it is far from it, and
+    -- further away from the leader, 5 m: a sonar that is stuck then moves the vehicle no further, and no faster.
     local function along_beam(ahead_m, mps, braking_mps2, t_ms)
         -- From where both will be once this vehicle leans.
         local wanted_m = track.range_m + 0.5 * braking_mps2 * LEAD_S * LEAD_S - stream.distance_m()
         local unseen_ms = t_ms - track.seen_ms
-        if flies_on() and unseen_ms > TOLD_MS then track.told(mps) end
-        if unseen_ms > UNSEEN_MS then
-            wanted_m = math.max(math.min(wanted_m, ahead_m), ahead_m - BACK_M)
-            return math.min(eased(wanted_m), ahead_m + FORWARD_M), math.min(track.leader_mps, mps)
+        if flies_on() and unseen_ms > 900 then track.told(mps) end
+        if unseen_ms > 300 then
+            wanted_m = math.max(math.min(wanted_m, ahead_m), ahead_m - 5.0)
+            return math.min(eased(wanted_m), ahead_m + 1.0), math.min(track.leader_mps, mps)
         end
         wanted_m = eased(wanted_m)
-        if wanted_m > ahead_m + FORWARD_M then return ahead_m + FORWARD_M, math.min(mps, track.leader_mps) end
-        if wanted_m < ahead_m - BACK_M then return ahead_m - BACK_M, mps end
-        return wanted_m, math.min(track.leader_mps, mps + FORWARD_M)
+        if wanted_m > ahead_m + 1.0 then return ahead_m + 1.0, math.min(mps, track.leader_mps) end
+        if wanted_m < ahead_m - 5.0 then return ahead_m - 5.0, mps end
+        return wanted_m, math.min(track.leader_mps, mps + 1.0)
     end
 
-    -- Towards the leader no faster than keeps it in the beam: a copter leans as it speeds up, and its sonar with it. Away
-    -- from it at once.
+    -- Towards the leader no faster than keeps it in the beam: a copter leans as it speeds up, and its sonar with it, 8 degrees
+    -- at 1.4 m/s2. Away from it at once. Guided closes a gap of 0.4 m with all its acceleration (4.8, 5 m/s2), so a target is
+    -- hardly ahead; what is left of the gap is flown by speed, 1 m/s for each metre.
     local function gently(t_ms, wanted_m, wanted_mps)
         local from_mps = hold.active and hold.mps or own.mps
-        local most_mps = from_mps + GENTLE_MPS2 * math.min(t_ms - (hold.at_ms or t_ms), QUICK_MS * 5) * 0.001
-        local catch_up_mps = CATCH_UP_PER_S * clamp(wanted_m - NEARER_M, 0.0, CATCH_UP_M)
-        hold.mps, hold.at_ms = math.min(wanted_mps + catch_up_mps, most_mps), t_ms
-        return math.min(wanted_m, NEARER_M), hold.mps
-    end
-
-    -- The ground tool leads it past another vehicle, which the applet does not know: the point as it is, but towards the
-    -- leader no faster than it can still stop. Guided flies 1 m/s for each metre to the point, and its velocity.
-    local function past_another(t_ms, ahead_m, mps)
-        hold.mps, hold.at_ms = own.mps, t_ms
-        return ahead_m, math.min(mps, track.leader_mps + guard.stoppable_mps(track.range_m) - ahead_m)
+        local most_mps = from_mps + 1.4 * math.min(t_ms - (hold.at_ms or t_ms), 100) * 0.001
+        hold.mps, hold.at_ms = math.min(wanted_mps + clamp(wanted_m - 0.2, 0.0, 1.0), most_mps), t_ms
+        return math.min(wanted_m, 0.2), hold.mps
     end
 
     -- Sends Guided the streamed point, moved along the beam. False: it was not taken, or there is none.
@@ -834,24 +742,24 @@ do
         local here = vehicle:get_likely_flying() and ahrs:get_location()
         local position = here and ahrs:get_relative_position_NED_origin()
         if not position then return false end
-        local north_m, east_m = stream.offset(here, t_ms)
-        if not north_m then return false end
-        local yaw = yaw_rad(ahrs)
-        local cos, sin = math.cos(yaw), math.sin(yaw)
-        local ahead_m, mps = north_m * cos + east_m * sin, stream.north_mps * cos + stream.east_mps * sin
+        local ahead_m, mps, north_m, east_m, cos, sin = stream.ahead(here, t_ms)
+        if not ahead_m then return false end
         -- A leader that brakes is answered with its own deceleration.
         local braking_mps2 = track.braking_mps2(t_ms)
         local wanted_m, wanted_mps
         if stream.makes_way then
-            wanted_m, wanted_mps = past_another(t_ms, ahead_m, mps)
+            -- The ground tool leads it past another vehicle, which the applet does not know: the point as it is, but towards
+            -- the leader no faster than it can still stop. Guided flies 1 m/s for each metre to the point, and its velocity.
+            hold.mps, hold.at_ms = own.mps, t_ms
+            wanted_m = ahead_m
+            wanted_mps = math.min(mps, track.leader_mps + guard.stoppable_mps(track.range_m) - ahead_m)
         else
             wanted_m, wanted_mps = gently(t_ms, along_beam(ahead_m, mps, braking_mps2, t_ms))
         end
-        wanted_mps = wanted_mps + braking_mps2 * LEAD_S
-        local by_m, by_mps = wanted_m - ahead_m, wanted_mps - mps
+        local by_m, by_mps = wanted_m - ahead_m, wanted_mps + braking_mps2 * LEAD_S - mps
         position:x(position:x() + north_m + by_m * cos)
         position:y(position:y() + east_m + by_m * sin)
-        if stream.up_m then position:z(position:z() - stream.up_m - ahrs:get_relative_position_D_home()) end
+        position:z(position:z() - stream.up_m - ahrs:get_relative_position_D_home())
         local velocity, acceleration = Vector3f(), Vector3f()
         velocity:x(stream.north_mps + by_mps * cos)
         velocity:y(stream.east_mps + by_mps * sin)
@@ -860,24 +768,25 @@ do
         acceleration:x(missing_mps2 * cos)
         acceleration:y(missing_mps2 * sin)
         -- After a leader that turns a corner with the rate, too: after a yaw alone Guided turns by ATC_INPUT_TC later, 0.15 s,
-        -- 6 of the 20 degrees to the edge of the beam. One that flies back is too near for a rate from its estimated bearing.
-        local yaw_rps = stream.yaw_rad and flies_on() and stream.yaw_rps or 0.0
-        local look_rad = (stream.yaw_rad or yaw) + yaw_rps * ((t_ms - stream.at_ms) * 0.001 + NOSE_LATE_S)
-        return order(nil, position, velocity, acceleration, look_rad, yaw_rps)
+        -- 6 of the 20 degrees to the edge of the beam; and ahead by the 0.2 s that the nose is behind its attitude's target
+        -- (SITL 4.6 0.2 s, 4.8 0.25 s). One that flies back is too near for a rate from its estimated bearing.
+        local turn_rps = stream.yaw_rad and flies_on() and stream.yaw_rps or 0.0
+        local look_rad = (stream.yaw_rad or yaw_rad(ahrs)) + turn_rps * ((t_ms - stream.at_ms) * 0.001 + 0.2)
+        return order(nil, position, velocity, acceleration, look_rad, turn_rps)
     end
 
     -- A point with no velocity at all is where the ground tool has stopped it: there it stays.
     function hold.is_wanted()
-        return stream.moving and (stream.north_mps ~= 0.0 or stream.east_mps ~= 0.0)
+        return stream.north_mps ~= 0.0 or stream.east_mps ~= 0.0
     end
 
     -- Whether the distance is held: points carry a velocity, and there is a leader to hold on to.
     function hold.update(t_ms)
         hold.active = hold.is_wanted() and track.trusted(t_ms) and move(t_ms)
         if not hold.active then return false end
-        report.state = STATE.HOLDING
+        report.state = 7
         if track.range_m < C.CLOSE then
-            report.state = track.leader_mps < own.mps and STATE.BACKING_OFF or STATE.TOO_CLOSE
+            report.state = track.leader_mps < own.mps and 6 or 3
             guard.close_ms = t_ms
         end
         return true
@@ -887,75 +796,36 @@ end
 -- Stream watch -------------------------------------------------------------------------------------------------------
 
 do
-    local TARGET_FRESH_MS = 1000 -- an older streamed point is not the target in force
-    local ABOVE_HOME = { [3] = true, [6] = true } -- MAV_FRAME_GLOBAL_RELATIVE_ALT and its _INT
-    local MOST_OPEN_M = 6.0 -- as the highest ECHO_DIST
-    -- What a point can say: degrees of latitude in 1e-7, metres above home, yaw from -pi to pi or from 0 to 2 pi, and a
-    -- slot that opens for a vehicle that hardly brakes.
-    local MOST_LAT, HIGHEST_M, MOST_YAW_RAD, MOST_OPENED_M = 900000000, 10000.0, 2.0 * math.pi, 1000.0
-    local SILENT_MS = 1000 -- a sender of points that is silent for so long is gone
-    local SOON_S, LATE_S = 0.05, 0.4 -- points nearer in time, or further, do not tell how fast the yaw turns
-    local TURN_RPS = 1.0 -- as ATC_RATE_WPY_MAX, 60 deg/s
-    local LENGTH = 3 -- so many points without a gap are a stream; one alone may be a pilot's click on the map
-
-    -- How fast the streamed yaw turns: half of what was, for the leader's bearing is estimated.
-    local function turned(before_rad, before_ms)
-        local dt_s = before_ms and (stream.at_ms - before_ms) * 0.001 or 0.0
-        local rate_rps = 0.0
-        if stream.yaw_rad and before_rad and dt_s > SOON_S and dt_s < LATE_S then
-            local turn_rad = (stream.yaw_rad - before_rad + math.pi) % (2.0 * math.pi) - math.pi
-            rate_rps = clamp(turn_rad / dt_s, -TURN_RPS, TURN_RPS)
-        end
-        stream.yaw_rps = 0.5 * (stream.yaw_rps + rate_rps)
-    end
-
-    -- Whether a field that counts is one of a copter's: a number, and not beyond what there is.
-    local function fits(counts, value, most)
-        return not counts or is_within(value, most)
-    end
-
-    -- Points count from one sender until it has been silent: those of two would pull the vehicle to and fro.
-    local function is_other(sender, t_ms)
-        local other = sender ~= stream.sender and stream.heard_ms and t_ms - stream.heard_ms < SILENT_MS
-        if not other then stream.sender, stream.heard_ms = sender, t_ms end
-        return other
-    end
-
+    -- SET_POSITION_TARGET_GLOBAL_INT as `echowing follow` sends it: a position, height above home (frame 6), a velocity, with
+    -- a yaw or without. Of the acceleration, which the autopilot is told to ignore: how far the slot has opened, whether the
+    -- tool leads it past another vehicle than the leader, and the format that says so.
     function stream.take(payload, sender, t_ms)
-        local lat, lng, up_m, vn, ve, _, opens_m, makes_way, format, yaw, _, mask, system, _, frame =
+        local lat, lng, up_m, north_mps, east_mps, _, opens_m, makes_way, format, yaw, _, mask, system, _, frame =
             string.unpack('<i4i4fffffffffI2BBB', payload, 5)
         if system ~= 0 and system ~= MY_SYSTEM then return end
-        local placed, moving, looks = mask & 0x0003 == 0, mask & 0x0018 == 0, mask & 0x0400 == 0
-        local raised = mask & 0x0004 == 0 and ABOVE_HOME[frame]
-        -- Of the acceleration, which the autopilot is told to ignore: how far the slot has opened, whether the tool leads
-        -- it past another vehicle than the leader, and the format that says so.
-        if moving and not (mask & 0x01C0 == 0x01C0 and format == POINT_FORMAT) then
-            return refuse('points of another version of the tool')
-        end
-        if not (fits(placed, lat, MOST_LAT) and fits(placed, lng, 2 * MOST_LAT) and fits(raised, up_m, HIGHEST_M)
-            and fits(moving, vn, FASTEST_MPS) and fits(moving, ve, FASTEST_MPS) and fits(looks, yaw, MOST_YAW_RAD)
-            and fits(moving, opens_m, MOST_OPENED_M) and fits(moving, makes_way, 1.0)) then
+        if format ~= 2 or frame ~= 6 or mask & ~0x0400 ~= 0x09C0 then return refuse('points of another format') end
+        -- The autopilot's greatest latitude and longitude, and more metres than any slot opens to or copter climbs to.
+        local looks = mask & 0x0400 == 0
+        if not (is_within(lat, 900000000) and is_within(lng, 1800000000) and is_within(up_m, 10000.0)
+            and is_within(north_mps, FASTEST_MPS) and is_within(east_mps, FASTEST_MPS) and is_within(opens_m, 1000.0)
+            and is_within(makes_way, 1.0) and (not looks or is_within(yaw, 2.0 * math.pi))) then
             return refuse('implausible point')
         end
-        if is_other(sender, t_ms) then return refuse('points of a second sender') end
-        if stream.points < LENGTH then
-            local gap = not stream.at_ms or t_ms - stream.at_ms > TARGET_FRESH_MS
-            stream.points = gap and 1 or stream.points + 1
+        -- Points count from one sender until it has been silent for a second: two would pull the vehicle to and fro.
+        local dt_s = stream.at_ms and (t_ms - stream.at_ms) * 0.001 or 1.0
+        if sender ~= stream.sender and dt_s < 1.0 then return refuse('points of a second sender') end
+        -- How fast the streamed yaw turns: half of what was, for the leader's bearing is estimated. Points nearer in time,
+        -- or further, do not tell; the highest rate is that of ATC_RATE_WPY_MAX, 60 deg/s.
+        local rate_rps = 0.0
+        if looks and stream.yaw_rad and dt_s > 0.05 and dt_s < 0.4 then
+            local turn_rad = (yaw - stream.yaw_rad + math.pi) % (2.0 * math.pi) - math.pi
+            rate_rps = clamp(turn_rad / dt_s, -1.0, 1.0)
         end
-        local before_ms, before_rad = stream.at_ms, stream.yaw_rad
-        stream.at_ms = t_ms
-        stream.lat, stream.lng = placed and lat or nil, placed and lng or nil
-        stream.up_m, stream.yaw_rad = raised and up_m or nil, looks and yaw or nil
-        turned(before_rad, before_ms)
-        stream.moving = moving
-        stream.opens_m = moving and math.min(opens_m, MOST_OPEN_M) or 0.0
-        stream.makes_way = moving and makes_way == 1.0
-        stream.north_mps, stream.east_mps = moving and vn or 0.0, moving and ve or 0.0
-    end
-
-    -- Whether the newest streamed point is the vehicle's target, and a place.
-    function stream.in_force(t_ms)
-        return not stream.holding and stream.at_ms and t_ms - stream.at_ms < TARGET_FRESH_MS and stream.lat
+        stream.yaw_rps = 0.5 * (stream.yaw_rps + rate_rps)
+        stream.sender, stream.at_ms = sender, t_ms
+        stream.lat, stream.lng, stream.up_m, stream.yaw_rad = lat, lng, up_m, looks and yaw or nil
+        stream.north_mps, stream.east_mps = north_mps, east_mps
+        stream.opens_m, stream.makes_way = math.min(opens_m, 6.0), makes_way == 1.0 -- as the highest ECHO_DIST
     end
 
     -- Whether the ground tool has opened the slot: the leader may turn round faster than one on a mission does.
@@ -969,28 +839,32 @@ do
         return math.max(C.DIST, stream.at_ms and stream.opens_m or 0.0)
     end
 
-    -- Where the point in force is now, seen from here: north and east in metres; nil without one.
-    function stream.offset(here, t_ms)
-        if not stream.in_force(t_ms) then return nil end
+    -- The point in force now: metres ahead of here (along the nose) and its speed there; the same north and east in metres;
+    -- cosine and sine of the heading. Nil without one: a point older than a second is not the vehicle's target.
+    function stream.ahead(here, t_ms)
+        if stream.holding or not here or not stream.at_ms or t_ms - stream.at_ms >= 1000 then return nil end
         local target = here:copy()
         target:lat(stream.lat)
         target:lng(stream.lng)
         local offset, age_s = here:get_distance_NE(target), (t_ms - stream.at_ms) * 0.001
-        return offset:x() + stream.north_mps * age_s, offset:y() + stream.east_mps * age_s
+        local north_m, east_m = offset:x() + stream.north_mps * age_s, offset:y() + stream.east_mps * age_s
+        local yaw = yaw_rad(ahrs)
+        local cos, sin = math.cos(yaw), math.sin(yaw)
+        return north_m * cos + east_m * sin, stream.north_mps * cos + stream.east_mps * sin, north_m, east_m, cos, sin
     end
 
     function stream.begin()
-        stream.at_ms, stream.points, stream.holding, stream.yaw_rps = nil, 0, false, 0.0
+        stream.at_ms, stream.holding, stream.yaw_rps = nil, false, 0.0
     end
 
     -- Holds the vehicle where it is once a stream of guided points has fallen silent.
     function stream.watch(t_ms)
-        local silent = C.STREAM_T > 0.0 and stream.points >= LENGTH and t_ms - stream.at_ms > C.STREAM_T * 1000.0
+        local silent = C.STREAM_T > 0.0 and stream.at_ms and t_ms - stream.at_ms > C.STREAM_T * 1000.0
         if not silent then
             stream.holding = false
             return
         end
-        if not guard.too_close then report.state = STATE.STREAM_LOST end
+        if not guard.too_close then report.state = 5 end
         if guard.evading then
             stream.holding = false -- hold again where the evasion ends
             return
@@ -1010,19 +884,11 @@ end
 -- Frames whose checksum is wrong reach scripts too, and the autopilot does not say which they are.
 local take_messages
 do
-    local POINT, FLOAT = 86, 251 -- SET_POSITION_TARGET_GLOBAL_INT, NAMED_VALUE_FLOAT
-    local CRC_EXTRA = { [POINT] = 5, [FLOAT] = 170 }
-    local LONGEST = 53 -- bytes of the longer payload
-    local WIDE_STRUCTURE = 299 -- bytes of mavlink_message_t where system ids have 32 bits; 291 where they have 8
-    local MAVLINK_1, SIGNED = 0xFE, 1 -- the first byte on the wire; the one flag that changes nothing before the checksum
-    local QUEUE = 10
-    local REPEAT_MS = 10000
+    local CRC_EXTRA = { [86] = 5, [251] = 170 } -- SET_POSITION_TARGET_GLOBAL_INT, NAMED_VALUE_FLOAT
 
-    local told_ms
     control.deaf = not pcall(function()
-        mavlink:init(QUEUE, 2)
-        mavlink:register_rx_msgid(POINT)
-        mavlink:register_rx_msgid(FLOAT)
+        mavlink:init(10, 2) -- so many messages wait
+        for id in pairs(CRC_EXTRA) do mavlink:register_rx_msgid(id) end
     end)
 
     -- Whether bytes that end with their checksum are whole (X.25, which is then 0): four bytes at a time. Zeros that follow
@@ -1042,38 +908,38 @@ do
     -- Id, sender and payload of a mavlink_message_t, the payload with the zeros that MAVLink 2 leaves out; nil for a message
     -- that is for another script, or damaged. Bytes that the checksum does not cover are not used.
     local function read(message)
-        local sub, wide = string.sub, #message >= WIDE_STRUCTURE and 3 or 0
+        -- A mavlink_message_t has 299 bytes where system ids have 32 bits, 291 where they have 8.
+        local sub, wide = string.sub, #message >= 299 and 3 or 0
         local magic, length, flags = string.unpack('BBB', message, 3)
         local component, id = string.unpack('<BI3', message, 9 + wide)
         local extra = CRC_EXTRA[id]
         if not extra then return nil end
-        local old = magic == MAVLINK_1
-        if length > LONGEST or not (old or flags & ~SIGNED == 0) then return nil, refuse('damaged message') end
-        local payload = sub(message, 13 + wide, 12 + wide + length)
-        -- As on the wire: from the length to one byte of the system's id, its component, one or three bytes of message id.
-        local sent = sub(message, 4, old and 4 or 6) .. sub(message, 7, 8)
-            .. sub(message, 9 + wide, (old and 10 or 12) + wide) .. payload
-        if not is_whole(sent .. string.char(extra) .. sub(message, 1, 2) .. '\0\0\0') then
-            return nil, refuse('damaged message')
+        local old = magic == 0xFE -- MAVLink 1
+        -- 53 bytes are the longest payload; flag 1, a signature, is the only one that changes nothing before the checksum.
+        if length <= 53 and (old or flags & ~1 == 0) then
+            local payload = sub(message, 13 + wide, 12 + wide + length)
+            -- As on the wire: from the length to one byte of the system's id, its component, one or three bytes of id.
+            local sent = sub(message, 4, old and 4 or 6) .. sub(message, 7, 8)
+                .. sub(message, 9 + wide, (old and 10 or 12) + wide) .. payload
+            if is_whole(sent .. string.char(extra) .. sub(message, 1, 2) .. '\0\0\0') then
+                local system = string.byte(message, 8)
+                return id, system, system << 8 | component, payload .. string.rep('\0', 53 - length)
+            end
         end
-        local system = string.byte(message, 8)
-        return id, system, system << 8 | component, payload .. string.rep('\0', LONGEST - length)
-    end
-
-    -- No place was left: scripts that were there first have them all.
-    local function tell(t_ms)
-        if C.ENABLE < 1 or (told_ms and t_ms - told_ms < REPEAT_MS) then return end
-        told_ms = t_ms
-        say(SEVERITY.ERROR, control.NO_PLACE)
+        return nil, refuse('damaged message')
     end
 
     function take_messages(t_ms)
-        if control.deaf then return tell(t_ms) end
-        for _ = 1, QUEUE do
+        if control.deaf then
+            if C.ENABLE < 1 or (control.told_ms and t_ms - control.told_ms < 10000) then return end
+            control.told_ms = t_ms
+            return say(3, 'other scripts leave no place to receive')
+        end
+        for _ = 1, 10 do
             local message = mavlink:receive_chan()
             if not message then return end
             local id, system, sender, payload = read(message)
-            if id == POINT then
+            if id == 86 then
                 stream.take(payload, sender, t_ms)
             elseif id and system == MY_SYSTEM then
                 track.take(payload, t_ms)
@@ -1085,9 +951,7 @@ end
 -- The speed parameter ------------------------------------------------------------------------------------------------
 
 do
-    local CONFLICT_CHANGES, CONFLICT_MS = 4, 10000 -- so many outside changes of the speed in this time: another script
-
-    local parameter, mirror = Parameter(SPEED_NAME), parameters.mirror
+    local parameter = Parameter(SPEED_NAME)
 
     -- A value of the speed parameter, in its unit, that is a pilot's.
     local function is_speed(units)
@@ -1113,7 +977,7 @@ do
 
     function speed.give_back(units)
         parameter:set(units)
-        if vehicle:get_mode() == GUIDED then order(units / SPEED_UNITS) end
+        if vehicle:get_mode() == 4 then order(units / SPEED_UNITS) end
         mirror:set(0)
         speed.written = nil
     end
@@ -1123,17 +987,17 @@ do
         local units = mirror:get()
         if not is_speed(units) then return end
         speed.give_back(units)
-        say(SEVERITY.WARNING, string.format('restarted, %s back to %.2f', SPEED_NAME, units))
+        say(4, string.format('restarted, %s back to %.2f', SPEED_NAME, units))
     end
 
-    -- Outside changes of the speed parameter: one is the pilot's, many in a short time are another script's.
+    -- Outside changes of the speed parameter: one is the pilot's, four in ten seconds are another script's.
     local function note_change(t_ms)
         speed.changes[#speed.changes + 1] = t_ms
-        if #speed.changes > CONFLICT_CHANGES then table.remove(speed.changes, 1) end
+        if #speed.changes > 4 then table.remove(speed.changes, 1) end
     end
 
     function speed.fought_over(t_ms)
-        return #speed.changes == CONFLICT_CHANGES and t_ms - speed.changes[1] < CONFLICT_MS
+        return #speed.changes == 4 and t_ms - speed.changes[1] < 10000
     end
 
     -- The pilot has set the speed parameter while the applet is in control: his value from now on.
@@ -1156,21 +1020,20 @@ end
 -- What pilots see ----------------------------------------------------------------------------------------------------
 
 do
-    local NAMED_MS = 500 -- pace of the named floats
     -- Of each state from 1 on: severity, text, and how long it is not announced again, however often it comes and goes.
     local NOTICES = {
-        { SEVERITY.NOTICE, 'searching', 10000 },
-        { SEVERITY.INFO, 'tracking', 10000 },
-        { SEVERITY.WARNING, 'too close', 3000 },
-        { SEVERITY.WARNING, 'no sonar data', 10000 },
-        { SEVERITY.CRITICAL, 'stream lost, holding here', 3000 },
-        { SEVERITY.CRITICAL, 'too close, backing off', 3000 },
-        { SEVERITY.INFO, 'holding the distance', 10000 },
+        { 5, 'searching', 10000 },
+        { 6, 'tracking', 10000 },
+        { 4, 'too close', 3000 },
+        { 4, 'no sonar data', 10000 },
+        { 2, 'stream lost, holding here', 3000 },
+        { 2, 'too close, backing off', 3000 },
+        { 6, 'holding the distance', 10000 },
     }
 
     function report.begin()
         report.announced_ms = {}
-        report.state, report.announced = STATE.TRACKING, STATE.TRACKING -- a target is assumed until it is missed
+        report.state, report.announced = 2, 2 -- a target is assumed until it is missed
     end
 
     -- One text per change of state.
@@ -1181,31 +1044,21 @@ do
         local last_ms = report.announced_ms[state]
         if last_ms and t_ms - last_ms < gap_ms then return end
         report.announced, report.announced_ms[state] = state, t_ms
-        if state == STATE.SEARCHING or state == STATE.NO_SONAR then
-            text = string.format('%s, %.1f m/s', text, C.SPD_LOST)
-        end
+        if state == 1 or state == 4 then text = string.format('%s, %.1f m/s', text, C.SPD_LOST) end
         say(severity, text)
     end
 
-    local function send_named(range_m, t_ms)
-        if report.named_ms and t_ms - report.named_ms < NAMED_MS then return end
-        report.named_ms = t_ms
-        gcs:send_named_float('ECHO_RNG', range_m or 0.0)
-        gcs:send_named_float('ECHO_SPD', speed.out_mps)
-        gcs:send_named_float('ECHO_STATE', report.state)
-    end
-
-    local function write_log(range_m, t_ms)
+    function report.send(range_m, t_ms)
+        if not report.named_ms or t_ms - report.named_ms >= 500 then
+            report.named_ms = t_ms
+            gcs:send_named_float('ECHO_RNG', range_m or 0.0)
+            gcs:send_named_float('ECHO_SPD', speed.out_mps)
+            gcs:send_named_float('ECHO_STATE', report.state)
+        end
         if C.LOG_HZ <= 0.0 or (report.log_ms and t_ms - report.log_ms < 1000.0 / C.LOG_HZ - 1.0) then return end
         report.log_ms = t_ms
-        local error_m = range_m and range_m - stream.distance_m() or 0.0
-        logger:write('ECHO', 'Rng,Flt,Err,Spd,St,Ref', 'ffffBI', 'mmmn--', '0000--', range_m or 0.0,
-            track.range_m or 0.0, error_m, speed.out_mps, report.state, refused.count)
-    end
-
-    function report.send(range_m, t_ms)
-        send_named(range_m, t_ms)
-        write_log(range_m, t_ms)
+        logger:write('ECHO', 'Rng,Flt,Err,Spd,St,Ref', 'ffffBI', 'mmmn--', '0000--', range_m or 0.0, track.range_m or 0.0,
+            range_m and range_m - stream.distance_m() or 0.0, speed.out_mps, report.state, refused.count)
     end
 end
 
@@ -1213,41 +1066,29 @@ end
 
 local check_arming
 do
-    local MAVLINK_RANGEFINDER = 10 -- RNGFNDx_TYPE
-    local CHECK_MS = 1000 -- pace
-
     local checked_ms
     local id = arming.get_aux_auth_id and arming:get_aux_auth_id()
-    if not id then say(SEVERITY.WARNING, 'no arming check, all authorisation ids are taken') end
-
-    -- RNGFNDx_TYPE of the forward rangefinder, nil if none is set up.
-    local function forward_type()
-        for i = 1, 9 do
-            if param:get('RNGFND' .. i .. '_ORIENT') == FORWARD then
-                local kind = param:get('RNGFND' .. i .. '_TYPE')
-                if kind and kind > 0 then return kind end
-            end
-        end
-        return nil
-    end
+    if not id then say(4, 'no arming check, all authorisation ids are taken') end
 
     local function reason_not_to_arm(t_ms)
-        if control.deaf then return control.NO_PLACE end
-        local kind = forward_type()
-        if not kind or not rangefinder:has_orientation(FORWARD) then return 'no forward rangefinder' end
-        if kind ~= MAVLINK_RANGEFINDER then return 'forward rangefinder is not MAVLink' end
+        if control.deaf then return 'other scripts leave no place to receive' end
         if speed.fought_over(t_ms) then return 'another script sets ' .. SPEED_NAME end
-        return nil
+        for i = 1, 9 do
+            local kind = param:get('RNGFND' .. i .. '_ORIENT') == 0 and param:get('RNGFND' .. i .. '_TYPE') or 0
+            if kind == 10 and rangefinder:has_orientation(0) then return nil end -- forward, by MAVLink
+            if kind > 0 and kind ~= 10 then return 'forward rangefinder is not MAVLink' end
+        end
+        return 'no forward rangefinder'
     end
 
     function check_arming(t_ms)
         if not id or arming:is_armed() then return end
         speed.watch_on_ground(t_ms)
-        if checked_ms and t_ms - checked_ms < CHECK_MS then return end
+        if checked_ms and t_ms - checked_ms < 1000 then return end
         checked_ms = t_ms
         local reason = C.ENABLE >= 1 and C.ARM_CHK >= 1 and reason_not_to_arm(t_ms) or nil
         if reason then
-            arming:set_aux_auth_failed(id, TEXT .. reason)
+            arming:set_aux_auth_failed(id, 'ECHO: ' .. reason)
         else
             arming:set_aux_auth_passed(id)
         end
@@ -1257,18 +1098,10 @@ end
 -- Control: who flies, and the update ---------------------------------------------------------------------------------
 
 do
-    local SWITCH_HIGH = 2
-    local ACTIVE_MS, REPAIR_MS = 50, 1000 -- pause before the next update
-
     -- Milliseconds since the script started, a plain integer (wraps after 24 days).
     local boot = millis()
     local function now_ms()
         return (millis() - boot):toint()
-    end
-
-    local function switch_is_high()
-        local channel = rc:find_channel_for_option(math.tointeger(C.SWITCH // 1))
-        return channel ~= nil and channel:get_aux_switch_pos() == SWITCH_HIGH
     end
 
     -- Why the applet must not act now, or nil.
@@ -1278,11 +1111,12 @@ do
             speed.conflict = false
             return 'disarmed'
         end
-        if vehicle:get_mode() ~= GUIDED then return 'mode' end
+        if vehicle:get_mode() ~= 4 then return 'mode' end -- Guided
         if control.deaf then return 'deaf' end
         if not speed.is_set() then return SPEED_NAME .. ' out of range' end
         if speed.conflict then return 'another script sets ' .. SPEED_NAME end
-        if C.SWITCH > 0 and not switch_is_high() then return 'switch' end
+        local channel = C.SWITCH > 0 and rc:find_channel_for_option(math.tointeger(C.SWITCH // 1))
+        if C.SWITCH > 0 and not (channel and channel:get_aux_switch_pos() == 2) then return 'switch' end -- high
         return nil
     end
 
@@ -1293,7 +1127,7 @@ do
         guard.begin(t_ms)
         report.begin()
         track.range_m = nil
-        say(SEVERITY.INFO, 'in control')
+        say(6, 'in control')
     end
 
     local function hand_back(reason)
@@ -1301,8 +1135,8 @@ do
         speed.watch(own.at_ms) -- the pilot may have set it since the last update
         control.active = false
         speed.give_back(speed.pilot_units)
-        report.state = STATE.OFF
-        say(SEVERITY.NOTICE, string.format('handed back, %s %.2f (%s)', SPEED_NAME, speed.pilot_units, reason))
+        report.state = 0
+        say(5, string.format('handed back, %s %.2f (%s)', SPEED_NAME, speed.pilot_units, reason))
     end
 
     -- The limit of the correction towards the points.
@@ -1311,7 +1145,7 @@ do
             guard.rest()
             return C.SPD_MAX
         end
-        if hold.is_wanted() and not stream.holding and not track.trusted(t_ms) and status ~= STATUS_LOW then
+        if hold.is_wanted() and not stream.holding and not track.trusted(t_ms) and status ~= 2 then
             guard.rest()
             return clamp(C.SPD_LOST, C.SPD_MIN, C.SPD_MAX)
         end
@@ -1331,12 +1165,12 @@ do
         speed.write(limit_mps)
         report.announce(t_ms)
         report.send(range_m, t_ms)
-        return (guard.evading or hold.active) and QUICK_MS or ACTIVE_MS
+        return (guard.evading or hold.active) and 20 or 50
     end
 
     local function update()
         local t_ms = now_ms()
-        parameters.read_some()
+        read_some()
         own.update(t_ms)
         track.carry(t_ms)
         take_messages(t_ms)
@@ -1344,7 +1178,7 @@ do
         if not reason then return act(t_ms) end
         hand_back(reason)
         check_arming(t_ms)
-        return IDLE_MS
+        return 200
     end
 
     -- An error is reported once with its place. The speed is handed back, and the next try is slower.
@@ -1356,13 +1190,13 @@ do
         end
         if result ~= control.error then
             control.error = result
-            say(SEVERITY.CRITICAL, 'error ' .. tostring(result))
+            say(2, 'error ' .. tostring(result))
         end
         pcall(hand_back, 'error')
-        return control.run, REPAIR_MS
+        return control.run, 1000
     end
 end
 
 speed.repair()
-say(SEVERITY.INFO, 'ready')
-return control.run, IDLE_MS
+say(6, 'ready')
+return control.run, 200
