@@ -1,6 +1,9 @@
-"""The applets for the SD card, and what each needs of an autopilot."""
+"""The applets for the SD card, what each needs of an autopilot, and which one a vehicle runs."""
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+
+from echowing.mavlink.messages import POINT_FORMAT
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,3 +23,30 @@ class Applet:
 HOLD = Applet("hold", "echowing.lua", 132 * 1024)
 SPEED = Applet("speed", "echowing_speed.lua", 46 * 1024)
 APPLETS = (HOLD, SPEED)
+
+# The parameters that tell which applet runs. Before there were two, one
+# applet had all of them but the first.
+FORMAT, LAW, GAIN = IDENTIFYING = ("ECHO_FORMAT", "ECHO_LAW", "ECHO_GAIN_P")
+
+
+def applet_named(name: str) -> Applet:
+    """The applet that the user calls so."""
+    return next(applet for applet in APPLETS if applet.name == name)
+
+
+def identify(parameters: Mapping[str, float]) -> Applet | None:
+    """Which applet a vehicle with these parameters runs; None: none, or one of another version."""
+    if FORMAT in parameters:
+        return HOLD if parameters[FORMAT] == POINT_FORMAT else None
+    return SPEED if LAW in parameters and GAIN not in parameters else None
+
+
+def is_outdated(parameters: Mapping[str, float]) -> bool:
+    """Whether a vehicle with these parameters runs an applet of another version."""
+    return (FORMAT in parameters or LAW in parameters) and identify(parameters) is None
+
+
+def applets_among(files: Iterable[str]) -> list[Applet]:
+    """The applets among the files of a folder; a card's names have no case."""
+    names = {file.lower() for file in files}
+    return [applet for applet in APPLETS if applet.file in names]

@@ -33,6 +33,17 @@ def test_replaces_an_older_one_and_leaves_other_scripts_alone(card: Path) -> Non
     assert (scripts / "other.lua").read_text() == "-- another's"
 
 
+def test_the_other_applet_leaves_the_card_only_when_told_to(card: Path) -> None:
+    scripts = card / "APM" / "scripts"
+    scripts.mkdir()
+    (scripts / "ECHOWING_SPEED.LUA").write_text("-- as a card's names may look")
+    with pytest.raises(EchowingError, match=r"SPEED.LUA is on the card.* Give --replace"):
+        install_on_card(card)
+    assert not (scripts / "echowing.lua").exists()
+    install_on_card(card, replace=True)
+    assert [one.name for one in scripts.iterdir()] == ["echowing.lua"]
+
+
 def test_a_card_that_gives_back_something_else_keeps_the_older_one(
     card: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

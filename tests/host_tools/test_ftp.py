@@ -354,7 +354,7 @@ def test_cut_anywhere_the_card_holds_a_whole_applet_or_none(
     new = b"-- newer\n" * 100
     source = tmp_path / "new.lua"
     source.write_bytes(new)
-    monkeypatch.setattr(applet, "applet_path", lambda: source)
+    monkeypatch.setattr(applet, "applet_path", lambda applet: source)
     cut_at = 0
     states: list[bytes | None] = []
     whole = False

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.applets import HOLD
 from echowing.errors import EchowingError
 from echowing.mavlink.messages import TOOL_COMPONENT_ID, TOOL_SYSTEM_ID
 from echowing.mavlink.seats import Say
@@ -27,6 +28,7 @@ from echowing.setup.reading import names_to_read, of_messages, read_out, read_pa
 from echowing.setup.readout import CardApplet
 from echowing.setup.restart import restart_autopilot
 from echowing.setup.vehicle import AUTOPILOT, SILENCE_S, Heard, Vehicle
+from echowing.sim import streams
 from echowing.sim.ground import TELEMETRY
 from echowing.sim.parameters import Generation
 from echowing.sim.parked import ParkedHangar, ParkedWorld, insert_cards
@@ -209,6 +211,8 @@ def test_one_command_makes_a_new_vehicle_ready_and_one_file_puts_it_back(
     # What came only after the restart was announced before the question.
     announced = job.told[: job.told.index(f"old values: {file}")]
     assert any(line.startswith("ECHO_ENABLE ") for line in announced)
+    assert "in Auto and RTL, too" in "\n".join(announced)
+    assert "tuned (AutoTune)" in "\n".join(announced)
 
     saved = load(file)
     assert {"RNGFND1_TYPE", "WP_ACC", "ECHO_ENABLE"} <= set(saved.parameters)
@@ -298,11 +302,65 @@ def test_an_applet_that_fails_after_the_restart_is_reported(
     broken = tmp_path / "echowing.lua"
     broken.write_text("local x = = 1\n")
     for module in (reading, applet):
-        monkeypatch.setattr(module, "applet_path", lambda: broken)
+        monkeypatch.setattr(module, "applet_path", lambda applet: broken)
     job = Job(desk, tmp_path / "old.params.json")
     assert job.apply.run() == 1
     assert any(line.startswith("the applet does not run: Scripting: Error: ") for line in job.told)
     assert job.told[-1].startswith("back: echowing setup restore")
+
+
+def test_a_board_without_room_for_the_applet_is_refused_before_anything_is_written(
+    make_desk: MakeDesk, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(streams, "BOARD_ID", 9)  # a Cube Black
+    desk = make_desk(parameters="{SCR_HEAP_SIZE=44032}")
+    before = values_of(desk)
+    job = Job(desk, tmp_path / "old.params.json")
+    with pytest.raises(EchowingError, match=r"43 KiB for scripts; echowing.lua needs .* nothing"):
+        job.apply.run()
+    assert values_of(desk) == before
+    assert not job.asked
+    assert not (desk.card / "APM" / "scripts").exists()
+    assert "memory for scripts" in wrong(desk)
+
+
+def test_a_board_that_is_not_known_keeps_its_memory(
+    make_desk: MakeDesk, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(streams, "BOARD_ID", 65_000)
+    desk = make_desk(parameters="{SCR_HEAP_SIZE=150000}")
+    job = Job(desk, tmp_path / "old.params.json")
+    assert job.apply.run() == 0, job.told
+    assert values_of(desk)["SCR_HEAP_SIZE"] == 150_000.0
+    assert any("board 65000 is not known" in line for line in job.told)
+    assert wrong(desk) == []  # it runs
+
+
+@pytest.mark.parametrize("both", [True, False])
+def test_a_card_takes_one_applet_and_the_other_leaves_only_when_told_to(
+    make_desk: MakeDesk, tmp_path: Path, both: bool
+) -> None:
+    desk = make_desk()
+    if both:
+        install_over_link(FtpClient(desk.vehicle), no_bar)
+    scripts = desk.card / "APM" / "scripts"
+    scripts.mkdir(exist_ok=True)
+    (scripts / "echowing_speed.lua").write_text("return\n")
+    job = Job(desk, tmp_path / "old.params.json")
+    with pytest.raises(EchowingError, match="a vehicle runs one: give --replace"):
+        job.apply.run()
+    assert (scripts / "echowing_speed.lua").exists()
+    with pytest.raises(EchowingError, match=r"echowing_speed.lua is on the card"):
+        install_over_link(FtpClient(desk.vehicle), no_bar)
+    findings = examine(read_out(desk.vehicle, 2, applet=HOLD))
+    assert next(one for one in findings if one.about == "applet on the card").verdict is (
+        Verdict.WRONG
+    )
+
+    job.apply.replace = True
+    assert job.apply.run() == 0, job.told
+    assert [file.name for file in scripts.iterdir()] == ["echowing.lua"]
+    assert wrong(desk) == []
 
 
 def test_a_vehicle_that_does_not_come_back_is_reported(make_desk: MakeDesk) -> None:

@@ -118,10 +118,28 @@ def _add_wiring(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def _add_applet(parser: argparse.ArgumentParser, *, replaces: bool = True) -> None:
+    from echowing.applets import APPLETS, HOLD  # noqa: PLC0415 (imported when the verb is used)
+
+    chosen = HOLD.name if replaces else None
+    parser.add_argument(
+        "--applet",
+        choices=[applet.name for applet in APPLETS],
+        default=chosen,
+        help="hold: keeps the distance; speed: the thesis's, for autopilots with little memory "
+        f"({chosen or 'the one that it runs'})",
+    )
+    if replaces:
+        parser.add_argument(
+            "--replace", action="store_true", help="take the other applet off the card"
+        )
+
+
 def _add_check(parser: argparse.ArgumentParser) -> None:
     parser.epilog = CHECK_EXAMPLES
     _add_vehicle(parser)
     _add_wiring(parser)
+    _add_applet(parser, replaces=False)
     parser.add_argument(
         "--role",
         choices=("follower", "leader"),
@@ -135,6 +153,7 @@ def _add_apply(parser: argparse.ArgumentParser) -> None:
     parser.epilog = APPLY_EXAMPLES
     _add_vehicle(parser)
     _add_wiring(parser)
+    _add_applet(parser)
     parser.add_argument("--yes", action="store_true", help="write without asking")
     parser.add_argument(
         "--restart",
@@ -181,6 +200,7 @@ def _add_lua(parser: argparse.ArgumentParser) -> None:
         default="APM/scripts",
         help="with --vehicle: folder of the scripts on the vehicle (APM/scripts; in SITL: scripts)",
     )
+    _add_applet(parser)
     _add_link(parser)
 
 
@@ -208,14 +228,16 @@ def _vehicle(where: str, args: argparse.Namespace) -> "Iterator[Vehicle]":
 
 
 def _check(args: argparse.Namespace) -> int:
+    from echowing.applets import applet_named  # noqa: PLC0415
     from echowing.setup.checks import examine, exit_code  # noqa: PLC0415
     from echowing.setup.reading import read_out  # noqa: PLC0415
     from echowing.setup.readout import Role  # noqa: PLC0415
     from echowing.setup.view import as_json, as_lines  # noqa: PLC0415
 
+    applet = None if args.applet is None else applet_named(args.applet)
     with _vehicle(args.vehicle, args) as vehicle:
         _tell(f"{vehicle.name}: listening and reading parameters …")
-        readout = read_out(vehicle, args.serial, args.rangefinder)
+        readout = read_out(vehicle, args.serial, args.rangefinder, applet=applet)
         role = Role(args.role)
         findings = examine(readout, role)
         system_id = vehicle.system_id
@@ -232,6 +254,7 @@ def _check(args: argparse.Namespace) -> int:
 def _apply(args: argparse.Namespace) -> int:
     from datetime import datetime  # noqa: PLC0415
 
+    from echowing.applets import applet_named  # noqa: PLC0415
     from echowing.setup.apply import default_file  # noqa: PLC0415
     from echowing.setup.job import Apply  # noqa: PLC0415
 
@@ -245,6 +268,8 @@ def _apply(args: argparse.Namespace) -> int:
             serial_port=args.serial,
             rangefinder=args.rangefinder,
             folder=None if args.folder is None else args.folder.strip("/"),
+            applet=applet_named(args.applet),
+            replace=args.replace,
         )
         return job.run()
 
@@ -277,32 +302,39 @@ def agreed(question: str) -> bool:
 
 
 def _lua(args: argparse.Namespace) -> int:
-    return _lua_on_card(args.mount) if args.vehicle is None else _lua_over_link(args)
+    return _lua_on_card(args) if args.vehicle is None else _lua_over_link(args)
 
 
-def _lua_on_card(mount: Path) -> int:
+def _lua_on_card(args: argparse.Namespace) -> int:
     """Copy, verify, and say what is left to do."""
+    from echowing.applets import applet_named  # noqa: PLC0415
     from echowing.setup.applet import applet_path, checksum, install_on_card  # noqa: PLC0415
 
-    target = install_on_card(mount)
-    print(f"{target}: written and verified, checksum {checksum(applet_path().read_bytes()):08x}")
+    applet = applet_named(args.applet)
+    target = install_on_card(args.mount, applet, replace=args.replace)
+    crc = checksum(applet_path(applet).read_bytes())
+    print(f"{target}: written and verified, checksum {crc:08x}")
     print("Unmount the card; on the vehicle set SCR_ENABLE 1, restart, then ECHO_ENABLE 1.")
     return 0
 
 
 def _lua_over_link(args: argparse.Namespace) -> int:
+    from echowing.applets import applet_named  # noqa: PLC0415
     from echowing.setup.applet import applet_path, install_over_link  # noqa: PLC0415
     from echowing.setup.ftp import FtpClient  # noqa: PLC0415
     from echowing.setup.ftp_format import ardupilot_crc32  # noqa: PLC0415
 
+    applet = applet_named(args.applet)
     with _vehicle(args.vehicle, args) as vehicle:
         vehicle.refuse_armed("scripts are replaced")
         folder = args.folder.strip("/")
         with progress_bar() as bar:
-            written = install_over_link(FtpClient(vehicle), bar, folder)
-        crc = ardupilot_crc32(applet_path().read_bytes())
+            written = install_over_link(
+                FtpClient(vehicle), bar, folder, applet, replace=args.replace
+            )
+        crc = ardupilot_crc32(applet_path(applet).read_bytes())
         state = "written, read back" if written else "the same applet is there already"
-        print(f"{folder}/echowing.lua: {state}, ArduPilot's CRC-32 {crc:08x}")
+        print(f"{folder}/{applet.file}: {state}, ArduPilot's CRC-32 {crc:08x}")
         print(_restart_scripts(vehicle))
     return 0
 

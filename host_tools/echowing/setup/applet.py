@@ -1,37 +1,40 @@
-"""Copies the applet to an autopilot's SD card."""
+"""Copies an applet to an autopilot's SD card."""
 
 import os
 import re
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from echowing.applets import HOLD, Applet, applets_among
 from echowing.errors import EchowingError
 from echowing.paths import shipped
 from echowing.setup.ftp import FtpClient, FtpRefusedError, Progress
 from echowing.setup.ftp_format import ardupilot_crc32
 
-APPLET = "echowing.lua"
 # Where ArduPilot looks for scripts on its card (AP_Scripting, SCRIPTING_DIRECTORY).
 FIRMWARE_FOLDER, SCRIPTS_FOLDER = "APM", "scripts"
 CARD_SCRIPTS = f"{FIRMWARE_FOLDER}/{SCRIPTS_FOLDER}"
 # On a vehicle's card, and in ArduPilot's SITL, whose card is the folder it runs in.
 CARD_FOLDERS = (CARD_SCRIPTS, SCRIPTS_FOLDER)
 PARAMETER_PREFIX = "ECHO_"
-# How the applet writes a constant, and a row of its table: name, default, lowest, highest.
+# How an applet writes a constant, and a row of its table: name, default, lowest, highest; and what
+# number it has where that is not its place.
 _CONSTANT = re.compile(r"^local (\w+) = ([\d.]+)", re.MULTILINE)
-_PARAMETER_ROW = re.compile(r"^    \{ '(\w+)', ([\w.]+), ([\w.]+), ([\w.]+) \},$", re.MULTILINE)
+_PARAMETER_ROW = re.compile(
+    r"^    (?:\{ )?'(\w+)', ([\w.]+), ([\w.]+), ([\w.]+)(?:, \d+)?(?: \})?,$", re.MULTILINE
+)
 
 
-def applet_path() -> Path:
-    """The applet that comes with this package."""
-    return shipped(APPLET)
+def applet_path(applet: Applet = HOLD) -> Path:
+    """An applet that comes with this package."""
+    return shipped(applet.file)
 
 
 @dataclass(frozen=True, slots=True)
 class AppletParameter:
-    """One of the applet's parameters, from its table."""
+    """One of an applet's parameters, from its table."""
 
     name: str
     default: float
@@ -39,9 +42,9 @@ class AppletParameter:
     high: float
 
 
-def applet_parameters() -> list[AppletParameter]:
-    """The applet's parameters, read from its own table, the only place that lists them."""
-    text = applet_path().read_text(encoding="utf-8")
+def applet_parameters(applet: Applet = HOLD) -> list[AppletParameter]:
+    """An applet's parameters, read from its own table, the only place that lists them."""
+    text = applet_path(applet).read_text(encoding="utf-8")
     constants = {name: float(value) for name, value in _CONSTANT.findall(text)}
 
     def number(word: str) -> float:
@@ -52,23 +55,26 @@ def applet_parameters() -> list[AppletParameter]:
         for name, *numbers in _PARAMETER_ROW.findall(text)
     ]
     if not rows:
-        raise EchowingError(f"{applet_path()}: no table of parameters in it")
+        raise EchowingError(f"{applet_path(applet)}: no table of parameters in it")
     return rows
 
 
-def install_on_card(mount: Path) -> Path:
-    """Copy the applet into APM/scripts of the card mounted at `mount`, and read it back.
+def install_on_card(mount: Path, applet: Applet = HOLD, *, replace: bool = False) -> Path:
+    """Copy an applet into APM/scripts of the card mounted at `mount`, and read it back.
 
-    An older applet is replaced only when the new one is completely on the card.
-    Raises EchowingError if `mount` is no autopilot's card, cannot be written, or does not
-    return what was written.
+    An older applet is replaced only when the new one is completely on the card; the other applet
+    only if `replace` says so. Raises EchowingError if the other one is there, if `mount` is no
+    autopilot's card, cannot be written, or does not return what was written.
     """
     folder = _scripts_folder(mount)
-    target, arriving = folder / APPLET, folder / f"{APPLET}.new"
+    target, arriving = folder / applet.file, folder / f"{applet.file}.new"
+    others = others_among([file.name for file in folder.iterdir()], applet, replace=replace)
     try:
-        wanted = applet_path().read_bytes()
+        wanted = applet_path(applet).read_bytes()
         _write_through(arriving, wanted)
         _verify(arriving, wanted)
+        for name in others:
+            (folder / name).unlink()
         arriving.replace(target)
     except OSError as error:
         raise EchowingError(
@@ -77,27 +83,47 @@ def install_on_card(mount: Path) -> Path:
     return target
 
 
+def others_among(files: Sequence[str], applet: Applet, *, replace: bool) -> list[str]:
+    """Files of applets that must leave before this one comes.
+
+    Raises EchowingError if there are some and they may not be replaced.
+    """
+    of_applets = {one.file for one in applets_among(files) if one != applet}
+    others = [file for file in files if file.lower() in of_applets]
+    if others and not replace:
+        raise EchowingError(
+            f"{others[0]} is on the card, and a vehicle runs one applet: {applet.file} would "
+            "replace it. Give --replace to do that"
+        )
+    return others
+
+
 def install_over_link(
     card: FtpClient,
     progress: Callable[[str], Progress],
     scripts: str = CARD_SCRIPTS,
+    applet: Applet = HOLD,
+    *,
+    replace: bool = False,
 ) -> bool:
-    """Copy the applet to the folder `scripts` of an autopilot's card, over MAVLink.
+    """Copy an applet to the folder `scripts` of an autopilot's card, over MAVLink.
 
     It is written beside the old one, checked by checksum and read back, and then replaces it. If
     anything fails, the card holds the complete old or the complete new applet, or none if power
     fails between two renames (FAT cannot rename onto a file). `progress` makes a progress bar
-    with a title. False: the same applet is there already. Raises EchowingError.
+    with a title. The other applet leaves the card only if `replace` says so. False: the same applet
+    is there already. Raises EchowingError.
     """
-    wanted = applet_path().read_bytes()
-    target = f"{scripts}/{APPLET}"
+    wanted = applet_path(applet).read_bytes()
+    target = f"{scripts}/{applet.file}"
     card.reset()
     _find_scripts(card, scripts)
+    others = others_among(files_in(card, scripts), applet, replace=replace)
     arriving, leaving = f"{target}.new", f"{target}.old"
     if _is_whole(card, target, wanted):
-        card.remove(arriving)
-        card.remove(leaving)
-        return False
+        for name in (arriving, leaving, *(f"{scripts}/{other}" for other in others)):
+            card.remove(name)
+        return bool(others)
     try:
         card.upload(arriving, wanted, progress("writing"))
         _verify_on_card(card, arriving, wanted, progress("reading back"))
@@ -105,10 +131,16 @@ def install_over_link(
         card.reset()
         card.remove(arriving)
         raise
-    card.remove(leaving)
+    for name in (leaving, *(f"{scripts}/{other}" for other in others)):
+        card.remove(name)
     _replace(card, arriving, target, leaving)
     card.remove(leaving)
     return True
+
+
+def files_in(card: FtpClient, folder: str) -> list[str]:
+    """Names of the files in a folder of the card. Raises FtpRefusedError."""
+    return [entry.name for entry in card.entries(folder) if not entry.is_folder]
 
 
 def scripts_folder(card: FtpClient) -> str | None:

@@ -10,11 +10,14 @@ from enum import Enum
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.applets import SPEED, identify, is_outdated
+from echowing.flight.leader_speed import MOST_LEADER_MPS
 from echowing.mavlink.messages import TOOL_SYSTEM_ID
 from echowing.setup.readout import CardApplet, Readout, Role
 from echowing.setup.settings import (
     BAUD_115200,
     FORWARD,
+    HEAP,
     MAVLINK2,
     PROXIMITY_MAVLINK,
     PROXIMITY_RANGEFINDER,
@@ -34,8 +37,12 @@ NOT_SIGNED = 1  # MAVn_OPTIONS bit 0: this port neither signs nor wants signatur
 # With a speed parameter under this the vehicle returns home at walking pace.
 SLOW_MPS = 1.0
 LIMITS_DIFFER_M = 0.1
+MEMORY = "memory for scripts"
+MEASURE = "see whether the applet loads; SCR_DEBUG_OPTS 2 shows what it takes (Lua: Time … Mem …)"
+OTHER_AUTOPILOT = "take an autopilot with an F7 of 512 KiB or an H7 (lua/echowing.md)"
 
 APPLY = "echowing setup apply"
+UPLOAD = f"echowing setup lua --vehicle …, or {APPLY}"
 SCRIPTING = "Scripting:"  # AP_Arming.cpp puts it before a script's error
 
 
@@ -290,10 +297,19 @@ def _applet(readout: Readout) -> Iterator[Finding]:
             error,
             "a script has failed, in the autopilot's own words; it refuses to arm",
             "if it names echowing.lua: echowing setup lua --vehicle …; if another script: "
-            "remove that from the card; if memory: raise SCR_HEAP_SIZE; then restart the autopilot",
+            f"remove that from the card; if memory: {APPLY} sets what the board can give; then "
+            "restart the autopilot",
         )
     elif enabled is None:
         yield Finding("applet", Verdict.WRONG, *_why_absent(readout))
+    elif is_outdated(readout.parameters):
+        yield Finding(
+            "applet",
+            Verdict.WRONG,
+            "its parameters are those of another version",
+            "tools and applet must have the same version",
+            f"update it: {UPLOAD}; then restart the autopilot",
+        )
     elif readout.applet_heard:
         yield Finding("applet", Verdict.FINE, "in control")
     elif readout.in_guided and enabled and not switched:
@@ -310,15 +326,14 @@ def _applet(readout: Readout) -> Iterator[Finding]:
 
 def _why_absent(readout: Readout) -> tuple[str, str, str]:
     """What was found, why, and what to do if there are no ECHO_ parameters."""
-    upload = "echowing setup lua --vehicle …, or echowing setup apply"
     if readout.parameters.get("SCR_ENABLE") == 0.0:
         why, fix = "scripts run only while SCR_ENABLE is 1", f"param set SCR_ENABLE 1; or {APPLY}"
         return "does not run: scripting is off", why, f"{fix}; then restart the autopilot"
     if readout.applet_on_card is CardApplet.NONE:
-        return "not on the card", "without the applet the sonar's distance has no effect", upload
+        return "not on the card", "without the applet the sonar's distance has no effect", UPLOAD
     if readout.applet_on_card is None:
         why = "the card cannot be read, and the autopilot reports no error"
-        return "no ECHO_ parameters", why, f"{upload}; then restart the autopilot"
+        return "no ECHO_ parameters", why, f"{UPLOAD}; then restart the autopilot"
     why = "the autopilot reports no error; it loads scripts when it starts"
     return "on the card, but it does not run", why, "restart the autopilot"
 
@@ -332,8 +347,62 @@ def _applet_file(readout: Readout) -> Iterator[Finding]:
             Verdict.WRONG,
             "another version than this package's",
             "tools and applet must have the same version",
-            "echowing setup lua --vehicle …, or echowing setup apply",
+            UPLOAD,
         )
+    elif readout.applet_on_card in (CardApplet.OTHER, CardApplet.SEVERAL):
+        several = readout.applet_on_card is CardApplet.SEVERAL
+        yield Finding(
+            "applet on the card",
+            Verdict.WRONG,
+            "two applets" if several else f"another one than {readout.applet.file}",
+            "a vehicle runs one applet: they use the same parameters",
+            f"{APPLY} --applet {readout.applet.name} --replace takes the other one off the card",
+        )
+
+
+def memory(readout: Readout) -> Finding:
+    """Whether the board has memory enough for the applet."""
+    board, need = readout.board, readout.applet.heap_bytes
+    runs = identify(readout.parameters) == readout.applet
+    needs = f"{readout.applet.file} needs {_kib(need)}"
+    value = readout.parameters.get(HEAP)
+    if board is None:
+        return _memory_of_unknown(readout, runs=runs, needs=needs)
+    if runs or board.heap_bytes >= need:
+        about = f"{board.name} ({board.processor}) gives {_kib(board.heap_bytes)}; {needs}"
+        return Finding(MEMORY, Verdict.FINE, about)
+    if value is not None and need <= value <= board.most_heap_bytes:
+        return Finding(MEMORY, Verdict.FINE, f"{HEAP} {value:g} is yours; {needs}")
+    gives = "no scripting" if board.heap_bytes == 0 else f"{_kib(board.heap_bytes)} for scripts"
+    return Finding(
+        MEMORY,
+        Verdict.WRONG,
+        f"{board.name} ({board.processor}) has {gives}",
+        f"{needs}: it does not load",
+        "--applet speed fits there" if board.heap_bytes >= SPEED.heap_bytes else OTHER_AUTOPILOT,
+    )
+
+
+def _memory_of_unknown(readout: Readout, *, runs: bool, needs: str) -> Finding:
+    which = "its board" if readout.board_id is None else f"board {readout.board_id}"
+    value = readout.parameters.get(HEAP)
+    if runs:
+        return Finding(MEMORY, Verdict.FINE, f"{which} is not known; {readout.applet.file} runs")
+    why = f"{needs}; {which} is not known, so how much it can give is not known either"
+    if value is None:
+        return Finding(MEMORY, Verdict.UNKNOWN, f"{HEAP} not reported", why, MEASURE)
+    if value < readout.applet.heap_bytes:
+        fix = f"try {HEAP} {readout.applet.heap_bytes} and restart; {MEASURE}"
+        return Finding(MEMORY, Verdict.WRONG, f"{HEAP} {value:g}", why, fix)
+    return Finding(MEMORY, Verdict.UNKNOWN, f"{HEAP} {value:g}", why, MEASURE)
+
+
+def _kib(count: int) -> str:
+    return f"{count / 1024:.0f} KiB"
+
+
+def _memory(readout: Readout) -> Iterator[Finding]:
+    yield memory(readout)
 
 
 def _switch(readout: Readout) -> Iterator[Finding]:
@@ -510,6 +579,25 @@ def _arming(readout: Readout) -> Iterator[Finding]:
             )
 
 
+def _leaders_speed(readout: Readout) -> Iterator[Finding]:
+    """As `_speed`; a mission that says no other speed is flown at this one."""
+    for one in _speed(readout):
+        metres = 1.0 if one.about == "WP_SPD" else 100.0
+        speed_mps = readout.parameters.get(one.about, 0.0) / metres
+        if one.verdict is not Verdict.FINE or speed_mps <= MOST_LEADER_MPS:
+            yield one
+            continue
+        yield Finding(
+            one.about,
+            Verdict.YOURS,
+            one.found,
+            f"missions fly at {speed_mps:g} m/s; followers keep their distance up to "
+            f"{MOST_LEADER_MPS:g} m/s",
+            f"param set {one.about} {MOST_LEADER_MPS * metres:g}, or less; or DO_CHANGE_SPEED in "
+            "the mission",
+        )
+
+
 def _leaders_applet(readout: Readout) -> Iterator[Finding]:
     """An enabled applet on a leader would take its speed in Guided."""
     if readout.parameters.get("ECHO_ENABLE", 0.0):
@@ -529,6 +617,7 @@ CHECKS: Mapping[Role, tuple[Check, ...]] = {
         _taken,
         _applet,
         _applet_file,
+        _memory,
         _arming,
         _switch,
         _speed,
@@ -539,5 +628,5 @@ CHECKS: Mapping[Role, tuple[Check, ...]] = {
         _applet_choices,
     ),
     # A leader flies with its own ground station; it needs none of the follower's equipment.
-    Role.LEADER: (_arming, _speed, _leaders_applet, _choices),
+    Role.LEADER: (_arming, _leaders_speed, _leaders_applet, _choices),
 }

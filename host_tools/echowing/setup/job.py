@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 
+from echowing.applets import HOLD, Applet, identify
 from echowing.errors import EchowingError
 from echowing.setup.applet import CARD_SCRIPTS, install_over_link, scripts_folder
 from echowing.setup.apply import (
@@ -22,8 +23,9 @@ from echowing.setup.apply import (
     save,
     write_all,
 )
+from echowing.setup.checks import Verdict, memory
 from echowing.setup.ftp import FtpClient, Progress
-from echowing.setup.reading import applet_on_card, objections, read_parameters
+from echowing.setup.reading import applet_on_card, objections, read_parameters, version_and_board
 from echowing.setup.readout import CardApplet, Readout
 from echowing.setup.restart import (
     restart_autopilot,
@@ -32,7 +34,7 @@ from echowing.setup.restart import (
     until_applet_runs,
 )
 from echowing.setup.vehicle import Vehicle
-from echowing.setup.view import changes_as_lines, differences
+from echowing.setup.view import changes_as_lines, differences, tuning_note
 
 WRITING = "parameters are written"
 # Scripting, then the parameters behind it, then those behind these; one to spare.
@@ -116,7 +118,11 @@ class Work:
 
 @dataclass(slots=True)
 class Apply:
-    """Makes a follower ready. ask: whether to continue; folder: of the scripts, None: find it."""
+    """Makes a follower ready.
+
+    ask: whether to continue; folder: of the scripts, None: find it; replace: whether the other
+    applet may leave the card.
+    """
 
     work: Work
     ask: Ask
@@ -125,6 +131,9 @@ class Apply:
     serial_port: int | None = None
     rangefinder: int = 1
     folder: str | None = None
+    applet: Applet = HOLD
+    replace: bool = False
+    board_id: int | None = None
     now: Callable[[], datetime] = datetime.now
     _refused: set[str] = field(default_factory=set)
     _announced: set[str] = field(default_factory=set)
@@ -132,7 +141,9 @@ class Apply:
     def run(self) -> int:
         """0: everything is set; 1: not everything, the reason was reported; 130: interrupted."""
         self.work.vehicle.refuse_armed(WRITING)
+        _, self.board_id = version_and_board(self.work.vehicle)
         plan = self._plan()
+        self._refuse(plan.readout)
         self._show(plan)
         if plan.empty:
             self.work.say("nothing to write")
@@ -152,31 +163,45 @@ class Apply:
                 return 1
         return self._end(plan)
 
+    def _refuse(self, readout: Readout) -> None:
+        """Raise EchowingError where the applet cannot run, or another one is in its place."""
+        room = memory(readout)
+        if room.verdict is Verdict.WRONG and readout.board is not None:
+            raise EchowingError(f"{room.found}; {room.why}. {room.fix}; nothing was changed")
+        crowded = readout.applet_on_card in (CardApplet.OTHER, CardApplet.SEVERAL)
+        if crowded and not self.replace:
+            raise EchowingError(
+                f"another applet than {self.applet.file} is on the card, and a vehicle runs one: "
+                "give --replace to take it off; nothing was changed"
+            )
+
     def _plan(self) -> Plan:
         vehicle = self.work.vehicle
         parameters = read_parameters(vehicle, self.serial_port, self.rangefinder)
-        card = applet_on_card(vehicle, self.folder)
+        card = applet_on_card(vehicle, self.applet, self.folder)
         readout = Readout(
             parameters,
             serial_port=self.serial_port,
             rangefinder=self.rangefinder,
             applet_on_card=card,
+            applet=self.applet,
+            board_id=self.board_id,
         )
         changes = [one for one in changes_for(readout) if one.name not in self._refused]
-        upload = card in (CardApplet.NONE, CardApplet.ANOTHER)
-        idle = "ECHO_ENABLE" not in readout and parameters.get("SCR_ENABLE") == 1.0
+        upload = card not in (CardApplet.OURS, None)
+        idle = identify(parameters) != self.applet and parameters.get("SCR_ENABLE") == 1.0
         return Plan(readout, changes, upload, idle and card is CardApplet.OURS)
 
     def _show(self, plan: Plan) -> None:
         hidden = hidden_for(plan.readout)
         self._announced |= set(hidden) | {change.name for change in plan.changes}
-        for line in differences(plan.readout, plan.changes, hidden):
+        for line in (*differences(plan.readout, plan.changes, hidden), *tuning_note(plan.changes)):
             self.work.say(line)
 
     def _agreed_again(self, plan: Plan) -> bool:
         """Announced changes are written without another question."""
         news = [change for change in plan.changes if change.name not in self._announced]
-        for line in changes_as_lines(plan.changes):
+        for line in (*changes_as_lines(plan.changes), *tuning_note(news)):
             self.work.say(line)
         return not news or self.ask(f"Write these too to {self.work.vehicle.name}? [y/N] ")
 
@@ -208,13 +233,15 @@ class Apply:
             folder = self.folder or scripts_folder(card)
             if folder is None and may_wait:
                 return False
-            install_over_link(card, self.bar, folder or CARD_SCRIPTS)
+            install_over_link(
+                card, self.bar, folder or CARD_SCRIPTS, self.applet, replace=self.replace
+            )
         except EchowingError as error:
             raise EchowingError(
                 f"{error}\nthe applet is not on the card: echowing setup lua --mount DIR writes it "
                 f"with the card in this computer, then apply once more; {self._way_back}"
             ) from error
-        self.work.say(f"{folder}/echowing.lua: written, read back")
+        self.work.say(f"{folder}/{self.applet.file}: written, read back")
         return True
 
     def _take_effect(self, plan: Plan) -> int | None:
@@ -240,7 +267,9 @@ class Apply:
     def _applet_comes(self) -> bool:
         """Whether the applet should run now."""
         scripting = self.work.vehicle.read(["SCR_ENABLE"]).get("SCR_ENABLE") == 1.0
-        return scripting and applet_on_card(self.work.vehicle, self.folder) is CardApplet.OURS
+        return scripting and (
+            applet_on_card(self.work.vehicle, self.applet, self.folder) is CardApplet.OURS
+        )
 
     def _applet_runs(self) -> bool:
         vehicle = self.work.vehicle

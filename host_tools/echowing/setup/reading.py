@@ -7,10 +7,12 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.applets import HOLD, IDENTIFYING, Applet, applets_among, identify
 from echowing.errors import EchowingError
 from echowing.flight.state import GUIDED_MODE
+from echowing.flight.vehicle_limits import ACCELERATION, JERK
 from echowing.mavlink.messages import FORWARD, command_long
-from echowing.setup.applet import APPLET, CARD_FOLDERS, applet_parameters, applet_path
+from echowing.setup.applet import CARD_FOLDERS, applet_parameters, applet_path, files_in
 from echowing.setup.checks import RC_CHANNELS, SERIAL_PORTS, ports_at_115200, signing_option
 from echowing.setup.ftp import FtpClient, FtpRefusedError, NoAnswerError
 from echowing.setup.ftp_format import ardupilot_crc32
@@ -31,8 +33,8 @@ PREARM = "PreArm: "
 _NAMES: tuple[Name, ...] = (
     ("WP_SPD", "WPNAV_SPEED"),
     ("RTL_SPEED_MS", "RTL_SPEED"),
-    ("WP_ACC", "WPNAV_ACCEL"),
-    ("PSC_JERK_NE", "PSC_JERK_XY"),
+    tuple(ACCELERATION.names),
+    tuple(JERK.names),
     ("MAV_GCS_SYSID", "SYSID_MYGCS"),
     "SCR_ENABLE",
     "SCR_DIR_DISABLE",
@@ -84,7 +86,10 @@ def read_parameters(
         found |= vehicle.read([f"SERIAL{port}_PROTOCOL" for port in range(serial_port)])
         found |= vehicle.read([signing_option(found, serial_port)])
     if "ECHO_ENABLE" in found:
-        found |= vehicle.read([row.name for row in applet_parameters()])
+        found |= vehicle.read(IDENTIFYING)
+        running = identify(found)
+        rows = [] if running is None else applet_parameters(running)
+        found |= vehicle.read([row.name for row in rows if row.name not in found])
     if found.get("ECHO_SWITCH", 0.0) > 0.0:
         found |= vehicle.read([f"RC{channel}_OPTION" for channel in RC_CHANNELS])
     return found
@@ -95,8 +100,12 @@ def read_out(
     serial_port: int | None = None,
     rangefinder: int = 1,
     listen_s: float = LISTEN_S,
+    applet: Applet | None = None,
 ) -> Readout:
-    """Everything the checks need. Raises EchowingError if the vehicle is lost meanwhile."""
+    """Everything the checks need. Raises EchowingError if the vehicle is lost meanwhile.
+
+    applet: the one that it shall run; None: the one that it runs or has on its card.
+    """
     _listen(vehicle, SETTLE_S)
     start_s = vehicle.now_s()
     heard = _listen(vehicle, listen_s)
@@ -107,17 +116,21 @@ def read_out(
         readout = replace(readout, coprocessor_parameters=told)
     if serial_port is None and readout.coprocessor is not None:
         serial_port = only_port(parameters)
+    applet = applet or identify(parameters) or _only_applet(vehicle) or HOLD
+    version, board_id = version_and_board(vehicle)
     return replace(
         readout,
+        applet=applet,
+        board_id=board_id,
         parameters=parameters,
         serial_port=serial_port,
         rangefinder=rangefinder,
         armed=vehicle.armed,
         in_guided=vehicle.armed and vehicle.mode == GUIDED_MODE,
-        applet_on_card=None if vehicle.armed else applet_on_card(vehicle),
+        applet_on_card=None if vehicle.armed else applet_on_card(vehicle, applet),
         objections=() if vehicle.armed else objections(vehicle),
         signs=vehicle.signs,
-        version=_version(vehicle),
+        version=version,
         takes_range=_takes_range(vehicle) if readout.reports or vehicle.signs else None,
     )
 
@@ -187,26 +200,52 @@ def _reports(heard: Sequence[Heard], start_s: float, end_s: float) -> Reports | 
     return Reports(len(heard), end_s - start_s, longest_s, newest.orientation, newest.id)
 
 
-def applet_on_card(vehicle: Vehicle, folder: str | None = None) -> CardApplet | None:
+def applet_on_card(
+    vehicle: Vehicle, applet: Applet = HOLD, folder: str | None = None
+) -> CardApplet | None:
     """Compare the applet on the card with ours by its checksum; None: no answer.
 
     folder: of the scripts; None: the folders that ArduPilot uses.
     """
     card = FtpClient(vehicle, give_up_s=FILE_TIMEOUT_S)
-    ours = ardupilot_crc32(applet_path().read_bytes())
+    try:
+        place, there = _applets_on_card(card, folder)
+        if applet not in there:
+            return CardApplet.OTHER if there else CardApplet.NONE
+        if len(there) > 1:
+            return CardApplet.SEVERAL
+        found = card.checksum(f"{place}/{applet.file}")
+    except (NoAnswerError, FtpRefusedError):
+        return None
+    if found is None:
+        return None
+    ours = ardupilot_crc32(applet_path(applet).read_bytes())
+    return CardApplet.OURS if found == ours else CardApplet.ANOTHER
+
+
+def _applets_on_card(card: FtpClient, folder: str | None) -> tuple[str, list[Applet]]:
+    """The folder of scripts that has applets, and which. Raises FtpRefusedError."""
     for place in CARD_FOLDERS if folder is None else (folder,):
         try:
-            found = card.checksum(f"{place}/{APPLET}")
-        except NoAnswerError:
-            return None
+            there = applets_among(files_in(card, place))
         except FtpRefusedError as refusal:
-            if refusal.not_there:
-                continue
-            return None
-        if found is None:
-            return None
-        return CardApplet.OURS if found == ours else CardApplet.ANOTHER
-    return CardApplet.NONE
+            if not refusal.not_there:
+                raise
+            continue
+        if there:
+            return place, there
+    return "", []
+
+
+def _only_applet(vehicle: Vehicle) -> Applet | None:
+    """The applet on the card where there is one alone."""
+    if vehicle.armed:
+        return None
+    try:
+        _, there = _applets_on_card(FtpClient(vehicle, give_up_s=FILE_TIMEOUT_S), None)
+    except (NoAnswerError, FtpRefusedError):
+        return None
+    return there[0] if len(there) == 1 else None
 
 
 def objections(vehicle: Vehicle) -> tuple[str, ...]:
@@ -220,12 +259,14 @@ def objections(vehicle: Vehicle) -> tuple[str, ...]:
     return tuple(dict.fromkeys(told))
 
 
-def _version(vehicle: Vehicle) -> tuple[int, int] | None:
+def version_and_board(vehicle: Vehicle) -> tuple[tuple[int, int] | None, int | None]:
+    """What AUTOPILOT_VERSION tells; the board's id as GCS_Common.cpp puts it there."""
     wanted = mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION
     message = _requested(vehicle, wanted, lambda m: True)
     if message is None:
-        return None
-    return message.flight_sw_version >> 24 & 0xFF, message.flight_sw_version >> 16 & 0xFF
+        return None, None
+    version = message.flight_sw_version >> 24 & 0xFF, message.flight_sw_version >> 16 & 0xFF
+    return version, message.board_version >> 16
 
 
 def _takes_range(vehicle: Vehicle) -> bool:

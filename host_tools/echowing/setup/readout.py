@@ -4,6 +4,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 
+from echowing.applets import HOLD, Applet
+from echowing.setup.boards import Board, board_of
+
 
 class Role(Enum):
     """The vehicle's role; it decides what the vehicle needs."""
@@ -16,8 +19,10 @@ class CardApplet(Enum):
     """Which applet is on the autopilot's card."""
 
     OURS = "ours"
-    ANOTHER = "another"
+    ANOTHER = "another"  # version
     NONE = "none"
+    OTHER = "other"  # only one that shall not run
+    SEVERAL = "several"  # one applet would stop the other
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +55,7 @@ class Readout:
     not asked. in_guided: armed and in Guided, so that an enabled applet is in control and reports.
     applet_on_card: None if the autopilot does not answer file requests. objections: why the
     autopilot would not arm, in its own words. signs: whether it signs its messages, and so accepts
-    only signed ones.
+    only signed ones. applet: the one that it shall run. board_id: as AUTOPILOT_VERSION tells it.
     """
 
     parameters: Mapping[str, float]
@@ -68,10 +73,17 @@ class Readout:
     applet_on_card: CardApplet | None = None
     objections: Sequence[str] = ()
     signs: bool = False
+    applet: Applet = HOLD
+    board_id: int | None = None
 
     def first(self, *names: str) -> tuple[str, float] | None:
         """The first of these parameters that the vehicle has, with its value."""
         return next(((name, self.parameters[name]) for name in names if name in self), None)
+
+    @property
+    def board(self) -> Board | None:
+        """The autopilot's board; None: not known."""
+        return board_of(self.board_id)
 
     def __contains__(self, name: str) -> bool:
         """Whether the vehicle has this parameter."""

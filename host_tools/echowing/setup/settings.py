@@ -4,9 +4,11 @@
 pilot's (see `checks`).
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
+from echowing.applets import FORMAT, identify
+from echowing.flight.vehicle_limits import ACCELERATION, JERK, VehicleLimit
 from echowing.setup.applet import applet_parameters
 from echowing.setup.readout import Readout
 
@@ -27,8 +29,7 @@ RANGE_MIN_M, RANGE_MAX_M = 0.2, 7.65
 PROXIMITY_MAVLINK, PROXIMITY_RANGEFINDER = 2.0, 4.0
 PROXIMITY_SENSORS = range(1, 6)
 SCRIPTS_NOT_LOADED = 2  # SCR_DIR_DISABLE bit 1: not from the card
-# lua/how-it-works.md, Figures: 80 KiB on a 64-bit computer, and a quarter more for others.
-HEAP_LEAST_BYTES, HEAP_BYTES = 102_400.0, 204_800.0
+HEAP = "SCR_HEAP_SIZE"
 INSTRUCTIONS = 10_000.0  # SCR_VM_I_COUNT's default; an update takes a tenth of it
 RTL_SPEED_MPS = 5.0  # WP_SPD's half: what the applet's doc suggests
 # What the separation guard needs to fly back before a leader that reverses at 2 m/s arrives: with
@@ -65,7 +66,7 @@ def same(value: float, wanted: float) -> bool:
 def settings_for(readout: Readout) -> list[Setting]:
     """The settings of this vehicle: in its generation's names and units, for its wiring."""
     settings = [
-        *_scripting(),
+        *_scripting(readout),
         *_guided(),
         *_limits(readout),
         *_proximity(),
@@ -163,23 +164,32 @@ def _proximity() -> Iterator[Setting]:
         )
 
 
-def _scripting() -> Iterator[Setting]:
+def _scripting(readout: Readout) -> Iterator[Setting]:
     yield _exactly("SCR_ENABLE", 1.0, "the applet is a script", restart=True)
     yield _bit_off(
         "SCR_DIR_DISABLE", SCRIPTS_NOT_LOADED, "scripts on the card are not loaded", restart=True
     )
-    yield Setting(
-        "SCR_HEAP_SIZE",
-        lambda v: v >= HEAP_LEAST_BYTES,
-        lambda v: HEAP_BYTES,
-        f"the applet needs up to {HEAP_LEAST_BYTES / 1024:.0f} KiB",
-        restart=True,
-    )
+    yield from _heap(readout)
     yield Setting(
         "SCR_VM_I_COUNT",
         lambda v: v >= INSTRUCTIONS,
         lambda v: INSTRUCTIONS,
         "with fewer instructions the autopilot may stop the applet in the middle of an update",
+    )
+
+
+def _heap(readout: Readout) -> Iterator[Setting]:
+    """Where the board is known and can carry the applet; `checks` says so of the others."""
+    board, applet = readout.board, readout.applet
+    if board is None or board.heap_bytes < applet.heap_bytes:
+        return
+    most = board.most_heap_bytes
+    yield Setting(
+        HEAP,
+        lambda v: applet.heap_bytes <= v <= most,
+        lambda v: float(board.heap_bytes),
+        f"{applet.file} needs {applet.heap_bytes}, and {board.name} has no more than {most}",
+        restart=True,
     )
 
 
@@ -214,24 +224,22 @@ def _limits(readout: Readout) -> Iterator[Setting]:
     """
     yield _at_least(
         readout,
-        {"WP_ACC": 1.0, "WPNAV_ACCEL": 100.0},
+        ACCELERATION,
         ACCELERATION_MPS2,
         "the follower must brake and fly back this quickly when its leader reverses",
     )
     yield _at_least(
         readout,
-        {"PSC_JERK_NE": 1.0, "PSC_JERK_XY": 1.0},
+        JERK,
         JERK_MPS3,
         "the acceleration must build up this quickly when the leader reverses",
     )
 
 
-def _at_least(
-    readout: Readout, units_per_si: Mapping[str, float], least: float, why: str
-) -> Setting:
+def _at_least(readout: Readout, limit: VehicleLimit, least: float, why: str) -> Setting:
     """A lower bound in SI units, under the first of the names that the vehicle has."""
-    name = next((one for one in units_per_si if one in readout), next(iter(units_per_si)))
-    wanted = least * units_per_si[name]
+    name = next((one for one in limit.names if one in readout), next(iter(limit.names)))
+    wanted = least / limit.names[name]
     return Setting(name, lambda v: v >= wanted - TOLERANCE, lambda v: wanted, why)
 
 
@@ -239,8 +247,10 @@ def _applet(readout: Readout) -> Iterator[Setting]:
     if "ECHO_ENABLE" not in readout:
         return
     yield _exactly("ECHO_ENABLE", 1.0, "the applet does nothing while it is 0")
-    for row in applet_parameters():
-        if row.name in ("ECHO_ENABLE", "ECHO_MIRROR", "ECHO_FORMAT"):
+    if identify(readout.parameters) != readout.applet:
+        return  # the one that shall run has other parameters
+    for row in applet_parameters(readout.applet):
+        if row.name in ("ECHO_ENABLE", "ECHO_MIRROR", FORMAT):
             continue
         yield Setting(
             row.name,

@@ -2,11 +2,12 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 
+from echowing.flight.vehicle_limits import ACCELERATION, BY_NAME, JERK
 from echowing.setup.applet import PARAMETER_PREFIX
 from echowing.setup.apply import Change
-from echowing.setup.checks import Finding, Verdict, examine, exit_code, judge
+from echowing.setup.checks import Finding, Verdict, examine, exit_code, judge, memory
 from echowing.setup.readout import CardApplet, Readout, Role
-from echowing.setup.settings import settings_for
+from echowing.setup.settings import HEAP, settings_for
 
 _RESULTS = {0: "fine", 1: "wrong", 2: "unknown"}
 _MARKS = {
@@ -81,10 +82,25 @@ def changes_as_lines(changes: Sequence[Change]) -> Iterator[str]:
         yield _row(change.name, f"{change.old:g} -> {change.new:g}{later}: {change.why}")
 
 
+def tuning_note(changes: Sequence[Change]) -> list[str]:
+    """What higher limits do besides following; nothing where none is raised."""
+    raised = [one.name for one in changes if BY_NAME.get(one.name) in (ACCELERATION, JERK)]
+    if not raised:
+        return []
+    return [
+        f"{' and '.join(raised)}: in Auto and RTL, too, the vehicle will",
+        "  speed up, brake and turn harder, and lean up to 27 degrees for it. Only for",
+        "  a vehicle that is tuned (AutoTune) and strong enough. Watch its first Auto",
+        "  and RTL with them.",
+    ]
+
+
 _ON_CARD = {
     CardApplet.NONE: "not on the card -> this package's",
     CardApplet.ANOTHER: "another version on the card -> this package's",
     CardApplet.OURS: "on the card",
+    CardApplet.OTHER: "the other one leaves the card",
+    CardApplet.SEVERAL: "the other one leaves the card",
     None: "the card cannot be read (no answer to file requests); left alone",
 }
 
@@ -107,6 +123,9 @@ def differences(
     for found in examine(readout):
         if found.verdict is Verdict.YOURS:
             yield _row(found.about, f"{found.found} stays; it is yours to decide: {found.why}")
+    room = memory(readout)
+    if room.verdict is not Verdict.FINE:
+        yield _row(HEAP, f"{room.found}, left alone: {room.why}; {room.fix}")
     yield _row("applet", _ON_CARD[readout.applet_on_card])
     if readout.serial_port is None:
         yield _row("SERIALn_…", "left alone: give --serial N, the port of the co-processor")

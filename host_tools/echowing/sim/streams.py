@@ -48,6 +48,7 @@ _SENSORS = (
 _POSITION_ONLY = 0xFDF8  # every field but x, y, z is to be ignored; the top bits as ArduPilot sets
 _POSITION_VELOCITY = 0xFDC0
 _VELOCITY_ONLY = 0xFDC7
+BOARD_ID = 140  # a Cube Orange
 _CAPABILITIES = (
     mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
     | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_INT
@@ -330,7 +331,8 @@ class Reports:
         return mavlink.MAVLink_autopilot_version_message(
             _CAPABILITIES,
             major << 24 | minor << 16 | mavlink.FIRMWARE_VERSION_TYPE_OFFICIAL,
-            *(0,) * 3,
+            *(0,) * 2,
+            BOARD_ID << 16,
             [0] * 8,
             [0] * 8,
             [0] * 8,
