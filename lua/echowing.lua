@@ -28,8 +28,10 @@ local function say(severity, text) -- MAV_SEVERITY: 2 critical, 3 error, 4 warni
     gcs:send_text(severity, 'ECHO: ' .. text)
 end
 
+local min, max = math.min, math.max
+
 local function clamp(value, low, high)
-    return math.max(low, math.min(high, value))
+    return max(low, min(high, value))
 end
 
 local function is_within(value, most) -- neither NaN nor beyond, to either side
@@ -38,21 +40,11 @@ end
 
 -- What the firmware offers -------------------------------------------------------------------------------------------
 
--- The first thing missing of what the applet needs of the autopilot.
-for owner, call in string.gmatch('vehicle set_target_posvelaccel_NED, mavlink receive_chan, param add_table, rangefinder '
-    .. 'status_orient, ahrs get_relative_position_NED_origin, arming is_armed, rc find_channel_for_option, logger write',
-    '(%w+) ([%w_]+)') do
-    if not (_ENV[owner] and _ENV[owner][call]) then
-        say(3, 'stopped, this firmware lacks ' .. owner .. ':' .. call)
-        return
-    end
-end
-
 -- The speed parameter and how many of its units make 1 m/s: WP_SPD from later 4.7 on, WPNAV_SPEED before.
 local SPEED_NAME = param:get('WP_SPD') and 'WP_SPD' or 'WPNAV_SPEED'
 local SPEED_UNITS = SPEED_NAME == 'WP_SPD' and 1.0 or 100.0
-if not param:get(SPEED_NAME) then
-    say(3, 'stopped, no parameter WP_SPD or WPNAV_SPEED')
+if not (vehicle.set_target_posvelaccel_NED and mavlink and mavlink.receive_chan and param:get(SPEED_NAME)) then
+    say(3, 'stopped, this firmware is not Copter 4.5 or newer')
     return
 end
 
@@ -61,187 +53,147 @@ local yaw_rad = ahrs.get_yaw_rad or ahrs.get_yaw
 
 -- Parameters ---------------------------------------------------------------------------------------------------------
 
--- Name, default, lowest and highest accepted value of each parameter. Its place is its number, by which the autopilot
--- finds what a pilot has saved: the places of parameters that are gone stay empty.
-local PARAMETERS = {
-    --[[
-      // @Param: ECHO_ENABLE
-      // @DisplayName: Echowing enable
-      // @Description: Lets the applet set the speed in Guided
-      // @Values: 0:Disabled,1:Enabled
-      // @User: Standard
-    --]]
-    { 'ENABLE', 0, 0, 1 },
-    false,
-    --[[
-      // @Param: ECHO_DIST
-      // @DisplayName: Echowing wanted distance
-      // @Description: Distance to the leader, centre to centre
-      // @Range: 1.5 6
-      // @Units: m
-      // @User: Standard
-    --]]
-    { 'DIST', 3.0, 1.5, 6.0 },
-    --[[
-      // @Param: ECHO_DETECT
-      // @DisplayName: Echowing detection limit
-      // @Description: The applet takes a range of this or more for no target
-      // @Range: 2 7.6
-      // @Units: m
-      // @User: Standard
-    --]]
-    { 'DETECT', 4.5, 2.0, 7.6 },
-    false, false, false, false, false, false, false,
-    --[[
-      // @Param: ECHO_TAU
-      // @DisplayName: Echowing filter of single readings
-      // @Description: Time constant of the filter that computes range and leader speed from the sonar's single readings. The hold and the closing distance use it
-      // @Range: 0.1 1
-      // @Units: s
-      // @User: Advanced
-    --]]
-    { 'TAU', 0.12, 0.05, 1.0 },
-    --[[
-      // @Param: ECHO_SPD_MIN
-      // @DisplayName: Echowing lowest speed
-      // @Description: Lowest speed limit. 0 would mean no limit. Below 0.2 the autopilot saves a value of its own
-      // @Range: 0.2 2
-      // @Units: m/s
-      // @User: Standard
-    --]]
-    { 'SPD_MIN', 0.2, 0.2, 2.0 },
-    --[[
-      // @Param: ECHO_SPD_MAX
-      // @DisplayName: Echowing highest speed
-      // @Description: Highest speed limit
-      // @Range: 1 15
-      // @Units: m/s
-      // @User: Standard
-    --]]
-    { 'SPD_MAX', 5.0, 1.0, 15.0 },
-    false,
-    --[[
-      // @Param: ECHO_SPD_LOST
-      // @DisplayName: Echowing speed without sonar
-      // @Description: Limit of the correction while the distance is not held: the sonar sends no data or detects no target
-      // @Range: 0.2 15
-      // @Units: m/s
-      // @User: Standard
-    --]]
-    { 'SPD_LOST', 3.0, 0.2, 15.0 },
-    --[[
-      // @Param: ECHO_LOST_T
-      // @DisplayName: Echowing target lost time
-      // @Description: The target is lost after this time without a detection
-      // @Range: 0.3 10
-      // @Units: s
-      // @User: Standard
-    --]]
-    { 'LOST_T', 1.3, 0.3, 10.0 },
-    --[[
-      // @Param: ECHO_NODATA_T
-      // @DisplayName: Echowing sonar timeout
-      // @Description: The sonar has failed after this time without data from the rangefinder
-      // @Range: 0.3 10
-      // @Units: s
-      // @User: Standard
-    --]]
-    { 'NODATA_T', 1.0, 0.3, 10.0 },
-    --[[
-      // @Param: ECHO_CLOSE
-      // @DisplayName: Echowing close distance
-      // @Description: Too close: the range minus the distance that still closes before the vehicle stops is under this. Any range under 1 m is too close
-      // @Range: 0.5 4
-      // @Units: m
-      // @User: Standard
-    --]]
-    { 'CLOSE', 1.5, 0.5, 4.0 },
-    --[[
-      // @Param: ECHO_DELAY
-      // @DisplayName: Echowing reaction delay
-      // @Description: Time from a reading until the vehicle reacts: sonar, wire and attitude. Used for the closing distance
-      // @Range: 0.1 2
-      // @Units: s
-      // @User: Advanced
-    --]]
-    { 'DELAY', 0.6, 0.1, 2.0 },
-    --[[
-      // @Param: ECHO_DECEL
-      // @DisplayName: Echowing braking
-      // @Description: Deceleration that the vehicle reaches. Used for the closing distance
-      // @Range: 0.5 10
-      // @Units: m/s/s
-      // @User: Advanced
-    --]]
-    { 'DECEL', 2.5, 0.5, 10.0 },
-    false,
-    --[[
-      // @Param: ECHO_STREAM_T
-      // @DisplayName: Echowing stream watchdog
-      // @Description: The applet holds the vehicle where it is when a stream of guided points stops for this long. 0: no watchdog
-      // @Range: 0 10
-      // @Units: s
-      // @User: Standard
-    --]]
-    { 'STREAM_T', 1.0, 0.0, 10.0 },
-    --[[
-      // @Param: ECHO_SWITCH
-      // @DisplayName: Echowing switch
-      // @Description: RC option (RCx_OPTION) of the switch that must be high. 0: no switch
-      // @Values: 0:None,300:Scripting1,301:Scripting2,302:Scripting3,303:Scripting4,304:Scripting5,305:Scripting6,306:Scripting7,307:Scripting8
-      // @User: Standard
-    --]]
-    { 'SWITCH', 0, 0, 307 },
-    --[[
-      // @Param: ECHO_LOG_HZ
-      // @DisplayName: Echowing log rate
-      // @Description: Rate of the ECHO messages in the dataflash log. 0: none
-      // @Range: 0 20
-      // @Units: Hz
-      // @User: Advanced
-    --]]
-    { 'LOG_HZ', 10, 0, 20 },
-    --[[
-      // @Param: ECHO_ARM_CHK
-      // @DisplayName: Echowing arming check
-      // @Description: Refuses arming while the applet is enabled and the forward rangefinder is missing or is not a MAVLink rangefinder, or another script sets the speed
-      // @Values: 0:Disabled,1:Enabled
-      // @User: Standard
-    --]]
-    { 'ARM_CHK', 1, 0, 1 },
-    --[[
-      // @Param: ECHO_INSET
-      // @DisplayName: Echowing sonar inset
-      // @Description: Distance between the two vehicles' centres minus what the sonar reads. The sonar's face is ahead of the follower's centre, and the leader's legs, which reflect, are around its centre
-      // @Range: 0 1
-      // @Units: m
-      // @User: Standard
-    --]]
-    { 'INSET', 0.2, 0.0, 1.0 },
-    --[[
-      // @Param: ECHO_MIRROR
-      // @DisplayName: Echowing mirror of the pilot's speed
-      // @Description: The pilot's value of the speed parameter, in its own unit, while the applet is in control; 0 otherwise. The applet writes it, so that a restarted script can restore the speed parameter
-      // @Range: 0 5000
-      // @ReadOnly: True
-      // @User: Advanced
-    --]]
-    { 'MIRROR', 0, 0, 5000 },
-    --[[
-      // @Param: ECHO_FORMAT
-      // @DisplayName: Echowing point format
-      // @Description: Format of the guided points that the applet understands. For another one update the applet or the ground tool
-      // @Range: 2 2
-      // @ReadOnly: True
-      // @User: Advanced
-    --]]
-    { 'FORMAT', 2, 2, 2 },
-}
+--[[
+  // @Param: ECHO_ENABLE
+  // @DisplayName: Echowing enable
+  // @Description: Lets the applet set the speed in Guided
+  // @Values: 0:Disabled,1:Enabled
+  // @User: Standard
+  // @Param: ECHO_DIST
+  // @DisplayName: Echowing wanted distance
+  // @Description: Distance to the leader, centre to centre
+  // @Range: 1.5 6
+  // @Units: m
+  // @User: Standard
+  // @Param: ECHO_DETECT
+  // @DisplayName: Echowing detection limit
+  // @Description: The applet takes a range of this or more for no target
+  // @Range: 2 7.6
+  // @Units: m
+  // @User: Standard
+  // @Param: ECHO_TAU
+  // @DisplayName: Echowing filter of single readings
+  // @Description: Time constant of the filter that computes range and leader speed from the sonar's single readings. The hold and the closing distance use it
+  // @Range: 0.1 1
+  // @Units: s
+  // @User: Advanced
+  // @Param: ECHO_SPD_MIN
+  // @DisplayName: Echowing lowest speed
+  // @Description: Lowest speed limit. 0 would mean no limit. Below 0.2 the autopilot saves a value of its own
+  // @Range: 0.2 2
+  // @Units: m/s
+  // @User: Standard
+  // @Param: ECHO_SPD_MAX
+  // @DisplayName: Echowing highest speed
+  // @Description: Highest speed limit
+  // @Range: 1 15
+  // @Units: m/s
+  // @User: Standard
+  // @Param: ECHO_SPD_LOST
+  // @DisplayName: Echowing speed without sonar
+  // @Description: Limit of the correction while the distance is not held: the sonar sends no data or detects no target
+  // @Range: 0.2 15
+  // @Units: m/s
+  // @User: Standard
+  // @Param: ECHO_LOST_T
+  // @DisplayName: Echowing target lost time
+  // @Description: The target is lost after this time without a detection
+  // @Range: 0.3 10
+  // @Units: s
+  // @User: Standard
+  // @Param: ECHO_NODATA_T
+  // @DisplayName: Echowing sonar timeout
+  // @Description: The sonar has failed after this time without data from the rangefinder
+  // @Range: 0.3 10
+  // @Units: s
+  // @User: Standard
+  // @Param: ECHO_CLOSE
+  // @DisplayName: Echowing close distance
+  // @Description: Too close: the range minus the distance that still closes before the vehicle stops is under this. Any range under 1 m is too close
+  // @Range: 0.5 4
+  // @Units: m
+  // @User: Standard
+  // @Param: ECHO_DELAY
+  // @DisplayName: Echowing reaction delay
+  // @Description: Time from a reading until the vehicle reacts: sonar, wire and attitude. Used for the closing distance
+  // @Range: 0.1 2
+  // @Units: s
+  // @User: Advanced
+  // @Param: ECHO_DECEL
+  // @DisplayName: Echowing braking
+  // @Description: Deceleration that the vehicle reaches. Used for the closing distance
+  // @Range: 0.5 10
+  // @Units: m/s/s
+  // @User: Advanced
+  // @Param: ECHO_STREAM_T
+  // @DisplayName: Echowing stream watchdog
+  // @Description: The applet holds the vehicle where it is when a stream of guided points stops for this long. 0: no watchdog
+  // @Range: 0 10
+  // @Units: s
+  // @User: Standard
+  // @Param: ECHO_SWITCH
+  // @DisplayName: Echowing switch
+  // @Description: RC option (RCx_OPTION) of the switch that must be high. 0: no switch
+  // @Values: 0:None,300:Scripting1,301:Scripting2,302:Scripting3,303:Scripting4,304:Scripting5,305:Scripting6,306:Scripting7,307:Scripting8
+  // @User: Standard
+  // @Param: ECHO_LOG_HZ
+  // @DisplayName: Echowing log rate
+  // @Description: Rate of the ECHO messages in the dataflash log. 0: none
+  // @Range: 0 20
+  // @Units: Hz
+  // @User: Advanced
+  // @Param: ECHO_ARM_CHK
+  // @DisplayName: Echowing arming check
+  // @Description: Refuses arming while the applet is enabled and the forward rangefinder is missing or is not a MAVLink rangefinder, or another script sets the speed
+  // @Values: 0:Disabled,1:Enabled
+  // @User: Standard
+  // @Param: ECHO_INSET
+  // @DisplayName: Echowing sonar inset
+  // @Description: Distance between the two vehicles' centres minus what the sonar reads. The sonar's face is ahead of the follower's centre, and the leader's legs, which reflect, are around its centre
+  // @Range: 0 1
+  // @Units: m
+  // @User: Standard
+  // @Param: ECHO_MIRROR
+  // @DisplayName: Echowing mirror of the pilot's speed
+  // @Description: The pilot's value of the speed parameter, in its own unit, while the applet is in control; 0 otherwise. The applet writes it, so that a restarted script can restore the speed parameter
+  // @Range: 0 5000
+  // @ReadOnly: True
+  // @User: Advanced
+  // @Param: ECHO_FORMAT
+  // @DisplayName: Echowing point format
+  // @Description: Format of the guided points that the applet understands. For another one update the applet or the ground tool
+  // @Range: 2 2
+  // @ReadOnly: True
+  // @User: Advanced
+--]]
+
+-- Name, default, lowest and highest accepted value, and the number by which the autopilot finds what a pilot has saved:
+-- the numbers of parameters that are gone stay free. A text takes less of the vehicle's memory than a table.
+local PARAMETERS = [[
+    'ENABLE', 0, 0, 1, 1,
+    'DIST', 3.0, 1.5, 6.0, 3,
+    'DETECT', 4.5, 2.0, 7.6, 4,
+    'TAU', 0.12, 0.05, 1.0, 12,
+    'SPD_MIN', 0.2, 0.2, 2.0, 13,
+    'SPD_MAX', 5.0, 1.0, 15.0, 14,
+    'SPD_LOST', 3.0, 0.2, 15.0, 16,
+    'LOST_T', 1.3, 0.3, 10.0, 17,
+    'NODATA_T', 1.0, 0.3, 10.0, 18,
+    'CLOSE', 1.5, 0.5, 4.0, 19,
+    'DELAY', 0.6, 0.1, 2.0, 20,
+    'DECEL', 2.5, 0.5, 10.0, 21,
+    'STREAM_T', 1.0, 0.0, 10.0, 23,
+    'SWITCH', 0, 0, 307, 24,
+    'LOG_HZ', 10, 0, 20, 25,
+    'ARM_CHK', 1, 0, 1, 26,
+    'INSET', 0.2, 0.0, 1.0, 27,
+    'MIRROR', 0, 0, 5000, 28,
+    'FORMAT', 2, 2, 2, 29,
+]]
 
 local C = {} -- values in force: C.DIST, ...
 local read_some, mirror -- the mirror is written by part "speed"
 do
-    -- Columns of the table above. They take less heap than its rows, which are dropped after the start.
     local names, lowest, highest, objects = {}, {}, {}, {}
     local complained = {}
     local next_number = 1
@@ -263,25 +215,23 @@ do
         for _ = 1, 3 do
             read(next_number)
             next_number = next_number % (#names - 2) + 1 -- all but the last two, which the applet writes
-            if next_number == 1 then C.SPD_MAX = math.max(C.SPD_MAX, C.SPD_MIN) end
+            if next_number == 1 then C.SPD_MAX = max(C.SPD_MAX, C.SPD_MIN) end
         end
     end
 
     -- When a script restarts, values that were not saved return to their defaults as the table is added again.
     -- 95 is the table key that no script in ArduPilot's tree uses.
     local left = param:get('ECHO_MIRROR')
-    assert(param:add_table(95, 'ECHO_', #PARAMETERS), 'ECHO: parameter table key 95 is taken')
-    for number, row in ipairs(PARAMETERS) do
-        if row then
-            local i = #names + 1
-            assert(param:add_param(95, number, row[1], row[2]), 'ECHO: cannot add ECHO_' .. row[1])
-            names[i], C[row[1]], lowest[i], highest[i] = table.unpack(row)
-            objects[i] = Parameter('ECHO_' .. row[1])
-        end
+    assert(param:add_table(95, 'ECHO_', 29), 'ECHO: parameter table key 95 is taken')
+    for name, value, low, high, number in string.gmatch(PARAMETERS, "'(%S+)', (%S+), (%S+), (%S+), (%S+),") do
+        local i = #names + 1
+        assert(param:add_param(95, tonumber(number), name, tonumber(value)), 'ECHO: cannot add ECHO_' .. name)
+        names[i], C[name], lowest[i], highest[i] = name, tonumber(value), tonumber(low), tonumber(high)
+        objects[i] = Parameter('ECHO_' .. name)
     end
     objects[#objects]:set(2)
     for i = 1, #names do read(i) end
-    C.SPD_MAX = math.max(C.SPD_MAX, C.SPD_MIN)
+    C.SPD_MAX = max(C.SPD_MAX, C.SPD_MIN)
     mirror = objects[#objects - 1]
     if left then mirror:set(left) end
 end
@@ -291,30 +241,30 @@ end
 -- Speeds are along the nose, where the sonar looks. Times are in ms; nil is "never".
 local own = { mps = 0.0, accel_mps2 = 0.0 } -- this vehicle's motion; at_ms: when
 local track = { -- what the sonar reads (averages, single readings), and where the leader is by that, and how fast
-    board_ms = 0, late_ms = 0, quickest_ms = 0, dated = 0, leader_mps = 0.0, seen_mps = 0.0, leader_mps2 = 0.0,
-    own_mps = 0.0, at_ms = 0, seen_ms = 0, readings = 0, spike_ms = 0, same = 0,
+    board_ms = 0, late_ms = 0, quickest_ms = 0, dated = 0, leader_mps = 0.0, seen_ms = 0, readings = 0, spike_ms = 0,
 }
 local hold = { mps = 0.0 } -- moves points along the beam
 local guard = {} -- keeps away from the leader
-local stream = { north_mps = 0.0, east_mps = 0.0, opens_m = 0.0, yaw_rps = 0.0 } -- the ground tool's guided points
+local stream = { north_mps = 0.0, east_mps = 0.0, yaw_rps = 0.0 } -- the ground tool's guided points
 local speed = { out_mps = 0.0, changes = {} } -- the speed parameter: ours, the pilot's, another script's
--- What pilots see: 0 off, 1 searching, 2 tracking, 3 too close, 4 no sonar data, 5 stream lost, 6 backing off, 7 holding.
+-- What pilots see: 0 off, 1 searching, 2 tracking, 3 too close, 4 no sonar data, 5 stream lost, 6 backing off, 7
+-- holding.
 local report = { state = 0 }
 local control = {} -- takes control and hands back
-local refused = { count = 0, last_ms = {} } -- what was heard and not used, or not sent
+local refused = { count = 0 } -- what was heard and not used, or not sent
 
 -- Counts it, and tells the pilot; again only after half a minute without: radios damage messages all the time.
 local function refuse(what)
-    local last_ms = refused.last_ms[what]
-    refused.count, refused.last_ms[what] = refused.count + 1, own.at_ms
+    local last_ms = refused[what]
+    refused.count, refused[what] = refused.count + 1, own.at_ms
     if not last_ms or own.at_ms - last_ms > 30000 then say(4, what .. ', not used') end
     return false
 end
 
 -- The way out --------------------------------------------------------------------------------------------------------
 
--- Every target and every speed that leaves the applet passes here: numbers, near, and no more than a copter can. What is
--- not goes nowhere. mps: the speed limit; nil: a target. False: it was not sent, or the autopilot refused it.
+-- Every target and every speed that leaves the applet passes here: numbers, near, and no more than a copter can. What
+-- is not goes nowhere. mps: the speed limit; nil: a target. False: it was not sent, or the autopilot refused it.
 local function order(mps, position, velocity, acceleration, look_rad, turn_rps)
     if mps then
         if not is_within(mps, FASTEST_MPS) or mps <= 0.0 then return refuse('implausible speed') end
@@ -326,21 +276,23 @@ local function order(mps, position, velocity, acceleration, look_rad, turn_rps)
     here:x(position:x() - here:x())
     here:y(position:y() - here:y())
     here:z(position:z() - here:z())
-    -- The leader is within the sonar's reach, and its point within a second's flight of it; no copter is 100 km from where
-    -- its estimator began, decelerates harder than the highest ECHO_DECEL, or turns its nose by 4 rad/s. The autopilot takes
-    -- a yaw of up to 360 degrees.
+    -- The leader is within the sonar's reach, and its point within a second's flight of it; no copter is 100 km from
+    -- where its estimator began, decelerates harder than the highest ECHO_DECEL, or turns its nose by 4 rad/s. The
+    -- autopilot takes a yaw of up to 360 degrees.
     if not (is_within(here:length(), 50.0) and is_within(position:length(), 1e5)
         and is_within(velocity:length(), FASTEST_MPS) and is_within(acceleration:length(), 10.0)
-        and is_within(look_rad, 2.0 * math.pi) and is_within(turn_rps, 4.0)) then return refuse('implausible target') end
-    return vehicle:set_target_posvelaccel_NED(position, velocity, acceleration, true, math.deg(look_rad), turn_rps ~= 0.0,
-        math.deg(turn_rps), false)
+        and is_within(look_rad, 2.0 * math.pi) and is_within(turn_rps, 4.0)) then
+        return refuse('implausible target')
+    end
+    return vehicle:set_target_posvelaccel_NED(position, velocity, acceleration, true, math.deg(look_rad),
+        turn_rps ~= 0.0, math.deg(turn_rps), false)
 end
 
 -- This vehicle's motion ----------------------------------------------------------------------------------------------
 
 do
-    -- Own speed along the heading, 0 while the estimator has none, and how it is changing: smoothed (100 ms), and no more
-    -- than the vehicle can.
+    -- Own speed along the heading, 0 while the estimator has none, and how it is changing: smoothed (100 ms), and no
+    -- more than the vehicle can.
     function own.update(t_ms)
         local velocity, mps = ahrs:get_velocity_NED(), 0.0
         if velocity then
@@ -362,8 +314,8 @@ do
     local function fly_to(position, north_m, east_m)
         position:x(position:x() + north_m)
         position:y(position:y() + east_m)
-        -- With a velocity, as the points: Guided starts another way of flying with the lean of the moment for its steady
-        -- part, and a vehicle that brakes or speeds up would swing by metres.
+        -- With a velocity, as the points: Guided starts another way of flying with the lean of the moment for its
+        -- steady part, and a vehicle that brakes or speeds up would swing by metres.
         return order(nil, position, Vector3f(), Vector3f(), yaw_rad(ahrs), 0.0)
     end
 
@@ -383,9 +335,9 @@ do
         return north_mps * north_mps + east_mps * east_mps < 0.3 * 0.3
     end
 
-    -- Stays where it comes to a stop: a place it has to come back to would take longer. Its speed goes on changing until it
-    -- leans against its motion. ArduCopter 4.8 stood 2.3 s after a link was lost; with 0.5 s here it crept on (3.5 s), with
-    -- 0.35 s and with 0.15 s it swung back (2.6 and 2.4 s).
+    -- Stays where it comes to a stop: a place it has to come back to would take longer. Its speed goes on changing
+    -- until it leans against its motion. ArduCopter 4.8 stood 2.3 s after a link was lost; with 0.5 s here it crept on
+    -- (3.5 s), with 0.35 s and with 0.15 s it swung back (2.6 and 2.4 s).
     function own.stop()
         local LEAN_S = 0.25
         local position, velocity = ahrs:get_relative_position_NED_origin(), ahrs:get_velocity_NED()
@@ -393,7 +345,7 @@ do
         local north_mps, east_mps = velocity:x(), velocity:y()
         local mps = math.sqrt(north_mps * north_mps + east_mps * east_mps)
         if not is_within(mps, FASTEST_MPS) or mps < 0.01 then return fly_to(position, 0.0, 0.0) end
-        local then_mps = math.max(0.0, mps + own.accel_mps2 * own.mps / mps * LEAN_S)
+        local then_mps = max(0.0, mps + own.accel_mps2 * own.mps / mps * LEAN_S)
         local share = (0.5 * (mps + then_mps) * LEAN_S + then_mps * then_mps / (2.0 * C.DECEL)) / mps
         return fly_to(position, share * north_mps, share * east_mps)
     end
@@ -403,8 +355,8 @@ end
 
 do
     local TRUST_READINGS = 3 -- so many readings in agreement are a target; two wild ones in a row happen
-    local READING_S = 0.05 -- age of a single reading as it is sent, and what the wire takes at the least
-    local HARDEST_MPS2 = 4.0 -- no copter brakes harder
+    -- 0.05 s is the age of a single reading as it is sent, and what the wire takes at the least; no copter brakes
+    -- harder than with 4 m/s2.
 
     -- Distance by the rangefinder's running average, nil where it is no measurement; and the status. All distances here
     -- are between the two vehicles' centres.
@@ -423,38 +375,21 @@ do
         return range_m ~= nil and range_m < C.DETECT + C.INSET
     end
 
-    -- The newest single reading, nil if it is old: 3 periods of the slower sonar rate.
-    function track.newest(t_ms)
-        return track.raw_ms and t_ms - track.raw_ms <= 300 and track.raw_m or nil
-    end
-
-    -- When a reading was taken, by the applet's clock: readings wait for the wire and for the applet, most of them longer
-    -- than the quickest, and a speed told from their arrival would be off by metres per second. The quickest of the last
-    -- 16 to 32 tells: a board whose clock is 1 % slow is 32 ms off then.
+    -- When a reading was taken, by the applet's clock: readings wait for the wire and for the applet, most of them
+    -- longer than the quickest, and a speed told from their arrival would be off by metres per second. The quickest of
+    -- the last 16 to 32 tells: a board whose clock is 1 % slow is 32 ms off then.
     local function taken_ms(board_ms, t_ms)
         local late_ms = t_ms - board_ms
         -- No reading waits for a second: the board, or its link, has started anew.
         local goes_on = board_ms > track.board_ms and is_within(late_ms - track.late_ms, 1000)
         track.board_ms = board_ms
         if not goes_on then track.late_ms, track.quickest_ms, track.dated = late_ms, late_ms, 0 end
-        track.quickest_ms, track.dated = math.min(track.quickest_ms, late_ms), track.dated + 1
-        local clock_ms = math.min(track.late_ms, late_ms)
+        track.quickest_ms, track.dated = min(track.quickest_ms, late_ms), track.dated + 1
+        local clock_ms = min(track.late_ms, late_ms)
         if track.dated >= 16 then clock_ms, track.quickest_ms, track.dated = track.quickest_ms, late_ms, 0 end
         local shift_ms = clock_ms - track.late_ms -- the readings before are dated by it too
         track.late_ms, track.seen_ms, track.spike_ms = clock_ms, track.seen_ms + shift_ms, track.spike_ms + shift_ms
         return board_ms + track.late_ms
-    end
-
-    -- Whether the sonar is stuck: readings stay the same to the centimetre while this vehicle changes its speed, and no
-    -- leader flies so exactly alike. Of themselves no more than four in a row are the same.
-    local function is_stuck(range_m)
-        if range_m ~= track.same_m then
-            track.same_m, track.same, track.slowest_mps, track.fastest_mps = range_m, 0, own.mps, own.mps
-        end
-        track.same = track.same + 1
-        track.slowest_mps = math.min(track.slowest_mps, own.mps)
-        track.fastest_mps = math.max(track.fastest_mps, own.mps)
-        return track.same >= 8 and track.fastest_mps - track.slowest_mps > 0.3
     end
 
     function track.take(payload, t_ms)
@@ -462,12 +397,20 @@ do
         if name ~= 'SNR_RAW\0\0\0' then return end
         if not is_within(value, 20.0) or value <= 0.0 then return refuse('implausible reading') end
         track.raw_m, track.raw_ms = value + C.INSET, taken_ms(board_ms, t_ms)
-        local stuck = is_stuck(track.raw_m) and track.is_target(track.raw_m)
+        -- Stuck: readings stay the same to the centimetre while this vehicle changes its speed, and no leader flies so
+        -- exactly alike. Of themselves no more than four in a row are the same.
+        if track.raw_m ~= track.same_m then
+            track.same_m, track.same, track.slowest_mps, track.fastest_mps = track.raw_m, 0, own.mps, own.mps
+        end
+        track.same = track.same + 1
+        track.slowest_mps, track.fastest_mps = min(track.slowest_mps, own.mps), max(track.fastest_mps, own.mps)
+        local target = track.is_target(track.raw_m)
+        local stuck = target and track.same >= 8 and track.fastest_mps - track.slowest_mps > 0.3
         if stuck and not track.stuck then say(4, 'sonar stuck, not used') end
         track.stuck = stuck
         if stuck then
             track.range_m, track.readings = nil, 0
-        elseif track.is_target(track.raw_m) then
+        elseif target then
             track.update(track.raw_m, track.raw_ms, t_ms)
         elseif track.readings < TRUST_READINGS then
             track.range_m = nil -- what was seen before was a wild reading
@@ -478,7 +421,7 @@ do
     -- sonar shows otherwise, for as long as the track can be carried on.
     local function fresh(t_ms)
         if not track.range_m then return false end
-        local near = guard.evading or (hold.active and track.range_m < stream.distance_m())
+        local near = guard.evading or (hold.active and track.range_m < hold.distance_m())
         return t_ms - track.seen_ms <= (near and BLIND_MS or 700)
     end
 
@@ -486,30 +429,25 @@ do
         return fresh(t_ms) and track.readings >= TRUST_READINGS
     end
 
-    -- How hard the leader brakes, or speeds up towards this vehicle, by what was seen last: 0 or less. Under 0.8 m/s2 it is
-    -- noise of the sonar (1 cm). After 1 s, of radio, the ground tool knows of it; a leader for which the slot was not opened
-    -- is on a mission, or slow, and most likely flies round a corner.
+    -- How hard the leader brakes, or speeds up towards this vehicle, by what was seen last: 0 or less. Under 0.8 m/s2
+    -- it is noise of the sonar (1 cm). After 1 s, of radio, the ground tool knows of it; a leader for which the slot
+    -- was not opened is on a mission, or slow, and most likely flies round a corner.
     function track.braking_mps2(t_ms)
-        local counts_ms = stream.is_opened() and 1000 or 300
-        if t_ms - track.seen_ms > counts_ms or track.leader_mps2 > -0.8 then return 0.0 end
-        return math.max(-HARDEST_MPS2, track.leader_mps2)
+        local opened = hold.distance_m() > C.DIST
+        if t_ms - track.seen_ms > (opened and 1000 or 300) or track.leader_mps2 > -0.8 then return 0.0 end
+        return max(-4.0, track.leader_mps2)
     end
 
-    -- The leader's speed, carried on over dt_s to a moment that long after a reading. Not seen, it speeds up no further. One
-    -- that was near and braking goes on braking until it stands, or to 2 m/s back if it flew back already. Braking is more
-    -- than what a corner takes of the speed along the beam, 1 m/s2 at 2 m/s.
+    -- The leader's speed, carried on over dt_s to a moment that long after a reading. Not seen, it speeds up no
+    -- further. One that was near and braking goes on braking until it stands, or to 2 m/s back if it flew back already.
+    -- Braking is more than what a corner takes of the speed along the beam, 1 m/s2 at 2 m/s.
     local function carried_mps(unseen_ms, t_ms, dt_s)
         if unseen_ms <= 150 then return track.leader_mps + track.leader_mps2 * dt_s end
         if unseen_ms > 1000 then return track.seen_mps end
         local least_mps = track.seen_mps > 0.0 and 0.0 or -2.0
-        local near = track.range_m < stream.distance_m() and track.leader_mps > least_mps
-        if not near or track.braking_mps2(t_ms) > -1.5 then return math.min(track.leader_mps, track.seen_mps) end
-        return math.max(least_mps, track.leader_mps + track.braking_mps2(t_ms) * dt_s)
-    end
-
-    -- The leader is not seen, and flies so fast by what the ground tool knows.
-    function track.told(leader_mps)
-        track.leader_mps, track.seen_mps = leader_mps, leader_mps
+        local near = track.range_m < hold.distance_m() and track.leader_mps > least_mps
+        if not near or track.braking_mps2(t_ms) > -1.5 then return min(track.leader_mps, track.seen_mps) end
+        return max(least_mps, track.leader_mps + track.braking_mps2(t_ms) * dt_s)
     end
 
     -- Carries the range on to now.
@@ -524,7 +462,7 @@ do
     -- A reading that was not foreseen waits for another one like it, and takes one of six in agreement off.
     local function wait(range_m, read_ms)
         track.spike_m, track.spike_ms, track.spike_own_mps = range_m, read_ms, own.mps
-        if track.readings >= TRUST_READINGS then track.readings = math.min(track.readings, 6) - 1 end
+        if track.readings >= TRUST_READINGS then track.readings = min(track.readings, 6) - 1 end
     end
 
     -- Whether it is like the one that waits, nearly the same range shortly after it (two vehicles close no faster than
@@ -535,20 +473,20 @@ do
         return dt_s > 0.0 and dt_s < 0.3 and math.abs(range_m - track.spike_m) < 0.15 + 5.0 * dt_s, dt_s
     end
 
-    -- A reading that was not foreseen counts only when the next one is like it: propellers make single wild ones. The two
-    -- tell range and rate anew, with the own speed between them.
+    -- A reading that was not foreseen counts only when the next one is like it: propellers make single wild ones. The
+    -- two tell range and rate anew, with the own speed between them.
     local function unforeseen(range_m, read_ms, t_ms, jump_m)
         local second, dt_s = is_second(range_m, read_ms)
         local third = track.doubted
-        -- A known leader does not jump so far (0.6 m: a speed wrong by 1 m/s, for about as long as its track is carried on):
-        -- two alike may be late echoes of something else, and three are believed.
-        local unseen_s = math.min(read_ms - track.seen_ms, 700) * 0.001
+        -- A known leader does not jump so far (0.6 m: a speed wrong by 1 m/s, for about as long as its track is carried
+        -- on): two alike may be late echoes of something else, and three are believed.
+        local unseen_s = min(read_ms - track.seen_ms, 700) * 0.001
         track.doubted = second and not third and track.readings >= TRUST_READINGS and
-            jump_m > 0.6 + 0.5 * HARDEST_MPS2 * unseen_s * unseen_s
+            jump_m > 0.6 + 0.5 * 4.0 * unseen_s * unseen_s
         if track.doubted or not second then return wait(range_m, read_ms) end
         local rate_mps = clamp((range_m - track.spike_m) / dt_s, -5.0, 5.0)
-        track.leader_mps = rate_mps + 0.5 * (track.spike_own_mps + own.mps) - own.accel_mps2 * READING_S
-        track.range_m = range_m + (track.leader_mps - own.mps) * (READING_S + (t_ms - read_ms) * 0.001)
+        track.leader_mps = rate_mps + 0.5 * (track.spike_own_mps + own.mps) - own.accel_mps2 * 0.05
+        track.range_m = range_m + (track.leader_mps - own.mps) * (0.05 + (t_ms - read_ms) * 0.001)
         track.own_mps, track.at_ms, track.seen_ms = own.mps, t_ms, read_ms
         track.seen_mps, track.leader_mps2 = track.leader_mps, 0.0
         -- Two alike may still be wild ones, until a third is foreseen.
@@ -556,9 +494,9 @@ do
         track.readings, track.spike_m = trusted and TRUST_READINGS or 2, nil
     end
 
-    -- Takes a range that was read at read_ms; now it is t_ms. The range of the target, the leader's speed along the line of
-    -- sight, and its acceleration: a critically damped observer that knows the own speed, so that own braking is not taken
-    -- for the leader's.
+    -- Takes a range that was read at read_ms; now it is t_ms. The range of the target, the leader's speed along the
+    -- line of sight, and its acceleration: a critically damped observer that knows the own speed, so that own braking
+    -- is not taken for the leader's.
     function track.update(range_m, read_ms, t_ms)
         if not fresh(t_ms) then
             local second = is_second(range_m, read_ms)
@@ -570,7 +508,7 @@ do
         local dt_s = (read_ms - track.seen_ms) * 0.001
         if dt_s <= 0.0 then return end
         track.carry(t_ms)
-        local aged_s = READING_S + (t_ms - read_ms) * 0.001
+        local aged_s = 0.05 + (t_ms - read_ms) * 0.001
         local residual_m = range_m + (track.leader_mps - own.mps) * aged_s - track.range_m
         -- Readings 0.1 s apart differ by less than 0.15 m even where both vehicles change their speed at 5 m/s2.
         if math.abs(residual_m) > 0.15 or dt_s > 0.3 then
@@ -579,11 +517,11 @@ do
         local keep = math.exp(-dt_s / C.TAU)
         local lose = 1.0 - keep
         local n = track.readings + 1 -- the first readings count as in a straight line through all of them
-        local range_share = math.max(1.0 - keep * keep * keep, 2.0 * (2.0 * n - 1.0) / (n * (n + 1.0)))
-        local rate_share = math.max(1.5 * lose * lose * (1.0 + keep), 6.0 / (n * (n + 1.0)))
+        local range_share = max(1.0 - keep * keep * keep, 2.0 * (2.0 * n - 1.0) / (n * (n + 1.0)))
+        local rate_share = max(1.5 * lose * lose * (1.0 + keep), 6.0 / (n * (n + 1.0)))
         local change_mps = rate_share / dt_s * residual_m
-        -- The rate is that of the reading's time: the range of now changes with it. Left out, the next reading corrects for
-        -- it once more, and the observer swings; from 0.14 s of age on it swings ever wider.
+        -- The rate is that of the reading's time: the range of now changes with it. Left out, the next reading corrects
+        -- for it once more, and the observer swings; from 0.14 s of age on it swings ever wider.
         track.range_m = track.range_m + range_share * residual_m + change_mps * aged_s
         track.leader_mps = track.leader_mps + change_mps
         if n > 5 then -- fewer tell no acceleration
@@ -598,11 +536,11 @@ end
 
 do
     -- Distance still closed at this rate before the vehicle stops. An acceleration that is under way goes on until the
-    -- answer begins 0.1 s later, and then dies away at the autopilot's jerk (PSC_JERK_NE, 5 m/s3 as it comes): until then
-    -- the closing speed rises.
+    -- answer begins 0.1 s later, and then dies away at the autopilot's jerk (PSC_JERK_NE, 5 m/s3 as it comes): until
+    -- then the closing speed rises.
     local function closing_distance(closing_mps)
-        local a = math.max(0.0, own.accel_mps2)
-        local peak_mps = math.max(0.0, closing_mps + a * 0.1 + 0.5 * a * a / 5.0)
+        local a = max(0.0, own.accel_mps2)
+        local peak_mps = max(0.0, closing_mps + a * 0.1 + 0.5 * a * a / 5.0)
         return peak_mps * C.DELAY + peak_mps * peak_mps / (2.0 * C.DECEL)
     end
 
@@ -610,20 +548,16 @@ do
     -- acceleration.
     function guard.stoppable_mps(range_m)
         local lag_mps = C.DECEL * C.DELAY
-        return math.sqrt(lag_mps * lag_mps + 2.0 * C.DECEL * math.max(0.0, range_m - C.CLOSE)) - lag_mps
+        return math.sqrt(lag_mps * lag_mps + 2.0 * C.DECEL * max(0.0, range_m - C.CLOSE)) - lag_mps
     end
 
-    local function is_too_close(near_m, closing_mps, margin_m)
-        if near_m < 1.0 + margin_m then return true end -- closing or not
-        return near_m - closing_distance(closing_mps) < C.CLOSE + margin_m
-    end
-
-    -- Whether to fly a target of the applet's own away from the leader: it is still closing (slower than 0.15 m/s is noise
-    -- of the tracker), and the point in force does not lead away fast enough (Guided flies about 1 m/s for each metre to it).
+    -- Whether to fly a target of the applet's own away from the leader: it is still closing (slower than 0.15 m/s is
+    -- noise of the tracker), and the point in force does not lead away fast enough (Guided flies about 1 m/s for each
+    -- metre to it).
     local function should_back_off(behind_m, near_m, closing_mps)
         local approach_mps = -track.leader_mps
         if guard.evading then return approach_mps > 0.15 or closing_mps > 0.0 end
-        if closing_mps <= 0.15 or behind_m > math.max(0.5, approach_mps) then return false end
+        if closing_mps <= 0.15 or behind_m > max(0.5, approach_mps) then return false end
         return approach_mps > 0.15 or near_m < C.CLOSE or near_m - closing_distance(closing_mps) < 1.0
     end
 
@@ -633,38 +567,21 @@ do
         report.state = 3
         -- Lower than 1.5 m up what is near is most likely the ground; points lead 2 m up and higher (flight/guard.py).
         local here = -ahrs:get_relative_position_D_home() > 1.5 and vehicle:get_likely_flying() and ahrs:get_location()
-        -- Metres that the point in force lies behind the vehicle, away from the leader; 0 if it leads towards the leader.
+        -- Metres that the point in force lies behind the vehicle, away from the leader; 0 if it leads towards the
+        -- leader.
         local behind_m = 0.0
         local ahead_m, mps = stream.ahead(here, t_ms)
-        if ahead_m and mps <= 0.0 then behind_m = math.max(0.0, -ahead_m) end
+        if ahead_m and mps <= 0.0 then behind_m = max(0.0, -ahead_m) end
         -- Back to the wanted distance, and the leader's approach of one second more, by 0.5 to 5 m.
-        local evaded = guard.evading
-        guard.evading = here and should_back_off(behind_m, near_m, closing_mps) and own.fly_back(clamp(
-            stream.distance_m() - near_m + math.max(0.0, -track.leader_mps), 0.5, 5.0))
-        if guard.evading then
+        local evades = here and should_back_off(behind_m, near_m, closing_mps) and own.fly_back(clamp(
+            hold.distance_m() - near_m + max(0.0, -track.leader_mps), 0.5, 5.0))
+        if evades then
             report.state = 6
             -- Sent at once: the ground tool would call it back to where it held it.
-            if not evaded then report.named_ms = nil end
+            if not guard.evading then report.named_ms = nil end
         end
-        if guard.evading or behind_m > 0.5 then return C.SPD_MAX end -- free to get away
-        return C.SPD_MIN
-    end
-
-    function guard.begin(t_ms)
-        guard.evading, guard.close_ms = false, t_ms - BLIND_MS
-        guard.seen_ms, guard.data_ms = t_ms, t_ms
-    end
-
-    -- What a range beyond the detection limit, a lost target or a silent sonar means for the state.
-    function guard.look(range_m, status, t_ms)
-        if status > 1 then guard.data_ms = t_ms end
-        if track.is_target(range_m) then guard.seen_ms = t_ms end
-        report.state = 2
-        if t_ms - guard.data_ms >= C.NODATA_T * 1000.0 then
-            report.state = 4
-        elseif t_ms - guard.seen_ms >= C.LOST_T * 1000.0 and t_ms - guard.close_ms >= BLIND_MS then
-            report.state = 1
-        end
+        guard.evading = evades
+        return (evades or behind_m > 0.5) and C.SPD_MAX or C.SPD_MIN -- free to get away
     end
 
     -- The distance is kept otherwise: nothing is too close, and no target of the guard's is in force.
@@ -678,10 +595,11 @@ do
         local closing_mps = trusted and own.mps - track.leader_mps or 0.0
         local tracked_m = trusted and track.range_m or nil
         local margin_m = guard.too_close and 0.3 or 0.0 -- it ends so far beyond where it began
-        -- From a leader that comes (0.5 m/s) it backs off to the wanted distance: if it stopped as soon as it was as fast,
-        -- it would begin anew from nearer, its nose and its sonar down.
-        if status == 2 or (tracked_m and (is_too_close(tracked_m, closing_mps, margin_m)
-            or (guard.evading and track.leader_mps < -0.5 and tracked_m < stream.distance_m()))) then
+        -- From a leader that comes (0.5 m/s) it backs off to the wanted distance: if it stopped as soon as it was as
+        -- fast, it would begin anew from nearer, its nose and its sonar down.
+        if status == 2 or (tracked_m and (tracked_m < 1.0 + margin_m -- closing or not
+            or tracked_m - closing_distance(closing_mps) < C.CLOSE + margin_m
+            or (guard.evading and track.leader_mps < -0.5 and tracked_m < hold.distance_m()))) then
             return too_close(tracked_m or 0.0, closing_mps, t_ms)
         end
         guard.rest()
@@ -694,47 +612,54 @@ end
 do
     local LEAD_S = 0.3 -- until this vehicle leans against its motion
 
-    -- Whether the leader most likely goes on with its mission.
-    local function flies_on()
-        return not stream.is_opened() and track.leader_mps > -0.5
+    -- The distance to keep, centre to centre: the ground tool opens the slot for a leader that can turn round faster
+    -- than the vehicle gets away from ECHO_DIST. Such a leader may turn round faster than one on a mission does.
+    function hold.distance_m()
+        return max(C.DIST, stream.at_ms and stream.opens_m or 0.0)
     end
 
-    -- Too near to a leader for which the slot was not opened, and that does not fly back, a share of the distance is flown
-    -- back: at a corner in full the vehicle would fly back from a leader that only turns, lean by it, and lose it.
+    -- Whether the leader most likely goes on with its mission.
+    local function flies_on()
+        return hold.distance_m() <= C.DIST and track.leader_mps > -0.5
+    end
+
+    -- Too near to a leader for which the slot was not opened, and that does not fly back, a share of the distance is
+    -- flown back: at a corner in full the vehicle would fly back from a leader that only turns, lean by it, and lose
+    -- it.
     local function eased(wanted_m)
-        local in_full = not flies_on() or track.range_m < C.CLOSE
-        return in_full and wanted_m or math.max(wanted_m, 0.4 * wanted_m)
+        if not flies_on() or track.range_m < C.CLOSE then return wanted_m end
+        return max(wanted_m, 0.4 * wanted_m)
     end
 
     -- Where the point belongs along the beam (metres ahead of here), and its speed there: at the wanted distance from
     -- the leader and as fast as the leader. ahead_m, mps: the same of the streamed point. While the sonar sees nothing,
-    -- of the track and the point whichever is the more cautious; from 0.9 s on a leader that goes on with its mission is
-    -- where it was, and as fast as the ground tool says: until then the tool's reports may be older than what was seen.
-    -- A point is moved little towards the leader, 1 m and 1 m/s, for the ground tool may know why it is far from it, and
-    -- further away from the leader, 5 m: a sonar that is stuck then moves the vehicle no further, and no faster.
+    -- of the track and the point whichever is the more cautious; from 0.9 s on a leader that goes on with its mission
+    -- is where it was, and as fast as the ground tool says: until then the tool's reports may be older than what was
+    -- seen. A point is moved little towards the leader, 1 m and 1 m/s, for the ground tool may know why it is far from
+    -- it, and further away from the leader, 5 m: a sonar that is stuck then moves the vehicle no further, and no
+    -- faster.
     local function along_beam(ahead_m, mps, braking_mps2, t_ms)
         -- From where both will be once this vehicle leans.
-        local wanted_m = track.range_m + 0.5 * braking_mps2 * LEAD_S * LEAD_S - stream.distance_m()
+        local wanted_m = track.range_m + 0.5 * braking_mps2 * LEAD_S * LEAD_S - hold.distance_m()
         local unseen_ms = t_ms - track.seen_ms
-        if flies_on() and unseen_ms > 900 then track.told(mps) end
+        if flies_on() and unseen_ms > 900 then track.leader_mps, track.seen_mps = mps, mps end
         if unseen_ms > 300 then
-            wanted_m = math.max(math.min(wanted_m, ahead_m), ahead_m - 5.0)
-            return math.min(eased(wanted_m), ahead_m + 1.0), math.min(track.leader_mps, mps)
+            wanted_m = max(min(wanted_m, ahead_m), ahead_m - 5.0)
+            return min(eased(wanted_m), ahead_m + 1.0), min(track.leader_mps, mps)
         end
         wanted_m = eased(wanted_m)
-        if wanted_m > ahead_m + 1.0 then return ahead_m + 1.0, math.min(mps, track.leader_mps) end
+        if wanted_m > ahead_m + 1.0 then return ahead_m + 1.0, min(mps, track.leader_mps) end
         if wanted_m < ahead_m - 5.0 then return ahead_m - 5.0, mps end
-        return wanted_m, math.min(track.leader_mps, mps + 1.0)
+        return wanted_m, min(track.leader_mps, mps + 1.0)
     end
 
-    -- Towards the leader no faster than keeps it in the beam: a copter leans as it speeds up, and its sonar with it, 8 degrees
-    -- at 1.4 m/s2. Away from it at once. Guided closes a gap of 0.4 m with all its acceleration (4.8, 5 m/s2), so a target is
-    -- hardly ahead; what is left of the gap is flown by speed, 1 m/s for each metre.
+    -- Towards the leader no faster than keeps it in the beam: a copter leans as it speeds up, and its sonar with it, 8
+    -- degrees at 1.4 m/s2. Away from it at once. Guided closes a gap of 0.4 m with all its acceleration (4.8, 5 m/s2),
+    -- so a target is hardly ahead; what is left of the gap is flown by speed, 1 m/s for each metre.
     local function gently(t_ms, wanted_m, wanted_mps)
-        local from_mps = hold.active and hold.mps or own.mps
-        local most_mps = from_mps + 1.4 * math.min(t_ms - (hold.at_ms or t_ms), 100) * 0.001
-        hold.mps, hold.at_ms = math.min(wanted_mps + clamp(wanted_m - 0.2, 0.0, 1.0), most_mps), t_ms
-        return math.min(wanted_m, 0.2), hold.mps
+        local mps = (hold.active and hold.mps or own.mps) + 1.4 * min(t_ms - (hold.at_ms or t_ms), 100) * 0.001
+        hold.mps, hold.at_ms = min(wanted_mps + clamp(wanted_m - 0.2, 0.0, 1.0), mps), t_ms
+        return min(wanted_m, 0.2), hold.mps
     end
 
     -- Sends Guided the streamed point, moved along the beam. False: it was not taken, or there is none.
@@ -748,11 +673,12 @@ do
         local braking_mps2 = track.braking_mps2(t_ms)
         local wanted_m, wanted_mps
         if stream.makes_way then
-            -- The ground tool leads it past another vehicle, which the applet does not know: the point as it is, but towards
-            -- the leader no faster than it can still stop. Guided flies 1 m/s for each metre to the point, and its velocity.
+            -- The ground tool leads it past another vehicle, which the applet does not know: the point as it is, but
+            -- towards the leader no faster than it can still stop. Guided flies 1 m/s for each metre to the point, and
+            -- its velocity.
             hold.mps, hold.at_ms = own.mps, t_ms
             wanted_m = ahead_m
-            wanted_mps = math.min(mps, track.leader_mps + guard.stoppable_mps(track.range_m) - ahead_m)
+            wanted_mps = min(mps, track.leader_mps + guard.stoppable_mps(track.range_m) - ahead_m)
         else
             wanted_m, wanted_mps = gently(t_ms, along_beam(ahead_m, mps, braking_mps2, t_ms))
         end
@@ -764,12 +690,13 @@ do
         velocity:x(stream.north_mps + by_mps * cos)
         velocity:y(stream.east_mps + by_mps * sin)
         -- What it does not yet decelerate by itself: more than the lean can give, and Guided's own plan would wait.
-        local missing_mps2 = math.max(braking_mps2, math.min(0.0, braking_mps2 - own.accel_mps2))
+        local missing_mps2 = max(braking_mps2, min(0.0, braking_mps2 - own.accel_mps2))
         acceleration:x(missing_mps2 * cos)
         acceleration:y(missing_mps2 * sin)
-        -- After a leader that turns a corner with the rate, too: after a yaw alone Guided turns by ATC_INPUT_TC later, 0.15 s,
-        -- 6 of the 20 degrees to the edge of the beam; and ahead by the 0.2 s that the nose is behind its attitude's target
-        -- (SITL 4.6 0.2 s, 4.8 0.25 s). One that flies back is too near for a rate from its estimated bearing.
+        -- After a leader that turns a corner with the rate, too: after a yaw alone Guided turns by ATC_INPUT_TC later,
+        -- 0.15 s, 6 of the 20 degrees to the edge of the beam; and ahead by the 0.2 s that the nose is behind its
+        -- attitude's target (SITL 4.6 0.2 s, 4.8 0.25 s). One that flies back is too near for a rate from its estimated
+        -- bearing.
         local turn_rps = stream.yaw_rad and flies_on() and stream.yaw_rps or 0.0
         local look_rad = (stream.yaw_rad or yaw_rad(ahrs)) + turn_rps * ((t_ms - stream.at_ms) * 0.001 + 0.2)
         return order(nil, position, velocity, acceleration, look_rad, turn_rps)
@@ -796,9 +723,9 @@ end
 -- Stream watch -------------------------------------------------------------------------------------------------------
 
 do
-    -- SET_POSITION_TARGET_GLOBAL_INT as `echowing follow` sends it: a position, height above home (frame 6), a velocity, with
-    -- a yaw or without. Of the acceleration, which the autopilot is told to ignore: how far the slot has opened, whether the
-    -- tool leads it past another vehicle than the leader, and the format that says so.
+    -- SET_POSITION_TARGET_GLOBAL_INT as `echowing follow` sends it: a position, height above home (frame 6), a
+    -- velocity, with a yaw or without. Of the acceleration, which the autopilot is told to ignore: how far the slot has
+    -- opened, whether the tool leads it past another vehicle than the leader, and the format that says so.
     function stream.take(payload, sender, t_ms)
         local lat, lng, up_m, north_mps, east_mps, _, opens_m, makes_way, format, yaw, _, mask, system, _, frame =
             string.unpack('<i4i4fffffffffI2BBB', payload, 5)
@@ -814,8 +741,8 @@ do
         -- Points count from one sender until it has been silent for a second: two would pull the vehicle to and fro.
         local dt_s = stream.at_ms and (t_ms - stream.at_ms) * 0.001 or 1.0
         if sender ~= stream.sender and dt_s < 1.0 then return refuse('points of a second sender') end
-        -- How fast the streamed yaw turns: half of what was, for the leader's bearing is estimated. Points nearer in time,
-        -- or further, do not tell; the highest rate is that of ATC_RATE_WPY_MAX, 60 deg/s.
+        -- How fast the streamed yaw turns: half of what was, for the leader's bearing is estimated. Points nearer in
+        -- time, or further, do not tell; the highest rate is that of ATC_RATE_WPY_MAX, 60 deg/s.
         local rate_rps = 0.0
         if looks and stream.yaw_rad and dt_s > 0.05 and dt_s < 0.4 then
             local turn_rad = (yaw - stream.yaw_rad + math.pi) % (2.0 * math.pi) - math.pi
@@ -825,22 +752,11 @@ do
         stream.sender, stream.at_ms = sender, t_ms
         stream.lat, stream.lng, stream.up_m, stream.yaw_rad = lat, lng, up_m, looks and yaw or nil
         stream.north_mps, stream.east_mps = north_mps, east_mps
-        stream.opens_m, stream.makes_way = math.min(opens_m, 6.0), makes_way == 1.0 -- as the highest ECHO_DIST
+        stream.opens_m, stream.makes_way = min(opens_m, 6.0), makes_way == 1.0 -- as the highest ECHO_DIST
     end
 
-    -- Whether the ground tool has opened the slot: the leader may turn round faster than one on a mission does.
-    function stream.is_opened()
-        return stream.distance_m() > C.DIST
-    end
-
-    -- The distance to keep, centre to centre: the ground tool opens the slot for a leader that can turn round faster than
-    -- the vehicle gets away from ECHO_DIST.
-    function stream.distance_m()
-        return math.max(C.DIST, stream.at_ms and stream.opens_m or 0.0)
-    end
-
-    -- The point in force now: metres ahead of here (along the nose) and its speed there; the same north and east in metres;
-    -- cosine and sine of the heading. Nil without one: a point older than a second is not the vehicle's target.
+    -- The point in force now: metres ahead of here (along the nose) and its speed there; the same north and east in
+    -- metres; cosine and sine of the heading. Nil without one: a point older than a second is not the vehicle's target.
     function stream.ahead(here, t_ms)
         if stream.holding or not here or not stream.at_ms or t_ms - stream.at_ms >= 1000 then return nil end
         local target = here:copy()
@@ -851,10 +767,6 @@ do
         local yaw = yaw_rad(ahrs)
         local cos, sin = math.cos(yaw), math.sin(yaw)
         return north_m * cos + east_m * sin, stream.north_mps * cos + stream.east_mps * sin, north_m, east_m, cos, sin
-    end
-
-    function stream.begin()
-        stream.at_ms, stream.holding, stream.yaw_rps = nil, false, 0.0
     end
 
     -- Holds the vehicle where it is once a stream of guided points has fallen silent.
@@ -870,7 +782,8 @@ do
             return
         end
         if stream.holding then
-            -- One that was let fly slowly stands before its place, and would go on to it when the pilot's speed is back.
+            -- One that was let fly slowly stands before its place, and would go on to it when the pilot's speed is
+            -- back.
             if not stream.stands and own.stands() then stream.stands = own.stop() end
             return
         end
@@ -891,8 +804,8 @@ do
         for id in pairs(CRC_EXTRA) do mavlink:register_rx_msgid(id) end
     end)
 
-    -- Whether bytes that end with their checksum are whole (X.25, which is then 0): four bytes at a time. Zeros that follow
-    -- change nothing.
+    -- Whether bytes that end with their checksum are whole (X.25, which is then 0): four bytes at a time. Zeros that
+    -- follow change nothing.
     local function is_whole(bytes)
         local unpack, crc = string.unpack, 0xFFFF
         for i = 1, #bytes - 3, 4 do
@@ -905,8 +818,8 @@ do
         return crc == 0
     end
 
-    -- Id, sender and payload of a mavlink_message_t, the payload with the zeros that MAVLink 2 leaves out; nil for a message
-    -- that is for another script, or damaged. Bytes that the checksum does not cover are not used.
+    -- Id, sender and payload of a mavlink_message_t, the payload with the zeros that MAVLink 2 leaves out; nil for a
+    -- message that is for another script, or damaged. Bytes that the checksum does not cover are not used.
     local function read(message)
         -- A mavlink_message_t has 299 bytes where system ids have 32 bits, 291 where they have 8.
         local sub, wide = string.sub, #message >= 299 and 3 or 0
@@ -915,7 +828,8 @@ do
         local extra = CRC_EXTRA[id]
         if not extra then return nil end
         local old = magic == 0xFE -- MAVLink 1
-        -- 53 bytes are the longest payload; flag 1, a signature, is the only one that changes nothing before the checksum.
+        -- 53 bytes are the longest payload; flag 1, a signature, is the only one that changes nothing before the
+        -- checksum.
         if length <= 53 and (old or flags & ~1 == 0) then
             local payload = sub(message, 13 + wide, 12 + wide + length)
             -- As on the wire: from the length to one byte of the system's id, its component, one or three bytes of id.
@@ -963,39 +877,24 @@ do
     end
 
     function speed.take_over()
-        speed.pilot_units = parameter:get()
+        speed.pilot_units, speed.units, speed.changes = parameter:get(), nil, {}
         mirror:set(speed.pilot_units) -- before the speed is touched: a restart must find it
-        speed.changes = {}
     end
 
     function speed.write(mps)
         if not order(mps) then return end
         parameter:set(mps * SPEED_UNITS)
-        speed.written = parameter:get()
-        speed.out_mps = mps
+        speed.units, speed.out_mps = parameter:get(), mps
     end
 
     function speed.give_back(units)
         parameter:set(units)
         if vehicle:get_mode() == 4 then order(units / SPEED_UNITS) end
         mirror:set(0)
-        speed.written = nil
-    end
-
-    -- A script that died in control left the pilot's value in the mirror.
-    function speed.repair()
-        local units = mirror:get()
-        if not is_speed(units) then return end
-        speed.give_back(units)
-        say(4, string.format('restarted, %s back to %.2f', SPEED_NAME, units))
+        speed.units = nil
     end
 
     -- Outside changes of the speed parameter: one is the pilot's, four in ten seconds are another script's.
-    local function note_change(t_ms)
-        speed.changes[#speed.changes + 1] = t_ms
-        if #speed.changes > 4 then table.remove(speed.changes, 1) end
-    end
-
     function speed.fought_over(t_ms)
         return #speed.changes == 4 and t_ms - speed.changes[1] < 10000
     end
@@ -1003,17 +902,22 @@ do
     -- The pilot has set the speed parameter while the applet is in control: his value from now on.
     function speed.watch(t_ms)
         local units = parameter:get()
-        if not speed.written or units == speed.written or not is_speed(units) then return end
-        speed.pilot_units = units
-        mirror:set(units)
-        note_change(t_ms)
-        speed.conflict = speed.fought_over(t_ms)
+        if speed.units and units ~= speed.units and is_speed(units) then
+            table.insert(speed.changes, t_ms)
+            if #speed.changes > 4 then table.remove(speed.changes, 1) end
+            if control.active then
+                speed.pilot_units, speed.conflict = units, speed.fought_over(t_ms)
+                mirror:set(units)
+            end
+        end
+        speed.units = units
     end
 
-    function speed.watch_on_ground(t_ms)
-        local units = parameter:get()
-        if speed.ground_units and units ~= speed.ground_units then note_change(t_ms) end
-        speed.ground_units = units
+    -- A script that died in control left the pilot's value in the mirror.
+    local left = mirror:get()
+    if is_speed(left) then
+        speed.give_back(left)
+        say(4, string.format('restarted, %s back to %.2f', SPEED_NAME, left))
     end
 end
 
@@ -1022,25 +926,20 @@ end
 do
     -- Of each state from 1 on: severity, text, and how long it is not announced again, however often it comes and goes.
     local NOTICES = {
-        { 5, 'searching', 10000 },
-        { 6, 'tracking', 10000 },
-        { 4, 'too close', 3000 },
-        { 4, 'no sonar data', 10000 },
-        { 2, 'stream lost, holding here', 3000 },
-        { 2, 'too close, backing off', 3000 },
-        { 6, 'holding the distance', 10000 },
+        5, 'searching', 10000,
+        6, 'tracking', 10000,
+        4, 'too close', 3000,
+        4, 'no sonar data', 10000,
+        2, 'stream lost, holding here', 3000,
+        2, 'too close, backing off', 3000,
+        6, 'holding the distance', 10000,
     }
-
-    function report.begin()
-        report.announced_ms = {}
-        report.state, report.announced = 2, 2 -- a target is assumed until it is missed
-    end
 
     -- One text per change of state.
     function report.announce(t_ms)
         local state = report.state
         if state == report.announced then return end
-        local severity, text, gap_ms = table.unpack(NOTICES[state])
+        local severity, text, gap_ms = table.unpack(NOTICES, 3 * state - 2, 3 * state)
         local last_ms = report.announced_ms[state]
         if last_ms and t_ms - last_ms < gap_ms then return end
         report.announced, report.announced_ms[state] = state, t_ms
@@ -1057,8 +956,9 @@ do
         end
         if C.LOG_HZ <= 0.0 or (report.log_ms and t_ms - report.log_ms < 1000.0 / C.LOG_HZ - 1.0) then return end
         report.log_ms = t_ms
-        logger:write('ECHO', 'Rng,Flt,Err,Spd,St,Ref', 'ffffBI', 'mmmn--', '0000--', range_m or 0.0, track.range_m or 0.0,
-            range_m and range_m - stream.distance_m() or 0.0, speed.out_mps, report.state, refused.count)
+        logger:write('ECHO', 'Rng,Flt,Err,Spd,St,Ref', 'ffffBI', 'mmmn--', '0000--', range_m or 0.0,
+            track.range_m or 0.0, range_m and range_m - hold.distance_m() or 0.0, speed.out_mps, report.state,
+            refused.count)
     end
 end
 
@@ -1083,7 +983,7 @@ do
 
     function check_arming(t_ms)
         if not id or arming:is_armed() then return end
-        speed.watch_on_ground(t_ms)
+        speed.watch(t_ms)
         if checked_ms and t_ms - checked_ms < 1000 then return end
         checked_ms = t_ms
         local reason = C.ENABLE >= 1 and C.ARM_CHK >= 1 and reason_not_to_arm(t_ms) or nil
@@ -1100,10 +1000,6 @@ end
 do
     -- Milliseconds since the script started, a plain integer (wraps after 24 days).
     local boot = millis()
-    local function now_ms()
-        return (millis() - boot):toint()
-    end
-
     -- Why the applet must not act now, or nil.
     local function reason_not_to_act()
         if C.ENABLE < 1 then return 'disabled' end
@@ -1123,9 +1019,9 @@ do
     local function take_control(t_ms)
         speed.take_over()
         control.active = true
-        stream.begin()
-        guard.begin(t_ms)
-        report.begin()
+        stream.at_ms, stream.holding, stream.yaw_rps = nil, false, 0.0
+        guard.evading, guard.close_ms, guard.seen_ms, guard.data_ms = false, t_ms - BLIND_MS, t_ms, t_ms
+        report.announced_ms, report.state, report.announced = {}, 2, 2 -- a target is assumed until it is missed
         track.range_m = nil
         say(6, 'in control')
     end
@@ -1139,28 +1035,32 @@ do
         say(5, string.format('handed back, %s %.2f (%s)', SPEED_NAME, speed.pilot_units, reason))
     end
 
-    -- The limit of the correction towards the points.
-    local function limit(status, t_ms)
-        if hold.update(t_ms) then
-            guard.rest()
-            return C.SPD_MAX
-        end
-        if hold.is_wanted() and not stream.holding and not track.trusted(t_ms) and status ~= 2 then
-            guard.rest()
-            return clamp(C.SPD_LOST, C.SPD_MIN, C.SPD_MAX)
-        end
-        return guard.update(status, t_ms)
-    end
-
     local function act(t_ms)
         if not control.active then take_control(t_ms) end
         speed.watch(t_ms)
         local range_m, status = track.average()
-        if track.is_target(range_m) and not track.newest(t_ms) then
-            track.update(range_m, t_ms, t_ms) -- no single readings: the average has to do
+        if track.is_target(range_m) and not (track.raw_ms and t_ms - track.raw_ms <= 300) then
+            -- No single readings for 3 periods of the slower sonar: the average has to do.
+            track.update(range_m, t_ms, t_ms)
         end
-        guard.look(range_m, status, t_ms)
-        local limit_mps = limit(status, t_ms)
+        if status > 1 then guard.data_ms = t_ms end
+        if track.is_target(range_m) then guard.seen_ms = t_ms end
+        report.state = 2
+        if t_ms - guard.data_ms >= C.NODATA_T * 1000.0 then
+            report.state = 4
+        elseif t_ms - guard.seen_ms >= C.LOST_T * 1000.0 and t_ms - guard.close_ms >= BLIND_MS then
+            report.state = 1
+        end
+        -- The limit of the correction towards the points.
+        local limit_mps = C.SPD_MAX
+        if hold.update(t_ms) then
+            guard.rest()
+        elseif hold.is_wanted() and not stream.holding and not track.trusted(t_ms) and status ~= 2 then
+            guard.rest()
+            limit_mps = clamp(C.SPD_LOST, C.SPD_MIN, C.SPD_MAX)
+        else
+            limit_mps = guard.update(status, t_ms)
+        end
         stream.watch(t_ms)
         speed.write(limit_mps)
         report.announce(t_ms)
@@ -1169,7 +1069,7 @@ do
     end
 
     local function update()
-        local t_ms = now_ms()
+        local t_ms = (millis() - boot):toint()
         read_some()
         own.update(t_ms)
         track.carry(t_ms)
@@ -1197,6 +1097,5 @@ do
     end
 end
 
-speed.repair()
 say(6, 'ready')
 return control.run, 200
