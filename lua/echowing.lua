@@ -565,8 +565,10 @@ do
     local function too_close(near_m, closing_mps, t_ms)
         guard.too_close, guard.close_ms = true, t_ms
         report.state = 3
-        -- Lower than 1.5 m up what is near is most likely the ground; points lead 2 m up and higher (flight/guard.py).
-        local here = -ahrs:get_relative_position_D_home() > 1.5 and vehicle:get_likely_flying() and ahrs:get_location()
+        -- Half a metre lower than points lead (flight/lowest.py) what is near is most likely the ground.
+        local LOWEST_M = 2.0
+        local here = -ahrs:get_relative_position_D_home() > LOWEST_M - 0.5 and vehicle:get_likely_flying()
+            and ahrs:get_location()
         -- Metres that the point in force lies behind the vehicle, away from the leader; 0 if it leads towards the
         -- leader.
         local behind_m = 0.0
