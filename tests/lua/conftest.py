@@ -79,7 +79,8 @@ class Rig:
         self.stream_every_ms: int | None = None
         self.raw_every_ms: int | None = None
         self.ahead_m = 5.0
-        self.stream_mps: float | None = 0.0
+        # The hold takes points with a velocity only; without one they are the speed applet's.
+        self.stream_mps = 0.0 if self.script.name == "echowing.lua" else None
         self.raw_m = 3.0
         self.host = self.new_host()
 

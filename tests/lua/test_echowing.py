@@ -199,9 +199,9 @@ def test_after_a_reboot_nothing_is_left_behind(rig: MakeRig) -> None:
 
 def test_an_error_is_told_once_with_its_place_and_hands_back(rig: MakeRig) -> None:
     r = rig().range(1.4).run(3.0)
-    r.host.local_value("C")["DELAY"] = "x"  # as a bug would: arithmetic on a word
-    r.vehicle.parameters["ECHO_DELAY"] = math.nan  # and nothing puts it right
-    r.host.local_value("complained")["DELAY"] = True
+    r.host.local_value("C")["NODATA_T"] = "x"  # as a bug would: arithmetic on a word
+    r.vehicle.parameters["ECHO_NODATA_T"] = math.nan  # and nothing puts it right
+    r.host.local_value("complained")["NODATA_T"] = True
     r.raw_every_ms = 50
     r.run(5.0)
     errors = [text for text in r.texts if text.startswith("error")]
@@ -209,7 +209,7 @@ def test_an_error_is_told_once_with_its_place_and_hands_back(rig: MakeRig) -> No
     assert "scripts/echowing.lua:" in errors[0]
     assert r.parameter_mps == PILOT_MPS
     assert r.mirror_mps == 0.0
-    r.vehicle.parameters["ECHO_DELAY"] = 0.6
+    r.vehicle.parameters["ECHO_NODATA_T"] = 1.0
     r.run(12.0)
     assert r.parameter_mps < 1.0  # it tried again
 
