@@ -53,6 +53,8 @@ class DeskVehicle:
     tables: dict[int, str] = field(default_factory=dict)
     added: set[str] = field(default_factory=set)
     """Script parameters that exist since the start."""
+    numbers: dict[str, int] = field(default_factory=dict)
+    """The number by which the autopilot keeps each of them."""
 
     def millis(self) -> int:
         return self.t_ms
@@ -96,6 +98,7 @@ class DeskVehicle:
         if full not in self.added and full in self.parameters:
             self.saved.setdefault(full, self.parameters[full])
         self.added.add(full)
+        self.numbers[full] = index
         self.parameters[full] = self.saved.get(full, default)
         return True
 

@@ -1,0 +1,1 @@
+../../../lua/echowing_speed.lua

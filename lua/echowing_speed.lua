@@ -1,0 +1,517 @@
+--[[
+  Echowing, the speed applet: sets the speed of a follower copter by the distance to its leader, as the thesis of 2017
+  describes it (R. L. McClanahan, AFIT-ENV-MS-17-M-202), on autopilots with as little memory as the thesis's.
+
+  A ground tool streams guided points without a velocity. This applet reads the forward rangefinder (the co-processor's
+  running average, by MAVLink) and sets the speed limit of Guided in steps: slower when too near, faster when too far.
+  When a stop would come too late it slows down at once, and then backs off. It holds the vehicle when the points end.
+
+  It acts only while ECHO_ENABLE is 1 and the vehicle is armed and in Guided. The pilot takes over by any change of mode;
+  the speed parameter is then the pilot's again.
+
+  echowing.lua, the other applet, holds the distance more exactly, and needs more memory. A card holds one of the two:
+  they use the same parameters. Purpose, parameters, and what each message means: echowing_speed.md.
+
+  How it stays small: each name, function and local takes heap for itself, so one table holds the state, and a number that
+  is used once stands where it is used, with its meaning beside it.
+--]]
+
+---@diagnostic disable: need-check-nil
+
+-- States, as ECHO_STATE tells them: 0 off, 1 searching, 2 tracking, 3 too close, 4 no sonar data, 5 stream lost, 6 backing
+-- off. Severities: 2 critical, 4 warning, 5 notice, 6 info. Mode 4 is Guided.
+
+local function say(severity, text)
+    gcs:send_text(severity, 'ECHO: ' .. text)
+end
+
+local function clamp(value, low, high)
+    return math.max(low, math.min(high, value))
+end
+
+-- Parameters ---------------------------------------------------------------------------------------------------------
+
+-- Name, default, lowest and highest accepted value of each parameter. In a function: what reads the script keeps the
+-- memory of an unfinished function, and the main one is finished last.
+local PARAMETERS = (function() return {
+    --[[
+      // @Param: ECHO_ENABLE
+      // @DisplayName: Echowing enable
+      // @Description: Lets the applet set the speed in Guided
+      // @Values: 0:Disabled,1:Enabled
+      // @User: Standard
+    --]]
+    'ENABLE', 0, 0, 1,
+    --[[
+      // @Param: ECHO_LAW
+      // @DisplayName: Echowing speed law
+      // @Description: How the range sets the speed. Thesis: fixed steps by bands; no change while no target is detected. Bands: the same steps, which stop at the limits; the speed recovers when the target is lost
+      // @Values: 0:Thesis,1:Bands
+      // @User: Standard
+    --]]
+    'LAW', 0, 0, 1,
+    --[[
+      // @Param: ECHO_DIST
+      // @DisplayName: Echowing wanted distance
+      // @Description: Distance to the leader, centre to centre
+      // @Range: 1.5 6
+      // @Units: m
+      // @User: Standard
+    --]]
+    'DIST', 3, 1.5, 6,
+    --[[
+      // @Param: ECHO_DETECT
+      // @DisplayName: Echowing detection limit
+      // @Description: The applet takes a range of this or more for no target
+      // @Range: 2 7.6
+      // @Units: m
+      // @User: Standard
+    --]]
+    'DETECT', 4.5, 2, 7.6,
+    --[[
+      // @Param: ECHO_BAND_IN
+      // @DisplayName: Echowing monitor band
+      // @Description: The speed does not change while the range is within this of the wanted distance
+      // @Range: 0.01 0.5
+      // @Units: m
+      // @User: Advanced
+    --]]
+    'BAND_IN', 0.05, 0.01, 0.5,
+    --[[
+      // @Param: ECHO_BAND_OUT
+      // @DisplayName: Echowing small step band
+      // @Description: The speed changes by the small step while the range is within this of the wanted distance, else by the big step
+      // @Range: 0.05 1.5
+      // @Units: m
+      // @User: Advanced
+    --]]
+    'BAND_OUT', 0.25, 0.05, 1.5,
+    --[[
+      // @Param: ECHO_STEP_SML
+      // @DisplayName: Echowing small step
+      // @Description: Change of speed per period, near the wanted distance
+      // @Range: 0.05 2
+      // @Units: m/s
+      // @User: Advanced
+    --]]
+    'STEP_SML', 0.5, 0.05, 2,
+    --[[
+      // @Param: ECHO_STEP_BIG
+      // @DisplayName: Echowing big step
+      // @Description: Change of speed per period, far from the wanted distance
+      // @Range: 0.05 3
+      // @Units: m/s
+      // @User: Advanced
+    --]]
+    'STEP_BIG', 1, 0.05, 3,
+    --[[
+      // @Param: ECHO_PERIOD
+      // @DisplayName: Echowing law period
+      // @Description: Time between two steps
+      // @Range: 0.1 2
+      // @Units: s
+      // @User: Advanced
+    --]]
+    'PERIOD', 0.45, 0.1, 2,
+    --[[
+      // @Param: ECHO_SPD_MIN
+      // @DisplayName: Echowing lowest speed
+      // @Description: Lowest speed limit. 0 would mean no limit. Below 0.2 the autopilot saves a value of its own
+      // @Range: 0.2 2
+      // @Units: m/s
+      // @User: Standard
+    --]]
+    'SPD_MIN', 0.2, 0.2, 2,
+    --[[
+      // @Param: ECHO_SPD_MAX
+      // @DisplayName: Echowing highest speed
+      // @Description: Highest speed limit
+      // @Range: 1 15
+      // @Units: m/s
+      // @User: Standard
+    --]]
+    'SPD_MAX', 5, 1, 15,
+    --[[
+      // @Param: ECHO_SPD_INIT
+      // @DisplayName: Echowing initial speed
+      // @Description: Speed limit when the applet takes control
+      // @Range: 0.2 15
+      // @Units: m/s
+      // @User: Standard
+    --]]
+    'SPD_INIT', 2.5, 0.2, 15,
+    --[[
+      // @Param: ECHO_SPD_LOST
+      // @DisplayName: Echowing speed without sonar
+      // @Description: Speed limit while the sonar sends no data or detects no target (law 0 keeps its speed while it detects no target)
+      // @Range: 0.2 15
+      // @Units: m/s
+      // @User: Standard
+    --]]
+    'SPD_LOST', 3, 0.2, 15,
+    --[[
+      // @Param: ECHO_LOST_T
+      // @DisplayName: Echowing target lost time
+      // @Description: The target is lost after this time without a detection
+      // @Range: 0.3 10
+      // @Units: s
+      // @User: Standard
+    --]]
+    'LOST_T', 1.5, 0.3, 10,
+    --[[
+      // @Param: ECHO_CLOSE
+      // @DisplayName: Echowing close distance
+      // @Description: Too close: the range minus the distance that still closes before the vehicle stops is under this. Any range under 1 m is too close
+      // @Range: 0.5 4
+      // @Units: m
+      // @User: Standard
+    --]]
+    'CLOSE', 1.5, 0.5, 4,
+    --[[
+      // @Param: ECHO_DELAY
+      // @DisplayName: Echowing reaction delay
+      // @Description: Time from a reading until the vehicle reacts: sonar, wire and attitude. Used for the closing distance
+      // @Range: 0.1 2
+      // @Units: s
+      // @User: Advanced
+    --]]
+    'DELAY', 1, 0.1, 2,
+    --[[
+      // @Param: ECHO_DECEL
+      // @DisplayName: Echowing braking
+      // @Description: Deceleration that the vehicle reaches. Used for the closing distance
+      // @Range: 0.5 10
+      // @Units: m/s/s
+      // @User: Advanced
+    --]]
+    'DECEL', 2.5, 0.5, 10,
+    --[[
+      // @Param: ECHO_RATE
+      // @DisplayName: Echowing rate limit
+      // @Description: Law 1: highest rate of change of the speed limit, except when too close. 0: no rate limit
+      // @Range: 0 20
+      // @Units: m/s/s
+      // @User: Advanced
+    --]]
+    'RATE', 4, 0, 20,
+    --[[
+      // @Param: ECHO_STREAM_T
+      // @DisplayName: Echowing stream watchdog
+      // @Description: The applet holds the vehicle where it is when a stream of guided points stops for this long. 0: no watchdog
+      // @Range: 0 10
+      // @Units: s
+      // @User: Standard
+    --]]
+    'STREAM_T', 1, 0, 10,
+    --[[
+      // @Param: ECHO_INSET
+      // @DisplayName: Echowing sonar inset
+      // @Description: Distance between the two vehicles' centres minus what the sonar reads. The sonar's face is ahead of the follower's centre, and the leader's legs, which reflect, are around its centre
+      // @Range: 0 1
+      // @Units: m
+      // @User: Standard
+    --]]
+    'INSET', 0.2, 0, 1,
+    --[[
+      // @Param: ECHO_MIRROR
+      // @DisplayName: Echowing mirror of the pilot's speed
+      // @Description: The pilot's value of the speed parameter, in its own unit, while the applet is in control; 0 otherwise. The applet writes it, so that a restarted script can restore the speed parameter
+      // @Range: 0 10000
+      // @ReadOnly: True
+      // @User: Advanced
+    --]]
+    'MIRROR', 0, 0, 10000,
+} end)()
+-- Their numbers, in the same order. The autopilot keeps a saved value by its number: a number belongs to one name for
+-- ever, in both applets.
+local NUMBERS = '\1\2\3\4\5\6\7\8\9\13\14\15\16\17\19\20\21\22\23\27\28'
+
+local C = {} -- values in force: C.DIST, ...
+
+-- Uses the new value of a parameter (its name is PARAMETERS[i]) if it is in its range (NaN is not); else keeps the old.
+local function read(i)
+    local name, value = PARAMETERS[i], PARAMETERS[i + 1]:get()
+    if value and value >= PARAMETERS[i + 2] and value <= PARAMETERS[i + 3] then
+        C[name], C[i] = value, nil
+    elseif not C[i] then
+        C[i] = name -- told
+        say(4, string.format('ECHO_%s out of range, using %.2f', name, C[name]))
+    end
+end
+
+-- Adds the parameters. Gives the mirror, and what a script that died in control left in it: values that were not saved
+-- return to their defaults here.
+local function add_parameters()
+    local units = param:get('ECHO_MIRROR')
+    assert(param:add_table(95, 'ECHO_', 50), 'ECHO: parameter table key 95 is taken') -- no script of ArduPilot's uses 95
+    for i = 1, #PARAMETERS, 4 do
+        local name = PARAMETERS[i]
+        param:add_param(95, string.byte(NUMBERS, 1 + i // 4), name, PARAMETERS[i + 1])
+        C[name], PARAMETERS[i + 1] = PARAMETERS[i + 1], Parameter('ECHO_' .. name) -- in the place of its default
+        read(i)
+    end
+    return PARAMETERS[#PARAMETERS - 2], units -- the mirror is the last of them
+end
+
+local mirror, units = add_parameters()
+
+-- State --------------------------------------------------------------------------------------------------------------
+
+-- The speed parameter and how many of its units make 1 m/s: WP_SPD from later 4.7 on, WPNAV_SPEED before.
+local SPEED_NAME = param:get('WP_SPD') and 'WP_SPD' or 'WPNAV_SPEED'
+local parameter = Parameter(SPEED_NAME)
+local per_mps = SPEED_NAME == 'WP_SPD' and 1 or 100
+
+-- Times are in ms; distances are between the two vehicles' centres.
+local S = { state = 0, row = 1, points = 0, point_ms = 0 }
+
+-- Flies to a place so far back, looking where it looks now: Guided would turn the nose, and with it the sonar, towards a
+-- target without a yaw. False: it does not fly, or the target was refused.
+local function fly_back(back_m)
+    local position, yaw = ahrs:get_relative_position_NED_origin(), (ahrs.get_yaw_rad or ahrs.get_yaw)(ahrs)
+    if not (position and vehicle:get_likely_flying()) then return false end
+    position:x(position:x() - back_m * math.cos(yaw))
+    position:y(position:y() - back_m * math.sin(yaw))
+    return vehicle:set_target_pos_NED(position, true, math.deg(yaw), false, 0, false, false)
+end
+
+-- Sonar --------------------------------------------------------------------------------------------------------------
+
+-- Distance by the rangefinder's running average, nil where it is no measurement or no target; and the status.
+local function read_sonar()
+    local status = rangefinder:status_orient(0) -- 1 no data, 2 too low, 3 too high, 4 good
+    local range_m = rangefinder.distance_orient and rangefinder:distance_orient(0)
+        or rangefinder:distance_cm_orient(0) / 100
+    local good = status == 4 and range_m > 0 or status == 2 and range_m >= 0
+    return good and range_m < C.DETECT and range_m + C.INSET or nil, status
+end
+
+-- Distance and closing speed of the target: a well damped observer (0.2 s) of the averages.
+local function track(range_m, t_ms)
+    local dt_s = math.min((t_ms - S.update_ms) / 1000, 0.1)
+    S.near_m = S.near_m - S.closing_mps * dt_s
+    if not range_m then return end
+    if t_ms - S.seen_ms > 500 then S.near_m, S.closing_mps = range_m, 0 end -- too long ago: it starts anew
+    local off_m = range_m - S.near_m
+    S.near_m, S.seen_ms = S.near_m + 10 * dt_s * off_m, t_ms
+    S.closing_mps = clamp(S.closing_mps - 20 * dt_s * off_m, -C.SPD_MAX, C.SPD_MAX)
+end
+
+-- Laws ---------------------------------------------------------------------------------------------------------------
+
+-- Change of speed for a range, thesis Appendix A and Table 6.
+local function band_change(range_m)
+    if range_m >= C.DIST + C.BAND_OUT then return C.STEP_BIG end
+    if range_m >= C.DIST + C.BAND_IN then return C.STEP_SML end
+    if range_m >= C.DIST - C.BAND_IN then return 0 end
+    if range_m >= C.DIST - C.BAND_OUT then return -C.STEP_SML end
+    return -C.STEP_BIG
+end
+
+-- One step. Law 0, Appendix A: a step that would reach a limit is refused. Law 1: it stops at the limit.
+local function law_step(speed_mps, range_m)
+    local new_mps = speed_mps + band_change(range_m)
+    if C.LAW >= 1 then return clamp(new_mps, C.SPD_MIN, C.SPD_MAX) end
+    if new_mps > speed_mps and new_mps >= C.SPD_MAX or new_mps < speed_mps and new_mps <= C.SPD_MIN then
+        return speed_mps
+    end
+    return new_mps
+end
+
+-- The law's speed.
+local function run_law(range_m, status, t_ms)
+    S.state = 2
+    if status > 1 then S.data_ms = t_ms end
+    if range_m then
+        if t_ms - S.step_ms >= C.PERIOD * 1000 then S.step_ms, S.wish_mps = t_ms, law_step(S.wish_mps, range_m) end
+    else
+        S.step_ms = t_ms -- the next average begins when the target is back
+        local lost_ms = t_ms - C.LOST_T * 1000
+        if lost_ms >= S.data_ms then
+            S.state, S.wish_mps = 4, C.SPD_LOST
+        elseif lost_ms >= S.seen_ms and not S.close then
+            S.state, S.wish_mps = 1, C.LAW >= 1 and C.SPD_LOST or S.wish_mps
+        end
+    end
+    local most_mps = C.LAW >= 1 and C.RATE > 0 and C.RATE * (t_ms - S.update_ms) / 1000 or C.SPD_MAX
+    S.law_mps = clamp(S.law_mps + clamp(S.wish_mps - S.law_mps, -most_mps, most_mps), C.SPD_MIN, C.SPD_MAX)
+end
+
+-- Guard: too close, or too fast to stop 1 m before the target, wins over every law. It backs off to the wanted distance:
+-- it would begin anew from nearer, its nose and its sonar down. Gives the speed to set.
+local function guard(status, t_ms)
+    -- A target lost while too close is taken to be there for 2.5 s: while it backs off the nose is up, and the sonar often
+    -- sees nothing.
+    local known = t_ms - S.seen_ms <= (S.close and 2500 or 500)
+    local near_m, closing_mps = known and S.near_m or 10, math.max(0, known and S.closing_mps or 0)
+    S.close = status == 2 or near_m < C.CLOSE or S.close and near_m < C.DIST
+        or near_m - closing_mps * C.DELAY - closing_mps * closing_mps / (2 * C.DECEL) < 1
+    if not S.close then return S.law_mps end
+    if C.LAW >= 1 then S.wish_mps, S.law_mps = C.SPD_MIN, C.SPD_MIN end
+    -- Lower than 1.5 m up what is near is most likely the ground; points lead 2 m up and higher (flight/guard.py).
+    local backs = known and -ahrs:get_relative_position_D_home() > 1.5
+        and fly_back(clamp(C.DIST - near_m + closing_mps, 0.5, 5))
+    S.state = backs and 6 or 3
+    return backs and C.SPD_MAX or C.SPD_MIN
+end
+
+-- Stream watch: holds the vehicle where it is once a stream of guided points has fallen silent. Three points are a stream;
+-- one alone may be a pilot's click on the map.
+local function watch_stream(t_ms)
+    local silent = C.STREAM_T > 0 and S.points >= 3 and t_ms - S.point_ms > C.STREAM_T * 1000
+    if not silent or S.close then
+        S.holding = nil -- hold again where the evasion ends
+    else
+        S.state, S.holding = 5, S.holding or fly_back(0)
+    end
+end
+
+-- MAVLink ------------------------------------------------------------------------------------------------------------
+
+mavlink:init(5, 1)
+mavlink:register_rx_msgid(86) -- SET_POSITION_TARGET_GLOBAL_INT
+
+-- Takes a point for this vehicle. Frames whose checksum is wrong reach scripts too, so it is computed. Points count from
+-- one sender until it has been silent for a second.
+local function take_point(message, t_ms)
+    local sub, wide = string.sub, #message >= 299 and 3 or 0 -- bytes of mavlink_message_t where ids have 32 bits; else 291
+    local old, length, flags = string.byte(message, 3, 5)
+    old = old == 0xFE -- MAVLink 1
+    if length > 53 or not (old or flags < 2) then return end -- 1: signed; more changes the frame
+    -- As on the wire from the length on; one or three bytes of message id. 5: CRC_EXTRA of the message.
+    local bytes = sub(message, 4, old and 4 or 6) .. sub(message, 7, 8)
+        .. sub(message, 9 + wide, (old and 10 or 12) + wide) .. sub(message, 13 + wide, 12 + wide + length)
+        .. '\5' .. sub(message, 1, 2) .. '\0\0\0'
+    local crc = 0xFFFF -- X.25, four bytes at a time; 0 at the end, and zeros that follow change nothing
+    for i = 1, #bytes - 3, 4 do
+        local q = string.unpack('<i4', bytes, i) ~ crc
+        q = q ~ q << 4 ~ q << 11 ~ q << 16
+        q = q ~ q << 8 ~ q << 22
+        q = q ~ q << 16
+        crc = q >> 16 ~ q >> 21 ~ q >> 28
+    end
+    local system = length > 50 and string.byte(message, 63 + wide) or 0
+    if crc ~= 0 or system ~= 0 and system ~= (param:get('MAV_SYSID') or param:get('SYSID_THISMAV')) then return end
+    local sender, late = string.byte(message, 8), t_ms - S.point_ms > 1000
+    if sender ~= S.sender and not late then return end
+    S.points, S.point_ms, S.sender = late and 1 or S.points + 1, t_ms, sender
+end
+
+-- The speed parameter ------------------------------------------------------------------------------------------------
+
+-- An outside change while in control is the pilot's: his value from now on.
+local function watch_speed()
+    local value = parameter:get()
+    if value ~= S.units and value > 0 then -- NaN is not
+        S.pilot_units = value
+        mirror:set(value)
+    end
+end
+
+local function give_back(value, ...)
+    parameter:set(value)
+    if vehicle:get_mode() == 4 then vehicle:set_desired_speed(value / per_mps) end
+    mirror:set(0)
+    say(5, string.format(...))
+end
+
+-- What pilots see ----------------------------------------------------------------------------------------------------
+
+local TEXTS = {
+    'searching', 'tracking', 'too close', 'no sonar data', 'stream lost, holding here', 'too close, backing off',
+}
+
+-- One text per change of state, but what comes and goes at most each 10 s; the named floats each half second, and at once
+-- when it backs off: the ground tool would call it back.
+local function report(range_m, t_ms)
+    local state = S.state
+    if state ~= S.announced and (state > 2 or t_ms - S.told_ms >= 10000) then
+        S.announced, S.told_ms, S.named_ms = state, t_ms, t_ms - 500
+        say(state > 4 and 2 or 4, TEXTS[state])
+    end
+    if t_ms - S.named_ms < 500 then return end
+    S.named_ms = t_ms
+    gcs:send_named_float('ECHO_RNG', range_m or 0)
+    gcs:send_named_float('ECHO_SPD', S.speed_mps)
+    gcs:send_named_float('ECHO_STATE', state)
+end
+
+-- Control: who flies, and the update ---------------------------------------------------------------------------------
+
+-- Why the applet must not act now, or nil.
+local function reason_not_to_act()
+    if C.ENABLE < 1 then return 'disabled' end
+    if not arming:is_armed() then return 'disarmed' end
+    if vehicle:get_mode() ~= 4 then return 'mode' end
+    return nil
+end
+
+local function hand_back(reason)
+    if not S.pilot_units then return end
+    watch_speed()
+    give_back(S.pilot_units, 'handed back, %s %.2f (%s)', SPEED_NAME, S.pilot_units, reason)
+    S.pilot_units, S.state = nil, 0
+end
+
+local function act(t_ms)
+    if not S.pilot_units then
+        S.units, S.points, S.close, S.holding = nil, 0, nil, nil
+        S.step_ms, S.update_ms, S.data_ms, S.seen_ms, S.told_ms = t_ms, t_ms, t_ms, t_ms - 1000, t_ms - 10000
+        S.near_m, S.closing_mps, S.named_ms, S.announced = 0, 0, t_ms - 500, 2
+        S.law_mps = clamp(C.SPD_INIT, C.SPD_MIN, C.SPD_MAX)
+        S.wish_mps = S.law_mps
+        say(6, string.format('in control, law %.0f, %.1f m/s', C.LAW // 1, S.law_mps))
+    end
+    watch_speed() -- before the speed is touched: a restart must find the pilot's
+    local range_m, status = read_sonar()
+    track(range_m, t_ms)
+    run_law(range_m, status, t_ms)
+    S.speed_mps = guard(status, t_ms)
+    watch_stream(t_ms)
+    parameter:set(S.speed_mps * per_mps)
+    S.units, S.update_ms = parameter:get(), t_ms
+    vehicle:set_desired_speed(S.speed_mps)
+    report(range_m, t_ms)
+    return S.state == 6 and 20 or 50
+end
+
+local auth = arming:get_aux_auth_id()
+
+-- Gives the pause before the next update, ms.
+local function update()
+    local t_ms = millis():toint()
+    for _ = 1, 3 do -- each of them within half a second in control; the mirror is written, not read
+        read(S.row)
+        S.row = (S.row + 3) % (#PARAMETERS - 4) + 1
+    end
+    C.SPD_MAX = math.max(C.SPD_MAX, C.SPD_MIN)
+    for _ = 1, 5 do
+        local message = mavlink:receive_chan()
+        if message then take_point(message, t_ms) end
+    end
+    local reason = reason_not_to_act()
+    if not reason then return act(t_ms) end
+    hand_back(reason)
+    if auth and C.ENABLE >= 1 and not rangefinder:has_orientation(0) then
+        arming:set_aux_auth_failed(auth, 'ECHO: no forward rangefinder')
+    elseif auth then
+        arming:set_aux_auth_passed(auth)
+    end
+    return 100
+end
+
+-- An error is reported once with its place. The speed is handed back, and the next try is slower.
+local function run()
+    local good, value = pcall(update)
+    if not good then
+        if value ~= S.text then say(2, 'error ' .. tostring(value)) end
+        S.text, value = value, 1000
+        pcall(hand_back, 'error')
+    end
+    return run, value
+end
+
+-- A script that died in control left the pilot's value in the mirror.
+if units and units > 0 then give_back(units, 'restarted, %s back to %.2f', SPEED_NAME, units) end
+say(6, 'ready')
+return run, 100
