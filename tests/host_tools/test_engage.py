@@ -19,7 +19,7 @@ from echowing.flight.engage import (
 from echowing.flight.envelope import Answer
 from echowing.flight.guard import Limits
 from echowing.flight.guidance import Slot
-from echowing.flight.handling import STEERED_MPS2, least_slot_m
+from echowing.flight.handling import SELDOM_S, STEERED_MPS2, least_slot_m
 from echowing.flight.readiness import Readiness
 from echowing.flight.switch import StopSwitch
 from echowing.geo import distance_m
@@ -138,11 +138,12 @@ def test_limits_too_slow_for_a_leader_that_turns_round_are_refused() -> None:
 def test_a_slot_opens_for_a_leader_too_fast_to_turn_round_from_it() -> None:
     """With the limits of 3 m/s2 and 10 m/s3: 2.5 m at 1 m/s, 4.6 m at 3 m/s."""
     yard = Yard(slots=[Slot(3.8)])
-    yard.vehicles[FOLLOWER].parameters.update({"WP_ACC": 3.0, "PSC_JERK_NE": 10.0})
+    limits = {"WP_ACC": 3.0, "PSC_JERK_NE": 10.0}
+    yard.vehicles[FOLLOWER].parameters.update({"ECHO_DIST": 3.8, **limits})
     follower = yard.session.followers[FOLLOWER]
     yard.vehicles[LEADER].mode = AUTO
-    yard.vehicles[LEADER].velocity_mps = 1.0, 0.0
-    yard.fly(2.0)
+    yard.vehicles[LEADER].velocity_mps = yard.vehicles[FOLLOWER].velocity_mps = 1.0, 0.0
+    yard.fly(SOON_S)
     assert follower.reversal_m == pytest.approx(2.46, abs=0.02)
     assert not yard.said("slot opens")
     yard.vehicles[LEADER].velocity_mps = 3.0, 0.0
@@ -200,6 +201,61 @@ def test_a_slot_opens_where_the_wind_leaves_little_to_brake_with() -> None:
     answer = Answer(follower.handling.answer_in_calm.dead_s, 3.1)
     assert follower.reversal_m == least_slot_m(2.0, answer) > 3.0
     assert yard.said("m, wind leaves ")
+
+
+def test_a_vehicle_that_leans_slowly_is_refused_a_near_slot() -> None:
+    """At 300 deg/s2 the jerk is 8 m/s3, not 15, and all of that is lost before it brakes."""
+    yard = Yard()
+    slow = {"ATC_ACC_R_MAX": 300.0, "ATC_ACC_P_MAX": 300.0, "ATC_INPUT_TC": 0.3}
+    yard.vehicles[FOLLOWER].parameters.update(slow)
+    assert yard.fly(SOON_S) == []
+    assert yard.said("its slot is 3 m from the leader, and 4.")
+
+
+def test_what_it_does_not_tell_counts_as_the_worst_and_is_named() -> None:
+    yard = Yard()
+    parameters = yard.vehicles[FOLLOWER].parameters
+    told = parameters.pop("ATC_INPUT_TC")
+    assert yard.fly(SOON_S) == []
+    assert yard.said("is the least at which it gets away")
+    assert yard.said("not known, so taken as the worst: ATC_INPUT_TC")
+    parameters["ATC_INPUT_TC"] = told
+    assert yard.fly(SELDOM_S + 2.0) != []
+
+
+def test_the_slot_does_not_open_for_limits_that_are_on_their_way() -> None:
+    """They come one after another by radio: what is missing meanwhile is no reason to open."""
+    yard = Yard()
+    yard.vehicles[LEADER].velocity_mps = yard.vehicles[FOLLOWER].velocity_mps = 2.0, 0.0
+    yard.vehicles[LEADER].mode = AUTO
+    parameters = yard.vehicles[FOLLOWER].parameters
+    late = {name: parameters.pop(name) for name in ("ATC_INPUT_TC", "ATC_ACC_P_MAX")}
+    yard.fly(1.5)
+    parameters.update(late)
+    point = yard.fly(SOON_S)[-1]
+    assert point.afx == 0.0
+    assert not yard.said("slot opens")
+
+
+@pytest.mark.parametrize("value", [1e-30, math.nan, math.inf])
+def test_one_false_parameter_neither_hangs_nor_moves_anybody(value: float) -> None:
+    """From anybody on the link: WP_ACC = 1e-30 was computed with for ever."""
+    yard = Yard()
+    yard.fly(SOON_S)
+    follower = yard.session.followers[FOLLOWER]
+    before = follower.handling.answer
+    for name in ("WP_ACC", "PSC_JERK_NE", "ATC_ANGLE_MAX", "ATC_ACC_R_MAX"):
+        follower.handling.receive(name, value)
+    assert yard.fly(1.0) != []
+    assert follower.handling.answer == before
+    assert follower.opens_m == 0.0
+
+
+def test_a_parameter_that_no_vehicle_has_is_named() -> None:
+    yard = Yard()
+    yard.vehicles[FOLLOWER].parameters["WP_ACC"] = 0.1
+    assert yard.fly(SOON_S) == []
+    assert yard.said("WP_ACC 0.1 is not believed")
 
 
 def test_limits_that_are_not_told_are_not_guessed() -> None:

@@ -1,5 +1,7 @@
 """The table of `echowing follow --log`, written by the tool's own code and analysed."""
 
+import csv
+import json
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -142,10 +144,59 @@ def test_a_folder_is_its_tables_and_each_follower_a_flight(tmp_path: Path) -> No
 def test_time_in_the_pilots_hands_is_told_and_what_lies_outside_is_left_out(tmp_path: Path) -> None:
     (flight,) = read_flights([write(tmp_path / "between", pilots=(5.0, 8.0))])
     assert flight.time_s[-1] == pytest.approx(19.9, abs=0.3)
-    assert any("for 3 s of the flight" in text for text in flight.warnings)
+    assert flight.left_out == ("3 s flown by its pilot",)
     (cut,) = read_flights([write(tmp_path / "after", pilots=(10.0, math.inf))])
     assert cut.time_s[-1] == pytest.approx(9.9, abs=0.2)
     assert cut.warnings == ()
+
+
+def change(table: Path, rows: range, **cells: str) -> None:
+    """Other cells in some rows of a table."""
+    with table.open(newline="", encoding="utf-8") as file:
+        reader = csv.DictReader(file)
+        lines = list(reader)
+    for number in rows:
+        lines[number] |= cells
+    with table.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, reader.fieldnames or ())
+        writer.writeheader()
+        writer.writerows(lines)
+
+
+def test_holds_and_giving_way_are_named_and_count_for_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """They are flown elsewhere on purpose: 4.0 m are wanted, 3.5 m are flown, 9 m while held."""
+    table = write(tmp_path, behind_m=lambda now_s: 9.0 if 10.0 <= now_s < 15.0 else 3.5)
+    change(table, range(98, 122), state="holding: stop switch")
+    change(table, range(122, 152), state="gives way to leader")
+    (flight,) = read_flights([table])
+    assert flight.left_out == ("2 s holding", "3 s giving way")
+    assert flight.warnings == ()
+    assert len(flight.time_s) == 200  # all of it is drawn
+    assert metrics(flight).max_separation_m < 4.0
+    assert main(["analyze", str(tmp_path), "--settle", "0"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "mean error 0.50 m, RMSD 0.50 m by GPS; left out: 2 s holding, 3 s giving way" in said
+
+
+def test_the_most_certain_source_leads(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Receivers that agree on 3.5 m where it is 3.9 m, as the sonar says: 3.7 m and the inset."""
+
+    def leads() -> tuple[str, str]:
+        assert main(["analyze", str(tmp_path), "--settle", "0", "--json"]) == 0
+        told = json.loads(capsys.readouterr().out)
+        assert told["by_gps"]["mean_separation_m"] == pytest.approx(3.5, abs=0.02)
+        return told["source"], f"{told['mean_separation_m']:.1f} m"
+
+    table = write(tmp_path)
+    assert leads()[0] == "by GPS"
+    change(table, range(200), north_offset_m="-0.3", east_offset_m="0.0")
+    assert leads() == ("by estimate", "3.8 m")
+    change(table, range(60), sonar_m="3.7")  # a third of the flight
+    assert leads()[0] == "by estimate"
+    change(table, range(150), sonar_m="3.7")
+    assert leads() == ("by sonar", "3.9 m")
 
 
 def test_a_table_that_only_watched_says_so(tmp_path: Path) -> None:

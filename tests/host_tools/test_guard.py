@@ -27,6 +27,7 @@ from echowing.flight.session import FollowSession
 from echowing.flight.state import FollowerPlan, FollowerState
 from echowing.flight.switch import StopSwitch, parse_stop_switch
 from echowing.flight.tow_bar import TowBar
+from echowing.flight.vehicle_limits import usual_parameters
 from echowing.geo import GlobalPosition, displace, ned_between
 from echowing.mavlink.plausible import Door
 from echowing.tool.panel import Panel, left_as, state_of
@@ -88,6 +89,9 @@ class Field:
         )
         for system_id in (LEADER, *self.followers):
             self.tell(system_id, heartbeat())
+        for follower in self.session.followers.values():
+            for name, value in usual_parameters().items():
+                follower.handling.receive(name, value)
 
     def tell(self, system_id: int, message: Any) -> None:
         heard = received(system_id, message)
@@ -781,7 +785,7 @@ def test_a_stop_is_not_placed_further_off_because_of_the_wind(
     there.silent = {LEADER}
     far_m = north_of(there.points(1.5)[-1]) + 4.0
     until_it_leans_m = 2.5 * (0.3 + there.session.followers[FOLLOWER].way_s)
-    calm_mps2 = follower.handling.answer_in_calm.decel_mps2
+    calm_mps2 = follower.handling.closing.accel_mps2
     assert far_m == pytest.approx(until_it_leans_m + 2.5**2 / (2.0 * calm_mps2), abs=0.3)
 
 

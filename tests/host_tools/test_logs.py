@@ -1,5 +1,6 @@
 """Flights from real logs: excerpts of a recording (data/README.md) and logs written here."""
 
+import json
 import math
 import shutil
 import struct
@@ -14,6 +15,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from echowing.analysis.logs import compare_with_truth, read_flights
 from echowing.analysis.metrics import metrics
 from echowing.analysis.vehicle_log import DATAFLASH_TYPES, TLOG_TYPES, gps_to_unix_s, read_vehicles
+from echowing.cli import main
 from echowing.errors import EchowingError
 from echowing.flight.guidance import Slot
 
@@ -60,6 +62,32 @@ def test_the_truths_clock_can_be_matched_by_the_speeds() -> None:
     compared = compare_with_truth(flight, DATA / "truth.csv", match_clocks=True)
     assert compared.clock_shift_s == pytest.approx(-0.72, abs=0.1)  # data/README.md
     assert compared.rms_m < compare_with_truth(flight, DATA / "truth.csv").rms_m
+
+
+def analyzed(folder: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
+    logs = [str(folder / f"{who}.BIN") for who in ("leader", "follower")]
+    assert main(["analyze", *logs, "--settle", "0", "--json"]) == 0
+    told: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return told
+
+
+def test_a_truth_beside_the_logs_leads_where_it_is_of_this_flight(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    told = analyzed(DATA, capsys)
+    assert told["source"] == "in truth"
+    assert told["mean_separation_m"] == pytest.approx(3.43, abs=0.05)
+    for who in ("leader", "follower"):
+        shutil.copy(DATA / f"{who}.BIN", tmp_path)
+    without = analyzed(tmp_path, capsys)
+    assert (without["source"], without["warnings"]) == ("by sonar", [])
+    columns = "unix_time_s,separation_m,follower_speed_mps\n"
+    (tmp_path / "truth.csv").write_text(f"{columns}1,2,3\n", encoding="utf-8")
+    another = analyzed(tmp_path, capsys)
+    assert another["source"] == "by sonar"
+    (warning,) = another["warnings"]
+    assert "truth.csv is not used" in warning
+    assert "no time in common" in warning
 
 
 @pytest.mark.parametrize("kind", ["tlog", "BIN"])

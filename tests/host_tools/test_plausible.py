@@ -171,7 +171,7 @@ class TestInFlight:
         assert there.state() == "following"
         there.tell(FOLLOWER, parameter("WP_ACC", value))
         assert len(there.fly(2.0)) == 16
-        assert there.session.followers[FOLLOWER].handling.decel_mps2 == 5.0
+        assert there.session.followers[FOLLOWER].handling.answer_in_calm.decel_mps2 == 5.0
 
     @pytest.mark.parametrize("roll_rad", [*NUMBERS, math.pi / 2.0, 1e6])
     def test_an_attitude_that_cannot_be_opens_no_slot(self, roll_rad: float) -> None:

@@ -140,6 +140,24 @@ def test_a_cut_link_loses_what_is_sent_and_stays_connected(
     assert vehicle.recv(10) == b"heard"
 
 
+def test_a_lossy_link_loses_packets_both_ways(
+    ends: tuple[Link, socket.socket, socket.socket],
+) -> None:
+    link, *both = ends
+    for sender, receiver in (both, both[::-1]):
+        link.lose(0.3)
+        sender.sendall(bytes(4000))  # 80 packets or so
+        receiver.settimeout(0.3)
+        arrived = b""
+        with pytest.raises(TimeoutError):
+            while True:
+                arrived += receiver.recv(4000)
+        assert 2000 < len(arrived) < 3600
+        link.lose(0.0)
+        sender.sendall(b"heard")
+        assert receiver.recv(10) == b"heard"
+
+
 # ---- truth -------------------------------------------------------------------------------------
 
 

@@ -12,6 +12,7 @@ from echowing.flight.guidance import GuidanceSettings, Slot
 from echowing.flight.readiness import Readiness
 from echowing.flight.session import FollowSession
 from echowing.flight.state import FollowerPlan
+from echowing.flight.vehicle_limits import usual_parameters
 from echowing.geo import GlobalPosition, displace
 from echowing.mavlink.plausible import Door
 from echowing.tool.panel import state_of
@@ -58,6 +59,7 @@ class Vehicle:
             "ECHO_DIST": 3.0,
             "ECHO_INSET": 0.2,
             "ECHO_STREAM_T": 1.0,
+            **usual_parameters(),
             "WP_ACC": 5.0,
             "PSC_JERK_NE": 20.0,
         }

@@ -4,6 +4,7 @@ import json
 import re
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -116,7 +117,7 @@ def test_analyze_agrees_with_the_truth(start: Start, table: list[Entry]) -> None
                 one["rmsd_m"],
                 one["min_separation_m"],
             )
-            for one in (told, flown.to_json())
+            for one in (told["by_gps"], flown.to_json())
         )
         note = "by the logs; truth in place of sim"
         case = f"analyze, {name}"
@@ -129,17 +130,12 @@ def test_a_signed_link(
     kit: Kit, start: Start, table: list[Entry], case_folder: Path, tmp_path: Path
 ) -> None:
     """From 4.7 on the co-processor's port can be exempt; before, `check` says what is lost."""
-    key_file = tmp_path / "field.key"
-    key_file.write_bytes(KEY)
-    key_file.chmod(0o600)
-    signed = ("--signing-key-file", str(key_file))
-    folder = copied(kit.prepared, case_folder / "signed")
-    said, exempt = _sign(kit, folder, signed)
-    if not exempt:
-        assert "up to ArduCopter 4.6 only the USB port takes unsigned messages" in said
+    signed = sign(kit, case_folder, tmp_path)
+    if not signed.exempt:
+        assert "up to ArduCopter 4.6 only the USB port takes unsigned messages" in signed.said
         return
-    formation = start(prepared=folder, key=KEY)
-    formation.fly_in_formation(*signed)
+    formation = start(prepared=signed.folder, key=KEY)
+    formation.fly_in_formation(*signed.options)
     began_s = time.monotonic()
     formation.leader.fly((SPEED_MPS, 0.0, 0.0))
     tracking = formation.follower.heard.named
@@ -153,24 +149,39 @@ def test_a_signed_link(
     assert flown.mean_abs_error_m < RADIUS_M / 2
 
 
-def _sign(kit: Kit, folder: Path, signed: tuple[str, str]) -> tuple[str, bool]:
-    """Have a follower sign, and do what `check` advises; what it said, and whether there is a cure.
+@dataclass(frozen=True, slots=True)
+class Signed:
+    """A follower's folder with signing in its memory, the tools' options, what `check` said.
 
-    Signing is in its memory from then on.
+    exempt: its co-processor's port may be without.
     """
+
+    folder: Path
+    options: tuple[str, str]
+    said: str
+    exempt: bool
+
+
+def sign(kit: Kit, case_folder: Path, keys: Path) -> Signed:
+    """Have a follower sign, and do what `check` advises."""
+    key_file = keys / "field.key"
+    key_file.write_bytes(KEY)
+    key_file.chmod(0o600)
+    options = ("--signing-key-file", str(key_file))
+    folder = copied(kit.prepared, case_folder / "signed")
     vehicle = Vehicle(kit.binary, FOLLOWER, folder, fresh=False)
     board = Follower(vehicle, silence)
     try:
         vehicle.until_positioned()
         vehicle.sign(KEY)
         where = ("--vehicle", vehicle.link(), "--serial", SERIAL)
-        said = run("setup", "check", *where, *signed, code=1)
+        said = run("setup", "check", *where, *options, code=1)
         assert "WRONG" in said
         advice = re.search(r"param set (MAV\d_OPTIONS) (\d+)", said)
         if advice is None:
-            return said, False
+            return Signed(folder, options, said, False)
         vehicle.set(advice[1], float(advice[2]))
-        return said, True
+        return Signed(folder, options, said, True)
     finally:
         board.close()
 

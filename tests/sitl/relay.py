@@ -1,11 +1,14 @@
-"""A telemetry link between a tool and a vehicle: late by so much each way, and it can be cut."""
+"""A telemetry link between a tool and a vehicle: late, cut, or losing packets of its own."""
 
 import contextlib
 import heapq
+import random
 import select
 import socket
 import threading
 import time
+
+from echowing.sim.cutter import ByteLoss, PacketCutter
 
 LOOPBACK = "127.0.0.1"
 CHUNK_BYTES = 65_536
@@ -46,7 +49,7 @@ class Link:
     """A vehicle's TCP port on another port, `delay_s` late each way.
 
     While `cut` is set nothing passes and what is on its way is lost, as on a radio out of range;
-    the connections stay.
+    the connections stay. `lose` makes it a radio that loses packets, which it cuts anywhere.
     """
 
     def __init__(self, vehicle_port: int, delay_s: float) -> None:
@@ -60,6 +63,9 @@ class Link:
         self._vehicle: socket.socket | None = None
         self._retry_at_s = 0.0
         self._up, self._down = Queue(delay_s), Queue(delay_s)
+        self._cutters = {
+            way: PacketCutter(ByteLoss(), random.Random(way)) for way in ("up", "down")
+        }
         self._thread = threading.Thread(target=self._run, daemon=True, name="link")
         self._thread.start()
 
@@ -67,6 +73,11 @@ class Link:
     def where(self) -> str:
         """The connection string for a tool."""
         return f"tcp:{LOOPBACK}:{self.port}"
+
+    def lose(self, share: float) -> None:
+        """From now on this share of its packets, both ways; 0: none."""
+        for cutter in self._cutters.values():
+            cutter.loss = ByteLoss(byte_loss=share)
 
     def _run(self) -> None:
         while not self._done.is_set():
@@ -114,7 +125,9 @@ class Link:
                 self._hang_up()
             return None
         if not self.cut.is_set():
-            queue.put(time.monotonic(), data)
+            queue.put(
+                time.monotonic(), self._cutters["up" if queue is self._up else "down"].carry(data)
+            )
         return end
 
     def _deliver(self, now_s: float) -> None:

@@ -287,11 +287,18 @@ class Vehicle:
         with self._sending:
             if self._signing is not None:
                 self._signing.keep_time()
-            frame = bytes(message.pack(self._packer))
+            self._write(bytes(message.pack(self._packer)))
             self._packer.seq = (self._packer.seq + 1) % 256
-            if self._socket is not None:
-                with contextlib.suppress(OSError):
-                    self._socket.sendall(frame)
+
+    def send_bytes(self, frame: bytes) -> None:
+        """Send bytes as they are, on the ground station's link."""
+        with self._sending:
+            self._write(frame)
+
+    def _write(self, frame: bytes) -> None:
+        if self._socket is not None:
+            with contextlib.suppress(OSError):
+                self._socket.sendall(frame)
 
     # ---- waiting -------------------------------------------------------------------------------
 
@@ -309,13 +316,17 @@ class Vehicle:
             if now_s > until_s:
                 said = list(dict.fromkeys(self.said()))[-TEXTS_SHOWN:]
                 pytest.fail(f"vehicle {self.system_id}: never {what}; it said: {said}")
-            if self._process.poll() is not None:
-                pytest.fail(f"vehicle {self.system_id} has ended: {self.console()}")
+            self.check_alive()
             if asking is not None and now_s >= ask_s:
                 ask_s = now_s + ANSWER_S
                 asking()
             with self._news:
                 self._news.wait(0.05)
+
+    def check_alive(self) -> None:
+        """Fail the test where the autopilot has ended."""
+        if self._process.poll() is not None:
+            pytest.fail(f"vehicle {self.system_id} has ended: {self.console()}")
 
     def said(self, since_s: float = -math.inf) -> list[str]:
         """Its status texts since a moment of our clock."""

@@ -37,6 +37,10 @@ class Flight:
     start_unix_s: float | None = None  # UTC of time_s = 0, where known
     # One line for each thing that could not be read or had to be guessed.
     warnings: tuple[str, ...] = ()
+    # (n,) by positions that are corrected by what the ground tool had learnt of the receivers.
+    estimated_m: Floats | None = None
+    counted: NDArray[np.bool_] | None = None  # (n,) what the figures are made from; None: all
+    left_out: tuple[str, ...] = ()  # what is not counted, each with its seconds
 
     @property
     def separation_m(self) -> Floats:

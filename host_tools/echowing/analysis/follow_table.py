@@ -2,7 +2,7 @@
 
 import csv
 import math
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from itertools import groupby
 from operator import itemgetter
@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pymap3d
+from numpy.typing import NDArray
 
 from echowing.analysis.flight import Flight, Floats
 from echowing.analysis.slots import slot_offsets
@@ -17,13 +18,16 @@ from echowing.errors import EchowingError
 from echowing.flight.guidance import Slot
 
 SHORTEST_ROWS = 10  # a second at 10 Hz; less is no flight
-FOLLOWING, RADIUS = "following", "wanted_radius_m"
+ROWS_HZ = 10.0
+FOLLOWING, GIVES_WAY, RADIUS = "following", "gives way", "wanted_radius_m"
+DEEDS = {"holding": "holding", "pilot has control": "flown by its pilot"}
 NUMBERS = (
     *("unix_time_s", "age_s", "sonar_m", "command_mps", RADIUS, "wanted_angle_deg"),
     *("wanted_step_m", "leader_lat_deg", "leader_lon_deg", "leader_alt_m", "leader_north_mps"),
     *("leader_east_mps", "leader_heading_deg", "lat_deg", "lon_deg", "alt_m", "north_mps"),
     *("east_mps", "heading_deg", "pan_us", "tilt_us"),
 )
+OFFSETS = ("north_offset_m", "east_offset_m")  # not in the tables of former versions
 WORDS = ("system_id", "state", "gimbal")
 
 Row = Mapping[str, str | None]
@@ -74,7 +78,7 @@ def _flight(
     path: Path, label: str, rows: Sequence[Row], slot: Slot | None, notes: list[str]
 ) -> Flight:
     flown, warnings = _flown(label, rows)
-    number = {name: _numbers(path, flown, name) for name in NUMBERS}
+    number = {name: _numbers(path, flown, name) for name in (*NUMBERS, *OFFSETS)}
     time_s, age_s = number["unix_time_s"], number["age_s"]
     origin = _origin(label, number)
     wanted = slot or Slot(
@@ -89,6 +93,7 @@ def _flight(
     leader_m = _ned(number, "leader_", origin)
     follower_m = _ned(number, "", origin) + velocity * age_s[:, np.newaxis]
     heading = np.radians(number["leader_heading_deg"])
+    counted, left_out = _counted(flown)
     return Flight(
         name=label,
         wanted_separation_m=math.hypot(wanted.radius_m, wanted.altitude_step_m),
@@ -108,6 +113,9 @@ def _flight(
         sonar_known=any(row["sonar_m"] or row["gimbal"] for row in rows),
         start_unix_s=float(time_s[0]),
         warnings=(*notes, *warnings),
+        estimated_m=_estimated_m(number, leader_m, follower_m),
+        counted=counted,
+        left_out=left_out,
     )
 
 
@@ -117,12 +125,38 @@ def _flown(label: str, rows: Sequence[Row]) -> tuple[Sequence[Row], list[str]]:
     if not led:
         return rows, ["never followed; all of the log is used"]
     flown, notes = _at_one_radius(rows[led[0] : led[-1] + 1])
-    other = sum(not str(row["state"]).startswith(FOLLOWING) for row in flown)
     if len(flown) < SHORTEST_ROWS:
         raise EchowingError(f"log {label}: followed for less than a second")
-    if other:
-        notes.append(f"held or flown by its pilot for {other / 10:.0f} s of the flight")
     return flown, notes
+
+
+def _counted(rows: Sequence[Row]) -> tuple[NDArray[np.bool_] | None, tuple[str, ...]]:
+    """When it was led to its slot, and what it did else, with the seconds of each."""
+    following = np.array([str(row["state"]).startswith(FOLLOWING) for row in rows])
+    if not following.any():
+        return None, ()
+    others = Counter(
+        _deed(str(row["state"])) for row, led in zip(rows, following, strict=True) if not led
+    )
+    return following, tuple(f"{count / ROWS_HZ:.0f} s {deed}" for deed, count in others.items())
+
+
+def _deed(state: str) -> str:
+    """What a follower did that was not led to its slot (`panel.state_of`)."""
+    word = state.partition(": ")[0]
+    if word.startswith(GIVES_WAY):
+        return "giving way"
+    return DEEDS.get(word, f"in the state `{word}`")
+
+
+def _estimated_m(
+    number: Mapping[str, Floats], leader_m: Floats, follower_m: Floats
+) -> Floats | None:
+    """The separation with the leader where the tool took it to be; None: it never learnt where."""
+    offset_m = np.nan_to_num(_columns(number, *OFFSETS))
+    if not offset_m.any():
+        return None
+    return np.asarray(np.linalg.norm(follower_m - (leader_m - offset_m), axis=1))
 
 
 def _at_one_radius(rows: Sequence[Row]) -> tuple[Sequence[Row], list[str]]:
@@ -137,7 +171,7 @@ def _at_one_radius(rows: Sequence[Row]) -> tuple[Sequence[Row], list[str]]:
 
 def _numbers(path: Path, rows: Sequence[Row], name: str) -> Floats:
     try:
-        return np.array([float(row[name] or math.nan) for row in rows])
+        return np.array([float(row.get(name) or math.nan) for row in rows])
     except ValueError as error:
         raise EchowingError(f"log {path}: column {name}: {error}") from error
 

@@ -13,6 +13,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from echowing.analysis.flight import Flight, Floats
 from echowing.analysis.follow_table import read_table
@@ -139,6 +140,10 @@ def truth_separation(flight: Flight, path: Path, shift_s: float, settle_s: float
     time_s = truth[:, 0] - (flight.start_unix_s or 0.0) + shift_s
     begin_s, end_s = flight.time_s[0] + settle_s, flight.time_s[-1]
     inside = (time_s >= begin_s) & (time_s <= end_s) & np.isfinite(truth[:, 1])
+    if flight.counted is not None:
+        inside &= flight.counted[
+            np.searchsorted(flight.time_s, time_s).clip(0, len(flight.time_s) - 1)
+        ]
     return np.asarray(truth[inside, 1])
 
 
@@ -257,6 +262,7 @@ def _flight(leader: VehicleLog, follower: VehicleLog, slot: Slot, warnings: list
             f"{apart_m:.2f} m): give the logs of two different vehicles"
         )
     velocity = _joined(leader.velocity, time_s, 3)
+    counted, left_out = _in_guided(follower, time_s)
     names = [leader.path.name, follower.path.name]
     return Flight(
         name=" + ".join(dict.fromkeys(names)),
@@ -277,6 +283,8 @@ def _flight(leader: VehicleLog, follower: VehicleLog, slot: Slot, warnings: list
         sonar_known=bool(follower.sonar),
         start_unix_s=start_s,
         warnings=(*warnings, *leader.warnings, *follower.warnings, *notes),
+        counted=counted,
+        left_out=left_out,
     )
 
 
@@ -304,6 +312,17 @@ def _guided_span(follower: VehicleLog, start_s: float, end_s: float) -> tuple[fl
     after = modes[on[-1] + 1, 0] if on[-1] + 1 < len(modes) else end_s
     first, last = max(start_s, float(modes[on[0], 0])), min(end_s, float(after))
     return (first, last) if last - first >= SHORTEST_S else None
+
+
+def _in_guided(
+    follower: VehicleLog, time_s: Floats
+) -> tuple[NDArray[np.bool_] | None, tuple[str, ...]]:
+    """When the follower was in Guided, and what lies between; all where it never was."""
+    guided = _held(follower.guided, time_s, math.inf) > 0.0
+    if not guided.any() or guided.all():
+        return None, ()
+    left_s = float((~guided).sum()) / CLOCK_HZ
+    return guided, (f"{left_s:.0f} s not in Guided",)
 
 
 def _short_of(start_s: float, end_s: float, guided: tuple[float, float]) -> list[str]:

@@ -16,7 +16,10 @@ from numpy.typing import NDArray
 
 from echowing.analysis.flight import Flight, Floats
 from echowing.errors import EchowingError
+from echowing.flight.guidance import GuidanceSettings
 
+# From the sonar's face to what echoes is so much less than from centre to centre (ECHO_INSET).
+SONAR_INSET_M = GuidanceSettings().sonar_inset_m
 # A reading this near to the distance between the two positions is a sight of the leader. Generous:
 # in real logs two receivers drift apart by metres (0.8 m an axis each in the simulator).
 SIGHT_TOLERANCE_M = 2.0
@@ -134,14 +137,28 @@ def _first_steady_s(flight: Flight, holds: NDArray[np.bool_]) -> float | None:
 def by_sonar(flight: Flight, settle_s: float = 0.0) -> Metrics | None:
     """The separation as the sonar measured it; None: no reading after `settle_s`.
 
-    From its face to what echoes, so shorter than from centre to centre; only while it sees.
+    From centre to centre: SONAR_INSET_M more than it reads. Only while it sees.
     """
     settled = _settled(flight, settle_s)
     known = settled & np.isfinite(flight.sonar_m)
     if not known.any():
         return None
     seen = float(known.sum() / settled.sum())
-    return of_separation(flight.sonar_m[known], flight.wanted_separation_m, settle_s, seen)
+    separation_m = flight.sonar_m[known] + SONAR_INSET_M
+    return of_separation(separation_m, flight.wanted_separation_m, settle_s, seen)
+
+
+def by_estimate(flight: Flight, settle_s: float = 0.0) -> Metrics | None:
+    """The separation as the ground tool estimated it; None: it had learnt nothing of the receivers.
+
+    By the vehicles' positions, corrected by the disagreement that the sonar has shown.
+    """
+    if flight.estimated_m is None:
+        return None
+    known = _settled(flight, settle_s) & np.isfinite(flight.estimated_m)
+    if not known.any():
+        return None
+    return of_separation(flight.estimated_m[known], flight.wanted_separation_m, settle_s)
 
 
 def of_separation(
@@ -265,7 +282,8 @@ def dead_locked(flight: Flight, window_s: float = DEAD_LOCK_WINDOW_S) -> bool:
 def _settled(flight: Flight, settle_s: float) -> "np.ndarray[tuple[int], np.dtype[np.bool_]]":
     if len(flight.time_s) == 0:
         raise EchowingError(f"flight {flight.name!r} is empty: no samples to measure")
-    return np.asarray(flight.time_s >= flight.time_s[0] + settle_s)
+    settled = np.asarray(flight.time_s >= flight.time_s[0] + settle_s)
+    return settled if flight.counted is None else settled & flight.counted
 
 
 def _nothing_left(flight: Flight, settle_s: float) -> str:

@@ -22,9 +22,10 @@ from echowing.flight.envelope import (
     closing_limit_mps,
 )
 from echowing.flight.guard import LOWEST_M
-from echowing.flight.handling import REACTION_S
+from echowing.flight.handling import reaction_s
 from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.flight.spacing import UNRANGED_SIGMA_M
+from echowing.flight.vehicle_limits import INPUT_TIME
 from echowing.sim.flight import SAMPLE_S
 from echowing.sim.modes import GUIDED
 
@@ -290,7 +291,8 @@ def _could_stop(reason: Bools, speed_mps: Floats) -> Bools:
             began = None
             continue
         began = at if began is None else began
-        within_s = max(STOPS_WITHIN_S, REACTION_S + float(speed_mps[began]) / OTHERS_MPS2)
+        brakes_s = float(speed_mps[began]) / OTHERS_MPS2
+        within_s = max(STOPS_WITHIN_S, reaction_s(INPUT_TIME.usual) + brakes_s)
         could[at] = at - began >= round(within_s / SAMPLE_S)
     return could
 

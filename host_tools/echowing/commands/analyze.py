@@ -2,9 +2,12 @@
 
 import argparse
 import json
+import re
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from echowing.flight.guidance import GuidanceSettings
 
 if TYPE_CHECKING:
     from echowing.analysis.flight import Flight
@@ -18,13 +21,19 @@ examples:
   echowing analyze leader.BIN follower.BIN
   echowing analyze out/flight-7 --out out/flight-7      what `echowing follow --log` has written
   echowing analyze leader.tlog follower.tlog --radius 4 --out out/flight-7
-  echowing analyze out/mine/leader.tlog out/mine/follower-2.tlog --truth out/mine/truth.csv --json
+  echowing analyze out/mine/leader.tlog out/mine/follower-2.tlog --json
+      with the truth.csv that `echowing sim --out` has written beside them
 """
 
 LEAST_RADIUS_M = 0.1
+# A sonar that detects the leader for less of the flight does not tell how all of it was flown.
+SEEN_ENOUGH = 0.5
+TRUTH, SONAR, ESTIMATE, GPS = "in truth", "by sonar", "by estimate", "by GPS"
 WITNESSES = (
-    "by GPS: from the positions of the vehicles' own receivers, which differ by a metre or more. "
-    "by sonar: while it sees the leader, from its face to what echoes. in truth: --truth."
+    "The first row of a flight is the most certain. in truth: from truth.csv. by sonar: its "
+    f"readings and {GuidanceSettings().sonar_inset_m:g} m, from centre to centre, while it detects "
+    "the leader. by estimate: positions, corrected by what the sonar has shown of the receivers. "
+    "by GPS: positions by the vehicles' own receivers, which differ by a metre or more."
 )
 
 
@@ -62,7 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--truth",
         type=Path,
         metavar="CSV",
-        help="compare with the truth.csv of `echowing sim --out`",
+        help="the truth of a simulated flight (truth.csv beside the logs, where there is one)",
     )
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="write report.html into this folder"
@@ -76,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
 
     _check_numbers(args)
     flights = read_flights(args.logs, leader=_leader(args.leader), slot=_slot(args))
-    measured = [_measured(flight, args) for flight in flights]
+    measured = [_measured_by_all(flight, args, alone=len(flights) == 1) for flight in flights]
     if args.json:
         for one in measured:
             print(json.dumps(one.summary()))
@@ -109,23 +118,51 @@ class Measured:
     settle_s: float
     by_gps: "Metrics"
     by_sonar: "Metrics | None"
+    by_estimate: "Metrics | None"
     in_truth: "Metrics | None"
     comparison: "TruthComparison | None"
+
+    def ranked(self) -> "dict[str, Metrics]":
+        """The figures of each witness that has some, the most certain one first."""
+        sonar = self.by_sonar
+        seen = sonar is not None and sonar.seen_share >= SEEN_ENOUGH
+        rows = {
+            TRUTH: self.in_truth,
+            **({SONAR: sonar} if seen else {}),
+            ESTIMATE: self.by_estimate,
+            SONAR: sonar,
+            GPS: self.by_gps,
+        }
+        return {how: one for how, one in rows.items() if one is not None}
 
     def results(self) -> "list[Result]":
         """A row for each witness."""
         from echowing.analysis.tables import Result  # noqa: PLC0415
 
         name = self.flight.name
-        rows = {"by GPS": self.by_gps, "by sonar": self.by_sonar, "in truth": self.in_truth}
-        return [Result(f"{name}, {how}", one) for how, one in rows.items() if one is not None]
+        return [Result(f"{name}, {how}", one) for how, one in self.ranked().items()]
+
+    def headline(self) -> str:
+        """The figures of the most certain witness, and what they leave out."""
+        how, best = next(iter(self.ranked().items()))
+        seen = f", {best.seen_share:.0%} of the time" if how == SONAR else ""
+        begin = f"{self.settle_s:.1f} s at the beginning" if self.settle_s > 0.0 else ""
+        left_out = ", ".join(text for text in (begin, *self.flight.left_out) if text)
+        return (
+            f"mean error {best.mean_abs_error_m:.2f} m, RMSD {best.rmsd_m:.2f} m {how}{seen}; "
+            f"left out: {left_out or 'nothing'}"
+        )
 
     def summary(self) -> dict[str, object]:
-        """JSON-ready; the figures at the top are by GPS."""
+        """JSON-ready; the figures at the top are those of the most certain witness, `source`."""
+        how, best = next(iter(self.ranked().items()))
+        parts = {"by_gps": self.by_gps, "by_sonar": self.by_sonar, "by_estimate": self.by_estimate}
         summary: dict[str, object] = {
             "flight": self.flight.name,
-            **self.by_gps.to_json(),
-            "by_sonar": None if self.by_sonar is None else self.by_sonar.to_json(),
+            "source": how,
+            **best.to_json(),
+            **{name: None if one is None else one.to_json() for name, one in parts.items()},
+            "not_counted": list(self.flight.left_out),
             "warnings": list(self.flight.warnings),
         }
         if self.comparison is not None and self.in_truth is not None:
@@ -134,7 +171,33 @@ class Measured:
         return summary
 
 
-def _measured(flight: "Flight", args: argparse.Namespace) -> Measured:
+def _measured_by_all(flight: "Flight", args: argparse.Namespace, *, alone: bool) -> Measured:
+    """With the truth that was named, or that lies beside the logs and is of this flight."""
+    from dataclasses import replace  # noqa: PLC0415
+
+    from echowing.errors import EchowingError  # noqa: PLC0415
+
+    found = args.truth or _truth_beside(flight.name, args.logs, alone=alone)
+    try:
+        return _measured(flight, found, args.settle)
+    except EchowingError as error:
+        if found is None or args.truth is not None:
+            raise
+        unused = replace(flight, warnings=(*flight.warnings, f"{found} is not used: {error}"))
+        return _measured(unused, None, args.settle)
+
+
+def _truth_beside(name: str, logs: list[Path], *, alone: bool) -> Path | None:
+    """The truth of a flight as `echowing sim --out` names it, in a folder of the logs."""
+    number = re.search(r"(?:follower-|system )(\d+)", name)
+    names = [f"truth-{number.group(1)}.csv"] if number else []
+    names += ["truth.csv"] if alone else []
+    folders = dict.fromkeys(path if path.is_dir() else path.parent for path in logs)
+    places = (folder / one for folder in folders for one in names)
+    return next((place for place in places if place.is_file()), None)
+
+
+def _measured(flight: "Flight", truth: Path | None, told_settle_s: float | None) -> Measured:
     from echowing.analysis.logs import (  # noqa: PLC0415
         compare_with_truth,
         truth_approach_s,
@@ -142,23 +205,31 @@ def _measured(flight: "Flight", args: argparse.Namespace) -> Measured:
     )
     from echowing.analysis.metrics import (  # noqa: PLC0415
         approach_s,
+        by_estimate,
         by_sonar,
         metrics,
         of_separation,
     )
 
-    settle_s = approach_s(flight) if args.settle is None else args.settle
+    settle_s = approach_s(flight) if told_settle_s is None else told_settle_s
     in_truth = comparison = None
-    if args.truth is not None:
-        comparison = compare_with_truth(flight, args.truth, match_clocks=True)
-        known_s = truth_approach_s(flight, args.truth, comparison.clock_shift_s)
-        if args.settle is None and known_s is not None:
+    if truth is not None:
+        comparison = compare_with_truth(flight, truth, match_clocks=True)
+        known_s = truth_approach_s(flight, truth, comparison.clock_shift_s)
+        if told_settle_s is None and known_s is not None:
             settle_s = known_s
-        known_m = truth_separation(flight, args.truth, comparison.clock_shift_s, settle_s)
+        known_m = truth_separation(flight, truth, comparison.clock_shift_s, settle_s)
         if len(known_m):
             in_truth = of_separation(known_m, flight.wanted_separation_m, settle_s)
-    figures = metrics(flight, settle_s)
-    return Measured(flight, settle_s, figures, by_sonar(flight, settle_s), in_truth, comparison)
+    return Measured(
+        flight=flight,
+        settle_s=settle_s,
+        by_gps=metrics(flight, settle_s),
+        by_sonar=by_sonar(flight, settle_s),
+        by_estimate=by_estimate(flight, settle_s),
+        in_truth=in_truth,
+        comparison=comparison,
+    )
 
 
 def _slot(args: argparse.Namespace) -> "Slot | None":
@@ -189,7 +260,7 @@ def _print(measured: list[Measured]) -> None:
     for one in measured:
         for warning in one.flight.warnings:
             console.print(f"{one.flight.name}: {warning}", style="yellow", highlight=False)
-        console.print(f"{one.flight.name}: {_left_out(one)}", highlight=False)
+        console.print(f"{one.flight.name}: {one.headline()}", highlight=False)
     console.print(terminal_table([result for one in measured for result in one.results()]))
     console.print(WITNESSES, style="dim", highlight=False)
     for one in measured:
@@ -200,12 +271,6 @@ def _print(measured: list[Measured]) -> None:
                 f"on average, RMS {one.comparison.rms_m:.2f} m, over the whole flight",
                 highlight=False,
             )
-
-
-def _left_out(one: Measured) -> str:
-    if one.settle_s == 0.0:
-        return "nothing is left out at the beginning"
-    return f"the first {one.settle_s:.1f} s are left out"
 
 
 def _write(out: Path, measured: list[Measured]) -> None:
@@ -219,5 +284,6 @@ def _write(out: Path, measured: list[Measured]) -> None:
     flights = [one.flight for one in measured]
     results = [result for one in measured for result in one.results()]
     settled_s = [one.settle_s for one in measured]
-    write_report(out / "report.html", flights, results, [WITNESSES], settle_s=settled_s)
+    notes = [*(f"{one.flight.name}: {one.headline()}" for one in measured), WITNESSES]
+    write_report(out / "report.html", flights, results, notes, settle_s=settled_s)
     print(f"report: {out / 'report.html'}")

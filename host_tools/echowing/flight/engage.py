@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.flight.guard import Guard
 from echowing.flight.guidance import MOVING_MPS, Horizontal, LeaderFix, slot_offset_m
-from echowing.flight.handling import least_slot_m
+from echowing.flight.handling import Handling, least_slot_m
 from echowing.flight.heights import Heights
 from echowing.flight.readiness import Readiness
 from echowing.flight.sonar import DETECTION_LIMIT_M
@@ -474,15 +474,17 @@ class Engagement:
         if not self.readiness.reversal:
             return []
         handling = follower.handling
+        unsure = _unsure_of(handling)
         if not handling.known:
-            return [Finding("least", "?", "its acceleration and jerk are not known (WP_ACC)")]
+            wrong = f"its acceleration and jerk are not known (WP_ACC){unsure}"
+            return [Finding("least", "?", wrong)]
         least_m = least_slot_m(TURNS_MPS, handling.answer_in_calm)
         wrong = ""
         if radius_m < least_m:
             wrong = (
                 f"its slot is {radius_m:g} m from the leader, and {least_m:.1f} m is the least at "
                 f"which it gets away from a leader that turns round at {TURNS_MPS:g} m/s: "
-                f"`echowing setup apply` (WP_ACC, PSC_JERK_NE), or a larger --radius"
+                f"`echowing setup apply` (WP_ACC, PSC_JERK_NE), or a larger --radius{unsure}"
             )
         return [Finding("least", f"{least_m:.1f} m", wrong)]
 
@@ -631,6 +633,14 @@ def _that_fit(vehicles: list[str], columns: list[list[str]]) -> int:
 
 def _cell(finding: Finding | None) -> str:
     return "-" if finding is None else finding.shown + ("!" if finding.wrong else "")
+
+
+def _unsure_of(handling: Handling) -> str:
+    """What a follower's limits are computed without, as the end of a sentence."""
+    refused = [f"{name} {value:g} is not believed" for name, value in handling.refused.items()]
+    missing = handling.missing if handling.known else []
+    worst = [f"not known, so taken as the worst: {', '.join(missing)}"] if missing else []
+    return "".join(f"; {text}" for text in (*refused, *worst))
 
 
 def _clock(whose: str, clock: Any) -> Finding:

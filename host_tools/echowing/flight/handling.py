@@ -1,28 +1,40 @@
 """How a follower answers, from its own parameters, and what a leader's reversal takes. Pure.
 
-The envelope uses a vehicle's own acceleration and jerk. They give beforehand the distance that is
-left when a leader turns round, and how near a slot may be.
+The envelope uses a vehicle's own acceleration, jerk and lean, and how quickly it leans. They give
+beforehand the distance that is left when a leader turns round, and how near a slot may be.
 """
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.flight.closing import Closing
 from echowing.flight.envelope import LEAST_M, OTHERS_MPS2, Answer
-from echowing.flight.vehicle_limits import ACCELERATION, BY_NAME, JERK, LEAN
+from echowing.flight.vehicle_limits import (
+    ACCELERATION,
+    BY_NAME,
+    GUIDED_LEAN,
+    INPUT_TIME,
+    JERK,
+    LEAN,
+    LIMITS,
+    PITCH_ACCELERATION,
+    PITCH_RATE,
+    ROLL_ACCELERATION,
+    ROLL_RATE,
+    VehicleLimit,
+)
 from echowing.flight.wind import GRAVITY_MPS2
 
 # Once a second at first, then seldom: a noisy radio loses both request and answer.
 ASK_PERIOD_S, SELDOM_S = 1.0, 5.0
 OFTEN = 5
-# From an order to the first lean: half a control period of the points (8 Hz), and 0.3 s until the
-# lean is reached (ATC_INPUT_TC 0.15 and the motors).
-REACTION_S = 0.35
-# However high PSC_JERK_NE is, the jerk stays below half the root of the acceleration times the snap
-# of the lean's angular acceleration (ATC_ACC_R_MAX 1100 deg/s2; AC_PosControl.cpp).
-SNAP_MPS4 = math.radians(1100.0) * GRAVITY_MPS2
+# From an order to the first lean: half a control period of the points (8 Hz) and the motors, and
+# the lean's own shaping. Up to ArduCopter 4.7 that is one lag of ATC_INPUT_TC, in 4.8 two
+# (attitude_command_model, AC_AttitudeControl.cpp), but its controller asks for more meanwhile.
+# With the default 0.15 s either is the 0.35 s that SITL's steps show.
+ONE_LAG_S, TWO_LAGS_S = 0.2, 0.05
 # A leader on a mission brakes with its WP_ACC (`OTHERS_MPS2`, the default). Steered by a pilot or a
 # ground station it can do more: 3.3 to 3.5 m/s2 in 100 reversals in Guided, ArduCopter 4.8.
 MISSION_MODES = {
@@ -39,24 +51,26 @@ STEERED_MPS2 = 3.4
 NOTICED_S = 0.3
 
 
-@dataclass(slots=True)
 class Handling:
-    """What one follower has reported of its acceleration and jerk; None: nothing yet.
+    """How one follower moves, by what it has reported; what it has not counts as the worst.
 
-    lean_max_rad: its largest lean, ArduCopter's default until it has reported it; wind_leaves_mps2:
-    the hardest braking that the wind leaves it.
+    answer_in_calm: how it answers without wind; closing: how Guided closes the distance to its
+    point, a forecast, so with ArduCopter's defaults for what is not known; lean_max_rad: its
+    largest lean; wind_leaves_mps2: the hardest braking that the wind leaves it; refused: reported,
+    and not believed.
     """
 
-    decel_mps2: float | None = None
-    jerk_mps3: float | None = None
-    lean_max_rad: float = math.radians(30.0)
-    wind_leaves_mps2: float = math.inf
-    _asked_at_s: float = -math.inf
-    _asks: int = 0
+    def __init__(self) -> None:
+        self.wind_leaves_mps2 = math.inf
+        self.refused: dict[str, float] = {}
+        self._limits: dict[VehicleLimit, float] = {}
+        self._asked_at_s = -math.inf
+        self._asks = 0
+        self._work_out()
 
     @property
     def answer(self) -> Answer:
-        """How it answers in this wind; ArduCopter's defaults where it has not reported."""
+        """How it answers in this wind."""
         calm = self.answer_in_calm
         if self.wind_leaves_mps2 >= calm.decel_mps2:
             return calm
@@ -64,61 +78,82 @@ class Handling:
         return Answer(calm.dead_s, round(self.wind_leaves_mps2, 1))
 
     @property
-    def answer_in_calm(self) -> Answer:
-        """How it answers without wind."""
-        return answer_of(self.decel_mps2, self.jerk_mps3)
-
-    @property
-    def closing(self) -> Closing:
-        """How Guided closes the distance to its point; ArduCopter's defaults likewise."""
-        if self.decel_mps2 is None or self.jerk_mps3 is None:
-            return Closing()
-        return Closing(self.decel_mps2, _flown_jerk_mps3(self.decel_mps2, self.jerk_mps3))
-
-    @property
     def known(self) -> bool:
-        """Whether both are known."""
-        return self.decel_mps2 is not None and self.jerk_mps3 is not None
+        """Whether acceleration and jerk are known."""
+        return ACCELERATION in self._limits and JERK in self._limits
+
+    @property
+    def missing(self) -> list[str]:
+        """The parameters that are not known, each by its newest name."""
+        return [next(iter(one.names)) for one in LIMITS if one not in self._limits]
 
     def receive(self, name: str, value: float) -> None:
         """Take a parameter of its autopilot; one out of its span tells nothing."""
         limit = BY_NAME.get(name)
-        read = None if limit is None else limit.read(name, value)
-        if read is None:
+        if limit is None:
             return
-        if limit is ACCELERATION:
-            self.decel_mps2 = read
-        elif limit is JERK:
-            self.jerk_mps3 = read
-        elif limit is LEAN:
-            self.lean_max_rad = math.radians(read)
+        read = limit.read(name, value)
+        if read is None:
+            self.refused[name] = value
+            return
+        self.refused.pop(name, None)
+        self._limits[limit] = read
+        self._work_out()
 
     def asks(self, now_s: float) -> list[str]:
         """The parameters to request now."""
         period_s = ASK_PERIOD_S if self._asks < OFTEN else SELDOM_S
-        if self.known or now_s - self._asked_at_s < period_s:
+        if now_s - self._asked_at_s < period_s or len(self._limits) == len(LIMITS):
             return []
         self._asked_at_s = now_s
         self._asks += 1
-        missing = ACCELERATION.names if self.decel_mps2 is None else {}
-        first = LEAN.names if self._asks <= OFTEN else {}
-        return [*missing, *(JERK.names if self.jerk_mps3 is None else {}), *first]
+        return [name for one in LIMITS if one not in self._limits for name in one.names]
+
+    def _work_out(self) -> None:
+        worst = {one: self._limits.get(one, one.worst) for one in LIMITS}
+        usual = {one: self._limits.get(one, one.usual) for one in LIMITS}
+        self.lean_max_rad = math.radians(min(worst[LEAN], worst[GUIDED_LEAN]))
+        self.answer_in_calm = answer_of(
+            min(worst[ACCELERATION], GRAVITY_MPS2 * math.tan(self.lean_max_rad)),
+            _flown_jerk_mps3(worst),
+            reaction_s(worst[INPUT_TIME]),
+        )
+        self.closing = Closing(usual[ACCELERATION], _flown_jerk_mps3(usual))
 
 
-def answer_of(decel_mps2: float | None, jerk_mps3: float | None) -> Answer:
-    """Dead time and deceleration of a vehicle with these limits; None: ArduCopter's default.
+def _flown_jerk_mps3(limits: Mapping[VehicleLimit, float]) -> float:
+    return flown_jerk_mps3(
+        limits[ACCELERATION],
+        limits[JERK],
+        min(limits[ROLL_RATE], limits[PITCH_RATE]),
+        min(limits[ROLL_ACCELERATION], limits[PITCH_ACCELERATION]),
+    )
+
+
+def answer_of(decel_mps2: float, jerk_mps3: float, reaction_s: float) -> Answer:
+    """Dead time and deceleration of a vehicle with these limits.
 
     A deceleration that builds up at a jerk counts as a full one that begins half that time later.
     """
-    if decel_mps2 is None or jerk_mps3 is None:
-        return Answer()
-    jerk_mps3 = _flown_jerk_mps3(decel_mps2, jerk_mps3)
-    return Answer(REACTION_S + decel_mps2 / (2.0 * jerk_mps3), decel_mps2)
+    return Answer(reaction_s + decel_mps2 / (2.0 * jerk_mps3), decel_mps2)
 
 
-def _flown_jerk_mps3(accel_mps2: float, jerk_mps3: float) -> float:
-    """The jerk that is flown, whatever the parameter allows."""
-    return min(jerk_mps3, 0.5 * math.sqrt(accel_mps2 * SNAP_MPS4))
+def reaction_s(input_time_s: float) -> float:
+    """From an order to the first lean, by ATC_INPUT_TC."""
+    return max(ONE_LAG_S + input_time_s, TWO_LAGS_S + 2.0 * input_time_s)
+
+
+def flown_jerk_mps3(
+    accel_mps2: float, jerk_mps3: float, rate_dps: float, acceleration_dps2: float
+) -> float:
+    """The jerk that is flown, whatever its parameter allows (AC_PosControl.cpp).
+
+    As much as the lean's rate makes, and half the root of the acceleration times the snap of the
+    lean's acceleration: at 1100 deg/s2 15.3 m/s3, at 300 8.0 m/s3, with 5 m/s2.
+    """
+    by_rate_mps3 = math.radians(rate_dps) * GRAVITY_MPS2
+    snap_mps4 = math.radians(acceleration_dps2) * GRAVITY_MPS2
+    return min(jerk_mps3, by_rate_mps3, 0.5 * math.sqrt(accel_mps2 * snap_mps4))
 
 
 def leader_brakes_mps2(mode: int | None) -> float:

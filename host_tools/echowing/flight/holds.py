@@ -86,7 +86,7 @@ def _gains_mps2(follower: FollowerState, velocity_mps: Horizontal) -> float:
     north_mps2, east_mps2 = follower.acceleration_mps2
     north, east = velocity_mps
     gains_mps2 = (north_mps2 * north + east_mps2 * east) / math.hypot(north, east)
-    most_mps2 = follower.handling.answer_in_calm.decel_mps2
+    most_mps2 = follower.handling.closing.accel_mps2
     return max(-most_mps2, min(most_mps2, gains_mps2))
 
 
@@ -99,5 +99,5 @@ def _stopping_m(mps: float, gains_mps2: float, since_s: float, follower: Followe
     changes_s = since_s + LEAN_S
     then_mps = max(0.0, mps + gains_mps2 * changes_s)
     until_m = 0.5 * (mps + then_mps) * changes_s - mps * since_s
-    brakes_mps2 = follower.handling.answer_in_calm.decel_mps2
+    brakes_mps2 = follower.handling.closing.accel_mps2
     return until_m + then_mps * then_mps / (2.0 * brakes_mps2)

@@ -18,8 +18,6 @@ from echowing.geo import ned_between
 REBOOT_S = 10.0
 # A new place, or a new clock, is believed once this many reports in a row agree (2 s at 4 Hz).
 AGREEING_REPORTS = 8
-# Reports that switch between two clocks this often within this time come from two vehicles.
-SWAPS, SWAPS_S = 3, 20.0
 # A report further than this from where the one before leads is a jump, not a movement. Receivers,
 # rounded to a decimetre, wander less between two reports; a quicker answer to TIMESYNC moves a
 # clock by 0.3 s; and a vehicle that accelerates at 5 m/s2 and brakes within t is 5/4 t^2 off.
@@ -42,15 +40,12 @@ class BootClocks:
         self._begun_s: float | None = None
         self._other_s = math.nan
         self._others = 0
-        self._swaps: deque[float] = deque(maxlen=SWAPS)
 
     def is_believed(self, boot_s: float, now_s: float) -> bool:
         """Whether a report's clock is the believed one; a new one is after many in a row."""
         begun_s = now_s - boot_s
         if self._begun_s is None or abs(begun_s - self._begun_s) <= REBOOT_S:
             self._begun_s = begun_s if self._begun_s is None else min(begun_s, self._begun_s)
-            if self._others:
-                self._swaps.append(now_s)
             self._others = 0
             return True
         same = abs(begun_s - self._other_s) <= REBOOT_S
@@ -59,12 +54,7 @@ class BootClocks:
         if self._others <= AGREEING_REPORTS:
             return False
         self._begun_s, self._others = begun_s, 0
-        self._swaps.clear()
         return True
-
-    def two_at_once(self, now_s: float) -> bool:
-        """Whether reports come with two clocks in turn: two vehicles with one id."""
-        return len(self._swaps) == SWAPS and now_s - self._swaps[0] <= SWAPS_S
 
 
 class RangeMemory:
@@ -124,11 +114,14 @@ class OwnJump:
         self.since_s, self.moved_m = None, (0.0, 0.0)
 
 
-def is_jump(before: Report, after: Report) -> bool:
-    """Whether no movement can explain the way from one report to the next."""
-    elapsed_s = after.time_s - before.time_s
+def is_jump(before: Report, after: Report, unseen_s: float = math.inf) -> bool:
+    """Whether no movement can explain the way from one report to the next.
+
+    unseen_s: no longer than this it may have changed its speed meanwhile.
+    """
+    changing_s = min(after.time_s - before.time_s, unseen_s)
     speed_mps = max(math.hypot(*before.velocity_mps), math.hypot(*after.velocity_mps))
-    most_m = JUMP_M + CLOCK_MOVES_S * speed_mps + UNSEEN_MPS2 * elapsed_s * elapsed_s
+    most_m = JUMP_M + CLOCK_MOVES_S * speed_mps + UNSEEN_MPS2 * changing_s * changing_s
     return math.hypot(*beyond_movement_m(before, after)) > most_m
 
 

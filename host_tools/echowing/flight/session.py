@@ -116,6 +116,8 @@ class FollowSession:
         """
         system_id = message.get_srcSystem()
         kind = message.get_type()
+        if kind == "GLOBAL_POSITION_INT" and not self._trust.is_sure(system_id, message, now_s):
+            return
         if self.guard is not None and (system_id == self.leader_id or system_id in self.followers):
             self.guard.receive(system_id, kind, message, now_s)
         if self.engagement is not None:
@@ -246,7 +248,9 @@ class FollowSession:
             return follower.held_at
         if fix is None:
             return None
-        if self.engagement is not None and self.engagement.readiness.reversal:
+        reversal = self.engagement is not None and self.engagement.readiness.reversal
+        # Until it is cleared, its limits may be on their way, and what is not known is the worst.
+        if reversal and self._cleared(follower):
             self._allow_for_reversal(follower, fix, now_s)
         if follower.held_at is not None:
             self._let_go(follower, now_s)
@@ -368,7 +372,8 @@ class FollowSession:
         """Whether points go to this follower now."""
         stopped_rising = self.lift_of(follower) is Lift.STOPPED and follower.guided_mode
         ours = follower.in_guided or (stopped_rising and follower.armed)
-        if not ours or not self._may_lead(follower):
+        # To a place of another vehicle's, or to two vehicles at once, no point goes: not a hold.
+        if not ours or follower.unsure or not self._may_lead(follower):
             return False
         if self._stopping is not None and not follower.flown:
             return False

@@ -7,9 +7,8 @@ fail does not make this fail.
 import math
 from typing import Any
 
-from echowing.flight.guard import UNHEARD_S
-from echowing.flight.session import FollowSession
-from echowing.flight.state import FollowerState
+from echowing.flight.guard import UNHEARD_S, Guard
+from echowing.flight.state import FollowerState, Known
 from echowing.geo import GlobalPosition
 from echowing.mavlink.messages import position_target
 
@@ -19,15 +18,15 @@ Place = tuple[GlobalPosition, float]
 class Standstill:
     """Where each follower that was moved comes to a stand."""
 
-    def __init__(self, session: FollowSession) -> None:
-        self._session = session
+    def __init__(self, known: Known, guard: Guard | None) -> None:
+        self._known, self._guard = known, guard
         self._places: dict[int, Place] = {}
 
     def messages(self, now_s: float) -> list[tuple[int, Any]]:
         """A point at its place for each follower that was moved, flies in Guided and reports."""
-        feed_mps = (0.0, 0.0) if self._session.settings.feed_forward else None
+        feed_mps = (0.0, 0.0) if self._known.settings.feed_forward else None
         messages = []
-        for system_id, follower in self._session.followers.items():
+        for system_id, follower in self._known.followers.items():
             heard = now_s - follower.position_at_s <= UNHEARD_S
             if not (follower.in_guided and follower.flown and heard):
                 self._places.pop(system_id, None)
@@ -41,9 +40,9 @@ class Standstill:
 
     def verify(self, now_s: float) -> None:
         """Check whether they stand, as a hold of the session does."""
-        guard = self._session.guard
-        for system_id in self._places if guard is not None else ():
-            guard.holding(self._session.followers[system_id], now_s)  # type: ignore[union-attr]
+        for system_id in self._places:
+            if self._guard is not None:
+                self._guard.holding(self._known.followers[system_id], now_s)
 
 
 def _place(follower: FollowerState) -> Place | None:

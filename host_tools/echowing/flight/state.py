@@ -98,7 +98,7 @@ class FollowerState:
     gets away if the leader turns round now; least_m, least_at_s: the nearest slot it was given
     last, and when; beyond_s: when the leader was last out of its sonar's reach, as far as is
     known; opens: it was said that the slot opens for a reversal; searches: it looks
-    for the leader from the side.
+    for the leader from the side; unsure: its newest report may be another vehicle's, with its id.
     """
 
     plan: FollowerPlan
@@ -112,6 +112,7 @@ class FollowerState:
     search: Search = field(default_factory=Search)
     wind: Wind = field(default_factory=Wind)
     latched: str | None = None
+    unsure: bool = False
     proven_m: Horizontal = (0.0, 0.0)
     reversal_m: float = 0.0
     least_m: float = 0.0

@@ -12,6 +12,7 @@ from typing import Any
 from echowing.flight.alignment import Report
 from echowing.flight.jumps import SAME_RANGE_M, UNCONFIRMED_S
 from echowing.flight.state import FollowerState, Known, Say
+from echowing.flight.streams import Streams
 from echowing.geo import displace
 
 # Reports that agree on a leader's new place before the sonar is checked (0.5 s at 4 Hz).
@@ -37,8 +38,27 @@ class Trust:
     ) -> None:
         self._known, self._say, self._alert, self._doubt = known, say, alert, doubt
         self._strict = strict
-        self._leader_jumps = self._two_leaders = False
+        self._leader_jumps = False
+        self._streams = {system_id: Streams() for system_id in (known.leader_id, *known.followers)}
+        self._doubled: set[int] = set()
         self._unbelieved: set[int] = set()
+
+    def is_sure(self, system_id: int, message: Any, now_s: float) -> bool:
+        """Whether a GLOBAL_POSITION_INT is from the one vehicle with this id that is known.
+
+        The leader's are judged by its track too, which believes a new place only after a while.
+        """
+        if self._doubt is None or system_id not in self._streams:
+            return True
+        streams = self._streams[system_id]
+        sure = streams.is_sure(message, now_s)
+        if streams.two:
+            self._refuse_two(system_id, now_s)
+        follower = self._known.followers.get(system_id)
+        if follower is None:
+            return True
+        follower.unsure = not sure
+        return sure
 
     def leader_reported(self, message: Any, now_s: float) -> None:
         """Take the leader's GLOBAL_POSITION_INT."""
@@ -49,7 +69,6 @@ class Trust:
             self._believed_elsewhere(now_s)
         if self._strict:
             self._settle_leaders_jump(now_s)
-            self._refuse_two_leaders(now_s)
         if leader.fix is not None and leader.fix is not before:
             self._known.note_leader(leader.fix)
         jumped = leader.rejected > rejected
@@ -146,6 +165,8 @@ class Trust:
             follower.estimate.forget()
         if not self._strict:
             return
+        if self._known.leader_id in self._doubled:
+            return
         jump_m = math.hypot(*self._known.leader.jump_m)
         for system_id, follower in self._known.followers.items():
             follower.latched = f"leader jumped by {jump_m:.1f} m, until it leaves Guided"
@@ -157,18 +178,25 @@ class Trust:
             "until its pilot has left Guided and come back",
         )
 
-    def _refuse_two_leaders(self, now_s: float) -> None:
-        """Two boot clocks in turn: two vehicles with the leader's id."""
-        leader_id = self._known.leader_id
-        if self._two_leaders or not self._known.leader.clocks.two_at_once(now_s):
+    def _refuse_two(self, system_id: int, now_s: float) -> None:
+        """Two streams of reports in turn: two vehicles with one id."""
+        if system_id in self._doubled:
             return
-        self._two_leaders = True
-        text = (
-            f"system {leader_id}: two boot clocks at once: two vehicles with this id, or an old "
-            "recording on the link; give each vehicle a MAV_SYSID (SYSID_THISMAV) of its own"
+        self._doubled.add(system_id)
+        self._say(
+            now_s,
+            f"two vehicles with id {system_id}, or an old recording on the link: reports come in "
+            "turn from two clocks or two places; give each vehicle a MAV_SYSID (SYSID_THISMAV) of "
+            "its own",
         )
-        self._say(now_s, text)
-        for follower in self._known.followers.values():
+        followers = self._known.followers
+        is_leader = system_id == self._known.leader_id
+        for one, follower in followers.items() if is_leader else ():
             follower.latched = "two vehicles with the leader's id, until it leaves Guided"
+            if follower.flown:
+                self._alert(one, "holding, two vehicles with the leader's id")
+        if not is_leader and followers[system_id].flown:
+            self._alert(system_id, f"no points, two vehicles with id {system_id}")
+        whose = "the leader's id" if is_leader else f"id {system_id}"
         if self._doubt is not None:
-            self._doubt(leader_id, "two vehicles with the leader's id", now_s)
+            self._doubt(system_id, f"two vehicles with {whose}", now_s)

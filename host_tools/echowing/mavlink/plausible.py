@@ -115,7 +115,11 @@ _WIDER = 1e-6
 
 PARAMETERS: dict[str, Span] = {
     **{
-        name: ((1.0 - _WIDER) * limit.least / unit, (1.0 + _WIDER) * limit.most / unit)
+        # Of some 0 stands for no limit; what else is below their span the flight core refuses.
+        name: (
+            0.0 if limit.none_at_0 else (1.0 - _WIDER) * limit.least / unit,
+            (1.0 + _WIDER) * limit.most / unit,
+        )
         for limit in LIMITS
         for name, unit in limit.names.items()
     },

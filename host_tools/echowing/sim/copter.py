@@ -9,7 +9,7 @@ are ArduCopter's defaults; limits are what the autopilot's parameters say (`set_
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import atan2, cos, exp, inf, pi, radians, sin, sqrt, tan
+from math import atan2, cos, exp, inf, pi, sin, sqrt, tan
 
 from echowing.flight.closing import inverse_sqrt_controller, sqrt_controller
 from echowing.sim.estimate import EstimatedPosition
@@ -29,9 +29,7 @@ GRAVITY_MPS2 = 9.80665  # standard gravity, as AP_Math's GRAVITY_MSS
 LONGEST_STEP_S = 0.02  # the airframe's constants are fitted at this step: the simulator's
 # Below this share of the speed limit the heading is kept (AC_PosControl.cpp, yaw of the path).
 LOOK_SHARE = 0.05
-# Half of what the lean's acceleration (ATC_ACC_R_MAX, 1100 deg/s2) does to the vehicle's: however
-# high PSC_JERK_NE is, the jerk stays below 0.5 sqrt(WP_ACC x this) (AC_PosControl.cpp).
-SNAP_MPS4 = radians(1100.0) * GRAVITY_MPS2
+LEAST_INPUT_S = 0.01  # input_shaping_angle of AC_AttitudeControl.cpp
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,8 +46,7 @@ class Tuning:
     velocity_i_max_mps2: float = 10.0  # PSC_NE_VEL_IMAX
     velocity_d: float = 0.25  # PSC_NE_VEL_D
     velocity_filter_hz: float = 5.0  # PSC_NE_VEL_FLTE and PSC_NE_VEL_FLTD
-    lean_max_rad: float = pi / 6.0  # ATC_ANGLE_MAX 30 degrees
-    input_s: float = 0.15  # ATC_INPUT_TC
+    yaw_input_s: float = 0.15  # ATC_RATE_Y_TC, up to 4.6 ATC_INPUT_TC
     # AC_AttitudeControl.cpp: 4.8 shapes the wanted lean critically damped, that is through two lags
     # of ATC_INPUT_TC; up to 4.7 through one.
     input_lags: int = 2
@@ -227,8 +224,15 @@ class Copter(EstimatedPosition):
         the speed is set (AC_PosControl::NE_set_max_speed_accel_m); whoever plays it does so too.
         """
         self.limits = limits
-        steepest = 0.5 * sqrt(limits.acceleration_mps2 * SNAP_MPS4)
-        self._jerk = min(limits.shaping_jerk_mps3, steepest)
+        # However high PSC_JERK_NE is, the jerk stays below what the lean's rate makes, and below
+        # half the root of WP_ACC times what its acceleration makes (AC_PosControl.cpp).
+        snap_mps4 = limits.lean.acceleration_rps2 * GRAVITY_MPS2
+        self._jerk = min(
+            limits.shaping_jerk_mps3,
+            limits.lean.rate_rps * GRAVITY_MPS2,
+            0.5 * sqrt(limits.acceleration_mps2 * snap_mps4),
+        )
+        self._dt = 0.0  # `_prepare` again
 
     def start_guided(self, speed_limit_mps: float) -> None:
         """Enter Guided: the limit is read once, the target is where the vehicle can stop."""
@@ -378,10 +382,10 @@ class Copter(EstimatedPosition):
     def _prepare(self, dt: float) -> None:
         """Shares of the way a first-order lag goes within one step, and the lean's limit."""
         tuning = self.tuning
-        self._steepest_mps2 = GRAVITY_MPS2 * tan(tuning.lean_max_rad)
+        self._steepest_mps2 = GRAVITY_MPS2 * tan(self.limits.lean.most_rad)
         self._dt = dt
         self._alpha_filter = 1.0 - exp(-dt * 2.0 * pi * tuning.velocity_filter_hz)
-        self._alpha_input = 1.0 - exp(-dt / tuning.input_s)
+        self._alpha_input = 1.0 - exp(-dt / max(LEAST_INPUT_S, self.limits.lean.input_s))
         self._input_twice = tuning.input_lags > 1
         self._alpha_rate = 1.0 - exp(-dt / tuning.rate_s)
         self._alpha_thrust = 1.0 - exp(-dt / tuning.thrust_lag_s)
@@ -640,7 +644,7 @@ class Copter(EstimatedPosition):
         else:
             return self._turn_by(0.0, dt)
         error = wrap_pi(self._yaw_wanted - self._yaw_shaped)
-        rate = sqrt_controller(error, 1.0 / tuning.input_s, tuning.yaw_acceleration_rps2)
+        rate = sqrt_controller(error, 1.0 / tuning.yaw_input_s, tuning.yaw_acceleration_rps2)
         rate += self._yaw_command_rate
         return self._turn_by(clamp(rate, -tuning.yaw_rate_rps, tuning.yaw_rate_rps), dt)
 

@@ -16,6 +16,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.flight.guidance import Slot, slot_offset_m
+from echowing.flight.vehicle_limits import usual_parameters
 from echowing.geo import GlobalPosition, Ned, displace, ned_between
 
 LEADER_ID = 1
@@ -40,7 +41,7 @@ RATES_HZ = {
 LEADER_RATES_HZ = {"heartbeat": 1.0, "position": 4.0}
 
 
-_PARAMETERS = {"ECHO_ENABLE": 1.0, "ECHO_LAW": 2.0, "ECHO_INSET": 0.2}
+_PARAMETERS = {"ECHO_ENABLE": 1.0, "ECHO_LAW": 2.0, "ECHO_INSET": 0.2, **usual_parameters()}
 
 
 class Point:

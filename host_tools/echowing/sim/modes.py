@@ -196,7 +196,9 @@ class FlightModes:
         elif mode == LAND:
             self.controls.land()
         else:
-            self.controls.set_limits(TrackLimits())  # LOIT_* and BRAKE_*, not WP_*
+            # LOIT_* and BRAKE_*, not WP_*
+            lean = self._parameters.motion_limits().lean
+            self.controls.set_limits(TrackLimits(lean=lean))
             self.controls.hold()
         self._on_change()
 

@@ -16,7 +16,14 @@ ARMING_NEED_LOC  int8         -       -       0       0
 ARMING_OPTIONS   int32        0       0       0       0
 ARMING_RUDDER    int8         2       2       2       2
 ARMING_SKIPCHK   int32        -       -       -       0
+ATC_ACCEL_P_MAX  real32  110000  110000  110000       -
+ATC_ACCEL_R_MAX  real32  110000  110000  110000       -
+ATC_ACC_P_MAX    real32       -       -       -    1100
+ATC_ACC_R_MAX    real32       -       -       -    1100
 ATC_ANGLE_MAX    real32       -       -       -      30
+ATC_INPUT_TC     real32    0.15    0.15    0.15    0.15
+ATC_RATE_P_MAX   real32       0       0       0       0
+ATC_RATE_R_MAX   real32       0       0       0       0
 AVOID_ENABLE     int32        3       3       3       3
 BATT_FS_CRT_ACT  int8         0       0       0       0
 BATT_FS_LOW_ACT  int8         0       0       0       0
@@ -117,6 +124,7 @@ PRX1_TYPE        int8         0       0       0       0
 PRX2_TYPE        int8         0       0       0       0
 PRX3_TYPE        int8         0       0       0       0
 PRX4_TYPE        int8         -       -       0       0
+PSC_ANGLE_MAX    real32       0       0       0       0
 PSC_JERK_NE      real32       -       -       5       5
 PSC_JERK_XY      real32       5       5       -       -
 RC10_OPTION      int16        0       0       0       0

@@ -10,7 +10,7 @@ from functools import cache
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.sim.parameter_table import TABLE
-from echowing.sim.wpnav import TrackLimits
+from echowing.sim.wpnav import LeanLimits, TrackLimits
 
 NAME_CHARACTERS = 16  # AP_MAX_NAME_SIZE, and the width of the field in MAVLink
 SCRIPT_TABLES = 5  # AP_Param.cpp: dynamic tables for scripts, at most so many
@@ -74,6 +74,15 @@ _CENTIMETRE_LIMITS = {
     "radius_m": ("WPNAV_RADIUS", 0.01),
     "shaping_jerk_mps3": ("PSC_JERK_XY", 1.0),
 }
+
+# What `LeanLimits` is made of, in all generations.
+_LEAN = (
+    "PSC_ANGLE_MAX",
+    *("ATC_ANGLE_MAX", "ANGLE_MAX"),
+    "ATC_INPUT_TC",
+    *("ATC_RATE_R_MAX", "ATC_RATE_P_MAX"),
+    *("ATC_ACC_R_MAX", "ATC_ACC_P_MAX", "ATC_ACCEL_R_MAX", "ATC_ACCEL_P_MAX"),
+)
 
 
 @cache
@@ -243,7 +252,8 @@ class Parameters:
 
     def motion_limits(self) -> TrackLimits:
         """The limits of acceleration, jerk and vertical speed; defaults where 0 or less is set."""
-        values = tuple(self.value(name) for name, _ in self.dialect.limits.values())
+        limits = (name for name, _ in self.dialect.limits.values())
+        values = tuple(map(self.value, (*limits, *_LEAN)))
         if self._motion_limits is None or self._motion_limits[0] != values:
             self._motion_limits = values, self._read_motion_limits()
         return self._motion_limits[1]
@@ -256,7 +266,26 @@ class Parameters:
             if self.value(name) > 0.0
         }
         acceleration = read.get("acceleration_mps2", defaults.acceleration_mps2)
-        return replace(defaults, **{"corner_acceleration_mps2": 2.0 * acceleration, **read})
+        read = {"corner_acceleration_mps2": 2.0 * acceleration, **read}
+        return replace(defaults, **read, lean=self._lean_limits())
+
+    def _lean_limits(self) -> LeanLimits:
+        """How far and how quickly it leans; of a name that this firmware lacks the value is 0."""
+        lean_deg = self.value("ATC_ANGLE_MAX") + 0.01 * self.value("ANGLE_MAX")
+        rate_dps = min(self.value(f"ATC_RATE_{axis}_MAX") for axis in "RP")
+        acceleration_dps2 = min(
+            self.value(f"ATC_ACC_{axis}_MAX") + 0.01 * self.value(f"ATC_ACCEL_{axis}_MAX")
+            for axis in "RP"
+        )
+        return LeanLimits(
+            most_rad=math.radians(self.value("PSC_ANGLE_MAX") or lean_deg),
+            # Seven digits: of the 32-bit float, the decimal that it stands for.
+            input_s=float(f"{self.value('ATC_INPUT_TC'):.7g}"),
+            rate_rps=math.radians(rate_dps) if rate_dps > 0.0 else math.inf,
+            acceleration_rps2=(
+                math.radians(acceleration_dps2) if acceleration_dps2 > 0.0 else math.inf
+            ),
+        )
 
     def waypoint_start_speed_mps(self) -> float:
         """The speed parameter as a waypoint start reads it: below its floor, the floor is saved."""

@@ -8,7 +8,7 @@ the two motions add up: that cuts the corner (libraries/AC_WPNav/AC_WPNav.cpp).
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import cos, pi, sin, sqrt
+from math import cos, inf, pi, radians, sin, sqrt
 
 from echowing.sim.shaping import clamp
 
@@ -24,6 +24,16 @@ INPUT_S = 0.15  # ATC_INPUT_TC
 
 
 @dataclass(frozen=True, slots=True)
+class LeanLimits:
+    """How far and how quickly it leans; infinite: no limit. The defaults are ArduCopter's."""
+
+    most_rad: float = pi / 6.0  # ATC_ANGLE_MAX 30 degrees, or PSC_ANGLE_MAX
+    input_s: float = INPUT_S
+    rate_rps: float = inf  # ATC_RATE_R_MAX and P_MAX 0
+    acceleration_rps2: float = radians(1100.0)  # ATC_ACC_R_MAX and P_MAX
+
+
+@dataclass(frozen=True, slots=True)
 class TrackLimits:
     """Limits of a mission's legs and of Guided; the defaults are ArduCopter 4.8's parameters."""
 
@@ -36,6 +46,7 @@ class TrackLimits:
     radius_m: float = 2.0  # WP_RADIUS_M
     shaping_jerk_mps3: float = 5.0  # PSC_JERK_NE: Guided; a mission's legs keep WP_JERK
     down_jerk_mps3: float = 5.0  # PSC_JERK_D
+    lean: LeanLimits = LeanLimits()
 
     @property
     def snap_mps4(self) -> float:

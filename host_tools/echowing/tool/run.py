@@ -206,7 +206,7 @@ class FollowTool:
                 follower.guide = options.make_guide()
         build_up = BuildUp(options.build_up, options.slots) if options.build_up else None
         self._orders = Orders(self._session, build_up)
-        self._standstill = Standstill(self._session)
+        self._standstill = Standstill(self._session.known, self._session.guard)
         self._desk = KeyDesk(self._orders, self._event)
         self._panel = Panel([known_id(seat) for seat in options.seats])
         self._cohesion = Cohesion(known_id(leader))
