@@ -212,6 +212,25 @@ def test_a_slot_opens_for_a_leader_that_is_steered() -> None:
     assert yard.said("slot opens to 3.5 m, leader at 2.0 m/s")
 
 
+@pytest.mark.parametrize(("speed_mps", "told"), [(4.3, 0), (6.0, 1)])
+def test_a_leader_that_outruns_its_followers_is_told_of(speed_mps: float, told: int) -> None:
+    yard = Yard()
+    yard.fly(2.0)
+    assert yard.said("the leader may fly at up to 4 m/s")
+    for vehicle in yard.vehicles.values():
+        vehicle.velocity_mps = (speed_mps, 0.0)
+    yard.fly(20.0)
+    warnings = [text for text in yard.events() if "leader too fast" in text]
+    assert len(warnings) == told
+    shown = [
+        (who, m.text)
+        for who, m in yard.sent
+        if m.get_type() == "STATUSTEXT" and "too fast" in m.text
+    ]
+    text = "leader too fast, 6.0 m/s (most 4)"
+    assert shown == [(FOLLOWER, f"Echowing: {text}"), (LEADER, f"Echowing: 2 {text}")] * told
+
+
 def test_a_follower_that_the_wind_leaves_nothing_to_brake_with_is_not_engaged() -> None:
     """Leaning back 20 of 30 degrees, 3.6 of 5.7 m/s2; a gust takes half as much again."""
     yard = Yard()
@@ -290,7 +309,7 @@ def test_a_parameter_that_no_vehicle_has_is_named() -> None:
     yard = Yard()
     yard.vehicles[FOLLOWER].parameters["WP_ACC"] = 0.1
     assert yard.fly(SOON_S) == []
-    assert yard.said("WP_ACC 0.1 is not believed")
+    assert yard.door.news == ["system 2: WP_ACC 0.1 cannot be: not believed"]
 
 
 def test_limits_that_are_not_told_are_not_guessed() -> None:
@@ -351,7 +370,7 @@ def test_the_stop_switch_has_to_be_seen_and_off(who: int) -> None:
     assert yard.said(f"follower 2: not engaged, {whose} stop switch is on")
     hear(1100)
     assert yard.fly(1.0) == []  # as the docstring says: until Guided is left
-    for mode in (LOITER, GUIDED):
+    for mode in (LOITER, LOITER, GUIDED):
         yard.vehicles[FOLLOWER].mode = mode
         yard.tell(FOLLOWER, yard.vehicles[FOLLOWER].heartbeat())
     assert yard.fly(1.0) != []

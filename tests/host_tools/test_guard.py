@@ -655,6 +655,7 @@ def test_a_refused_point_stops_it_until_the_pilot_has_taken_over() -> None:
     there.fly(REMEMBERED_S)
     assert there.state == "holding: its points are refused"
     there.tell(FOLLOWER, heartbeat(LOITER))
+    there.tell(FOLLOWER, heartbeat(LOITER))
     there.tell(FOLLOWER, heartbeat(GUIDED))
     there.fly(1.0)
     assert there.state == "following"
@@ -726,8 +727,45 @@ def test_the_stop_switch_stops_and_hands_back() -> None:
     there.tell(FOLLOWER, rc_channels(5, 1000))
     assert there.points(1.0) == []  # only the pilot's Guided gives it back
     there.tell(FOLLOWER, heartbeat(LOITER))
+    there.tell(FOLLOWER, heartbeat(LOITER))
     there.tell(FOLLOWER, heartbeat(GUIDED))
     assert len(there.points(1.0)) == 8
+
+
+@pytest.mark.parametrize("released", [False, True])
+@pytest.mark.parametrize("flying", [False, True])
+def test_one_false_heartbeat_does_not_end_what_its_switch_has_stopped(
+    released: bool, flying: bool
+) -> None:
+    """A heartbeat of another mode with its id ended the latch, and it was led on."""
+    there = Field(Limits(switch=StopSwitch(5, 1200)))
+    there.fly(1.0)
+    there.tell(FOLLOWER, rc_channels(5, 1800))
+    there.fly(STILL_FOR_S + 1.0 if released else 2 * TICK_S)
+    there.tell(FOLLOWER, rc_channels(5, 1000))
+    for _ in range(3):
+        there.tell(FOLLOWER, heartbeat(GUIDED if not flying else LOITER, flying=flying))
+        assert there.points(2 * TICK_S) == []  # it may be its pilot
+        there.tell(FOLLOWER, heartbeat(GUIDED))
+        there.fly(3.0)
+        assert there.state in ("holding: stop switch", "no points sent")
+        assert there.session.guard is not None
+        assert there.session.guard.switched(FOLLOWER)
+    assert any("what has stopped it still does" in text for text in there.events())
+    for mode in (LOITER, LOITER, GUIDED):
+        there.tell(FOLLOWER, heartbeat(mode))
+    there.fly(1.0)
+    assert there.state == "following"
+
+
+def test_one_false_heartbeat_interrupts_one_that_is_led_and_changes_nothing_else() -> None:
+    there = Field(Limits())
+    there.fly(1.0)
+    there.tell(FOLLOWER, heartbeat(LOITER))
+    assert there.points(2 * TICK_S) == []
+    there.tell(FOLLOWER, heartbeat(GUIDED))
+    assert len(there.points(1.0)) == 8
+    assert there.events()[-1] == "follower 2: in Guided again after one heartbeat, as before"
 
 
 @pytest.mark.parametrize("why", ["stop switch", "leader is stale"])

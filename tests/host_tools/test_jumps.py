@@ -64,7 +64,7 @@ def off_m(points: list[Any], from_m: float) -> float:
 
 
 def leave_and_come_back(yard: Yard) -> None:
-    for mode in (LOITER, GUIDED):
+    for mode in (LOITER, LOITER, GUIDED):
         yard.vehicles[FOLLOWER].mode = mode
         yard.tell(FOLLOWER, yard.vehicles[FOLLOWER].heartbeat())
 
@@ -95,6 +95,9 @@ def test_a_jump_that_no_sonar_denies_is_held_until_guided_is_left(changes: bool)
     assert yard.said("leader's reports agree 12.0 m away from where it was: nobody is flown there")
     assert off_m(points, -3.0) < 1.0
     yard.fly(20.0)
+    assert yard.state().startswith("holding: leader jumped")
+    yard.tell(FOLLOWER, Vehicle((0.0, 0.0), mode=LOITER).heartbeat())  # a false one
+    yard.fly(3.0)
     assert yard.state().startswith("holding: leader jumped")
     leave_and_come_back(yard)
     yard.fly(2.0)

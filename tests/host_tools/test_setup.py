@@ -35,10 +35,10 @@ from echowing.setup.checks import Finding, Verdict, examine, exit_code
 from echowing.setup.job import Work
 from echowing.setup.readout import CardApplet, Readout, Reports, Role
 from echowing.setup.settings import settings_for
-from echowing.setup.view import as_json, as_lines, differences
+from echowing.setup.view import as_json, as_lines, differences, tuning_note
 from echowing.sim.parameters import Generation, Parameters
 
-from .test_background import read_until
+from .test_background import DEADLINE_S, read_until
 
 # ArduPilot's board ids, and what they give to scripts: 200, 100, 43 KiB, and nothing.
 CUBE_ORANGE, PIXHAWK_4, CUBE_BLACK, MATEK_F405 = 140, 50, 9, 125
@@ -342,16 +342,34 @@ def test_signing_silences_the_co_processor_and_the_fix_is_named() -> None:
 
 
 def test_a_leader_is_not_judged_as_a_follower() -> None:
-    bare = Readout({**factory(), **PILOTS})
+    bare = Readout({**factory(), **PILOTS, "WP_SPD": 4.0})
     assert [one for one in examine(bare, Role.LEADER) if one.verdict is not Verdict.FINE] == []
     assert exit_code(examine(bare)) == 1
     careless = Readout({**factory(), "ECHO_ENABLE": 1.0, "ECHO_STREAM_T": 0.0})
     doubts = {one.about for one in examine(careless, Role.LEADER) if one.verdict is Verdict.YOURS}
-    assert doubts == {"ECHO_ENABLE", "FS_GCS_ENABLE", "BATT_FS_LOW_ACT", "FENCE_ENABLE"}
+    assert doubts == {"WP_SPD", "ECHO_ENABLE", "FS_GCS_ENABLE", "BATT_FS_LOW_ACT", "FENCE_ENABLE"}
     assert exit_code(examine(careless, Role.LEADER)) == 0
 
 
 # ---- what is printed --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "slower"),
+    [("WP_SPD", 10.0, "WP_SPD 4,"), ("WPNAV_SPEED", 450.0, "WPNAV_SPEED 400,")],
+)
+def test_a_leader_whose_missions_outrun_its_followers_is_told(
+    name: str, value: float, slower: str
+) -> None:
+    parameters = {**factory(Generation.V4_6 if "NAV" in name else Generation.V4_8), **PILOTS}
+    (speed,) = (
+        one
+        for one in examine(Readout({**parameters, name: value}), Role.LEADER)
+        if one.about == name
+    )
+    assert speed.verdict is Verdict.YOURS
+    assert "up to 4 m/s" in speed.why
+    assert slower in speed.fix
 
 
 def test_lines_say_why_and_what_to_type_and_fold_what_is_dull() -> None:
@@ -591,9 +609,9 @@ def test_a_question_on_a_terminal_shows_its_answers() -> None:
             read_until(master, b"Write these too? [y/N] ")
             os.write(master, b"y\n")
             read_until(master, b"True")
+            assert asking.wait(DEADLINE_S) == 0
         finally:
             os.close(master)  # a question that waits is hung up
-    assert asking.returncode == 0
 
 
 def test_where_nobody_answers_nothing_is_taken_for_granted(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -644,3 +662,11 @@ def test_every_help_has_an_example(part: str, capsys: pytest.CaptureFixture[str]
     with pytest.raises(SystemExit):
         main(["setup", part, "--help"])
     assert f"  echowing setup {part} " in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", ["WP_ACC", "WPNAV_ACCEL", "PSC_JERK_NE", "PSC_JERK_XY"])
+def test_higher_limits_are_raised_only_with_a_word_on_what_they_do_elsewhere(name: str) -> None:
+    note = "\n".join(tuning_note([Change("SCR_ENABLE", 0.0, 1.0), Change(name, 2.5, 5.0)]))
+    assert note.startswith(f"{name}: in Auto and RTL, too")
+    assert "tuned (AutoTune)" in note
+    assert tuning_note([Change("SCR_ENABLE", 0.0, 1.0)]) == []

@@ -211,6 +211,8 @@ def test_one_command_makes_a_new_vehicle_ready_and_one_file_puts_it_back(
     # What came only after the restart was announced before the question.
     announced = job.told[: job.told.index(f"old values: {file}")]
     assert any(line.startswith("ECHO_ENABLE ") for line in announced)
+    assert "in Auto and RTL, too" in "\n".join(announced)
+    assert "tuned (AutoTune)" in "\n".join(announced)
 
     saved = load(file)
     assert {"RNGFND1_TYPE", "WP_ACC", "ECHO_ENABLE"} <= set(saved.parameters)

@@ -80,14 +80,13 @@ class RecordingHost(LuaHost):
     note_update: Callable[[], None]
     write: Callable[[str], None]
 
-    def _prelude(self, version: tuple[int, ...]) -> Any:
-        host = super()._prelude(version)
-        sandbox = host.load("return _ENV", "=sandbox")()
+    def _load(self, script: Path) -> Any:
+        sandbox = self._host.load("return _ENV", "=sandbox")()
         recorder = (SOURCES / "recorder.lua").read_text(encoding="utf-8")
         bindings = read_bindings(ANNOTATIONS.read_text(encoding="utf-8"))
         functions = self._lua.table_from({b.name: True for b in bindings if not b.owner})
         self.note_update, self.write = self._lua.execute(recorder, sandbox, functions)
-        return host
+        return super()._load(script)
 
     def _run(self, t_ms: int) -> None:
         super()._run(t_ms)

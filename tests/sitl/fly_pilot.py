@@ -88,6 +88,7 @@ def test_stop_switch(start: Start, table: list[Entry]) -> None:
     tool.row(lambda row: row["switch"] != "on", back)
     follower.set_mode(LOITER)
     tool.event("left Guided for LOITER", back)
+    rest(2.5)  # two heartbeats
     follower.set_mode(GUIDED)
     tool.event("in Guided, following", back)
     formation.until_in_slot()

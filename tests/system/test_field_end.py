@@ -73,8 +73,11 @@ def test_the_stop_switch_stops_and_lets_go(world: World, transmitter: Transmitte
 
     # Only the pilot gives it back, by his mode switch.
     world.pilot.set_mode(mavlink.COPTER_MODE_LOITER)
+    away = tool.event("left Guided for LOITER", again)
+    for _ in range(3):  # rows are a second apart: two heartbeats, and one to spare
+        away = 1 + tool.row(lambda row: row["mode"] == "LOITER", away)
     world.pilot.set_mode(mavlink.COPTER_MODE_GUIDED)
-    tool.row(is_followed, again)
+    tool.row(is_followed, away)
     tool.kill()
 
 

@@ -17,6 +17,7 @@ from echowing.flight.guard import Guard
 from echowing.flight.guidance import MOVING_MPS, Horizontal, LeaderFix, slot_offset_m
 from echowing.flight.handling import Handling, least_slot_m
 from echowing.flight.heights import Heights
+from echowing.flight.leader_speed import MOST_LEADER_MPS, LeaderSpeed
 from echowing.flight.readiness import Readiness
 from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.flight.state import FollowerState, Known, Say
@@ -253,6 +254,7 @@ class Engagement:
         self._table_shown = False
         self._doubts: dict[int, str] = {}
         self._rising_m: Mapping[int, float] = {}
+        self._leader_speed = LeaderSpeed()
 
     # ---- what comes in, and what is asked -------------------------------------------------------
 
@@ -330,6 +332,7 @@ class Engagement:
             self._since_s = now_s
         if not self._table_shown:
             self._show_table(now_s)
+        self._warn_of_speed(now_s)
         for system_id, follower in self._known.followers.items():
             turn = self._turns[system_id]
             self._warn_of_return(follower, turn, now_s)
@@ -403,6 +406,8 @@ class Engagement:
         self._table_shown = True
         for line in table(rows):
             self._say(now_s, line)
+        if self.readiness.reversal:
+            self._say(now_s, f"the leader may fly at up to {MOST_LEADER_MPS:g} m/s")
         for name, findings in rows:
             for one in findings:
                 if one.wrong:
@@ -416,6 +421,19 @@ class Engagement:
             self._say(now_s, f"follower {system_id}: {note}")
             self._alert(system_id, note)
         turn.level = bool(note) and self._table_shown
+
+    def _warn_of_speed(self, now_s: float) -> None:
+        """Warn of a leader that its followers will lose at the next corner."""
+        fix = self._known.leader.fix
+        if fix is None or not self.readiness.reversal:
+            return
+        warning = self._leader_speed.warning(fix.speed_mps, now_s)
+        if warning is None:
+            return
+        self._say(now_s, f"{warning}: its followers lose it at corners")
+        for system_id, follower in self._known.followers.items():
+            if follower.in_guided:
+                self._alert(system_id, warning)
 
     def _waited(self, now_s: float) -> bool:
         return self._since_s is not None and now_s - self._since_s >= PATIENCE_S
@@ -478,8 +496,8 @@ class Engagement:
         whose = "the leader's" if whose == "leader" else whose
         wrong = {
             "not seen": f"{whose} stop switch is not seen: check its transmitter and the channel",
-            "on": f"{whose} stop switch is on: switch it off, then leave Guided and come back",
-            "was on": f"{whose} stop switch was on: leave Guided and come back",
+            "on": f"{whose} stop switch is on: switch it off, then leave Guided for 2 s",
+            "was on": f"{whose} stop switch was on: leave Guided for 2 s",
         }
         return [Finding("switch", "?" if shown == "not seen" else shown, wrong.get(shown, ""))]
 
@@ -673,10 +691,8 @@ def _cell(finding: Finding | None) -> str:
 
 def _unsure_of(handling: Handling) -> str:
     """What a follower's limits are computed without, as the end of a sentence."""
-    refused = [f"{name} {value:g} is not believed" for name, value in handling.refused.items()]
     missing = handling.missing if handling.known else []
-    worst = [f"not known, so taken as the worst: {', '.join(missing)}"] if missing else []
-    return "".join(f"; {text}" for text in (*refused, *worst))
+    return f"; not known, so taken as the worst: {', '.join(missing)}" if missing else ""
 
 
 def _clock(whose: str, clock: Any) -> Finding:

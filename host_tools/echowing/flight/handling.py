@@ -56,13 +56,11 @@ class Handling:
 
     answer_in_calm: how it answers without wind; closing: how Guided closes the distance to its
     point, a forecast, so with ArduCopter's defaults for what is not known; lean_max_rad: its
-    largest lean; wind_leaves_mps2: the hardest braking that the wind leaves it; refused: reported,
-    and not believed.
+    largest lean; wind_leaves_mps2: the hardest braking that the wind leaves it.
     """
 
     def __init__(self) -> None:
         self.wind_leaves_mps2 = math.inf
-        self.refused: dict[str, float] = {}
         self._limits: dict[VehicleLimit, float] = {}
         self._asked_at_s = -math.inf
         self._asks = 0
@@ -90,15 +88,10 @@ class Handling:
     def receive(self, name: str, value: float) -> None:
         """Take a parameter of its autopilot; one out of its span tells nothing."""
         limit = BY_NAME.get(name)
-        if limit is None:
-            return
-        read = limit.read(name, value)
-        if read is None:
-            self.refused[name] = value
-            return
-        self.refused.pop(name, None)
-        self._limits[limit] = read
-        self._work_out()
+        read = None if limit is None else limit.read(name, value)
+        if limit is not None and read is not None:
+            self._limits[limit] = read
+            self._work_out()
 
     def asks(self, now_s: float) -> list[str]:
         """The parameters to request now."""

@@ -37,6 +37,9 @@ from echowing.mavlink.messages import TOOL_SYSTEM_ID, position_target, status_te
 
 STALE = "leader is stale"
 DISTANCE_HZ, ATTITUDE_HZ = 5.0, 2.0
+# Heartbeats in a row that are not of one that flies in Guided, before its pilot counts as having
+# left it: whatever holds it for good ends by that. One alone may be another vehicle's, or false.
+AWAY_BEATS = 2
 # The speed sent for a slot that stands.
 LEAST_MPS = 0.001
 # A slot that opened for a fast leader counts as closed when it needs less than its radius by this.
@@ -167,22 +170,40 @@ class FollowSession:
         if self.take_offs is not None and not (follower.armed and follower.guided_mode):
             self.take_offs.taken_over(follower.plan.system_id)
         in_guided = follower.flying and follower.guided_mode
+        away_beats = follower.away_beats
+        follower.away_beats = 0 if in_guided else away_beats + 1
+        if follower.away_beats >= AWAY_BEATS:
+            follower.flown = False
         if in_guided is follower.in_guided:
             return
         follower.in_guided = in_guided
-        follower.latched = None
         follower.own_jump.settled()
-        # Earlier reasons to hold it, and the place of a hold, belong to another flight.
+        self._holds.release(follower)  # its place belongs to another flight
         climbs = self.lift_of(follower) in (Lift.CLIMBING, Lift.STOPPED)
-        follower.flown = in_guided and climbs
-        self._holds.release(follower)
+        if in_guided and away_beats < AWAY_BEATS:
+            self._back_in_guided(follower, now_s)
+            return
         if in_guided:
+            follower.latched = None
+            follower.flown = climbs
             self._entered_guided(follower, now_s, climbs=climbs)
             return
         left = f"left Guided for {mode_name(heartbeat.custom_mode)}"
         if heartbeat.custom_mode == GUIDED_MODE:
             left = "not flying any more"
         self._say(now_s, f"follower {follower.plan.system_id}: {left}, pilot has control")
+
+    def _back_in_guided(self, follower: FollowerState, now_s: float) -> None:
+        """One heartbeat did not say Guided: a false one, or a pilot who was away for a moment.
+
+        No point went meanwhile; what has stopped it stops it still.
+        """
+        if self.guard is None:
+            return
+        system_id = follower.plan.system_id
+        stopped = follower.latched is not None or self.guard.switched(system_id)
+        text = "what has stopped it still does: leave Guided for 2 s" if stopped else "as before"
+        self._say(now_s, f"follower {system_id}: in Guided again after one heartbeat, {text}")
 
     def _entered_guided(self, follower: FollowerState, now_s: float, *, climbs: bool) -> None:
         if self.guard is None:

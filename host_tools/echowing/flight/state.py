@@ -98,7 +98,8 @@ class FollowerState:
     gets away if the leader turns round now; least_m, least_at_s: the nearest slot it was given
     last, and when; beyond_s: when the leader was last out of its sonar's reach, as far as is
     known; opens: it was said that the slot opens for a reversal; searches: it looks
-    for the leader from the side; unsure: its newest report may be another vehicle's, with its id.
+    for the leader from the side; unsure: its newest report may be another vehicle's, with its id;
+    away_beats: heartbeats in a row that were not of one that flies in Guided.
     """
 
     plan: FollowerPlan
@@ -139,6 +140,7 @@ class FollowerState:
     armed: bool = False
     flying: bool = False
     in_guided: bool = False
+    away_beats: int = 2
     flown: bool = False
     sent_to: bool = False
     held_at: GlobalPosition | None = None

@@ -219,6 +219,8 @@ def find_vehicles(
             for message in link.receive(clock(), say):
                 finder.heard(text, message, clock())
         finder.decide(clock())
+    for text, link in links.items():
+        link.link.keep(known_id(seat) for seat in seats if seat.address.text == text)
     return True
 
 

@@ -11,6 +11,7 @@ from enum import Enum
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.applets import SPEED, identify, is_outdated
+from echowing.flight.leader_speed import MOST_LEADER_MPS
 from echowing.mavlink.messages import TOOL_SYSTEM_ID
 from echowing.setup.readout import CardApplet, Readout, Role
 from echowing.setup.settings import (
@@ -578,6 +579,25 @@ def _arming(readout: Readout) -> Iterator[Finding]:
             )
 
 
+def _leaders_speed(readout: Readout) -> Iterator[Finding]:
+    """As `_speed`; a mission that says no other speed is flown at this one."""
+    for one in _speed(readout):
+        metres = 1.0 if one.about == "WP_SPD" else 100.0
+        speed_mps = readout.parameters.get(one.about, 0.0) / metres
+        if one.verdict is not Verdict.FINE or speed_mps <= MOST_LEADER_MPS:
+            yield one
+            continue
+        yield Finding(
+            one.about,
+            Verdict.YOURS,
+            one.found,
+            f"missions fly at {speed_mps:g} m/s; followers keep their distance up to "
+            f"{MOST_LEADER_MPS:g} m/s",
+            f"param set {one.about} {MOST_LEADER_MPS * metres:g}, or less; or DO_CHANGE_SPEED in "
+            "the mission",
+        )
+
+
 def _leaders_applet(readout: Readout) -> Iterator[Finding]:
     """An enabled applet on a leader would take its speed in Guided."""
     if readout.parameters.get("ECHO_ENABLE", 0.0):
@@ -608,5 +628,5 @@ CHECKS: Mapping[Role, tuple[Check, ...]] = {
         _applet_choices,
     ),
     # A leader flies with its own ground station; it needs none of the follower's equipment.
-    Role.LEADER: (_arming, _speed, _leaders_applet, _choices),
+    Role.LEADER: (_arming, _leaders_speed, _leaders_applet, _choices),
 }

@@ -34,7 +34,7 @@ from echowing.setup.restart import (
     until_applet_runs,
 )
 from echowing.setup.vehicle import Vehicle
-from echowing.setup.view import changes_as_lines, differences
+from echowing.setup.view import changes_as_lines, differences, tuning_note
 
 WRITING = "parameters are written"
 # Scripting, then the parameters behind it, then those behind these; one to spare.
@@ -195,13 +195,13 @@ class Apply:
     def _show(self, plan: Plan) -> None:
         hidden = hidden_for(plan.readout)
         self._announced |= set(hidden) | {change.name for change in plan.changes}
-        for line in differences(plan.readout, plan.changes, hidden):
+        for line in (*differences(plan.readout, plan.changes, hidden), *tuning_note(plan.changes)):
             self.work.say(line)
 
     def _agreed_again(self, plan: Plan) -> bool:
         """Announced changes are written without another question."""
         news = [change for change in plan.changes if change.name not in self._announced]
-        for line in changes_as_lines(plan.changes):
+        for line in (*changes_as_lines(plan.changes), *tuning_note(news)):
             self.work.say(line)
         return not news or self.ask(f"Write these too to {self.work.vehicle.name}? [y/N] ")
 

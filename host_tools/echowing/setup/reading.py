@@ -10,6 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from echowing.applets import HOLD, IDENTIFYING, Applet, applets_among, identify
 from echowing.errors import EchowingError
 from echowing.flight.state import GUIDED_MODE
+from echowing.flight.vehicle_limits import ACCELERATION, JERK
 from echowing.mavlink.messages import FORWARD, command_long
 from echowing.setup.applet import CARD_FOLDERS, applet_parameters, applet_path, files_in
 from echowing.setup.checks import RC_CHANNELS, SERIAL_PORTS, ports_at_115200, signing_option
@@ -32,8 +33,8 @@ PREARM = "PreArm: "
 _NAMES: tuple[Name, ...] = (
     ("WP_SPD", "WPNAV_SPEED"),
     ("RTL_SPEED_MS", "RTL_SPEED"),
-    ("WP_ACC", "WPNAV_ACCEL"),
-    ("PSC_JERK_NE", "PSC_JERK_XY"),
+    tuple(ACCELERATION.names),
+    tuple(JERK.names),
     ("MAV_GCS_SYSID", "SYSID_MYGCS"),
     "SCR_ENABLE",
     "SCR_DIR_DISABLE",

@@ -4,10 +4,11 @@
 pilot's (see `checks`).
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from echowing.applets import FORMAT, identify
+from echowing.flight.vehicle_limits import ACCELERATION, JERK, VehicleLimit
 from echowing.setup.applet import applet_parameters
 from echowing.setup.readout import Readout
 
@@ -223,24 +224,22 @@ def _limits(readout: Readout) -> Iterator[Setting]:
     """
     yield _at_least(
         readout,
-        {"WP_ACC": 1.0, "WPNAV_ACCEL": 100.0},
+        ACCELERATION,
         ACCELERATION_MPS2,
         "the follower must brake and fly back this quickly when its leader reverses",
     )
     yield _at_least(
         readout,
-        {"PSC_JERK_NE": 1.0, "PSC_JERK_XY": 1.0},
+        JERK,
         JERK_MPS3,
         "the acceleration must build up this quickly when the leader reverses",
     )
 
 
-def _at_least(
-    readout: Readout, units_per_si: Mapping[str, float], least: float, why: str
-) -> Setting:
+def _at_least(readout: Readout, limit: VehicleLimit, least: float, why: str) -> Setting:
     """A lower bound in SI units, under the first of the names that the vehicle has."""
-    name = next((one for one in units_per_si if one in readout), next(iter(units_per_si)))
-    wanted = least * units_per_si[name]
+    name = next((one for one in limit.names if one in readout), next(iter(limit.names)))
+    wanted = least / limit.names[name]
     return Setting(name, lambda v: v >= wanted - TOLERANCE, lambda v: wanted, why)
 
 

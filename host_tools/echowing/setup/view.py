@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 
+from echowing.flight.vehicle_limits import ACCELERATION, BY_NAME, JERK
 from echowing.setup.applet import PARAMETER_PREFIX
 from echowing.setup.apply import Change
 from echowing.setup.checks import Finding, Verdict, examine, exit_code, judge, memory
@@ -79,6 +80,19 @@ def changes_as_lines(changes: Sequence[Change]) -> Iterator[str]:
     for change in changes:
         later = ", used from the next start on" if change.restart else ""
         yield _row(change.name, f"{change.old:g} -> {change.new:g}{later}: {change.why}")
+
+
+def tuning_note(changes: Sequence[Change]) -> list[str]:
+    """What higher limits do besides following; nothing where none is raised."""
+    raised = [one.name for one in changes if BY_NAME.get(one.name) in (ACCELERATION, JERK)]
+    if not raised:
+        return []
+    return [
+        f"{' and '.join(raised)}: in Auto and RTL, too, the vehicle will",
+        "  speed up, brake and turn harder, and lean up to 27 degrees for it. Only for",
+        "  a vehicle that is tuned (AutoTune) and strong enough. Watch its first Auto",
+        "  and RTL with them.",
+    ]
 
 
 _ON_CARD = {
