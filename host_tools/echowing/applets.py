@@ -3,8 +3,6 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-from echowing.mavlink.messages import POINT_FORMAT
-
 
 @dataclass(frozen=True, slots=True)
 class Applet:
@@ -19,8 +17,7 @@ class Applet:
 
 
 # 90 KiB is what an F765's 100 KiB leave with a margin, 40 KiB what an F427's 43 KiB leave.
-# The hold still carries the speed laws, which will become an applet of their own: 133,376 bytes.
-HOLD = Applet("hold", "echowing.lua", 132 * 1024)
+HOLD = Applet("hold", "echowing.lua", 90 * 1024)
 SPEED = Applet("speed", "echowing_speed.lua", 46 * 1024)
 APPLETS = (HOLD, SPEED)
 
@@ -36,6 +33,8 @@ def applet_named(name: str) -> Applet:
 
 def identify(parameters: Mapping[str, float]) -> Applet | None:
     """Which applet a vehicle with these parameters runs; None: none, or one of another version."""
+    from echowing.mavlink.messages import POINT_FORMAT  # noqa: PLC0415 (not for --help)
+
     if FORMAT in parameters:
         return HOLD if parameters[FORMAT] == POINT_FORMAT else None
     return SPEED if LAW in parameters and GAIN not in parameters else None

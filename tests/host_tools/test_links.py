@@ -14,8 +14,8 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.errors import EchowingError
+from echowing.mavlink.connection import DEFAULT_BAUD
 from echowing.mavlink.links import (
-    DEFAULT_BAUD,
     MOST_PEERS,
     MOST_READS,
     MOVED_S,

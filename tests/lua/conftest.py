@@ -79,6 +79,7 @@ class Rig:
         self.stream_every_ms: int | None = None
         self.raw_every_ms: int | None = None
         self.ahead_m = 5.0
+        self.stream_mps: float | None = 0.0
         self.raw_m = 3.0
         self.host = self.new_host()
 
@@ -109,7 +110,7 @@ class Rig:
         vehicle = self.vehicle
         vehicle.t_ms += STEP_MS
         if self.stream_every_ms and vehicle.t_ms % self.stream_every_ms == 0:
-            self.send_target(self.ahead_m)
+            self.send_target(self.ahead_m, self.stream_mps)
         if self.raw_every_ms and vehicle.t_ms % self.raw_every_ms == 0:
             self.send_raw(self.raw_m)
         self.host.step(vehicle.t_ms)

@@ -23,7 +23,7 @@ HOLDING = 7
 OTHER_TOOL = 99
 NEAR_M = 50.0  # a target that leaves the applet is no further off
 DAMAGED, IMPLAUSIBLE = "damaged message, not used", "implausible point, not used"
-OTHER_VERSION = "points of another version of the tool, not used"
+OTHER_FORMAT = "points of another format, not used"
 SECOND_SENDER = "points of a second sender, not used"
 NO_PLACE = "other scripts leave no place to receive"
 # The fields of a point, in the order of the wire, as `follow` fills them for a vehicle that is led.
@@ -184,7 +184,7 @@ def test_a_queue_full_of_the_longest_frames_does_not_end_the_script(rig: MakeRig
             r.vehicle.inbox.extend([(frame, 0)] * 5)
         r.step()
         worst = max(worst, r.host.instructions)
-    assert 4000 < worst < 7500
+    assert 3000 < worst < 7500
 
 
 # ---- plausible numbers -----
@@ -236,17 +236,6 @@ def test_a_point_with_one_impossible_number_is_not_used(
     hear(r, mavlink_frame(POINT, point(**{field: value}), GROUND_TOOL))
     assert heard(r)[0] == before_ms
     assert IMPLAUSIBLE in r.texts
-
-
-def test_numbers_that_the_mask_leaves_out_do_not_count(rig: MakeRig) -> None:
-    """Other senders fill what is to be ignored with NaN."""
-    nothing = dict.fromkeys(("north_mps", "east_mps", "opens_m", "makes_way", "format"), math.nan)
-    r = rig().run(0.5)
-    position_only = point(**nothing, yaw_rad=math.nan, mask=0x0DF8)
-    hear(r, mavlink_frame(POINT, position_only, GROUND_TOOL))
-    assert heard(r)[0] is not None
-    assert r.host.local_value("stream")["opens_m"] == 0.0
-    assert count(r) == 0
 
 
 @pytest.mark.parametrize("range_m", [math.nan, math.inf, -1.0, 0.0, 21.0])
@@ -346,8 +335,9 @@ def test_no_target_leaves_where_the_vehicle_does_not_know_its_place(rig: MakeRig
 def test_no_impossible_speed_leaves(rig: MakeRig, mps: float) -> None:
     r = led(rig())
     before = (len(r.vehicle.desired_speeds), r.parameter_mps)
-    r.host.local_value("C")["SPD_MAX"] = mps
-    r.vehicle.parameters["ECHO_SPD_MAX"] = math.nan  # nothing puts it right
+    for name in ("SPD_MIN", "SPD_MAX"):
+        r.host.local_value("C")[name] = mps
+        r.vehicle.parameters[f"ECHO_{name}"] = math.nan  # nothing puts it right
     r.run(0.1)
     assert (len(r.vehicle.desired_speeds), r.parameter_mps) == before
     assert r.texts.count("implausible speed, not used") == 1
@@ -421,14 +411,20 @@ def test_a_sender_of_nonsense_keeps_nobody_out(rig: MakeRig) -> None:
 def test_points_of_another_format_are_refused_and_told_once(rig: MakeRig, form: float) -> None:
     r = led(rig(), 2.0, format=form)
     assert heard(r)[0] is None
-    assert r.texts.count(OTHER_VERSION) == 1
+    assert r.texts.count(OTHER_FORMAT) == 1
     assert r.vehicle.targets == []
 
 
-def test_an_acceleration_that_is_meant_as_one_is_no_format(rig: MakeRig) -> None:
-    r = led(rig(), mask=0x0800)
+@pytest.mark.parametrize(
+    "changed",
+    [{"mask": 0x0800}, {"mask": 0x0DF8}, {"mask": 0x09C4}, {"mask": 0x09C3}, {"frame": 0}],
+    ids=["an acceleration", "position only", "no height", "no place", "another frame"],
+)
+def test_what_is_no_point_of_the_tool_is_refused(rig: MakeRig, changed: dict[str, int]) -> None:
+    """So are a click on the map and `follow --position-only`, which flies with the other applet."""
+    r = led(rig(), **changed)
     assert heard(r)[0] is None
-    assert OTHER_VERSION in r.texts
+    assert OTHER_FORMAT in r.texts
 
 
 def test_the_parameter_shows_the_format(rig: MakeRig) -> None:

@@ -67,7 +67,7 @@ def sees_a_standing_leader(r: Rig, sonar: Sonar) -> None:
 
 
 def flying(rig: MakeRig) -> Rig:
-    r = rig(LAW=2).range(6.0)
+    r = rig().range(6.0)
     r.raw_every_ms = None
     r.vehicle.velocity = (OWN_MPS, 0.0, 0.0)
     return r.run(0.5)
@@ -157,7 +157,7 @@ def test_readings_without_a_stamp_count_from_their_arrival(rig: MakeRig) -> None
 @pytest.mark.parametrize("seed", range(8))
 def test_a_sonar_that_reads_anything_at_all_moves_nobody_for_long(rig: MakeRig, seed: int) -> None:
     """Ten wild readings a second for 20 s: three that agree by chance are soon denied by others."""
-    r = rig(LAW=2).range(6.0)
+    r = rig().range(6.0)
     r.vehicle.velocity = (0.0, 0.0, 0.0)
     r.run(0.5)
     chance, backing_off = random.Random(seed), 0

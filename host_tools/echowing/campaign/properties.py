@@ -21,8 +21,8 @@ from echowing.flight.envelope import (
     Answer,
     closing_limit_mps,
 )
-from echowing.flight.guard import LOWEST_M
 from echowing.flight.handling import reaction_s
+from echowing.flight.lowest import LOWEST_M
 from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.flight.spacing import UNRANGED_SIGMA_M
 from echowing.flight.vehicle_limits import INPUT_TIME
@@ -386,7 +386,7 @@ def speed_handed_back(record: FlightRecord) -> list[Broken]:
 
 
 def not_too_low(record: FlightRecord) -> list[Broken]:
-    """Never led lower than LOWEST_M above its home, unless it was asked to be."""
+    """Never led lower than LOWEST_M above its home, unless its place is."""
     broken = []
     scenario = record.scenario
     for number, slot in enumerate(scenario.formation.slots):

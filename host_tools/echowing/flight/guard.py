@@ -13,6 +13,8 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.flight.envelope import LEAST_M
+from echowing.flight.lowest import LOWEST_M
 from echowing.flight.readiness import Readiness
 from echowing.flight.state import FollowerState, Say
 from echowing.flight.switch import StopSwitch, Switches
@@ -35,9 +37,6 @@ CLEAR_M = 0.5
 CLEAR_SHARE = 0.9
 # A correction of the altitude is reported when it begins and when it changes by more than this.
 DATUM_TOLD_M = 0.3
-# A follower is not led below this height above its own home, however much lower the leader's home
-# lies, and not while it is lower than that.
-LOWEST_M = 2.0
 
 # Targets are read back in 1e-7 degrees (1 cm): one this far from all points sent means a refusal.
 REFUSED_M = 0.5
@@ -94,10 +93,9 @@ class Limits:
 
 
 # The defaults of `echowing follow`, flown by the simulator too.
-MIN_SEPARATION_M = 1.0
 FIELD_LIMITS = Limits(
     max_distance_m=100.0,
-    min_separation_m=MIN_SEPARATION_M,
+    min_separation_m=LEAST_M,
     home_difference_m=5.0,
     ready=Readiness(),
 )
@@ -285,9 +283,8 @@ class Guard:
         higher_m = self._homes_m[system_id] - self._homes_m[self._leader_id]
         if abs(higher_m) > most_m:
             return f"its home is {higher_m:+.1f} m from the leader's"
-        asked_m = follower.plan.wanted_m
-        wanted_m = asked_m + self.altitude_shift_m(system_id)
-        if wanted_m < min(LOWEST_M, asked_m):
+        wanted_m = follower.plan.wanted_m + self.altitude_shift_m(system_id)
+        if wanted_m < LOWEST_M:
             return f"the leader's altitude is only {wanted_m:.1f} m above its own home"
         self._tell_shift(system_id, wanted_m, now_s)
         return None

@@ -15,10 +15,10 @@ from functools import cache
 from typing import Any, Protocol
 
 from echowing.errors import EchowingError
+from echowing.mavlink.connection import DEFAULT_BAUD
 from echowing.mavlink.signing import LinkSigning, Parser, is_refused
 
 LOOPBACK, EVERYWHERE = "127.0.0.1", "0.0.0.0"
-DEFAULT_BAUD = 57_600  # of telemetry radios and of ArduPilot's SERIAL1
 RETRY_S = 1.0
 # One datagram, or the buffer of a serial port.
 CHUNK_BYTES = 65_535
@@ -44,11 +44,6 @@ TAKEN = (
 
 _STILL_CONNECTING = {errno.EINPROGRESS, errno.EALREADY, errno.EWOULDBLOCK}
 _FORMS = "udpin:[HOST:]PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:[HOST:]PORT or a serial device"
-CONN = (
-    "udpin:PORT (on all addresses of this computer), udpin:HOST:PORT, udpout:HOST:PORT, "
-    "tcp:HOST:PORT, tcpin:[HOST:]PORT or a serial device"
-)
-"""What a connection is, for every verb's help."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,6 +15,7 @@ from pathlib import Path
 from echowing.analysis.flight import Flight
 from echowing.flight.guard import FIELD_LIMITS, Limits
 from echowing.flight.guidance import MOVING_MPS, slot_offset_m
+from echowing.flight.lowest import LOWEST_M
 from echowing.flight.readiness import Readiness
 from echowing.flight.session import FollowSession
 from echowing.flight.state import FollowerPlan, FollowerState
@@ -199,8 +200,10 @@ class FormationFlight(FormationWorld):
     def new_session(self) -> FollowSession:
         """A session as the ground tool begins one."""
         scenario = self.scenario
+        # A leader that is carried may be lower than any follower is flown.
+        altitude_m = max(LOWEST_M, scenario.leader.altitude_m)
         plans = [
-            FollowerPlan(FIRST_FOLLOWER_ID + i, slot, scenario.leader.altitude_m)
+            FollowerPlan(FIRST_FOLLOWER_ID + i, slot, altitude_m)
             for i, slot in enumerate(scenario.slots())
         ]
         return FollowSession(

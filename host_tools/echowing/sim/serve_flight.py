@@ -4,8 +4,8 @@ from contextlib import closing
 from pathlib import Path
 
 from echowing.errors import EchowingError
+from echowing.flight.envelope import LEAST_M
 from echowing.flight.formation import check_formation, receivers_demand_m
-from echowing.flight.guard import MIN_SEPARATION_M
 from echowing.geo import Ned
 from echowing.sim.flight import FormationWorld
 from echowing.sim.ground import TELEMETRY
@@ -198,7 +198,7 @@ def _demanded_m(formation: FormationSection) -> float:
 
     What a scenario allows for a simulated flight must not loosen what the field tool demands.
     """
-    return max(formation.slot_separation_m, receivers_demand_m(MIN_SEPARATION_M))
+    return max(formation.slot_separation_m, receivers_demand_m(LEAST_M))
 
 
 def _as_toml(formation: FormationSection) -> str:
