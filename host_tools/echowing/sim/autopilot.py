@@ -13,6 +13,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.applets import APPLETS
 from echowing.errors import EchowingError
 from echowing.geo import Ned
 from echowing.sim.commands import ACCEPTED, FAILED, Commands, command_of
@@ -37,8 +38,10 @@ USB, TELEMETRY, COPROCESSOR = "usb", "telemetry", "coprocessor"
 _PORT_NUMBERS = {USB: 0, TELEMETRY: 1, COPROCESSOR: 2}
 _FIRST_OTHER_PORT = 3
 
-# Where scripts are on the card (AP_Scripting, SCRIPTING_DIRECTORY); the one that is simulated.
-_SCRIPT_ON_CARD = Path("APM", "scripts", "echowing.lua")
+# Where scripts are on the card (AP_Scripting, SCRIPTING_DIRECTORY); one applet is simulated.
+_SCRIPTS_ON_CARD = Path("APM", "scripts")
+# Pointers take twice the memory here: tests/lua/heap.py measures what the vehicle's take.
+_POINTERS = 2
 _SCRIPTS_DISABLED = 2  # SCR_DIR_DISABLE: the card's scripts are not loaded
 _NOT_SIGNED = 1  # MAVn_OPTIONS bit 0 (GCS.h, MAVLINK2_SIGNING_DISABLED)
 _FTP_DISABLED = 2  # BRD_OPTIONS bit 1 (AP_BoardConfig): no file transfer
@@ -302,8 +305,10 @@ class Autopilot:
                 self._start_script(self._script_path)
             return
         disabled = int(self.parameters.value("SCR_DIR_DISABLE")) & _SCRIPTS_DISABLED
-        if (card / _SCRIPT_ON_CARD).is_file() and not disabled:
-            self._start_script(card / _SCRIPT_ON_CARD)
+        on_card = (card / _SCRIPTS_ON_CARD / applet.file for applet in APPLETS)
+        script = next((path for path in on_card if path.is_file()), None)
+        if script is not None and not disabled:
+            self._start_script(script)
 
     def _start_script(self, path: Path) -> None:
         if self.parameters.value("SCR_ENABLE") == 0.0:
@@ -313,7 +318,7 @@ class Autopilot:
             path,
             generation=self.generation,
             instruction_limit=int(self.parameters.value("SCR_VM_I_COUNT")),
-            heap_bytes=int(self.parameters.value("SCR_HEAP_SIZE")),
+            heap_bytes=_POINTERS * int(self.parameters.value("SCR_HEAP_SIZE")),
         )
 
     def start_log(self, path: Path) -> DataflashLog:
