@@ -62,7 +62,6 @@ def test_the_shipped_description_draws_every_kind_of_fault_and_every_number_of_f
     assert {fault.kind for one in drawn for fault in one.fault} == set(description.kinds)
     assert {len(one.formation.slots) for one in drawn} == {1, 2, 3, 4}
     assert {one.follower.generation for one in drawn} == {"4.5", "4.6", "4.7", "4.8"}
-    assert {one.guidance.feed_forward for one in drawn} == {True, False}
     assert max(len(one.fault) for one in drawn) >= 3
     speeds = [one.leader.speed_mps for one in drawn]
     assert min(speeds) < 1.0
