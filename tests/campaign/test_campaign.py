@@ -351,7 +351,7 @@ def test_an_autopilot_that_ends_in_flight_is_a_find(
         end
         return update()
     """)
-    monkeypatch.setattr("echowing.sim.hangar.shipped", lambda name: script)
+    monkeypatch.setattr("echowing.sim.hangar.applet_path", lambda applet: script)
 
     judged = fly_and_judge(load_scenario("echowing", ["duration_s=10"]), 3)
 
