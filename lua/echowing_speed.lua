@@ -4,7 +4,8 @@
 
   A ground tool streams guided points without a velocity. This applet reads the forward rangefinder (the co-processor's
   running average, by MAVLink) and sets the speed limit of Guided in steps: slower when too near, faster when too far.
-  When a stop would come too late it slows down at once, and then backs off. It holds the vehicle when the points end.
+  From the co-processor's single readings (NAMED_VALUE_FLOAT "SNR_RAW") it tells when a stop would come too late, and backs
+  off. It holds the vehicle when the points end.
 
   It acts only while ECHO_ENABLE is 1 and the vehicle is armed and in Guided. The pilot takes over by any change of mode;
   the speed parameter is then the pilot's again.
@@ -175,7 +176,7 @@ local PARAMETERS = (function() return {
       // @Units: s
       // @User: Advanced
     --]]
-    'DELAY', 1, 0.1, 2,
+    'DELAY', 1.2, 0.1, 2,
     --[[
       // @Param: ECHO_DECEL
       // @DisplayName: Echowing braking
@@ -263,7 +264,9 @@ local parameter = Parameter(SPEED_NAME)
 local per_mps = SPEED_NAME == 'WP_SPD' and 1 or 100
 
 -- Times are in ms; distances are between the two vehicles' centres.
-local S = { state = 0, row = 1, points = 0, point_ms = 0 }
+local S = {
+    state = 0, row = 1, points = 0, point_ms = 0, near_m = 0, closing_mps = 0, board_ms = 0, seen_ms = -10000,
+}
 
 -- Flies to a place so far back, looking where it looks now: Guided would turn the nose, and with it the sonar, towards a
 -- target without a yaw. False: it does not fly, or the target was refused.
@@ -272,7 +275,9 @@ local function fly_back(back_m)
     if not (position and vehicle:get_likely_flying()) then return false end
     position:x(position:x() - back_m * math.cos(yaw))
     position:y(position:y() - back_m * math.sin(yaw))
-    return vehicle:set_target_pos_NED(position, true, math.deg(yaw), false, 0, false, false)
+    local off_m = position:x() + position:y() + position:z() + yaw
+    return off_m - off_m == 0 and -- not with NaN or infinity
+        vehicle:set_target_pos_NED(position, true, math.deg(yaw), false, 0, false, false)
 end
 
 -- Sonar --------------------------------------------------------------------------------------------------------------
@@ -286,15 +291,23 @@ local function read_sonar()
     return good and range_m < C.DETECT and range_m + C.INSET or nil, status
 end
 
--- Distance and closing speed of the target: a well damped observer (0.2 s) of the averages.
-local function track(range_m, t_ms)
-    local dt_s = math.min((t_ms - S.update_ms) / 1000, 0.1)
-    S.near_m = S.near_m - S.closing_mps * dt_s
-    if not range_m then return end
-    if t_ms - S.seen_ms > 500 then S.near_m, S.closing_mps = range_m, 0 end -- too long ago: it starts anew
-    local off_m = range_m - S.near_m
-    S.near_m, S.seen_ms = S.near_m + 10 * dt_s * off_m, t_ms
-    S.closing_mps = clamp(S.closing_mps - 20 * dt_s * off_m, -C.SPD_MAX, C.SPD_MAX)
+-- Distance and closing speed of the target by the single readings: an observer that is damped well at 10 and at 20 Hz. One
+-- reading far from the rest is wild, as propellers make them; a second one begins anew. board_ms: the co-processor's clock.
+local function track(range_m, board_ms, t_ms)
+    local dt_s = (board_ms - S.board_ms) / 1000
+    local off_m = range_m - S.near_m + S.closing_mps * dt_s
+    local known = dt_s > 0 and dt_s < 0.5
+    if known and math.abs(off_m) > 0.5 and not S.wild then
+        S.wild = known
+        return
+    end
+    S.board_ms, S.seen_ms, S.wild = board_ms, t_ms, nil
+    if not known or math.abs(off_m) > 0.5 then
+        S.near_m, S.closing_mps = range_m, 0
+    else
+        S.near_m = range_m - 0.3 * off_m
+        S.closing_mps = clamp(S.closing_mps - 0.4 * off_m / dt_s, -C.SPD_MAX, C.SPD_MAX)
+    end
 end
 
 -- Laws ---------------------------------------------------------------------------------------------------------------
@@ -323,13 +336,14 @@ local function run_law(range_m, status, t_ms)
     S.state = 2
     if status > 1 then S.data_ms = t_ms end
     if range_m then
+        S.range_ms = t_ms
         if t_ms - S.step_ms >= C.PERIOD * 1000 then S.step_ms, S.wish_mps = t_ms, law_step(S.wish_mps, range_m) end
     else
         S.step_ms = t_ms -- the next average begins when the target is back
         local lost_ms = t_ms - C.LOST_T * 1000
         if lost_ms >= S.data_ms then
             S.state, S.wish_mps = 4, C.SPD_LOST
-        elseif lost_ms >= S.seen_ms and not S.close then
+        elseif lost_ms >= S.range_ms and not S.close then
             S.state, S.wish_mps = 1, C.LAW >= 1 and C.SPD_LOST or S.wish_mps
         end
     end
@@ -337,21 +351,21 @@ local function run_law(range_m, status, t_ms)
     S.law_mps = clamp(S.law_mps + clamp(S.wish_mps - S.law_mps, -most_mps, most_mps), C.SPD_MIN, C.SPD_MAX)
 end
 
--- Guard: too close, or too fast to stop 1 m before the target, wins over every law. It backs off to the wanted distance:
--- it would begin anew from nearer, its nose and its sonar down. Gives the speed to set.
+-- Guard: too close, or too fast to stop before it is, wins over every law. It backs off to the wanted distance: it would
+-- begin anew from nearer, its nose and its sonar down. Gives the speed to set.
 local function guard(status, t_ms)
     -- A target lost while too close is taken to be there for 2.5 s: while it backs off the nose is up, and the sonar often
     -- sees nothing.
     local known = t_ms - S.seen_ms <= (S.close and 2500 or 500)
-    local near_m, closing_mps = known and S.near_m or 10, math.max(0, known and S.closing_mps or 0)
-    S.close = status == 2 or near_m < C.CLOSE or S.close and near_m < C.DIST
-        or near_m - closing_mps * C.DELAY - closing_mps * closing_mps / (2 * C.DECEL) < 1
+    local closing_mps = math.max(0, known and S.closing_mps or 0)
+    local near_m = known and S.near_m - closing_mps * (t_ms - S.seen_ms) / 1000 or 10
+    S.close = status == 2 or S.close and near_m < C.DIST
+        or near_m - closing_mps * C.DELAY - closing_mps * closing_mps / (2 * C.DECEL) < C.CLOSE
     if not S.close then return S.law_mps end
     if C.LAW >= 1 then S.wish_mps, S.law_mps = C.SPD_MIN, C.SPD_MIN end
-    -- Half a metre lower than points lead (flight/lowest.py) what is near is most likely the ground.
-    local LOWEST_M = 2.0
-    local backs = known and -ahrs:get_relative_position_D_home() > LOWEST_M - 0.5
-        and fly_back(clamp(C.DIST - near_m + closing_mps, 0.5, 5))
+    -- Lower than 1.5 m up what is near is most likely the ground; points lead 2 m up and higher (flight/guard.py).
+    local backs = known and -ahrs:get_relative_position_D_home() > 1.5
+        and fly_back(clamp(C.DIST - near_m, 0.5, 5))
     S.state = backs and 6 or 3
     return backs and C.SPD_MAX or C.SPD_MIN
 end
@@ -369,20 +383,23 @@ end
 
 -- MAVLink ------------------------------------------------------------------------------------------------------------
 
-mavlink:init(5, 1)
+mavlink:init(5, 2)
 mavlink:register_rx_msgid(86) -- SET_POSITION_TARGET_GLOBAL_INT
+mavlink:register_rx_msgid(251) -- NAMED_VALUE_FLOAT
 
--- Takes a point for this vehicle. Frames whose checksum is wrong reach scripts too, so it is computed. Points count from
+-- Takes a point for this vehicle, or a single reading. Frames whose checksum is wrong reach scripts too, so it is computed. Points count from
 -- one sender until it has been silent for a second.
-local function take_point(message, t_ms)
+local function take_message(message, t_ms)
     local sub, wide = string.sub, #message >= 299 and 3 or 0 -- bytes of mavlink_message_t where ids have 32 bits; else 291
     local old, length, flags = string.byte(message, 3, 5)
+    local point = string.byte(message, 10 + wide) == 86
     old = old == 0xFE -- MAVLink 1
     if length > 53 or not (old or flags < 2) then return end -- 1: signed; more changes the frame
-    -- As on the wire from the length on; one or three bytes of message id. 5: CRC_EXTRA of the message.
+    -- As on the wire from the length on; one or three bytes of message id. The byte that follows is the message's
+    -- CRC_EXTRA.
     local bytes = sub(message, 4, old and 4 or 6) .. sub(message, 7, 8)
         .. sub(message, 9 + wide, (old and 10 or 12) + wide) .. sub(message, 13 + wide, 12 + wide + length)
-        .. '\5' .. sub(message, 1, 2) .. '\0\0\0'
+        .. (point and '\5' or '\170') .. sub(message, 1, 2) .. '\0\0\0'
     local crc = 0xFFFF -- X.25, four bytes at a time; 0 at the end, and zeros that follow change nothing
     for i = 1, #bytes - 3, 4 do
         local q = string.unpack('<i4', bytes, i) ~ crc
@@ -391,10 +408,18 @@ local function take_point(message, t_ms)
         q = q ~ q << 16
         crc = q >> 16 ~ q >> 21 ~ q >> 28
     end
+    if crc ~= 0 then return end
+    local own, sender = param:get('MAV_SYSID') or param:get('SYSID_THISMAV'), string.byte(message, 8)
+    if not point then
+        local board_ms, range_m, name = string.unpack('<i4fc7', message, 13 + wide)
+        if sender == own and name == 'SNR_RAW' and range_m > 0 and range_m < C.DETECT then
+            track(range_m + C.INSET, board_ms, t_ms)
+        end
+        return
+    end
     local system = length > 50 and string.byte(message, 63 + wide) or 0
-    if crc ~= 0 or system ~= 0 and system ~= (param:get('MAV_SYSID') or param:get('SYSID_THISMAV')) then return end
-    local sender, late = string.byte(message, 8), t_ms - S.point_ms > 1000
-    if sender ~= S.sender and not late then return end
+    local late = t_ms - S.point_ms > 1000
+    if system ~= 0 and system ~= own or sender ~= S.sender and not late then return end
     S.points, S.point_ms, S.sender = late and 1 or S.points + 1, t_ms, sender
 end
 
@@ -457,15 +482,14 @@ end
 local function act(t_ms)
     if not S.pilot_units then
         S.units, S.points, S.close, S.holding = nil, 0, nil, nil
-        S.step_ms, S.update_ms, S.data_ms, S.seen_ms, S.told_ms = t_ms, t_ms, t_ms, t_ms - 1000, t_ms - 10000
-        S.near_m, S.closing_mps, S.named_ms, S.announced = 0, 0, t_ms - 500, 2
+        S.step_ms, S.update_ms, S.data_ms, S.range_ms, S.told_ms = t_ms, t_ms, t_ms, t_ms, t_ms - 10000
+        S.named_ms, S.announced = t_ms - 500, 2
         S.law_mps = clamp(C.SPD_INIT, C.SPD_MIN, C.SPD_MAX)
         S.wish_mps = S.law_mps
         say(6, string.format('in control, law %.0f, %.1f m/s', C.LAW // 1, S.law_mps))
     end
     watch_speed() -- before the speed is touched: a restart must find the pilot's
     local range_m, status = read_sonar()
-    track(range_m, t_ms)
     run_law(range_m, status, t_ms)
     S.speed_mps = guard(status, t_ms)
     watch_stream(t_ms)
@@ -488,7 +512,7 @@ local function update()
     C.SPD_MAX = math.max(C.SPD_MAX, C.SPD_MIN)
     for _ = 1, 5 do
         local message = mavlink:receive_chan()
-        if message then take_point(message, t_ms) end
+        if message then take_message(message, t_ms) end
     end
     local reason = reason_not_to_act()
     if not reason then return act(t_ms) end

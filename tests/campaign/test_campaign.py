@@ -62,7 +62,6 @@ def test_the_shipped_description_draws_every_kind_of_fault_and_every_number_of_f
     assert {fault.kind for one in drawn for fault in one.fault} == set(description.kinds)
     assert {len(one.formation.slots) for one in drawn} == {1, 2, 3, 4}
     assert {one.follower.generation for one in drawn} == {"4.5", "4.6", "4.7", "4.8"}
-    assert {one.guidance.feed_forward for one in drawn} == {True, False}
     assert max(len(one.fault) for one in drawn) >= 3
     speeds = [one.leader.speed_mps for one in drawn]
     assert min(speeds) < 1.0
@@ -352,7 +351,7 @@ def test_an_autopilot_that_ends_in_flight_is_a_find(
         end
         return update()
     """)
-    monkeypatch.setattr("echowing.sim.hangar.shipped", lambda name: script)
+    monkeypatch.setattr("echowing.sim.hangar.applet_path", lambda applet: script)
 
     judged = fly_and_judge(load_scenario("echowing", ["duration_s=10"]), 3)
 

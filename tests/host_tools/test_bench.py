@@ -57,12 +57,12 @@ def test_best_law_has_the_lowest_rmsd_of_those_safe_in_every_run() -> None:
     flights = [
         *everywhere("thesis", rmsd_m=0.9),
         *everywhere("bands", rmsd_m=0.4),
-        *everywhere("continuous", rmsd_m=0.5),
+        *everywhere("hold", rmsd_m=0.5),
     ]
     assert best_law(list(rows(flights))) == "bands"
     one_near_miss = flight("bands", least_m=0.99, rmsd_m=0.4)
-    assert best_law(list(rows([*flights, one_near_miss]))) == "continuous"
-    attacked = flight("continuous", HOSTILE, attacked_m=0.49)
+    assert best_law(list(rows([*flights, one_near_miss]))) == "hold"
+    attacked = flight("hold", HOSTILE, attacked_m=0.49)
     assert best_law(list(rows([*flights, one_near_miss, attacked]))) == "thesis"
     unsafe = flight("thesis", HOSTILE, least_m=0.3)
     assert best_law(list(rows([*flights, one_near_miss, attacked, unsafe]))) is None
@@ -80,8 +80,8 @@ def test_rows_pool_means_and_the_least_of_any_flight() -> None:
 
 
 def test_a_hostile_flight_is_judged_apart_while_its_leader_attacks() -> None:
-    flown = fly_law("continuous", HOSTILE, 1)
-    assert flown.law == "continuous"
+    flown = fly_law("hold", HOSTILE, 1)
+    assert flown.law == "hold"
     assert flown.safe
     assert math.isfinite(flown.attacked_m)
     assert flown.least_m != flown.attacked_m
@@ -104,7 +104,7 @@ def test_laws_as_json(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.Mo
     monkeypatch.setattr("echowing.sim.law_table.fly_laws", lambda *_: list(rows(flights)))
     assert main(["bench", "--only", "laws", "--json"]) == 0
     figures = {one["what"]: one["value"] for one in json.loads(capsys.readouterr().out)}
-    assert figures["continuous, rectangle: RMSD"] == 0.6
+    assert figures["hold, rectangle: RMSD"] == 0.6
     assert figures["thesis, all: minimum separation"] == 2.0
 
 

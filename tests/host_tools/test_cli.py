@@ -150,7 +150,7 @@ def completed(line: str, folder: Path) -> list[str]:
 def test_the_shell_completes_verbs_options_and_choices(tmp_path: Path) -> None:
     assert set(completed("echowing ", tmp_path)) >= set(VERBS)
     assert completed("echowing follow --stop", tmp_path) == ["--stop-switch"]
-    assert completed("echowing sim --law con", tmp_path) == ["continuous"]
+    assert completed("echowing sim --law ho", tmp_path) == ["hold"]
     assert completed("echowing setup che", tmp_path) == ["check"]
 
 

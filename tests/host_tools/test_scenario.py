@@ -101,7 +101,7 @@ def test_changes_reach_nested_keys() -> None:
         ("gps.sigma=0.5", r"gps\.sigma: no such key; allowed here: sigma_m, tau_s"),
         ("gps.sigma_m=-1", r"gps\.sigma_m: .*greater than or equal to 0.*got -1"),
         ("gps.sigma_m=wide", r"gps\.sigma_m: .*valid number.*got 'wide'"),
-        ("law=magic", r"law: .*'none', 'thesis', 'bands' or 'continuous'.*got 'magic'"),
+        ("law=magic", r"law: .*'none', 'thesis', 'bands' or 'hold'.*got 'magic'"),
         ("guidance.rate_hz=50", r"guidance\.rate_hz: .*less than or equal to 20"),
         ("settle_s=300", r"duration_s \(240\) must be more than settle_s \(300\)"),
         ("leader.path=track", "path 'track' needs `track`"),
@@ -109,7 +109,7 @@ def test_changes_reach_nested_keys() -> None:
         ("title.x=1", "'title' is a value, not a section"),
         (
             "applet.ECHO_DETEKT=3",
-            r"applet\.ECHO_DETEKT: the applet has no such parameter; .* ECHO_DETECT$",
+            r"applet\.ECHO_DETEKT: echowing\.lua has no such parameter; .* ECHO_DETECT$",
         ),
         ("applet.ECHO_DIST=9", r"applet\.ECHO_DIST: 9 is not accepted; give 1\.5 to 6$"),
         ("applet.ECHO_DIST=nan", r"applet\.ECHO_DIST: nan is not accepted"),
@@ -183,7 +183,7 @@ def test_a_scenario_without_keys_flies_as_echowing_does(tmp_path: Path) -> None:
 
 
 def test_grays_points_lead_by_a_second_where_the_scenario_does_not_say() -> None:
-    guidance = load_scenario("echowing", ["guidance.gray=true"]).guidance
+    guidance = load_scenario("echowing", ["guidance.gray=true", "law=none"]).guidance
     assert guidance.settings().lead_time_s == 1.0
 
 
@@ -198,3 +198,37 @@ def test_the_page_names_every_key_with_its_default() -> None:
     assert "## `[[leader.script]]`" in text
     assert "| `latency_s` | number ≥ 0 | 0.46 |" in text
     assert "| `latency_s` | number ≥ 0 | 0.05 |" in text
+
+
+@pytest.mark.parametrize(
+    ("law", "file", "velocity"),
+    [
+        ("hold", "echowing.lua", True),
+        ("thesis", "echowing_speed.lua", False),
+        ("bands", "echowing_speed.lua", False),
+    ],
+)
+def test_the_law_picks_the_applet_and_its_points(law: str, file: str, velocity: bool) -> None:
+    scenario = load_scenario("echowing", [f"law={law}"])
+    assert scenario.applet_flown is not None
+    assert scenario.applet_flown.file == file
+    assert scenario.guidance_settings().feed_forward is velocity
+
+
+def test_without_a_law_there_is_no_applet() -> None:
+    scenario = load_scenario("gray")
+    assert scenario.applet_flown is None
+    with pytest.raises(EchowingError, match="no applet, and it has no such parameter"):
+        load_scenario("gray", ["applet.ECHO_DIST=3"])
+
+
+@pytest.mark.parametrize("name", ["gray", "thesis", "wall", "walked-leader"])
+def test_the_hold_needs_points_with_a_velocity(name: str) -> None:
+    with pytest.raises(EchowingError, match="the hold needs points with a velocity"):
+        load_scenario(name, ["law=hold"])
+
+
+def test_a_law_has_its_own_parameters() -> None:
+    assert load_scenario("thesis", ["applet.ECHO_PERIOD=0.3"]).applet == {"ECHO_PERIOD": 0.3}
+    with pytest.raises(EchowingError, match=r"echowing_speed\.lua has no such parameter"):
+        load_scenario("thesis", ["applet.ECHO_TAU=0.3"])

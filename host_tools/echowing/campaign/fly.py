@@ -129,7 +129,7 @@ def _drawn(scenario: Scenario) -> Row:
         "leader_mps": scenario.leader.speed_mps,
         "followers": len(scenario.formation.slots),
         "radius_m": scenario.formation.slots[0].radius_m,
-        "velocity_sent": scenario.guidance.feed_forward,
+        "velocity_sent": scenario.guidance_settings().feed_forward,
         "generation": scenario.follower.generation,
         "wind_mps": scenario.wind.speed_mps,
         "turbulence": scenario.wind.turbulence,

@@ -451,7 +451,7 @@ def nothing_wrong(record: FlightRecord) -> bool:
     return (
         not scenario.fault
         and scenario.wind.speed_mps == 0.0
-        and scenario.guidance.feed_forward
+        and scenario.guidance_settings().feed_forward
         and scenario.leader.speed_mps <= CALM_SPEED_MPS
         and scenario.leader.path in ("rectangle", "circle", "figure-eight")
         and len(scenario.formation.slots) == 1

@@ -1,4 +1,4 @@
-"""The vehicle whose applet reads the bench's sonar: built in, or a real autopilot."""
+"""The vehicle whose speed applet reads the bench's sonar: built in, or a real autopilot."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -6,13 +6,14 @@ from typing import Any, Protocol
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.applets import SPEED
 from echowing.errors import EchowingError
 from echowing.mavlink.messages import TOOL_COMPONENT_ID, TOOL_SYSTEM_ID
-from echowing.paths import shipped
 from echowing.rig.law_steps import Law, Sample
 from echowing.rig.messages import Frames, source_of
 from echowing.rig.ports import open_wire
 from echowing.rig.readings import named_value
+from echowing.setup.applet import applet_path
 
 LAW_PARAMETERS = (
     *("ECHO_LAW", "ECHO_DIST", "ECHO_INSET", "ECHO_BAND_IN", "ECHO_BAND_OUT", "ECHO_DETECT"),
@@ -53,8 +54,8 @@ def law_of(parameters: Mapping[str, float | None]) -> Law:
     missing = [name for name in LAW_PARAMETERS if parameters.get(name) is None]
     if missing:
         raise EchowingError(
-            f"the autopilot has no parameter {missing[0]}: is the applet on its SD card "
-            "(`echowing setup lua`) and SCR_ENABLE 1?"
+            f"the autopilot has no parameter {missing[0]}: is the speed applet on its SD card "
+            "(`echowing setup lua --applet speed`) and SCR_ENABLE 1?"
         )
     # Six digits: what was written as 3.05 comes back as 3.0499999 in 32 bits.
     known = {name: float(f"{value:.6g}") for name, value in parameters.items() if value is not None}
@@ -89,7 +90,7 @@ class BuiltInVehicle:
         }
         self._autopilot = Autopilot(self._copter, system_id=system_id, parameters=parameters)
         self._autopilot.add_link("board")
-        self._autopilot.load_script(shipped("echowing.lua"))
+        self._autopilot.load_script(applet_path(SPEED))
         self._start_s: float | None = None
         self._steps = 0
         while self._steps * self.STEP_S < self.BEGIN_S:

@@ -209,7 +209,7 @@ class FormationFlight(FormationWorld):
         return FollowSession(
             LEADER_ID,
             plans,
-            scenario.guidance.settings(),
+            scenario.guidance_settings(),
             leader_rate_hz=scenario.guidance.telemetry_hz,
             limits=None if scenario.guidance.gray else _limits(scenario),
         )

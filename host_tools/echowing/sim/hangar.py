@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from echowing.geo import Ned
-from echowing.paths import shipped
+from echowing.setup.applet import applet_path
 from echowing.setup.settings import ACCELERATION_MPS2, JERK_MPS3
 from echowing.sim.autopilot import Autopilot
 from echowing.sim.coprocessor import NativeCoprocessor
@@ -19,13 +19,12 @@ from echowing.sim.ground import Telemetry, open_log
 from echowing.sim.leader import TrackedBody, load_track, walk
 from echowing.sim.parameters import Generation
 from echowing.sim.radio import Radio
-from echowing.sim.scenario import LAWS, LossySection, RadioSection, Scenario
+from echowing.sim.scenario import SPEED_LAWS, LossySection, RadioSection, Scenario
 from echowing.sim.vehicles import Body, MakeCoprocessor, SimFollower, SimVehicle
 from echowing.sim.wind import Wind
 
 LEADER_ID = 1
 FIRST_FOLLOWER_ID = 2
-APPLET = "echowing.lua"
 
 Listen = Callable[[SimFollower, float], float | None]
 
@@ -93,8 +92,8 @@ class Hangar:
             wire=self._cutters(f"wire {index}", scenario.wire),
             wind=wind,
         )
-        if scenario.law != "none":
-            follower.load_applet(shipped(APPLET))
+        if scenario.applet_flown is not None:
+            follower.load_applet(applet_path(scenario.applet_flown))
         return follower
 
     def telemetry(self, vehicle: SimVehicle, name: str, radio: RadioSection) -> Telemetry:
@@ -125,8 +124,10 @@ class Hangar:
         else:
             limits = {"WPNAV_ACCEL": ACCELERATION_MPS2 * 100.0, "PSC_JERK_XY": JERK_MPS3}
         applet: dict[str, float] = {}
+        if scenario.law in SPEED_LAWS:
+            applet["ECHO_LAW"] = SPEED_LAWS[scenario.law]
         if scenario.law != "none":
-            applet = {"ECHO_ENABLE": 1.0, "ECHO_LAW": LAWS[scenario.law], **scenario.applet}
+            applet |= {"ECHO_ENABLE": 1.0, **scenario.applet}
             echo_dist_m = scenario.echo_dist_m(index)
             applet |= {} if echo_dist_m is None else {"ECHO_DIST": echo_dist_m}
         return {

@@ -7,6 +7,7 @@ would be one with the defaults, and nobody would be told.
 import math
 from collections.abc import Iterator, Mapping
 
+from echowing.applets import Applet
 from echowing.errors import nearest
 from echowing.setup.applet import applet_parameters
 from echowing.sim.parameters import Generation, spans_of
@@ -15,11 +16,16 @@ Span = tuple[float, float]
 
 
 def objections(
-    generation: Generation, applet: Mapping[str, float], vehicle: Mapping[str, float]
+    generation: Generation,
+    flown: Applet | None,
+    applet: Mapping[str, float],
+    vehicle: Mapping[str, float],
 ) -> Iterator[str]:
     """What is wrong with `[applet]` and with `[follower.parameters]`, one line each."""
-    of_applet = {row.name: (row.low, row.high) for row in applet_parameters()}
-    yield from _wrong("applet", applet, of_applet, "the applet")
+    rows = [] if flown is None else applet_parameters(flown)
+    of_applet = {row.name: (row.low, row.high) for row in rows}
+    name = "no applet, and it" if flown is None else flown.file
+    yield from _wrong("applet", applet, of_applet, name)
     known = {**spans_of(generation), **of_applet}
     whose = f"the simulated ArduCopter {generation.value}"
     yield from _wrong("follower.parameters", vehicle, known, whose)

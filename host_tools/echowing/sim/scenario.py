@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, Field, ValidationError, field_validator, model_validator
 
+from echowing.applets import HOLD, SPEED, Applet
 from echowing.errors import EchowingError
 from echowing.flight.build_up import LEAST_DIST_M, MOST_DIST_M
 from echowing.flight.formation import DEFAULT_SLOT_SEPARATION_M, check_formation
@@ -21,12 +22,14 @@ from echowing.sim.parameters import Generation
 from echowing.sim.radio import RadioSettings
 from echowing.sim.section import NotNegative, Positive, Section, Share
 
-# The names of the speed laws, and the applet's number for each (lua/echowing.md).
-LAWS = {"thesis": 0, "bands": 1, "continuous": 2}
+# What the applets do: the speed applet's laws with their numbers (lua/echowing_speed.md), and what
+# the other one does (lua/echowing.md).
+SPEED_LAWS = {"thesis": 0, "bands": 1}
+LAWS = (*SPEED_LAWS, "hold")
 LeaderPath = Literal[
     "rectangle", "circle", "figure-eight", "stop-and-go", "script", "walk", "track"
 ]
-LawName = Literal["none", "thesis", "bands", "continuous"]
+LawName = Literal["none", "thesis", "bands", "hold"]
 
 
 class LeaderEvent(Section):
@@ -334,8 +337,8 @@ class Scenario(Section):
     """Simulated seconds."""
     settle_s: NotNegative | None = None
     """Left out of the figures at the beginning; none: until first within 1 m of the slot."""
-    law: LawName = "continuous"
-    """The applet's speed law; `none`: no applet."""
+    law: LawName = "hold"
+    """Of the applet: `hold` (`echowing.lua`); `thesis`, `bands` (`echowing_speed.lua`); `none`."""
     leader: LeaderSection = LeaderSection()
     """The leader."""
     formation: FormationSection = FormationSection()
@@ -375,6 +378,13 @@ class Scenario(Section):
             raise ValueError(wrong)
         if self.fault and self.kind == "wall":
             raise ValueError("a flight at a wall takes no faults")
+        if self.law == "hold" and (
+            self.kind == "wall" or not self.guidance.settings().feed_forward
+        ):
+            raise ValueError(
+                "law: the hold needs points with a velocity, and here they have none: give thesis, "
+                "bands or none"
+            )
         carried = self.leader.path in ("walk", "track")
         if carried and any(fault.kind in LEADER_FAULTS for fault in self.fault):
             raise ValueError(
@@ -384,6 +394,18 @@ class Scenario(Section):
         if sorted(starts) != list(range(1, len(starts) + 1)):
             raise ValueError("starts_at: two followers would start at one slot, or at none")
         return self
+
+    @property
+    def applet_flown(self) -> Applet | None:
+        """The applet that flies this law."""
+        if self.law == "none":
+            return None
+        return SPEED if self.law in SPEED_LAWS else HOLD
+
+    def guidance_settings(self) -> GuidanceSettings:
+        """How points are made; the speed applet's have no velocity."""
+        settings = self.guidance.settings()
+        return replace(settings, feed_forward=False) if self.law in SPEED_LAWS else settings
 
     def slots(self) -> list[Slot]:
         """The formation's slots."""
@@ -465,7 +487,9 @@ def scenario_of(table: Mapping[str, Any], source: str) -> Scenario:
         lines = [_explained(item) for item in error.errors()]
         raise EchowingError("\n".join(f"{source}: {line}" for line in lines)) from error
     generation = scenario.follower.autopilot_generation()
-    wrong = list(objections(generation, scenario.applet, scenario.follower.parameters))
+    wrong = list(
+        objections(generation, scenario.applet_flown, scenario.applet, scenario.follower.parameters)
+    )
     if wrong:
         raise EchowingError("\n".join(f"{source}: {line}" for line in wrong))
     try:
