@@ -73,7 +73,12 @@ class RelayField:
                 min_separation_m=min_separation_m,
                 leader_flies=False,
                 ready=Readiness(
-                    distance=False, reversal=False, sides=False, height_told=True, apart_m=apart_m
+                    any_applet=True,
+                    distance=False,
+                    reversal=False,
+                    sides=False,
+                    height_told=True,
+                    apart_m=apart_m,
                 ),
             ),
         )

@@ -9,7 +9,7 @@ from echowing.paths import repository_root
 FLIGHT = repository_root() / "host_tools" / "echowing" / "flight"
 MODULES = sorted(path.stem for path in FLIGHT.glob("*.py") if path.stem != "__init__")
 # Rooms that the core may read from: pure, and below it.
-BELOW = {"errors", "geo", "mavlink"}
+BELOW = {"applets", "errors", "geo", "mavlink"}
 # What drives the session, and so may know it.
 DRIVERS = {"orders"}
 

@@ -108,7 +108,11 @@ def test_points_with_a_velocity_and_without_follow_and_what_was_learnt_stays(
 ) -> None:
     settings = GuidanceSettings(learn_offset=False, feed_forward=feed_forward)
     field = Field(settings=settings)
-    field.fly(3.0)
+    if not feed_forward:
+        applet = field.vehicles[FOLLOWER].parameters
+        del applet["ECHO_FORMAT"]
+        applet["ECHO_LAW"] = 0.0
+    field.fly(4.0)
     follower = field.session.followers[FOLLOWER]
     clock, estimate, bar = follower.clock, follower.estimate, follower.guide
     field.orders.nearer(field.now_s)

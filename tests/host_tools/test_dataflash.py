@@ -47,7 +47,14 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, dict[str, list
 
 def test_rates_are_a_copter_s(flown: tuple[Any, dict[str, list[Any]]]) -> None:
     messages = flown[1]
-    for kind, rate_hz in {"RFND": 20, "ATT": 10, "POS": 10, "GPS": 5, "ECHO": 5}.items():
+    for kind, rate_hz in {
+        "RFND": 20,
+        "ATT": 10,
+        "XKF1": 10,
+        "POS": 10,
+        "GPS": 5,
+        "ECHO": 5,
+    }.items():
         assert len(messages[kind]) == pytest.approx(10 * rate_hz, abs=1), kind
 
 

@@ -18,7 +18,7 @@ from echowing.flight.engage import (
 )
 from echowing.flight.envelope import Answer
 from echowing.flight.guard import Limits
-from echowing.flight.guidance import Slot
+from echowing.flight.guidance import GuidanceSettings, Slot
 from echowing.flight.handling import SELDOM_S, STEERED_MPS2, least_slot_m
 from echowing.flight.readiness import Readiness
 from echowing.flight.switch import StopSwitch
@@ -42,14 +42,14 @@ def test_where_all_is_right_points_go_within_two_seconds_and_the_table_comes_fir
     assert more.split() == ["least", "home", "height"]
     assert leader.startswith("leader 1 ")
     assert "3D 10  ok   80 %" in leader
-    assert "law 2, 1.0 s  3.0 m" in follower
+    assert "hold, 1.0 s  3.0 m" in follower
     assert its_rest.split() == ["follower", "2", "2.7", "m", "+0.0", "m", "10.0", "m"]
     assert not any("!" in line for line in shown)
 
 
 # The widest cell of each column of a follower, as `findings` and its helpers give it.
 WIDEST = {
-    **{"clock": "0.46 s", "switch": "not seen", "applet": "law 2, 10.0 s", "distance": "3.0 m"},
+    **{"clock": "0.46 s", "switch": "not seen", "applet": "law 1, 10.0 s", "distance": "3.0 m"},
     **{"least": "4.6 m", "home": "-123.4 m", "height": "4810.2 m", "RTL": "4810.0 m"},
     **{"GPS": "3D 255", "EKF": "no position", "battery": "not reported", "side": "crosses"},
     **{"who": "doubtful"},
@@ -121,6 +121,41 @@ def test_an_applet_that_does_not_fit_is_said_and_read_again_until_it_does(name: 
     assert yard.said(said)
     parameters[name] = right
     assert yard.fly(READ_AGAIN_S + 1.0) != []
+
+
+SPEED_APPLET = {"ECHO_LAW": 0.0}
+
+
+@pytest.mark.parametrize(
+    ("runs", "sends_velocity", "said"),
+    [
+        ({"ECHO_FORMAT": 2.0}, True, None),
+        (SPEED_APPLET, False, None),
+        ({"ECHO_FORMAT": 2.0}, False, "it runs the hold, which needs points with a velocity"),
+        (SPEED_APPLET, True, "it runs the speed applet, which needs points without a velocity"),
+        ({"ECHO_LAW": 2.0, "ECHO_GAIN_P": 0.7}, True, "its applet is of another version: update"),
+        ({"ECHO_LAW": 2.0, "ECHO_GAIN_P": 0.7}, False, "its applet is of another version: update"),
+        ({"ECHO_FORMAT": 3.0}, True, "its applet is of another version: update it"),
+        ({}, True, "its applet is of another version: update it"),
+    ],
+)
+def test_the_applet_must_be_the_one_that_flies_these_points(
+    runs: dict[str, float], sends_velocity: bool, said: str | None
+) -> None:
+    yard = Yard(settings=GuidanceSettings(learn_offset=False, feed_forward=sends_velocity))
+    parameters = yard.vehicles[FOLLOWER].parameters
+    del parameters["ECHO_FORMAT"]
+    parameters.update(runs)
+    points = yard.fly(SOON_S)
+    if said is None:
+        assert points != []
+        return
+    assert points == []
+    assert yard.said(f"not engaged, {said}")
+    for name in runs:
+        del parameters[name]
+    parameters.update({"ECHO_FORMAT": 2.0} if sends_velocity else SPEED_APPLET)
+    assert yard.fly(READ_AGAIN_S + 5.0) != []  # another one is on the card now
 
 
 def test_limits_too_slow_for_a_leader_that_turns_round_are_refused() -> None:

@@ -1,6 +1,6 @@
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import pytest
@@ -10,9 +10,11 @@ from echowing.errors import EchowingError
 from echowing.flight.closing import Closing
 from echowing.flight.envelope import OTHERS_MPS2, closing_limit_mps
 from echowing.flight.guard import (
+    FIELD_LIMITS,
     REFUSED_FOR_S,
     REMEMBERED_S,
     REMIND_S,
+    STEADY_S,
     STILL_FOR_S,
     STUCK_FOR_S,
     UNHEARD_S,
@@ -22,6 +24,7 @@ from echowing.flight.guard import (
     Limits,
 )
 from echowing.flight.guidance import GuidanceSettings, Slot
+from echowing.flight.plan import planned
 from echowing.flight.requests import RATE_WINDOW_S, RateWatch
 from echowing.flight.session import FollowSession
 from echowing.flight.state import FollowerPlan, FollowerState
@@ -31,6 +34,8 @@ from echowing.flight.vehicle_limits import usual_parameters
 from echowing.geo import GlobalPosition, displace, ned_between
 from echowing.mavlink.plausible import Door
 from echowing.tool.panel import Panel, left_as, state_of
+
+from .yard import Yard
 
 LEADER, FOLLOWER, SECOND = 1, 2, 3
 HERE = GlobalPosition(39.34, -86.03, 260.0)
@@ -674,6 +679,33 @@ def test_targets_near_enough_or_the_applets_own_are_no_refusal(
     assert there.state == "following"
 
 
+@pytest.mark.parametrize(
+    ("off_m", "velocity_mps"),
+    [((400.0, 0.0), (0.0, 0.0)), ((0.0, 0.0), (math.nan, 0.0)), ((0.0, -400.0), (1.0, 0.0))],
+)
+def test_no_point_leaves_that_is_far_or_not_finite_whatever_was_reckoned_with(
+    off_m: tuple[float, float],
+    velocity_mps: tuple[float, float],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    yard = Yard(limits=FIELD_LIMITS)
+    yard.fly(6.0)
+    reckoned = planned
+
+    def wrong(*arguments: Any) -> Any:
+        guided = reckoned(*arguments)
+        far = displace(guided.point, (*off_m, 0.0))
+        return replace(guided, point=far, velocity_mps=velocity_mps)
+
+    monkeypatch.setattr("echowing.flight.session.planned", wrong)
+    points = yard.fly(2.0)
+    assert len(points) == 16
+    assert all((one.vx, one.vy) == (0.0, 0.0) for one in points)
+    assert all(abs(north_of(one) + 4.0) < 1.0 for one in points)
+    assert yard.state() == "holding: its point was out of reach, until it leaves Guided"
+    assert sum("its point was out of reach" in text for text in yard.events()) == 1
+
+
 def test_an_unheard_follower_is_sent_nothing() -> None:
     there = Field(Limits())
     there.fly(1.0)
@@ -698,7 +730,30 @@ def test_a_radio_that_holds_reports_back_is_as_good_as_silent() -> None:
     assert there.events()[-1] == "follower 2: no report for 2 s, no points sent"
     there.late_s = 0.0
     there.fly(1.0)
+    assert there.state == "holding: its link was lost"
+    there.fly(STEADY_S)
     assert there.state == "following"
+
+
+def test_a_link_that_comes_back_is_told_to_its_pilot_before_it_is_flown_on() -> None:
+    """After ten seconds it flew on with the first report, without a word on its display."""
+    yard = Yard()
+    yard.fly(6.0)
+    yard.vehicles[FOLLOWER].silent = True
+    yard.vehicles[LEADER].velocity_mps = (1.0, 0.0)
+    yard.fly(10.0)
+    assert yard.fly(1.0) == []
+    yard.vehicles[FOLLOWER].silent = False
+    yard.sent.clear()
+    points = yard.fly(STEADY_S - 2 * TICK_S)
+    assert len(points) >= 22
+    assert {round(one.lat_int, -2) for one in points} == {round(points[0].lat_int, -2)}
+    assert {(one.vx, one.vy) for one in points} == {(0.0, 0.0)}
+    texts = [m.text for who, m in yard.sent if who == FOLLOWER and m.get_type() == "STATUSTEXT"]
+    assert "Echowing: link was lost, holding" in texts
+    yard.fly(1.0)
+    texts = [m.text for who, m in yard.sent if who == FOLLOWER and m.get_type() == "STATUSTEXT"]
+    assert texts[-1] == "Echowing: clear again, following"
 
 
 def test_a_follower_that_reboots_is_taken_on_its_new_clock() -> None:

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.applets import HOLD
+from echowing.applets import HOLD, SPEED
 from echowing.errors import EchowingError
 from echowing.mavlink.messages import TOOL_COMPONENT_ID, TOOL_SYSTEM_ID
 from echowing.mavlink.seats import Say
@@ -361,6 +361,28 @@ def test_a_card_takes_one_applet_and_the_other_leaves_only_when_told_to(
     assert job.apply.run() == 0, job.told
     assert [file.name for file in scripts.iterdir()] == ["echowing.lua"]
     assert wrong(desk) == []
+
+
+def test_a_vehicle_changes_from_one_applet_to_the_other_and_is_known_by_it(
+    make_desk: MakeDesk, tmp_path: Path
+) -> None:
+    desk = make_desk()
+    assert Job(desk, tmp_path / "hold.params.json").apply.run() == 0
+    assert read_out(desk.vehicle, 2).applet == HOLD
+
+    job = Job(desk, tmp_path / "speed.params.json")
+    job.apply.applet, job.apply.replace = SPEED, True
+    assert job.apply.run() == 0, job.told
+    scripts = desk.card / "APM" / "scripts"
+    assert [file.name for file in scripts.iterdir()] == ["echowing_speed.lua"]
+    readout = read_out(desk.vehicle, 2)
+    assert readout.applet == SPEED
+    assert readout.applet_on_card is CardApplet.OURS
+    assert {"ECHO_LAW", "ECHO_STEP_BIG"} <= readout.parameters.keys()
+    assert wrong(desk) == []
+    # Where the other one is wanted, this one is wrong.
+    findings = examine(read_out(desk.vehicle, 2, applet=HOLD))
+    assert [one.about for one in findings if one.verdict is Verdict.WRONG] == ["applet on the card"]
 
 
 def test_a_vehicle_that_does_not_come_back_is_reported(make_desk: MakeDesk) -> None:

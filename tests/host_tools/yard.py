@@ -55,7 +55,7 @@ class Vehicle:
     parameters: dict[str, float] = field(
         default_factory=lambda: {
             "ECHO_ENABLE": 1.0,
-            "ECHO_LAW": 2.0,
+            "ECHO_FORMAT": 2.0,
             "ECHO_DIST": 3.0,
             "ECHO_INSET": 0.2,
             "ECHO_STREAM_T": 1.0,

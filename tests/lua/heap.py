@@ -36,10 +36,12 @@ LUA = ROOT / "build/tools/lua53"  # host_tools/setup.sh puts it there
 BUILD = ROOT / "build/applet-heap"
 ELF = BUILD / "scripting.elf"
 
-# What ArduPilot changes in Lua's source that counts for memory: libraries/AP_Scripting/lua/src.
+# What ArduPilot changes in Lua's source that counts for memory: libraries/AP_Scripting/lua/src. And
+# the seed of its hashes, which on a vehicle comes from addresses: of the measure's choice here.
 CHANGES = {
     "lparser.c": (r"#define MAXVARS\s+200\b", "#define MAXVARS 100"),
     "lfunc.h": (r"#define MAXUPVAL\s+255\b", "#define MAXUPVAL 127"),
+    "lstate.c": (r"g->seed = makeseed\(L\);", "extern unsigned hash_seed; g->seed = hash_seed;"),
     "luaconf.h": (
         r"#define LUAL_BUFFERSIZE\s+\(\(int\)\(0x80 ",
         "#define LUAL_BUFFERSIZE ((int)(0x20 ",
@@ -65,6 +67,9 @@ class Need:
     load_peak_bytes: int
     """Most in use while it loads, where there is plenty."""
     peak_bytes: int
+    told_bytes: int
+    """What the vehicle tells of it after an update with `SCR_DEBUG_OPTS` 2: without the headers of
+    blocks, and with what the update leaves."""
     garbage_bytes: int
     """Most that an update leaves for the collection."""
     updates: int
@@ -212,14 +217,17 @@ def main() -> None:
     """Print one line an applet."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("applet", nargs="*", type=Path, default=sorted(lua_folder().glob("*.lua")))
-    print(f"{'':24}{'least heap':>11}{'in flight':>11}{'loading':>11}  update + collection")
+    print(
+        f"{'':24}{'least heap':>11}{'in flight':>11}{'loading':>11}{'told':>11}  "
+        "update + collection"
+    )
     for applet in parser.parse_args().applet:
         found = need(applet)
         if found.trouble is not None:
             raise SystemExit(f"heap: {applet}: {found.trouble}")
         print(
             f"{applet.name:24}{found.least_bytes:11,}{found.live_bytes:11,}"
-            f"{found.load_peak_bytes:11,}  {found.update_instructions:,} + "
+            f"{found.load_peak_bytes:11,}{found.told_bytes:11,}  {found.update_instructions:,} + "
             f"{found.collect_instructions:,} instructions"
         )
 

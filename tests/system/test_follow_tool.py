@@ -302,12 +302,18 @@ def test_points_carry_a_velocity_that_the_applet_holds(world: World) -> None:
     assert ": stopped, GUIDED" in tool.lines[-1]
 
 
-def test_points_without_a_velocity_are_left_to_the_applets_limit(world: World) -> None:
+def test_points_without_a_velocity_are_for_the_speed_applet(world: World) -> None:
     tool = world.follow("--position-only")
+    tool.event("it runs the hold, which needs points with a velocity")
+    assert tool.end() == 0
+
+    flies = World("--set", 'law="thesis"')
+    tool = flies.follow("--position-only")
     tool.row(in_slot)
-    said = world.pilot.until(lambda m: getattr(m, "name", "") == "ECHO_STATE", HEARTBEAT)
+    said = flies.pilot.until(lambda m: getattr(m, "name", "") == "ECHO_STATE", HEARTBEAT)
     assert said.value != APPLET_HOLDS
     assert tool.end() == 0
+    close(flies)
 
 
 def is_disarmed(message: Any) -> bool:

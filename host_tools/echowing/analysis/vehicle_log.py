@@ -145,7 +145,7 @@ def gps_to_unix_s(week: int, milliseconds: float) -> float:
     return next(gps_s - leap_s for since_s, leap_s in LEAP_SECONDS if gps_s - leap_s >= since_s)
 
 
-class _Reader:
+class Reader:
     """The messages of one file; pymavlink's complaints become one warning."""
 
     def __init__(self, path: Path, kind: str, types: list[str]) -> None:
@@ -310,7 +310,7 @@ def _heard_m(value_m: float) -> float:
 
 def _telemetry(path: Path) -> list[VehicleLog]:
     systems: dict[int, _Telemetry] = defaultdict(_Telemetry)
-    reader = _Reader(path, "tlog", TLOG_TYPES)
+    reader = Reader(path, "tlog", TLOG_TYPES)
     asked_s: dict[int, float] = {}
     for message in reader:
         if message.get_type() == "TIMESYNC" and message.tc1 == 0:
@@ -388,7 +388,7 @@ def _dataflash(path: Path) -> VehicleLog:
     clock = _DataflashClock()
     named: dict[str, Series] = defaultdict(Series)
     parameter, gps_velocity = Series(), Series()
-    reader = _Reader(path, "BIN", DATAFLASH_TYPES)
+    reader = Reader(path, "BIN", DATAFLASH_TYPES)
     for message in reader:
         kind, time_s = message.get_type(), message.TimeUS / 1e6
         if kind == "MSG":

@@ -455,7 +455,9 @@ def nothing_wrong(record: FlightRecord) -> bool:
         and scenario.leader.speed_mps <= CALM_SPEED_MPS
         and scenario.leader.path in ("rectangle", "circle", "figure-eight")
         and len(scenario.formation.slots) == 1
-        and leader.loss <= CALM_LOSS
+        and leader.frames_lost <= CALM_LOSS
+        and scenario.radio.follower.byte_loss <= CALM_LOSS
+        and scenario.wire == type(scenario.wire)()
         and leader.latency_s + leader.jitter_s <= CALM_LATENCY_S
         and scenario.airframe == type(scenario.airframe)()
     )

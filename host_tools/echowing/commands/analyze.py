@@ -21,6 +21,7 @@ examples:
   echowing analyze leader.BIN follower.BIN
   echowing analyze out/flight-7 --out out/flight-7      what `echowing follow --log` has written
   echowing analyze leader.tlog follower.tlog --radius 4 --out out/flight-7
+  echowing analyze --answer follower.BIN                how it answers a speed step
   echowing analyze out/mine/leader.tlog out/mine/follower-2.tlog --json
       with the truth.csv that `echowing sim --out` has written beside them
 """
@@ -76,11 +77,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="write report.html into this folder"
     )
+    parser.add_argument(
+        "--answer",
+        action="store_true",
+        help="measure instead how each vehicle answers a speed step, from its own log (.BIN), and "
+        "compare it with what the envelope counts with",
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object per follower")
 
 
 def run(args: argparse.Namespace) -> int:
     """Read, measure, print."""
+    if args.answer:
+        return _answers(args.logs, as_json=args.json)
     from echowing.analysis.logs import read_flights  # noqa: PLC0415 (imported when it is used)
 
     _check_numbers(args)
@@ -94,6 +103,20 @@ def run(args: argparse.Namespace) -> int:
     if args.out is not None:
         _write(args.out, measured)
     return 0
+
+
+def _answers(logs: list[Path], *, as_json: bool) -> int:
+    """How vehicles answer speed steps; 1: one of them later than the envelope counts with."""
+    from echowing.analysis.answer import as_lines, read_answers  # noqa: PLC0415
+
+    found = {path: read_answers(path) for path in logs}
+    for path, answers in found.items():
+        if as_json:
+            steps = [one.to_json() for one in answers]
+            print(json.dumps({"log": str(path), "steps": steps}))
+        else:
+            print("\n".join((f"{path}:", *as_lines(answers))))
+    return int(any(one.slower for answers in found.values() for one in answers))
 
 
 def _check_numbers(args: argparse.Namespace) -> None:

@@ -414,10 +414,11 @@ def _slots(args: argparse.Namespace, radii_m: tuple[float, ...]) -> "list[Slot]"
         check_formation,
     )
     from echowing.flight.guidance import Slot  # noqa: PLC0415
+    from echowing.tool.formation_file import load_formation  # noqa: PLC0415
 
     followers = len(args.follower)
     if args.formation is not None:
-        slots, apart_m = _load_formation(args.formation, args.min_separation)
+        slots, apart_m = load_formation(args.formation, args.min_separation)
         if len(slots) != followers:
             raise EchowingError(
                 f"--formation {args.formation}: {len(slots)} slots for {followers} followers"
@@ -437,37 +438,3 @@ def _slots(args: argparse.Namespace, radii_m: tuple[float, ...]) -> "list[Slot]"
             f"{args.min_separation:g} m; move it out, or the follower will never get there"
         )
     return scaled(slots, radii_m[0]) if radii_m else slots
-
-
-def _load_formation(path: Path, least_m: float) -> "tuple[list[Slot], float]":
-    """Slots of a TOML file with [[slots]], and how far apart they have to be.
-
-    The same keys as in a scenario's formation; where it does not say how far apart, so far as the
-    followers' receivers demand for `least_m`.
-    """
-    import tomllib  # noqa: PLC0415
-
-    from pydantic import ValidationError  # noqa: PLC0415
-
-    from echowing.flight.formation import check_formation, receivers_demand_m  # noqa: PLC0415
-    from echowing.sim.scenario import FormationSection  # noqa: PLC0415
-
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-        formation = FormationSection.model_validate(table)
-    except OSError as error:
-        raise EchowingError(f"--formation {path}: cannot be read: {error.strerror}") from error
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise EchowingError(f"--formation {path}: cannot be read: {error}") from error
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])
-        raise EchowingError(f"--formation {path}: {key}: {first['msg']}") from error
-    slots = [section.slot() for section in formation.slots]
-    told = "slot_separation_m" in formation.model_fields_set
-    apart_m = formation.slot_separation_m if told else receivers_demand_m(least_m)
-    try:
-        check_formation(slots, apart_m)
-    except EchowingError as error:
-        raise EchowingError(f"--formation {path}: {error}") from error
-    return slots, apart_m

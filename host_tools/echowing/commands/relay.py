@@ -110,6 +110,7 @@ def run(args: argparse.Namespace) -> int:
             min_separation_m=args.min_separation,
             leader_flies=False,
             ready=Readiness(
+                any_applet=True,
                 distance=False,
                 reversal=False,
                 sides=False,

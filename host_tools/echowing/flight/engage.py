@@ -12,6 +12,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.applets import FORMAT, HOLD, IDENTIFYING, LAW, SPEED, Applet, identify
 from echowing.flight.guard import Guard
 from echowing.flight.guidance import MOVING_MPS, Horizontal, LeaderFix, slot_offset_m
 from echowing.flight.handling import Handling, least_slot_m
@@ -24,14 +25,17 @@ from echowing.flight.state import FollowerState, Known, Say
 from echowing.geo import GlobalPosition, ned_between
 from echowing.mavlink.messages import read_parameter
 
-# The applet's parameters that are checked (lua/echowing.md).
-ENABLE, LAW, DIST, INSET, WATCHDOG = APPLET = (
+# The applet's parameters that are checked (lua/echowing.md), and those that tell which one it is.
+ENABLE, DIST, INSET, WATCHDOG = CHECKED = (
     "ECHO_ENABLE",
-    "ECHO_LAW",
     "ECHO_DIST",
     "ECHO_INSET",
     "ECHO_STREAM_T",
 )
+APPLET = (*CHECKED, *IDENTIFYING)
+# No applet has all of those: what has not come after so many requests counts as not there, until it
+# is read again. A radio that loses a fifth each way loses all three in 1 of 20 cases.
+REQUESTS_IN_VAIN = 3
 # The altitude at which a vehicle returns: in m (from later 4.7 on), in cm.
 RTL_M, RTL_CM = RTL = ("RTL_ALT_M", "RTL_ALT")
 ASK_PERIOD_S = 1.0
@@ -137,6 +141,8 @@ class Vehicle:
     position: StuckPosition = field(default_factory=StuckPosition)
     parameters: dict[str, float] = field(default_factory=dict)
     asked_at_s: float = -math.inf
+    format_asked: int = 0
+    """How often it was asked which applet it runs, since its applet answers."""
 
     def receive(self, kind: str, message: Any) -> None:
         """Take a message of this vehicle's autopilot."""
@@ -156,6 +162,25 @@ class Vehicle:
             )
         elif kind == "PARAM_VALUE" and message.param_id in (*APPLET, *RTL):
             self.parameters[message.param_id] = message.param_value
+
+    @property
+    def unknown_of_applet(self) -> list[str]:
+        """Parameters of its applet that are still to be asked for."""
+        names: tuple[str, ...] = CHECKED if self.applet_told else (*CHECKED, FORMAT)
+        if ENABLE in self.parameters and not self.applet_told:
+            names = APPLET  # it answers, and which it is may have to be told without its format
+        return [name for name in names if name not in self.parameters]
+
+    def forget_applet(self) -> None:
+        """Ask anew which applet it runs."""
+        self.format_asked = 0
+        for name in IDENTIFYING:
+            self.parameters.pop(name, None)
+
+    @property
+    def applet_told(self) -> bool:
+        """Whether its parameters tell which applet it runs."""
+        return FORMAT in self.parameters or self.format_asked >= REQUESTS_IN_VAIN
 
     @property
     def rtl_m(self) -> float | None:
@@ -267,12 +292,15 @@ class Engagement:
         asked = []
         for system_id, turn in self._turns.items():
             vehicle = self._vehicles[system_id]
-            missing = [name for name in APPLET if name not in vehicle.parameters]
-            doubted = any(finding.name in ("applet", "distance") for finding in turn.wrong)
+            missing = vehicle.unknown_of_applet
+            doubted = {finding.name for finding in turn.wrong} & {"applet", "distance"}
             period_s = ASK_PERIOD_S if missing else READ_AGAIN_S
             if not (missing or doubted) or now_s - vehicle.asked_at_s < period_s:
                 continue
             vehicle.asked_at_s = now_s
+            if not missing and "applet" in doubted:
+                vehicle.forget_applet()  # the pilot may have put another one on the card
+            vehicle.format_asked += ENABLE in vehicle.parameters
             asked += [(system_id, read_parameter(system_id, name)) for name in missing or APPLET]
         return asked
 
@@ -476,12 +504,20 @@ class Engagement:
     def _applet(self, system_id: int, follower: FollowerState) -> list[Finding]:
         if not self.readiness.applet:
             return []
-        known = self._vehicles[system_id].parameters
-        findings = [Finding("applet", *_applet_state(known))]
+        vehicle = self._vehicles[system_id]
+        known = vehicle.parameters
+        findings = [Finding("applet", *_applet_state(vehicle, self._wanted_applet))]
         if self.readiness.distance and DIST in known and INSET in known:
             distance = _distance(known, follower, self._known.settings.sonar_inset_m)
             findings += [] if distance is None else [distance]
         return findings
+
+    @property
+    def _wanted_applet(self) -> Applet | None:
+        """The applet that flies the points that are sent; None: any."""
+        if self.readiness.any_applet:
+            return None
+        return HOLD if self._known.settings.feed_forward else SPEED
 
     def objection_to_radius(self, follower: FollowerState, radius_m: float) -> str | None:
         """Why its slot may not be so near to the leader; None: it may."""
@@ -666,16 +702,36 @@ def _clock(whose: str, clock: Any) -> Finding:
     return Finding("clock", "?", f"{whose} clock is not known: it does not answer TIMESYNC")
 
 
-def _applet_state(known: Mapping[str, float]) -> tuple[str, str]:
-    """What to show of the applet with these parameters, and what is wrong."""
+def _applet_state(vehicle: Vehicle, wanted: Applet | None) -> tuple[str, str]:
+    """What to show of a vehicle's applet, and what is wrong."""
+    known = vehicle.parameters
     if ENABLE not in known or WATCHDOG not in known:
         return "?", f"no applet ({WATCHDOG} does not answer): `echowing setup lua`, then `apply`"
+    if not vehicle.applet_told:
+        return "?", "it does not answer which applet it runs"
+    runs = identify(known)
+    misfit = _misfit(runs, wanted)
+    if misfit:
+        return "outdated" if runs is None else runs.name, misfit
     if known[ENABLE] != 1.0:
         return "off", f"its applet is off: param set {ENABLE} 1"
     if not known[WATCHDOG] > 0.0:
         return "no watchdog", f"its stream watchdog is off: param set {WATCHDOG} 1"
-    law = f"law {known[LAW]:.0f}, " if LAW in known else ""
-    return f"{law}{known[WATCHDOG]:.1f} s", ""
+    law = f"law {known[LAW]:.0f}" if runs is SPEED else HOLD.name
+    return f"{law}, {known[WATCHDOG]:.1f} s", ""
+
+
+def _misfit(runs: Applet | None, wanted: Applet | None) -> str:
+    """Why the applet that a vehicle runs does not fly these points; empty: it does."""
+    if runs is None:
+        return "its applet is of another version: update it (`echowing setup apply`)"
+    if wanted in (None, runs):
+        return ""
+    flies = {
+        HOLD: "the hold, which needs points with a velocity: leave out --position-only",
+        SPEED: "the speed applet, which needs points without a velocity: give --position-only",
+    }
+    return f"it runs {flies[runs]}, or `echowing setup apply --applet {wanted.name} --replace`"
 
 
 def _distance(

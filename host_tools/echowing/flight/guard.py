@@ -29,12 +29,17 @@ STILL_FOR_S = 1.0
 FRESH_S = 1.0
 # From 2 m/s a copter stands within 3 s; the tool reports one that still moves then.
 REMIND_S = 3.0
-# Two missed heartbeats of a second each, and the mode is no longer known; a radio that holds
+# After two missed heartbeats, one a second, the mode is not known any more. A radio that holds
 # reports back for so long is as good as silent.
 UNHEARD_S = 2.0
+# One that was led and reports again is held until it has done so for this long: its pilot sees on
+# the display that the tool is back before it moves.
+STEADY_S = 3.0
 # A stop ends only when things are this much better than what caused it.
 CLEAR_M = 0.5
 CLEAR_SHARE = 0.9
+# A point is as far as the leader may be away, with a slot beyond it and what an envelope adds.
+NEAR_SHARE = 1.5
 # A correction of the altitude is reported when it begins and when it changes by more than this.
 DATUM_TOLD_M = 0.3
 
@@ -113,6 +118,7 @@ class _Watch:
     backed_off: bool = False
     released: bool = False
     unheard: bool = False
+    back_at_s: float = -math.inf
     low_told: bool = False
     still_since_s: float | None = None
     told_at_s: float | None = None
@@ -249,6 +255,9 @@ class Guard:
             return "stop switch"
         if watch.refused:
             return "its points are refused"
+        comes_back = watch.unheard and now_s - follower.position_at_s <= UNHEARD_S
+        if follower.flown and (comes_back or now_s - watch.back_at_s < STEADY_S):
+            return "its link was lost"
         if self.limits.leader_flies and self._leader_flies is not True:
             return "leader is not known to fly"
         if follower.position is None:
@@ -309,6 +318,14 @@ class Guard:
         apart_m = distance_m(follower.position, leader)
         return f"leader is beyond {most_m:.0f} m" if apart_m > most_m else None
 
+    def is_near(self, follower: FollowerState, point: GlobalPosition) -> bool:
+        """Whether a point is where a follower may be sent: it flies about as far as its leader."""
+        most_m = self.limits.max_distance_m
+        if most_m is None or follower.position is None:
+            return True
+        most_m = NEAR_SHARE * most_m + 2.0 * follower.plan.slot.radius_m
+        return _apart_m(point, follower.position) <= most_m
+
     def too_near(
         self,
         follower: FollowerState,
@@ -353,6 +370,9 @@ class Guard:
             watch.unheard = unheard
             text = f"no report for {UNHEARD_S:g} s, no points sent" if unheard else "reports again"
             self._say(now_s, f"follower {system_id}: {text}")
+            if not unheard and follower.flown:
+                watch.back_at_s = now_s
+                self._alert(system_id, "link was lost, holding")
         handed_back = watch.released or (self.switched(system_id) and not follower.flown)
         return not unheard and not handed_back and not self._too_low(follower, watch, now_s)
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 class Readiness:
     """Which checks are made beyond clocks, receivers, EKF, battery and switch.
 
-    applet: the applet runs, with its stream watchdog; distance: its distance and inset are the
+    applet: the applet runs that flies these points, with its stream watchdog; any_applet: whichever
+    applet it is; distance: its distance and inset are the
     tool's; reversal: its slot is far enough away for the leader to turn round; sides: no follower's
     way to its slot crosses another's; homes_told: the operator has said what a difference between
     the homes means; height_told: and at which altitude to fly; apart_m: warn where the leader
@@ -15,6 +16,7 @@ class Readiness:
     """
 
     applet: bool = True
+    any_applet: bool = False
     distance: bool = True
     reversal: bool = True
     sides: bool = True

@@ -14,6 +14,7 @@ switch in the pilot's hand may), it sends points only to a vehicle that reports 
 Guided, and on old or jumping leader data it stops the follower where it is.
 """
 
+import math
 from collections.abc import Iterable
 from typing import Any
 
@@ -37,8 +38,8 @@ from echowing.mavlink.messages import TOOL_SYSTEM_ID, position_target, status_te
 
 STALE = "leader is stale"
 DISTANCE_HZ, ATTITUDE_HZ = 5.0, 2.0
-# Heartbeats in a row that are not of one that flies in Guided, before its pilot counts as having
-# left it: whatever holds it for good ends by that. One alone may be another vehicle's, or false.
+# After so many heartbeats in a row that do not say Guided, or not in flight, its pilot counts as
+# having left Guided, which ends every hold. One alone may be another vehicle's, or false.
 AWAY_BEATS = 2
 # The speed sent for a slot that stands.
 LEAST_MPS = 0.001
@@ -247,6 +248,9 @@ class FollowSession:
             follower.not_ordered()
             return []
         point = self._spacing.kept_apart(follower, point, now_s)
+        if not self._may_leave(follower, point):
+            self._stop_out_of_reach(follower, now_s)
+            point = follower.held_at or point
         follower.ordered(point, now_s)
         command = self._command(follower, point, now_s)
         follower.flown = True
@@ -255,6 +259,18 @@ class FollowSession:
             if follower.held_at is not None:
                 self.guard.holding(follower, now_s)
         return [(follower.plan.system_id, command)]
+
+    def _may_leave(self, follower: FollowerState, point: GlobalPosition) -> bool:
+        """Whether a point is finite, and near: whatever was reckoned with, nothing else leaves."""
+        if not all(map(math.isfinite, (*point, *(follower.feed_mps or ())))):
+            return False
+        return self.guard is None or self.guard.is_near(follower, point)
+
+    def _stop_out_of_reach(self, follower: FollowerState, now_s: float) -> None:
+        follower.latched = "its point was out of reach, until it leaves Guided"
+        self._holds.release(follower)
+        self._hold(follower, follower.latched, now_s)
+        follower.feed_mps = (0.0, 0.0) if self.settings.feed_forward else None
 
     def _point_for(self, follower: FollowerState, now_s: float) -> GlobalPosition | None:
         """Where it is to be; None: not known."""

@@ -13,6 +13,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.applets import APPLETS
 from echowing.errors import EchowingError
 from echowing.geo import Ned
 from echowing.sim.commands import ACCEPTED, FAILED, Commands, command_of
@@ -37,8 +38,10 @@ USB, TELEMETRY, COPROCESSOR = "usb", "telemetry", "coprocessor"
 _PORT_NUMBERS = {USB: 0, TELEMETRY: 1, COPROCESSOR: 2}
 _FIRST_OTHER_PORT = 3
 
-# Where scripts are on the card (AP_Scripting, SCRIPTING_DIRECTORY); the one that is simulated.
-_SCRIPT_ON_CARD = Path("APM", "scripts", "echowing.lua")
+# Where scripts are on the card (AP_Scripting, SCRIPTING_DIRECTORY); one applet is simulated.
+_SCRIPTS_ON_CARD = Path("APM", "scripts")
+# Pointers take twice the memory here: tests/lua/heap.py measures what the vehicle's take.
+_POINTERS = 2
 _SCRIPTS_DISABLED = 2  # SCR_DIR_DISABLE: the card's scripts are not loaded
 _NOT_SIGNED = 1  # MAVn_OPTIONS bit 0 (GCS.h, MAVLINK2_SIGNING_DISABLED)
 _FTP_DISABLED = 2  # BRD_OPTIONS bit 1 (AP_BoardConfig): no file transfer
@@ -49,6 +52,8 @@ TEXT_CHARACTERS = 50
 HELD_TEXTS = 30  # texts kept for a link where nobody has been heard yet (GCS_Common.cpp)
 # Receiver as SITL's default: sticks in the middle, throttle low, switches as it has them.
 _RC_US = (1500, 1500, 1000, 1500, 1800, 1000, 1000, 1800, *(0,) * 8)
+# Guided squares what it is given, in 32 bits, and SITL traps what overflows as it traps NaN.
+_SQUARE_OVERFLOWS = math.sqrt(3.4028234e38)
 _AUX_HIGH_US, _AUX_LOW_US = 1800, 1200  # RC_Channel.h: AUX_SWITCH_PWM_TRIGGER_HIGH, _LOW
 _RC_VALID_US = range(801, 2200)
 _RC_OPTION_CHANNELS = 16
@@ -67,7 +72,7 @@ class AutopilotEndedError(EchowingError):
     def __init__(self, system_id: int) -> None:
         super().__init__(
             f"the autopilot of vehicle {system_id} ended (floating point exception): its script "
-            "gave Guided a target with a number that is not finite"
+            "gave Guided a target with a number that cannot be computed with"
         )
         self.system_id = system_id
 
@@ -300,8 +305,10 @@ class Autopilot:
                 self._start_script(self._script_path)
             return
         disabled = int(self.parameters.value("SCR_DIR_DISABLE")) & _SCRIPTS_DISABLED
-        if (card / _SCRIPT_ON_CARD).is_file() and not disabled:
-            self._start_script(card / _SCRIPT_ON_CARD)
+        on_card = (card / _SCRIPTS_ON_CARD / applet.file for applet in APPLETS)
+        script = next((path for path in on_card if path.is_file()), None)
+        if script is not None and not disabled:
+            self._start_script(script)
 
     def _start_script(self, path: Path) -> None:
         if self.parameters.value("SCR_ENABLE") == 0.0:
@@ -311,7 +318,7 @@ class Autopilot:
             path,
             generation=self.generation,
             instruction_limit=int(self.parameters.value("SCR_VM_I_COUNT")),
-            heap_bytes=int(self.parameters.value("SCR_HEAP_SIZE")),
+            heap_bytes=_POINTERS * int(self.parameters.value("SCR_HEAP_SIZE")),
         )
 
     def start_log(self, path: Path) -> DataflashLog:
@@ -659,7 +666,7 @@ class Autopilot:
 
         What MAVLink brings it checks (sane_vel_or_acc_vector); the Lua bindings do not.
         """
-        if not all(map(math.isfinite, numbers)):
+        if not all(abs(number) < _SQUARE_OVERFLOWS for number in numbers):  # nor is NaN
             raise AutopilotEndedError(self.system_id)
 
     def position_ned_m(self) -> Ned | None:

@@ -116,6 +116,14 @@ _KINDS = (
         "sddddhh-",
         "F000000-",
     ),
+    _Kind(
+        44,
+        "XKF1",
+        "QBccCfffffffccce",
+        "TimeUS,C,Roll,Pitch,Yaw,VN,VE,VD,dPD,PN,PE,PD,GX,GY,GZ,OH",
+        "s#ddhnnnnmmmkkkm",
+        "F-BBB0000000BBBB",
+    ),
     _Kind(115, "RFND", "QBfBBb", "TimeUS,Instance,Dist,Stat,Orient,Quality", "s#m--%", "F-0---"),
     _Kind(
         8,

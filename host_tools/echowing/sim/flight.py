@@ -77,7 +77,7 @@ class FormationWorld:
 
     def __init__(self, scenario: Scenario, hangar: Hangar) -> None:
         self.scenario = scenario
-        self._hangar = hangar
+        self.hangar = hangar
         self._step = 0
         self.leader = hangar.leader()
         self.pilot = LeaderPilot(self.leader, scenario.leader)
@@ -113,7 +113,7 @@ class FormationWorld:
             body.down_m - slot.altitude_step_m,
         )
         speed_mps = self.scenario.follower.speed_mps
-        return self._hangar.follower(index, start, body.yaw_rad, speed_mps, self._listen)
+        return self.hangar.follower(index, start, body.yaw_rad, speed_mps, self._listen)
 
     def _listen(self, follower: SimFollower, t_s: float) -> float | None:
         """What this follower's sonar hears now."""
@@ -216,10 +216,10 @@ class FormationFlight(FormationWorld):
 
     def _make_ground(self) -> GroundStation:
         scenario = self.scenario
-        links = {LEADER_ID: self._hangar.telemetry(self.leader, "leader", scenario.radio.leader)}
+        links = {LEADER_ID: self.hangar.telemetry(self.leader, "leader", scenario.radio.leader)}
         for system_id, follower in enumerate(self.followers, FIRST_FOLLOWER_ID):
             name = f"follower-{system_id}"
-            links[system_id] = self._hangar.telemetry(follower, name, scenario.radio.follower)
+            links[system_id] = self.hangar.telemetry(follower, name, scenario.radio.follower)
         return GroundStation(self.new_session(), links, scenario.guidance.rate_hz)
 
     def _watch(self) -> None:

@@ -126,6 +126,13 @@ class FlightLog:
         roll, pitch = math.degrees(body.roll_rad), math.degrees(body.pitch_rad)
         yaw = math.degrees(body.yaw_rad) % 360.0
         self._log.write("ATT", t_s, roll, roll, pitch, pitch, yaw, yaw, _EKF3)
+        velocity = body.vn_mps, body.ve_mps, body.vd_mps
+        place = body.est_north_m, body.est_east_m, body.est_down_m
+        no_gyro_error = (0.0, 0.0, 0.0)
+        self._log.write(
+            *("XKF1", t_s, 0, roll, pitch, yaw, *velocity, body.vd_mps, *place),
+            *(*no_gyro_error, ORIGIN.alt_m),
+        )
 
     def _position(self, t_s: float, place: GlobalPosition) -> None:
         places = self._vehicle.places
