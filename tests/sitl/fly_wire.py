@@ -29,8 +29,9 @@ LATENCY_S = 0.05
 LOST = 0.05  # share of the radio's packets
 FLOOD_HZ, NAN_HZ = 100.0, 10.0
 RENEW_S = 1.0  # frames are made where the follower is; not each, the suite has more to do
-# A point with a right checksum and no number in it is the autopilot's, too, and stops it each time.
-WHOLE_NAN_HZ = 0.5
+# A point with a right checksum and no number in it is the autopilot's, too: each time Guided itself
+# holds the position (hold_position, GCS_MAVLink_Copter.cpp) until the applet's next target.
+WHOLE_NAN_HZ, HELD_M = 0.5, 0.3
 LEAST_M = 1.0
 # Receivers drift, and half a minute is not like the next: two clean halves differ by 0.1 m.
 WORSE_M = 0.15
@@ -65,11 +66,13 @@ def test_point_without_a_number(start: Start, table: list[Entry], checksum: str)
     formation = _following(start(latency_s=LATENCY_S))
     clean = _flown(formation, NAN_S)
     since_s = time.monotonic()
+    worse_m = WORSE_M
     if checksum == "wrong":
         flown = _flown_with(formation, NAN_HZ, NAN_S, lambda: [spoiled(_nan(formation))])
     else:
         flown = _flown_with(formation, WHOLE_NAN_HZ, NAN_S, lambda: [_nan(formation)])
-    _enter(table, formation, f"NaN points, {checksum} checksum", since_s, flown, clean)
+        worse_m = HELD_M
+    _enter(table, formation, f"NaN points, {checksum} checksum", since_s, flown, clean, worse_m)
 
 
 def test_unsigned_frames_on_a_signed_link(
@@ -181,10 +184,11 @@ def _enter(
     since_s: float,
     flown: Metrics,
     clean: Metrics,
+    worse_m: float = WORSE_M,
 ) -> None:
     """A row of the table; the flight is as good as the clean one before it."""
     note = "; ".join(filter(None, ("clean flight in place of sim", formation.note(since_s))))
     line = formation.kit.version.line
     table.append(Entry(line, case, _figures(flown), _figures(clean), note))
     assert flown.min_separation_m >= LEAST_M
-    assert flown.mean_abs_error_m <= clean.mean_abs_error_m + WORSE_M
+    assert flown.mean_abs_error_m <= clean.mean_abs_error_m + worse_m
