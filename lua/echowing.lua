@@ -968,8 +968,10 @@ do
         guard.too_close, guard.close_ms = true, t_ms
         report.state = STATE.TOO_CLOSE
         if C.LAW >= 1 then allow_no_more(C.SPD_MIN) end
-        -- Lower than 1.5 m up what is near is most likely the ground; points lead 2 m up and higher (flight/guard.py).
-        local here = -ahrs:get_relative_position_D_home() > 1.5 and vehicle:get_likely_flying() and ahrs:get_location()
+        -- Half a metre lower than points lead (flight/lowest.py) what is near is most likely the ground.
+        local LOWEST_M = 2.0
+        local up = vehicle:get_likely_flying() and -ahrs:get_relative_position_D_home() > LOWEST_M - 0.5
+        local here = up and ahrs:get_location()
         local behind_m = here and target_behind_m(here, t_ms) or 0.0
         -- Back to the wanted distance, and the leader's approach of one second more.
         local evaded = guard.evading
@@ -1026,8 +1028,8 @@ do
     -- from it; more away from the leader. A sonar that is stuck then moves the vehicle no further. The first also in m/s:
     -- one with a stuck sonar takes its own speed for its leader's.
     local FORWARD_M, BACK_M = 1.0, 5.0
-    -- From the second on a leader that goes on with its mission is where it was, and as fast as the ground tool says:
-    -- until then the tool's reports may be older than what was seen last.
+    -- A leader on a mission that is lost in a corner: after the second time the tool's reports are newer than what was
+    -- seen last. From then on it is carried on, from the place where it was seen, at the speed that the tool gives.
     local UNSEEN_MS, TOLD_MS = 300, 900
     local NOSE_LATE_S = 0.2 -- so much later than its attitude's target the nose turns (SITL 4.6 0.2 s, 4.8 0.25 s)
     -- Towards the leader: 8 degrees of lean, and what the air takes. Guided closes a gap of 0.4 m with all its acceleration

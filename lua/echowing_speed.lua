@@ -348,8 +348,9 @@ local function guard(status, t_ms)
         or near_m - closing_mps * C.DELAY - closing_mps * closing_mps / (2 * C.DECEL) < 1
     if not S.close then return S.law_mps end
     if C.LAW >= 1 then S.wish_mps, S.law_mps = C.SPD_MIN, C.SPD_MIN end
-    -- Lower than 1.5 m up what is near is most likely the ground; points lead 2 m up and higher (flight/guard.py).
-    local backs = known and -ahrs:get_relative_position_D_home() > 1.5
+    -- Half a metre lower than points lead (flight/lowest.py) what is near is most likely the ground.
+    local LOWEST_M = 2.0
+    local backs = known and -ahrs:get_relative_position_D_home() > LOWEST_M - 0.5
         and fly_back(clamp(C.DIST - near_m + closing_mps, 0.5, 5))
     S.state = backs and 6 or 3
     return backs and C.SPD_MAX or C.SPD_MIN

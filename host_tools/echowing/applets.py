@@ -3,8 +3,6 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-from echowing.mavlink.messages import POINT_FORMAT
-
 
 @dataclass(frozen=True, slots=True)
 class Applet:
@@ -36,6 +34,8 @@ def applet_named(name: str) -> Applet:
 
 def identify(parameters: Mapping[str, float]) -> Applet | None:
     """Which applet a vehicle with these parameters runs; None: none, or one of another version."""
+    from echowing.mavlink.messages import POINT_FORMAT  # noqa: PLC0415 (not for --help)
+
     if FORMAT in parameters:
         return HOLD if parameters[FORMAT] == POINT_FORMAT else None
     return SPEED if LAW in parameters and GAIN not in parameters else None

@@ -5,17 +5,15 @@ against pymap3d); the rest is pymap3d's.
 """
 
 import math
-from functools import lru_cache
-from typing import NamedTuple
-
-import pymap3d
-from pymap3d import Ellipsoid, vincenty
+from functools import cache, lru_cache
+from typing import Any, NamedTuple
 
 Ned = tuple[float, float, float]
 
-# pymap3d's default, made once: by default it is made anew in every call.
-_WGS84 = Ellipsoid.from_name("wgs84")
-_A_M, _E2 = float(_WGS84.semimajor_axis), float(_WGS84.eccentricity) ** 2
+# WGS-84, worked out as pymap3d does, to the last digit: NumPy behind it loads for half a second.
+_A_M, _B_M = 6_378_137.0, 6_356_752.31424518
+_FLATTENING = (_A_M - _B_M) / _A_M
+_E2 = math.sqrt(2.0 * _FLATTENING - _FLATTENING**2) ** 2
 
 # Within this distance, and outside the polar caps, the radii of curvature at the start
 # place a point to better than 1 cm; beyond it the exact conversion is used (40 times slower).
@@ -33,6 +31,18 @@ class GlobalPosition(NamedTuple):
     lat_deg: float
     lon_deg: float
     alt_m: float
+
+
+@cache
+def load_exact() -> tuple[Any, Any, Any]:
+    """pymap3d, its vincenty and its WGS-84, for what is far. Call it before a flight, not in one.
+
+    The ellipsoid is made once: by default it is made anew in every call.
+    """
+    import pymap3d  # noqa: PLC0415 (loads NumPy)
+    from pymap3d import vincenty  # noqa: PLC0415
+
+    return pymap3d, vincenty, pymap3d.Ellipsoid.from_name("wgs84")
 
 
 def ned_between(origin: GlobalPosition, point: GlobalPosition) -> Ned:
@@ -82,7 +92,8 @@ def displace(origin: GlobalPosition, ned_m: Ned) -> GlobalPosition:
     north_m, east_m, down_m = ned_m
     near = abs(north_m) < LOCAL_RADIUS_M and abs(east_m) < LOCAL_RADIUS_M
     if not near or abs(origin.lat_deg) > POLAR_LATITUDE_DEG:
-        lat, lon, alt = pymap3d.ned2geodetic(north_m, east_m, down_m, *origin, _WGS84)
+        pymap3d, _, wgs84 = load_exact()
+        lat, lon, alt = pymap3d.ned2geodetic(north_m, east_m, down_m, *origin, wgs84)
         return GlobalPosition(float(lat), float(lon), float(alt))
     sin_lat = math.sin(math.radians(origin.lat_deg))
     flat = 1.0 - _E2 * sin_lat * sin_lat
@@ -118,6 +129,7 @@ def relay_pos(ground: GlobalPosition, remote: GlobalPosition) -> GlobalPosition:
     The thesis halves the straight chord in space, which sinks below the surface with distance;
     here the geodesic is halved, so the altitude stays what the operator expects.
     """
+    _, vincenty, _ = load_exact()
     metres, azimuth_deg = vincenty.vdist(ground.lat_deg, ground.lon_deg, *remote[:2])
     lat, lon = vincenty.vreckon(
         ground.lat_deg, ground.lon_deg, float(metres) / 2.0, float(azimuth_deg)

@@ -69,6 +69,45 @@ def test_a_follower_that_is_heard_no_more_gets_no_points_and_that_is_said() -> N
     assert "no report for" in texts_said(replace(record, events=silent))[0].text
 
 
+def test_a_radio_that_loses_all_bytes_up_lets_no_point_through_and_then_all() -> None:
+    lost = {"kind": "bytes_lost", "vehicle": 2, "way": "up", "byte_loss": 1.0}
+    record = flown({**lost, "at_s": 12.0, "for_s": 4.0})
+
+    assert record.stream_age_s[between(record, 15.0, 15.9)].min() > 2.5
+    assert record.stream_age_s[between(record, 17.0, 24.0)].max() < 0.5
+    assert said(record, "stream lost, holding here")
+    assert not said(record, "no report for")
+
+
+def test_a_radio_that_loses_some_bytes_loses_frames_and_brings_none_that_is_broken() -> None:
+    lost = {"kind": "bytes_lost", "vehicle": 2, "byte_loss": 0.2, "at_s": 8.0}
+    record = flown(lost)
+
+    # At 8 points a second a third is lost: some gaps, none for long.
+    ages_s = record.stream_age_s[between(record, 10.0, 24.0)]
+    assert 0.25 < ages_s.max() < 1.5
+    assert not said(record, "error")
+    assert record.closest_m > 2.0
+
+
+def test_a_wire_that_loses_all_bytes_is_a_sonar_without_data_and_then_one_with() -> None:
+    lost = {"kind": "bytes_lost", "vehicle": 2, "link": "wire", "way": "up", "byte_loss": 1.0}
+    record = flown({**lost, "at_s": 12.0, "for_s": 4.0})
+
+    [at_s] = said(record, "no sonar data")
+    assert 12.5 < at_s < 14.0
+    assert {"holding the distance", "tracking"} & {
+        text.removeprefix("ECHO: ") for t_s, _, text in record.texts if t_s > 16.0
+    }
+
+
+def test_the_leader_has_no_wire() -> None:
+    lost = {"kind": "bytes_lost", "vehicle": 1, "byte_loss": 0.1}
+    scenario(lost)
+    with pytest.raises(EchowingError, match="the leader has no co-processor"):
+        scenario({**lost, "link": "wire"})
+
+
 def test_a_jump_moves_the_estimate_and_goes_back() -> None:
     jump = {"kind": "gps_jump", "vehicle": 2, "jump_ned_m": [0.0, 0.0, 3.0]}
     record = flown({**jump, "at_s": 8.0, "for_s": 4.0}, leader=HOVERS)

@@ -552,7 +552,7 @@ def test_scripts_hear_frames_with_a_wrong_checksum_on_a_signed_link_too(tmp_path
     assert bench.texts().count("heard 251") == 1
 
 
-@pytest.mark.parametrize("velocity_mps", [math.nan, math.inf])
+@pytest.mark.parametrize("velocity_mps", [math.nan, math.inf, -1e30])
 def test_a_number_that_is_none_ends_the_autopilot_if_a_script_hands_it_to_guided(
     tmp_path: Path, velocity_mps: float
 ) -> None:

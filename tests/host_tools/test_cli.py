@@ -8,7 +8,7 @@ import pytest
 
 from echowing import __version__
 from echowing.cli import VERBS, main
-from echowing.mavlink.links import CONN
+from echowing.mavlink.connection import CONN
 from echowing.paths import repository_root
 
 
@@ -152,3 +152,18 @@ def test_the_shell_completes_verbs_options_and_choices(tmp_path: Path) -> None:
     assert completed("echowing follow --stop", tmp_path) == ["--stop-switch"]
     assert completed("echowing sim --law con", tmp_path) == ["continuous"]
     assert completed("echowing setup che", tmp_path) == ["check"]
+
+
+@pytest.mark.parametrize("verb", ["follow", "leader", "relay", "setup", "analyze", "replay"])
+def test_help_of_the_field_tools_loads_nothing_heavy(verb: str) -> None:
+    """A small companion computer takes seconds for each of these."""
+    code = (
+        "import sys\nfrom echowing.cli import main\n"
+        f"try: main(['{verb}', '--help'])\nexcept SystemExit: pass\n"
+        "heavy = {'numpy', 'pymap3d', 'pymavlink', 'pydantic', 'rich', 'serial'}\n"
+        "print(sorted(heavy & set(sys.modules)), file=sys.stderr)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True
+    )
+    assert done.stderr.strip() == "[]"

@@ -61,6 +61,15 @@ def test_it_does_not_matter_in_what_pieces_the_bytes_come(piece: int) -> None:
     assert radio.has_cut
 
 
+def test_a_packet_does_not_wait_for_bytes_that_come_much_later() -> None:
+    """A beat of 21 bytes each second is lost as a whole, or not: it is alone in its packet."""
+    radio = cutter(byte_loss=0.3, packet_bytes=(30, 80))
+
+    lengths = [len(radio.carry(bytes(21), float(t_s))) for t_s in range(1000)]
+    assert set(lengths) == {0, 21}
+    assert 240 < lengths.count(0) < 360  # 300, standard deviation 14
+
+
 def test_a_damaged_packet_has_one_wrong_bit() -> None:
     arrived = cutter(flip=1.0, packet_bytes=(50, 50)).carry(BYTES)
 

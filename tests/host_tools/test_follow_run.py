@@ -124,10 +124,10 @@ def test_a_slot_in_the_ground_or_out_of_sight_is_refused(step: str, tmp_path: Pa
     formation = tmp_path / "low.toml"
     formation.write_text(f"[[slots]]\nradius_m = 4.0\naltitude_step_m = {step}\n", encoding="utf-8")
     ends = ["--leader", "udpin:1", "--follower", "udpin:2", "--formation", str(formation)]
-    with pytest.raises(EchowingError, match=r"slot 1 would be flown at .* give 1 to 500"):
+    with pytest.raises(EchowingError, match=r"slot 1 would be flown at .* give 2 to 500"):
         options_of([*ends, "--altitude", "10"])
     if step in ("nan", "600.0"):  # whatever the leader's height
-        with pytest.raises(EchowingError, match=r"slot 1 would be flown at .* give 1 to 500"):
+        with pytest.raises(EchowingError, match=r"slot 1 would be flown at .* give 2 to 500"):
             options_of(ends)
 
 

@@ -1,4 +1,6 @@
 import math
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -83,3 +85,22 @@ def test_follow_refuses_slots_nearer_than_that_unless_it_is_told(
         return
     with pytest.raises(EchowingError, match=refused):
         options_of(ends)
+
+
+def test_the_field_tools_need_no_simulator(tmp_path: Path) -> None:
+    """Nor does `follow` with a formation file."""
+    formation = tmp_path / "vee.toml"
+    formation.write_text("[[slots]]\nradius_m = 4.0\n[[slots]]\nradius_m = 9.0\n", encoding="utf-8")
+    ends = [*ENDS, "--formation", str(formation)]
+    code = (
+        "import sys\n"
+        "import echowing.tool.run, echowing.tool.leader, echowing.setup.job\n"
+        "import echowing.web.live, echowing.web.recording, echowing.commands.analyze\n"
+        "from echowing.commands.follow import options_of\n"
+        f"assert len(options_of({ends!r}).slots) == 2\n"
+        "print([name for name in sys.modules if name.startswith('echowing.sim')])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True
+    )
+    assert done.stdout.strip() == "[]"

@@ -3,6 +3,7 @@ import math
 import pymap3d
 import pytest
 
+from echowing import geo
 from echowing.geo import (
     GlobalPosition,
     Ned,
@@ -116,3 +117,8 @@ def test_nearer_than_is_what_the_distance_says(origin: GlobalPosition, ned_m: Ne
     there = displace(origin, ned_m)
     assert nearer_than(origin, there, 3.0) is (distance_m(origin, there) < 3.0)
     assert nearer_than(there, origin, 3.0) is (distance_m(origin, there) < 3.0)
+
+
+def test_the_ellipsoid_is_pymap3ds_to_the_last_digit() -> None:
+    wgs84 = pymap3d.Ellipsoid.from_name("wgs84")
+    assert (wgs84.semimajor_axis, wgs84.eccentricity**2) == (geo._A_M, geo._E2)

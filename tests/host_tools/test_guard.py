@@ -13,6 +13,7 @@ from echowing.flight.guard import (
     REFUSED_FOR_S,
     REMEMBERED_S,
     REMIND_S,
+    STEADY_S,
     STILL_FOR_S,
     STUCK_FOR_S,
     UNHEARD_S,
@@ -31,6 +32,8 @@ from echowing.flight.vehicle_limits import usual_parameters
 from echowing.geo import GlobalPosition, displace, ned_between
 from echowing.mavlink.plausible import Door
 from echowing.tool.panel import Panel, left_as, state_of
+
+from .yard import Yard
 
 LEADER, FOLLOWER, SECOND = 1, 2, 3
 HERE = GlobalPosition(39.34, -86.03, 260.0)
@@ -698,7 +701,30 @@ def test_a_radio_that_holds_reports_back_is_as_good_as_silent() -> None:
     assert there.events()[-1] == "follower 2: no report for 2 s, no points sent"
     there.late_s = 0.0
     there.fly(1.0)
+    assert there.state == "holding: its link was lost"
+    there.fly(STEADY_S)
     assert there.state == "following"
+
+
+def test_a_link_that_comes_back_is_told_to_its_pilot_before_it_is_flown_on() -> None:
+    """After ten seconds it flew on with the first report, without a word on its display."""
+    yard = Yard()
+    yard.fly(6.0)
+    yard.vehicles[FOLLOWER].silent = True
+    yard.vehicles[LEADER].velocity_mps = (1.0, 0.0)
+    yard.fly(10.0)
+    assert yard.fly(1.0) == []
+    yard.vehicles[FOLLOWER].silent = False
+    yard.sent.clear()
+    points = yard.fly(STEADY_S - 2 * TICK_S)
+    assert len(points) >= 22
+    assert {round(one.lat_int, -2) for one in points} == {round(points[0].lat_int, -2)}
+    assert {(one.vx, one.vy) for one in points} == {(0.0, 0.0)}
+    texts = [m.text for who, m in yard.sent if who == FOLLOWER and m.get_type() == "STATUSTEXT"]
+    assert "Echowing: link was lost, holding" in texts
+    yard.fly(1.0)
+    texts = [m.text for who, m in yard.sent if who == FOLLOWER and m.get_type() == "STATUSTEXT"]
+    assert texts[-1] == "Echowing: clear again, following"
 
 
 def test_a_follower_that_reboots_is_taken_on_its_new_clock() -> None:

@@ -3,6 +3,7 @@ import os
 import pty
 import random
 import socket
+import threading
 import time
 import tty
 from collections.abc import Callable, Iterator
@@ -13,10 +14,11 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.errors import EchowingError
+from echowing.mavlink.connection import DEFAULT_BAUD
 from echowing.mavlink.links import (
-    DEFAULT_BAUD,
     MOST_PEERS,
     MOST_READS,
+    MOVED_S,
     REFUSED_S,
     RETRY_S,
     Address,
@@ -210,6 +212,125 @@ def test_who_has_not_been_heard_for_longest_is_forgotten_first(sender: socket.so
     link.send(frame(245), 0.0)
     assert sender.recv(100) == frame(245)
     link.close()
+
+
+def test_once_its_vehicles_are_found_nobody_else_is_heard_or_answered(
+    sender: socket.socket,
+) -> None:
+    """Any sender became a peer, and received the points."""
+    port = free_port(socket.SOCK_DGRAM)
+    link = opened(f"udpin:127.0.0.1:{port}")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", 0))
+        other.setblocking(False)
+        for one, system_id in ((sender, 1), (other, 7)):
+            one.sendto(frame(system_id), ("127.0.0.1", port))
+            received(link)
+        link.keep([1])
+        link.news.clear()
+        for system_id in (1, 7):  # with the vehicle's id too
+            other.sendto(frame(system_id), ("127.0.0.1", port))
+            until(lambda: not link.receive(1.0) and link.news)
+        where = f"127.0.0.1:{other.getsockname()[1]}"
+        assert link.news == [
+            f"link {link.name}: {where} sends to it too, and is neither heard nor answered"
+        ]
+        link.send(frame(245), 1.0)
+        assert sender.recv(100) == frame(245)
+        with pytest.raises(BlockingIOError):
+            other.recv(100)
+        sender.sendto(frame(1), ("127.0.0.1", port))
+        assert received(link)[0].get_srcSystem() == 1
+    link.close()
+
+
+def test_each_vehicle_that_shares_the_port_keeps_its_own_sender(sender: socket.socket) -> None:
+    """Vehicles without a router: as many peers as were named on the command line, no more."""
+    port = free_port(socket.SOCK_DGRAM)
+    link = opened(f"udpin:127.0.0.1:{port}")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.settimeout(DEADLINE_S)
+        for one, system_id in ((sender, 1), (other, 2), (other, 1)):
+            one.sendto(frame(system_id), ("127.0.0.1", port))
+            received(link)
+        link.keep([1, 2])
+        link.send(frame(245), 0.0)
+        assert (sender.recv(100), other.recv(100)) == (frame(245), frame(245))
+        link.keep([1])  # its first sender, though another has said to be it
+        link.send(frame(246), 0.0)
+        assert sender.recv(100) == frame(246)
+        other.setblocking(False)
+        with pytest.raises(BlockingIOError):
+            other.recv(100)
+    link.close()
+
+
+def test_a_peer_that_fell_silent_may_go_on_from_another_port(sender: socket.socket) -> None:
+    """A bridge that was restarted has a port of its own again, on the same computer."""
+    port = free_port(socket.SOCK_DGRAM)
+    link = opened(f"udpin:127.0.0.1:{port}")
+    sender.sendto(frame(1), ("127.0.0.1", port))
+    until(lambda: link.receive(10.0))
+    link.keep([1])
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as again:
+        again.settimeout(DEADLINE_S)
+        for system_id in (1, 7):
+            again.sendto(frame(system_id), ("127.0.0.1", port))
+            wait([link], DEADLINE_S)
+            assert link.receive(10.0 + MOVED_S if system_id == 1 else 11.0 + MOVED_S) == []
+        again.sendto(frame(1), ("127.0.0.1", port))
+        assert len(until(lambda: link.receive(11.0 + MOVED_S))) == 1
+        link.send(frame(245), 0.0)
+        assert again.recv(100) == frame(245)
+        sender.setblocking(False)
+        with pytest.raises(BlockingIOError):
+            sender.recv(100)
+    link.close()
+
+
+def test_udpout_hears_only_whom_it_speaks_to(sender: socket.socket) -> None:
+    link = opened(f"udpout:127.0.0.1:{sender.getsockname()[1]}")
+    link.send(frame(245), 0.0)
+    _, back = sender.recvfrom(100)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.sendto(frame(7), back)
+    sender.sendto(frame(3), back)
+    assert [one.get_srcSystem() for one in received(link)] == [3]
+    link.close()
+
+
+def test_two_leaders_that_publish_to_each_other_do_not_circulate(
+    sender: socket.socket, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """38,000 datagrams a second, for ever, of one heartbeat."""
+    passed: list[bytes] = []
+    pass_on = Link.send
+
+    def counted(link: Link, data: bytes, now_s: float) -> None:
+        passed.append(data)
+        pass_on(link, data, now_s)
+
+    monkeypatch.setattr(Link, "send", counted)
+    ports = [free_port(socket.SOCK_DGRAM) for _ in range(2)]
+    tools = [
+        LeaderTool(
+            parse_seat("leader", f"udpin:127.0.0.1:{here}@1"),
+            parse_address(f"udpout:127.0.0.1:{there}"),
+            4.0,
+            StopRequest(),
+        )
+        for here, there in (ports, ports[::-1])
+    ]
+    threads = [threading.Thread(target=tool.run, args=(4.0,)) for tool in tools]
+    for thread in threads:
+        thread.start()
+    while any(thread.is_alive() for thread in threads):
+        sender.sendto(frame(1), ("127.0.0.1", ports[0]))
+        time.sleep(0.05)
+    for thread in threads:
+        thread.join()
+    # Twenty a second come from the vehicle: passed on by the one, and by the other to the first.
+    assert 20 < sum(data == frame(1) for data in passed) < 400
 
 
 def test_udpout_speaks_first_and_hears_the_answer(sender: socket.socket) -> None:

@@ -6,6 +6,7 @@ import random
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -140,6 +141,17 @@ def test_a_cut_link_loses_what_is_sent_and_stays_connected(
     assert vehicle.recv(10) == b"heard"
 
 
+def all_of(receiver: socket.socket, least: int) -> bytes:
+    """What arrives until it is quiet, however long a busy machine takes for the first `least`."""
+    arrived, until_s = b"", time.monotonic() + 30.0
+    while True:
+        try:
+            arrived += receiver.recv(4000)
+        except TimeoutError:
+            if len(arrived) > least or time.monotonic() > until_s:
+                return arrived
+
+
 def test_a_lossy_link_loses_packets_both_ways(
     ends: tuple[Link, socket.socket, socket.socket],
 ) -> None:
@@ -148,11 +160,7 @@ def test_a_lossy_link_loses_packets_both_ways(
         link.lose(0.3)
         sender.sendall(bytes(4000))  # 80 packets or so
         receiver.settimeout(0.3)
-        arrived = b""
-        with pytest.raises(TimeoutError):
-            while True:
-                arrived += receiver.recv(4000)
-        assert 2000 < len(arrived) < 3600
+        assert 2000 < len(all_of(receiver, 2000)) < 3600
         link.lose(0.0)
         sender.sendall(b"heard")
         assert receiver.recv(10) == b"heard"

@@ -2,7 +2,7 @@
 
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -47,14 +47,16 @@ class Sight:
         """The value of an expression in the page."""
         return self.page.evaluate(expression)
 
-    def until(self, expression: str) -> Any:
-        """Wait until an expression is true, and return its value."""
+    def until(self, expression: str, meanwhile: Callable[[], None] = lambda: None) -> Any:
+        """Wait until an expression is true, doing something again and again; returns its value."""
         until_s = time.monotonic() + DEADLINE_S
-        while not (value := self.reads(expression)):
+        while True:
+            meanwhile()
+            if value := self.reads(expression):
+                return value
             if time.monotonic() > until_s:
                 pytest.fail(f"never so: {expression}; errors: {self.errors}; {self.text('status')}")
             time.sleep(0.05)
-        return value
 
     def text(self, element_id: str) -> str:
         return str(self.reads(f"document.getElementById('{element_id}').innerText"))

@@ -21,6 +21,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.mavlink.links import Link, parse_address
+from echowing.sim.cutter import ByteLoss, PacketCutter
 
 # Generous: who keeps up is not waited for, and a busy machine takes its time to start a process.
 DEADLINE_S = 120.0
@@ -179,10 +180,11 @@ def _speed_mps(message: Any) -> float:
 
 
 class Bridge:
-    """A vehicle's TCP endpoint on another port, which the test may cut."""
+    """A vehicle's TCP endpoint on another port, which the test may cut, or let lose bytes."""
 
-    def __init__(self, port: int) -> None:
+    def __init__(self, port: int, loss: ByteLoss | None = None) -> None:
         self._port = port
+        self._radios = [PacketCutter(loss or ByteLoss(), random.Random(way)) for way in (1, 2)]
         self._listener = socket.create_server(("127.0.0.1", 0))
         self._listener.settimeout(0.1)
         self.port = int(self._listener.getsockname()[1])
@@ -207,7 +209,7 @@ class Bridge:
         for one, _ in ways:
             one.settimeout(0.02)
         while not self.cut.is_set() and not self._done.is_set():
-            for source, sink in ways:
+            for (source, sink), radio in zip(ways, self._radios, strict=True):
                 try:
                     data = source.recv(4096)
                 except TimeoutError:
@@ -216,7 +218,7 @@ class Bridge:
                     return
                 if not data:
                     return
-                sink.sendall(data)
+                sink.sendall(radio.carry(data, time.monotonic()))
 
     def close(self) -> None:
         """Take it away."""

@@ -100,9 +100,10 @@ class TestOnTheBoard:
         assert f"firmware   0.1.0 (git {told['git_hash']})" in people.out
 
     def test_watch(self, board: Board) -> None:
-        last = watched(board, lambda line: line["state"] == "tracking")
+        last = watched(board, tracks)
         assert last["range_m"] == pytest.approx(RANGE_CM / 100.0)
-        assert last["wire"]["damaged"] == 0
+        # The port may have been opened in the middle of a frame.
+        assert last["wire"]["damaged"] <= 1
         shown = "tracking, range  3.21 m, reading  3.21 m"
         watched_until(board, lambda line: shown in line)
 
@@ -163,6 +164,7 @@ class TestOnTheBoard:
         self, rig: Callable[..., Done], board: Board, tmp_path: Path
     ) -> None:
         file = tmp_path / "bench.ewr"
+        watched(board, tracks)  # the test before may have left it searching
         recording = echowing("rig", "--port", board.port, "record", file, "--json")
         until(lambda: file.exists() and file.stat().st_size > 8000)
         recording.send_signal(signal.SIGINT)
@@ -200,6 +202,7 @@ class TestTrouble:
 
     def test_a_recorder_that_is_killed_loses_nothing(self, board: Board, tmp_path: Path) -> None:
         file = tmp_path / "bench.ewr"
+        watched(board, tracks)
         recording = echowing("rig", "--port", board.port, "record", file)
         until(lambda: file.exists() and file.stat().st_size > 4000)
         recording.kill()
@@ -282,6 +285,11 @@ def watched_until(board: Board, fits: Callable[[str], bool], *options: str) -> s
     watching.communicate(timeout=PATIENCE_S)
     assert watching.returncode == 0
     return line
+
+
+def tracks(line: dict[str, Any]) -> bool:
+    """Whether it tracks, and a range has come since the watch began: the state comes first."""
+    return line["state"] == "tracking" and line["range_m"] is not None
 
 
 def watched(board: Board, fits: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:

@@ -136,6 +136,8 @@ def _drawn(scenario: Scenario) -> Row:
         "gps_sigma_m": scenario.gps.sigma_m,
         "latency_s": radio.latency_s + radio.jitter_s,
         "loss": radio.loss,
+        "byte_loss": max(radio.byte_loss, scenario.radio.follower.byte_loss),
+        "wire_byte_loss": scenario.wire.byte_loss,
         "faults": [fault.kind for fault in scenario.fault],
         "duration_s": scenario.duration_s,
     }

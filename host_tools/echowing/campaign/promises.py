@@ -113,7 +113,8 @@ def _could_be_noticed(
         for at in range(first, min(by, len(record.in_force)))
         for one in record.in_force[at]
     )
-    lossy = max(record.scenario.radio.leader.loss, record.scenario.radio.follower.loss) > 0.1
+    radio = record.scenario.radio
+    lossy = max(radio.leader.frames_lost, radio.follower.frames_lost) > 0.1
     applet = bool(record.applet[first:by, number].all())
     silent = promise.by_vehicle and not applet
     return bool(np.all(led[first : max(first + 1, began)])) and not (

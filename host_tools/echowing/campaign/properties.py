@@ -21,8 +21,8 @@ from echowing.flight.envelope import (
     Answer,
     closing_limit_mps,
 )
-from echowing.flight.guard import LOWEST_M
 from echowing.flight.handling import reaction_s
+from echowing.flight.lowest import LOWEST_M
 from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.flight.spacing import UNRANGED_SIGMA_M
 from echowing.flight.vehicle_limits import INPUT_TIME
@@ -386,7 +386,7 @@ def speed_handed_back(record: FlightRecord) -> list[Broken]:
 
 
 def not_too_low(record: FlightRecord) -> list[Broken]:
-    """Never led lower than LOWEST_M above its home, unless it was asked to be."""
+    """Never led lower than LOWEST_M above its home, unless its place is."""
     broken = []
     scenario = record.scenario
     for number, slot in enumerate(scenario.formation.slots):
@@ -455,7 +455,9 @@ def nothing_wrong(record: FlightRecord) -> bool:
         and scenario.leader.speed_mps <= CALM_SPEED_MPS
         and scenario.leader.path in ("rectangle", "circle", "figure-eight")
         and len(scenario.formation.slots) == 1
-        and leader.loss <= CALM_LOSS
+        and leader.frames_lost <= CALM_LOSS
+        and scenario.radio.follower.byte_loss <= CALM_LOSS
+        and scenario.wire == type(scenario.wire)()
         and leader.latency_s + leader.jitter_s <= CALM_LATENCY_S
         and scenario.airframe == type(scenario.airframe)()
     )

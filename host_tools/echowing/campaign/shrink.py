@@ -24,6 +24,7 @@ AFTERWARDS_S = 5.0
 # The sections that may be left to their defaults, the least important first.
 _SECTIONS = (
     ("airframe",),
+    ("wire",),
     ("radio", "follower"),
     ("wind",),
     ("radio", "leader"),

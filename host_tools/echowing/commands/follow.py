@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from echowing.errors import EchowingError
+from echowing.flight.lowest import LOWEST_M
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
 RADIUS_M = 3.0
 # Above the leader's home: what can be flown, and what can still be seen from there.
-LEAST_ALTITUDE_M, MOST_ALTITUDE_M = 1.0, 500.0
+MOST_ALTITUDE_M = 500.0
 # Over a leader that is carried at a metre or two.
 CARRIED_ALTITUDE_M = 10.0
 # Longer than any turn of the flying loop: what is not back by then never comes back.
@@ -58,7 +59,7 @@ The pilot takes over by any change of mode. When the pilot returns to Guided, po
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The verb's options."""
     from echowing.flight.guidance import GuidanceSettings  # noqa: PLC0415 (when the verb is used)
-    from echowing.mavlink.links import CONN, DEFAULT_BAUD  # noqa: PLC0415
+    from echowing.mavlink.connection import CONN, DEFAULT_BAUD  # noqa: PLC0415
     from echowing.web.options import add_web_arguments  # noqa: PLC0415
 
     parser.epilog = EXAMPLES
@@ -171,7 +172,7 @@ def log_folder(args: argparse.Namespace) -> Path | None:
 
 
 def _add_safety(safety: "argparse._ArgumentGroup") -> None:
-    from echowing.flight.guard import MIN_SEPARATION_M  # noqa: PLC0415
+    from echowing.flight.envelope import LEAST_M  # noqa: PLC0415
 
     safety.add_argument(
         "--engage", action="store_true", help="send points; without --engage the tool only watches"
@@ -208,7 +209,7 @@ def _add_safety(safety: "argparse._ArgumentGroup") -> None:
     safety.add_argument(
         "--min-separation",
         type=float,
-        default=MIN_SEPARATION_M,
+        default=LEAST_M,
         metavar="M",
         help="distance that is certain to remain between any two vehicles (1.0): a follower that "
         "would come nearer slows down, gives way or backs off",
@@ -333,8 +334,8 @@ def _take_off(args: argparse.Namespace) -> "TakeOff | None":
         if next_at_m is not None:
             raise EchowingError("--next-at needs --take-off")
         return None
-    if not 2.0 <= altitude_m <= 100.0:
-        raise EchowingError(f"--take-off {altitude_m:g}: give 2 to 100")
+    if not LOWEST_M <= altitude_m <= 100.0:
+        raise EchowingError(f"--take-off {altitude_m:g}: give {LOWEST_M:g} to 100")
     if next_at_m is None:
         next_at_m = NEXT_SHARE * altitude_m
     if not 1.0 <= next_at_m <= altitude_m - ARRIVED_M:
@@ -349,8 +350,8 @@ def _check_numbers(args: argparse.Namespace) -> None:
         "--rate": (args.rate, 1.0, 20.0),
         "--leader-rate": (args.leader_rate, 1.0, 20.0),
         "--altitude": (
-            LEAST_ALTITUDE_M if args.altitude is None else args.altitude,
-            LEAST_ALTITUDE_M,
+            LOWEST_M if args.altitude is None else args.altitude,
+            LOWEST_M,
             MOST_ALTITUDE_M,
         ),
         "--max-distance": (args.max_distance, 5.0, 10_000.0),
@@ -371,12 +372,12 @@ def _check_heights(slots: "Sequence[Slot]", altitude_m: float | None) -> None:
     """
     for number, slot in enumerate(slots, 1):
         height_m = slot.altitude_step_m + (altitude_m or 0.0)
-        if altitude_m is None and abs(height_m) < MOST_ALTITUDE_M - LEAST_ALTITUDE_M:
+        if altitude_m is None and abs(height_m) < MOST_ALTITUDE_M - LOWEST_M:
             continue
-        if not LEAST_ALTITUDE_M <= height_m <= MOST_ALTITUDE_M:
+        if not LOWEST_M <= height_m <= MOST_ALTITUDE_M:
             raise EchowingError(
                 f"slot {number} would be flown at {height_m:g} m, --altitude and its "
-                f"altitude_step_m: give {LEAST_ALTITUDE_M:g} to {MOST_ALTITUDE_M:g}"
+                f"altitude_step_m: give {LOWEST_M:g} to {MOST_ALTITUDE_M:g}"
             )
 
 
@@ -413,10 +414,11 @@ def _slots(args: argparse.Namespace, radii_m: tuple[float, ...]) -> "list[Slot]"
         check_formation,
     )
     from echowing.flight.guidance import Slot  # noqa: PLC0415
+    from echowing.tool.formation_file import load_formation  # noqa: PLC0415
 
     followers = len(args.follower)
     if args.formation is not None:
-        slots, apart_m = _load_formation(args.formation, args.min_separation)
+        slots, apart_m = load_formation(args.formation, args.min_separation)
         if len(slots) != followers:
             raise EchowingError(
                 f"--formation {args.formation}: {len(slots)} slots for {followers} followers"
@@ -436,37 +438,3 @@ def _slots(args: argparse.Namespace, radii_m: tuple[float, ...]) -> "list[Slot]"
             f"{args.min_separation:g} m; move it out, or the follower will never get there"
         )
     return scaled(slots, radii_m[0]) if radii_m else slots
-
-
-def _load_formation(path: Path, least_m: float) -> "tuple[list[Slot], float]":
-    """Slots of a TOML file with [[slots]], and how far apart they have to be.
-
-    The same keys as in a scenario's formation; where it does not say how far apart, so far as the
-    followers' receivers demand for `least_m`.
-    """
-    import tomllib  # noqa: PLC0415
-
-    from pydantic import ValidationError  # noqa: PLC0415
-
-    from echowing.flight.formation import check_formation, receivers_demand_m  # noqa: PLC0415
-    from echowing.sim.scenario import FormationSection  # noqa: PLC0415
-
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-        formation = FormationSection.model_validate(table)
-    except OSError as error:
-        raise EchowingError(f"--formation {path}: cannot be read: {error.strerror}") from error
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise EchowingError(f"--formation {path}: cannot be read: {error}") from error
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])
-        raise EchowingError(f"--formation {path}: {key}: {first['msg']}") from error
-    slots = [section.slot() for section in formation.slots]
-    told = "slot_separation_m" in formation.model_fields_set
-    apart_m = formation.slot_separation_m if told else receivers_demand_m(least_m)
-    try:
-        check_formation(slots, apart_m)
-    except EchowingError as error:
-        raise EchowingError(f"--formation {path}: {error}") from error
-    return slots, apart_m

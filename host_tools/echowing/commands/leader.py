@@ -16,7 +16,7 @@ Only requests for the leader's clock come back: nothing on the other computer ca
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The verb's options."""
-    from echowing.mavlink.links import CONN, DEFAULT_BAUD  # noqa: PLC0415 (imported when the verb is used)
+    from echowing.mavlink.connection import CONN, DEFAULT_BAUD  # noqa: PLC0415 (imported when the verb is used)
 
     parser.epilog = EXAMPLES
     parser.add_argument(

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from echowing.commands.follow import add_log_arguments, fly, log_folder
 from echowing.errors import EchowingError
+from echowing.flight.lowest import LOWEST_M
 
 ALTITUDE_M = 30.0
 
@@ -19,7 +20,7 @@ over by any change of mode.
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The verb's options."""
-    from echowing.mavlink.links import CONN, DEFAULT_BAUD  # noqa: PLC0415 (imported when the verb is used)
+    from echowing.mavlink.connection import CONN, DEFAULT_BAUD  # noqa: PLC0415 (imported when the verb is used)
 
     parser.epilog = EXAMPLES
     parser.add_argument("--remote", required=True, metavar="CONN", help="the remote vehicle")
@@ -128,7 +129,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _check_numbers(args: argparse.Namespace) -> None:
     spans = {
-        "--altitude": (args.altitude, 1.0, 500.0),
+        "--altitude": (args.altitude, LOWEST_M, 500.0),
         # Slower than the applet's stream watchdog allows, the relay would stop between points.
         "--rate": (args.rate, 2.0, 20.0),
         "--max-distance": (args.max_distance, 5.0, 50_000.0),

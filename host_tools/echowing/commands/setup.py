@@ -74,7 +74,7 @@ def _part(parts: "argparse._SubParsersAction[argparse.ArgumentParser]", name: st
 
 
 def _add_vehicle(parser: argparse.ArgumentParser) -> None:
-    from echowing.mavlink.links import CONN  # noqa: PLC0415 (imported when the verb is used)
+    from echowing.mavlink.connection import CONN  # noqa: PLC0415 (imported when the verb is used)
 
     parser.add_argument(
         "--vehicle",
@@ -86,7 +86,7 @@ def _add_vehicle(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_link(parser: argparse.ArgumentParser) -> None:
-    from echowing.mavlink.links import DEFAULT_BAUD  # noqa: PLC0415 (imported when the verb is used)
+    from echowing.mavlink.connection import DEFAULT_BAUD  # noqa: PLC0415 (imported when the verb is used)
 
     parser.add_argument(
         "--baud", type=int, default=DEFAULT_BAUD, help="baud rate of a serial device"
@@ -182,7 +182,7 @@ def _add_restore(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_lua(parser: argparse.ArgumentParser) -> None:
-    from echowing.mavlink.links import CONN  # noqa: PLC0415 (imported when the verb is used)
+    from echowing.mavlink.connection import CONN  # noqa: PLC0415 (imported when the verb is used)
 
     parser.epilog = LUA_EXAMPLES
     way = parser.add_mutually_exclusive_group(required=True)

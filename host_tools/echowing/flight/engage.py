@@ -17,6 +17,7 @@ from echowing.flight.guidance import MOVING_MPS, Horizontal, LeaderFix, slot_off
 from echowing.flight.handling import Handling, least_slot_m
 from echowing.flight.heights import Heights
 from echowing.flight.leader_speed import MOST_LEADER_MPS, LeaderSpeed
+from echowing.flight.lowest import LOWEST_M
 from echowing.flight.readiness import Readiness
 from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.flight.state import FollowerState, Known, Say
@@ -49,7 +50,6 @@ INSET_M = 0.1
 # Two receivers on one field differ by a metre in height: beyond HOMES_M the operator has to say
 # what that means. A climb or descent beyond HEIGHTS_M begins only if the operator asks for it.
 HOMES_M, HEIGHTS_M = 1.0, 3.0
-LOWEST_M = 1.0
 # A leader may turn round at this speed without danger: the thesis's leader flew at it.
 TURNS_MPS = 2.0
 # A follower that can brake no harder is not engaged: a stop from 1 m/s takes a second.

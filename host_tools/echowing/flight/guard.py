@@ -13,6 +13,8 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.flight.envelope import LEAST_M
+from echowing.flight.lowest import LOWEST_M
 from echowing.flight.readiness import Readiness
 from echowing.flight.state import FollowerState, Say
 from echowing.flight.switch import StopSwitch, Switches
@@ -27,17 +29,17 @@ STILL_FOR_S = 1.0
 FRESH_S = 1.0
 # From 2 m/s a copter stands within 3 s; the tool reports one that still moves then.
 REMIND_S = 3.0
-# Two missed heartbeats of a second each, and the mode is no longer known; a radio that holds
+# After two missed heartbeats, one a second, the mode is not known any more. A radio that holds
 # reports back for so long is as good as silent.
 UNHEARD_S = 2.0
+# One that was led and reports again is held until it has done so for this long: its pilot sees on
+# the display that the tool is back before it moves.
+STEADY_S = 3.0
 # A stop ends only when things are this much better than what caused it.
 CLEAR_M = 0.5
 CLEAR_SHARE = 0.9
 # A correction of the altitude is reported when it begins and when it changes by more than this.
 DATUM_TOLD_M = 0.3
-# A follower is not led below this height above its own home, however much lower the leader's home
-# lies, and not while it is lower than that.
-LOWEST_M = 2.0
 
 # Targets are read back in 1e-7 degrees (1 cm): one this far from all points sent means a refusal.
 REFUSED_M = 0.5
@@ -94,10 +96,9 @@ class Limits:
 
 
 # The defaults of `echowing follow`, flown by the simulator too.
-MIN_SEPARATION_M = 1.0
 FIELD_LIMITS = Limits(
     max_distance_m=100.0,
-    min_separation_m=MIN_SEPARATION_M,
+    min_separation_m=LEAST_M,
     home_difference_m=5.0,
     ready=Readiness(),
 )
@@ -115,6 +116,7 @@ class _Watch:
     backed_off: bool = False
     released: bool = False
     unheard: bool = False
+    back_at_s: float = -math.inf
     low_told: bool = False
     still_since_s: float | None = None
     told_at_s: float | None = None
@@ -251,6 +253,9 @@ class Guard:
             return "stop switch"
         if watch.refused:
             return "its points are refused"
+        comes_back = watch.unheard and now_s - follower.position_at_s <= UNHEARD_S
+        if follower.flown and (comes_back or now_s - watch.back_at_s < STEADY_S):
+            return "its link was lost"
         if self.limits.leader_flies and self._leader_flies is not True:
             return "leader is not known to fly"
         if follower.position is None:
@@ -285,9 +290,8 @@ class Guard:
         higher_m = self._homes_m[system_id] - self._homes_m[self._leader_id]
         if abs(higher_m) > most_m:
             return f"its home is {higher_m:+.1f} m from the leader's"
-        asked_m = follower.plan.wanted_m
-        wanted_m = asked_m + self.altitude_shift_m(system_id)
-        if wanted_m < min(LOWEST_M, asked_m):
+        wanted_m = follower.plan.wanted_m + self.altitude_shift_m(system_id)
+        if wanted_m < LOWEST_M:
             return f"the leader's altitude is only {wanted_m:.1f} m above its own home"
         self._tell_shift(system_id, wanted_m, now_s)
         return None
@@ -356,6 +360,9 @@ class Guard:
             watch.unheard = unheard
             text = f"no report for {UNHEARD_S:g} s, no points sent" if unheard else "reports again"
             self._say(now_s, f"follower {system_id}: {text}")
+            if not unheard and follower.flown:
+                watch.back_at_s = now_s
+                self._alert(system_id, "link was lost, holding")
         handed_back = watch.released or (self.switched(system_id) and not follower.flown)
         return not unheard and not handed_back and not self._too_low(follower, watch, now_s)
 

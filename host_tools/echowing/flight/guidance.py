@@ -18,11 +18,12 @@ Horizontal = tuple[float, float]
 SLOW_MPS = 0.25
 # Back to the course only above this, so that a leader near the limit does not switch to and fro.
 MOVING_MPS = 0.35
-# Up to the first standard deviation of the leader's bearing the nose points at it. Less sure, it
-# sways to both sides, in full (SWAY_RAD) from the second on, there and back in SWAY_PERIOD_S
-# (13 deg/s at the most): a leader far off the nose leaves the beam (14 deg) on one side, no longer
-# than needed, for if it brakes meanwhile, the sonar detects that late. Switched off at once at 7
-# degrees, the sway moved the nose by 11, and the next corner took the leader out of the beam.
+# The nose points at the leader while the standard deviation of its bearing is under SURE_RAD. Above
+# that it sways to both sides: more and more, and by SWAY_RAD from UNSURE_RAD on, there and back in
+# SWAY_PERIOD_S (13 deg/s at the most). A leader far off the nose then leaves the beam (14 deg) on
+# one side, which shows where it is. The sway ends as soon as it can, because a leader that brakes
+# outside the beam is noticed late. It does not end at once: that moved the nose by 11 degrees, and
+# the sonar lost the leader at the next corner.
 SURE_RAD, UNSURE_RAD = math.radians(4.0), math.radians(7.0)
 SWAY_RAD, SWAY_PERIOD_S = math.radians(8.0), 4.0
 

@@ -93,8 +93,8 @@ def _gains_mps2(follower: FollowerState, velocity_mps: Horizontal) -> float:
 def _stopping_m(mps: float, gains_mps2: float, since_s: float, follower: FollowerState) -> float:
     """Metres to a stop: its speed goes on changing until it leans, from its report `since_s` ago.
 
-    As `stopping_m` of the applet. Without what the wind takes: to a place that is too far it would
-    speed up, and from one that is too near it comes back.
+    As `stopping_m` of the applet. The wind is left out: a vehicle would speed up to a place that is
+    too far; from one that is too near it only comes back.
     """
     changes_s = since_s + LEAN_S
     then_mps = max(0.0, mps + gains_mps2 * changes_s)

@@ -85,7 +85,8 @@ class OwnJump:
     """The jumps of a follower's own receiver.
 
     since_s: when a jump began that is not settled yet, None: there is none; moved_m: by how much,
-    (north, east); total_m: all jumps so far, back again in this sum too; last_s: when the last was.
+    (north, east); total_m: the sum of all jumps, those back again included; last_s: when the last
+    was.
     """
 
     def __init__(self) -> None:

@@ -172,8 +172,9 @@ class LeaderTrack:
     def _agrees(self, fix: LeaderFix) -> bool:
         """Whether a report belongs to the new place that is looked at.
 
-        The longer ago the last believed report, the further a movement might have led: only the
-        nearer of the two places counts, or a jump of 6 m would be a movement after two seconds.
+        It does if it is nearer to the new place than to where the last believed report leads. The
+        time since then must not count: a vehicle can fly 6 m in two seconds, and a jump of 6 m
+        would pass for a movement.
         """
         if self.fix is None or self._candidate is None or _jumps(self._candidate, fix):
             return False

@@ -85,9 +85,9 @@ class OffsetGrid:
         return max(self.sigma_m(direction_rad), wandered_m)
 
     def unproven_shift_m(self, direction_rad: float, now_s: float) -> float:
-        """How much further off along a bearing the leader is estimated, from silence alone.
+        """How much further off along a bearing silence alone has moved the leader.
 
-        The share of the mean that readings do not support any more; never negative.
+        That is the part of the mean that no reading supports any more; never negative.
         """
         further_m = -self.north_m * math.cos(direction_rad) - self.east_m * math.sin(direction_rad)
         return max(0.0, (1.0 - self._kept(now_s)) * further_m)

@@ -21,8 +21,8 @@ NOT_YET_S, ALL_S = 0.3, 0.6
 # Reports are carried on for two seconds at the most; an order may be in force from before.
 REMEMBERED_S = 5.0
 STEP_S = 0.1
-# From an order's arrival until the velocity changes: the motors. The lean takes 0.2 s more, but by
-# so much Guided's own plan was ahead of the velocity that the report shows. Over 2,000 predictions
+# From an order's arrival until the velocity changes: the motors' time. The lean takes 0.2 s more,
+# but Guided's own plan is 0.2 s ahead of the velocity in the report. Over 2,000 predictions
 # with both radios 0.46 s (ArduCopter 4.8 and 4.6 in the simulator) 0.1 s is 0.1 m better than 0.5.
 BEGINS_S = 0.1
 

@@ -20,27 +20,29 @@ from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.flight.state import FollowerState, Known
 from echowing.geo import displace, distance_m, ned_between, wrap_angle_rad
 
-# A leader that the sonar does not hear is approached no faster than this: from it a copter stops
-# within the beam's reach less the receivers' error.
+# A leader that the sonar does not hear is approached no faster than this. A copter stops from it
+# within the beam's reach, even if the receivers are wrong.
 JOIN_MPS, QUIET_S = 1.5, 0.5
-# Where it flies, the tool knows one way late, and its answer takes another: with slow radios a
-# leader counts as heard for so many ways longer.
+# The tool learns late where a follower flies, and its answer takes as long again. With slow radios
+# a leader therefore counts as heard for longer: by so many times the radio's delay.
 QUIET_WAYS = 5.0
 # It closes half of what is left in a second. With all of it in a second a follower on 4.8 still
 # went back and forth by a metre, as its answer comes half a second late.
 CATCH_UP_PER_S = 0.5
-# A leader that is heard: a point up to so far away, and what is left by speed. Where the first
-# echoes move the leader by a metre, Guided would close that with 20 degrees of roll, and the sonar
-# would lose it again (SITL 4.8; a leader that turned round just then came to 0.98 m).
+# To a leader that is heard: the point lies at most so far away, and the rest of the way is flown by
+# speed. The first echoes often move the leader by a metre. Guided would close that with 20 degrees
+# of roll, and the sonar would lose it again (SITL 4.8; one that turned round then came to 0.98 m).
 NEAR_M, HEARD_PER_S = 0.3, 0.7
-# A leader that is not heard gets room, but within the sonar's reach, as far as its place is unsure.
+# A leader that is not heard gets more room, the less its place is known; but the follower stays so
+# far within the sonar's reach.
 WITHIN_REACH_M = 0.7
 # A slot that was opened closes slowly: one that leans to catch up loses its leader.
 CLOSES_MPS = 0.6
-# A leader that is not heard for so long is looked for where it most likely is. Counted up to the
-# last reading that could be used: by slow radio that one is a second old, and the nose would swing.
+# A leader that is not heard for so long is looked for where it most likely is. The time counts up
+# to the last reading that could be used, not up to now: with a slow radio that reading is a second
+# old, and the nose would swing although nothing is lost.
 LOST_S = 1.0
-# A follower this near its slot is in it; nearer than the second it is there.
+# Nearer to its slot than the first, a follower is in it; nearer than the second, it has arrived.
 IN_SLOT_M, AT_SLOT_M = 1.0, 0.05
 
 

@@ -22,19 +22,19 @@ class Swing:
     period_s: float
 
 
-# A leader that was heard is near the tail. The nose sways to both sides in 4 s: by then the search
-# from the tail is complete, for a swing begins slowly. There and back in 20 s is 1.4 m/s at most,
-# 4.4 m away.
+# A leader that was heard before is near the tail. In 4 s the nose has swayed to both sides, and has
+# searched from the tail; the swing, which begins slowly, may begin before. There and back in 20 s
+# is 1.4 m/s at most, 4.4 m away.
 LOST = Swing(3.0, math.radians(60.0), 20.0)
-# Of one that was never heard nothing is known. From 70 degrees aside a third of what the receivers
-# disagree by along the tail counts. From abeam it is none, but a leader that turned a corner then
-# flew at the follower (0.82 m). 1.5 m/s at most.
+# Where one that was never heard is, nobody knows. From 70 degrees aside only a third of what the
+# receivers disagree by along the tail matters; from abeam nothing of it, but there a leader that
+# turned a corner flew at the follower (0.82 m). 1.5 m/s at most.
 NEW = Swing(2.0, math.radians(70.0), 22.0)
 # Before, the nose looks once to both sides: with receivers that disagree by 3 m a leader 2 m away
 # may be beside the beam, and the swing would fly at it (0.66 m in the demo's seed 26).
 LOOK_RAD, LOOK_S = math.radians(30.0), 4.0
-# A swing gathers speed, and loses it, in this time: ArduCopter 4.8 answers a point that sets out at
-# 1 m/s with 2.5 m/s.
+# A swing gains its speed, and loses it, in this time. If the point sets out at 1 m/s at once,
+# ArduCopter 4.8 answers with 2.5 m/s.
 GATHERS_S = 2.0
 # After so many rounds without an echo it waits in its slot until the receivers' errors change.
 ROUNDS = 2

@@ -37,8 +37,8 @@ from echowing.mavlink.messages import TOOL_SYSTEM_ID, position_target, status_te
 
 STALE = "leader is stale"
 DISTANCE_HZ, ATTITUDE_HZ = 5.0, 2.0
-# Heartbeats in a row that are not of one that flies in Guided, before its pilot counts as having
-# left it: whatever holds it for good ends by that. One alone may be another vehicle's, or false.
+# After so many heartbeats in a row that do not say Guided, or not in flight, its pilot counts as
+# having left Guided, which ends every hold. One alone may be another vehicle's, or false.
 AWAY_BEATS = 2
 # The speed sent for a slot that stands.
 LEAST_MPS = 0.001

@@ -86,8 +86,8 @@ class Spacing:
         """The leader where it is seen, and where it is if receivers that have jumped erred."""
         known = self._known
         leader = known.leader_then(follower, arrives_s)
-        # Of a stale leader only its old place is known: to fly away from all that it could have
-        # done since is no safer than to stand.
+        # Of a stale leader only an old place is known. By now it may be anywhere: to fly away from
+        # all of that is no safer than to stand.
         if leader is None or known.leader_is_stale(now_s):
             return
         for place in (leader.position, *_if_erred(leader.position, known.doubted_m(follower))):
@@ -103,8 +103,8 @@ class Spacing:
     def _looks_for_it(self, follower: FollowerState, now_s: float) -> bool:
         """Whether its sonar is still to find the leader.
 
-        That is kept so far off for the receivers' errors that with its braking added it would never
-        be found.
+        Until then it is kept further off, because the receivers may be wrong. With room for its
+        braking on top the follower would stay out of the sonar's reach, and never find it.
         """
         within_reach = follower.plan.slot.radius_m < DETECTION_LIMIT_M
         return within_reach and not follower.estimate.hears(now_s)
@@ -153,7 +153,7 @@ class Spacing:
 
 
 def _if_erred(there: GlobalPosition, shift_m: Horizontal) -> Iterator[GlobalPosition]:
-    """Where another is, seen from here, if all that the two receivers jumped by was their error."""
+    """The other's place if its jumps and ours were errors of the receivers, not movements."""
     if math.hypot(*shift_m) >= SAME_RANGE_M:
         yield displace(there, (*shift_m, 0.0))
 
@@ -161,7 +161,7 @@ def _if_erred(there: GlobalPosition, shift_m: Horizontal) -> Iterator[GlobalPosi
 def _wanted_mps(
     follower: FollowerState, here: GlobalPosition, point: GlobalPosition, now_s: float
 ) -> Ned:
-    """The velocity with which a follower answers a point, and its velocity, from here."""
+    """The velocity with which a follower that is here answers a point that has a velocity."""
     north, east, _ = ned_between(here, point)
     far_m = math.hypot(north, east)
     if follower.feed_mps is not None and follower.estimate.hears(now_s):
@@ -179,14 +179,14 @@ def _redirected(
     wanted_flown_mps: tuple[Ned, Ned],
     urgent_mps: Ned | None,
 ) -> GlobalPosition:
-    """The point, and its velocity, that it answers as the envelope wants instead of as planned."""
+    """The point, with its velocity, whose answer is what the envelope wants to be flown."""
     wanted, flown = wanted_flown_mps
     up_m = here.alt_m - point.alt_m
     if follower.feed_mps is None:
         north, east = _point_m(flown[:2], follower.handling.closing)
         return displace(here, (north, east, up_m))
     if urgent_mps is not None:
-        # With the point where it is nothing is corrected across the way out.
+        # The point is where the vehicle is, so that it corrects nothing across the way out.
         follower.feed_mps = urgent_mps[:2]
         return displace(here, (0.0, 0.0, up_m))
     north, east = follower.feed_mps

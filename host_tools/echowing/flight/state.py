@@ -44,10 +44,10 @@ RAW_FRESH_S = 1.0
 AVERAGE_AGE_S = 0.225
 # Two reports further apart do not tell how the velocity changes now.
 LONGEST_CHANGE_S = 0.5
-# A follower whose link is lost flies on for ECHO_STREAM_T (1 s), and then half as far as it would
-# in the second that it takes to stop.
+# A follower whose link is lost flies on for ECHO_STREAM_T (1 s). Then it stops within a second, in
+# which it flies half as far as at full speed.
 STOPS_AFTER_S = 1.5
-# No longer delay to the vehicle is allowed for: the leader may have turned by then.
+# A longer delay to the vehicle is not predicted: the leader may have turned by then.
 LONGEST_WAY_S = 1.0
 
 Say = Callable[[float, str], None]

@@ -19,9 +19,9 @@ from echowing.geo import GlobalPosition
 SWAPS, SWAPS_S = 3, 10.0
 # A stream that is not the first counts once so many reports in a row go on with it.
 IN_A_ROW = 3
-# A radio that was late and is no more makes a vehicle's clock run ahead of the time between two
-# receipts. In so much more than that time it may have changed its speed, not in all that its clock
-# shows: in five seconds more it could be anywhere, and so could another vehicle.
+# After a radio's delay has ended, a vehicle's clock shows more time between two reports than passed
+# between their receipts. At most so much more counts as time in which it changed its speed. In all
+# that its clock shows, five seconds perhaps, it could be anywhere, and so could another vehicle.
 AHEAD_S = 0.5
 # Reports that come late are compared with the others of their time; radios hold none for longer.
 KEPT_S = 10.0

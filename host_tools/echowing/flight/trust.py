@@ -82,7 +82,7 @@ class Trust:
         if moved_m is not None:
             follower.estimate.history.clear()
             if follower.held_at is not None:
-                # The place where it stands has other coordinates now.
+                # It stands where it stood; only its coordinates have changed.
                 follower.held_at = displace(follower.held_at, (*moved_m, 0.0))
         place = self._known.in_height(follower.plan.system_id, report.position)
         follower.estimate.reported(replace(report, position=place))

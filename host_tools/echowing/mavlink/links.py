@@ -15,10 +15,10 @@ from functools import cache
 from typing import Any, Protocol
 
 from echowing.errors import EchowingError
+from echowing.mavlink.connection import DEFAULT_BAUD
 from echowing.mavlink.signing import LinkSigning, Parser, is_refused
 
 LOOPBACK, EVERYWHERE = "127.0.0.1", "0.0.0.0"
-DEFAULT_BAUD = 57_600  # of telemetry radios and of ArduPilot's SERIAL1
 RETRY_S = 1.0
 # One datagram, or the buffer of a serial port.
 CHUNK_BYTES = 65_535
@@ -28,6 +28,10 @@ MOST_READS = 500
 # More senders than this at one listening port are not vehicles: fifty followers without a router,
 # their leader, and some to spare.
 MOST_PEERS = 64
+# Datagrams of others that are thrown away before the links that are ours get their turn.
+MOST_FOREIGN = 2_000
+# A peer that has been silent for so long may go on from another port: its bridge was restarted.
+MOVED_S = 5.0
 # A vehicle learns the time from our signatures within a second or two; one whose frames are
 # refused for longer has another key, or none.
 REFUSED_S = 3.0
@@ -40,11 +44,6 @@ TAKEN = (
 
 _STILL_CONNECTING = {errno.EINPROGRESS, errno.EALREADY, errno.EWOULDBLOCK}
 _FORMS = "udpin:[HOST:]PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:[HOST:]PORT or a serial device"
-CONN = (
-    "udpin:PORT (on all addresses of this computer), udpin:HOST:PORT, udpout:HOST:PORT, "
-    "tcp:HOST:PORT, tcpin:[HOST:]PORT or a serial device"
-)
-"""What a connection is, for every verb's help."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,15 +118,23 @@ class Transport(Protocol):
 
 
 class UdpListener:
-    """Listens for datagrams; answers all senders of MAVLink."""
+    """Listens for datagrams. Answers all senders of MAVLink until it is told whom it is for.
+
+    From then on (`keep`) it hears and answers only the first sender of each of these vehicles. It
+    may go on from another port of its computer, once the old one has fallen silent.
+    foreign: the address of a sender that was not heard.
+    """
 
     datagrams = True
 
     def __init__(self, address: Address) -> None:
         self._socket = _bound(socket.SOCK_DGRAM, address)
         # In the order of their last messages, so that senders that have gone are dropped first.
-        self._peers: dict[tuple[str, int], None] = {}
+        self._peers: dict[tuple[str, int], float] = {}
+        self._first: dict[int, tuple[str, int]] = {}
         self._last_peer: tuple[str, int] | None = None
+        self._kept: frozenset[int] | None = None
+        self.foreign: str | None = None
 
     def fileno(self) -> int:
         """As `Transport`."""
@@ -135,21 +142,54 @@ class UdpListener:
 
     def read(self) -> bytes:
         """As `Transport`; one datagram."""
-        try:
-            data, self._last_peer = self._socket.recvfrom(CHUNK_BYTES)
-        except (BlockingIOError, ConnectionRefusedError):
-            return b""
-        return data
+        for _ in range(MOST_FOREIGN):
+            try:
+                data, sender = self._socket.recvfrom(CHUNK_BYTES)
+            except (BlockingIOError, ConnectionRefusedError):
+                return b""
+            self._last_peer = sender
+            if self._kept is None or any(sender[0] == host for host, _ in self._peers):
+                return data
+            self._note_foreign(sender)
+        return b""
 
-    def understood(self) -> None:
-        """The last datagram contained MAVLink: answer its sender from now on."""
-        peer = self._last_peer
-        if peer is None:
-            return
-        self._peers.pop(peer, None)
-        self._peers[peer] = None
+    def keep(self, systems: frozenset[int]) -> None:
+        """Hear and answer from now on only the first sender of each of these vehicles."""
+        self._kept = systems
+        firsts = {sender for system_id, sender in self._first.items() if system_id in systems}
+        self._peers = {one: at_s for one, at_s in self._peers.items() if one in firsts}
+
+    def understood(self, systems: Iterable[int] = (), now_s: float = 0.0) -> bool:
+        """The last datagram contained MAVLink of these systems; whether it is to be heard.
+
+        If so its sender is answered from now on.
+        """
+        sender, sent = self._last_peer, set(systems)
+        if sender is None:
+            return True
+        if self._kept is not None and sender not in self._peers:
+            ours = not sent.isdisjoint(self._kept)
+            if not (ours and self._has_moved(sender[0], now_s)):
+                self._note_foreign(sender)
+                return False
+        for system_id in sent:
+            self._first.setdefault(system_id, sender)
+        self._peers.pop(sender, None)
+        self._peers[sender] = now_s
         if len(self._peers) > MOST_PEERS:
             del self._peers[next(iter(self._peers))]
+        return True
+
+    def _has_moved(self, host: str, now_s: float) -> bool:
+        """Whether a peer of this computer has fallen silent; it is forgotten."""
+        for one, at_s in self._peers.items():
+            if one[0] == host and now_s - at_s > MOVED_S:
+                del self._peers[one]
+                return True
+        return False
+
+    def _note_foreign(self, sender: tuple[str, int]) -> None:
+        self.foreign = f"{sender[0]}:{sender[1]}"
 
     def write(self, data: bytes) -> None:
         """As `Transport`."""
@@ -176,11 +216,15 @@ class UdpSender:
         return self._socket.fileno()
 
     def read(self) -> bytes:
-        """As `Transport`; one datagram."""
-        try:
-            return self._socket.recv(CHUNK_BYTES)
-        except (BlockingIOError, ConnectionRefusedError):
-            return b""
+        """As `Transport`; one datagram, of that address only."""
+        for _ in range(MOST_FOREIGN):
+            try:
+                data, sender = self._socket.recvfrom(CHUNK_BYTES)
+            except (BlockingIOError, ConnectionRefusedError):
+                return b""
+            if sender == self._peer:
+                return data
+        return b""
 
     def write(self, data: bytes) -> None:
         """As `Transport`."""
@@ -378,7 +422,8 @@ class Link:
         self._try_at_s = self._opened_at_s = 0.0
         self._complaint = ""
         self._refused_since_s: float | None = None
-        self._refusal_told = False
+        self._refusal_told = self._foreign_told = False
+        self._kept: frozenset[int] | None = None
 
     @property
     def name(self) -> str:
@@ -397,6 +442,12 @@ class Link:
         except (OSError, OverflowError, ValueError) as error:
             raise EchowingError(f"link {self.name}: {_reason(error)}") from error
 
+    def keep(self, systems: Iterable[int]) -> None:
+        """Hear and answer from now on nobody who does not send for these vehicles."""
+        self._kept = frozenset(systems)
+        if isinstance(self._transport, UdpListener):
+            self._transport.keep(self._kept)
+
     def fileno(self) -> int | None:
         """For `select`; None while there is nothing to wait for."""
         return None if self._transport is None else self._transport.fileno()
@@ -413,6 +464,7 @@ class Link:
                 messages += self._parse(data, now_s)
         except OSError as error:
             self._lost(error, now_s)
+        self._tell_of_foreign()
         if messages and not self.connected:
             self._heard()
         elif self.address.kind == "tcp" and not self.connected:
@@ -442,6 +494,8 @@ class Link:
             self._transport = open_transport(self.address)
         except (OSError, OverflowError, ValueError) as error:
             self._complain(error)
+        if isinstance(self._transport, UdpListener) and self._kept is not None:
+            self._transport.keep(self._kept)
         self._parser = Parser(self.signing)
         self._opened_at_s = now_s
         return self._transport is not None
@@ -452,6 +506,18 @@ class Link:
         if silent and self._complaint != TAKEN:
             self._complaint = TAKEN
             self.news.append(f"link {self.name}: {TAKEN}")
+
+    def _tell_of_foreign(self) -> None:
+        """Report once that somebody else sends to this port."""
+        transport = self._transport
+        if not isinstance(transport, UdpListener) or transport.foreign is None:
+            return
+        if not self._foreign_told:
+            self._foreign_told = True
+            self.news.append(
+                f"link {self.name}: {transport.foreign} sends to it too, and is neither heard nor "
+                "answered"
+            )
 
     def _heard(self) -> None:
         self.connected = True
@@ -484,9 +550,11 @@ class Link:
         transport = self._transport
         if transport is not None and transport.datagrams and self._parser.buf_len() > 0:
             self._parser = Parser(self.signing)  # a part of a frame is garbage here
-        if (found or refused) and isinstance(transport, UdpListener):
+        if isinstance(transport, UdpListener):
             # Also if its messages are refused: a vehicle learns the time from our signature.
-            transport.understood()
+            systems = [message.get_srcSystem() for message in found]
+            if (found or refused) and not transport.understood(systems, now_s):
+                return []
         if found:
             self._refused_since_s, self._refusal_told = None, False
         elif refused:

@@ -7,7 +7,8 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.errors import EchowingError
-from echowing.mavlink.links import DEFAULT_BAUD, Address, Link, parse_address, wait
+from echowing.mavlink.connection import DEFAULT_BAUD
+from echowing.mavlink.links import Address, Link, parse_address, wait
 from echowing.mavlink.messages import (
     HEARTBEAT_PERIOD_S,
     TOOL_COMPONENT_ID,
@@ -219,6 +220,8 @@ def find_vehicles(
             for message in link.receive(clock(), say):
                 finder.heard(text, message, clock())
         finder.decide(clock())
+    for text, link in links.items():
+        link.link.keep(known_id(seat) for seat in seats if seat.address.text == text)
     return True
 
 

@@ -25,8 +25,12 @@ KEY_BYTES = 32
 SETUP_LINK_ID = 255
 # A radio's own status messages carry no signature; ArduPilot accepts them all the same.
 NEEDS_NO_SIGNATURE = {mavlink.MAVLINK_MSG_ID_RADIO, mavlink.MAVLINK_MSG_ID_RADIO_STATUS}
-# pymavlink's name for a frame that it does not accept.
+# pymavlink's names for bytes that begin no frame, and for a frame that it does not accept.
+GARBAGE = "Bad prefix"
 _REFUSED = "Invalid signature"
+# Of a frame around its payload; with three bytes of it its length is known.
+_V1_AROUND, _V2_AROUND, _SIGNATURE_BYTES = 8, 12, mavlink.MAVLINK_SIGNATURE_BLOCK_LEN
+_LENGTH_KNOWN = 3
 _PRINTABLE = frozenset(string.printable.encode())
 
 
@@ -103,13 +107,47 @@ class LinkSigning:
 
 
 class Parser(mavlink.MAVLink):  # type: ignore[misc]
-    """A parser that skips garbage; with a `LinkSigning` it accepts only signed messages."""
+    """A parser that skips garbage; with a `LinkSigning` it accepts only signed messages.
+
+    pymavlink believes the length in a frame's head: it waits for so many bytes, and drops them all
+    if the checksum is wrong. On a radio that loses bytes that takes the next frames, too. This one
+    goes back, and looks for a frame behind each head that proved wrong.
+    """
 
     def __init__(self, signing: LinkSigning | None = None) -> None:
         super().__init__(None)
-        self.robust_parsing = True
+        self._damaged_to = 0  # in what waits: the end of the newest damaged frame
         if signing is not None:
             signing.apply(self)
+
+    def parse_buffer(self, data: bytes) -> list[Any]:
+        """The messages that end in these bytes; BAD_DATA: what is damaged, garbage, or refused."""
+        waiting: bytearray = self.buf
+        waiting.extend(data)
+        found, at = [], 0
+        while at < len(waiting):
+            head = _head(waiting, at)
+            # The rest of a damaged frame has been told of.
+            if garbage := waiting[max(at, self._damaged_to) : head]:
+                found.append(mavlink.MAVLink_bad_data(garbage, GARBAGE))
+            at = head
+            if at + _LENGTH_KNOWN > len(waiting) or at + _frame_bytes(waiting, at) > len(waiting):
+                break
+            end = at + _frame_bytes(waiting, at)
+            found.append(self._decoded(waiting[at:end]))
+            if found[-1].get_type() != "BAD_DATA" or is_refused(found[-1]):
+                at = end
+            else:
+                at, self._damaged_to = at + 1, end
+        self._damaged_to = max(0, self._damaged_to - at)
+        del waiting[:at]
+        return found
+
+    def _decoded(self, frame: bytearray) -> Any:
+        try:
+            return self.decode(frame)
+        except mavlink.MAVError as error:
+            return mavlink.MAVLink_bad_data(frame, error.message)
 
     def check_signature(self, msgbuf: bytearray, srcSystem: int, srcComponent: int) -> bool:  # noqa: N803
         """As pymavlink, but a forged frame has no effect.
@@ -126,6 +164,33 @@ class Parser(mavlink.MAVLink):  # type: ignore[misc]
         elif not good:
             times[stream] = before
         return good
+
+
+def _head(data: bytearray, at: int) -> int:
+    """The next place where a frame may begin; the end of the data: there is none."""
+    while at < len(data) and not _may_begin(data, at):
+        at += 1
+    return at
+
+
+def _may_begin(data: bytearray, at: int) -> bool:
+    """Whether what has come of it may be the head of a frame, of a message that is known."""
+    if data[at] == mavlink.PROTOCOL_MARKER_V1:
+        return len(data) <= at + 5 or data[at + 5] in mavlink.mavlink_map
+    if data[at] != mavlink.PROTOCOL_MARKER_V2:
+        return False
+    if len(data) > at + 2 and data[at + 2] & ~mavlink.MAVLINK_IFLAG_SIGNED:
+        return False
+    number = int.from_bytes(data[at + 7 : at + 10], "little")
+    return len(data) < at + 10 or number in mavlink.mavlink_map
+
+
+def _frame_bytes(data: bytearray, at: int) -> int:
+    """How long the frame says to be that begins here."""
+    if data[at] == mavlink.PROTOCOL_MARKER_V1:
+        return _V1_AROUND + data[at + 1]
+    signed = data[at + 2] & mavlink.MAVLINK_IFLAG_SIGNED
+    return _V2_AROUND + data[at + 1] + (_SIGNATURE_BYTES if signed else 0)
 
 
 def is_refused(message: Any) -> bool:

@@ -10,7 +10,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.mavlink.plausible import Door
-from echowing.mavlink.signing import Parser
+from echowing.mavlink.signing import GARBAGE, Parser
 
 # Sender of a message: system id and component id.
 Source = tuple[int, int]
@@ -73,7 +73,7 @@ class Frames:
     def _count_bad(self, message: Any) -> None:
         if self.counts.frames == 0:  # we came in the middle of a frame, or there are none
             return
-        if message.reason == "Bad prefix":
+        if message.reason == GARBAGE:
             self.counts.garbage_bytes += len(message.data)
         else:
             self.counts.damaged += 1

@@ -4,7 +4,7 @@ import argparse
 import json
 from typing import Any
 
-from echowing.mavlink.links import CONN
+from echowing.mavlink.connection import CONN
 from echowing.rig.ports import USB_BAUD
 
 

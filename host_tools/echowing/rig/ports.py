@@ -17,6 +17,8 @@ USB_BAUD = 115_200  # of the firmware's USB port; boards with USB of their own i
 WRITE_TIMEOUT_S = 2.0  # a board whose loop runs takes a frame within milliseconds
 
 _READ_BYTES = 4096
+# Whoever is at the other end: nobody has looked at its messages here.
+_BOARD = frozenset({0})
 
 
 class PortLostError(EchowingError):
@@ -155,9 +157,10 @@ class SocketWire:
             raise PortLostError(f"{self._name}: {_why_hung_up(error)}") from error
 
     def understood(self) -> None:
-        """As `Wire`: answer its sender from now on."""
+        """As `Wire`: answer its sender from now on, and nobody else."""
         if isinstance(self._transport, UdpListener):
-            self._transport.understood()
+            self._transport.understood(_BOARD)
+            self._transport.keep(_BOARD)
 
     def close(self) -> None:
         """As `Wire`."""

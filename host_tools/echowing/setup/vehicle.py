@@ -15,7 +15,8 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.errors import EchowingError
-from echowing.mavlink.links import DEFAULT_BAUD, Link, wait
+from echowing.mavlink.connection import DEFAULT_BAUD
+from echowing.mavlink.links import Link, wait
 from echowing.mavlink.messages import (
     HEARTBEAT_PERIOD_S,
     TOOL_COMPONENT_ID,

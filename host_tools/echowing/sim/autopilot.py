@@ -49,6 +49,8 @@ TEXT_CHARACTERS = 50
 HELD_TEXTS = 30  # texts kept for a link where nobody has been heard yet (GCS_Common.cpp)
 # Receiver as SITL's default: sticks in the middle, throttle low, switches as it has them.
 _RC_US = (1500, 1500, 1000, 1500, 1800, 1000, 1000, 1800, *(0,) * 8)
+# Guided squares what it is given, in 32 bits, and SITL traps what overflows as it traps NaN.
+_SQUARE_OVERFLOWS = math.sqrt(3.4028234e38)
 _AUX_HIGH_US, _AUX_LOW_US = 1800, 1200  # RC_Channel.h: AUX_SWITCH_PWM_TRIGGER_HIGH, _LOW
 _RC_VALID_US = range(801, 2200)
 _RC_OPTION_CHANNELS = 16
@@ -67,7 +69,7 @@ class AutopilotEndedError(EchowingError):
     def __init__(self, system_id: int) -> None:
         super().__init__(
             f"the autopilot of vehicle {system_id} ended (floating point exception): its script "
-            "gave Guided a target with a number that is not finite"
+            "gave Guided a target with a number that cannot be computed with"
         )
         self.system_id = system_id
 
@@ -659,7 +661,7 @@ class Autopilot:
 
         What MAVLink brings it checks (sane_vel_or_acc_vector); the Lua bindings do not.
         """
-        if not all(map(math.isfinite, numbers)):
+        if not all(abs(number) < _SQUARE_OVERFLOWS for number in numbers):  # nor is NaN
             raise AutopilotEndedError(self.system_id)
 
     def position_ned_m(self) -> Ned | None:

@@ -1,11 +1,14 @@
 """A radio as its bytes meet it: it cuts them into packets of its own, and loses packets.
 
-A telemetry radio knows no frames. It sends what waits in its buffer, and the packet that is lost
-takes the end of one frame and the beginning of the next with it.
+A telemetry radio knows no frames. When its turn comes it sends what waits in its buffer, and the
+packet that is lost takes the end of one frame and the beginning of the next with it.
 """
 
 import random
 from dataclasses import dataclass
+
+# A packet does not wait longer for more bytes: about what a SiK radio's turns on the air are apart.
+WAITS_S = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,12 +35,16 @@ class PacketCutter:
         self.loss = loss
         self.has_cut = False
         self._rng = rng
-        self._left = 0  # bytes of the packet under way that are still to come
+        self._left = 0  # bytes of the packet under way that may still come
+        self._fed_s = 0.0
         self._lost = False
         self._wrong: tuple[int, int] | None = None  # bytes left after the one that is wrong; bit
 
-    def carry(self, data: bytes) -> bytes:
-        """What arrives of `data`."""
+    def carry(self, data: bytes, t_s: float = 0.0) -> bytes:
+        """What arrives of `data`, sent at `t_s`; without times it is all one stream."""
+        if t_s - self._fed_s > WAITS_S:
+            self._left = 0
+        self._fed_s = t_s
         if not (self.loss.byte_loss or self.loss.flip):
             self._left = 0
             return data

@@ -5,10 +5,11 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from echowing.geo import Ned
-from echowing.sim.section import NotNegative, Positive, Section
+from echowing.section import NotNegative, Positive, Section, Share
 
 FaultKind = Literal[
     "autopilot_rebooted",
+    "bytes_lost",
     "coprocessor_off",
     "coprocessor_reset",
     "gps_jump",
@@ -37,9 +38,11 @@ FaultKind = Literal[
 LEADER = 1
 LEADER_FAULTS = {"leader_attacks", "leader_climbs", "leader_reverses", "leader_stops"}
 FORMATION_FAULTS = {"north_south_offset", "tool_killed", "tool_stopped"}
-ANY_VEHICLES_FAULTS = {"gps_jump", "gps_lost", "home_differs", "outage", "stop_switch"}
+ANY_VEHICLES_FAULTS = {"bytes_lost", "gps_jump", "gps_lost", "home_differs", "outage"}
+ANY_VEHICLES_FAULTS |= {"stop_switch"}
 # The values that a kind takes beside its times and its vehicle; all others are refused for it.
 _VALUES = {
+    "bytes_lost": {"byte_loss", "link", "way"},
     "gps_jump": {"jump_ned_m"},
     "home_differs": {"height_m"},
     "late_echoes": {"range_m"},
@@ -55,7 +58,11 @@ _ALL_VALUES = set().union(*_VALUES.values())
 _MOMENTS = {"coprocessor_reset", "tool_stopped"}
 # Without these the kind says nothing.
 _NEEDED = {"gps_jump": "jump_ned_m", "home_differs": "height_m", "late_echoes": "range_m"}
-_NEEDED |= {"narrow_beam": "half_angle_deg", "leader_climbs": "climb_mps"}
+_NEEDED |= {
+    "bytes_lost": "byte_loss",
+    "narrow_beam": "half_angle_deg",
+    "leader_climbs": "climb_mps",
+}
 _LASTING = {"home_differs", "north_south_offset"}
 
 
@@ -71,7 +78,11 @@ class FaultSection(Section):
     vehicle: Annotated[int, Field(ge=1)] | None = None
     """On which vehicle: 1 is the leader, 2 the first follower."""
     way: Literal["both", "down", "up"] = "both"
-    """Of `outage`: from the vehicle (`down`), to it (`up`), or both."""
+    """Of `outage` and `bytes_lost`: from the autopilot (`down`), to it (`up`), or both."""
+    link: Literal["radio", "wire"] = "radio"
+    """Of `bytes_lost`: the vehicle's radio, or the wire to its co-processor."""
+    byte_loss: Share = 0.0
+    """Of `bytes_lost`: share of the packets lost, as in `[radio.leader]`."""
     jump_ned_m: Ned = (0.0, 0.0, 0.0)
     """Of `gps_jump`: north, east, down."""
     speed_mps: Positive = 1.0
@@ -112,6 +123,8 @@ class FaultSection(Section):
             raise ValueError(f"{self.kind} needs `vehicle`: 1 is the leader, 2 the first follower")
         elif self.vehicle == LEADER and self.kind not in ANY_VEHICLES_FAULTS:
             raise ValueError(f"{self.kind} is a follower's: vehicle is 2 or more")
+        if self.vehicle == LEADER and self.link == "wire":
+            raise ValueError("the leader has no co-processor: link is radio")
         return self
 
     @property

@@ -8,6 +8,7 @@ import math
 import random
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from echowing.geo import GlobalPosition, Ned, displace, ned_between
@@ -92,6 +93,24 @@ def _outage(flight: "FormationFlight", fault: FaultSection) -> Iterator[Step]:
     yield _nothing
     for way in ways:
         way.outage = False
+
+
+@contextmanager
+def _bytes_lost(flight: "FormationFlight", fault: FaultSection) -> Iterator[Step]:
+    """A vehicle's radio, or the wire to its co-processor, loses more bytes than before."""
+    if fault.link == "wire":
+        follower = _follower(flight, fault)
+        ways = {"down": follower.wire_down, "up": follower.wire_up}
+    else:
+        link = flight.ground.links[fault.vehicle or 0]
+        ways = {"down": link.down.cutter, "up": link.up.cutter}
+    cutters = [cutter for way, cutter in ways.items() if fault.way in (way, "both")]
+    before = [cutter.loss for cutter in cutters]
+    for cutter in cutters:
+        cutter.loss = replace(cutter.loss, byte_loss=fault.byte_loss)
+    yield _nothing
+    for cutter, loss in zip(cutters, before, strict=True):
+        cutter.loss = loss
 
 
 @contextmanager
@@ -347,6 +366,7 @@ def _sum(a: Ned, b: Sequence[float]) -> Ned:
 
 _BEGIN: dict[str, Callable[["FormationFlight", FaultSection], Running]] = {
     "autopilot_rebooted": _autopilot_rebooted,
+    "bytes_lost": _bytes_lost,
     "coprocessor_off": _coprocessor_off,
     "coprocessor_reset": _coprocessor_reset,
     "gps_jump": _gps_jump,

@@ -15,6 +15,7 @@ from pathlib import Path
 from echowing.analysis.flight import Flight
 from echowing.flight.guard import FIELD_LIMITS, Limits
 from echowing.flight.guidance import MOVING_MPS, slot_offset_m
+from echowing.flight.lowest import LOWEST_M
 from echowing.flight.readiness import Readiness
 from echowing.flight.session import FollowSession
 from echowing.flight.state import FollowerPlan, FollowerState
@@ -76,7 +77,7 @@ class FormationWorld:
 
     def __init__(self, scenario: Scenario, hangar: Hangar) -> None:
         self.scenario = scenario
-        self._hangar = hangar
+        self.hangar = hangar
         self._step = 0
         self.leader = hangar.leader()
         self.pilot = LeaderPilot(self.leader, scenario.leader)
@@ -112,7 +113,7 @@ class FormationWorld:
             body.down_m - slot.altitude_step_m,
         )
         speed_mps = self.scenario.follower.speed_mps
-        return self._hangar.follower(index, start, body.yaw_rad, speed_mps, self._listen)
+        return self.hangar.follower(index, start, body.yaw_rad, speed_mps, self._listen)
 
     def _listen(self, follower: SimFollower, t_s: float) -> float | None:
         """What this follower's sonar hears now."""
@@ -199,8 +200,10 @@ class FormationFlight(FormationWorld):
     def new_session(self) -> FollowSession:
         """A session as the ground tool begins one."""
         scenario = self.scenario
+        # A leader that is carried may be lower than any follower is flown.
+        altitude_m = max(LOWEST_M, scenario.leader.altitude_m)
         plans = [
-            FollowerPlan(FIRST_FOLLOWER_ID + i, slot, scenario.leader.altitude_m)
+            FollowerPlan(FIRST_FOLLOWER_ID + i, slot, altitude_m)
             for i, slot in enumerate(scenario.slots())
         ]
         return FollowSession(
@@ -213,10 +216,10 @@ class FormationFlight(FormationWorld):
 
     def _make_ground(self) -> GroundStation:
         scenario = self.scenario
-        links = {LEADER_ID: self._hangar.telemetry(self.leader, "leader", scenario.radio.leader)}
+        links = {LEADER_ID: self.hangar.telemetry(self.leader, "leader", scenario.radio.leader)}
         for system_id, follower in enumerate(self.followers, FIRST_FOLLOWER_ID):
             name = f"follower-{system_id}"
-            links[system_id] = self._hangar.telemetry(follower, name, scenario.radio.follower)
+            links[system_id] = self.hangar.telemetry(follower, name, scenario.radio.follower)
         return GroundStation(self.new_session(), links, scenario.guidance.rate_hz)
 
     def _watch(self) -> None:

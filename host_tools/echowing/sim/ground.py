@@ -97,7 +97,7 @@ class Telemetry:
 
     def _whole(self, radio: Radio, packets: list[bytes]) -> list[bytes]:
         """The whole frames of what a radio has brought, as the ground tool's links find them."""
-        if radio.cutter is None or not radio.cutter.has_cut:
+        if not radio.cutter.has_cut:
             return packets
         found = self._parsers[radio].parse_buffer(b"".join(packets)) or ()
         return [bytes(message.get_msgbuf()) for message in found if message.get_msgId() >= 0]

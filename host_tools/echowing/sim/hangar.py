@@ -90,7 +90,7 @@ class Hangar:
             listen=listen,
             make_coprocessor=self._make_coprocessor,
             rng=self.rng(f"sonar {index}"),
-            wire=self._cutters(f"wire {index}", scenario.wire),
+            wire=self.cutters(f"wire {index}", scenario.wire),
             wind=wind,
         )
         if scenario.law != "none":
@@ -99,7 +99,7 @@ class Hangar:
 
     def telemetry(self, vehicle: SimVehicle, name: str, radio: RadioSection) -> Telemetry:
         """The vehicle's radio link."""
-        down, up = self._cutters(name, radio)
+        down, up = self.cutters(name, radio)
         return Telemetry(
             vehicle.autopilot,
             down=Radio(radio.settings(), self.rng(f"radio down {name}"), down),
@@ -107,7 +107,7 @@ class Hangar:
             log=open_log(self._out, name),
         )
 
-    def _cutters(self, name: str, link: LossySection) -> tuple[PacketCutter, PacketCutter]:
+    def cutters(self, name: str, link: LossySection) -> tuple[PacketCutter, PacketCutter]:
         """What a link does to the bytes of either way."""
         loss = link.byte_settings()
         down, up = (self.rng(f"bytes {way} {name}") for way in ("down", "up"))

@@ -74,7 +74,7 @@ class ParkedHangar(Hangar):
             listen=listen,
             make_coprocessor=self._make_coprocessor,
             rng=self.rng(f"sonar {index}"),
-            wire=self._cutters(f"wire {index}", self.scenario.wire),
+            wire=self.cutters(f"wire {index}", self.scenario.wire),
             wind=self._wind(f"follower {index}", body),
         )
 

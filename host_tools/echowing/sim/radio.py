@@ -5,7 +5,7 @@ import random
 from dataclasses import dataclass
 from itertools import count
 
-from echowing.sim.cutter import PacketCutter
+from echowing.sim.cutter import ByteLoss, PacketCutter
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +34,7 @@ class Radio:
         self, settings: RadioSettings, rng: random.Random, cutter: PacketCutter | None = None
     ) -> None:
         self.settings = settings
-        self.cutter = cutter
+        self.cutter = cutter or PacketCutter(ByteLoss(), rng)
         self.silent = False  # the vehicle's radio is off: nothing gets through
         self.outage = False  # a fault in between, with the same effect
         self._rng = rng
@@ -62,8 +62,8 @@ class Radio:
         else:
             # Jitter alone keeps the order, as a serial link does.
             self._newest_out_s = arrives_s = max(arrives_s, self._newest_out_s)
-        arrives = packet if self.cutter is None else self.cutter.carry(packet)
-        heapq.heappush(self._flying, (arrives_s, next(self._number), arrives))
+        left = self.cutter.carry(packet, t_s)
+        heapq.heappush(self._flying, (arrives_s, next(self._number), left))
 
     def receive(self, t_s: float) -> list[bytes]:
         """What has arrived by `t_s`, in order of arrival, a packet each; once cut, any bytes."""

@@ -1,6 +1,5 @@
 """Scenarios: what is flown, as TOML, checked before anything moves."""
 
-import math
 import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
@@ -12,14 +11,15 @@ from pydantic import BaseModel, Field, ValidationError, field_validator, model_v
 
 from echowing.errors import EchowingError
 from echowing.flight.build_up import LEAST_DIST_M, MOST_DIST_M
-from echowing.flight.formation import DEFAULT_SLOT_SEPARATION_M, check_formation
+from echowing.flight.formation import check_formation
 from echowing.flight.guidance import GRAY, GuidanceSettings, Slot
+from echowing.section import NotNegative, Positive, Section, Share
 from echowing.sim.cutter import ByteLoss
 from echowing.sim.fault_section import LEADER_FAULTS, FaultSection, objection
 from echowing.sim.named_parameters import objections
 from echowing.sim.parameters import Generation
 from echowing.sim.radio import RadioSettings
-from echowing.sim.section import NotNegative, Positive, Section, Share
+from echowing.tool.formation_file import FormationSection
 
 # The names of the speed laws, and the applet's number for each (lua/echowing.md).
 LAWS = {"thesis": 0, "bands": 1, "continuous": 2}
@@ -89,35 +89,6 @@ class LeaderSection(Section):
         if self.path == "script" and not self.script:
             raise ValueError("path 'script' needs at least one [[leader.script]] event")
         return self
-
-
-class SlotSection(Section):
-    """One follower's place: radius, angle off the tail (counter-clockwise), altitude step."""
-
-    radius_m: Positive
-    """Distance from the leader."""
-    angle_deg: Annotated[float, Field(ge=-90.0, le=90.0)] = 0.0
-    """Off the leader's tail, counter-clockwise."""
-    altitude_step_m: float = 0.0
-    """Above the leader."""
-    echo_dist_m: Positive | None = None
-    """Its applet's `ECHO_DIST`; none: as under `[applet]`, else the radius where the applet takes
-    it (1.5 to 6 m)."""
-    starts_at: Annotated[int, Field(ge=1)] | None = None
-    """Number of the slot (from 1) that its follower starts behind; none: its own."""
-
-    def slot(self) -> Slot:
-        """The slot in radians."""
-        return Slot(self.radius_m, math.radians(self.angle_deg), self.altitude_step_m)
-
-
-class FormationSection(Section):
-    """Who flies where."""
-
-    slots: Annotated[tuple[SlotSection, ...], Field(min_length=1)] = (SlotSection(radius_m=3.0),)
-    """One follower each, `[[formation.slots]]`; without any one slot 3 m behind."""
-    slot_separation_m: Positive = DEFAULT_SLOT_SEPARATION_M
-    """Slots nearer to each other than this are refused."""
 
 
 _OURS = GuidanceSettings()
@@ -212,11 +183,11 @@ class LossySection(Section):
     """What a link does to the bytes on it, both ways alike (see `echowing.sim.cutter`)."""
 
     byte_loss: Share = 0.0
-    """Share of the radio's packets lost, which are cut from the bytes anywhere."""
+    """Share of the packets lost, which are cut from the bytes anywhere; with `--serve`, too."""
     packet_bytes: tuple[PacketBytes, PacketBytes] = (20, 80)
     """Of `byte_loss` and `flip`: least and most bytes of a packet."""
     flip: Share = 0.0
-    """Share of the radio's packets that arrive with one wrong bit."""
+    """Share of those packets that arrive with one wrong bit."""
 
     @field_validator("packet_bytes")
     @classmethod
@@ -251,6 +222,11 @@ class RadioSection(LossySection):
     """How much later."""
     duplicate: Share = 0.0
     """Share of the frames that arrive twice."""
+
+    @property
+    def frames_lost(self) -> float:
+        """Share of the frames that do not arrive: most lie in two of the packets that are cut."""
+        return 1.0 - (1.0 - self.loss) * ((1.0 - self.byte_loss) * (1.0 - self.flip)) ** 2
 
     def settings(self) -> RadioSettings:
         """The same for the radio model."""

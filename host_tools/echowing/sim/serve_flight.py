@@ -1,12 +1,14 @@
 """A scenario's world in real time for other tools: vehicles in the air, nobody on the ground."""
 
+import time
 from contextlib import closing
 from pathlib import Path
 
 from echowing.errors import EchowingError
+from echowing.flight.envelope import LEAST_M
 from echowing.flight.formation import check_formation, receivers_demand_m
-from echowing.flight.guard import MIN_SEPARATION_M
 from echowing.geo import Ned
+from echowing.sim.cutter import PacketCutter
 from echowing.sim.flight import FormationWorld
 from echowing.sim.ground import TELEMETRY
 from echowing.sim.guided import SubMode
@@ -14,10 +16,11 @@ from echowing.sim.hangar import Hangar
 from echowing.sim.modes import GUIDED
 from echowing.sim.page import WorldOnPage
 from echowing.sim.parked import ParkedHangar, ParkedWorld, insert_cards
-from echowing.sim.scenario import FormationSection, Scenario
+from echowing.sim.scenario import Scenario
 from echowing.sim.serve import Endpoint, Server
 from echowing.sim.vehicles import LeaderPilot, SimFollower, SimVehicle
 from echowing.stopping import stop_on_signals
+from echowing.tool.formation_file import FormationSection
 from echowing.tool.run import Page
 
 # Ports of one vehicle, as SITL lays them out: the next vehicle 10 on, a second link 2 on.
@@ -50,6 +53,25 @@ class WaitingPilot(LeaderPilot):
 def _is_led(follower: SimFollower) -> bool:
     modes = follower.autopilot.modes
     return modes.mode == GUIDED and modes.guided.sub_mode in LED
+
+
+class LossyEndpoint:
+    """A vehicle's endpoint whose telemetry radio loses bytes, to it (`up`) and from it (`down`)."""
+
+    def __init__(self, endpoint: Endpoint, down: PacketCutter, up: PacketCutter) -> None:
+        self._endpoint = endpoint
+        self._down, self._up = down, up
+
+    def receive(self, link: str, data: bytes) -> None:
+        """Bytes off the wire."""
+        if link == TELEMETRY:
+            data = self._up.carry(data, time.monotonic())
+        self._endpoint.receive(link, data)
+
+    def transmit(self, link: str) -> bytes:
+        """Bytes to go on the wire."""
+        data = self._endpoint.transmit(link)
+        return self._down.carry(data, time.monotonic()) if link == TELEMETRY else data
 
 
 class SilencedLeader:
@@ -131,7 +153,9 @@ def _connect(server: Server, world: FormationWorld, port: int) -> None:
     for index, vehicle in enumerate(vehicles):
         autopilot = vehicle.autopilot
         leads = vehicle is world.leader
-        endpoint = SilencedLeader(autopilot, world.pilot) if leads else autopilot
+        heard: Endpoint = SilencedLeader(autopilot, world.pilot) if leads else autopilot
+        radio = world.scenario.radio.leader if leads else world.scenario.radio.follower
+        endpoint = LossyEndpoint(heard, *world.hangar.cutters(f"served {index}", radio))
         for link, shift in ((TELEMETRY, 0), (PILOT_LINK, PILOT_PORT)):
             autopilot.add_link(link)
             server.connect(endpoint, link, f"tcpin:{port + VEHICLE_PORTS * index + shift}")
@@ -198,7 +222,7 @@ def _demanded_m(formation: FormationSection) -> float:
 
     What a scenario allows for a simulated flight must not loosen what the field tool demands.
     """
-    return max(formation.slot_separation_m, receivers_demand_m(MIN_SEPARATION_M))
+    return max(formation.slot_separation_m, receivers_demand_m(LEAST_M))
 
 
 def _as_toml(formation: FormationSection) -> str:

@@ -14,7 +14,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.errors import EchowingError
 from echowing.geo import GlobalPosition, Ned, ned_between
-from echowing.mavlink.links import DEFAULT_BAUD, Link
+from echowing.mavlink.connection import DEFAULT_BAUD
+from echowing.mavlink.links import Link
 from echowing.mavlink.messages import HEARTBEAT_PERIOD_S, message_interval, tool_heartbeat
 from echowing.mavlink.seats import OpenLink, Say, VehicleFinder, known_id, parse_seat
 from echowing.sim.sonar import body_to_ned

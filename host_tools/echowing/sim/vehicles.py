@@ -150,11 +150,11 @@ class SimFollower(SimVehicle):
             return
         self.gimbal.step(dt_s, coprocessor.pan_us, coprocessor.tilt_us)
         if down:
-            coprocessor.feed(AUTOPILOT_PORT, self.wire_down.carry(down))
+            coprocessor.feed(AUTOPILOT_PORT, self.wire_down.carry(down, t_us / 1e6))
         coprocessor.run_until(t_us - self._powered_since_us)
         up = coprocessor.take(AUTOPILOT_PORT)
         if up:
-            self.autopilot.receive(COPROCESSOR, self.wire_up.carry(up))
+            self.autopilot.receive(COPROCESSOR, self.wire_up.carry(up, t_us / 1e6))
 
     def load_applet(self, path: Path) -> None:
         """Put the applet on this vehicle's SD card and start it."""

@@ -18,6 +18,7 @@ from echowing.flight.session import FollowSession
 from echowing.flight.standstill import Standstill
 from echowing.flight.state import FollowerPlan, Guide
 from echowing.flight.take_off import TakeOff
+from echowing.geo import load_exact
 from echowing.mavlink.links import Address, Link, wait
 from echowing.mavlink.messages import status_text
 from echowing.mavlink.seats import OpenLink, Seat, StrangerWatch, find_vehicles, known_id
@@ -112,6 +113,7 @@ class FollowTool:
         keys: Callable[[], bytes] | None = None,
         page: Page | None = None,
     ) -> None:
+        load_exact()  # half a second, which no tick may wait
         self._options = options
         self._keys = keys
         self._page = page

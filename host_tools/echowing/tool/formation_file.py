@@ -1,0 +1,73 @@
+"""A formation as a TOML file has it, for `follow --formation` and for scenarios alike."""
+
+import math
+import tomllib
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field, ValidationError
+
+from echowing.errors import EchowingError
+from echowing.flight.formation import (
+    DEFAULT_SLOT_SEPARATION_M,
+    check_formation,
+    receivers_demand_m,
+)
+from echowing.flight.guidance import Slot
+from echowing.section import Positive, Section
+
+
+class SlotSection(Section):
+    """One follower's place: radius, angle off the tail (counter-clockwise), altitude step."""
+
+    radius_m: Positive
+    """Distance from the leader."""
+    angle_deg: Annotated[float, Field(ge=-90.0, le=90.0)] = 0.0
+    """Off the leader's tail, counter-clockwise."""
+    altitude_step_m: float = 0.0
+    """Above the leader."""
+    echo_dist_m: Positive | None = None
+    """Its applet's `ECHO_DIST`; none: as under `[applet]`, else the radius where the applet takes
+    it (1.5 to 6 m)."""
+    starts_at: Annotated[int, Field(ge=1)] | None = None
+    """Number of the slot (from 1) that its follower starts behind; none: its own."""
+
+    def slot(self) -> Slot:
+        """The slot in radians."""
+        return Slot(self.radius_m, math.radians(self.angle_deg), self.altitude_step_m)
+
+
+class FormationSection(Section):
+    """Who flies where."""
+
+    slots: Annotated[tuple[SlotSection, ...], Field(min_length=1)] = (SlotSection(radius_m=3.0),)
+    """One follower each, `[[formation.slots]]`; without any one slot 3 m behind."""
+    slot_separation_m: Positive = DEFAULT_SLOT_SEPARATION_M
+    """Slots nearer to each other than this are refused."""
+
+
+def load_formation(path: Path, least_m: float) -> tuple[list[Slot], float]:
+    """Slots of a TOML file with [[slots]], and how far apart they have to be.
+
+    The same keys as in a scenario's formation; where it does not say how far apart, so far as the
+    followers' receivers demand for `least_m`.
+    """
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+        formation = FormationSection.model_validate(table)
+    except OSError as error:
+        raise EchowingError(f"--formation {path}: cannot be read: {error.strerror}") from error
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise EchowingError(f"--formation {path}: cannot be read: {error}") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])
+        raise EchowingError(f"--formation {path}: {key}: {first['msg']}") from error
+    slots = [section.slot() for section in formation.slots]
+    told = "slot_separation_m" in formation.model_fields_set
+    apart_m = formation.slot_separation_m if told else receivers_demand_m(least_m)
+    try:
+        check_formation(slots, apart_m)
+    except EchowingError as error:
+        raise EchowingError(f"--formation {path}: {error}") from error
+    return slots, apart_m
