@@ -337,6 +337,7 @@ class Flight:
                 self.killed = True
             case ("restart",):
                 self.host = self._new_host()
+                self._wait(1)  # what a pilot sets before it runs is taken for the dead script's
             case ("pause", milliseconds):
                 vehicle.t_ms += milliseconds // STEP_MS * STEP_MS
 
