@@ -336,8 +336,10 @@ class Flight:
                 self.host.kill_after(instructions)
                 self.killed = True
             case ("restart",):
+                # What a pilot sets while no script looks at it is taken for the dead script's.
+                self._wait(6)
                 self.host = self._new_host()
-                self._wait(1)  # what a pilot sets before it runs is taken for the dead script's
+                self._wait(1)
             case ("pause", milliseconds):
                 vehicle.t_ms += milliseconds // STEP_MS * STEP_MS
 
