@@ -50,6 +50,7 @@ NEAR_M, FASTEST_MPS, HARDEST_MPS2, TURN_RPS = 50.01, 30.01, 10.01, 4.01  # with 
 FLOOR_MPS, MOST_MPS = 0.2, 15.0  # of the speed parameter, ECHO_SPD_MIN and ECHO_SPD_MAX
 SLACK = 1e-4  # 32-bit numbers
 PILOT_MPS = 10.0
+NOBODYS_MPS = 0.0625  # so a pilot's value is never what the applet has written: it could not tell
 HANDED_BACK_MS = 500  # two of the applet's pauses out of control
 ALIVE_AGAIN_MS = 5000  # all parameters are read within 2 s; then a target is trusted after 0.5 s
 NOT_FINITE = re.compile(r"(?<![a-z])-?(nan|inf)(?![a-z])", re.IGNORECASE)
@@ -204,7 +205,7 @@ def _pilot(rng: Random, *, dies: bool) -> Iterator[Action]:
             ("vehicle", "mode", rng.choice([GUIDED, GUIDED, 0, 3, LOITER, 6])),
             ("vehicle", "is_armed", rng.random() < 0.7),
             ("switch", rng.choice([300, 301]), rng.choice([None, 0, 1, 2, 2])),
-            ("wait", 5) if dies else ("pilot", rng.randrange(4, 60) / 4.0),
+            ("wait", 5) if dies else ("pilot", rng.randrange(4, 58) / 4.0 + NOBODYS_MPS),
         ]
     )
 
@@ -335,7 +336,10 @@ class Flight:
                 self.host.kill_after(instructions)
                 self.killed = True
             case ("restart",):
+                # What a pilot sets while no script looks at it is taken for the dead script's.
+                self._wait(6)
                 self.host = self._new_host()
+                self._wait(1)
             case ("pause", milliseconds):
                 vehicle.t_ms += milliseconds // STEP_MS * STEP_MS
 

@@ -23,11 +23,15 @@ from .table import Entry, Figures
 from .vehicle import Vehicle
 
 SPEED_MPS = 1.5
-SETTLE_S, CLEAN_S, LOSSY_S, FLOOD_S, NAN_S = 12.0, 30.0, 60.0, 30.0, 10.0
+SETTLE_S, CLEAN_S, LOSSY_S, FLOOD_S, NAN_S = 12.0, 30.0, 60.0, 30.0, 20.0
+# Not the demo's 0.46 s: two reports lost in a row would be a stale leader, which is another case.
+LATENCY_S = 0.05
 LOST = 0.05  # share of the radio's packets
 FLOOD_HZ, NAN_HZ = 100.0, 10.0
-# A point with a right checksum and no number in it is the autopilot's, too, and stops it each time.
-WHOLE_NAN_HZ = 0.5
+RENEW_S = 1.0  # frames are made where the follower is; not each, the suite has more to do
+# A point with a right checksum and no number in it is the autopilot's, too: each time Guided itself
+# holds the position (hold_position, GCS_MAVLink_Copter.cpp) until the applet's next target.
+WHOLE_NAN_HZ, HELD_M = 0.5, 0.3
 LEAST_M = 1.0
 # Receivers drift, and half a minute is not like the next: two clean halves differ by 0.1 m.
 WORSE_M = 0.15
@@ -36,7 +40,7 @@ BAD_TEXTS = ("Lua:", "ECHO: error", "ECHO: handed back")
 
 
 def test_radios_lose_bytes(start: Start, table: list[Entry]) -> None:
-    formation = _following(start())
+    formation = _following(start(latency_s=LATENCY_S))
     clean = _flown(formation, CLEAN_S)
     links = [formation.leader_link, *formation.follower_links]
     for link in links:
@@ -49,24 +53,26 @@ def test_radios_lose_bytes(start: Start, table: list[Entry]) -> None:
 
 
 def test_flood_of_wrong_checksums(start: Start, table: list[Entry]) -> None:
-    formation = _following(start())
+    formation = _following(start(latency_s=LATENCY_S))
     clean = _flown(formation, CLEAN_S)
     since_s = time.monotonic()
-    with_flood = _flown_with(formation, FLOOD_HZ, FLOOD_S, lambda: spoiled(_aside(formation)))
+    with_flood = _flown_with(formation, FLOOD_HZ, FLOOD_S, lambda: [spoiled(_aside(formation))])
     case = f"{FLOOD_HZ:.0f} points/s with a wrong checksum"
     _enter(table, formation, case, since_s, with_flood, clean)
 
 
 @pytest.mark.parametrize("checksum", ["wrong", "right"])
 def test_point_without_a_number(start: Start, table: list[Entry], checksum: str) -> None:
-    formation = _following(start())
+    formation = _following(start(latency_s=LATENCY_S))
     clean = _flown(formation, NAN_S)
     since_s = time.monotonic()
+    worse_m = WORSE_M
     if checksum == "wrong":
-        flown = _flown_with(formation, NAN_HZ, NAN_S, lambda: spoiled(_nan(formation)))
+        flown = _flown_with(formation, NAN_HZ, NAN_S, lambda: [spoiled(_nan(formation))])
     else:
-        flown = _flown_with(formation, WHOLE_NAN_HZ, NAN_S, lambda: _nan(formation))
-    _enter(table, formation, f"NaN points, {checksum} checksum", since_s, flown, clean)
+        flown = _flown_with(formation, WHOLE_NAN_HZ, NAN_S, lambda: [_nan(formation)])
+        worse_m = HELD_M
+    _enter(table, formation, f"NaN points, {checksum} checksum", since_s, flown, clean, worse_m)
 
 
 def test_unsigned_frames_on_a_signed_link(
@@ -76,11 +82,16 @@ def test_unsigned_frames_on_a_signed_link(
     signed = sign(kit, case_folder, tmp_path)
     if not signed.exempt:
         return
-    formation = _following(start(prepared=signed.folder, key=KEY), *signed.options)
+    formation = _following(
+        start(prepared=signed.folder, key=KEY, latency_s=LATENCY_S), *signed.options
+    )
     clean = _flown(formation, NAN_S)
     since_s = time.monotonic()
-    frames = itertools.cycle([_nan, _aside])
-    flown = _flown_with(formation, NAN_HZ, NAN_S, lambda: spoiled(next(frames)(formation)))
+
+    def frames() -> list[bytes]:
+        return [spoiled(_nan(formation)), spoiled(_aside(formation))]
+
+    flown = _flown_with(formation, NAN_HZ, NAN_S, frames)
     case = "unsigned, wrong checksum, signed link"
     _enter(table, formation, case, since_s, flown, clean)
 
@@ -123,15 +134,28 @@ def _following(formation: Formation, *more: str) -> Formation:
 
 
 def _flown_with(
-    formation: Formation, rate_hz: float, duration_s: float, frame: Callable[[], bytes]
+    formation: Formation, rate_hz: float, duration_s: float, make: Callable[[], list[bytes]]
 ) -> Metrics:
     """A part of the flight while such frames come in."""
     follower = formation.follower
-    follower.every("hostile", 1.0 / rate_hz, lambda: follower.send_bytes(frame()))
+    frames: list[bytes] = []
+    numbers = itertools.count()
+
+    def renew() -> None:
+        frames[:] = make()
+
+    renew()
+    follower.every("renew", RENEW_S, renew)
+    follower.every(
+        "hostile",
+        1.0 / rate_hz,
+        lambda: follower.send_bytes(frames[next(numbers) % len(frames)]),
+    )
     try:
         return _flown(formation, duration_s)
     finally:
         follower.no_more("hostile")
+        follower.no_more("renew")
 
 
 def _flown(formation: Formation, duration_s: float) -> Metrics:
@@ -160,10 +184,11 @@ def _enter(
     since_s: float,
     flown: Metrics,
     clean: Metrics,
+    worse_m: float = WORSE_M,
 ) -> None:
     """A row of the table; the flight is as good as the clean one before it."""
     note = "; ".join(filter(None, ("clean flight in place of sim", formation.note(since_s))))
     line = formation.kit.version.line
     table.append(Entry(line, case, _figures(flown), _figures(clean), note))
     assert flown.min_separation_m >= LEAST_M
-    assert flown.mean_abs_error_m <= clean.mean_abs_error_m + WORSE_M
+    assert flown.mean_abs_error_m <= clean.mean_abs_error_m + worse_m
