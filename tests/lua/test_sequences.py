@@ -87,7 +87,9 @@ class Watch:
 
     def stream(self, ahead_m: float, velocity_mps: float | None) -> None:
         self.r.send_target(ahead_m, velocity_mps)
-        self.streamed = ahead_m, velocity_mps or 0.0, self.r.vehicle.t_ms
+        if velocity_mps is None:  # not a point of the hold's
+            return
+        self.streamed = ahead_m, velocity_mps, self.r.vehicle.t_ms
         if ahead_m < 0.0:
             self.behind_ms = self.r.vehicle.t_ms
 

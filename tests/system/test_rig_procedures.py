@@ -298,7 +298,7 @@ def test_response_matrix_fails_with_a_target_that_stays(fixed: Emulator, tmp_pat
 
 
 class ServedVehicle:
-    """A simulated autopilot with the applet, in real time: the board on one port, us on another."""
+    """A simulated autopilot with the speed applet, in real time: the board on one port, us on another."""
 
     def __init__(self, board_port: str) -> None:
         copter = Copter((0.0, 0.0, -10.0), 0.0, flying=True)
@@ -307,7 +307,7 @@ class ServedVehicle:
         autopilot = Autopilot(copter, system_id=7, parameters=parameters)
         for name in ("board", "telemetry"):
             autopilot.add_link(name)
-        autopilot.load_script(lua_folder() / "echowing.lua")
+        autopilot.load_script(lua_folder() / "echowing_speed.lua")
 
         def step(t_s: float) -> None:
             copter.step(0.02)
