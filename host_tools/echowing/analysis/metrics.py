@@ -31,6 +31,7 @@ FOUND_M = 0.5
 # One sweep of the figure 8 takes 3.6 s (thesis Appendix A: 12 points, 0.3 s each): after more
 # than five of them in vain the leader is gone.
 DEAD_LOCK_WINDOW_S = 20.0
+AT_END_S = 5.0  # several times as long as a guard backs off from one wild reading
 
 
 @dataclass(frozen=True)
@@ -258,7 +259,8 @@ def dead_locked(flight: Flight, window_s: float = DEAD_LOCK_WINDOW_S) -> bool:
     the end of the flight,
 
     - at least `window_s` pass (a sight: a reading within 2 m of the separation);
-    - the speed command stays under the leader's median speed;
+    - the speed command is under the leader's median speed, at the end too (medians: a guard that
+      backs off from a wild reading raises it for a moment);
     - the separation has grown: in the last `window_s` its mean is above that at the last sight.
     """
     if len(flight.time_s) == 0:
@@ -271,9 +273,12 @@ def dead_locked(flight: Flight, window_s: float = DEAD_LOCK_WINDOW_S) -> bool:
         return False
     command_mps = flight.speed_command_mps[last + 1 :]
     leader_mps = np.hypot(*flight.leader_velocity_mps[last + 1 :, :2].T)
-    if not (np.isfinite(command_mps).any() and np.isfinite(leader_mps).any()):
+    told = np.isfinite(command_mps)
+    at_end = told & (flight.time_s[last + 1 :] >= end_s - AT_END_S)
+    if not (at_end.any() and np.isfinite(leader_mps).any()):
         return False
-    held_low = np.nanmax(command_mps) < np.nanmedian(leader_mps)
+    held_mps = max(np.median(command_mps[told]), np.median(command_mps[at_end]))
+    held_low = held_mps < np.nanmedian(leader_mps)
     late_m = separation_m[flight.time_s >= end_s - window_s]
     grown = np.isfinite(late_m).any() and np.nanmean(late_m) > separation_m[last]
     return bool(held_low and grown)
