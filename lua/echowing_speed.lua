@@ -227,7 +227,8 @@ local PARAMETERS = (function() return {
 -- false where it is not known: a table that grows in flight, as it also does for what was nil, needs a hole of its new
 -- size, and small heaps have small holes.
 local S = {
-    state = 0, row = 1, points = 0, point_ms = 0, near_m = 0, closing_mps = 0, board_ms = 0, seen_ms = -10000, sender = 0,
+    state = 0, row = 1, points = 0, point_ms = 0, near_m = 0, closing_mps = 0, board_ms = 0, seen_ms = -10000,
+    sender = 0,
     wild = false, close = false, holding = false, pilot_units = false, units = false, announced = 0, text = false,
     law_mps = 0, wish_mps = 0, speed_mps = 0, data_ms = 0, range_ms = 0,
     step_ms = 0, update_ms = 0, told_ms = 0, named_ms = 0,
@@ -454,7 +455,8 @@ local function report(range_m, t_ms)
     if state ~= S.announced and (state > 2 or t_ms - S.told_ms >= 10000) then
         S.announced, S.told_ms, S.named_ms = state, t_ms, t_ms - 500
         say(state > 4 and 2 or 4, ({
-            'searching', 'tracking', 'too close', 'no sonar data', 'stream lost, holding here', 'too close, backing off',
+            'searching', 'tracking', 'too close', 'no sonar data', 'stream lost, holding here',
+            'too close, backing off',
         })[state])
     end
     if t_ms - S.named_ms < 500 then return end
@@ -499,12 +501,12 @@ local auth = arming:get_aux_auth_id()
 -- Gives the pause before the next update, ms.
 local function update()
     local t_ms = millis():toint()
-    for i = 1, 3 do -- each of them within half a second in control; the mirror is written, not read
+    for _ = 1, 3 do -- each of them within half a second in control; the mirror is written, not read
         read(S.row)
         S.row = (S.row + 3) % (#PARAMETERS - 4) + 1
     end
     C.SPD_MAX = math.max(C.SPD_MAX, C.SPD_MIN)
-    for i = 1, 5 do
+    for _ = 1, 5 do
         local message = mavlink:receive_chan()
         if message then take_message(message, t_ms) end
     end
