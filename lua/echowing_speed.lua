@@ -223,38 +223,46 @@ local PARAMETERS = (function() return {
     --]]
     'MIRROR', 0, 0, 10000,
 } end)()
--- Their numbers, in the same order. The autopilot keeps a saved value by its number: a number belongs to one name for
--- ever, in both applets.
-local NUMBERS = '\1\2\3\4\5\6\7\8\9\13\14\15\16\17\19\20\21\22\23\27\28'
-
+-- What the applet knows. Times are in ms; distances are between the two vehicles' centres. All of it from the start, and
+-- false where it is not known: a table that grows in flight, as it also does for what was nil, needs a hole of its new
+-- size, and small heaps have small holes.
+local S = {
+    state = 0, row = 1, points = 0, point_ms = 0, near_m = 0, closing_mps = 0, board_ms = 0, seen_ms = -10000,
+    sender = 0,
+    wild = false, close = false, holding = false, pilot_units = false, units = false, announced = 0, text = false,
+    law_mps = 0, wish_mps = 0, speed_mps = 0, data_ms = 0, range_ms = 0,
+    step_ms = 0, update_ms = 0, told_ms = 0, named_ms = 0,
+}
 local C = {} -- values in force: C.DIST, ...
+for i = 1, #PARAMETERS, 4 do C[PARAMETERS[i]] = PARAMETERS[i + 1] end
+
 
 -- Uses the new value of a parameter (its name is PARAMETERS[i]) if it is in its range (NaN is not); else keeps the old.
 local function read(i)
     local name, value = PARAMETERS[i], PARAMETERS[i + 1]:get()
     if value and value >= PARAMETERS[i + 2] and value <= PARAMETERS[i + 3] then
-        C[name], C[i] = value, nil
+        C[name] = value
+        if C[i] then C[i] = nil end -- no new key for a nil
     elseif not C[i] then
         C[i] = name -- told
         say(4, string.format('ECHO_%s out of range, using %.2f', name, C[name]))
     end
 end
 
--- Adds the parameters. Gives the mirror, and what a script that died in control left in it: values that were not saved
--- return to their defaults here.
-local function add_parameters()
-    local units = param:get('ECHO_MIRROR')
-    assert(param:add_table(95, 'ECHO_', 50), 'ECHO: parameter table key 95 is taken') -- no script of ArduPilot's uses 95
-    for i = 1, #PARAMETERS, 4 do
-        local name = PARAMETERS[i]
-        param:add_param(95, string.byte(NUMBERS, 1 + i // 4), name, PARAMETERS[i + 1])
-        C[name], PARAMETERS[i + 1] = PARAMETERS[i + 1], Parameter('ECHO_' .. name) -- in the place of its default
-        read(i)
-    end
-    return PARAMETERS[#PARAMETERS - 2], units -- the mirror is the last of them
+if not param:add_table(95, 'ECHO_', 50) then error('ECHO: parameter table key 95 is taken') end -- ArduPilot's use others
+-- What a script that died in control left in the mirror, the last parameter: its value is not saved, and the default is
+-- back once it is added.
+local units = param:get('ECHO_' .. PARAMETERS[#PARAMETERS - 3])
+for i = 1, #PARAMETERS, 4 do
+    local name = PARAMETERS[i]
+    -- Their numbers, in the same order. The autopilot keeps a saved value by its number: a number belongs to one name for
+    -- ever, in both applets.
+    param:add_param(
+        95, string.byte('\1\2\3\4\5\6\7\8\9\13\14\15\16\17\19\20\21\22\23\27\28', 1 + i // 4), name, PARAMETERS[i + 1])
+    PARAMETERS[i + 1] = Parameter('ECHO_' .. name) -- in the place of its default
+    read(i)
 end
-
-local mirror, units = add_parameters()
+local mirror = PARAMETERS[#PARAMETERS - 2]
 
 -- State --------------------------------------------------------------------------------------------------------------
 
@@ -263,21 +271,15 @@ local SPEED_NAME = param:get('WP_SPD') and 'WP_SPD' or 'WPNAV_SPEED'
 local parameter = Parameter(SPEED_NAME)
 local per_mps = SPEED_NAME == 'WP_SPD' and 1 or 100
 
--- Times are in ms; distances are between the two vehicles' centres.
-local S = {
-    state = 0, row = 1, points = 0, point_ms = 0, near_m = 0, closing_mps = 0, board_ms = 0, seen_ms = -10000,
-}
-
 -- Flies to a place so far back, looking where it looks now: Guided would turn the nose, and with it the sonar, towards a
 -- target without a yaw. False: it does not fly, or the target was refused.
-local function fly_back(back_m)
+local function fly_back(off_m)
     local position, yaw = ahrs:get_relative_position_NED_origin(), (ahrs.get_yaw_rad or ahrs.get_yaw)(ahrs)
     if not (position and vehicle:get_likely_flying()) then return false end
-    position:x(position:x() - back_m * math.cos(yaw))
-    position:y(position:y() - back_m * math.sin(yaw))
-    local off_m = position:x() + position:y() + position:z() + yaw
-    return off_m - off_m == 0 and -- not with NaN or infinity
-        vehicle:set_target_pos_NED(position, true, math.deg(yaw), false, 0, false, false)
+    position:x(position:x() - off_m * math.cos(yaw))
+    position:y(position:y() - off_m * math.sin(yaw))
+    return position:length() < 10000 and math.abs(yaw) < 6 -- NaN is not, nor is what an estimator that fails tells
+        and vehicle:set_target_pos_NED(position, true, math.deg(yaw), false, 0, false, false)
 end
 
 -- Sonar --------------------------------------------------------------------------------------------------------------
@@ -287,8 +289,8 @@ local function read_sonar()
     local status = rangefinder:status_orient(0) -- 1 no data, 2 too low, 3 too high, 4 good
     local range_m = rangefinder.distance_orient and rangefinder:distance_orient(0)
         or rangefinder:distance_cm_orient(0) / 100
-    local good = status == 4 and range_m > 0 or status == 2 and range_m >= 0
-    return good and range_m < C.DETECT and range_m + C.INSET or nil, status
+    return (status == 4 and range_m > 0 or status == 2 and range_m >= 0)
+        and range_m < C.DETECT and range_m + C.INSET or nil, status
 end
 
 -- Distance and closing speed of the target by the single readings: an observer that is damped well at 10 and at 20 Hz. One
@@ -301,7 +303,7 @@ local function track(range_m, board_ms, t_ms)
         S.wild = known
         return
     end
-    S.board_ms, S.seen_ms, S.wild = board_ms, t_ms, nil
+    S.board_ms, S.seen_ms, S.wild = board_ms, t_ms, false
     if not known or math.abs(off_m) > 0.5 then
         S.near_m, S.closing_mps = range_m, 0
     else
@@ -323,12 +325,12 @@ end
 
 -- One step. Law 0, Appendix A: a step that would reach a limit is refused. Law 1: it stops at the limit.
 local function law_step(speed_mps, range_m)
-    local new_mps = speed_mps + band_change(range_m)
-    if C.LAW >= 1 then return clamp(new_mps, C.SPD_MIN, C.SPD_MAX) end
-    if new_mps > speed_mps and new_mps >= C.SPD_MAX or new_mps < speed_mps and new_mps <= C.SPD_MIN then
+    local wish_mps = speed_mps + band_change(range_m)
+    if C.LAW >= 1 then return clamp(wish_mps, C.SPD_MIN, C.SPD_MAX) end
+    if wish_mps > speed_mps and wish_mps >= C.SPD_MAX or wish_mps < speed_mps and wish_mps <= C.SPD_MIN then
         return speed_mps
     end
-    return new_mps
+    return wish_mps
 end
 
 -- The law's speed.
@@ -340,10 +342,9 @@ local function run_law(range_m, status, t_ms)
         if t_ms - S.step_ms >= C.PERIOD * 1000 then S.step_ms, S.wish_mps = t_ms, law_step(S.wish_mps, range_m) end
     else
         S.step_ms = t_ms -- the next average begins when the target is back
-        local lost_ms = t_ms - C.LOST_T * 1000
-        if lost_ms >= S.data_ms then
+        if t_ms - S.data_ms >= C.LOST_T * 1000 then
             S.state, S.wish_mps = 4, C.SPD_LOST
-        elseif lost_ms >= S.range_ms and not S.close then
+        elseif t_ms - S.range_ms >= C.LOST_T * 1000 and not S.close then
             S.state, S.wish_mps = 1, C.LAW >= 1 and C.SPD_LOST or S.wish_mps
         end
     end
@@ -356,26 +357,27 @@ end
 local function guard(status, t_ms)
     -- A target lost while too close is taken to be there for 2.5 s: while it backs off the nose is up, and the sonar often
     -- sees nothing.
-    local known = t_ms - S.seen_ms <= (S.close and 2500 or 500)
+    local known = t_ms - S.seen_ms <= (S.close and 5 or 1) * 500
     local closing_mps = math.max(0, known and S.closing_mps or 0)
     local near_m = known and S.near_m - closing_mps * (t_ms - S.seen_ms) / 1000 or 10
     S.close = status == 2 or S.close and near_m < C.DIST
         or near_m - closing_mps * C.DELAY - closing_mps * closing_mps / (2 * C.DECEL) < C.CLOSE
     if not S.close then return S.law_mps end
     if C.LAW >= 1 then S.wish_mps, S.law_mps = C.SPD_MIN, C.SPD_MIN end
-    -- Lower than 1.5 m up what is near is most likely the ground; points lead 2 m up and higher (flight/guard.py).
-    local backs = known and -ahrs:get_relative_position_D_home() > 1.5
-        and fly_back(clamp(C.DIST - near_m, 0.5, 5))
-    S.state = backs and 6 or 3
-    return backs and C.SPD_MAX or C.SPD_MIN
+    -- Points lead 2 m up and higher (flight/lowest.py). Half a metre below that what is near is most likely the ground.
+    if known and -ahrs:get_relative_position_D_home() > 2.0 - 0.5 and fly_back(clamp(C.DIST - near_m, 0.5, 5)) then
+        S.state = 6
+        return C.SPD_MAX
+    end
+    S.state = 3
+    return C.SPD_MIN
 end
 
 -- Stream watch: holds the vehicle where it is once a stream of guided points has fallen silent. Three points are a stream;
 -- one alone may be a pilot's click on the map.
 local function watch_stream(t_ms)
-    local silent = C.STREAM_T > 0 and S.points >= 3 and t_ms - S.point_ms > C.STREAM_T * 1000
-    if not silent or S.close then
-        S.holding = nil -- hold again where the evasion ends
+    if C.STREAM_T == 0 or S.points < 3 or t_ms - S.point_ms <= C.STREAM_T * 1000 or S.close then
+        S.holding = false -- hold again where the evasion ends
     else
         S.state, S.holding = 5, S.holding or fly_back(0)
     end
@@ -383,12 +385,15 @@ end
 
 -- MAVLink ------------------------------------------------------------------------------------------------------------
 
-mavlink:init(5, 2)
-mavlink:register_rx_msgid(86) -- SET_POSITION_TARGET_GLOBAL_INT
-mavlink:register_rx_msgid(251) -- NAMED_VALUE_FLOAT
+-- SET_POSITION_TARGET_GLOBAL_INT and NAMED_VALUE_FLOAT. An error where other scripts have taken the places.
+local deaf = not pcall(function()
+    mavlink:init(5, 2)
+    mavlink:register_rx_msgid(86)
+    mavlink:register_rx_msgid(251)
+end) and 'other scripts leave no place to receive'
 
--- Takes a point for this vehicle, or a single reading. Frames whose checksum is wrong reach scripts too, so it is computed. Points count from
--- one sender until it has been silent for a second.
+-- Takes a point for this vehicle, or a single reading. Frames whose checksum is wrong reach scripts too: it is computed.
+-- Points count from one sender until it has been silent for a second.
 local function take_message(message, t_ms)
     local sub, wide = string.sub, #message >= 299 and 3 or 0 -- bytes of mavlink_message_t where ids have 32 bits; else 291
     local old, length, flags = string.byte(message, 3, 5)
@@ -402,11 +407,11 @@ local function take_message(message, t_ms)
         .. (point and '\5' or '\170') .. sub(message, 1, 2) .. '\0\0\0'
     local crc = 0xFFFF -- X.25, four bytes at a time; 0 at the end, and zeros that follow change nothing
     for i = 1, #bytes - 3, 4 do
-        local q = string.unpack('<i4', bytes, i) ~ crc
-        q = q ~ q << 4 ~ q << 11 ~ q << 16
-        q = q ~ q << 8 ~ q << 22
-        q = q ~ q << 16
-        crc = q >> 16 ~ q >> 21 ~ q >> 28
+        crc = crc ~ string.unpack('<i4', bytes, i)
+        crc = crc ~ crc << 4 ~ crc << 11 ~ crc << 16
+        crc = crc ~ crc << 8 ~ crc << 22
+        crc = crc ~ crc << 16
+        crc = crc >> 16 ~ crc >> 21 ~ crc >> 28
     end
     if crc ~= 0 then return end
     local own, sender = param:get('MAV_SYSID') or param:get('SYSID_THISMAV'), string.byte(message, 8)
@@ -434,18 +439,14 @@ local function watch_speed()
     end
 end
 
-local function give_back(value, ...)
+local function give_back(value, reason)
     parameter:set(value)
     if vehicle:get_mode() == 4 then vehicle:set_desired_speed(value / per_mps) end
     mirror:set(0)
-    say(5, string.format(...))
+    say(5, string.format('handed back, %s %.2f (%s)', SPEED_NAME, value, reason))
 end
 
 -- What pilots see ----------------------------------------------------------------------------------------------------
-
-local TEXTS = {
-    'searching', 'tracking', 'too close', 'no sonar data', 'stream lost, holding here', 'too close, backing off',
-}
 
 -- One text per change of state, but what comes and goes at most each 10 s; the named floats each half second, and at once
 -- when it backs off: the ground tool would call it back.
@@ -453,7 +454,10 @@ local function report(range_m, t_ms)
     local state = S.state
     if state ~= S.announced and (state > 2 or t_ms - S.told_ms >= 10000) then
         S.announced, S.told_ms, S.named_ms = state, t_ms, t_ms - 500
-        say(state > 4 and 2 or 4, TEXTS[state])
+        say(state > 4 and 2 or 4, ({
+            'searching', 'tracking', 'too close', 'no sonar data', 'stream lost, holding here',
+            'too close, backing off',
+        })[state])
     end
     if t_ms - S.named_ms < 500 then return end
     S.named_ms = t_ms
@@ -464,24 +468,16 @@ end
 
 -- Control: who flies, and the update ---------------------------------------------------------------------------------
 
--- Why the applet must not act now, or nil.
-local function reason_not_to_act()
-    if C.ENABLE < 1 then return 'disabled' end
-    if not arming:is_armed() then return 'disarmed' end
-    if vehicle:get_mode() ~= 4 then return 'mode' end
-    return nil
-end
-
 local function hand_back(reason)
     if not S.pilot_units then return end
     watch_speed()
-    give_back(S.pilot_units, 'handed back, %s %.2f (%s)', SPEED_NAME, S.pilot_units, reason)
-    S.pilot_units, S.state = nil, 0
+    give_back(S.pilot_units, reason)
+    S.pilot_units, S.state = false, 0
 end
 
 local function act(t_ms)
     if not S.pilot_units then
-        S.units, S.points, S.close, S.holding = nil, 0, nil, nil
+        S.units, S.points, S.close, S.holding = false, 0, false, false
         S.step_ms, S.update_ms, S.data_ms, S.range_ms, S.told_ms = t_ms, t_ms, t_ms, t_ms, t_ms - 10000
         S.named_ms, S.announced = t_ms - 500, 2
         S.law_mps = clamp(C.SPD_INIT, C.SPD_MIN, C.SPD_MAX)
@@ -514,11 +510,12 @@ local function update()
         local message = mavlink:receive_chan()
         if message then take_message(message, t_ms) end
     end
-    local reason = reason_not_to_act()
+    local reason = (C.ENABLE < 1 or deaf) and 'disabled' or not arming:is_armed() and 'disarmed'
+        or vehicle:get_mode() ~= 4 and 'mode'
     if not reason then return act(t_ms) end
     hand_back(reason)
-    if auth and C.ENABLE >= 1 and not rangefinder:has_orientation(0) then
-        arming:set_aux_auth_failed(auth, 'ECHO: no forward rangefinder')
+    if auth and C.ENABLE >= 1 and (deaf or not rangefinder:has_orientation(0)) then
+        arming:set_aux_auth_failed(auth, 'ECHO: ' .. (deaf or 'no forward rangefinder'))
     elseif auth then
         arming:set_aux_auth_passed(auth)
     end
@@ -527,9 +524,9 @@ end
 
 -- An error is reported once with its place. The speed is handed back, and the next try is slower.
 local function run()
-    local good, value = pcall(update)
-    if not good then
-        if value ~= S.text then say(2, 'error ' .. tostring(value)) end
+    local status, value = pcall(update)
+    if not status then
+        if value ~= S.text then say(2, 'error ' .. value) end
         S.text, value = value, 1000
         pcall(hand_back, 'error')
     end
@@ -537,6 +534,6 @@ local function run()
 end
 
 -- A script that died in control left the pilot's value in the mirror.
-if units and units > 0 then give_back(units, 'restarted, %s back to %.2f', SPEED_NAME, units) end
-say(6, 'ready')
+if units and units > 0 then give_back(units, 'restarted') end
+say(deaf and 4 or 6, deaf or 'ready')
 return run, 100

@@ -538,6 +538,23 @@ def test_named_floats_and_texts(rig: MakeRig) -> None:
     assert len(r.texts) < 16  # 30 losses in 120 s: each state at most every 10 s
 
 
+@pytest.mark.parametrize("places", [1, 2])
+def test_without_a_place_to_receive_it_lives_and_may_not_arm(rig: MakeRig, places: int) -> None:
+    """Another script was there first: it has all the places, or left one."""
+    r = rig()
+    r.host._inbox.init(5, places)
+    r.host._inbox.register(33)
+    r.vehicle.is_armed = False
+    r.run(2.5)
+    assert r.host.running
+    assert r.texts == [NO_PLACE]
+    assert list(r.vehicle.auth.values()) == [f"ECHO: {NO_PLACE}"]
+    r.vehicle.is_armed = True  # forced
+    r.range(2.0).run(2.0)
+    assert r.host.running
+    assert r.vehicle.desired_speeds == []
+
+
 # ---- its table -----
 
 
@@ -564,7 +581,9 @@ def test_parameter_names_fit_and_are_documented() -> None:
         assert text in page, text
 
 
+NO_PLACE = "other scripts leave no place to receive"
 TEXTS = (
     *("searching", "tracking", "too close", "no sonar data", "stream lost, holding here"),
     *("too close, backing off", "parameter table key 95 is taken", "no forward rangefinder"),
+    NO_PLACE,
 )

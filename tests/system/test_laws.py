@@ -12,6 +12,8 @@ from .flown import flown
 pytestmark = pytest.mark.seconds(150)
 SEEDS = range(1, 11)
 GRAY_SEEDS = range(1, 21)
+LOST_M = 10.0  # mean error of a follower that lost its leader for good; else it is under 3.2
+GUARD_MPS = 5.0  # ECHO_SPD_MAX, with which the guard backs off
 
 
 def mean_of(flights: Sequence[FlownScenario], figure: str) -> float:
@@ -28,14 +30,24 @@ def test_grays_scheme_flies_as_ardupilot_does() -> None:
 
 
 def test_the_thesis_law_flown_unchanged_dead_locks() -> None:
-    """Repelled to less than the leader's speed, then out of sight: no change for ever."""
-    locked = [one for seed in SEEDS if (one := flown("thesis", seed)).dead_locked]
+    """Repelled to less than the leader's speed, then out of sight: no change for ever.
 
-    assert locked
-    for one in locked:
-        flight = one.flights[0]
-        assert flight.speed_command_mps[-1] < 2.0
-        assert flight.separation_m[-1] > 4.5
+    The guard backs off from a ghost now and then, so the command is not low all the time: after
+    it, the law is where it was.
+    """
+    locked = [
+        one.flights[0]
+        for seed in SEEDS
+        if (one := flown("thesis", seed)).metrics[0].mean_abs_error_m > LOST_M
+    ]
+
+    assert len(locked) >= 2  # 3 of 10
+    for flight in locked:
+        late_mps = flight.speed_command_mps[flight.time_s > flight.time_s[-1] - 120.0]
+        low_mps = min(late_mps)
+        assert low_mps < 2.0  # the leader's speed
+        assert {float(one) for one in late_mps} <= {low_mps, GUARD_MPS}
+        assert flight.separation_m[-1] > 15.0
 
 
 @pytest.mark.parametrize("figure", ["mean_abs_error_m", "rmsd_m"])
@@ -43,7 +55,7 @@ def test_echowing_is_ahead_of_gray_and_of_the_thesis(figure: str) -> None:
     ours = mean_of([flown("echowing", seed) for seed in SEEDS], figure)
     gray = mean_of([flown("gray", seed) for seed in SEEDS], figure)
     thesis = [flown("thesis", seed) for seed in SEEDS]
-    unlocked = [one for one in thesis if not one.dead_locked]
+    unlocked = [one for one in thesis if one.metrics[0].mean_abs_error_m < LOST_M]
 
     assert ours < gray
     assert ours < mean_of(thesis, figure)
