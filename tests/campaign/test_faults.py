@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,10 @@ import pytest
 from echowing.campaign.properties import judge, texts_said
 from echowing.campaign.record import FlightRecord, fly_recorded
 from echowing.errors import EchowingError
+from echowing.flight.guidance import LeaderFix
+from echowing.geo import GlobalPosition, displace, ned_between
+from echowing.mavlink.messages import position_target
+from echowing.sim.faults import _BEGIN
 from echowing.sim.modes import GUIDED, LAND, LOITER, STABILIZE
 from echowing.sim.scenario import Scenario, scenario_of
 
@@ -383,3 +388,22 @@ def test_a_sonar_that_hears_anything_is_told_of_until_its_readings_agree() -> No
     assert 16.0 < again_s[-1] < 19.5
     assert len(told_s) == len(again_s) <= 2
     assert judge(record) == []
+
+
+@pytest.mark.parametrize(("velocity_mps", "turned"), [((2.0, 0.3), True), ((0.3, -2.0), False)])
+def test_the_thesis_frame_fault_puts_points_abeam_on_north_and_south_courses(
+    velocity_mps: tuple[float, float], turned: bool
+) -> None:
+    leader = GlobalPosition(47.0, 8.0, 460.0)
+    fix = LeaderFix(0.0, leader, (*velocity_mps, 0.0), 0.0)
+    ground = SimpleNamespace(session=SimpleNamespace(leader=SimpleNamespace(fix=fix)))
+    sent = position_target(2, displace(leader, (-3.0, 0.0, 0.0)), 10.0, None, 0.0)
+
+    with _BEGIN["north_south_offset"](SimpleNamespace(ground=ground), None):  # type: ignore[arg-type]
+        point = ground.distort(sent)
+
+    north_m, east_m, _ = ned_between(
+        leader, GlobalPosition(point.lat_int / 1e7, point.lon_int / 1e7, 460.0)
+    )
+    expected_m = (0.0, -3.0) if turned else (-3.0, 0.0)
+    assert (north_m, east_m) == pytest.approx(expected_m, abs=0.02)

@@ -72,15 +72,3 @@ def test_a_sonar_that_sees_its_leader_most_of_the_time() -> None:
     seen = [flown("echowing", seed).metrics[0].seen_share for seed in SEEDS]
 
     assert statistics.mean(seen) > 0.6
-
-
-def test_the_frame_fault_of_the_initial_flight_makes_it_worse() -> None:
-    """Of flights that keep their leader: the thesis's law loses it for good in half of them."""
-
-    def median_m(name: str) -> float:
-        flights = [flown(name, seed) for seed in range(1, 10)]
-        kept = [one.metrics[0].right_drms_m for one in flights if not one.dead_locked]
-        assert len(kept) >= 3
-        return statistics.median(kept)
-
-    assert median_m("thesis-initial") > median_m("thesis")

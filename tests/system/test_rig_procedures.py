@@ -298,7 +298,7 @@ def test_response_matrix_fails_with_a_target_that_stays(fixed: Emulator, tmp_pat
 
 
 class ServedVehicle:
-    """A simulated autopilot with the speed applet, in real time: the board on one port, us on another."""
+    """A simulated autopilot with the speed applet: the board on one port, us on another."""
 
     def __init__(self, board_port: str) -> None:
         copter = Copter((0.0, 0.0, -10.0), 0.0, flying=True)
