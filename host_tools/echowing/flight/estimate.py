@@ -3,7 +3,8 @@
 import math
 from collections import deque
 
-from echowing.flight.alignment import Alignment, History, Report
+from echowing.flight.alignment import AlignedReading, Alignment, History, Report
+from echowing.flight.axis import Axis
 from echowing.flight.guidance import Horizontal, LeaderFix, predicted
 from echowing.flight.offset_grid import OffsetGrid
 from echowing.flight.sonar import DETECTION_LIMIT_M
@@ -73,6 +74,7 @@ class Estimate:
         self.jumped_m: Horizontal = (0.0, 0.0)
         """Receivers' jumps that are allowed for: the leader's, less the follower's."""
         self._used_to_s = -math.inf
+        self._pointed_at_s = -math.inf
 
     @property
     def is_stuck(self) -> bool:
@@ -107,8 +109,22 @@ class Estimate:
         """Take a report of the follower itself."""
         self.history.add(report)
 
-    def heard(self, time_s: float, range_m: float, inset_m: float) -> None:
-        """Take a sonar reading; `inset_m`: how much less than the separation it is."""
+    def pointed(self, stamp_ms: int, axis: Axis, now_s: float) -> None:
+        """Take where the sonar looked for the reading with this stamp."""
+        self._pointed_at_s = now_s
+        self._alignment.point(stamp_ms, axis)
+
+    def points(self, now_s: float) -> bool:
+        """Whether the sonar says where it looks."""
+        return now_s - self._pointed_at_s < LISTENS_S
+
+    def heard(
+        self, time_s: float, range_m: float, inset_m: float, stamp_ms: int | None = None
+    ) -> None:
+        """Take a sonar reading; `inset_m`: how much less than the separation it is.
+
+        stamp_ms: by which `pointed` names it.
+        """
         before_s, before_m = self._before
         was_believed = self.is_believed
         self._before = (time_s, range_m)
@@ -122,9 +138,9 @@ class Estimate:
             return
         time_s -= SONAR_AGE_S
         if min(range_m, before_m) >= DETECTION_LIMIT_M:
-            self._alignment.add(time_s, None)
+            self._alignment.add(time_s, None, stamp_ms)
         elif abs(range_m - before_m) < CONFIRM_M and 0.0 < range_m < DETECTION_LIMIT_M:
-            self._alignment.add(time_s, range_m + inset_m)
+            self._alignment.add(time_s, range_m + inset_m, stamp_ms)
 
     def _compare(self, range_m: float) -> None:
         """Note whether a range is like one of the two before it."""
@@ -138,12 +154,14 @@ class Estimate:
         """Use the readings for which later reports of both vehicles have come."""
         self._used_to_s = min(leader.newest_s, self.history.newest_s)
         for one in self._alignment.due(leader, self.history):
+            if not one.told and self.points(one.time_s):
+                continue  # what it said of its axis was lost
             north_m, east_m = one.believed_m
-            believed_m = north_m - self.jumped_m[0], east_m - self.jumped_m[1]
+            believed_m = north_m - self.jumped_m[0], east_m - self.jumped_m[1], one.above_m
             if one.distance_m is not None:
-                self.offset.heard(one.time_s, one.distance_m, one.axis_rad, believed_m)
-            elif one.lean_rad < LEVEL_RAD:
-                self.offset.silent(one.time_s, one.axis_rad, believed_m, one.above_m)
+                self.offset.heard(one.time_s, one.distance_m, one.axis, believed_m)
+            elif one.told or one.lean_rad < LEVEL_RAD:
+                self.offset.silent(one.time_s, one.axis, believed_m)
 
     def forget(self) -> None:
         """Drop what was learnt: a receiver has started anew."""

@@ -64,7 +64,8 @@ def planned(known: Known, follower: FollowerState, fix: LeaderFix, now_s: float)
     guided = follower.guide.update(leader, arrives_s, here, least_m)
     guided = replace(guided, age_s=max(0.0, now_s - fix.time_s))
     # In a formation another follower may be where it would search.
-    if settings.learn_offset and len(known.followers) == 1:
+    pointed = follower.estimate.points(now_s)
+    if settings.learn_offset and len(known.followers) == 1 and not pointed:
         guided = _searching(known, follower, guided, now_s)
     if settings.feed_forward:
         guided = _gently(follower, _fading(guided, settings), now_s)
@@ -72,6 +73,8 @@ def planned(known: Known, follower: FollowerState, fix: LeaderFix, now_s: float)
         guided = _led(guided, leader, settings)
     if not settings.face_leader:
         return replace(guided, yaw_rad=None)
+    if pointed:
+        return guided
     return _looking_around(follower, guided, now_s)
 
 

@@ -27,6 +27,7 @@ from echowing.flight.handling import least_slot_m
 from echowing.flight.heights import Heights
 from echowing.flight.holds import Holds
 from echowing.flight.leader_track import LeaderTrack
+from echowing.flight.look import look_at
 from echowing.flight.plan import planned
 from echowing.flight.requests import Rate, Requests, positions
 from echowing.flight.spacing import Spacing
@@ -34,7 +35,12 @@ from echowing.flight.state import GUIDED_MODE, FollowerPlan, FollowerState, Know
 from echowing.flight.take_off import Lift, TakeOff, TakeOffs
 from echowing.flight.trust import Trust
 from echowing.geo import GlobalPosition
-from echowing.mavlink.messages import TOOL_SYSTEM_ID, position_target, status_text
+from echowing.mavlink.messages import (
+    TOOL_SYSTEM_ID,
+    look_order,
+    position_target,
+    status_text,
+)
 
 STALE = "leader is stale"
 DISTANCE_HZ, ATTITUDE_HZ = 5.0, 2.0
@@ -231,6 +237,7 @@ class FollowSession:
             self._trust.settle(follower, now_s)
             self.known.feel_wind(follower, now_s)
             messages.extend(self._led(follower, now_s))
+            messages.extend(self._looking(follower, now_s))
         messages.extend(self._hud)
         self._hud.clear()
         if self.guard is not None and (self.engaged or self.take_offs is not None):
@@ -259,6 +266,17 @@ class FollowSession:
             if follower.held_at is not None:
                 self.guard.holding(follower, now_s)
         return [(follower.plan.system_id, command)]
+
+    def _looking(self, follower: FollowerState, now_s: float) -> list[tuple[int, Any]]:
+        """Where its sonar is to look, whoever flies it."""
+        look = look_at(self.known, follower, now_s) if self.settings.learn_offset else None
+        if look is None or follower.sonar_id is None:
+            return []
+        system_id = follower.plan.system_id
+        order = look_order(
+            system_id, follower.sonar_id, look.axis, look.rate_rps, look.sigma_rad
+        )
+        return [(system_id, order)]
 
     def _may_leave(self, follower: FollowerState, point: GlobalPosition) -> bool:
         """Whether a point is finite, and near: whatever was reckoned with, nothing else leaves."""

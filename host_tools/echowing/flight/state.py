@@ -30,7 +30,7 @@ from echowing.flight.tail import TailSlot
 from echowing.flight.tow_bar import TowBar
 from echowing.flight.wind import Wind
 from echowing.geo import GlobalPosition, displace
-from echowing.mavlink.messages import FORWARD, heading_of, sonar_range_m
+from echowing.mavlink.messages import FORWARD, axis_seen, heading_of, sonar_range_m
 
 GUIDED_MODE = 4
 # What messages call the leader.
@@ -99,7 +99,8 @@ class FollowerState:
     last, and when; beyond_s: when the leader was last out of its sonar's reach, as far as is
     known; opens: it was said that the slot opens for a reversal; searches: it looks
     for the leader from the side; unsure: its newest report may be another vehicle's, with its id;
-    away_beats: heartbeats in a row that were not of one that flies in Guided.
+    away_beats: heartbeats in a row that were not of one that flies in Guided; sonar_id: the
+    component that sends its sonar's readings.
     """
 
     plan: FollowerPlan
@@ -122,6 +123,7 @@ class FollowerState:
     opens: bool = False
     searches: bool = False
     raw_at_s: float = -math.inf
+    sonar_id: int | None = None
     feed_mps: Horizontal | None = None
     yaw_rad: float | None = None
     gives_way_to: str | None = None
@@ -267,7 +269,12 @@ class FollowerState:
             self.raw_at_s = now_s
             stamp_s = message.time_boot_ms / 1e3
             time_s = self.estimate.sonar_clock.to_ours(stamp_s, now_s, self.way_s)
-            self._take_range(time_s, message.value, inset_m)
+            self.sonar_id = message.get_srcComponent()
+            self._take_range(time_s, message.value, inset_m, message.time_boot_ms)
+        elif kind == "GIMBAL_DEVICE_ATTITUDE_STATUS":
+            axis = axis_seen(message)
+            if axis is not None and message.get_srcComponent() == self.sonar_id:
+                self.estimate.pointed(message.time_boot_ms, axis, now_s)
         elif (
             kind == "DISTANCE_SENSOR"
             and message.orientation == FORWARD
@@ -277,8 +284,10 @@ class FollowerState:
             heard_m = DETECTION_LIMIT_M if range_m is None else range_m
             self._take_range(now_s - self.way_s - AVERAGE_AGE_S, heard_m, inset_m)
 
-    def _take_range(self, time_s: float, range_m: float, inset_m: float) -> None:
-        self.estimate.heard(time_s, range_m, inset_m)
+    def _take_range(
+        self, time_s: float, range_m: float, inset_m: float, stamp_ms: int | None = None
+    ) -> None:
+        self.estimate.heard(time_s, range_m, inset_m, stamp_ms)
         if 0.0 < range_m < DETECTION_LIMIT_M and self.estimate.is_believed:
             self.ranges.add(time_s, range_m)
 

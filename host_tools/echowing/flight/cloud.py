@@ -1,0 +1,232 @@
+"""What two vehicles' own positions disagree by, learnt from the sonar, and how sure that is. Pure.
+
+Leader and follower each report a place a metre or so from the true one, and the errors wander over
+a minute: the receivers' north and east, the barometers' up. Only their difference matters to a
+formation, and the sonar shows it. A reading says that the leader is on an arc, at that range and
+somewhere in the beam; silence says that it is not in the beam, or that the sonar is deaf. How far
+receivers wander, how quickly, how wide the beam is for this leader and how often it is heard,
+nobody knows beforehand.
+
+So this is no Kalman filter with given figures but a cloud of guesses (a particle filter; Gordon,
+Salmond and Smith 1993): each is one difference (north, east, up) with its own figures for all that.
+Guesses that foretell what the sonar says gain weight, and are repeated with small changes (Liu and
+West 2001); the others die out. What a deaf sonar leaves open stays open: some guesses hold the
+sonar for dead, and lose all weight with the first reading that fits.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from echowing.flight.axis import Axis
+from echowing.flight.guidance import Horizontal
+
+Array = NDArray[np.float64]
+# From follower to leader, by their own positions: (north, east, up).
+Between = tuple[float, float, float]
+
+# The mean of so many is off by a hundredth of their spread, and one in 160 of them are still two
+# dozen.
+GUESSES = 4000
+# Both vehicles are known at the reading's moment to a decimetre; and the sonar's own noise.
+RANGE_SIGMA_M = 0.15
+# The angle over which the echo's own strength blurs the beam's edge.
+EDGE_RAD = math.radians(3.0)
+# A reading is of something else (wild, another vehicle, the ground) this often.
+WRONG_SHARE = 0.03
+REACH_M = 4.5
+# Readings nearer in time share their errors, and must not count twice.
+UPDATE_PERIOD_S = 0.25
+# Guesses move by centimetres in this time.
+ADVANCE_PERIOD_S = 0.5
+# How a guess changes when it is repeated (Liu and West's discount of 0.98, for which 0.2 is the
+# share of the spread), and by how far it moves.
+KEPT_OF_SPREAD, NEW_OF_SPREAD, MOVES_M = 0.98, 0.2, 0.03
+# A sonar dies, and comes back, once in so long.
+DIES_S, REVIVES_S = 600.0, 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class Wandering:
+    """What is believed beforehand: the middle of the guesses, and the spread of their logarithms.
+
+    sigma_m: how far each receiver wanders per axis (standard deviation); tau_s: how quickly
+    (correlation time); height_sigma_m: that of each vehicle's height.
+    """
+
+    sigma_m: float = 0.8
+    sigma_spread: float = 0.4
+    tau_s: float = 60.0
+    tau_spread: float = 0.5
+    height_sigma_m: float = 0.5
+    dead_share: float = 0.03
+
+
+class Cloud:
+    """Leader's minus follower's position error, (north, east, up) metres, with its uncertainty."""
+
+    def __init__(self, wandering: Wandering | None = None) -> None:
+        wandering = wandering or Wandering()
+        self._chance = chance = np.random.Generator(np.random.PCG64(0))
+        count = GUESSES
+        # Of a pair: the difference of two that wander alike.
+        sigma = math.sqrt(2.0) * wandering.sigma_m
+        self._log_sigma = math.log(sigma) + wandering.sigma_spread * chance.standard_normal(count)
+        self._log_tau = math.log(wandering.tau_s) + wandering.tau_spread * chance.standard_normal(
+            count
+        )
+        self._height_sigma_m = math.sqrt(2.0) * wandering.height_sigma_m
+        self._half_rad = np.radians(chance.uniform(10.0, 22.0, count))
+        self._heard_share = chance.uniform(0.3, 0.95, count)
+        self._dead = chance.random(count) < wandering.dead_share
+        self._off = chance.standard_normal((3, count))
+        self._off[:2] *= np.exp(self._log_sigma)
+        self._off[2] *= self._height_sigma_m
+        self._weight = np.full(count, 1.0 / count)
+        self._advanced_s: float | None = None
+        self._heard_at_s = -math.inf
+        self._silent_at_s = -math.inf
+        self._summarise()
+
+    # ---- what is known ----
+
+    def unheard_s(self, now_s: float) -> float:
+        """Time since the last reading that was the leader's; infinite at first."""
+        return now_s - self._heard_at_s
+
+    def sigma_m(self, direction_rad: float) -> float:
+        """Standard deviation of the estimate along a bearing."""
+        cos, sin = math.cos(direction_rad), math.sin(direction_rad)
+        p_nn, p_ne, p_ee = self._covariance
+        return math.sqrt(max(0.0, p_nn * cos * cos + 2.0 * p_ne * cos * sin + p_ee * sin * sin))
+
+    def nearest_m(self, direction_rad: float, clear_m: float, risk: float) -> float:
+        """How near one may come to where the leader is believed to be, on its bearing.
+
+        From there it is certain, but for `risk`, that the leader is no nearer than `clear_m`, and
+        not behind.
+        """
+        cos, sin = math.cos(direction_rad), math.sin(direction_rad)
+        # From where it is believed to where a guess has it: towards here, and across.
+        north, east = self._off[0] - self.north_m, self._off[1] - self.east_m
+        nearer, across = north * cos + east * sin, east * cos - north * sin
+        room_m = nearer + np.sqrt(np.maximum(0.0, clear_m * clear_m - across * across))
+        room_m = np.where(np.abs(across) < clear_m, room_m, 0.0)
+        order = np.argsort(room_m)
+        sure = np.cumsum(self._weight[order])
+        place = min(int(np.searchsorted(sure, 1.0 - risk)), GUESSES - 1)
+        return max(0.0, float(room_m[order[place]]))
+
+    # ---- what is learnt ----
+
+    def advance(self, now_s: float) -> None:
+        """Let the guesses wander until `now_s`."""
+        if self._advanced_s is None:
+            self._advanced_s = now_s
+        elapsed_s = now_s - self._advanced_s
+        if elapsed_s < ADVANCE_PERIOD_S:
+            return
+        self._advanced_s = now_s
+        kept = np.exp(-elapsed_s * np.exp(-self._log_tau))
+        moves = np.sqrt(1.0 - kept * kept)
+        self._off *= kept
+        self._off[:2] += np.exp(self._log_sigma) * moves * self._normal(2)
+        self._off[2] += self._height_sigma_m * moves * self._normal(1)[0]
+        changes = self._chance.random(GUESSES)
+        dies, revives = elapsed_s / DIES_S, elapsed_s / REVIVES_S
+        self._dead = np.where(self._dead, changes > revives, changes < dies)
+        self._summarise()
+
+    def heard(self, time_s: float, distance_m: float, axis: Axis, believed: Between) -> None:
+        """Take a sonar reading.
+
+        Args:
+            time_s: when it was taken.
+            distance_m: between the two vehicles' centres, by the sonar.
+            axis: the sonar looked along it.
+            believed: from follower to leader by their own positions, (north, east, up) metres.
+
+        """
+        if time_s - self._heard_at_s < UPDATE_PERIOD_S:
+            return
+        self.advance(time_s)
+        far_m, in_beam = self._seen_from(axis, believed)
+        density = np.exp(-0.5 * ((far_m - distance_m) / RANGE_SIGMA_M) ** 2)
+        density /= RANGE_SIGMA_M * math.sqrt(2.0 * math.pi)
+        fits = density * in_beam * self._heard_share * ~self._dead
+        wrong = WRONG_SHARE / REACH_M
+        if float(self._weight @ fits) > wrong:
+            self._heard_at_s = time_s
+        self._update(fits + wrong)
+
+    def silent(self, time_s: float, axis: Axis, believed: Between) -> None:
+        """Take a reading without an echo; arguments as for `heard`."""
+        if time_s - max(self._silent_at_s, self._heard_at_s) < UPDATE_PERIOD_S:
+            return
+        self._silent_at_s = time_s
+        self.advance(time_s)
+        far_m, in_beam = self._seen_from(axis, believed)
+        self._update(1.0 - self._heard_share * in_beam * (far_m < REACH_M) * ~self._dead)
+
+    def _seen_from(self, axis: Axis, believed: Between) -> tuple[Array, Array]:
+        """How far the leader is by each guess, and how surely it is in the beam (0 to 1)."""
+        to_it = np.array(believed)[:, np.newaxis] - self._off
+        far_m = np.sqrt((to_it * to_it).sum(axis=0))
+        north, east, down = axis.unit_ned
+        ahead = np.array((north, east, -down)) @ to_it / np.maximum(far_m, RANGE_SIGMA_M)
+        off_rad = np.arccos(np.clip(ahead, -1.0, 1.0))
+        beyond = np.minimum((off_rad - self._half_rad) / (0.5 * EDGE_RAD), 80.0)
+        return far_m, 1.0 / (1.0 + np.exp(beyond))
+
+    def _update(self, likelihood: Array) -> None:
+        self._weight *= likelihood
+        self._weight /= self._weight.sum()
+        if 1.0 / float(self._weight @ self._weight) < 0.5 * GUESSES:
+            self._repeat()
+        self._summarise()
+
+    def _repeat(self) -> None:
+        """Repeat each guess as its weight says, with small changes (systematic resampling)."""
+        places = (np.arange(GUESSES) + self._chance.random()) / GUESSES
+        chosen = np.minimum(np.searchsorted(np.cumsum(self._weight), places), GUESSES - 1)
+        self._off = self._off[:, chosen] + MOVES_M * self._normal(3)
+        self._log_sigma = self._changed(self._log_sigma[chosen])
+        self._log_tau = self._changed(self._log_tau[chosen])
+        self._half_rad = self._changed(self._half_rad[chosen])
+        self._heard_share = np.clip(self._changed(self._heard_share[chosen]), 0.05, 0.98)
+        self._dead = self._dead[chosen]
+        self._weight = np.full(GUESSES, 1.0 / GUESSES)
+
+    def _changed(self, values: Array) -> Array:
+        """Nearer to their mean, and scattered by as much: the spread stays."""
+        mean, spread = values.mean(), values.std()
+        kept = KEPT_OF_SPREAD * (values - mean)
+        return mean + kept + NEW_OF_SPREAD * spread * self._normal(1)[0]
+
+    def _normal(self, rows: int) -> Array:
+        return self._chance.standard_normal((rows, GUESSES))
+
+    def _summarise(self) -> None:
+        """Mean and covariance of the guesses."""
+        self.north_m, self.east_m, self.up_m = map(float, self._off @ self._weight)
+        north, east = self._off[0] - self.north_m, self._off[1] - self.east_m
+        up = self._off[2] - self.up_m
+        weight = self._weight
+        self._covariance: tuple[float, float, float] = (
+            float(weight @ (north * north)),
+            float(weight @ (north * east)),
+            float(weight @ (east * east)),
+        )
+        self.up_sigma_m = math.sqrt(float(weight @ (up * up)))
+        self.most_likely_m: Horizontal = (self.north_m, self.east_m)
+
+    def told(self) -> str:
+        """For a look at it: what is believed of receivers and sonar."""
+        w = self._weight
+        return (
+            f"sigma {float(w @ np.exp(self._log_sigma)):.2f} tau {math.exp(float(w @ self._log_tau)):.0f}"
+            f" half {math.degrees(float(w @ self._half_rad)):.0f} share {float(w @ self._heard_share):.2f}"
+            f" dead {float(w @ self._dead):.3f}"
+        )
