@@ -14,23 +14,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from echowing.flight.belief import Curve, SonarBelief
 from echowing.flight.guidance import Horizontal
 
 # The map: four standard deviations of the difference to each side, in cells as wide as the beam is
 # blurred at 1 m.
 HALF_WIDTH_M, CELL_M = 4.6, 0.2
 # Both vehicles are known at the reading's moment to a decimetre, and a cell is as wide.
-RANGE_SIGMA_M = 0.15
-# The beam (sim/sonar.py), and the angle over which lean, heading and the echo's own strength blur
-# its edge.
-BEAM_HALF_RAD, EDGE_RAD = math.radians(20.0), math.radians(3.0)
-# Silence says only that the leader is not where every beam would reach: sonars and targets differ,
-# and with the beam's own half angle a follower came to 0.6 m of a leader that it looked past.
-SILENT_HALF_RAD = math.radians(14.0)
-# A reading is of something else (wild, another vehicle, the ground) this often.
-WRONG_SHARE = 0.03
-# A leader in the beam and no further than this is heard this often, as long as nobody leans.
-SILENCE_TO_M, HEARD_SHARE = 4.0, 0.5
+PLACED_SIGMA_M = 0.15
 # Readings nearer in time share their errors, and must not count twice.
 UPDATE_PERIOD_S = 0.25
 # The map changes by 0.2 m in a second: so it is blurred this often.
@@ -51,8 +42,10 @@ class Wandering:
 class OffsetGrid:
     """Leader's minus follower's position error, (north, east) metres, with its uncertainty."""
 
-    def __init__(self, wandering: Wandering | None = None) -> None:
+    def __init__(self, sonar: SonarBelief, wandering: Wandering | None = None) -> None:
         wandering = wandering or Wandering()
+        self._sonar = sonar
+        self._range_sigma_m = math.hypot(PLACED_SIGMA_M, sonar.noise_m)
         self._tau_s = wandering.tau_s
         self._prior_m2 = 2.0 * wandering.sigma_m**2
         cells = round(HALF_WIDTH_M / CELL_M)
@@ -124,18 +117,23 @@ class OffsetGrid:
         if time_s - self._heard_at_s < UPDATE_PERIOD_S:
             return
         self.advance(time_s)
-        far_m, in_beam = self._seen_from(axis_rad, believed, BEAM_HALF_RAD)
-        fits = np.exp(-0.5 * ((far_m - distance_m) / RANGE_SIGMA_M) ** 2) * in_beam
+        far_m, in_beam = self._seen_from(axis_rad, believed, self._sonar.widest_rad)
+        fits = np.exp(-0.5 * ((far_m - distance_m) / self._range_sigma_m) ** 2) * in_beam
         weight = float((self._map * fits).sum() / self._map.sum())
-        if weight > WRONG_SHARE * _ring_share(distance_m):
+        # The share of an even spread over the sonar's reach that would fit a reading by chance.
+        ring_share = self._range_sigma_m / max(distance_m, self._range_sigma_m)
+        by_chance = self._sonar.wrong_share * ring_share
+        if weight > by_chance:
             self._heard_at_s = time_s
-        self._update(fits + WRONG_SHARE * _ring_share(distance_m))
+        self._update(fits + by_chance)
 
     def silent(
         self, time_s: float, axis_rad: float, believed: Horizontal, above_m: float = 0.0
     ) -> None:
         """Take a reading without an echo; arguments as for `heard`.
 
+        It says only that the leader is not where every beam would reach: with the beam's own half
+        angle a follower came to 0.6 m of a leader that it looked past.
         above_m: how much higher the leader is. From below or above the beam misses it wherever it
         is near, and its silence tells nothing.
         """
@@ -143,18 +141,20 @@ class OffsetGrid:
             return
         self._silent_at_s = time_s
         self.advance(time_s)
-        far_m, in_beam = self._seen_from(axis_rad, believed, SILENT_HALF_RAD, above_m)
-        self._update(1.0 - HEARD_SHARE * in_beam * (far_m < SILENCE_TO_M))
+        sonar = self._sonar
+        far_m, in_beam = self._seen_from(axis_rad, believed, sonar.narrowest_rad, above_m)
+        self._update(1.0 - sonar.heard.at(far_m) * in_beam * (far_m < sonar.silent_to_m))
 
     def _seen_from(
-        self, axis_rad: float, believed: Horizontal, half_rad: float, above_m: float = 0.0
+        self, axis_rad: float, believed: Horizontal, half_rad: Curve, above_m: float = 0.0
     ) -> tuple[Map, Map]:
         """How far the leader is for each difference, and how surely it is in a beam (0 to 1)."""
         north, east = believed[0] - self._axis[:, np.newaxis], believed[1] - self._axis
         far_m = np.sqrt(north * north + east * east + above_m * above_m)
         ahead = (north * math.cos(axis_rad) + east * math.sin(axis_rad)) / np.maximum(far_m, CELL_M)
         off_rad = np.arccos(np.minimum(np.maximum(ahead, -1.0), 1.0))
-        return far_m, 1.0 / (1.0 + np.exp((off_rad - half_rad) / (0.5 * EDGE_RAD)))
+        off_edge = (off_rad - half_rad.at(far_m)) / (0.5 * self._sonar.edge_rad)
+        return far_m, 1.0 / (1.0 + np.exp(off_edge))
 
     def _update(self, likelihood: Map) -> None:
         self._map *= likelihood
@@ -174,11 +174,6 @@ class OffsetGrid:
             float(off_n @ weights @ off_e),
             float(of_east @ (off_e * off_e)),
         )
-
-
-def _ring_share(distance_m: float) -> float:
-    """The share of an even spread over the sonar's reach that would fit a reading by chance."""
-    return RANGE_SIGMA_M / max(distance_m, RANGE_SIGMA_M)
 
 
 def _blurred(values: Map, variance_m2: float) -> Map:

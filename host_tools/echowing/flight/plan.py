@@ -14,9 +14,7 @@ from echowing.flight.guidance import (
     sway_rad,
 )
 from echowing.flight.handling import least_slot_m
-from echowing.flight.offset_grid import SILENT_HALF_RAD
 from echowing.flight.search import swung
-from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.flight.state import FollowerState, Known
 from echowing.geo import displace, distance_m, ned_between, wrap_angle_rad
 
@@ -56,7 +54,7 @@ def planned(known: Known, follower: FollowerState, fix: LeaderFix, now_s: float)
     leader, here = _leader(known, follower, fix, arrives_s), follower.then(arrives_s)
     if settings.learn_offset:
         least_m = max(least_m, _least_radius_m(known, follower, now_s))
-        if here is not None and distance_m(here, leader.position) > DETECTION_LIMIT_M:
+        if here is not None and distance_m(here, leader.position) > follower.plan.sonar.reach_m:
             follower.beyond_s = now_s
         if least_m > 0.0 and _is_overdue(follower, now_s):
             least_m = max(least_m, _reversal_by_radio_m(known, follower, fix))
@@ -80,10 +78,11 @@ def _searching(
 ) -> GuidedPoint:
     """The slot, swung round a leader that is not heard though it is within the sonar's reach."""
     here, estimate = follower.on_arrival(now_s), follower.estimate
-    radius_m = follower.plan.slot.radius_m
+    radius_m, sonar = follower.plan.slot.radius_m, follower.plan.sonar
     # From below or above the beam does not meet it from any side.
-    level = abs(known.leader_above_m(follower)) < radius_m * math.tan(SILENT_HALF_RAD)
-    within_reach = radius_m < DETECTION_LIMIT_M and level
+    half_rad = sonar.narrowest_rad.at(radius_m)
+    level = abs(known.leader_above_m(follower)) < radius_m * math.tan(half_rad)
+    within_reach = radius_m < sonar.reach_m and level
     unheard = estimate.missed_s > LOST_S
     rate_rps = follower.search.update(
         now_s,
@@ -131,7 +130,7 @@ def _reversal_by_radio_m(known: Known, follower: FollowerState, fix: LeaderFix) 
     least_m = least_slot_m(
         speed_mps, answer, known.settings.clearance_m, noticed_s, known.leader_brakes_mps2
     )
-    return min(DETECTION_LIMIT_M - WITHIN_REACH_M, least_m)
+    return min(follower.plan.sonar.reach_m - WITHIN_REACH_M, least_m)
 
 
 def _closing_slowly(follower: FollowerState, least_m: float, now_s: float) -> float:
