@@ -6,6 +6,7 @@ import pytest
 
 from echowing.flight.guidance import Horizontal
 from echowing.flight.offset_grid import CELL_M, OffsetGrid, Wandering
+from echowing.sonar_file import shipped_sonar
 
 PRIOR_M = 0.8 * math.sqrt(2.0)
 NORTH, EAST = 0.0, math.pi / 2
@@ -30,7 +31,7 @@ def listen(
 
 
 def test_at_first_nothing_is_known_but_how_far_receivers_wander() -> None:
-    grid = OffsetGrid()
+    grid = OffsetGrid(shipped_sonar())
 
     assert (grid.north_m, grid.east_m) == pytest.approx((0.0, 0.0), abs=1e-9)
     # Cells are 0.2 m wide, and the map ends at four standard deviations.
@@ -41,7 +42,7 @@ def test_at_first_nothing_is_known_but_how_far_receivers_wander() -> None:
 
 @pytest.mark.parametrize("true", [(0.7, -0.9), (-1.2, 0.4), (0.0, 1.5), (-0.5, -0.5)])
 def test_readings_along_two_headings_find_the_offset(true: Horizontal) -> None:
-    grid = OffsetGrid()
+    grid = OffsetGrid(shipped_sonar())
 
     end_s = listen(grid, true, NORTH, 0.0, 20)
     listen(grid, true, EAST, end_s + READING_S, 20)
@@ -53,7 +54,7 @@ def test_readings_along_two_headings_find_the_offset(true: Horizontal) -> None:
 @pytest.mark.parametrize("bearing_deg", range(0, 360, 30))
 def test_bearings_are_all_alike(bearing_deg: int) -> None:
     axis_rad = math.radians(bearing_deg)
-    grid = OffsetGrid()
+    grid = OffsetGrid(shipped_sonar())
 
     listen(grid, (0.8 * math.cos(axis_rad), 0.8 * math.sin(axis_rad)), axis_rad, 0.0, 12)
 
@@ -67,7 +68,7 @@ def test_bearings_are_all_alike(bearing_deg: int) -> None:
 
 def test_silence_moves_the_mean_out_of_the_beam() -> None:
     """The leader is believed straight ahead, and nothing is heard: it is not there."""
-    grid = OffsetGrid()
+    grid = OffsetGrid(shipped_sonar())
     for number in range(40):
         grid.silent(number * READING_S, NORTH, (3.0, 0.0))
 
@@ -77,7 +78,7 @@ def test_silence_moves_the_mean_out_of_the_beam() -> None:
     assert abs(ahead_deg) < 1.0
 
     # One reading of before says that it is a little to the right; silence then drives it there.
-    aside = OffsetGrid()
+    aside = OffsetGrid(shipped_sonar())
     listen(aside, (0.0, -0.6), NORTH, 0.0, 1)
     aside.heard(READING_S, 3.0, math.radians(25.0), (3.0, 0.0))
     start_m = aside.east_m
@@ -89,7 +90,7 @@ def test_silence_moves_the_mean_out_of_the_beam() -> None:
 
 
 def test_silence_far_off_says_nothing() -> None:
-    grid = OffsetGrid()
+    grid = OffsetGrid(shipped_sonar())
     for number in range(20):
         grid.silent(number * READING_S, NORTH, (12.0, 0.0))
 
@@ -102,7 +103,7 @@ def test_silence_of_a_leader_above_or_below_the_beam_says_nothing(
     above_m: float, says: bool
 ) -> None:
     """3 m away and 2 m up is 34 degrees: no beam meets it there, however right the place is."""
-    grid = OffsetGrid()
+    grid = OffsetGrid(shipped_sonar())
     for number in range(20):
         grid.silent(number * READING_S, NORTH, (3.0, 0.0), above_m)
 
@@ -112,7 +113,7 @@ def test_silence_of_a_leader_above_or_below_the_beam_says_nothing(
 
 
 def test_readings_too_near_in_time_are_one() -> None:
-    once, often = OffsetGrid(), OffsetGrid()
+    once, often = OffsetGrid(shipped_sonar()), OffsetGrid(shipped_sonar())
     believed = believed_of((1.0, 0.0), NORTH)
     for number in range(4):
         once.heard(number * READING_S, 3.0, NORTH, believed)
@@ -124,7 +125,7 @@ def test_readings_too_near_in_time_are_one() -> None:
 
 
 def test_a_wild_reading_hardly_moves_it() -> None:
-    grid = OffsetGrid()
+    grid = OffsetGrid(shipped_sonar())
     end_s = listen(grid, (0.4, 0.2), NORTH, 0.0, 20)
     end_s = listen(grid, (0.4, 0.2), EAST, end_s + READING_S, 20)
     before, heard_s = (grid.north_m, grid.east_m), grid.unheard_s(end_s)
@@ -136,7 +137,7 @@ def test_a_wild_reading_hardly_moves_it() -> None:
 
 
 def test_unheard_it_fades_and_its_uncertainty_grows_back() -> None:
-    grid = OffsetGrid()
+    grid = OffsetGrid(shipped_sonar())
     end_s = listen(grid, (1.0, 0.0), NORTH, 0.0, 20)
     learnt_m, sure_m = grid.north_m, grid.sigma_m(NORTH)
     assert learnt_m == pytest.approx(1.0, abs=0.25)
@@ -180,7 +181,7 @@ def squared_errors(seed: int, seconds: float = 60.0) -> list[float]:
     what its beam meets, with 0.1 m of noise.
     """
     chance = random.Random(seed)
-    wanderer, grid, found = Wanderer(chance), OffsetGrid(), []
+    wanderer, grid, found = Wanderer(chance), OffsetGrid(shipped_sonar()), []
     axis_rad = chance.uniform(-math.pi, math.pi)
     turn_rps = chance.uniform(-0.1, 0.1)
     for number in range(round(seconds / READING_S)):
@@ -231,7 +232,7 @@ def test_cells_are_finer_than_what_is_to_be_found() -> None:
 
 def test_silence_brings_nobody_nearer_than_receivers_alone_allow() -> None:
     """A deaf sonar: the map makes the leader further off, which is no proof that it is."""
-    grid = OffsetGrid()
+    grid = OffsetGrid(shipped_sonar())
     for number in range(60):
         grid.silent(number * READING_S, NORTH, believed_of((0.0, 0.0), NORTH, 3.5))
     now_s = 60 * READING_S
@@ -243,7 +244,7 @@ def test_silence_brings_nobody_nearer_than_receivers_alone_allow() -> None:
 
 
 def test_a_reading_is_proof_for_as_long_as_receivers_keep_their_error() -> None:
-    grid = OffsetGrid()
+    grid = OffsetGrid(shipped_sonar())
     end_s = listen(grid, (0.7, -0.9), NORTH, 0.0, 20)
 
     assert grid.unproven_sigma_m(NORTH, end_s + 0.3) == pytest.approx(grid.sigma_m(NORTH), abs=0.1)

@@ -153,7 +153,7 @@ def test_a_leader_that_was_never_heard_is_found_from_further_round() -> None:
     """Swung by 60 degrees the follower found it after 41 s."""
     scenario = load_scenario("echowing", ["leader.path=figure-eight", "duration_s=35"])
     one = FormationFlight(scenario, 310).run()
-    found_at_s = found_s(one.flights[0], scenario.guidance.sonar_inset_m)
+    found_at_s = found_s(one.flights[0], scenario.sonar_belief.inset_m)
     assert found_at_s is not None
     assert found_at_s < 30.0
 

@@ -16,6 +16,7 @@ from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.flight.state import FollowerPlan
 from echowing.geo import GlobalPosition, displace, ned_between
 from echowing.mavlink.messages import FORWARD, TOOL_SYSTEM_ID, sonar_range_m
+from echowing.sonar_file import shipped_sonar
 
 LEADER, FOLLOWER = 1, 2
 HERE = GlobalPosition(39.34, -86.03, 260.0)
@@ -54,7 +55,7 @@ BY_POSITION = replace(PLAIN, feed_forward=False)
 
 
 def session(settings: GuidanceSettings = PLAIN, *, hears: bool = False) -> FollowSession:
-    plan = FollowerPlan(FOLLOWER, Slot(3.0), 12.0)
+    plan = FollowerPlan(FOLLOWER, Slot(3.0), 12.0, sonar=shipped_sonar())
     follow = FollowSession(LEADER, [plan], settings)
     if hears:
         follow.followers[FOLLOWER].estimate.offset._heard_at_s = math.inf
@@ -157,7 +158,7 @@ def opens_to_m(behind_m: float, *, heard: bool = True) -> float:
         at = displace(leader, (-3.0 if hears else -behind_m, 0.0, 0.0))
         follow.receive(from_vehicle(FOLLOWER, position(now_s, at, (4.0, 0.0))), now_s)
         follow.receive(from_vehicle(LEADER, position(now_s, leader, (4.0, 0.0))), now_s)
-        state.estimate.heard(now_s, 3.0 if hears else DETECTION_LIMIT_M, 0.0)
+        state.estimate.heard(now_s, 3.0 if hears else DETECTION_LIMIT_M)
         follow.tick(now_s)
         assert state.guided is not None
         if now_s > lost_s:
@@ -281,7 +282,8 @@ def test_no_message_ever_changes_a_mode() -> None:
 
 
 def test_a_heartbeat_of_another_component_does_not_engage() -> None:
-    follow = FollowSession(LEADER, [FollowerPlan(FOLLOWER, Slot(3.0))], GuidanceSettings())
+    plan = FollowerPlan(FOLLOWER, Slot(3.0), sonar=shipped_sonar())
+    follow = FollowSession(LEADER, [plan], GuidanceSettings())
     sender = mavlink.MAVLink(None, srcSystem=FOLLOWER, srcComponent=191)
     follow.receive(mavlink.MAVLink(None).decode(bytearray(heartbeat().pack(sender))), 0.0)
     follow.receive(from_vehicle(LEADER, position(1.0, HERE)), 1.0)
@@ -489,7 +491,7 @@ def test_it_asks_for_rates_and_beats_under_its_own_id() -> None:
 
 
 def test_fifty_followers_each_get_their_own_point() -> None:
-    plans = [FollowerPlan(2 + i, Slot(3.0 + 2 * i), 10.0) for i in range(50)]
+    plans = [FollowerPlan(2 + i, Slot(3.0 + 2 * i), 10.0, sonar=shipped_sonar()) for i in range(50)]
     follow = FollowSession(LEADER, plans, PLAIN)
     for plan in plans:
         follow.receive(from_vehicle(plan.system_id, heartbeat()), 0.0)
@@ -707,7 +709,7 @@ def test_a_leader_believed_in_a_new_place_is_given_the_wide_berth_again() -> Non
 
 def test_a_follower_that_is_stopped_by_a_stale_leader_stands_still() -> None:
     """It does not flee from all that a leader could have done since it was last heard."""
-    plan = FollowerPlan(FOLLOWER, Slot(3.0), 12.0)
+    plan = FollowerPlan(FOLLOWER, Slot(3.0), 12.0, sonar=shipped_sonar())
     limits = Limits(min_separation_m=1.0, leader_flies=False)
     follow = FollowSession(LEADER, [plan], PLAIN, limits=limits)
     follow.receive(from_vehicle(FOLLOWER, heartbeat()), 0.0)

@@ -17,6 +17,7 @@ from echowing.flight.guidance import GuidanceSettings, Slot
 from echowing.flight.session import FollowSession
 from echowing.flight.state import FollowerPlan
 from echowing.mavlink.seats import LISTEN_S, VehicleFinder, parse_seat
+from echowing.sonar_file import shipped_sonar
 from echowing.stopping import StopRequest
 from echowing.tool.log import FollowLog
 from echowing.tool.panel import LINK_WINDOW_S, SONAR_FRESH_S, Panel, Row, VehicleHealth
@@ -145,7 +146,8 @@ def test_a_flight_is_logged_unless_told_otherwise() -> None:
 
 
 def session() -> FollowSession:
-    return FollowSession(LEADER, [FollowerPlan(FOLLOWER, Slot(3.0))], GuidanceSettings())
+    plan = FollowerPlan(FOLLOWER, Slot(3.0), sonar=shipped_sonar())
+    return FollowSession(LEADER, [plan], GuidanceSettings())
 
 
 def sonar(range_cm: int) -> Any:
@@ -364,7 +366,8 @@ def test_plain_lines_come_now_and_then_and_events_at_once(
 
 
 def test_before_the_first_report_a_row_says_just_that() -> None:
-    session = FollowSession(LEADER, [FollowerPlan(FOLLOWER, Slot(3.0), 10.0)], GuidanceSettings())
+    plan = FollowerPlan(FOLLOWER, Slot(3.0), 10.0, sonar=shipped_sonar())
+    session = FollowSession(LEADER, [plan], GuidanceSettings())
     (silent,) = Panel([LEADER, FOLLOWER]).rows(session, 1.0)
     assert plain_row(silent) == "follower 2: no report yet"
     assert "?" not in "".join(lines_of([silent], 80))

@@ -9,6 +9,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from echowing.errors import EchowingError
 from echowing.flight.closing import Closing
 from echowing.flight.envelope import OTHERS_MPS2, closing_limit_mps
+from echowing.flight.estimate import Estimate
 from echowing.flight.guard import (
     FIELD_LIMITS,
     REFUSED_FOR_S,
@@ -33,6 +34,7 @@ from echowing.flight.tow_bar import TowBar
 from echowing.flight.vehicle_limits import usual_parameters
 from echowing.geo import GlobalPosition, displace, ned_between
 from echowing.mavlink.plausible import Door
+from echowing.sonar_file import shipped_sonar
 from echowing.tool.panel import Panel, left_as, state_of
 
 from .yard import Yard
@@ -84,7 +86,10 @@ class Field:
     door: Door = field(default_factory=Door)
 
     def __post_init__(self) -> None:
-        plans = [FollowerPlan(i, Slot(self.radius_m * (i - 1)), 10.0) for i in self.followers]
+        plans = [
+            FollowerPlan(i, Slot(self.radius_m * (i - 1)), 10.0, sonar=shipped_sonar())
+            for i in self.followers
+        ]
         self.session = FollowSession(
             LEADER,
             plans,
@@ -571,7 +576,8 @@ def test_homes_that_are_not_known_stop_it() -> None:
     limits = Limits(home_difference_m=5.0, leader_flies=False)
     guard = Guard(limits, LEADER, [FOLLOWER], lambda now_s, text: None)
     slot = Slot(3.0)
-    follower = FollowerState(FollowerPlan(FOLLOWER, slot), TowBar(slot))
+    plan = FollowerPlan(FOLLOWER, slot, sonar=shipped_sonar())
+    follower = FollowerState(plan, TowBar(slot), Estimate(plan.sonar))
     follower.position = displace(HERE, (-3.0, 0.0, 0.0))
     followers = {FOLLOWER: follower}
     assert guard.reason_to_stop(follower, HERE, followers, 0.0) == "homes are not known"

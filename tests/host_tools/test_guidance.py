@@ -21,6 +21,7 @@ from echowing.flight.guidance import (
 from echowing.flight.plan import planned
 from echowing.flight.state import FollowerPlan, Known
 from echowing.geo import GlobalPosition, Ned, displace, ned_between
+from echowing.sonar_file import shipped_sonar
 
 HERE = GlobalPosition(39.34, -86.03, 260.0)
 COURSES_DEG = range(0, 360, 15)
@@ -32,7 +33,8 @@ class Planner:
     """Points for one follower, which gets them at once; heading north at first."""
 
     def __init__(self, settings: GuidanceSettings, slot: Slot | None = None) -> None:
-        self.known = Known(1, [FollowerPlan(FOLLOWER, slot or Slot(3.0))], settings)
+        plan = FollowerPlan(FOLLOWER, slot or Slot(3.0), sonar=shipped_sonar())
+        self.known = Known(1, [plan], settings)
         self.follower = self.known.followers[FOLLOWER]
         self.follower.clock.answered(0.0, 0.0, 0.0)
 

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from echowing.analysis.flight import Flight, Floats
 from echowing.errors import EchowingError
-from echowing.flight.guidance import GuidanceSettings
+from echowing.sonar_file import shipped_sonar
 
 # From the sonar's face to what echoes is so much less than from centre to centre (ECHO_INSET).
-SONAR_INSET_M = GuidanceSettings().sonar_inset_m
+SONAR_INSET_M = shipped_sonar().inset_m
 # A reading this near to the distance between the two positions is a sight of the leader. Generous:
 # in real logs two receivers drift apart by metres (0.8 m an axis each in the simulator).
 SIGHT_TOLERANCE_M = 2.0

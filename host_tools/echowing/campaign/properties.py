@@ -232,7 +232,7 @@ def _known_from(record: FlightRecord, first: int, follower: int) -> int:
 def _ranges_the_leader(record: FlightRecord, at: int, follower: int) -> bool:
     """Whether the sonar's newest reading is the leader's, and no other vehicle's."""
     apart = record.position_ned_m[at, follower] - record.position_ned_m[at, 0]
-    reads_m = float(np.linalg.norm(apart)) - record.scenario.guidance.sonar_inset_m
+    reads_m = float(np.linalg.norm(apart)) - record.scenario.sonar_belief.inset_m
     return bool(abs(record.sonar_m[at, follower - 1] - reads_m) < RANGES_IT_M)
 
 
@@ -424,7 +424,7 @@ def mean_error(record: FlightRecord) -> list[Broken]:
     broken = []
     for number, flight in enumerate(record.flights):
         slot = record.scenario.formation.slots[number]
-        inset_m = record.scenario.guidance.sonar_inset_m
+        inset_m = record.scenario.sonar_belief.inset_m
         if slot.radius_m - inset_m >= DETECTION_LIMIT_M or slot.altitude_step_m != 0.0:
             continue
         approached_s = approach_s(flight)

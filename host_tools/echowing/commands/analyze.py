@@ -7,8 +7,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from echowing.flight.guidance import GuidanceSettings
-
 if TYPE_CHECKING:
     from echowing.analysis.flight import Flight
     from echowing.analysis.logs import TruthComparison
@@ -32,7 +30,7 @@ SEEN_ENOUGH = 0.5
 TRUTH, SONAR, ESTIMATE, GPS = "in truth", "by sonar", "by estimate", "by GPS"
 WITNESSES = (
     "The first row of a flight is the most certain. in truth: from truth.csv. by sonar: its "
-    f"readings and {GuidanceSettings().sonar_inset_m:g} m, from centre to centre, while it detects "
+    "readings and the sonar's inset, from centre to centre, while it detects "
     "the leader. by estimate: positions, corrected by what the sonar has shown of the receivers. "
     "by GPS: positions by the vehicles' own receivers, which differ by a metre or more."
 )

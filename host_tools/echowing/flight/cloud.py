@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from echowing.flight.axis import Axis
+from echowing.flight.belief import SonarBelief
 from echowing.flight.guidance import Horizontal
 
 Array = NDArray[np.float64]
@@ -30,13 +31,8 @@ Between = tuple[float, float, float]
 # The mean of so many is off by a hundredth of their spread, and one in 160 of them are still two
 # dozen.
 GUESSES = 4000
-# Both vehicles are known at the reading's moment to a decimetre; and the sonar's own noise.
-RANGE_SIGMA_M = 0.15
-# The angle over which the echo's own strength blurs the beam's edge.
-EDGE_RAD = math.radians(3.0)
-# A reading is of something else (wild, another vehicle, the ground) this often.
-WRONG_SHARE = 0.03
-REACH_M = 4.5
+# Both vehicles are known at the reading's moment to a decimetre.
+PLACED_SIGMA_M = 0.15
 # Readings nearer in time share their errors, and must not count twice.
 UPDATE_PERIOD_S = 0.25
 # Guesses move by centimetres in this time.
@@ -67,8 +63,10 @@ class Wandering:
 class Cloud:
     """Leader's minus follower's position error, (north, east, up) metres, with its uncertainty."""
 
-    def __init__(self, wandering: Wandering | None = None) -> None:
+    def __init__(self, sonar: SonarBelief, wandering: Wandering | None = None) -> None:
         wandering = wandering or Wandering()
+        self._sonar = sonar
+        self._range_sigma_m = math.hypot(PLACED_SIGMA_M, sonar.noise_m)
         self._chance = chance = np.random.Generator(np.random.PCG64(0))
         count = GUESSES
         # Of a pair: the difference of two that wander alike.
@@ -78,8 +76,9 @@ class Cloud:
             count
         )
         self._height_sigma_m = math.sqrt(2.0) * wandering.height_sigma_m
-        self._half_rad = np.radians(chance.uniform(10.0, 22.0, count))
-        self._heard_share = chance.uniform(0.3, 0.95, count)
+        # Between the narrowest and the widest beam; as a share of what it is believed to hear.
+        self._wide = chance.random(count)
+        self._hears = chance.uniform(0.6, 1.9, count)
         self._dead = chance.random(count) < wandering.dead_share
         self._off = chance.standard_normal((3, count))
         self._off[:2] *= np.exp(self._log_sigma)
@@ -152,11 +151,11 @@ class Cloud:
         if time_s - self._heard_at_s < UPDATE_PERIOD_S:
             return
         self.advance(time_s)
-        far_m, in_beam = self._seen_from(axis, believed)
-        density = np.exp(-0.5 * ((far_m - distance_m) / RANGE_SIGMA_M) ** 2)
-        density /= RANGE_SIGMA_M * math.sqrt(2.0 * math.pi)
-        fits = density * in_beam * self._heard_share * ~self._dead
-        wrong = WRONG_SHARE / REACH_M
+        far_m, detected = self._detected(axis, believed)
+        density = np.exp(-0.5 * ((far_m - distance_m) / self._range_sigma_m) ** 2)
+        density /= self._range_sigma_m * math.sqrt(2.0 * math.pi)
+        fits = density * detected
+        wrong = self._sonar.wrong_share / self._sonar.reach_m
         if float(self._weight @ fits) > wrong:
             self._heard_at_s = time_s
         self._update(fits + wrong)
@@ -167,18 +166,23 @@ class Cloud:
             return
         self._silent_at_s = time_s
         self.advance(time_s)
-        far_m, in_beam = self._seen_from(axis, believed)
-        self._update(1.0 - self._heard_share * in_beam * (far_m < REACH_M) * ~self._dead)
+        _, detected = self._detected(axis, believed)
+        self._update(1.0 - detected)
 
-    def _seen_from(self, axis: Axis, believed: Between) -> tuple[Array, Array]:
-        """How far the leader is by each guess, and how surely it is in the beam (0 to 1)."""
+    def _detected(self, axis: Axis, believed: Between) -> tuple[Array, Array]:
+        """How far the leader is by each guess, and how likely it is heard then."""
+        sonar = self._sonar
         to_it = np.array(believed)[:, np.newaxis] - self._off
         far_m = np.sqrt((to_it * to_it).sum(axis=0))
         north, east, down = axis.unit_ned
-        ahead = np.array((north, east, -down)) @ to_it / np.maximum(far_m, RANGE_SIGMA_M)
+        ahead = np.array((north, east, -down)) @ to_it / np.maximum(far_m, PLACED_SIGMA_M)
         off_rad = np.arccos(np.clip(ahead, -1.0, 1.0))
-        beyond = np.minimum((off_rad - self._half_rad) / (0.5 * EDGE_RAD), 80.0)
-        return far_m, 1.0 / (1.0 + np.exp(beyond))
+        narrowest = sonar.narrowest_rad.at(far_m)
+        half_rad = narrowest + self._wide * (sonar.widest_rad.at(far_m) - narrowest)
+        beyond = np.minimum((off_rad - half_rad) / (0.5 * sonar.edge_rad), 80.0)
+        share = np.minimum(0.98, self._hears * sonar.heard.at(far_m))
+        share = share * (far_m < sonar.reach_m) * ~self._dead
+        return far_m, share / (1.0 + np.exp(beyond))
 
     def _update(self, likelihood: Array) -> None:
         self._weight *= likelihood
@@ -194,8 +198,8 @@ class Cloud:
         self._off = self._off[:, chosen] + MOVES_M * self._normal(3)
         self._log_sigma = self._changed(self._log_sigma[chosen])
         self._log_tau = self._changed(self._log_tau[chosen])
-        self._half_rad = self._changed(self._half_rad[chosen])
-        self._heard_share = np.clip(self._changed(self._heard_share[chosen]), 0.05, 0.98)
+        self._wide = np.clip(self._changed(self._wide[chosen]), 0.0, 1.0)
+        self._hears = np.maximum(0.1, self._changed(self._hears[chosen]))
         self._dead = self._dead[chosen]
         self._weight = np.full(GUESSES, 1.0 / GUESSES)
 
@@ -227,6 +231,6 @@ class Cloud:
         w = self._weight
         return (
             f"sigma {float(w @ np.exp(self._log_sigma)):.2f} tau {math.exp(float(w @ self._log_tau)):.0f}"
-            f" half {math.degrees(float(w @ self._half_rad)):.0f} share {float(w @ self._heard_share):.2f}"
+            f" wide {float(w @ self._wide):.2f} hears {float(w @ self._hears):.2f}"
             f" dead {float(w @ self._dead):.3f}"
         )

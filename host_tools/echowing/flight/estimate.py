@@ -3,23 +3,23 @@
 import math
 from collections import deque
 
-from echowing.flight.alignment import AlignedReading, Alignment, History, Report
+from echowing.flight.alignment import Alignment, History, Report
 from echowing.flight.axis import Axis
+from echowing.flight.belief import SonarBelief
+from echowing.flight.cloud import Cloud
 from echowing.flight.guidance import Horizontal, LeaderFix, predicted
-from echowing.flight.offset_grid import OffsetGrid
-from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.geo import GlobalPosition, displace
 
 # Propellers cause single wild readings: a reading counts if the one before it agrees.
 CONFIRM_S, CONFIRM_M = 0.3, 0.5
-# Between two vehicles in flight a range in centimetres changes within this many readings (3 s): if
-# it does not, the sensor is stuck.
-STUCK_READINGS = 30
+# Between two vehicles in flight a range in centimetres changes within this time: if not, the sensor
+# is stuck.
+STUCK_S = 3.0
 # A sonar that hears anything at all, an engine or another sonar, gives ranges of which four in ten
 # within reach are by chance like one of the two before. A healthy one gives one wild reading in a
-# hundred: six of thirty (3 s) are a fault.
-WILD_READINGS, WILD_OF = 6, 30
-# Readings come ten times a second, over a radio that may lose some.
+# hundred: two of ten are a fault.
+WILD_SHARE, WILD_S = 0.2, 3.0
+# Readings come several times a second, over a radio that may lose some.
 LISTENS_S = 3.0
 # A sonar that has detected the leader within this (readings are used a second late) is sure of it.
 HEARD_S = 3.0
@@ -62,15 +62,16 @@ class SenderClock:
 class Estimate:
     """One follower's view of its leader: the receivers' disagreement, learnt from the sonar."""
 
-    def __init__(self) -> None:
+    def __init__(self, sonar: SonarBelief) -> None:
+        self.sonar = sonar
         self.history = History()
-        self.offset = OffsetGrid()
+        self.offset = Cloud(sonar)
         self.sonar_clock = SenderClock()
         self._alignment = Alignment()
         self._before = (-math.inf, math.nan)
         self._alike = 0
         self._within: deque[float] = deque(maxlen=2)  # the last readings of something in reach
-        self._scattered: deque[bool] = deque(maxlen=WILD_OF)
+        self._scattered: deque[bool] = deque(maxlen=round(WILD_S * sonar.rate_hz))
         self.jumped_m: Horizontal = (0.0, 0.0)
         """Receivers' jumps that are allowed for: the leader's, less the follower's."""
         self._used_to_s = -math.inf
@@ -79,12 +80,14 @@ class Estimate:
     @property
     def is_stuck(self) -> bool:
         """Whether the sonar keeps giving the same range."""
-        return self._alike >= STUCK_READINGS and self._before[1] < DETECTION_LIMIT_M
+        readings = round(STUCK_S * self.sonar.rate_hz)
+        return self._alike >= readings and self._before[1] < self.sonar.reach_m
 
     @property
     def is_wild(self) -> bool:
         """Whether the sonar's ranges do not agree with each other."""
-        return sum(self._scattered) >= WILD_READINGS
+        most = self._scattered.maxlen or 0
+        return sum(self._scattered) >= round(WILD_SHARE * most)
 
     @property
     def is_believed(self) -> bool:
@@ -118,13 +121,8 @@ class Estimate:
         """Whether the sonar says where it looks."""
         return now_s - self._pointed_at_s < LISTENS_S
 
-    def heard(
-        self, time_s: float, range_m: float, inset_m: float, stamp_ms: int | None = None
-    ) -> None:
-        """Take a sonar reading; `inset_m`: how much less than the separation it is.
-
-        stamp_ms: by which `pointed` names it.
-        """
+    def heard(self, time_s: float, range_m: float, stamp_ms: int | None = None) -> None:
+        """Take a sonar reading; stamp_ms: by which `pointed` names it."""
         before_s, before_m = self._before
         was_believed = self.is_believed
         self._before = (time_s, range_m)
@@ -137,14 +135,14 @@ class Estimate:
         if not time_s - before_s < CONFIRM_S:
             return
         time_s -= SONAR_AGE_S
-        if min(range_m, before_m) >= DETECTION_LIMIT_M:
+        if min(range_m, before_m) >= self.sonar.reach_m:
             self._alignment.add(time_s, None, stamp_ms)
-        elif abs(range_m - before_m) < CONFIRM_M and 0.0 < range_m < DETECTION_LIMIT_M:
-            self._alignment.add(time_s, range_m + inset_m, stamp_ms)
+        elif abs(range_m - before_m) < CONFIRM_M and 0.0 < range_m < self.sonar.reach_m:
+            self._alignment.add(time_s, range_m + self.sonar.inset_m, stamp_ms)
 
     def _compare(self, range_m: float) -> None:
         """Note whether a range is like one of the two before it."""
-        in_reach = range_m < DETECTION_LIMIT_M
+        in_reach = range_m < self.sonar.reach_m
         alone = all(abs(range_m - before_m) >= CONFIRM_M for before_m in self._within)
         self._scattered.append(in_reach and len(self._within) == 2 and alone)
         if in_reach:
@@ -170,7 +168,7 @@ class Estimate:
 
     def _unlearn(self) -> None:
         """Drop what the sonar taught; the receivers' jumps stay allowed for."""
-        self.offset = OffsetGrid()
+        self.offset = Cloud(self.sonar)
         self._alignment = Alignment()
 
     def jumped(self, moved_m: tuple[float, float]) -> None:

@@ -76,8 +76,6 @@ class GuidanceSettings:
     learn_offset: learn from the sonar how far the two receivers disagree (`flight`), move the
         leader by it, and stand off by `standoff_sigmas` of its uncertainty, so that even then
         `clearance_m` is left.
-    sonar_inset_m: how much less than the separation the sonar reads: its face is ahead of the
-        follower's centre, the leader's reflecting legs are around its own. Measure yours.
     fresh_age_s, stale_age_s: the lead shrinks to nothing between these ages of the report;
         beyond the second the follower is stopped.
     """
@@ -92,7 +90,6 @@ class GuidanceSettings:
     face_leader: bool = True
     learn_offset: bool = True
     standoff_sigmas: float = 2.5
-    sonar_inset_m: float = 0.2
     # Reports by telemetry radio are 0.46 to 0.71 s old. What fades is room for a leader that turns
     # round where the sonar loses it: on SITL 4.8 1.3 m were left, and 0.5 m with 0.75 s here.
     fresh_age_s: float | None = 0.5

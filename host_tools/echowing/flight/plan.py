@@ -14,9 +14,7 @@ from echowing.flight.guidance import (
     sway_rad,
 )
 from echowing.flight.handling import least_slot_m
-from echowing.flight.offset_grid import SILENT_HALF_RAD
 from echowing.flight.search import swung
-from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.flight.state import FollowerState, Known
 from echowing.geo import displace, distance_m, ned_between, wrap_angle_rad
 
@@ -36,6 +34,8 @@ NEAR_M, HEARD_PER_S = 0.3, 0.7
 # A leader that is not heard gets more room, the less its place is known; but the follower stays so
 # far within the sonar's reach.
 WITHIN_REACH_M = 0.7
+# One error in 160 is larger than what is allowed for: 2.5 standard deviations.
+RISK = 1.0 / 160.0
 # A slot that was opened closes slowly: one that leans to catch up loses its leader.
 CLOSES_MPS = 0.6
 # A leader that is not heard for so long is looked for where it most likely is. The time counts up
@@ -56,7 +56,7 @@ def planned(known: Known, follower: FollowerState, fix: LeaderFix, now_s: float)
     leader, here = _leader(known, follower, fix, arrives_s), follower.then(arrives_s)
     if settings.learn_offset:
         least_m = max(least_m, _least_radius_m(known, follower, now_s))
-        if here is not None and distance_m(here, leader.position) > DETECTION_LIMIT_M:
+        if here is not None and distance_m(here, leader.position) > follower.plan.sonar.reach_m:
             follower.beyond_s = now_s
         if least_m > 0.0 and _is_overdue(follower, now_s):
             least_m = max(least_m, _reversal_by_radio_m(known, follower, fix))
@@ -83,10 +83,11 @@ def _searching(
 ) -> GuidedPoint:
     """The slot, swung round a leader that is not heard though it is within the sonar's reach."""
     here, estimate = follower.on_arrival(now_s), follower.estimate
-    radius_m = follower.plan.slot.radius_m
+    radius_m, sonar = follower.plan.slot.radius_m, follower.plan.sonar
     # From below or above the beam does not meet it from any side.
-    level = abs(known.leader_above_m(follower)) < radius_m * math.tan(SILENT_HALF_RAD)
-    within_reach = radius_m < DETECTION_LIMIT_M and level
+    half_rad = sonar.narrowest_rad.at(radius_m)
+    level = abs(known.leader_above_m(follower)) < radius_m * math.tan(half_rad)
+    within_reach = radius_m < sonar.reach_m and level
     unheard = estimate.missed_s > LOST_S
     rate_rps = follower.search.update(
         now_s,
@@ -108,8 +109,7 @@ def _least_radius_m(known: Known, follower: FollowerState, now_s: float) -> floa
     settings, offset = known.settings, follower.estimate.offset
     offset.advance(now_s)
     line_rad = known.bearing_of_leader(follower, now_s) or 0.0
-    unsure_m = settings.standoff_sigmas * offset.unproven_sigma_m(line_rad, now_s)
-    return settings.clearance_m + unsure_m + offset.unproven_shift_m(line_rad, now_s)
+    return offset.nearest_m(line_rad, settings.clearance_m, RISK)
 
 
 def _is_overdue(follower: FollowerState, now_s: float) -> bool:
@@ -134,7 +134,7 @@ def _reversal_by_radio_m(known: Known, follower: FollowerState, fix: LeaderFix) 
     least_m = least_slot_m(
         speed_mps, answer, known.settings.clearance_m, noticed_s, known.leader_brakes_mps2
     )
-    return min(DETECTION_LIMIT_M - WITHIN_REACH_M, least_m)
+    return min(follower.plan.sonar.reach_m - WITHIN_REACH_M, least_m)
 
 
 def _closing_slowly(follower: FollowerState, least_m: float, now_s: float) -> float:

@@ -149,7 +149,7 @@ class FollowSession:
     def _follower_message(
         self, follower: FollowerState, kind: str, message: Any, now_s: float
     ) -> None:
-        follower.ranged(kind, message, now_s, self.settings.sonar_inset_m)
+        follower.ranged(kind, message, now_s)
         if kind == "PARAM_VALUE":
             follower.handling.receive(message.param_id, message.param_value)
         if kind == "GLOBAL_POSITION_INT":

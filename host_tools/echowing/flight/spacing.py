@@ -9,8 +9,7 @@ from echowing.flight.guard import Guard
 from echowing.flight.guidance import Horizontal, bearing_rad
 from echowing.flight.holds import moved_off
 from echowing.flight.jumps import SAME_RANGE_M
-from echowing.flight.offset_grid import Wandering
-from echowing.flight.sonar import DETECTION_LIMIT_M
+from echowing.flight.cloud import Wandering
 from echowing.flight.state import LEADER, FollowerState, Known
 from echowing.geo import GlobalPosition, Ned, displace, ned_between
 
@@ -106,7 +105,7 @@ class Spacing:
         Until then it is kept further off, because the receivers may be wrong. With room for its
         braking on top the follower would stay out of the sonar's reach, and never find it.
         """
-        within_reach = follower.plan.slot.radius_m < DETECTION_LIMIT_M
+        within_reach = follower.plan.slot.radius_m < follower.plan.sonar.reach_m
         return within_reach and not follower.estimate.hears(now_s)
 
     def _other(

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 from echowing.flight.alignment import History, Report
+from echowing.flight.belief import SonarBelief
 from echowing.flight.estimate import LONGEST_CARRY_S, Estimate, carried_on
 from echowing.flight.guidance import (
     GuidanceSettings,
@@ -25,7 +26,6 @@ from echowing.flight.jumps import OwnJump, RangeMemory
 from echowing.flight.leader_track import LeaderTrack, VehicleClock, changes_mps2, is_late
 from echowing.flight.own_motion import OwnMotion
 from echowing.flight.search import Search
-from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.flight.tail import TailSlot
 from echowing.flight.tow_bar import TowBar
 from echowing.flight.wind import Wind
@@ -56,11 +56,12 @@ InHeight = Callable[[int, GlobalPosition], GlobalPosition]
 
 @dataclass(slots=True)
 class FollowerPlan:
-    """One follower: its system id, its slot, its altitude above its home."""
+    """One follower: its system id, its slot, its altitude above its home, and its sonar."""
 
     system_id: int
     slot: Slot
     altitude_m: float = 10.0
+    sonar: SonarBelief = field(kw_only=True)
 
     @property
     def wanted_m(self) -> float:
@@ -105,8 +106,8 @@ class FollowerState:
 
     plan: FollowerPlan
     guide: Guide
+    estimate: Estimate
     clock: VehicleClock = field(default_factory=VehicleClock)
-    estimate: Estimate = field(default_factory=Estimate)
     ranges: RangeMemory = field(default_factory=RangeMemory)
     own_jump: OwnJump = field(default_factory=OwnJump)
     handling: Handling = field(default_factory=Handling)
@@ -263,14 +264,14 @@ class FollowerState:
         attitude_rad = message.roll, message.pitch, message.yaw
         self.wind.leans(attitude_rad, self.velocity_mps, now_s)
 
-    def ranged(self, kind: str, message: Any, now_s: float, inset_m: float) -> None:
+    def ranged(self, kind: str, message: Any, now_s: float) -> None:
         """Take a message that may be its sonar's; single readings count before averages."""
         if kind == "NAMED_VALUE_FLOAT" and message.name == SONAR_READING:
             self.raw_at_s = now_s
             stamp_s = message.time_boot_ms / 1e3
             time_s = self.estimate.sonar_clock.to_ours(stamp_s, now_s, self.way_s)
             self.sonar_id = message.get_srcComponent()
-            self._take_range(time_s, message.value, inset_m, message.time_boot_ms)
+            self._take_range(time_s, message.value, message.time_boot_ms)
         elif kind == "GIMBAL_DEVICE_ATTITUDE_STATUS":
             axis = axis_seen(message)
             if axis is not None and message.get_srcComponent() == self.sonar_id:
@@ -281,14 +282,12 @@ class FollowerState:
             and now_s - self.raw_at_s > RAW_FRESH_S
         ):
             range_m = sonar_range_m(message)
-            heard_m = DETECTION_LIMIT_M if range_m is None else range_m
-            self._take_range(now_s - self.way_s - AVERAGE_AGE_S, heard_m, inset_m)
+            heard_m = self.plan.sonar.reach_m if range_m is None else range_m
+            self._take_range(now_s - self.way_s - AVERAGE_AGE_S, heard_m)
 
-    def _take_range(
-        self, time_s: float, range_m: float, inset_m: float, stamp_ms: int | None = None
-    ) -> None:
-        self.estimate.heard(time_s, range_m, inset_m, stamp_ms)
-        if 0.0 < range_m < DETECTION_LIMIT_M and self.estimate.is_believed:
+    def _take_range(self, time_s: float, range_m: float, stamp_ms: int | None = None) -> None:
+        self.estimate.heard(time_s, range_m, stamp_ms)
+        if 0.0 < range_m < self.plan.sonar.reach_m and self.estimate.is_believed:
             self.ranges.add(time_s, range_m)
 
 
@@ -309,7 +308,9 @@ class Known:
         """A vehicle's place with the altitude to compare with others' (`Guard.in_height`)."""
         self.followers = {
             plan.system_id: FollowerState(
-                plan, TowBar(plan.slot, longest_m) if settings.tow_bar else TailSlot(plan.slot)
+                plan,
+                TowBar(plan.slot, longest_m) if settings.tow_bar else TailSlot(plan.slot),
+                Estimate(plan.sonar),
             )
             for plan in plans
         }

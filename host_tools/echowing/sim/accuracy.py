@@ -16,8 +16,9 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 
 from echowing.analysis.metrics import approach_s, found_s, metrics, within_s
+from echowing.flight.belief import SonarBelief
 from echowing.flight.guidance import Horizontal
-from echowing.flight.offset_grid import OffsetGrid
+from echowing.flight.cloud import Cloud
 from echowing.sim.flight import FormationFlight
 from echowing.sim.scenario import load_scenario
 from echowing.sim.sonar import FOIL_X8_RANGE_M
@@ -172,7 +173,7 @@ def fly_row(row: Row, seed: int, changes: Sequence[str] = (), *, known: bool = F
     watch = _Watch(flight, known=known)
     result = flight.run(after_step=watch.step)
     (flown,) = result.flights
-    approached_s, inset_m = approach_s(flown), scenario.guidance.sonar_inset_m
+    approached_s, inset_m = approach_s(flown), scenario.sonar_belief.inset_m
     measured = metrics(flown, approached_s)
     return Flown(
         mean_error_m=measured.mean_abs_error_m,
@@ -188,11 +189,11 @@ def _or_never(first_s: float | None) -> float:
     return math.inf if first_s is None else first_s
 
 
-class Known(OffsetGrid):
+class Known(Cloud):
     """The receivers' disagreement itself, in place of its estimate; `truth` gives it."""
 
-    def __init__(self, truth: Callable[[], Horizontal]) -> None:
-        super().__init__()
+    def __init__(self, sonar: SonarBelief, truth: Callable[[], Horizontal]) -> None:
+        super().__init__(sonar)
         self._truth = truth
         self._covariance = (0.0, 0.0, 0.0)
 
@@ -200,6 +201,10 @@ class Known(OffsetGrid):
         """As good as heard at this moment."""
         self._heard_at_s = now_s
         self.north_m, self.east_m = self.most_likely_m = self._truth()
+
+    def nearest_m(self, direction_rad: float, clear_m: float, risk: float) -> float:
+        """Where it is known, so far and no nearer."""
+        return clear_m
 
     def heard(self, *_: object) -> None:
         """Nothing to learn."""
@@ -217,7 +222,7 @@ class _Watch:
         self._estimate = follower.estimate
         self._variances: list[tuple[float, float]] = []
         if known:
-            self._estimate.offset = Known(self._truth)
+            self._estimate.offset = Known(self._estimate.sonar, self._truth)
 
     def step(self) -> None:
         """After each step."""

@@ -202,8 +202,9 @@ class FormationFlight(FormationWorld):
         scenario = self.scenario
         # A leader that is carried may be lower than any follower is flown.
         altitude_m = max(LOWEST_M, scenario.leader.altitude_m)
+        sonar = scenario.sonar_belief
         plans = [
-            FollowerPlan(FIRST_FOLLOWER_ID + i, slot, altitude_m)
+            FollowerPlan(FIRST_FOLLOWER_ID + i, slot, altitude_m, sonar=sonar)
             for i, slot in enumerate(scenario.slots())
         ]
         return FollowSession(
