@@ -20,6 +20,13 @@
 
 ---@diagnostic disable: need-check-nil
 
+-- Each script gets its own copy of the vehicle's libraries. What this one does not use of them goes: it takes 2 kB.
+local abs, cos, deg, exp, max, min = math.abs, math.cos, math.deg, math.exp, math.max, math.min
+local pi, sin, sqrt = math.pi, math.sin, math.sqrt
+io, math, package, require, table = nil, nil, nil, nil, nil
+
+local boot = millis() -- first: the operators of its class take the largest block of all
+
 -- The vehicle's memory is small: a number that is used once stands where it is used.
 local BLIND_MS = 2500 -- a target lost while too close is taken to be there for this time: no speed without sonar yet
 local FASTEST_MPS = 30.0 -- no copter flies faster; WPNAV_SPEED and WP_SPD reach 20
@@ -27,8 +34,6 @@ local FASTEST_MPS = 30.0 -- no copter flies faster; WPNAV_SPEED and WP_SPD reach
 local function say(severity, text) -- MAV_SEVERITY: 2 critical, 3 error, 4 warning, 5 notice, 6 information
     gcs:send_text(severity, 'ECHO: ' .. text)
 end
-
-local min, max = math.min, math.max
 
 local function clamp(value, low, high)
     return max(low, min(high, value))
@@ -206,7 +211,7 @@ do
             complained[name] = nil
         elseif not complained[name] then
             complained[name] = true
-            say(4, string.format('ECHO_%s out of range, using %.2f', name, C[name]))
+            say(4, ('ECHO_%s out of range, using %.2f'):format(name, C[name]))
         end
     end
 
@@ -223,7 +228,7 @@ do
     -- 95 is the table key that no script in ArduPilot's tree uses.
     local left = param:get('ECHO_MIRROR')
     assert(param:add_table(95, 'ECHO_', 29), 'ECHO: parameter table key 95 is taken')
-    for name, value, low, high, number in string.gmatch(PARAMETERS, "'(%S+)', (%S+), (%S+), (%S+), (%S+),") do
+    for name, value, low, high, number in PARAMETERS:gmatch("'(%S+)', (%S+), (%S+), (%S+), (%S+),") do
         local i = #names + 1
         assert(param:add_param(95, tonumber(number), name, tonumber(value)), 'ECHO: cannot add ECHO_' .. name)
         names[i], C[name], lowest[i], highest[i] = name, tonumber(value), tonumber(low), tonumber(high)
@@ -281,11 +286,11 @@ local function order(mps, position, velocity, acceleration, look_rad, turn_rps)
     -- autopilot takes a yaw of up to 360 degrees.
     if not (is_within(here:length(), 50.0) and is_within(position:length(), 1e5)
         and is_within(velocity:length(), FASTEST_MPS) and is_within(acceleration:length(), 10.0)
-        and is_within(look_rad, 2.0 * math.pi) and is_within(turn_rps, 4.0)) then
+        and is_within(look_rad, 2.0 * pi) and is_within(turn_rps, 4.0)) then
         return refuse('implausible target')
     end
-    return vehicle:set_target_posvelaccel_NED(position, velocity, acceleration, true, math.deg(look_rad),
-        turn_rps ~= 0.0, math.deg(turn_rps), false)
+    return vehicle:set_target_posvelaccel_NED(position, velocity, acceleration, true, deg(look_rad),
+        turn_rps ~= 0.0, deg(turn_rps), false)
 end
 
 -- This vehicle's motion ----------------------------------------------------------------------------------------------
@@ -297,10 +302,10 @@ do
         local velocity, mps = ahrs:get_velocity_NED(), 0.0
         if velocity then
             local yaw = yaw_rad(ahrs)
-            mps = velocity:x() * math.cos(yaw) + velocity:y() * math.sin(yaw)
+            mps = velocity:x() * cos(yaw) + velocity:y() * sin(yaw)
             if not is_within(mps, FASTEST_MPS) then mps = 0.0 end
         end
-        local dt_ms = own.at_ms and t_ms - own.at_ms or math.maxinteger
+        local dt_ms = own.at_ms and t_ms - own.at_ms or 1000
         if dt_ms > 200 then
             own.accel_mps2 = 0.0 -- too long ago to compare with
         elseif dt_ms > 0 then
@@ -324,13 +329,13 @@ do
         local position = ahrs:get_relative_position_NED_origin()
         if not position then return false end
         local yaw = yaw_rad(ahrs)
-        return fly_to(position, -back_m * math.cos(yaw), -back_m * math.sin(yaw))
+        return fly_to(position, -back_m * cos(yaw), -back_m * sin(yaw))
     end
 
     -- Whether it has come to rest, but for what the estimator is off: one that still leans only turns round.
     function own.stands()
         local velocity = ahrs:get_velocity_NED()
-        if not velocity or math.abs(own.accel_mps2) > 1.0 then return false end
+        if not velocity or abs(own.accel_mps2) > 1.0 then return false end
         local north_mps, east_mps = velocity:x(), velocity:y()
         return north_mps * north_mps + east_mps * east_mps < 0.3 * 0.3
     end
@@ -343,7 +348,7 @@ do
         local position, velocity = ahrs:get_relative_position_NED_origin(), ahrs:get_velocity_NED()
         if not (position and velocity) then return false end
         local north_mps, east_mps = velocity:x(), velocity:y()
-        local mps = math.sqrt(north_mps * north_mps + east_mps * east_mps)
+        local mps = sqrt(north_mps * north_mps + east_mps * east_mps)
         if not is_within(mps, FASTEST_MPS) or mps < 0.01 then return fly_to(position, 0.0, 0.0) end
         local then_mps = max(0.0, mps + own.accel_mps2 * own.mps / mps * LEAN_S)
         local share = (0.5 * (mps + then_mps) * LEAN_S + then_mps * then_mps / (2.0 * C.DECEL)) / mps
@@ -393,7 +398,7 @@ do
     end
 
     function track.take(payload, t_ms)
-        local board_ms, value, name = string.unpack('<I4fc10', payload)
+        local board_ms, value, name = ('<I4fc10'):unpack(payload)
         if name ~= 'SNR_RAW\0\0\0' then return end
         if not is_within(value, 20.0) or value <= 0.0 then return refuse('implausible reading') end
         track.raw_m, track.raw_ms = value + C.INSET, taken_ms(board_ms, t_ms)
@@ -470,7 +475,7 @@ do
     local function is_second(range_m, read_ms)
         if not track.spike_m then return false end
         local dt_s = (read_ms - track.spike_ms) * 0.001
-        return dt_s > 0.0 and dt_s < 0.3 and math.abs(range_m - track.spike_m) < 0.15 + 5.0 * dt_s, dt_s
+        return dt_s > 0.0 and dt_s < 0.3 and abs(range_m - track.spike_m) < 0.15 + 5.0 * dt_s, dt_s
     end
 
     -- A reading that was not foreseen counts only when the next one is like it: propellers make single wild ones. The
@@ -511,10 +516,10 @@ do
         local aged_s = 0.05 + (t_ms - read_ms) * 0.001
         local residual_m = range_m + (track.leader_mps - own.mps) * aged_s - track.range_m
         -- Readings 0.1 s apart differ by less than 0.15 m even where both vehicles change their speed at 5 m/s2.
-        if math.abs(residual_m) > 0.15 or dt_s > 0.3 then
-            return unforeseen(range_m, read_ms, t_ms, math.abs(residual_m))
+        if abs(residual_m) > 0.15 or dt_s > 0.3 then
+            return unforeseen(range_m, read_ms, t_ms, abs(residual_m))
         end
-        local keep = math.exp(-dt_s / C.TAU)
+        local keep = exp(-dt_s / C.TAU)
         local lose = 1.0 - keep
         local n = track.readings + 1 -- the first readings count as in a straight line through all of them
         local range_share = max(1.0 - keep * keep * keep, 2.0 * (2.0 * n - 1.0) / (n * (n + 1.0)))
@@ -548,7 +553,7 @@ do
     -- acceleration.
     function guard.stoppable_mps(range_m)
         local lag_mps = C.DECEL * C.DELAY
-        return math.sqrt(lag_mps * lag_mps + 2.0 * C.DECEL * max(0.0, range_m - C.CLOSE)) - lag_mps
+        return sqrt(lag_mps * lag_mps + 2.0 * C.DECEL * max(0.0, range_m - C.CLOSE)) - lag_mps
     end
 
     -- Whether to fly a target of the applet's own away from the leader: it is still closing (slower than 0.15 m/s is
@@ -669,7 +674,7 @@ do
         local here = vehicle:get_likely_flying() and ahrs:get_location()
         local position = here and ahrs:get_relative_position_NED_origin()
         if not position then return false end
-        local ahead_m, mps, north_m, east_m, cos, sin = stream.ahead(here, t_ms)
+        local ahead_m, mps, north_m, east_m, c, s = stream.ahead(here, t_ms)
         if not ahead_m then return false end
         -- A leader that brakes is answered with its own deceleration.
         local braking_mps2 = track.braking_mps2(t_ms)
@@ -685,16 +690,16 @@ do
             wanted_m, wanted_mps = gently(t_ms, along_beam(ahead_m, mps, braking_mps2, t_ms))
         end
         local by_m, by_mps = wanted_m - ahead_m, wanted_mps + braking_mps2 * LEAD_S - mps
-        position:x(position:x() + north_m + by_m * cos)
-        position:y(position:y() + east_m + by_m * sin)
+        position:x(position:x() + north_m + by_m * c)
+        position:y(position:y() + east_m + by_m * s)
         position:z(position:z() - stream.up_m - ahrs:get_relative_position_D_home())
         local velocity, acceleration = Vector3f(), Vector3f()
-        velocity:x(stream.north_mps + by_mps * cos)
-        velocity:y(stream.east_mps + by_mps * sin)
+        velocity:x(stream.north_mps + by_mps * c)
+        velocity:y(stream.east_mps + by_mps * s)
         -- What it does not yet decelerate by itself: more than the lean can give, and Guided's own plan would wait.
         local missing_mps2 = max(braking_mps2, min(0.0, braking_mps2 - own.accel_mps2))
-        acceleration:x(missing_mps2 * cos)
-        acceleration:y(missing_mps2 * sin)
+        acceleration:x(missing_mps2 * c)
+        acceleration:y(missing_mps2 * s)
         -- After a leader that turns a corner with the rate, too: after a yaw alone Guided turns by ATC_INPUT_TC later,
         -- 0.15 s, 6 of the 20 degrees to the edge of the beam; and ahead by the 0.2 s that the nose is behind its
         -- attitude's target (SITL 4.6 0.2 s, 4.8 0.25 s). One that flies back is too near for a rate from its estimated
@@ -730,14 +735,14 @@ do
     -- opened, whether the tool leads it past another vehicle than the leader, and the format that says so.
     function stream.take(payload, sender, t_ms)
         local lat, lng, up_m, north_mps, east_mps, _, opens_m, makes_way, format, yaw, _, mask, system, _, frame =
-            string.unpack('<i4i4fffffffffI2BBB', payload, 5)
+            ('<i4i4fffffffffI2BBB'):unpack(payload, 5)
         if system ~= 0 and system ~= MY_SYSTEM then return end
         if format ~= 2 or frame ~= 6 or mask & ~0x0400 ~= 0x09C0 then return refuse('points of another format') end
         -- The autopilot's greatest latitude and longitude, and more metres than any slot opens to or copter climbs to.
         local looks = mask & 0x0400 == 0
         if not (is_within(lat, 900000000) and is_within(lng, 1800000000) and is_within(up_m, 10000.0)
             and is_within(north_mps, FASTEST_MPS) and is_within(east_mps, FASTEST_MPS) and is_within(opens_m, 1000.0)
-            and is_within(makes_way, 1.0) and (not looks or is_within(yaw, 2.0 * math.pi))) then
+            and is_within(makes_way, 1.0) and (not looks or is_within(yaw, 2.0 * pi))) then
             return refuse('implausible point')
         end
         -- Points count from one sender until it has been silent for a second: two would pull the vehicle to and fro.
@@ -747,7 +752,7 @@ do
         -- time, or further, do not tell; the highest rate is that of ATC_RATE_WPY_MAX, 60 deg/s.
         local rate_rps = 0.0
         if looks and stream.yaw_rad and dt_s > 0.05 and dt_s < 0.4 then
-            local turn_rad = (yaw - stream.yaw_rad + math.pi) % (2.0 * math.pi) - math.pi
+            local turn_rad = (yaw - stream.yaw_rad + pi) % (2.0 * pi) - pi
             rate_rps = clamp(turn_rad / dt_s, -1.0, 1.0)
         end
         stream.yaw_rps = 0.5 * (stream.yaw_rps + rate_rps)
@@ -767,8 +772,8 @@ do
         local offset, age_s = here:get_distance_NE(target), (t_ms - stream.at_ms) * 0.001
         local north_m, east_m = offset:x() + stream.north_mps * age_s, offset:y() + stream.east_mps * age_s
         local yaw = yaw_rad(ahrs)
-        local cos, sin = math.cos(yaw), math.sin(yaw)
-        return north_m * cos + east_m * sin, stream.north_mps * cos + stream.east_mps * sin, north_m, east_m, cos, sin
+        local c, s = cos(yaw), sin(yaw)
+        return north_m * c + east_m * s, stream.north_mps * c + stream.east_mps * s, north_m, east_m, c, s
     end
 
     -- Holds the vehicle where it is once a stream of guided points has fallen silent.
@@ -809,9 +814,9 @@ do
     -- Whether bytes that end with their checksum are whole (X.25, which is then 0): four bytes at a time. Zeros that
     -- follow change nothing.
     local function is_whole(bytes)
-        local unpack, crc = string.unpack, 0xFFFF
+        local crc = 0xFFFF
         for i = 1, #bytes - 3, 4 do
-            local q = unpack('<i4', bytes, i) ~ crc
+            local q = ('<i4'):unpack(bytes, i) ~ crc
             q = q ~ q << 4 ~ q << 11 ~ q << 16
             q = q ~ q << 8 ~ q << 22
             q = q ~ q << 16
@@ -824,22 +829,22 @@ do
     -- message that is for another script, or damaged. Bytes that the checksum does not cover are not used.
     local function read(message)
         -- A mavlink_message_t has 299 bytes where system ids have 32 bits, 291 where they have 8.
-        local sub, wide = string.sub, #message >= 299 and 3 or 0
-        local magic, length, flags = string.unpack('BBB', message, 3)
-        local component, id = string.unpack('<BI3', message, 9 + wide)
+        local wide = #message >= 299 and 3 or 0
+        local magic, length, flags = message:byte(3, 5)
+        local component, id = ('<BI3'):unpack(message, 9 + wide)
         local extra = CRC_EXTRA[id]
         if not extra then return nil end
         local old = magic == 0xFE -- MAVLink 1
         -- 53 bytes are the longest payload; flag 1, a signature, is the only one that changes nothing before the
         -- checksum.
         if length <= 53 and (old or flags & ~1 == 0) then
-            local payload = sub(message, 13 + wide, 12 + wide + length)
+            local payload = message:sub(13 + wide, 12 + wide + length)
             -- As on the wire: from the length to one byte of the system's id, its component, one or three bytes of id.
-            local sent = sub(message, 4, old and 4 or 6) .. sub(message, 7, 8)
-                .. sub(message, 9 + wide, (old and 10 or 12) + wide) .. payload
-            if is_whole(sent .. string.char(extra) .. sub(message, 1, 2) .. '\0\0\0') then
-                local system = string.byte(message, 8)
-                return id, system, system << 8 | component, payload .. string.rep('\0', 53 - length)
+            local sent = message:sub(4, old and 4 or 6) .. message:sub(7, 8)
+                .. message:sub(9 + wide, (old and 10 or 12) + wide) .. payload
+            if is_whole(sent .. ('B'):pack(extra) .. message:sub(1, 2) .. '\0\0\0') then
+                local system = message:byte(8)
+                return id, system, system << 8 | component, payload .. ('\0'):rep(53 - length)
             end
         end
         return nil, refuse('damaged message')
@@ -898,15 +903,15 @@ do
 
     -- Outside changes of the speed parameter: one is the pilot's, four in ten seconds are another script's.
     function speed.fought_over(t_ms)
-        return #speed.changes == 4 and t_ms - speed.changes[1] < 10000
+        return speed.changes[4] and t_ms - speed.changes[4] < 10000
     end
 
     -- The pilot has set the speed parameter while the applet is in control: his value from now on.
     function speed.watch(t_ms)
         local units = parameter:get()
         if speed.units and units ~= speed.units and is_speed(units) then
-            table.insert(speed.changes, t_ms)
-            if #speed.changes > 4 then table.remove(speed.changes, 1) end
+            local newest = speed.changes
+            speed.changes = { t_ms, newest[1], newest[2], newest[3] }
             if control.active then
                 speed.pilot_units, speed.conflict = units, speed.fought_over(t_ms)
                 mirror:set(units)
@@ -919,7 +924,7 @@ do
     local left = mirror:get()
     if is_speed(left) then
         speed.give_back(left)
-        say(4, string.format('restarted, %s back to %.2f', SPEED_NAME, left))
+        say(4, ('restarted, %s back to %.2f'):format(SPEED_NAME, left))
     end
 end
 
@@ -941,11 +946,11 @@ do
     function report.announce(t_ms)
         local state = report.state
         if state == report.announced then return end
-        local severity, text, gap_ms = table.unpack(NOTICES, 3 * state - 2, 3 * state)
+        local severity, text, gap_ms = NOTICES[3 * state - 2], NOTICES[3 * state - 1], NOTICES[3 * state]
         local last_ms = report.announced_ms[state]
         if last_ms and t_ms - last_ms < gap_ms then return end
         report.announced, report.announced_ms[state] = state, t_ms
-        if state == 1 or state == 4 then text = string.format('%s, %.1f m/s', text, C.SPD_LOST) end
+        if state == 1 or state == 4 then text = ('%s, %.1f m/s'):format(text, C.SPD_LOST) end
         say(severity, text)
     end
 
@@ -1000,8 +1005,6 @@ end
 -- Control: who flies, and the update ---------------------------------------------------------------------------------
 
 do
-    -- Milliseconds since the script started, a plain integer (wraps after 24 days).
-    local boot = millis()
     -- Why the applet must not act now, or nil.
     local function reason_not_to_act()
         if C.ENABLE < 1 then return 'disabled' end
@@ -1013,7 +1016,7 @@ do
         if control.deaf then return 'deaf' end
         if not speed.is_set() then return SPEED_NAME .. ' out of range' end
         if speed.conflict then return 'another script sets ' .. SPEED_NAME end
-        local channel = C.SWITCH > 0 and rc:find_channel_for_option(math.tointeger(C.SWITCH // 1))
+        local channel = C.SWITCH > 0 and rc:find_channel_for_option(C.SWITCH // 1 | 0)
         if C.SWITCH > 0 and not (channel and channel:get_aux_switch_pos() == 2) then return 'switch' end -- high
         return nil
     end
@@ -1034,7 +1037,7 @@ do
         control.active = false
         speed.give_back(speed.pilot_units)
         report.state = 0
-        say(5, string.format('handed back, %s %.2f (%s)', SPEED_NAME, speed.pilot_units, reason))
+        say(5, ('handed back, %s %.2f (%s)'):format(SPEED_NAME, speed.pilot_units, reason))
     end
 
     local function act(t_ms)
@@ -1071,7 +1074,7 @@ do
     end
 
     local function update()
-        local t_ms = (millis() - boot):toint()
+        local t_ms = (millis() - boot):toint() -- since the script started: a plain integer, wraps after 24 days
         read_some()
         own.update(t_ms)
         track.carry(t_ms)
