@@ -31,6 +31,8 @@ Between = tuple[float, float, float]
 # The mean of so many is off by a hundredth of their spread, and one in 160 of them are still two
 # dozen.
 GUESSES = 4000
+# One error in 160 is larger than what is allowed for: 2.5 standard deviations.
+RISK = 1.0 / 160.0
 # Both vehicles are known at the reading's moment to a decimetre.
 PLACED_SIGMA_M = 0.15
 # Readings nearer in time share their errors, and must not count twice.
@@ -57,7 +59,7 @@ class Wandering:
     tau_s: float = 60.0
     tau_spread: float = 0.5
     height_sigma_m: float = 0.5
-    dead_share: float = 0.03
+    dead_share: float = 0.02
 
 
 class Cloud:
@@ -101,21 +103,22 @@ class Cloud:
         p_nn, p_ne, p_ee = self._covariance
         return math.sqrt(max(0.0, p_nn * cos * cos + 2.0 * p_ne * cos * sin + p_ee * sin * sin))
 
-    def nearest_m(self, direction_rad: float, clear_m: float, risk: float) -> float:
+    def nearest_m(self, direction_rad: float, clear_m: float) -> float:
         """How near one may come to where the leader is believed to be, on its bearing.
 
-        From there it is certain, but for `risk`, that the leader is no nearer than `clear_m`, and
-        not behind.
+        From there it is certain (`RISK`) that the leader is no nearer than `clear_m`, and not
+        behind.
         """
         cos, sin = math.cos(direction_rad), math.sin(direction_rad)
-        # From where it is believed to where a guess has it: towards here, and across.
+        # From where it is believed to where a guess has it: towards here, and across. Past a leader
+        # that is further across one may come nearer.
         north, east = self._off[0] - self.north_m, self._off[1] - self.east_m
         nearer, across = north * cos + east * sin, east * cos - north * sin
-        room_m = nearer + np.sqrt(np.maximum(0.0, clear_m * clear_m - across * across))
-        room_m = np.where(np.abs(across) < clear_m, room_m, 0.0)
+        reaches = np.sqrt(np.maximum(0.0, clear_m * clear_m - across * across))
+        room_m = np.where(np.abs(across) < clear_m, nearer + reaches, 0.0)
         order = np.argsort(room_m)
-        sure = np.cumsum(self._weight[order])
-        place = min(int(np.searchsorted(sure, 1.0 - risk)), GUESSES - 1)
+        below = np.cumsum(self._weight[order])
+        place = min(int(np.searchsorted(below, 1.0 - RISK)), GUESSES - 1)
         return max(0.0, float(room_m[order[place]]))
 
     # ---- what is learnt ----

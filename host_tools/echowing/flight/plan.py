@@ -34,8 +34,6 @@ NEAR_M, HEARD_PER_S = 0.3, 0.7
 # A leader that is not heard gets more room, the less its place is known; but the follower stays so
 # far within the sonar's reach.
 WITHIN_REACH_M = 0.7
-# One error in 160 is larger than what is allowed for: 2.5 standard deviations.
-RISK = 1.0 / 160.0
 # A slot that was opened closes slowly: one that leans to catch up loses its leader.
 CLOSES_MPS = 0.6
 # A leader that is not heard for so long is looked for where it most likely is. The time counts up
@@ -109,7 +107,7 @@ def _least_radius_m(known: Known, follower: FollowerState, now_s: float) -> floa
     settings, offset = known.settings, follower.estimate.offset
     offset.advance(now_s)
     line_rad = known.bearing_of_leader(follower, now_s) or 0.0
-    return offset.nearest_m(line_rad, settings.clearance_m, RISK)
+    return offset.nearest_m(line_rad, settings.clearance_m)
 
 
 def _is_overdue(follower: FollowerState, now_s: float) -> bool:

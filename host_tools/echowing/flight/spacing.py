@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Iterator
 
 from echowing.flight.closing import MOST_MPS, Closing
-from echowing.flight.envelope import OTHERS_MPS2, Other, is_in_the_way, keep_apart, straight_out
+from echowing.flight.envelope import OTHERS_MPS2, SURE_SIGMAS, Other, is_in_the_way, keep_apart, straight_out
 from echowing.flight.guard import Guard
 from echowing.flight.guidance import Horizontal, bearing_rad
 from echowing.flight.holds import moved_off
@@ -94,10 +94,19 @@ class Spacing:
                 LEADER,
                 self._between_m(known.leader_id, place, follower, here),
                 leader.velocity_ned_mps,
-                follower.estimate.offset.sigma_m(bearing_rad(here, place)),
+                self._nearer_m(follower, here, place),
                 known.leader_age_s(arrives_s),
                 brakes_mps2=0.0 if self._looks_for_it(follower, now_s) else OTHERS_MPS2,
             )
+
+    def _nearer_m(
+        self, follower: FollowerState, here: GlobalPosition, leader: GlobalPosition
+    ) -> float:
+        """By how much the leader may be nearer than it is believed."""
+        assert self._least_m is not None
+        direction_rad = bearing_rad(here, leader)
+        nearest_m = follower.estimate.offset.nearest_m(direction_rad, self._least_m)
+        return max(0.0, nearest_m - self._least_m)
 
     def _looks_for_it(self, follower: FollowerState, now_s: float) -> bool:
         """Whether its sonar is still to find the leader.
@@ -136,7 +145,7 @@ class Spacing:
                 f"follower {system_id}",
                 self._between_m(system_id, place, follower, here),
                 velocity,
-                UNRANGED_SIGMA_M,
+                SURE_SIGMAS * UNRANGED_SIGMA_M,
                 age_s,
                 is_in_the_way(ned_between(here, place), ned_between(here, goal)),
                 # Its applet flies it, and knows of nobody beside it.
