@@ -260,7 +260,7 @@ TEST_CASE("COMMAND_INT does what COMMAND_LONG does") {
 
 TEST_CASE("an acknowledgement goes to who asked, on the port it came by, at once") {
   Rig rig;
-  rig.run(ms(500));
+  rig.run(ms(530));  // between two readings, whose messages go first
   rig.forget();
   mavlink_command_long_t message = {};
   message.target_system = 1;

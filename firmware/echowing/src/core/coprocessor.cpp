@@ -29,6 +29,7 @@ Coprocessor::Coprocessor(const Ports& ports, uint32_t seed, Microseconds now, Mi
       autopilot_({now, uptime}),
       sonar_(parameters_, seed, {now, uptime}),
       tracker_(parameters_, {now, uptime}),
+      look_(parameters_, tracker_.aim(), {now, uptime}),
       autopilot_connection_(ports.autopilot, true),
       usb_connection_(ports.usb, false),
       pointed_(tracker_.aim()),
@@ -65,6 +66,7 @@ void Coprocessor::decide(const Instant& now) {
   if (autopilot_.take_conflict(now)) {
     notify(autopilot_.own() == 0 ? Notice::kSeveralVehicles : Notice::kOnlyOtherVehicles);
   }
+  if (autopilot_.own() != 0 && look_.take_request(now)) autopilot_connection_.ask_for_attitude();
   run_self_test(now);
   aim_gimbal(now);
 }
@@ -80,7 +82,7 @@ void Coprocessor::act(const Instant& now) {
 void Coprocessor::tell(const Instant& now) {
   const Telemetry telemetry = observe(now);
   const bool busy = new_reading_ || sonar_.timed_out() || report_reading(now, telemetry) ||
-                    handle_message(now) || renew_pointing();
+                    look_.work(now, tracker_) || handle_message(now) || renew_pointing();
   if (!busy) send_other(now, telemetry);
   if (!autopilot_connection_.flush()) usb_connection_.flush();
 }
@@ -90,9 +92,11 @@ void Coprocessor::poll_sonar(const Instant& now) {
   new_reading_ = event == SonarEvent::kReading;
   if (event == SonarEvent::kFault) notify(Notice::kSonarFault);
   if (event == SonarEvent::kRecovered) notify(Notice::kSonarBack);
+  if (sonar_.pinged()) look_.on_ping(now);
   if (sonar_.take_address_changed()) adopt_sonar_address(now);
   if (!new_reading_) return;
   heard_sonar_ = true;
+  look_.on_reading();
   autopilot_connection_.on_reading();
   usb_connection_.on_reading();
   reading_ms_ = now.ms;
@@ -142,21 +146,26 @@ void Coprocessor::report_self_test() {
 
 void Coprocessor::aim_gimbal(const Instant& now) {
   tracker_.hold_at(self_test_.running() ? self_test_.aim(parameters_) : orders_.aim());
-  tracker_.step(now, gimbal_mode());
+  tracker_.step(now, gimbal_mode(now), look_.deviation_rad());
   if (new_reading_) tracker_.on_reading(now, sonar_.reading());
-  note_pointing();
+  note_pointing(now);
 }
 
-void Coprocessor::note_pointing() {
+void Coprocessor::note_pointing(const Instant& now) {
   const Aim aim = tracker_.aim();
   const bool moved = aim.pan_us != pointed_.pan_us || aim.tilt_us != pointed_.tilt_us;
-  pointing_stale_ = pointing_stale_ || moved;
+  if (!moved) return;
+  pointing_stale_ = true;
   pointed_ = aim;
+  look_.on_aim(now, aim);
 }
 
-GimbalMode Coprocessor::gimbal_mode() const {
+GimbalMode Coprocessor::gimbal_mode(const Instant& now) {
   if (self_test_.running()) return GimbalMode::kHold;
   const bool on_the_ground = autopilot_.heard() && !autopilot_.armed();
+  if (look_.active(now)) {
+    return orders_.mode(on_the_ground ? GimbalMode::kLook : GimbalMode::kLookRound);
+  }
   return orders_.mode(on_the_ground ? GimbalMode::kCentre : GimbalMode::kScan);
 }
 
@@ -180,6 +189,7 @@ Telemetry Coprocessor::observe(const Instant& now) {
   return {
       tracker_,
       pointing_,
+      look_.axis(),
       reading_ms_,
       identity_,
       now.ms,

@@ -15,12 +15,21 @@ const mavlink_message_t* Link::receive(SerialPort& port) {
   return nullptr;
 }
 
-bool Link::send_bytes(Identity from, uint8_t id, uint8_t crc_extra, const uint8_t* payload,
+bool Link::send_bytes(Identity from, uint32_t id, uint8_t crc_extra, const uint8_t* payload,
                       uint8_t length) {
   while (length > 1 && payload[length - 1] == 0) --length;
   if (queued_ + kHeaderLength + length + kChecksumLength > kQueueSize) return false;
   const uint8_t header[kHeaderLength] = {
-      MAVLINK_STX, length, 0, 0, sequence_++, from.system, from.component, id, 0, 0,
+      MAVLINK_STX,
+      length,
+      0,
+      0,
+      sequence_++,
+      from.system,
+      from.component,
+      static_cast<uint8_t>(id & 0xff),
+      static_cast<uint8_t>(id >> 8 & 0xff),
+      static_cast<uint8_t>(id >> 16),
   };
   uint16_t checksum = crc_calculate(header + 1, kHeaderLength - 1);
   crc_accumulate_buffer(&checksum, reinterpret_cast<const char*>(payload), length);

@@ -45,7 +45,7 @@ class Link {
   static constexpr uint8_t kHeaderLength = 10;
   static constexpr uint8_t kChecksumLength = 2;
 
-  bool send_bytes(Identity from, uint8_t id, uint8_t crc_extra, const uint8_t* payload,
+  bool send_bytes(Identity from, uint32_t id, uint8_t crc_extra, const uint8_t* payload,
                   uint8_t length);
   void push(uint8_t byte);
 

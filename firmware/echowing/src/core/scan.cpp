@@ -1,5 +1,7 @@
 #include "scan.h"
 
+#include <math.h>
+
 #include "flash_table.h"
 
 namespace echowing {
@@ -30,6 +32,18 @@ uint32_t distance_squared(Aim a, Aim b) {
   return static_cast<uint32_t>(pan * pan + tilt * tilt);
 }
 
+// An angle of the figure as its pulse says it, or farther out to `least_rad`; the middle stays.
+float stretched(uint16_t pulse_us, uint16_t centre_us, float us_per_deg, float least_rad) {
+  if (pulse_us == centre_us || us_per_deg == 0.0f) return 0.0f;
+  const float offset_us = static_cast<float>(pulse_us) - static_cast<float>(centre_us);
+  const float angle_rad = offset_us / us_per_deg * kRadiansPerDegree;
+  return angle_rad < 0.0f ? fminf(angle_rad, -least_rad) : fmaxf(angle_rad, least_rad);
+}
+
+float within_reach(float angle_rad, uint16_t reach_deg) {
+  return fminf(angle_rad, reach_deg * kRadiansPerDegree);
+}
+
 }  // namespace
 
 Aim scan_point(const Parameters& parameters, uint8_t index) {
@@ -47,6 +61,32 @@ uint8_t nearest_scan_point(const Parameters& parameters, Aim aim) {
   for (uint8_t index = 1; index < kScanPoints; ++index) {
     const uint32_t distance = distance_squared(scan_point(parameters, index), aim);
     if (distance >= least) continue;
+    least = distance;
+    nearest = index;
+  }
+  return nearest;
+}
+
+Direction scan_offset(const Parameters& parameters, uint8_t index, float deviation_rad) {
+  const Aim point = scan_point(parameters, index);
+  const Aim centre = scan_centre(parameters);
+  const float pan_rad = within_reach(2 * deviation_rad, parameters.whole(Parameter::kPanReach));
+  const float tilt_rad = within_reach(2 * deviation_rad, parameters.whole(Parameter::kTiltReach));
+  return {
+      stretched(point.pan_us, centre.pan_us, parameters.get(Parameter::kPanScale), pan_rad),
+      stretched(point.tilt_us, centre.tilt_us, parameters.get(Parameter::kTiltScale), tilt_rad),
+  };
+}
+
+uint8_t nearest_scan_offset(const Parameters& parameters, Direction offset, float deviation_rad) {
+  uint8_t nearest = 0;
+  float least = 0.0f;
+  for (uint8_t index = 0; index < kScanPoints; ++index) {
+    const Direction point = scan_offset(parameters, index, deviation_rad);
+    const float right = point.right_rad - offset.right_rad;
+    const float up = point.up_rad - offset.up_rad;
+    const float distance = right * right + up * up;
+    if (index != 0 && distance >= least) continue;
     least = distance;
     nearest = index;
   }

@@ -1,0 +1,57 @@
+#include "attitude.h"
+
+#include <math.h>
+
+namespace echowing {
+namespace {
+
+constexpr Milliseconds kFresh = 500;
+// Its 40 bytes take 3.5 ms on the wire; the rest is the autopilot's loop, 2.5 ms, and our own.
+constexpr Microseconds kAge = milliseconds(6);
+constexpr Milliseconds kRequestPause = 2000;
+// Of the 50 that are wanted in the pause: a busy autopilot sends some late.
+constexpr uint8_t kEnough = 40;
+static_assert(kEnough * Attitude::kInterval < milliseconds(kRequestPause), "never satisfied");
+
+// A gyro's full scale, 2000 degrees a second.
+constexpr float kFastest_rps = 35.0f;
+constexpr float kRounding_rad = 0.001f;
+
+// Not-a-number is not within anything.
+bool within(float value, float most) { return fabsf(value) <= most; }
+
+bool plausible(const mavlink_attitude_t& told) {
+  return within(told.roll, kPi + kRounding_rad) && within(told.pitch, 0.5f * kPi + kRounding_rad) &&
+         within(told.yaw, kPi + kRounding_rad) && within(told.rollspeed, kFastest_rps) &&
+         within(told.pitchspeed, kFastest_rps) && within(told.yawspeed, kFastest_rps);
+}
+
+}  // namespace
+
+void Attitude::on_message(const Instant& now, const mavlink_message_t& message) {
+  mavlink_attitude_t told;
+  mavlink_msg_attitude_decode(&message, &told);
+  if (!plausible(told)) return;
+  received_ = from_euler(told.roll, told.pitch, told.yaw);
+  rates_rps_ = {told.rollspeed, told.pitchspeed, told.yawspeed};
+  received_us_ = now.us;
+  freshness_.start(now, kFresh);
+  if (count_ < kEnough) ++count_;
+}
+
+Quaternion Attitude::at(Microseconds time) const {
+  const int32_t since_us = static_cast<int32_t>(time + kAge - received_us_);
+  const float half_s = 0.5e-6f * static_cast<float>(since_us);
+  return product(received_,
+                 {1.0f, half_s * rates_rps_.x, half_s * rates_rps_.y, half_s * rates_rps_.z});
+}
+
+bool Attitude::take_request(const Instant& now) {
+  if (request_pause_.running(now)) return false;
+  request_pause_.start(now, kRequestPause);
+  const bool enough = count_ == kEnough;
+  count_ = 0;
+  return !enough;
+}
+
+}  // namespace echowing
