@@ -39,6 +39,11 @@ PLACED_SIGMA_M = 0.15
 UPDATE_PERIOD_S = 0.25
 # Guesses move by centimetres in this time.
 ADVANCE_PERIOD_S = 0.5
+# So many readings in a row that nothing had foretold, while the leader has not been heard for so
+# long, are its own.
+AGREE, LOST_S = 3, 3.0
+# Two vehicles nearer than this have no direction.
+CLOSE_M = 0.1
 # How a guess changes when it is repeated (Liu and West's discount of 0.98, for which 0.2 is the
 # share of the spread), and by how far it moves.
 KEPT_OF_SPREAD, NEW_OF_SPREAD, MOVES_M = 0.98, 0.2, 0.03
@@ -89,6 +94,7 @@ class Cloud:
         self._advanced_s: float | None = None
         self._heard_at_s = -math.inf
         self._silent_at_s = -math.inf
+        self._unforetold = 0
         self._summarise()
 
     # ---- what is known ----
@@ -103,19 +109,23 @@ class Cloud:
         p_nn, p_ne, p_ee = self._covariance
         return math.sqrt(max(0.0, p_nn * cos * cos + 2.0 * p_ne * cos * sin + p_ee * sin * sin))
 
-    def nearest_m(self, direction_rad: float, clear_m: float) -> float:
-        """How near one may come to where the leader is believed to be, on its bearing.
+    def nearest_m(self, to_it_m: Horizontal, above_m: float, clear_m: float) -> float:
+        """How near one may come, on the straight way, to where the leader is believed (`RISK`).
 
-        From there it is certain (`RISK`) that the leader is no nearer than `clear_m`, and not
-        behind.
+        From there it is certain that the leader is no nearer than `clear_m`. to_it_m, above_m: from
+        here to where it is believed, (north, east), and up by both vehicles' own heights; a leader
+        behind here is nobody to fly at.
         """
-        cos, sin = math.cos(direction_rad), math.sin(direction_rad)
+        far_m = math.hypot(*to_it_m)
+        cos, sin = to_it_m[0] / max(far_m, CLOSE_M), to_it_m[1] / max(far_m, CLOSE_M)
         # From where it is believed to where a guess has it: towards here, and across. Past a leader
         # that is further across one may come nearer.
         north, east = self._off[0] - self.north_m, self._off[1] - self.east_m
         nearer, across = north * cos + east * sin, east * cos - north * sin
-        reaches = np.sqrt(np.maximum(0.0, clear_m * clear_m - across * across))
-        room_m = np.where(np.abs(across) < clear_m, nearer + reaches, 0.0)
+        up = above_m - self._off[2]
+        reach_m2 = clear_m * clear_m - across * across - up * up
+        ahead = (reach_m2 > 0.0) & (nearer < far_m)
+        room_m = np.where(ahead, nearer + np.sqrt(np.maximum(0.0, reach_m2)), 0.0)
         order = np.argsort(room_m)
         below = np.cumsum(self._weight[order])
         place = min(int(np.searchsorted(below, 1.0 - RISK)), GUESSES - 1)
@@ -159,9 +169,33 @@ class Cloud:
         density /= self._range_sigma_m * math.sqrt(2.0 * math.pi)
         fits = density * detected
         wrong = self._sonar.wrong_share / self._sonar.reach_m
-        if float(self._weight @ fits) > wrong:
+        foretold = float(self._weight @ fits) > wrong
+        self._unforetold = 0 if foretold else self._unforetold + 1
+        if foretold:
             self._heard_at_s = time_s
+        elif self._unforetold >= AGREE and self.unheard_s(time_s) > LOST_S:
+            self._guess_anew(distance_m, axis, believed)
         self._update(fits + wrong)
+
+    def _guess_anew(self, distance_m: float, axis: Axis, believed: Between) -> None:
+        """Put every other guess where readings say the leader is, though none had foretold it.
+
+        The receivers disagree by more than anybody thought.
+        """
+        count = GUESSES // 2
+        aside, above, far = self._normal(3)[:, :count]
+        half_rad = 0.5 * self._sonar.widest_rad.at(distance_m)
+        azimuth = axis.azimuth_rad + half_rad * aside
+        elevation = axis.elevation_rad + half_rad * above
+        far = distance_m + self._range_sigma_m * far
+        level = far * np.cos(elevation)
+        to_it = np.array((level * np.cos(azimuth), level * np.sin(azimuth), far * np.sin(elevation)))
+        self._off[:, ::2] = np.array(believed)[:, np.newaxis] - to_it
+        # They wander as far as that: it is one standard deviation.
+        self._log_sigma[::2] = np.log(np.hypot(*self._off[:2, ::2]))
+        self._dead[::2] = False
+        self._weight[:] = 1.0 / GUESSES
+        self._unforetold = 0
 
     def silent(self, time_s: float, axis: Axis, believed: Between) -> None:
         """Take a reading without an echo; arguments as for `heard`."""

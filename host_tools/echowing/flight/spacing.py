@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from echowing.flight.closing import MOST_MPS, Closing
 from echowing.flight.envelope import OTHERS_MPS2, SURE_SIGMAS, Other, is_in_the_way, keep_apart, straight_out
 from echowing.flight.guard import Guard
-from echowing.flight.guidance import Horizontal, bearing_rad
+from echowing.flight.guidance import Horizontal
 from echowing.flight.holds import moved_off
 from echowing.flight.jumps import SAME_RANGE_M
 from echowing.flight.cloud import Wandering
@@ -104,8 +104,8 @@ class Spacing:
     ) -> float:
         """By how much the leader may be nearer than it is believed."""
         assert self._least_m is not None
-        direction_rad = bearing_rad(here, leader)
-        nearest_m = follower.estimate.offset.nearest_m(direction_rad, self._least_m)
+        to_it_m = ned_between(here, leader)[:2]
+        nearest_m = self._known.nearest_m(follower, to_it_m, self._least_m)
         return max(0.0, nearest_m - self._least_m)
 
     def _looks_for_it(self, follower: FollowerState, now_s: float) -> bool:

@@ -366,6 +366,11 @@ class Known:
         leader = self.in_height(self.leader_id, fix.position)
         return leader.alt_m - self.in_height(follower.plan.system_id, here).alt_m
 
+    def nearest_m(self, follower: FollowerState, to_it_m: Horizontal, clear_m: float) -> float:
+        """How near a follower may come to the leader, (north, east) from it (`Cloud.nearest_m`)."""
+        above_m = self.leader_above_m(follower)
+        return follower.estimate.offset.nearest_m(to_it_m, above_m, clear_m)
+
     def doubted_m(self, follower: FollowerState) -> Horizontal:
         """How far off a follower sees its leader, (north, east), if all jumps were errors.
 

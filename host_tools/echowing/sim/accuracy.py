@@ -202,7 +202,7 @@ class Known(Cloud):
         self._heard_at_s = now_s
         self.north_m, self.east_m = self.most_likely_m = self._truth()
 
-    def nearest_m(self, direction_rad: float, clear_m: float) -> float:
+    def nearest_m(self, to_it_m: Horizontal, above_m: float, clear_m: float) -> float:
         """Where it is known, so far and no nearer."""
         return clear_m
 
