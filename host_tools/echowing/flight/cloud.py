@@ -44,6 +44,8 @@ ADVANCE_PERIOD_S = 0.5
 AGREE, LOST_S = 3, 3.0
 # Two vehicles nearer than this have no direction.
 CLOSE_M = 0.1
+# By how many standard deviations receivers disagree where nobody had foretold it.
+RARE_SIGMAS = 2.5
 # How a guess changes when it is repeated (Liu and West's discount of 0.98, for which 0.2 is the
 # share of the spread), and by how far it moves.
 KEPT_OF_SPREAD, NEW_OF_SPREAD, MOVES_M = 0.98, 0.2, 0.03
@@ -78,6 +80,7 @@ class Cloud:
         count = GUESSES
         # Of a pair: the difference of two that wander alike.
         sigma = math.sqrt(2.0) * wandering.sigma_m
+        self._least_log_sigma, self._most_log_tau = math.log(sigma), math.log(wandering.tau_s)
         self._log_sigma = math.log(sigma) + wandering.sigma_spread * chance.standard_normal(count)
         self._log_tau = math.log(wandering.tau_s) + wandering.tau_spread * chance.standard_normal(
             count
@@ -191,8 +194,9 @@ class Cloud:
         level = far * np.cos(elevation)
         to_it = np.array((level * np.cos(azimuth), level * np.sin(azimuth), far * np.sin(elevation)))
         self._off[:, ::2] = np.array(believed)[:, np.newaxis] - to_it
-        # They wander as far as that: it is one standard deviation.
-        self._log_sigma[::2] = np.log(np.hypot(*self._off[:2, ::2]))
+        # They wander so far that this is rare.
+        rare = np.log(np.hypot(*self._off[:2, ::2]) / RARE_SIGMAS)
+        self._log_sigma[::2] = np.maximum(self._least_log_sigma, rare)
         self._dead[::2] = False
         self._weight[:] = 1.0 / GUESSES
         self._unforetold = 0
@@ -233,8 +237,10 @@ class Cloud:
         places = (np.arange(GUESSES) + self._chance.random()) / GUESSES
         chosen = np.minimum(np.searchsorted(np.cumsum(self._weight), places), GUESSES - 1)
         self._off = self._off[:, chosen] + MOVES_M * self._normal(3)
-        self._log_sigma = self._changed(self._log_sigma[chosen])
-        self._log_tau = self._changed(self._log_tau[chosen])
+        # That receivers wander less, or more slowly, than believed takes longer than a flight to
+        # learn, and to believe it too soon costs the leader.
+        self._log_sigma = np.maximum(self._least_log_sigma, self._changed(self._log_sigma[chosen]))
+        self._log_tau = np.minimum(self._most_log_tau, self._changed(self._log_tau[chosen]))
         self._wide = np.clip(self._changed(self._wide[chosen]), 0.0, 1.0)
         self._hears = np.maximum(0.1, self._changed(self._hears[chosen]))
         self._dead = self._dead[chosen]
