@@ -21,7 +21,7 @@
 ---@diagnostic disable: need-check-nil
 
 -- Each script gets its own copy of the vehicle's libraries. What this one does not use of them goes: it takes 2 kB.
-local abs, cos, deg, exp, max, min = math.abs, math.cos, math.deg, math.exp, math.max, math.min
+local abs, atan, cos, deg, exp, max, min = math.abs, math.atan, math.cos, math.deg, math.exp, math.max, math.min
 local pi, sin, sqrt = math.pi, math.sin, math.sqrt
 io, math, package, require, table = nil, nil, nil, nil, nil
 
@@ -243,8 +243,9 @@ end
 
 -- The parts and their state -------------------------------------------------------------------------------------------
 
--- Speeds are along the nose, where the sonar looks. Times are in ms; nil is "never".
-local own = { mps = 0, accel_mps2 = 0 } -- this vehicle's motion; at_ms: when
+-- Speeds are along the beam, which is at the leader's bearing. Times are in ms; nil is "never".
+local own = { mps = 0, north_mps = 0, east_mps = 0, accel_mps2 = 0 } -- this vehicle's motion; at_ms: when
+local look = { north = 1, east = 0 } -- where the sonar looks, a unit vector
 local track = { -- what the sonar reads (averages, single readings), and where the leader is by that, and how fast
     board_ms = 0, late_ms = 0, quickest_ms = 0, dated = 0, leader_mps = 0, seen_ms = 0, readings = 0, spike_ms = 0,
 }
@@ -296,23 +297,26 @@ end
 -- This vehicle's motion ----------------------------------------------------------------------------------------------
 
 do
-    -- Own speed along the heading, 0 while the estimator has none, and how it is changing: smoothed (100 ms), and no
-    -- more than the vehicle can.
+    -- Own speed along the beam, 0 while the estimator has none, and how it is changing: smoothed (100 ms), and no more
+    -- than the vehicle can. A beam that turns changes the speed along it: that is no acceleration, and to the track it is
+    -- as if the leader's had changed by as much, for the range goes on as it did.
     function own.update(t_ms)
-        local velocity, mps = ahrs:get_velocity_NED(), 0
-        if velocity then
-            local yaw = yaw_rad(ahrs)
-            mps = velocity:x() * cos(yaw) + velocity:y() * sin(yaw)
-            if not is_within(mps, FASTEST_MPS) then mps = 0 end
+        local velocity, north_mps, east_mps = ahrs:get_velocity_NED(), 0, 0
+        if velocity and is_within(velocity:length(), FASTEST_MPS) then
+            north_mps, east_mps = velocity:x(), velocity:y()
         end
         local dt_ms = own.at_ms and t_ms - own.at_ms or 1000
+        look.update(t_ms, dt_ms * 0.001)
+        local before_mps = own.north_mps * look.north + own.east_mps * look.east
+        local mps = north_mps * look.north + east_mps * look.east
         if dt_ms > 200 then
             own.accel_mps2 = 0 -- too long ago to compare with
         elseif dt_ms > 0 then
-            local change_mps2 = clamp((mps - own.mps) * 1000 / dt_ms, -C.DECEL, C.DECEL)
+            local change_mps2 = clamp((mps - before_mps) * 1000 / dt_ms, -C.DECEL, C.DECEL)
             own.accel_mps2 = own.accel_mps2 + (change_mps2 - own.accel_mps2) * dt_ms / (dt_ms + 100)
         end
-        own.mps, own.at_ms = mps, t_ms
+        track.turn(before_mps - own.mps)
+        own.mps, own.north_mps, own.east_mps, own.at_ms = mps, north_mps, east_mps, t_ms
     end
 
     -- Guided would turn the nose, and with it the sonar, towards a target without a yaw. False: refused.
@@ -324,12 +328,11 @@ do
         return order(nil, position, Vector3f(), Vector3f(), yaw_rad(ahrs), 0)
     end
 
-    -- Flies to a place so far straight back, at this height, looking where it looks now.
+    -- Flies to a place so far straight back from the leader, at this height, its nose where it is now.
     function own.fly_back(back_m)
         local position = ahrs:get_relative_position_NED_origin()
         if not position then return false end
-        local yaw = yaw_rad(ahrs)
-        return fly_to(position, -back_m * cos(yaw), -back_m * sin(yaw))
+        return fly_to(position, -back_m * look.north, -back_m * look.east)
     end
 
     -- Whether it has come to rest, but for what the estimator is off: one that still leans only turns round.
@@ -356,9 +359,30 @@ do
     end
 end
 
+-- The beam ----------------------------------------------------------------------------------------------------------
+
+do
+    local point_ms -- of the newest point that told the bearing
+
+    -- The sonar looks at the leader: its bearing is the yaw of each point, and is carried on by the point's velocity and
+    -- the own. Without points, or with points that tell none, the sonar looks ahead.
+    function look.update(t_ms, dt_s)
+        local look_rad = yaw_rad(ahrs)
+        if stream.at_ms and stream.yaw_rad and t_ms - stream.at_ms < 1000 then
+            local far_m = max(1, track.range_m or hold.distance_m())
+            look_rad = stream.at_ms ~= point_ms and stream.yaw_rad
+                or atan(look.east * far_m + (stream.east_mps - own.east_mps) * dt_s,
+                    look.north * far_m + (stream.north_mps - own.north_mps) * dt_s)
+            point_ms = stream.at_ms
+        end
+        if is_within(look_rad, 2 * pi) then look.north, look.east = cos(look_rad), sin(look_rad) end
+    end
+end
+
 -- Sonar track --------------------------------------------------------------------------------------------------------
 
 do
+    local SPEEDS = { 'leader_mps', 'seen_mps', 'own_mps', 'spike_own_mps', 'slowest_mps', 'fastest_mps' }
     local TRUST_READINGS = 3 -- so many readings in agreement are a target; two wild ones in a row happen
     -- 0.05 s is the age of a single reading as it is sent, and what the wire takes at the least; no copter brakes
     -- harder than with 4 m/s2.
@@ -462,6 +486,13 @@ do
         local leader_mps = carried_mps(t_ms - track.seen_ms, t_ms, dt_s)
         track.range_m = track.range_m + 0.5 * (track.leader_mps + leader_mps - track.own_mps - own.mps) * dt_s
         track.leader_mps, track.own_mps, track.at_ms = leader_mps, own.mps, t_ms
+    end
+
+    -- The beam has turned: by so much the speeds along it are others.
+    function track.turn(by_mps)
+        for _, name in ipairs(SPEEDS) do
+            if track[name] then track[name] = track[name] + by_mps end
+        end
     end
 
     -- A reading that was not foreseen waits for another one like it, and takes one of six in agreement off.
@@ -676,7 +707,7 @@ do
         local here = vehicle:get_likely_flying() and ahrs:get_location()
         local position = here and ahrs:get_relative_position_NED_origin()
         if not position then return false end
-        local ahead_m, mps, north_m, east_m, c, s = stream.ahead(here, t_ms)
+        local ahead_m, mps, north_m, east_m = stream.ahead(here, t_ms)
         if not ahead_m then return false end
         -- A leader that brakes is answered with its own deceleration.
         local braking_mps2 = track.braking_mps2(t_ms)
@@ -692,16 +723,16 @@ do
             wanted_m, wanted_mps = gently(t_ms, along_beam(ahead_m, mps, braking_mps2, t_ms))
         end
         local by_m, by_mps = wanted_m - ahead_m, wanted_mps + braking_mps2 * LEAN_S - mps
-        position:x(position:x() + north_m + by_m * c)
-        position:y(position:y() + east_m + by_m * s)
+        position:x(position:x() + north_m + by_m * look.north)
+        position:y(position:y() + east_m + by_m * look.east)
         position:z(position:z() - stream.up_m - ahrs:get_relative_position_D_home())
         local velocity, acceleration = Vector3f(), Vector3f()
-        velocity:x(stream.north_mps + by_mps * c)
-        velocity:y(stream.east_mps + by_mps * s)
+        velocity:x(stream.north_mps + by_mps * look.north)
+        velocity:y(stream.east_mps + by_mps * look.east)
         -- What it does not yet decelerate by itself: more than the lean can give, and Guided's own plan would wait.
         local missing_mps2 = max(braking_mps2, min(0, braking_mps2 - own.accel_mps2))
-        acceleration:x(missing_mps2 * c)
-        acceleration:y(missing_mps2 * s)
+        acceleration:x(missing_mps2 * look.north)
+        acceleration:y(missing_mps2 * look.east)
         -- After a leader that turns a corner with the rate, too: after a yaw alone Guided turns by ATC_INPUT_TC later,
         -- 0.15 s, 6 of the 20 degrees to the edge of the beam; and ahead by the 0.2 s that the nose is behind its
         -- attitude's target (SITL 4.6 0.2 s, 4.8 0.25 s). One that flies back is too near for a rate from its estimated
@@ -764,8 +795,8 @@ do
         stream.opens_m, stream.makes_way = min(opens_m, 6), makes_way == 1 -- as the highest ECHO_DIST
     end
 
-    -- The point in force now: metres ahead of here (along the nose) and its speed there; the same north and east in
-    -- metres; cosine and sine of the heading. Nil without one: a point older than a second is not the vehicle's target.
+    -- The point in force now: metres ahead of here (along the beam) and its speed there; the same north and east in
+    -- metres. Nil without one: a point older than a second is not the vehicle's target.
     function stream.ahead(here, t_ms)
         if stream.holding or not here or not stream.at_ms or t_ms - stream.at_ms >= 1000 then return nil end
         local target = here:copy()
@@ -773,9 +804,8 @@ do
         target:lng(stream.lng)
         local offset, dt_s = here:get_distance_NE(target), (t_ms - stream.at_ms) * 0.001
         local north_m, east_m = offset:x() + stream.north_mps * dt_s, offset:y() + stream.east_mps * dt_s
-        local yaw = yaw_rad(ahrs)
-        local c, s = cos(yaw), sin(yaw)
-        return north_m * c + east_m * s, stream.north_mps * c + stream.east_mps * s, north_m, east_m, c, s
+        return north_m * look.north + east_m * look.east,
+            stream.north_mps * look.north + stream.east_mps * look.east, north_m, east_m
     end
 
     -- Holds the vehicle where it is once a stream of guided points has fallen silent.
