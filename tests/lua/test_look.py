@@ -57,12 +57,15 @@ def test_a_beam_that_turns_is_no_acceleration(rig: MakeRig) -> None:
     """
     r = flown(rig(), 2.0, 3.0, None)
     own, track = r.host.local_value("own"), r.host.local_value("track")
+    before = newest(r)
     for yaw_rad in (1.0, None):
         for _ in range(6):
             flown(r, 0.12, 3.0, yaw_rad)
             assert own.accel_mps2 == pytest.approx(0.0, abs=1e-3)
             assert track.leader_mps == pytest.approx(own.mps, abs=0.02)
             assert track.range_m == pytest.approx(3.0, abs=0.01)
+            assert newest(r).north_mps == pytest.approx(before.north_mps, abs=0.02)
+            assert newest(r).east_mps == pytest.approx(before.east_mps, abs=0.02)
             assert newest(r).north_mps2 == 0.0
 
 
