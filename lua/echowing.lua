@@ -251,7 +251,7 @@ local track = { -- what the sonar reads (averages, single readings), and where t
 }
 local hold = {} -- moves points along the beam
 local guard = {} -- keeps away from the leader
-local stream = { north_mps = 0, east_mps = 0, yaw_rps = 0 } -- the ground tool's guided points
+local stream = { north_mps = 0, east_mps = 0 } -- the ground tool's guided points
 local speed = { out_mps = 0, changes = {} } -- the speed parameter: ours, the pilot's, another script's
 -- What pilots see: 0 off, 1 searching, 2 tracking, 3 too close, 4 no sonar data, 5 stream lost, 6 backing off, 7
 -- holding.
@@ -271,7 +271,7 @@ end
 
 -- Every target and every speed that leaves the applet passes here: numbers, near, and no more than a copter can. What
 -- is not goes nowhere. mps: the speed limit; nil: a target. False: it was not sent, or the autopilot refused it.
-local function order(mps, position, velocity, acceleration, look_rad, turn_rps)
+local function order(mps, position, velocity, acceleration, nose_rad)
     if mps then
         if not is_within(mps, FASTEST_MPS) or mps <= 0 then return refuse('implausible speed') end
         vehicle:set_desired_speed(mps)
@@ -283,15 +283,15 @@ local function order(mps, position, velocity, acceleration, look_rad, turn_rps)
     here:y(position:y() - here:y())
     here:z(position:z() - here:z())
     -- The leader is within the sonar's reach, and its point within a second's flight of it; no copter is 100 km from
-    -- where its estimator began, decelerates harder than the highest ECHO_DECEL, or turns its nose by 4 rad/s. The
-    -- autopilot takes a yaw of up to 360 degrees.
+    -- where its estimator began, or decelerates harder than the highest ECHO_DECEL. The autopilot takes a yaw of up to
+    -- 360 degrees.
     if not (is_within(here:length(), 50) and is_within(position:length(), 1e5)
         and is_within(velocity:length(), FASTEST_MPS) and is_within(acceleration:length(), 10)
-        and is_within(look_rad, 2 * pi) and is_within(turn_rps, 4)) then
+        and is_within(nose_rad, 2 * pi)) then
         return refuse('implausible target')
     end
-    return vehicle:set_target_posvelaccel_NED(position, velocity, acceleration, true, deg(look_rad),
-        turn_rps ~= 0, deg(turn_rps), false)
+    return vehicle:set_target_posvelaccel_NED(position, velocity, acceleration, true, deg(nose_rad),
+        false, 0, false)
 end
 
 -- This vehicle's motion ----------------------------------------------------------------------------------------------
@@ -325,7 +325,7 @@ do
         position:y(position:y() + east_m)
         -- With a velocity, as the points: Guided starts another way of flying with the lean of the moment for its
         -- steady part, and a vehicle that brakes or speeds up would swing by metres.
-        return order(nil, position, Vector3f(), Vector3f(), yaw_rad(ahrs), 0)
+        return order(nil, position, Vector3f(), Vector3f(), yaw_rad(ahrs))
     end
 
     -- Flies to a place so far straight back from the leader, at this height, its nose where it is now.
@@ -723,13 +723,7 @@ do
         local missing_mps2 = max(braking_mps2, min(0, braking_mps2 - own.accel_mps2))
         acceleration:x(missing_mps2 * look.north)
         acceleration:y(missing_mps2 * look.east)
-        -- After a leader that turns a corner with the rate, too: after a yaw alone Guided turns by ATC_INPUT_TC later,
-        -- 0.15 s, 6 of the 20 degrees to the edge of the beam; and ahead by the 0.2 s that the nose is behind its
-        -- attitude's target (SITL 4.6 0.2 s, 4.8 0.25 s). One that flies back is too near for a rate from its estimated
-        -- bearing.
-        local turn_rps = stream.yaw_rad and flies_on() and stream.yaw_rps or 0
-        local look_rad = (stream.yaw_rad or yaw_rad(ahrs)) + turn_rps * ((t_ms - stream.at_ms) * 0.001 + 0.2)
-        return order(nil, position, velocity, acceleration, look_rad, turn_rps)
+        return order(nil, position, velocity, acceleration, stream.yaw_rad or yaw_rad(ahrs))
     end
 
     -- A point with no velocity at all is where the ground tool has stopped it: there it stays.
@@ -769,16 +763,7 @@ do
             return refuse('implausible point')
         end
         -- Points count from one sender until it has been silent for a second: two would pull the vehicle to and fro.
-        local dt_s = stream.at_ms and (t_ms - stream.at_ms) * 0.001 or 1
-        if sender ~= stream.sender and dt_s < 1 then return refuse('points of a second sender') end
-        -- How fast the streamed yaw turns: half of what was, for the leader's bearing is estimated. Points nearer in
-        -- time, or further, do not tell; the highest rate is that of ATC_RATE_WPY_MAX, 60 deg/s.
-        local turn_rps = 0
-        if looks and stream.yaw_rad and dt_s > 0.05 and dt_s < 0.4 then
-            local turn_rad = (yaw - stream.yaw_rad + pi) % (2 * pi) - pi
-            turn_rps = clamp(turn_rad / dt_s, -1, 1)
-        end
-        stream.yaw_rps = 0.5 * (stream.yaw_rps + turn_rps)
+        if sender ~= stream.sender and stream.at_ms and t_ms - stream.at_ms < 1000 then return refuse('points of a second sender') end
         stream.sender, stream.at_ms = sender, t_ms
         stream.lat, stream.lng, stream.up_m, stream.yaw_rad = lat, lng, up_m, looks and yaw or nil
         stream.north_mps, stream.east_mps = north_mps, east_mps
@@ -1045,7 +1030,7 @@ do
     local function take_control(t_ms)
         speed.take_over()
         control.active = true
-        stream.at_ms, stream.holding, stream.yaw_rps = nil, false, 0
+        stream.at_ms, stream.holding = nil, false
         guard.evading, guard.close_ms, guard.seen_ms, guard.data_ms = false, t_ms - BLIND_MS, t_ms, t_ms
         report.announced_ms, report.state, report.announced = {}, 2, 2 -- a target is assumed until it is missed
         track.range_m = nil

@@ -273,35 +273,15 @@ def test_the_yaw_is_the_streams_or_the_one_it_has(rig: MakeRig, yaw_rad: float |
     assert newest(r).yaw_rps == 0.0
 
 
-def turned_after(r: Rig, rates_rps: float, points: int = 12, opens_m: float = 0.0) -> Target:
-    """Behind a leader whose bearing turns at a rate, a point each 0.12 s."""
-    led(r, 3.0, 0.0)
-    for number in range(points):
-        yaw_rad = math.remainder(3.0 + 0.12 * rates_rps * number, 2.0 * math.pi)
-        r.send_target(0.0, LEADER_MPS, yaw_rad=yaw_rad, opens_m=opens_m)
+def test_the_nose_has_no_rate_of_its_own(rig: MakeRig) -> None:
+    """After a leader that turns a corner, too: what it is late the gimbal makes up for."""
+    r = led(rig(), 3.0, 0.0)
+    for number in range(12):
+        yaw_rad = 0.08 * number
+        r.send_target(0.0, LEADER_MPS, yaw_rad=yaw_rad)
         r.run(0.12)
-    return newest(r)
-
-
-@pytest.mark.parametrize("rate_rps", [0.7, -0.7])
-def test_the_nose_turns_after_the_leader_with_a_rate(rig: MakeRig, rate_rps: float) -> None:
-    """Through south too, where the angle jumps; and on from the point's yaw until the next.
-
-    And further by the 0.2 s that the nose is behind: in a turn of 40 degrees a second, 8 degrees.
-    """
-    target = turned_after(rig(), rate_rps)
-    assert target.yaw_rps == pytest.approx(rate_rps, abs=0.01)
-    last_rad = 3.0 + 0.12 * rate_rps * 11
-    late_s = math.remainder(target.yaw_rad - last_rad, 2.0 * math.pi) / rate_rps
-    assert 0.2 + 0.05 <= late_s <= 0.2 + 0.12
-
-
-def test_the_nose_turns_no_faster_than_the_autopilot_would(rig: MakeRig) -> None:
-    assert turned_after(rig(), 4.0).yaw_rps == pytest.approx(1.0, abs=0.01)
-
-
-def test_before_a_leader_that_may_turn_round_the_nose_has_no_rate(rig: MakeRig) -> None:
-    assert turned_after(rig(), 0.7, opens_m=STEERED_M).yaw_rps == 0.0
+        assert newest(r).yaw_rad == pytest.approx(yaw_rad, abs=1e-4)
+        assert newest(r).yaw_rps == 0.0
 
 
 # ---- who is not held -----
