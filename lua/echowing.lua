@@ -28,7 +28,6 @@ io, math, package, require, table = nil, nil, nil, nil, nil
 local boot = millis() -- first: the operators of its class take the largest block of all
 
 -- The vehicle's memory is small: a number that is used once stands where it is used.
-local BLIND_MS = 2500 -- a target lost while too close is taken to be there for this time: no speed without sonar yet
 local FASTEST_MPS = 30 -- no copter flies faster; WPNAV_SPEED and WP_SPD reach 20
 
 local function say(severity, text) -- MAV_SEVERITY: 2 critical, 3 error, 4 warning, 5 notice, 6 information
@@ -446,12 +445,8 @@ do
         end
     end
 
-    -- While it backs off the nose is up and the sonar often sees nothing: a leader lost while near is near until the
-    -- sonar shows otherwise, for as long as the track can be carried on.
     local function fresh(t_ms)
-        if not track.range_m then return false end
-        local near = guard.evading or (hold.active and track.range_m < hold.distance_m())
-        return t_ms - track.seen_ms <= (near and BLIND_MS or 700)
+        return track.range_m and t_ms - track.seen_ms < C.LOST_T * 1000
     end
 
     function track.trusted(t_ms)
@@ -601,7 +596,7 @@ do
 
     -- Too close and the track agrees: the state, and backing off.
     local function too_close(near_m, closing_mps, t_ms)
-        guard.too_close, guard.close_ms = true, t_ms
+        guard.too_close = true
         report.state = 3
         -- Half a metre lower than points lead (flight/lowest.py) what is near is most likely the ground.
         local LOWEST_M = 2
@@ -682,7 +677,6 @@ do
         -- From where both will be once this vehicle leans.
         local wanted_m = track.range_m + 0.5 * braking_mps2 * LEAN_S * LEAN_S - hold.distance_m()
         local unseen_ms = t_ms - track.seen_ms
-        if flies_on() and unseen_ms > 900 then track.leader_mps, track.seen_mps = mps, mps end
         if unseen_ms > 300 then
             wanted_m = max(min(wanted_m, ahead_m), ahead_m - 5)
             return min(eased(wanted_m), ahead_m + 1), min(track.leader_mps, mps)
@@ -738,7 +732,6 @@ do
         report.state = 7
         if track.range_m < C.CLOSE then
             report.state = track.leader_mps < own.mps and 6 or 3
-            guard.close_ms = t_ms
         end
         return true
     end
@@ -1031,7 +1024,7 @@ do
         speed.take_over()
         control.active = true
         stream.at_ms, stream.holding = nil, false
-        guard.evading, guard.close_ms, guard.seen_ms, guard.data_ms = false, t_ms - BLIND_MS, t_ms, t_ms
+        guard.evading, guard.seen_ms, guard.data_ms = false, t_ms, t_ms
         report.announced_ms, report.state, report.announced = {}, 2, 2 -- a target is assumed until it is missed
         track.range_m = nil
         say(6, 'in control')
@@ -1059,7 +1052,7 @@ do
         report.state = 2
         if t_ms - guard.data_ms >= C.NODATA_T * 1000 then
             report.state = 4
-        elseif t_ms - guard.seen_ms >= C.LOST_T * 1000 and t_ms - guard.close_ms >= BLIND_MS then
+        elseif t_ms - guard.seen_ms >= C.LOST_T * 1000 then
             report.state = 1
         end
         -- The limit of the correction towards the points.
