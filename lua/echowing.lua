@@ -453,32 +453,19 @@ do
         return fresh(t_ms) and track.readings >= TRUST_READINGS
     end
 
-    -- How hard the leader brakes, or speeds up towards this vehicle, by what was seen last: 0 or less. Under 0.8 m/s2
-    -- it is noise of the sonar (1 cm). After 1 s, of radio, the ground tool knows of it; a leader for which the slot
-    -- was not opened is on a mission, or slow, and most likely flies round a corner.
+    -- How hard the leader brakes, or speeds up towards this vehicle: 0 or less. Under 0.8 m/s2 it is noise of the sonar
+    -- (1 cm), and what was seen longer ago than three readings is no more so.
     function track.braking_mps2(t_ms)
-        local unseen_ms = t_ms - track.seen_ms
-        if unseen_ms > (hold.distance_m() > C.DIST and 1000 or 300) or track.leader_mps2 > -0.8 then return 0 end
+        if t_ms - track.seen_ms > 300 or track.leader_mps2 > -0.8 then return 0 end
         return max(-4, track.leader_mps2)
     end
 
-    -- The leader's speed, carried on over dt_s to a moment that long after a reading. Not seen, it speeds up no
-    -- further. One that was near and braking goes on braking until it stands, or to 2 m/s back if it flew back already.
-    -- Braking is more than what a corner takes of the speed along the beam, 1 m/s2 at 2 m/s.
-    local function carried_mps(unseen_ms, t_ms, dt_s)
-        if unseen_ms <= 150 then return track.leader_mps + track.leader_mps2 * dt_s end
-        if unseen_ms > 1000 then return track.seen_mps end
-        local least_mps = track.seen_mps > 0 and 0 or -2
-        local near = track.range_m < hold.distance_m() and track.leader_mps > least_mps
-        if not near or track.braking_mps2(t_ms) > -1.5 then return min(track.leader_mps, track.seen_mps) end
-        return max(least_mps, track.leader_mps + track.braking_mps2(t_ms) * dt_s)
-    end
-
-    -- Carries the range on to now.
+    -- Carries the range on to now. A leader that is not seen speeds up no further.
     function track.carry(t_ms)
         if not track.range_m then return end
         local dt_s = (t_ms - track.at_ms) * 0.001
-        local leader_mps = carried_mps(t_ms - track.seen_ms, t_ms, dt_s)
+        local leader_mps = t_ms - track.seen_ms <= 150 and track.leader_mps + track.leader_mps2 * dt_s
+            or min(track.leader_mps, track.seen_mps)
         track.range_m = track.range_m + 0.5 * (track.leader_mps + leader_mps - track.own_mps - own.mps) * dt_s
         track.leader_mps, track.own_mps, track.at_ms = leader_mps, own.mps, t_ms
     end
