@@ -293,6 +293,20 @@ local function order(mps, position, velocity, acceleration, nose_rad)
         false, 0, false)
 end
 
+-- So does every order to the gimbal: to look at what is so far north and east, moves past so fast, and may be so far
+-- aside. GIMBAL_DEVICE_SET_ATTITUDE: the rotation from north to there, level, in the earth frame (92), and how fast it
+-- turns; a beam has no roll, and the rate of it is the standard deviation.
+function look.order(north_m, east_m, north_mps, east_mps, aside_m)
+    local far_m = max(1, sqrt(north_m * north_m + east_m * east_m)) -- nearer it turns faster than any gimbal
+    local half_rad, unsure_rad = 0.5 * atan(east_m, north_m), atan(aside_m, far_m)
+    local turn_rps = (north_m * east_mps - east_m * north_mps) / (far_m * far_m)
+    if not (is_within(half_rad, pi) and is_within(unsure_rad, pi) and is_within(turn_rps, 4)) then
+        return refuse('implausible look')
+    end
+    return mavlink:send_chan(track.link, 284, ('<fffffffI2BB'):pack(cos(half_rad), 0, 0, sin(half_rad), unsure_rad, 0,
+        turn_rps, 92, MY_SYSTEM, track.component))
+end
+
 -- This vehicle's motion ----------------------------------------------------------------------------------------------
 
 do
@@ -362,17 +376,33 @@ end
 
 do
     local point_ms -- of the newest point that told the bearing
+    local sent_ms -- of the newest order to the gimbal
 
-    -- The sonar looks at the leader: its bearing is the yaw of each point, and is carried on by the point's velocity and
-    -- the own. Without points, or with points that tell none, the sonar looks ahead.
+    -- Through a lost link the applet orders the gimbal, until the leader is lost. The co-processor obeys once the ground
+    -- tool has been silent for a second.
+    local function carry_on(t_ms, untold_ms, north_mps, east_mps)
+        if untold_ms <= 500 or not (control.active and track.fresh(t_ms) and track.link and mavlink.send_chan)
+            or sent_ms and t_ms - sent_ms < 150 then
+            return
+        end
+        sent_ms = t_ms
+        -- The ground tool's estimate is off by 0.2 m; a leader that turns off does it with 1 m/s2.
+        look.order(look.north * track.range_m, look.east * track.range_m, north_mps, east_mps,
+            0.2 + 0.5e-6 * untold_ms * untold_ms)
+    end
+
+    -- The leader's bearing is the yaw of each point, and goes on by the point's velocity, which after 2 s tells nothing of
+    -- the leader any more, and by the own. Where nothing tells it, the sonar looks ahead.
     function look.update(t_ms, dt_s)
-        local look_rad = yaw_rad(ahrs)
-        if stream.at_ms and stream.yaw_rad and t_ms - stream.at_ms < 1000 then
+        local look_rad, untold_ms = yaw_rad(ahrs), stream.at_ms and stream.yaw_rad and t_ms - stream.at_ms
+        if untold_ms and (untold_ms < 1000 or track.fresh(t_ms)) then
+            local share = max(0, 1 - untold_ms / 2000)
+            local north_mps, east_mps = share * stream.north_mps - own.north_mps, share * stream.east_mps - own.east_mps
             local far_m = max(1, track.range_m or hold.distance_m())
             look_rad = stream.at_ms ~= point_ms and stream.yaw_rad
-                or atan(look.east * far_m + (stream.east_mps - own.east_mps) * dt_s,
-                    look.north * far_m + (stream.north_mps - own.north_mps) * dt_s)
+                or atan(look.east * far_m + east_mps * dt_s, look.north * far_m + north_mps * dt_s)
             point_ms = stream.at_ms
+            carry_on(t_ms, untold_ms, north_mps, east_mps)
         end
         if is_within(look_rad, 2 * pi) then look.north, look.east = cos(look_rad), sin(look_rad) end
     end
@@ -420,11 +450,12 @@ do
         return board_ms + track.late_ms
     end
 
-    function track.take(payload, t_ms)
+    function track.take(payload, sender, link, t_ms)
         local board_ms, value, name = ('<I4fc10'):unpack(payload)
         if name ~= 'SNR_RAW\0\0\0' then return end
         if not is_within(value, 20) or value <= 0 then return refuse('implausible reading') end
         track.raw_m, track.raw_ms = value + C.INSET, taken_ms(board_ms, t_ms)
+        track.component, track.link = sender & 0xFF, link
         -- Stuck: readings stay the same to the centimetre while this vehicle changes its speed, and no leader flies so
         -- exactly alike. Of themselves no more than four in a row are the same.
         if track.raw_m ~= track.same_m then
@@ -445,12 +476,13 @@ do
         end
     end
 
-    local function fresh(t_ms)
+    -- Whether a leader was heard that is not lost yet.
+    function track.fresh(t_ms)
         return track.range_m and t_ms - track.seen_ms < C.LOST_T * 1000
     end
 
     function track.trusted(t_ms)
-        return fresh(t_ms) and track.readings >= TRUST_READINGS
+        return track.fresh(t_ms) and track.readings >= TRUST_READINGS
     end
 
     -- How hard the leader brakes, or speeds up towards this vehicle: 0 or less. Under 0.8 m/s2 it is noise of the sonar
@@ -516,7 +548,7 @@ do
     -- line of sight, and its acceleration: a critically damped observer that knows the own speed, so that own braking
     -- is not taken for the leader's.
     function track.update(range_m, read_ms, t_ms)
-        if not fresh(t_ms) then
+        if not track.fresh(t_ms) then
             local second = is_second(range_m, read_ms)
             track.range_m, track.leader_mps, track.own_mps, track.at_ms = range_m, own.mps, own.mps, t_ms
             track.seen_ms, track.readings = read_ms, 1
@@ -743,7 +775,9 @@ do
             return refuse('implausible point')
         end
         -- Points count from one sender until it has been silent for a second: two would pull the vehicle to and fro.
-        if sender ~= stream.sender and stream.at_ms and t_ms - stream.at_ms < 1000 then return refuse('points of a second sender') end
+        if sender ~= stream.sender and stream.at_ms and t_ms - stream.at_ms < 1000 then
+            return refuse('points of a second sender')
+        end
         stream.sender, stream.at_ms = sender, t_ms
         stream.lat, stream.lng, stream.up_m, stream.yaw_rad = lat, lng, up_m, looks and yaw or nil
         stream.north_mps, stream.east_mps = north_mps, east_mps
@@ -843,13 +877,13 @@ do
             return say(3, 'other scripts leave no place to receive')
         end
         for _ = 1, 10 do
-            local message = mavlink:receive_chan()
+            local message, link = mavlink:receive_chan()
             if not message then return end
             local id, system, sender, payload = read(message)
             if id == 86 then
                 stream.take(payload, sender, t_ms)
             elseif id and system == MY_SYSTEM then
-                track.take(payload, t_ms)
+                track.take(payload, sender, link, t_ms)
             end
         end
     end
