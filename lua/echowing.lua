@@ -300,9 +300,7 @@ function look.order(north_m, east_m, north_mps, east_mps, aside_m)
     local far_m = max(1, sqrt(north_m * north_m + east_m * east_m)) -- nearer it turns faster than any gimbal
     local half_rad, unsure_rad = 0.5 * atan(east_m, north_m), atan(aside_m, far_m)
     local turn_rps = (north_m * east_mps - east_m * north_mps) / (far_m * far_m)
-    if not (is_within(half_rad, pi) and is_within(unsure_rad, pi) and is_within(turn_rps, 4)) then
-        return refuse('implausible look')
-    end
+    if not (is_within(turn_rps, 4) and is_within(unsure_rad, pi)) then return refuse('implausible look') end
     return mavlink:send_chan(track.link, 284, ('<fffffffI2BB'):pack(cos(half_rad), 0, 0, sin(half_rad), unsure_rad, 0,
         turn_rps, 92, MY_SYSTEM, track.component))
 end
@@ -380,15 +378,15 @@ do
 
     -- Through a lost link the applet orders the gimbal, until the leader is lost. The co-processor obeys once the ground
     -- tool has been silent for a second.
-    local function carry_on(t_ms, untold_ms, north_mps, east_mps)
+    local function carry_on(t_ms, untold_ms, far_m, north_mps, east_mps)
         if untold_ms <= 500 or not (control.active and track.fresh(t_ms) and track.link and mavlink.send_chan)
             or sent_ms and t_ms - sent_ms < 150 then
             return
         end
         sent_ms = t_ms
         -- The ground tool's estimate is off by 0.2 m; a leader that turns off does it with 1 m/s2.
-        look.order(look.north * track.range_m, look.east * track.range_m, north_mps, east_mps,
-            0.2 + 0.5e-6 * untold_ms * untold_ms)
+        local untold_s = untold_ms * 0.001
+        look.order(look.north * far_m, look.east * far_m, north_mps, east_mps, 0.2 + 0.5 * untold_s * untold_s)
     end
 
     -- The leader's bearing is the yaw of each point, and goes on by the point's velocity, which after 2 s tells nothing of
@@ -402,7 +400,7 @@ do
             look_rad = stream.at_ms ~= point_ms and stream.yaw_rad
                 or atan(look.east * far_m + east_mps * dt_s, look.north * far_m + north_mps * dt_s)
             point_ms = stream.at_ms
-            carry_on(t_ms, untold_ms, north_mps, east_mps)
+            carry_on(t_ms, untold_ms, far_m, north_mps, east_mps)
         end
         if is_within(look_rad, 2 * pi) then look.north, look.east = cos(look_rad), sin(look_rad) end
     end

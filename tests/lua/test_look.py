@@ -37,19 +37,50 @@ def flown(
     return r
 
 
+def parts(north: float, east: float) -> tuple[float, float]:
+    """Along the leader's bearing, and across it."""
+    cos, sin = math.cos(ASIDE_RAD), math.sin(ASIDE_RAD)
+    return north * cos + east * sin, east * cos - north * sin
+
+
 @pytest.mark.parametrize("range_m", [2.9, 3.15])
-def test_a_point_is_moved_along_the_leaders_bearing(rig: MakeRig, range_m: float) -> None:
-    """Not along the nose: the gimbal looks at the leader, and that is where the range counts."""
+@pytest.mark.parametrize("ahead_m", [0.0, 0.4])
+def test_a_point_is_moved_along_the_leaders_bearing(
+    rig: MakeRig, range_m: float, ahead_m: float
+) -> None:
+    """Not along the nose: the gimbal looks at the leader, and there the range counts.
+
+    Across it the point stays where it is, 0.4 m north here.
+    """
     r = flown(rig(), 2.0, range_m, ASIDE_RAD)
-    r.send_target(0.0, 0.001, yaw_rad=ASIDE_RAD)
+    north_mps, east_mps, _ = r.vehicle.velocity or (0.0, 0.0, 0.0)
+    r.send_target(ahead_m, north_mps, aside_mps=east_mps, yaw_rad=ASIDE_RAD)
     r.run(0.04)
 
-    target = newest(r)
+    missing_m = range_m - 3.0
+    along_m, across_m = parts(newest(r).north_m, newest(r).east_m)
     assert r.state == HOLDING
-    assert math.hypot(target.north_m, target.east_m) > 0.03
-    moved_rad = math.atan2(target.east_m, target.north_m)
-    assert math.tan(moved_rad) == pytest.approx(math.tan(ASIDE_RAD), abs=0.02)
-    assert math.copysign(1.0, target.north_m) == math.copysign(1.0, range_m - 3.0)
+    assert along_m == pytest.approx(max(missing_m, 0.4 * missing_m), abs=0.02)
+    assert across_m == pytest.approx(-ahead_m * math.sin(ASIDE_RAD), abs=0.02)
+
+
+def test_a_leader_that_brakes_is_answered_along_its_bearing(rig: MakeRig) -> None:
+    """By a velocity and an acceleration; across it the velocity is the point's."""
+    r = flown(rig(), 2.0, 3.0, ASIDE_RAD)
+    north_mps, east_mps, _ = r.vehicle.velocity or (0.0, 0.0, 0.0)
+    for number in range(40):
+        time_s = 0.01 * (number + 1)
+        r.range(3.0 - 0.5 * 2.0 * time_s * time_s)
+        if number % 12 == 0:
+            r.send_target(0.0, north_mps, aside_mps=east_mps, yaw_rad=ASIDE_RAD)
+        r.step()
+
+    target = newest(r)
+    along_mps, across_mps = parts(target.north_mps, target.east_mps)
+    along_mps2, across_mps2 = parts(target.north_mps2, target.east_mps2)
+    assert along_mps < LEADER_MPS - 0.5
+    assert along_mps2 == pytest.approx(-2.0, rel=0.35)
+    assert (across_mps, across_mps2) == pytest.approx((0.0, 0.0), abs=0.02)
 
 
 def test_the_own_speed_counts_along_the_bearing(rig: MakeRig) -> None:
@@ -250,13 +281,14 @@ def test_its_own_motion_turns_the_look(rig: MakeRig) -> None:
     assert looks(r)[-1].angular_velocity_z > 0.25
 
 
-@pytest.mark.parametrize("why", ["pilot", "no yaw", "no sonar", "no room", "no call"])
+@pytest.mark.parametrize("why", ["pilot", "no leader", "no yaw", "no sonar", "no room", "no call"])
 def test_nothing_is_ordered(rig: MakeRig, why: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """By an applet that is not in control, or to nobody; a full link, or ArduPilot's old calls."""
     if why == "no call":
         calls = [one for one in luahost._binding_sources() if one[0].name != "send_chan"]
         monkeypatch.setattr(luahost, "_binding_sources", lambda: calls)
-    r = flown(rig(), 2.0, 3.0, None if why == "no yaw" else ASIDE_RAD)
+    range_m = 7.66 if why == "no leader" else 3.0
+    r = flown(rig(), 2.0, range_m, None if why == "no yaw" else ASIDE_RAD)
     r.vehicle.has_room = why != "no room"
     if why == "pilot":
         r.vehicle.mode = 5
