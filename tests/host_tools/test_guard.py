@@ -7,6 +7,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.errors import EchowingError
+from echowing.flight.axis import Axis
 from echowing.flight.closing import Closing
 from echowing.flight.envelope import OTHERS_MPS2, closing_limit_mps
 from echowing.flight.estimate import Estimate
@@ -413,12 +414,12 @@ def test_a_leader_that_the_sonar_hears_after_a_jump_is_where_it_is_seen() -> Non
     there.fly(1.0)
     assert known.doubted_m(follower) == (2.0, 0.0)
 
-    axis_rad, believed_m = 0.0, (4.0, 0.0)
-    follower.estimate.offset.heard(there.now_s - 1.5, 4.0, axis_rad, believed_m)
+    axis, believed_m = Axis(0.0), (4.0, 0.0, 0.0)
+    follower.estimate.offset.heard(there.now_s - 1.5, 4.0, axis, believed_m)
     there.fly(TICK_S)
     assert known.doubted_m(follower) == (2.0, 0.0), "heard before the jump"
 
-    follower.estimate.offset.heard(there.now_s, 4.0, axis_rad, believed_m)
+    follower.estimate.offset.heard(there.now_s, 4.0, axis, believed_m)
     there.fly(TICK_S)
     assert known.doubted_m(follower) == (0.0, 0.0)
 

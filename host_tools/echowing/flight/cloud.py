@@ -112,6 +112,11 @@ class Cloud:
         p_nn, p_ne, p_ee = self._covariance
         return math.sqrt(max(0.0, p_nn * cos * cos + 2.0 * p_ne * cos * sin + p_ee * sin * sin))
 
+    @property
+    def wander_m(self) -> float:
+        """How far each receiver wanders per axis, standard deviation, as learnt."""
+        return float(self._weight @ np.exp(self._log_sigma)) / math.sqrt(2.0)
+
     def nearest_m(self, to_it_m: Horizontal, above_m: float, clear_m: float) -> float:
         """How near one may come, on the straight way, to where the leader is believed (`RISK`).
 
@@ -192,7 +197,9 @@ class Cloud:
         elevation = axis.elevation_rad + half_rad * above
         far = distance_m + self._range_sigma_m * far
         level = far * np.cos(elevation)
-        to_it = np.array((level * np.cos(azimuth), level * np.sin(azimuth), far * np.sin(elevation)))
+        to_it = np.array(
+            (level * np.cos(azimuth), level * np.sin(azimuth), far * np.sin(elevation))
+        )
         self._off[:, ::2] = np.array(believed)[:, np.newaxis] - to_it
         # They wander so far that this is rare.
         rare = np.log(np.hypot(*self._off[:2, ::2]) / RARE_SIGMAS)
@@ -248,9 +255,9 @@ class Cloud:
 
     def _changed(self, values: Array) -> Array:
         """Nearer to their mean, and scattered by as much: the spread stays."""
-        mean, spread = values.mean(), values.std()
-        kept = KEPT_OF_SPREAD * (values - mean)
-        return mean + kept + NEW_OF_SPREAD * spread * self._normal(1)[0]
+        mean, spread = float(values.mean()), float(values.std())
+        kept: Array = KEPT_OF_SPREAD * (values - mean)
+        return kept + mean + NEW_OF_SPREAD * spread * self._normal(1)[0]
 
     def _normal(self, rows: int) -> Array:
         return self._chance.standard_normal((rows, GUESSES))
@@ -267,13 +274,3 @@ class Cloud:
             float(weight @ (east * east)),
         )
         self.up_sigma_m = math.sqrt(float(weight @ (up * up)))
-        self.most_likely_m: Horizontal = (self.north_m, self.east_m)
-
-    def told(self) -> str:
-        """For a look at it: what is believed of receivers and sonar."""
-        w = self._weight
-        return (
-            f"sigma {float(w @ np.exp(self._log_sigma)):.2f} tau {math.exp(float(w @ self._log_tau)):.0f}"
-            f" wide {float(w @ self._wide):.2f} hears {float(w @ self._hears):.2f}"
-            f" dead {float(w @ self._dead):.3f}"
-        )

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from echowing.flight.axis import Axis, along
 from echowing.flight.estimate import Estimate
 from echowing.flight.state import FollowerState, Known
-from echowing.geo import Ned, displace, ned_between, wrap_angle_rad
+from echowing.geo import Ned, ned_between, wrap_angle_rad
 
 # Under the first the direction is sure enough; a cone wider than the second would leave a leader
 # straight ahead in half the beam only.
@@ -42,17 +42,15 @@ def look_at(known: Known, follower: FollowerState, now_s: float) -> Look | None:
     leader, here = known.leader_then(follower, arrives_s), follower.then(arrives_s)
     if leader is None or here is None or known.leader_is_stale(now_s):
         return None
-    estimate, place = follower.estimate, leader.position
-    lost = estimate.missed_s > LOST_S
-    if lost:
-        (north, east), mean = estimate.offset.most_likely_m, estimate.offset
-        place = displace(place, (mean.north_m - north, mean.east_m - east, 0.0))
-    north, east, _ = ned_between(here, place)
+    estimate = follower.estimate
+    north, east, _ = ned_between(here, leader.position)
     to_it_m = north, east, estimate.offset.up_m - known.leader_above_m(follower)
-    look = Look(along(to_it_m), _rate_rps(to_it_m, leader.velocity_ned_mps, follower, arrives_s), 0.0)
+    look = Look(
+        along(to_it_m), _rate_rps(to_it_m, leader.velocity_ned_mps, follower, arrives_s), 0.0
+    )
     across_rad, up_rad = _unsure_rad(estimate, look.axis, to_it_m)
     look = replace(look, sigma_rad=max(across_rad, up_rad))
-    return look if lost else _coned(look, across_rad, up_rad, now_s)
+    return look if estimate.missed_s > LOST_S else _coned(look, across_rad, up_rad, now_s)
 
 
 def _rate_rps(

@@ -25,7 +25,6 @@ from echowing.flight.handling import Handling, leader_brakes_mps2
 from echowing.flight.jumps import OwnJump, RangeMemory
 from echowing.flight.leader_track import LeaderTrack, VehicleClock, changes_mps2, is_late
 from echowing.flight.own_motion import OwnMotion
-from echowing.flight.search import Search
 from echowing.flight.tail import TailSlot
 from echowing.flight.tow_bar import TowBar
 from echowing.flight.wind import Wind
@@ -98,10 +97,9 @@ class FollowerState:
     `Known.doubted_m` that the sonar has settled; reversal_m: the nearest slot from which it
     gets away if the leader turns round now; least_m, least_at_s: the nearest slot it was given
     last, and when; beyond_s: when the leader was last out of its sonar's reach, as far as is
-    known; opens: it was said that the slot opens for a reversal; searches: it looks
-    for the leader from the side; unsure: its newest report may be another vehicle's, with its id;
-    away_beats: heartbeats in a row that were not of one that flies in Guided; sonar_id: the
-    component that sends its sonar's readings.
+    known; opens: it was said that the slot opens for a reversal; unsure: its newest report may be
+    another vehicle's, with its id; away_beats: heartbeats in a row that were not of one that flies
+    in Guided; sonar_id: the component that sends its sonar's readings.
     """
 
     plan: FollowerPlan
@@ -112,7 +110,6 @@ class FollowerState:
     own_jump: OwnJump = field(default_factory=OwnJump)
     handling: Handling = field(default_factory=Handling)
     motion: OwnMotion = field(default_factory=OwnMotion)
-    search: Search = field(default_factory=Search)
     wind: Wind = field(default_factory=Wind)
     latched: str | None = None
     unsure: bool = False
@@ -122,7 +119,6 @@ class FollowerState:
     least_at_s: float = 0.0
     beyond_s: float = -math.inf
     opens: bool = False
-    searches: bool = False
     raw_at_s: float = -math.inf
     sonar_id: int | None = None
     feed_mps: Horizontal | None = None

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 
 from echowing.analysis.metrics import approach_s, found_s, metrics, within_s
 from echowing.flight.belief import SonarBelief
-from echowing.flight.guidance import Horizontal
 from echowing.flight.cloud import Cloud
+from echowing.flight.guidance import Horizontal
 from echowing.sim.flight import FormationFlight
 from echowing.sim.scenario import load_scenario
 from echowing.sim.sonar import FOIL_X8_RANGE_M
@@ -200,7 +200,7 @@ class Known(Cloud):
     def advance(self, now_s: float) -> None:
         """As good as heard at this moment."""
         self._heard_at_s = now_s
-        self.north_m, self.east_m = self.most_likely_m = self._truth()
+        self.north_m, self.east_m = self._truth()
 
     def nearest_m(self, to_it_m: Horizontal, above_m: float, clear_m: float) -> float:
         """Where it is known, so far and no nearer."""
