@@ -81,9 +81,9 @@ void Coprocessor::act(const Instant& now) {
 // within two milliseconds. A reading's report goes first of all, in the turn after it.
 void Coprocessor::tell(const Instant& now) {
   const Telemetry telemetry = observe(now);
-  const bool busy = new_reading_ || sonar_.pinged() || sonar_.timed_out() ||
-                    report_reading(now, telemetry) || look_.work(now, tracker_) ||
-                    handle_message(now) || renew_pointing();
+  const bool busy = new_reading_ || sonar_.timed_out() || report_reading(now, telemetry) ||
+                    sonar_.pinged() || look_.work(now, tracker_) || handle_message(now) ||
+                    renew_pointing();
   if (!busy) send_other(now, telemetry);
   if (!autopilot_connection_.flush()) usb_connection_.flush();
 }
