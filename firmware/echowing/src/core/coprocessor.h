@@ -133,8 +133,7 @@ class Coprocessor {
   GimbalOrders orders_;
   Identity identity_ = {};
   Aim pointed_;
-  Quaternion pointing_;  // of pointed_
-  bool pointing_stale_ = false;
+  PointingFinder pointing_;  // of pointed_
   Timeout freshness_;
   Milliseconds reading_ms_ = 0;
   bool new_reading_ = false;

@@ -36,28 +36,44 @@ float deviation(float told_rad) {
 
 }  // namespace
 
-bool LookOrder::on_message(const Instant& now, const mavlink_message_t& message) {
+void LookOrder::on_message(const Instant& now, const mavlink_message_t& message) {
   const bool same_sender = message.sysid == system_ && message.compid == component_;
-  if (!same_sender && freshness_.running(now)) return false;
+  const bool going_on = freshness_.running(now);
+  if (going_on && !same_sender) return;
   mavlink_gimbal_device_set_attitude_t told;
   mavlink_msg_gimbal_device_set_attitude_decode(&message, &told);
-  if ((told.flags & kEnds) != 0) freshness_.stop();
+  if ((told.flags & kEnds) != 0) return freshness_.stop();
   const Quaternion q = {told.q[0], told.q[1], told.q[2], told.q[3]};
-  if ((told.flags & kEnds) != 0 || !in_earth_frame(told.flags) || !is_rotation(q)) return false;
-  received_ = direction(forward(q));
-  rates_rps_ = {rate(told.angular_velocity_z), rate(told.angular_velocity_y)};
-  deviation_rad_ = deviation(told.angular_velocity_x);
-  received_us_ = now.us;
+  if (!in_earth_frame(told.flags) || !is_rotation(q)) return;
+  newest_ = {q,
+             {rate(told.angular_velocity_z), rate(told.angular_velocity_y)},
+             deviation(told.angular_velocity_x),
+             now.us,
+             !going_on};
+  renewing_ = true;
   freshness_.start(now, kFresh);
   system_ = message.sysid;
   component_ = message.compid;
+}
+
+bool LookOrder::renew() {
+  if (!renewing_) return false;
+  renewing_ = false;
+  const Direction before = at(newest_.at_us);
+  direction_ = direction(forward(newest_.rotation));
+  rates_rps_ = newest_.rates_rps;
+  deviation_rad_ = newest_.deviation_rad;
+  at_us_ = newest_.at_us;
+  moved_ = {};
+  if (newest_.first) return true;
+  moved_ = {wrapped(direction_.right_rad - before.right_rad), direction_.up_rad - before.up_rad};
   return true;
 }
 
 Direction LookOrder::at(Microseconds time) const {
-  const float since_s = 1e-6f * static_cast<float>(static_cast<int32_t>(time - received_us_));
-  return {received_.right_rad + since_s * rates_rps_.right_rad,
-          received_.up_rad + since_s * rates_rps_.up_rad};
+  const float since_s = 1e-6f * static_cast<float>(static_cast<int32_t>(time - at_us_));
+  return {direction_.right_rad + since_s * rates_rps_.right_rad,
+          direction_.up_rad + since_s * rates_rps_.up_rad};
 }
 
 }  // namespace echowing

@@ -78,19 +78,18 @@ Direction scan_offset(const Parameters& parameters, uint8_t index, float deviati
   };
 }
 
-uint8_t nearest_scan_offset(const Parameters& parameters, Direction offset, float deviation_rad) {
-  uint8_t nearest = 0;
-  float least = 0.0f;
-  for (uint8_t index = 0; index < kScanPoints; ++index) {
-    const Direction point = scan_offset(parameters, index, deviation_rad);
-    const float right = point.right_rad - offset.right_rad;
-    const float up = point.up_rad - offset.up_rad;
-    const float distance = right * right + up * up;
-    if (index != 0 && distance >= least) continue;
-    least = distance;
-    nearest = index;
+uint8_t faded_scan_point(const Parameters& parameters, uint8_t index, Direction offset,
+                         float deviation_rad) {
+  const Direction point = scan_offset(parameters, index, deviation_rad);
+  const Cell was = from_flash(kCells[index]);
+  const bool aside = 2 * fabsf(offset.right_rad) > fabsf(point.right_rad);
+  const bool off_level = 2 * fabsf(offset.up_rad) > fabsf(point.up_rad);
+  const Cell now = {aside ? was.pan : kMiddle, off_level ? was.tilt : kLevel};
+  for (index = 0; index < kScanPoints; ++index) {
+    const Cell cell = from_flash(kCells[index]);
+    if (cell.pan == now.pan && cell.tilt == now.tilt) break;
   }
-  return nearest;
+  return index;
 }
 
 }  // namespace echowing
