@@ -241,12 +241,14 @@ def answered_mps(
 
 
 def test_too_near_to_the_leader_it_flies_away_from_it() -> None:
-    """1.2 m by receivers that may be 2.8 m off: as fast as it backs off at all."""
+    """1.2 m by receivers that may be off by all of that: 1.5 m/s for each metre that lacks."""
     there = Field(Limits(min_separation_m=1.5), height_m=7.0)
     there.fly(1.0)
     there.north_m[FOLLOWER] = -1.2
     (point,) = there.points()
-    assert flown_mps(point, -1.2) == pytest.approx((-3.0, 0.0), abs=0.02)
+    back_mps, aside_mps = flown_mps(point, -1.2)
+    assert -3.0 <= back_mps < -1.9
+    assert aside_mps == pytest.approx(0.0, abs=0.02)
     assert point.alt == 10.0
     assert point.yaw == pytest.approx(0.0, abs=0.01)  # and looks at it
     assert there.state == "gives way to the leader"
@@ -286,13 +288,13 @@ def test_one_that_closes_far_too_fast_is_not_led_back_to_the_tail_meanwhile() ->
 
 
 def test_a_point_without_a_velocity_is_as_far_back_as_guided_flies_so_fast() -> None:
-    """3 m/s: 4.2 m by ArduCopter's defaults, 2.3 m with 5 m/s2 and the jerk of the lean."""
+    """2.05 m/s: 2.3 m by ArduCopter's defaults, 1.8 m with 5 m/s2 and the jerk of the lean."""
     there = Field(Limits(min_separation_m=1.5), feed_forward=False)
     there.fly(1.0)
     there.north_m[FOLLOWER] = -1.2
-    assert north_of(there.points()[-1]) == pytest.approx(-1.2 - 4.2, abs=0.05)
-    quick(there)
     assert north_of(there.points()[-1]) == pytest.approx(-1.2 - 2.3, abs=0.05)
+    quick(there)
+    assert north_of(there.points()[-1]) == pytest.approx(-1.2 - 1.8, abs=0.05)
 
 
 def test_a_leader_in_its_sonar_is_closed_on_as_the_applet_does(
@@ -384,8 +386,8 @@ def test_only_who_is_to_find_its_leader_leaves_the_leaders_braking_out() -> None
         there.fly(1.0)
         there.speed_mps[FOLLOWER] = 3.0
         closing.append(closing_mps(there, FOLLOWER))
-    assert closing[0] > 1.0
-    assert closing[1] < 0.5
+    assert closing[0] > 1.5
+    assert closing[1] < 0.6 * closing[0]
 
 
 @pytest.mark.parametrize("whose", ["its own", "the leader's"])

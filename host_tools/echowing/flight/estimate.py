@@ -62,10 +62,10 @@ class SenderClock:
 class Estimate:
     """One follower's view of its leader: the receivers' disagreement, learnt from the sonar."""
 
-    def __init__(self, sonar: SonarBelief) -> None:
-        self.sonar = sonar
+    def __init__(self, sonar: SonarBelief, *, alone: bool = True) -> None:
+        self.sonar, self._alone = sonar, alone
         self.history = History()
-        self.offset = Cloud(sonar)
+        self.offset = Cloud(sonar, alone=alone)
         self.sonar_clock = SenderClock()
         self._alignment = Alignment()
         self._before = (-math.inf, math.nan)
@@ -168,7 +168,7 @@ class Estimate:
 
     def _unlearn(self) -> None:
         """Drop what the sonar taught; the receivers' jumps stay allowed for."""
-        self.offset = Cloud(self.sonar)
+        self.offset = Cloud(self.sonar, alone=self._alone)
         self._alignment = Alignment()
 
     def jumped(self, moved_m: tuple[float, float]) -> None:

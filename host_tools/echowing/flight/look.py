@@ -17,8 +17,11 @@ from echowing.geo import Ned, ned_between, wrap_angle_rad
 # Under the first the direction is sure enough; a cone wider than the second would leave a leader
 # straight ahead in half the beam only.
 SURE_RAD, WIDEST_RAD = math.radians(4.0), math.radians(10.0)
-# Once round: 30 deg/s at the widest, a tenth of what the servos can.
-ROUND_S = 2.0
+# Once round, by a gimbal: 30 deg/s at the widest, a tenth of what the servos can; and by the nose,
+# where the sonar has no gimbal (ArduCopter turns by 60 deg/s).
+ROUND_S, NOSE_ROUND_S = 2.0, 4.0
+# So far the nose looks to each side for a leader that is not heard, in this time there and back.
+NOSE_RAD, NOSE_LOOKS_S = math.radians(45.0), 8.0
 # A leader that is not heard for so long is looked for where it most likely is. The time counts up
 # to the last reading that could be used, not up to now: with a slow radio that reading is a second
 # old, and nothing is lost.
@@ -50,7 +53,11 @@ def look_at(known: Known, follower: FollowerState, now_s: float) -> Look | None:
     )
     across_rad, up_rad = _unsure_rad(estimate, look.axis, to_it_m)
     look = replace(look, sigma_rad=max(across_rad, up_rad))
-    return look if estimate.missed_s > LOST_S else _coned(look, across_rad, up_rad, now_s)
+    lost, by_nose = estimate.missed_s > LOST_S, not estimate.points(now_s)
+    if lost:
+        return _to_both_sides(look, now_s) if by_nose else look
+    cone_rad = _wide_rad(across_rad), _wide_rad(up_rad)
+    return _coned(look, cone_rad, now_s / (NOSE_ROUND_S if by_nose else ROUND_S))
 
 
 def _rate_rps(
@@ -73,14 +80,19 @@ def _unsure_rad(estimate: Estimate, axis: Axis, to_it_m: Ned) -> tuple[float, fl
     return math.atan2(across_m, far_m), math.atan2(estimate.offset.up_sigma_m, far_m)
 
 
-def _coned(look: Look, across_rad: float, up_rad: float, now_s: float) -> Look:
+def _coned(look: Look, cone_rad: tuple[float, float], rounds: float) -> Look:
     """The look on its way round the cone."""
-    phase_rad = 2.0 * math.pi * now_s / ROUND_S
-    aside_rad = _wide_rad(across_rad) * math.sin(phase_rad)
-    above_rad = _wide_rad(up_rad) * math.cos(phase_rad)
+    phase_rad = 2.0 * math.pi * rounds
+    aside_rad, above_rad = cone_rad[0] * math.sin(phase_rad), cone_rad[1] * math.cos(phase_rad)
     axis = look.axis
     turned = Axis(wrap_angle_rad(axis.azimuth_rad + aside_rad), axis.elevation_rad + above_rad)
     return replace(look, axis=turned)
+
+
+def _to_both_sides(look: Look, now_s: float) -> Look:
+    """A look for a leader that is not heard, by a sonar that no gimbal turns."""
+    aside_rad = min(NOSE_RAD, 2.0 * look.sigma_rad)
+    return _coned(look, (aside_rad, 0.0), now_s / NOSE_LOOKS_S)
 
 
 def _wide_rad(unsure_rad: float) -> float:

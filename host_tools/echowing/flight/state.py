@@ -96,10 +96,9 @@ class FollowerState:
     it leaves its plan; latched: why it is held until it leaves Guided; proven_m: the part of
     `Known.doubted_m` that the sonar has settled; reversal_m: the nearest slot from which it
     gets away if the leader turns round now; least_m, least_at_s: the nearest slot it was given
-    last, and when; beyond_s: when the leader was last out of its sonar's reach, as far as is
-    known; opens: it was said that the slot opens for a reversal; unsure: its newest report may be
-    another vehicle's, with its id; away_beats: heartbeats in a row that were not of one that flies
-    in Guided; sonar_id: the component that sends its sonar's readings.
+    last, and when; opens: it was said that the slot opens for a reversal; unsure: its newest report
+    may be another vehicle's, with its id; away_beats: heartbeats in a row that were not of one that
+    flies in Guided; sonar_id: the component that sends its sonar's readings.
     """
 
     plan: FollowerPlan
@@ -117,7 +116,6 @@ class FollowerState:
     reversal_m: float = 0.0
     least_m: float = 0.0
     least_at_s: float = 0.0
-    beyond_s: float = -math.inf
     opens: bool = False
     raw_at_s: float = -math.inf
     sonar_id: int | None = None
@@ -306,7 +304,7 @@ class Known:
             plan.system_id: FollowerState(
                 plan,
                 TowBar(plan.slot, longest_m) if settings.tow_bar else TailSlot(plan.slot),
-                Estimate(plan.sonar),
+                Estimate(plan.sonar, alone=len(plans) == 1),
             )
             for plan in plans
         }
