@@ -175,7 +175,7 @@ def test_one_that_fell_behind_closes_to_where_its_sonar_hears_the_leader() -> No
     """5 m behind it cannot hear it. A slot of 3.8 m, flown 0.5 m late, would keep it there."""
     assert opens_to_m(5.0) == pytest.approx(3.0)
     assert opens_to_m(4.0, deaf=True) > 3.5, "within reach, and not heard"
-    assert opens_to_m(5.0, heard=False) > 3.2, "never heard"
+    assert opens_to_m(5.0, heard=False) > 3.05, "never heard"
 
 
 def test_a_slot_that_was_opened_closes_slowly() -> None:
