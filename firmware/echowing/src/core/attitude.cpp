@@ -32,11 +32,9 @@ void Attitude::on_message(const Instant& now, const mavlink_message_t& message) 
   mavlink_attitude_t told;
   mavlink_msg_attitude_decode(&message, &told);
   if (!plausible(told)) return;
-  newest_ = {{told.roll, told.pitch, told.yaw},
-             {told.rollspeed, told.pitchspeed, told.yawspeed},
-             now.us - kAge};
+  newest_ = {
+      {told.roll, told.pitch, told.yaw}, {told.rollspeed, told.pitchspeed, told.yawspeed}, now};
   steps_left_ = 2;
-  freshness_.start(now, kFresh);
   if (count_ < kEnough) ++count_;
 }
 
@@ -48,7 +46,8 @@ bool Attitude::renew() {
   }
   rotation_ = rolled(nose_, newest_.angles_rad.x);
   rates_rps_ = newest_.rates_rps;
-  at_us_ = newest_.at_us;
+  at_us_ = newest_.received.us - kAge;
+  freshness_.start(newest_.received, kFresh);
   return true;
 }
 

@@ -17,6 +17,7 @@ class Attitude {
 
   // `message` is an ATTITUDE; one that is not finite and plausible is ignored.
   void on_message(const Instant& now, const mavlink_message_t& message);
+  // One that has been worked out is young enough.
   bool fresh(const Instant& now) { return freshness_.running(now); }
   // Works out what the newest message means, in two steps that are costly on AVR; false if there
   // was none to make.
@@ -30,7 +31,7 @@ class Attitude {
   struct Told {
     Vector angles_rad;
     Vector rates_rps;
-    Microseconds at_us;
+    Instant received;
   };
 
   Told newest_ = {};

@@ -38,34 +38,38 @@ float deviation(float told_rad) {
 
 void LookOrder::on_message(const Instant& now, const mavlink_message_t& message) {
   const bool same_sender = message.sysid == system_ && message.compid == component_;
-  const bool going_on = freshness_.running(now);
-  if (going_on && !same_sender) return;
+  if (!same_sender && (renewing_ || freshness_.running(now))) return;
   mavlink_gimbal_device_set_attitude_t told;
   mavlink_msg_gimbal_device_set_attitude_decode(&message, &told);
-  if ((told.flags & kEnds) != 0) return freshness_.stop();
+  if ((told.flags & kEnds) != 0) return end();
   const Quaternion q = {told.q[0], told.q[1], told.q[2], told.q[3]};
   if (!in_earth_frame(told.flags) || !is_rotation(q)) return;
   newest_ = {q,
              {rate(told.angular_velocity_z), rate(told.angular_velocity_y)},
              deviation(told.angular_velocity_x),
-             now.us,
-             !going_on};
+             now};
   renewing_ = true;
-  freshness_.start(now, kFresh);
   system_ = message.sysid;
   component_ = message.compid;
+}
+
+void LookOrder::end() {
+  renewing_ = false;
+  freshness_.stop();
 }
 
 bool LookOrder::renew() {
   if (!renewing_) return false;
   renewing_ = false;
-  const Direction before = at(newest_.at_us);
+  const bool going_on = freshness_.running(newest_.received);
+  const Direction before = at(newest_.received.us);
   direction_ = direction(forward(newest_.rotation));
   rates_rps_ = newest_.rates_rps;
   deviation_rad_ = newest_.deviation_rad;
-  at_us_ = newest_.at_us;
+  at_us_ = newest_.received.us;
+  freshness_.start(newest_.received, kFresh);
   moved_ = {};
-  if (newest_.first) return true;
+  if (!going_on) return true;
   moved_ = {wrapped(direction_.right_rad - before.right_rad), direction_.up_rad - before.up_rad};
   return true;
 }

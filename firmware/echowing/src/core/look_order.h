@@ -15,6 +15,7 @@ class LookOrder {
   // A message to us. One sender at a time: another one's turn comes when the first has been silent
   // for a second, or has ended its order.
   void on_message(const Instant& now, const mavlink_message_t& message);
+  // One that has been worked out is young enough.
   bool fresh(const Instant& now) { return freshness_.running(now); }
   // Works out what the newest message means, and takes it; false if there is none. Costly on AVR.
   bool renew();
@@ -26,12 +27,13 @@ class LookOrder {
   float deviation_rad() const { return deviation_rad_; }
 
  private:
+  void end();
+
   struct Told {
     Quaternion rotation;
     Direction rates_rps;
     float deviation_rad;
-    Microseconds at_us;
-    bool first;
+    Instant received;
   };
 
   Told newest_ = {};

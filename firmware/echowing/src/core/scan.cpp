@@ -37,7 +37,9 @@ float stretched(uint16_t pulse_us, uint16_t centre_us, float us_per_deg, float l
   if (pulse_us == centre_us || us_per_deg == 0.0f) return 0.0f;
   const float offset_us = static_cast<float>(pulse_us) - static_cast<float>(centre_us);
   const float angle_rad = offset_us / us_per_deg * kRadiansPerDegree;
-  return angle_rad < 0.0f ? fminf(angle_rad, -least_rad) : fmaxf(angle_rad, least_rad);
+  // A scale near nought makes any number of turns of it.
+  if (angle_rad < 0.0f) return fmaxf(-kPi, fminf(angle_rad, -least_rad));
+  return fminf(kPi, fmaxf(angle_rad, least_rad));
 }
 
 float within_reach(float angle_rad, uint16_t reach_deg) {

@@ -102,9 +102,11 @@ void Tracker::on_order(Direction moved) {
   const float right_rad = fabsf(moved.right_rad + offset_.right_rad - before.right_rad);
   const float up_rad = fabsf(moved.up_rad + offset_.up_rad - before.up_rad);
   if (fmaxf(right_rad, up_rad) <= half_beam_rad()) return;
+  settling_ = true;
+  if (!tracking_) return;  // the search goes on round the new direction
   offset_ = {};
   moving_ = false;
-  restart_ = settling_ = true;
+  restart_ = true;
   forget();
 }
 
