@@ -14,6 +14,8 @@ from echowing.sim.flight import FormationFlight
 from echowing.sim.scenario import load_scenario
 from echowing.sim.summary import fly
 
+from ..world import CLEARLY
+
 LEADER = GlobalPosition(39.34, -86.03, 260.0)
 TICK_S = 0.125
 SAID = "no echo, looking from the side"
@@ -141,7 +143,7 @@ def test_a_slot_is_swung_at_its_distance_and_height_and_moves_along(aside_deg: f
 # for half a minute and more.
 @pytest.mark.parametrize("seed", [309, 310, 341])
 def test_a_leader_out_of_reach_from_the_tail_is_found_from_the_side(seed: int) -> None:
-    one = fly(load_scenario("echowing", ["duration_s=60", "settle_s=20"]), seed)
+    one = fly(load_scenario("echowing", ["duration_s=60", "settle_s=20", *CLEARLY]), seed)
     (measured,) = one.metrics
     assert any(SAID in text for _, text in one.events)
     # Without the search: 1.3 to 3.2 m.
@@ -151,7 +153,7 @@ def test_a_leader_out_of_reach_from_the_tail_is_found_from_the_side(seed: int) -
 
 def test_a_leader_that_was_never_heard_is_found_from_further_round() -> None:
     """Swung by 60 degrees the follower found it after 41 s."""
-    scenario = load_scenario("echowing", ["leader.path=figure-eight", "duration_s=35"])
+    scenario = load_scenario("echowing", ["leader.path=figure-eight", "duration_s=35", *CLEARLY])
     one = FormationFlight(scenario, 310).run()
     found_at_s = found_s(one.flights[0], scenario.sonar_belief.inset_m)
     assert found_at_s is not None
@@ -160,7 +162,9 @@ def test_a_leader_that_was_never_heard_is_found_from_further_round() -> None:
 
 def test_one_that_was_heard_is_looked_for_nearer_to_the_tail() -> None:
     dead = FaultSection(kind="sonar_dead", vehicle=2, at_s=12.0)
-    scenario = load_scenario("echowing", ["duration_s=24"]).model_copy(update={"fault": (dead,)})
+    scenario = load_scenario("echowing", ["duration_s=24", *CLEARLY]).model_copy(
+        update={"fault": (dead,)}
+    )
     flight = FormationFlight(scenario, 303)
     asides: list[float] = []
     search = flight.ground.session.followers[2].search
@@ -174,7 +178,7 @@ def test_a_leader_above_the_beam_is_not_looked_for_from_the_side() -> None:
     With the silence of that time believed the follower was 4 m wrong in the end, and flew below its
     leader, swinging to the side; 0.98 m apart were left.
     """
-    one = fly(load_scenario("hostile", ["duration_s=135"]), 1269)
+    one = fly(load_scenario("hostile", ["duration_s=135", *CLEARLY]), 1269)
     assert not any(SAID in text for at_s, text in one.events if at_s > 100.0)
     # The receivers alone, a minute after the last reading: 3 m and more.
     assert one.phases["east"] > 2.5

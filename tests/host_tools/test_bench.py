@@ -21,6 +21,8 @@ from echowing.sim.law_table import (
 )
 from echowing.sim.scenario import LAWS
 
+from ..world import CLEARLY
+
 
 def changes(*speeds_mps: float, duration_s: float = 60.0) -> float:
     time_s = np.linspace(0.0, duration_s, len(speeds_mps))
@@ -186,7 +188,7 @@ def test_the_time_until_the_leader_is_within_reach() -> None:
 def test_with_the_disagreement_known_the_follower_goes_where_its_leader_is() -> None:
     """Two receivers 2 m apart along the line: unknown, the slot keeps the room they demand."""
     as_it_is, known = (
-        fly_row(ROWS[0], 302, ["duration_s=16"], known=known) for known in (False, True)
+        fly_row(ROWS[0], 302, ["duration_s=16", *CLEARLY], known=known) for known in (False, True)
     )
     assert known.reached_s < 4.0
     assert as_it_is.reached_s > 10.0

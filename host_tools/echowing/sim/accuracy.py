@@ -21,7 +21,6 @@ from echowing.flight.guidance import Horizontal
 from echowing.flight.offset_grid import OffsetGrid
 from echowing.sim.flight import FormationFlight
 from echowing.sim.scenario import load_scenario
-from echowing.sim.sonar import FOIL_X8_RANGE_M
 
 # Nobody has flown these to choose anything.
 FIRST_SEED = 301
@@ -173,14 +172,15 @@ def fly_row(row: Row, seed: int, changes: Sequence[str] = (), *, known: bool = F
     watch = _Watch(flight, known=known)
     result = flight.run(after_step=watch.step)
     (flown,) = result.flights
-    approached_s, inset_m = approach_s(flown), scenario.sonar_belief.inset_m
+    approached_s, sonar = approach_s(flown), flight.followers[0].ear.sonar
+    inset_m = sonar.inset_m
     measured = metrics(flown, approached_s)
     return Flown(
         mean_error_m=measured.mean_abs_error_m,
         rmsd_m=measured.rmsd_m,
         least_m=result.closest_m,
         found_s=_or_never(found_s(flown, inset_m)),
-        reached_s=_or_never(within_s(flown, FOIL_X8_RANGE_M + inset_m)),
+        reached_s=_or_never(within_s(flown, sonar.foil_m + inset_m)),
         sigma_m=watch.sigma_m(approached_s),
     )
 
