@@ -18,11 +18,13 @@ from echowing.sim.faults import _BEGIN
 from echowing.sim.modes import GUIDED, LAND, LOITER, STABILIZE
 from echowing.sim.scenario import Scenario, scenario_of
 
+from ..world import CLEAR
+
 HOVERS = {"path": "rectangle", "start_s": 1000.0}
 
 
 def scenario(*faults: dict[str, object], **changes: object) -> Scenario:
-    table: dict[str, object] = {"title": "t", "duration_s": 24.0, "fault": list(faults), **changes}
+    table = {"title": "t", "duration_s": 24.0, "fault": list(faults), **CLEAR, **changes}
     return scenario_of(table, "test")
 
 

@@ -28,6 +28,7 @@ from echowing.flight.spacing import UNRANGED_SIGMA_M
 from echowing.flight.vehicle_limits import INPUT_TIME
 from echowing.sim.flight import SAMPLE_S
 from echowing.sim.modes import GUIDED
+from echowing.sim.scenario import Scenario
 
 # README's promise between any two vehicles.
 LEAST_M = 1.0
@@ -458,8 +459,34 @@ def nothing_wrong(record: FlightRecord) -> bool:
         and leader.frames_lost <= CALM_LOSS
         and scenario.radio.follower.byte_loss <= CALM_LOSS
         and scenario.wire == type(scenario.wire)()
+        and not _is_worse_than_believed(scenario)
         and leader.latency_s + leader.jitter_s <= CALM_LATENCY_S
         and scenario.airframe == type(scenario.airframe)()
+    )
+
+
+def _is_worse_than_believed(scenario: Scenario) -> bool:
+    """Whether sonars, receivers or heights are given worse than the product takes for granted."""
+    given, file, gps = scenario.sonar, scenario.sonar_file, scenario.gps
+    usual = type(gps)()
+    no_less = (
+        (given.share, min(file.heard.least)),
+        (given.beam_near_deg, file.beam.narrowest_deg[0]),
+        (given.beam_far_deg, file.beam.narrowest_deg[-1]),
+        (given.heard_to_m, file.foil_to_m[0]),
+    )
+    no_more = (
+        (given.noise_m, file.noise_m[1]),
+        (given.wild_share, file.wild_share[1] + file.late_share[1]),
+        (given.deaf_share + given.tone_share, 0.0),
+        (given.spread, 1.0),
+        (gps.sigma_m, usual.sigma_m),
+        (gps.vertical_sigma_m, usual.vertical_sigma_m),
+        (gps.spread, usual.spread),
+        (gps.step_m + gps.multipath_m, 0.0),
+    )
+    return any(value is not None and value < least for value, least in no_less) or any(
+        value is not None and value > most for value, most in no_more
     )
 
 

@@ -36,13 +36,13 @@ class Curve:
 class SonarBelief:
     """A sonar, as far as it is known.
 
-    heard: share of its readings that hear a leader on the axis, over the range; beyond its last
-    range that is not known. widest_rad: half angle of the widest beam that it may have; nobody is
-    heard outside. narrowest_rad: of the narrowest; silence from within is evidence. edge_rad: over
-    this angle the beam begins. noise_m: standard deviation of a range. wild_share, late_share: of
-    its readings that are anything at all, or an echo of an earlier ping. shortest_m: nearer reads
-    as this. reach_m: a range from here on is no target. inset_m: how much less than the separation
-    it reads. stock_to_m, foil_to_m: how far a leader without and with foil on its legs is heard.
+    heard: the least share of its readings that hear a leader on the axis, over the range; beyond
+    its last range that is not known. widest_rad: half angle of the widest beam that it may have;
+    nobody is heard outside. narrowest_rad: of the narrowest; silence from within is evidence.
+    edge_rad: over this angle the beam begins. noise_m: standard deviation of a range, at most.
+    wrong_share: most of its readings that are not the leader's. shortest_m: nearer reads as this.
+    reach_m: a range from here on is no target. heard_to_m: so far the leader is heard in any case.
+    inset_m: how much less than the separation it reads. rate_hz: readings per second.
     """
 
     heard: Curve
@@ -50,19 +50,12 @@ class SonarBelief:
     narrowest_rad: Curve
     edge_rad: float
     noise_m: float
-    wild_share: float
-    late_share: float
+    wrong_share: float
     shortest_m: float
     reach_m: float
     inset_m: float
-    stock_to_m: float
-    foil_to_m: float
+    heard_to_m: float
     rate_hz: float
-
-    @property
-    def wrong_share(self) -> float:
-        """Share of its readings that are not the leader's."""
-        return self.wild_share + self.late_share
 
     @property
     def silent_to_m(self) -> float:

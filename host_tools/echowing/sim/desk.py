@@ -48,7 +48,7 @@ class Scene:
         self._leader_body_m: Ned | None = None
         self._watched = watched
         self._gimbal = Gimbal()
-        self._ear = Ear(random.Random(0))
+        self._ear = Ear(lambda name: random.Random(f"0 {name}"))
 
     @property
     def udp_port(self) -> int | None:
