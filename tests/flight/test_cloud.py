@@ -50,12 +50,14 @@ class Sonar:
                 self.cloud.heard(self.now_s, far_m, axis, believed)  # type: ignore[arg-type]
         return self
 
-    def looks_round(self, rounds: int = 4, wide_deg: float = 20.0, **more: bool) -> "Sonar":
+    def looks_round(
+        self, rounds: int = 4, wide_deg: float = 20.0, *, deaf: bool = False
+    ) -> "Sonar":
         """The leader's direction, then to each side, up and down."""
         for _ in range(rounds):
             for aside, above in ((0, 0), (1, 0), (0, 1), (-1, 0), (0, -1)):
                 wide_rad = math.radians(wide_deg)
-                self.looks(Axis(aside * wide_rad, above * wide_rad), **more)
+                self.looks(Axis(aside * wide_rad, above * wide_rad), deaf=deaf)
         return self
 
     @property

@@ -271,7 +271,8 @@ class Cloud:
         """Nearer to their mean, and scattered by as much: the spread stays."""
         mean, spread = float(values.mean()), float(values.std())
         kept: Array = KEPT_OF_SPREAD * (values - mean)
-        return kept + mean + NEW_OF_SPREAD * spread * self._normal(1)[0]
+        changed: Array = kept + mean + NEW_OF_SPREAD * spread * self._normal(1)[0]
+        return changed
 
     def _normal(self, rows: int) -> Array:
         drawn: Array = self._chance.standard_normal((rows, GUESSES))
