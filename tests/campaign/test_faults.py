@@ -192,7 +192,7 @@ def test_a_jammed_gimbal_loses_a_leader_in_a_corner_sooner_than_a_free_one() -> 
     assert gimbal.pan_deg == 0.0
     gimbal.jammed = False
     gimbal.step(1.0, 1800.0, 1400.0)
-    assert gimbal.pan_deg == pytest.approx(42.0)
+    assert gimbal.pan_deg == pytest.approx(41.5)  # half the servo's play short
 
 
 def test_a_narrow_beam_hears_less_often() -> None:

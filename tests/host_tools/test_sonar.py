@@ -1,7 +1,9 @@
 import math
 import random
 import statistics
+import tomllib
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -252,15 +254,62 @@ def test_two_sonars_that_face_each_other_hear_each_others_tone() -> None:
     assert all(ear.ping(k * 0.1, pose, [], (), [same_way]) is None for k in range(20))
 
 
-def test_the_gimbal_slews_at_the_servos_rate_and_stops_at_its_pulse() -> None:
+def test_the_gimbal_slews_at_the_servos_rate_and_stops_half_its_play_short_of_its_pulse() -> None:
     gimbal = Gimbal()
 
-    gimbal.step(0.01, PAN_CENTRE_US - 100.0, TILT_CENTRE_US)
+    gimbal.step(0.015, PAN_CENTRE_US - 100.0, TILT_CENTRE_US)
     on_the_way = gimbal.pan_deg
     gimbal.step(1.0, PAN_CENTRE_US - 100.0, TILT_CENTRE_US)
 
-    assert on_the_way == pytest.approx(-5.0)  # 500 deg/s for 10 ms
-    assert gimbal.pan_deg == pytest.approx(-10.0)  # 100 us at 10 us a degree
+    # A dead time of 5 ms, then 500 deg/s for 10 ms; half a degree of play is taken up first.
+    assert on_the_way == pytest.approx(-4.5)
+    assert gimbal.pan_deg == pytest.approx(-9.5)  # 100 us at 10 us a degree
+
+
+def test_play_is_a_degree_between_coming_from_the_left_and_from_the_right() -> None:
+    gimbal = Gimbal()
+    stops_deg = []
+    for from_us in (-100.0, 100.0):
+        gimbal.step(1.0, PAN_CENTRE_US + from_us, TILT_CENTRE_US + from_us)
+        gimbal.step(1.0, PAN_CENTRE_US + 50.0, TILT_CENTRE_US + 50.0)
+        stops_deg.append((gimbal.pan_deg, gimbal.tilt_deg))
+    assert stops_deg == [pytest.approx((4.5, 4.5)), pytest.approx((5.5, 5.5))]
+    # Less than the play moves the gears, and not the axis.
+    gimbal.step(1.0, PAN_CENTRE_US + 59.0, TILT_CENTRE_US)
+    assert gimbal.pan_deg == pytest.approx(5.5)
+
+
+@pytest.mark.parametrize("step_s", [0.001, 0.004, 0.02])
+def test_pulses_count_after_the_dead_time_in_their_order_at_any_step(step_s: float) -> None:
+    """A pulse of a frame's length turns the servo out and back, 5 ms later, and loses nothing."""
+    gimbal = Gimbal()
+    reached_deg = []
+    for k in range(round(0.1 / step_s)):
+        out = k * step_s < 0.0199
+        gimbal.step(step_s, PAN_CENTRE_US + (300.0 if out else 0.0), TILT_CENTRE_US)
+        reached_deg.append(gimbal.pan_deg)
+    # Out for 20 ms at 500 deg/s, from 5 to 25 ms; half a degree of play on each side.
+    if step_s == 0.001:
+        assert max(reached_deg) == pytest.approx(9.5)
+        assert reached_deg[3] == 0.0
+    assert reached_deg[round(0.02 / step_s) - 1] == pytest.approx(7.0)
+    assert reached_deg[round(0.04 / step_s) - 1] == pytest.approx(3.0)
+    assert reached_deg[-1] == pytest.approx(0.5)
+
+
+VECTORS = tomllib.loads((Path(__file__).parents[1] / "flight" / "axis.toml").read_text())["axis"]
+
+
+@pytest.mark.parametrize("row", VECTORS, ids=lambda row: f"{row['azimuth_deg']:g}")
+def test_the_gimbal_s_axis_is_the_one_of_the_table_that_all_share(row: dict[str, float]) -> None:
+    pan, tilt = math.radians(row["pan_deg"]), math.radians(row["tilt_deg"])
+    body = math.cos(tilt) * math.cos(pan), math.cos(tilt) * math.sin(pan), -math.sin(tilt)
+    north, east, down = body_to_ned(
+        body, *(math.radians(row[f"{angle}_deg"]) for angle in ("roll", "pitch", "yaw"))
+    )
+    turn_deg = math.degrees(math.atan2(east, north)) - row["azimuth_deg"]
+    assert (turn_deg + 180.0) % 360.0 - 180.0 == pytest.approx(0.0, abs=1e-3)
+    assert math.degrees(math.asin(-down)) == pytest.approx(row["elevation_deg"], abs=1e-3)
 
 
 def test_longer_pulses_look_right_and_up() -> None:

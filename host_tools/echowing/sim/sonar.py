@@ -6,6 +6,7 @@ PD11848 and thesis Table 5 unless a line says otherwise.
 
 import math
 import random
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -16,6 +17,13 @@ from echowing.geo import Ned
 
 # 0.12 s for 60 degrees: an ordinary micro servo at 5 V.
 SERVO_SLEW_DPS = 500.0
+# From the end of a pulse until the motor moves: its controller compares each pulse with the last
+# one, and the motor has to start (assumed; no maker gives it). The frame of 20 ms, in which a new
+# pulse is waited for, is a board's pin's or the world's step.
+SERVO_DEAD_TIME_S = 0.005
+# Play of gears and linkage: the axis stops half of it short of where it comes from (assumed; a
+# worn micro servo has a degree).
+SERVO_PLAY_DEG = 1.0
 
 SHORTEST_M = 0.20
 LONGEST_M = 7.65
@@ -121,29 +129,68 @@ class Surface:
 GROUND = Surface((0.0, 0.0, 0.0), (0.0, 0.0, -1.0))
 
 
+class Servo:
+    """What a servo makes of its pulses: a dead time, a limited rate, and play at the axis."""
+
+    def __init__(self) -> None:
+        self.axis_deg = 0.0
+        self._gear_deg = 0.0
+        self._goal_deg = 0.0
+        self._coming: deque[tuple[float, float]] = deque()  # until it counts, and the goal
+
+    def step(self, dt_s: float, pulse_deg: float) -> None:
+        """Move for `dt_s`, in which the pulses say `pulse_deg`."""
+        newest_deg = self._coming[-1][1] if self._coming else self._goal_deg
+        if pulse_deg != newest_deg:
+            self._coming.append((SERVO_DEAD_TIME_S, pulse_deg))
+        while self._coming and self._coming[0][0] <= dt_s:
+            wait_s, goal_deg = self._coming.popleft()
+            self._move(wait_s)
+            self._goal_deg = goal_deg
+            dt_s -= wait_s
+            self._wait(wait_s)
+        self._wait(dt_s)
+        self._move(dt_s)
+
+    def _wait(self, span_s: float) -> None:
+        if self._coming:
+            self._coming = deque((wait_s - span_s, goal) for wait_s, goal in self._coming)
+
+    def _move(self, dt_s: float) -> None:
+        self._gear_deg = _approach(self._gear_deg, self._goal_deg, SERVO_SLEW_DPS * dt_s)
+        play_deg = SERVO_PLAY_DEG / 2.0
+        least_deg, most_deg = self._gear_deg - play_deg, self._gear_deg + play_deg
+        self.axis_deg = max(least_deg, min(most_deg, self.axis_deg))
+
+
 class Gimbal:
-    """Pan and tilt servos: they follow their pulses at a limited rate.
+    """Pan and tilt servos.
 
     Pan turns right and tilt turns up with longer pulses. Angles are in degrees off straight
     ahead.
     """
 
     def __init__(self) -> None:
-        self.pan_deg = 0.0
-        self.tilt_deg = 0.0
+        self._pan = Servo()
+        self._tilt = Servo()
         self.jammed = False
+
+    @property
+    def pan_deg(self) -> float:
+        """Where the axis is, to the right."""
+        return self._pan.axis_deg
+
+    @property
+    def tilt_deg(self) -> float:
+        """Where the axis is, up."""
+        return self._tilt.axis_deg
 
     def step(self, dt_s: float, pan_us: float, tilt_us: float) -> None:
         """Move for `dt_s` towards the pulses in force, unless jammed."""
         if self.jammed:
             return
-        most_deg = SERVO_SLEW_DPS * dt_s
-        self.pan_deg = _approach(
-            self.pan_deg, (pan_us - PAN_CENTRE_US) / SERVO_US_PER_DEG, most_deg
-        )
-        self.tilt_deg = _approach(
-            self.tilt_deg, (tilt_us - TILT_CENTRE_US) / SERVO_US_PER_DEG, most_deg
-        )
+        self._pan.step(dt_s, (pan_us - PAN_CENTRE_US) / SERVO_US_PER_DEG)
+        self._tilt.step(dt_s, (tilt_us - TILT_CENTRE_US) / SERVO_US_PER_DEG)
 
     def axis_body(self) -> Ned:
         """Unit vector of the beam, forward-right-down."""

@@ -426,11 +426,11 @@ TEST_CASE("a target heard aside keeps its average while the axis comes back, 1/e
 TEST_CASE("an order that has learned where the target was heard does not push the axis beyond") {
   Vehicle vehicle;
   vehicle.attitude = level;
-  Order order = {0, 0, 15};
+  Order order = {0, 0, 9};  // heard two deviations aside, which is less than half the beam
   vehicle.order = [&](double) { return order; };
   vehicle.run(1000);
   vehicle.rig.sonar.listen = [&](Microseconds) {
-    return vehicle.axis().azimuth_deg > 20 ? uint16_t{300} : uint16_t{765};
+    return vehicle.axis().azimuth_deg > 15 ? uint16_t{300} : uint16_t{765};
   };
   for (int i = 0; i < 5000 && vehicle.rig.core.state() != DeviceState::kTracking; ++i) {
     vehicle.run(1);
@@ -466,6 +466,49 @@ TEST_CASE("a step of the order within half a beam keeps the average, a wider one
     for (const auto& range : vehicle.rig.ranges()) without += range.report.current_distance > 765;
     CHECK((without > 0) == (step_deg > 20));
     CHECK(pan_deg(vehicle.rig.servos.last) == doctest::Approx(-10 + step_deg).epsilon(0.02));
+  }
+}
+
+TEST_CASE("orders that begin within half a beam keep what is held, others forget it") {
+  for (const double azimuth_deg : {19.0, 21.0}) {
+    CAPTURE(azimuth_deg);
+    Vehicle vehicle(false);
+    vehicle.attitude = level;
+    vehicle.rig.sonar.listen = [](Microseconds) { return 300; };
+    vehicle.run(2000);
+    vehicle.rig.forget();
+    vehicle.order = always({azimuth_deg, 0});
+    vehicle.run(500);
+    size_t without = 0;
+    for (const auto& range : vehicle.rig.ranges()) without += range.report.current_distance > 765;
+    CHECK((without > 0) == (azimuth_deg > 20));
+  }
+}
+
+TEST_CASE("pulses for a direction that are found when the orders have just ended do not count") {
+  const Parameters parameters;
+  Tracker tracker(parameters, {0, 0});
+  tracker.step({1000, 1}, GimbalMode::kLookRound, 0.0f);
+  tracker.steady({2000, 2}, {1600, 1500});
+  CHECK(tracker.aim().pan_us == 1600);
+  tracker.step({3000, 3}, GimbalMode::kScan, 0.0f);
+  tracker.steady({4000, 4}, {1700, 1500});
+  CHECK(tracker.aim().pan_us == scan_point(parameters, 0).pan_us);
+}
+
+TEST_CASE("very long turns tell the axis and its limits as well") {
+  Vehicle vehicle(false);
+  vehicle.attitude = level;
+  vehicle.order = always({70, 0});
+  vehicle.run(1000);
+  vehicle.rig.forget();
+  vehicle.rig.sonar.ranging_us = 30000;  // read in the turn after the ping
+  vehicle.rig.run(ms(300), ms(50));
+  vehicle.rig.run(ms(30), ms(1));  // what waits leaves
+  REQUIRE_FALSE(vehicle.rig.axes().empty());
+  for (const AxisTold& told : vehicle.rig.axes()) {
+    CHECK(told.failure_flags == 4);
+    CHECK(apart_deg(pointed(told.q), {60, 0}) < 0.2);
   }
 }
 

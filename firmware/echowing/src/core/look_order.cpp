@@ -11,8 +11,6 @@ constexpr float kLeastNorm = 0.9f;
 constexpr float kMostNorm = 1.1f;
 // Beyond it the direction would be senseless before the next message.
 constexpr float kFastest_rps = 4.0f;
-// Wider than this is anywhere.
-constexpr float kWidest_rad = 0.5f * kPi;
 
 constexpr uint16_t kEnds = GIMBAL_DEVICE_FLAGS_RETRACT | GIMBAL_DEVICE_FLAGS_NEUTRAL;
 
@@ -29,10 +27,7 @@ bool is_rotation(const Quaternion& q) {
 
 float rate(float told_rps) { return fabsf(told_rps) <= kFastest_rps ? told_rps : 0.0f; }
 
-float deviation(float told_rad) {
-  if (!(told_rad >= 0.0f)) return 0.0f;
-  return told_rad < kWidest_rad ? told_rad : kWidest_rad;
-}
+float deviation(float told_rad) { return told_rad >= 0.0f ? told_rad : 0.0f; }
 
 }  // namespace
 

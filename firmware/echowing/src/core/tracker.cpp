@@ -139,7 +139,7 @@ Milliseconds Tracker::travel_time(Aim aim) const {
 }
 
 void Tracker::on_reading(const Instant& now, const Reading& reading) {
-  if (!settling_ && reached(reading.triggered.ms, arrival_)) heard_here_ = true;
+  if (reached(reading.triggered.ms, arrival_)) heard_here_ = true;
   if (reading.range_cm >= parameters_.whole(Parameter::kTrackRange)) {
     remember(false);
     return miss();
