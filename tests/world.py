@@ -10,7 +10,7 @@ CLEAR: dict[str, dict[str, Any]] = {
     "gps": {"spread": 0.0, "vertical_sigma_m": 0.0},
     "sonar": {
         "spread": 0.0,
-        "share": 1.0,
+        "heard_share": 1.0,
         "beam_near_deg": 20.0,
         "noise_m": 0.01,
         "wild_share": 0.01,

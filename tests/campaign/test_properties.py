@@ -408,7 +408,7 @@ def test_the_mean_error_counts_where_nothing_is_wrong() -> None:
     )
     assert mean_error(replace(record, flights=[off], scenario=windy)) == []
     for section, key, value in (
-        ("sonar", "share", 0.4),
+        ("sonar", "heard_share", 0.4),
         ("sonar", "beam_near_deg", 12.0),
         ("sonar", "noise_m", 0.05),
         ("sonar", "deaf_share", 0.3),

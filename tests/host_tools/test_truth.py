@@ -83,7 +83,7 @@ def test_without_spread_all_are_the_middle() -> None:
 @pytest.mark.parametrize(
     ("changes", "value", "expected"),
     [
-        (["share=0.4"], lambda true: [true.heard.at(one) for one in (0.5, 4.0)], [0.4, 0.4]),
+        (["heard_share=0.4"], lambda true: [true.heard.at(one) for one in (0.5, 4.0)], [0.4, 0.4]),
         (["deaf_share=0.25"], lambda true: true.deaf_share, 0.25),
         (["deaf_s=3"], lambda true: true.deaf_s, 3.0),
         (["beam_near_deg=12"], lambda true: _half_deg(true, 1.0, 5.0), [12.0, 12.0]),

@@ -470,7 +470,7 @@ def _is_worse_than_believed(scenario: Scenario) -> bool:
     given, file, gps = scenario.sonar, scenario.sonar_file, scenario.gps
     usual = type(gps)()
     no_less = (
-        (given.share, min(file.heard.least)),
+        (given.heard_share, min(file.heard.least)),
         (given.beam_near_deg, file.beam.narrowest_deg[0]),
         (given.beam_far_deg, file.beam.narrowest_deg[-1]),
         (given.heard_to_m, file.foil_to_m[0]),

@@ -157,7 +157,7 @@ class SonarSection(Section):
     """What the product believes of them: a sonar by name, or a sonar file (.toml)."""
     spread: NotNegative = 1.0
     """How far they are drawn around the file: 1: as far as it says; 0: all are the middle of it."""
-    share: Share | None = None
+    heard_share: Share | None = None
     """Share of the pings that hear a leader within the beam."""
     deaf_share: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
     """Share of the time in which nothing at all is heard, in bursts."""

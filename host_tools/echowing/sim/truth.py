@@ -73,7 +73,7 @@ def true_sonar(file: SonarFile, given: "SonarSection", chance: Stream) -> TrueSo
         tone_share=given.tone_share,
     )
     told = {
-        "heard": None if given.share is None else Curve((0.0,), (given.share,)),
+        "heard": None if given.heard_share is None else Curve((0.0,), (given.heard_share,)),
         "noise_m": given.noise_m,
         "wild_share": given.wild_share,
         "stock_m": given.heard_to_m,
