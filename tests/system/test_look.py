@@ -173,8 +173,8 @@ def test_the_axis_told_is_the_one_that_the_sonar_looked_along(looking: Flight) -
     errors_deg = [
         apart_deg(forward(heard.message.q), looking.ping_before(heard.t_us)) for heard in told
     ]
-    # The play, half a degree on each servo, which the firmware cannot know: 0.7 in all. At 70 degrees
-    # a second 0.7 more for the 10 ms by which a pulse waits longer or shorter for its frame than on
+    # The play, half a degree on each servo, which the firmware cannot know: 0.7. At 70 degrees a
+    # second 0.7 more for the 10 ms by which a pulse waits longer or shorter for its frame than on
     # average, and 0.3 for attitude that waits 4 ms longer beside a reading. Where it accelerates,
     # 0.2. Where the servos were sent, or the attitude of the reading, would be 1 and 3 degrees off.
     assert max(errors_deg) < 2.2
