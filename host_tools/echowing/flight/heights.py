@@ -1,8 +1,12 @@
 """How high each follower flies, above its own home. Pure."""
 
 from echowing.flight.guard import Guard
+from echowing.flight.lowest import LOWEST_M
 from echowing.flight.state import FollowerState, Known
 
+# By so much the barometers of two vehicles in flight may disagree; a vehicle climbs no faster than
+# this for it, so that nothing else notices; and it is known to no better than that.
+MOST_M, CLIMB_MPS, SURE_M = 3.0, 0.3, 0.5
 # A follower that stops this near its wanted altitude keeps that (barometers wander), else its own.
 SAME_ALTITUDE_M = 1.0
 
@@ -19,6 +23,20 @@ class Heights:
         plan = follower.plan
         shift_m = 0.0 if self._guard is None else self._guard.altitude_shift_m(plan.system_id)
         return plan.wanted_m + shift_m
+
+    def level_m(self, follower: FollowerState, now_s: float) -> float:
+        """As `commanded_m`, and as high as the leader truly is, as far as the sonar shows it.
+
+        The beam tells how far the two barometers disagree; flown after, that leaves the beam.
+        """
+        elapsed_s, follower.levelled_at_s = now_s - follower.levelled_at_s, now_s
+        offset = follower.estimate.offset
+        if offset.up_sigma_m < SURE_M and follower.estimate.hears(now_s):
+            wanted_m = max(-MOST_M, min(MOST_M, -offset.up_m))
+            most_m = CLIMB_MPS * min(elapsed_s, 1.0)
+            change_m = max(-most_m, min(most_m, wanted_m - follower.level_m))
+            follower.level_m += change_m
+        return max(LOWEST_M, self.commanded_m(follower) + follower.level_m)
 
     def wanted_m(self, follower: FollowerState) -> float | None:
         """As `commanded_m`; None: not known yet."""

@@ -20,6 +20,8 @@ SURE_RAD, WIDEST_RAD = math.radians(4.0), math.radians(10.0)
 # Once round, by a gimbal: 30 deg/s at the widest, a tenth of what the servos can; and by the nose,
 # where the sonar has no gimbal (ArduCopter turns by 60 deg/s).
 ROUND_S, NOSE_ROUND_S = 2.0, 4.0
+# Once through the figure 8: twelve points of 0.3 s (the co-processor's SCAN_DWELL).
+FIGURE_S = 3.6
 # So far the nose looks to each side for a leader that is not heard, in this time there and back.
 NOSE_RAD, NOSE_LOOKS_S = math.radians(45.0), 8.0
 # A leader that is not heard for so long is looked for where it most likely is. The time counts up
@@ -55,7 +57,7 @@ def look_at(known: Known, follower: FollowerState, now_s: float) -> Look | None:
     look = replace(look, sigma_rad=max(across_rad, up_rad))
     lost, by_nose = estimate.missed_s > LOST_S, not estimate.points(now_s)
     if lost:
-        return _to_both_sides(look, now_s) if by_nose else look
+        return _to_both_sides(look, now_s) if by_nose else _by_turns(look, now_s)
     cone_rad = _wide_rad(across_rad), _wide_rad(up_rad)
     return _coned(look, cone_rad, now_s / (NOSE_ROUND_S if by_nose else ROUND_S))
 
@@ -87,6 +89,12 @@ def _coned(look: Look, cone_rad: tuple[float, float], rounds: float) -> Look:
     axis = look.axis
     turned = Axis(wrap_angle_rad(axis.azimuth_rad + aside_rad), axis.elevation_rad + above_rad)
     return replace(look, axis=turned)
+
+
+def _by_turns(look: Look, now_s: float) -> Look:
+    """Every other round of the figure 8 half as wide: a narrow beam leaves gaps in a wide one."""
+    narrow = now_s / FIGURE_S % 2.0 >= 1.0
+    return replace(look, sigma_rad=0.5 * look.sigma_rad) if narrow else look
 
 
 def _to_both_sides(look: Look, now_s: float) -> Look:

@@ -354,7 +354,7 @@ class FollowSession:
             follower.yaw_rad = follower.yaw_rad if bearing_rad is None else bearing_rad
         altitude_m = follower.held_altitude_m
         if altitude_m is None:
-            altitude_m = self.heights.commanded_m(follower)
+            altitude_m = self.heights.level_m(follower, now_s)
         return position_target(
             follower.plan.system_id,
             point,
