@@ -97,8 +97,8 @@ class Cloud:
             count
         )
         self._height_sigma_m = math.sqrt(2.0) * wandering.height_sigma_m
-        # The leader's sonar: between the narrowest and the widest beam that are believed, between how
-        # far it hears surely and at most, and as a share of how often it hears at the least.
+        # The sonar: between the narrowest and the widest beam that are believed, between how far it
+        # hears surely and at most, and as a share of how often it hears at the least.
         self._wide, self._far = chance.random(count), chance.random(count)
         self._hears = chance.uniform(*HEARS, count)
         self._deaf = chance.random(count) < wandering.deaf_share

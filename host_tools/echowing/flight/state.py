@@ -98,8 +98,8 @@ class FollowerState:
     gets away if the leader turns round now; least_m, least_at_s: the nearest slot it was given
     last, and when; opens: it was said that the slot opens for a reversal; unsure: its newest report
     may be another vehicle's, with its id; away_beats: heartbeats in a row that were not of one that
-    flies in Guided; level_m, levelled_at_s: by how much it flies higher than planned, to be level with
-    its leader, and when that was set; sonar_id: the component that sends its sonar's readings.
+    flies in Guided; level_m, levelled_at_s: by how much it flies higher than planned, to be level
+    with its leader, and when that was set; sonar_id: the component that sends its sonar's readings.
     """
 
     plan: FollowerPlan
