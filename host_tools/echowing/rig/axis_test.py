@@ -18,8 +18,8 @@ from echowing.rig.result import Check, Result
 EXAMPLES = """\
 examples:
   echowing rig axis-test
-  echowing rig --port tcp:127.0.0.1:5770 axis-test --still --yes
-      through the autopilot; the vehicle stays where it is
+  echowing rig --port /dev/ttyUSB0 --baud 57600 axis-test --still --host-ms 300
+      by radio, through the autopilot; the vehicle stays where it is
 """
 
 ROUNDS = 3
