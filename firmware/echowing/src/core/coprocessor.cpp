@@ -83,9 +83,9 @@ void Coprocessor::tell(const Instant& now) {
   const Telemetry telemetry = observe(now);
   const bool busy = new_reading_ || sonar_.timed_out() || report_reading(now, telemetry) ||
                     sonar_.pinged() || look_.work(now, tracker_) || handle_message(now) ||
-                    renew_pointing();
+                    pointing_.step(parameters_);
   if (!busy) send_other(now, telemetry);
-  if (!autopilot_connection_.flush()) usb_connection_.flush();
+  usb_connection_.flush(autopilot_connection_.flush(Link::kBytesOutPerTurn));
 }
 
 void Coprocessor::poll_sonar(const Instant& now) {
@@ -212,13 +212,6 @@ bool Coprocessor::report_reading(const Instant& now, const Telemetry& telemetry)
 bool Coprocessor::handle_message(const Instant& now) {
   return receive(now, autopilot_connection_, kAutopilotPort) ||
          receive(now, usb_connection_, kUsbPort);
-}
-
-// Pulses that change every servo frame are followed in short turns, those of the search at once.
-bool Coprocessor::renew_pointing() {
-  if (!pointing_.step(parameters_)) return false;
-  if (!tracker_.looks()) pointing_.step(parameters_);
-  return true;
 }
 
 void Coprocessor::send_other(const Instant& now, const Telemetry& telemetry) {

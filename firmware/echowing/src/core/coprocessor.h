@@ -98,7 +98,6 @@ class Coprocessor {
   Telemetry observe(const Instant& now);
   bool report_reading(const Instant& now, const Telemetry& telemetry);
   bool handle_message(const Instant& now);
-  bool renew_pointing();
   void send_other(const Instant& now, const Telemetry& telemetry);
   void notify(Notice notice);
 
