@@ -245,3 +245,13 @@ def _table(text: str, source: str) -> dict[str, Any]:
 def shipped_sonar() -> SonarBelief:
     """What is believed of the sonar that the package ships."""
     return load_sonar(SHIPPED).belief()
+
+
+def write_sonar(path: Path, sonar: SonarFile) -> None:
+    """Write a sonar file. Raises EchowingError where that cannot be done."""
+    import tomli_w  # noqa: PLC0415 (only here)
+
+    try:
+        path.write_text(tomli_w.dumps(sonar.model_dump(mode="json")), encoding="utf-8")
+    except OSError as error:
+        raise EchowingError(f"{path}: cannot be written: {error.strerror}") from error

@@ -575,6 +575,7 @@ def test_a_distance_sensor_without_a_target_has_no_range() -> None:
     assert sonar_range_m(average(7.65)) is None
     short = mavlink.MAVLink_distance_sensor_message(0, 20, 300, 300, 0, 0, FORWARD, 0)
     assert sonar_range_m(short) is None  # its own end
+    assert sonar_range_m(average(5.0), reach_m=6.0) == pytest.approx(5.0)
 
 
 @pytest.mark.parametrize("range_m", [0.0, math.nan])

@@ -26,6 +26,7 @@ from echowing.rig.board import Board, open_board
 from echowing.sim.autopilot import Autopilot
 from echowing.sim.copter import Copter
 from echowing.sim.serve import Server
+from echowing.sonar_file import load_sonar
 
 pytestmark = pytest.mark.seconds(90)
 PATIENCE_S = 120.0
@@ -124,7 +125,7 @@ def rig(
         said.append(line)
         watch(line, process)
         if place and "press Enter" in line:
-            wanted = re.search(r"at (\d+\.\d+) m", line)
+            wanted = re.search(r"(?:at|leader) (\d+(?:\.\d+)?) m", line)
             place(float(wanted[1]) if wanted else AWAY_M)
             process.stdin.write("\n")
     return Rig(process.wait(timeout=PATIENCE_S), "".join(said), out, verb)
@@ -274,9 +275,37 @@ def test_latency_test_fails_without_a_target(movable: Emulator, tmp_path: Path) 
 # ---- response matrix ----------------------------------------------------------------------------
 
 
-def test_response_matrix_with_the_built_in_applet(movable: Emulator, tmp_path: Path) -> None:
+def test_response_matrix_finds_the_beam_and_writes_its_file(
+    movable: Emulator, tmp_path: Path
+) -> None:
+    """The emulated sonar is one on a desk: it hears all within 20 degrees, up to 4.6 m."""
+    file = tmp_path / "mine.toml"
+    where = ("--distances", "1.5,3", "--angles", "0,10,17,23,30", "--throttles", "0.4")
+    options = (*where, "--seconds", "3", "--slot", "2", "--write", str(file))
+
+    def place(distance_m: float) -> None:
+        if distance_m < AWAY_M:  # centre to centre; the other prompts are about propellers
+            movable.put_target(distance_m - NEARER_M)
+
     def measure(out: Path) -> Rig:
-        options = ("response-matrix", "--hold", "2.2")
+        return rig(out, movable.port, "response-matrix", *options, place=place)
+
+    done = in_real_time(movable, tmp_path, measure, passed)
+    assert done.result["verdict"] == "PASS", done.said
+    sonar = load_sonar(file)
+    assert sonar.heard.least[0] > 0.8
+    assert all(one < 20.0 for one in sonar.beam.narrowest_deg)
+    assert all(17.0 < one < 30.0 for one in sonar.beam.widest_deg)
+    assert sonar.inset_m[0] < NEARER_M + 0.005 < sonar.inset_m[1]  # whole centimetres down
+    assert f"echowing follow --sonar {file}" in done.said
+
+
+# ---- law test -----------------------------------------------------------------------------------
+
+
+def test_law_test_with_the_built_in_applet(movable: Emulator, tmp_path: Path) -> None:
+    def measure(out: Path) -> Rig:
+        options = ("law-test", "--hold", "2.2")
         return rig(out, movable.port, *options, place=movable.put_target)
 
     def two_steps(done: Rig) -> bool:
@@ -290,8 +319,8 @@ def test_response_matrix_with_the_built_in_applet(movable: Emulator, tmp_path: P
     assert all(step["right"] for step in done.result["measured"]["steps"])
 
 
-def test_response_matrix_fails_with_a_target_that_stays(fixed: Emulator, tmp_path: Path) -> None:
-    done = rig(tmp_path, fixed.port, "response-matrix", "--hold", "0.5")
+def test_law_test_fails_with_a_target_that_stays(fixed: Emulator, tmp_path: Path) -> None:
+    done = rig(tmp_path, fixed.port, "law-test", "--hold", "0.5")
     assert (done.code, done.result["verdict"]) == (1, "FAIL")
     assert done.check("monitor") == "PASS"  # it stood there for 3 s: long enough
     assert done.check(BIG_STEP) == "FAIL"
@@ -345,12 +374,12 @@ class ServedVehicle:
         self._server.close()
 
 
-def test_response_matrix_with_an_autopilot(tmp_path: Path) -> None:
+def test_law_test_with_an_autopilot(tmp_path: Path) -> None:
     emulator = Emulator("--link", "tcpin:0", "--target", "udp:0")
     vehicle = ServedVehicle(emulator.link)
 
     def measure(out: Path) -> Rig:
-        options = ("response-matrix", "--hold", "2.5", "--autopilot", vehicle.where)
+        options = ("law-test", "--hold", "2.5", "--autopilot", vehicle.where)
         return rig(out, emulator.port, *options, place=emulator.put_target)
 
     done = in_real_time(emulator, tmp_path, measure, passed)

@@ -278,7 +278,7 @@ class FollowerState:
             and message.orientation == FORWARD
             and now_s - self.raw_at_s > RAW_FRESH_S
         ):
-            range_m = sonar_range_m(message)
+            range_m = sonar_range_m(message, self.plan.sonar.reach_m)
             heard_m = self.plan.sonar.reach_m if range_m is None else range_m
             self._take_range(now_s - self.way_s - AVERAGE_AGE_S, heard_m)
 

@@ -92,7 +92,7 @@ class Hangar:
             drift,
             listen=listen,
             make_coprocessor=self._make_coprocessor,
-            ear=self._ear(index),
+            ear=self.ear(index),
             wire=self.cutters(f"wire {index}", scenario.wire),
             wind=wind,
         )
@@ -188,7 +188,7 @@ class Hangar:
         body.settle()
         return wind
 
-    def _ear(self, index: int) -> Ear:
+    def ear(self, index: int) -> Ear:
         """A follower's sonar, as it is in this flight."""
         chance = self._streams(f"sonar {index}")
         return Ear(chance, true_sonar(self.scenario.sonar_file, self.scenario.sonar, chance))

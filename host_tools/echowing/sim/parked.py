@@ -73,7 +73,7 @@ class ParkedHangar(Hangar):
             self._drift(f"follower {index}", body, parked=True),
             listen=listen,
             make_coprocessor=self._make_coprocessor,
-            ear=self._ear(index),
+            ear=self.ear(index),
             wire=self.cutters(f"wire {index}", self.scenario.wire),
             wind=self._wind(f"follower {index}", body),
         )
