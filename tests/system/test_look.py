@@ -27,6 +27,8 @@ LEARNED_S = 6.0  # by then it knows its vehicle
 FLOWN_S = 12.0
 ATTITUDE_S, ORDER_S = 0.04, 0.1
 EARTH_FRAME = 4 | 8 | 16 | 64
+# A beam of 40 degrees.
+HALF_BEAM_RAD = math.radians(20.0)
 LEADER = Target((3.0, 0.0, 0.0))
 HERE = (0.0, 0.0, 0.0)
 
@@ -74,9 +76,10 @@ class Flight:
     def _listen(self, t_s: float) -> float | None:
         turn = leaning(t_s - LEARNED_S)
         axis = body_to_ned(self._gimbal.axis_body(), turn.roll, turn.pitch, turn.yaw)
-        range_m = target_range_m(Pose(HERE, axis), LEADER)
-        self.pings.append((t_s * 1e6, axis, range_m is not None))
-        return range_m
+        range_m, off_rad = target_range_m(Pose(HERE, axis), LEADER)
+        heard = off_rad <= HALF_BEAM_RAD
+        self.pings.append((t_s * 1e6, axis, heard))
+        return range_m if heard else None
 
     def fly(self) -> None:
         """Learn the vehicle, then fly."""
