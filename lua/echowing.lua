@@ -244,7 +244,7 @@ end
 -- The parts and their state -------------------------------------------------------------------------------------------
 
 -- Speeds are along the nose, where the sonar looks. Times are in ms; nil is "never".
-local own = { mps = 0, north_mps = 0, east_mps = 0, accel_mps2 = 0 } -- this vehicle's motion; at_ms: when
+local own = { mps = 0, accel_mps2 = 0 } -- this vehicle's motion; at_ms: when
 local track = { -- what the sonar reads (averages, single readings), and where the leader is by that, and how fast
     board_ms = 0, late_ms = 0, quickest_ms = 0, dated = 0, leader_mps = 0, seen_ms = 0, readings = 0, spike_ms = 0, noise_m = 0.0,
 }
@@ -296,35 +296,23 @@ end
 -- This vehicle's motion ----------------------------------------------------------------------------------------------
 
 do
-    -- Where the sonar looks: at the leader, by the point in force, whose yaw is its bearing; without one, ahead.
-    local function look(t_ms)
-        local look_rad = yaw_rad(ahrs)
-        if stream.yaw_rad and t_ms - stream.at_ms < 1000 then
-            look_rad = stream.yaw_rad + stream.yaw_rps * (t_ms - stream.at_ms) * 0.001
-        end
-        own.north, own.east = cos(look_rad), sin(look_rad)
-    end
-
-    -- Own speed along the beam, 0 while the estimator has none, and how it is changing: smoothed (100 ms), and no more
-    -- than the vehicle can. A beam that turns changes the speed along it, and by as much the leader's: that is no
-    -- acceleration.
+    -- Own speed along the heading, 0 while the estimator has none, and how it is changing: smoothed (100 ms), and no
+    -- more than the vehicle can.
     function own.update(t_ms)
-        local velocity, north_mps, east_mps = ahrs:get_velocity_NED(), 0, 0
-        if velocity and is_within(velocity:length(), FASTEST_MPS) then
-            north_mps, east_mps = velocity:x(), velocity:y()
+        local velocity, mps = ahrs:get_velocity_NED(), 0
+        if velocity then
+            local yaw = yaw_rad(ahrs)
+            mps = velocity:x() * cos(yaw) + velocity:y() * sin(yaw)
+            if not is_within(mps, FASTEST_MPS) then mps = 0 end
         end
-        look(t_ms)
-        local mps = north_mps * own.north + east_mps * own.east
-        local before_mps = own.north_mps * own.north + own.east_mps * own.east
         local dt_ms = own.at_ms and t_ms - own.at_ms or 1000
         if dt_ms > 200 then
             own.accel_mps2 = 0 -- too long ago to compare with
         elseif dt_ms > 0 then
-            local change_mps2 = clamp((mps - before_mps) * 1000 / dt_ms, -C.DECEL, C.DECEL)
+            local change_mps2 = clamp((mps - own.mps) * 1000 / dt_ms, -C.DECEL, C.DECEL)
             own.accel_mps2 = own.accel_mps2 + (change_mps2 - own.accel_mps2) * dt_ms / (dt_ms + 100)
         end
-        track.turn(before_mps - own.mps)
-        own.mps, own.north_mps, own.east_mps, own.at_ms = mps, north_mps, east_mps, t_ms
+        own.mps, own.at_ms = mps, t_ms
     end
 
     -- Guided would turn the nose, and with it the sonar, towards a target without a yaw. False: refused.
@@ -340,7 +328,8 @@ do
     function own.fly_back(back_m)
         local position = ahrs:get_relative_position_NED_origin()
         if not position then return false end
-        return fly_to(position, -back_m * own.north, -back_m * own.east)
+        local yaw = yaw_rad(ahrs)
+        return fly_to(position, -back_m * cos(yaw), -back_m * sin(yaw))
     end
 
     -- Whether it has come to rest, but for what the estimator is off: one that still leans only turns round.
@@ -370,7 +359,6 @@ end
 -- Sonar track --------------------------------------------------------------------------------------------------------
 
 do
-    local TURNED = { 'leader_mps', 'seen_mps', 'own_mps', 'spike_own_mps', 'slowest_mps', 'fastest_mps' }
     local TRUST_READINGS = 3 -- so many readings in agreement are a target; two wild ones in a row happen
     -- 0.05 s is the age of a single reading as it is sent, and what the wire takes at the least; no copter brakes
     -- harder than with 4 m/s2.
@@ -474,13 +462,6 @@ do
         local leader_mps = carried_mps(t_ms - track.seen_ms, t_ms, dt_s)
         track.range_m = track.range_m + 0.5 * (track.leader_mps + leader_mps - track.own_mps - own.mps) * dt_s
         track.leader_mps, track.own_mps, track.at_ms = leader_mps, own.mps, t_ms
-    end
-
-    -- The beam has turned, and both vehicles' speeds along it are others: what the sonar reads did not change by that.
-    function track.turn(by_mps)
-        for _, name in ipairs(TURNED) do
-            if track[name] then track[name] = track[name] + by_mps end
-        end
     end
 
     -- A reading that was not foreseen waits for another one like it, and takes one of six in agreement off.
@@ -794,7 +775,8 @@ do
         target:lng(stream.lng)
         local offset, dt_s = here:get_distance_NE(target), (t_ms - stream.at_ms) * 0.001
         local north_m, east_m = offset:x() + stream.north_mps * dt_s, offset:y() + stream.east_mps * dt_s
-        local c, s = own.north, own.east
+        local yaw = yaw_rad(ahrs)
+        local c, s = cos(yaw), sin(yaw)
         return north_m * c + east_m * s, stream.north_mps * c + stream.east_mps * s, north_m, east_m, c, s
     end
 
