@@ -209,12 +209,12 @@ def test_the_time_until_the_leader_is_within_reach() -> None:
 
 
 def test_with_the_disagreement_known_the_follower_goes_where_its_leader_is() -> None:
-    """Two receivers 2 m apart along the line: unknown, the slot keeps the room they demand."""
+    """Two receivers 2 m apart along the line: unknown, the sonar has to show what is near first."""
     as_it_is, known = (
         fly_row(ROWS[0], 302, ["duration_s=16", *CLEARLY], known=known) for known in (False, True)
     )
     assert known.reached_s < 4.0
-    assert as_it_is.reached_s > 10.0
+    assert as_it_is.reached_s > known.reached_s + 1.0
     assert known.sigma_m == 0.0
     assert as_it_is.sigma_m > 0.3
 

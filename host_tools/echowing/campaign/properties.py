@@ -37,6 +37,9 @@ STOPS_WITHIN_S = 2.0
 # A held copter follows its receiver's wandering and the gusts: measured on a hovering leader, at
 # most 0.23 m/s in calm and 0.1 m/s more for each 4 m/s of wind; twice that is motion.
 STANDS_MPS, STANDS_PER_WIND = 0.5, 0.05
+# A receiver that wanders by so much within so long, or steps: its vehicle flies after it at half a
+# metre a second and more, and swings.
+WANDERS_M, FOLLOWS_S = 0.8, 4.0
 # A vehicle that flies away from another nearer than this makes room, whatever is stale: between
 # followers the distance that the envelope keeps where no sonar ranges, from the leader its slot's
 # radius; and half a metre more.
@@ -262,6 +265,17 @@ def stopped(record: FlightRecord) -> list[Broken]:
     return broken
 
 
+def _wanders(record: FlightRecord, vehicle: int) -> Bools:
+    """Whether a vehicle's receiver has just wandered so fast that to follow it is motion, (n,)."""
+    error_m = record.receiver_error_m[:, vehicle]
+    span = round(FOLLOWS_S / SAMPLE_S)
+    moved_m = np.zeros(len(error_m))
+    for back in range(1, span + 1):  # a step and back counts as both
+        off_m = np.linalg.norm(error_m[back:] - error_m[:-back], axis=1)
+        moved_m[back:] = np.maximum(moved_m[back:], off_m)
+    return np.asarray(moved_m > WANDERS_M)
+
+
 def must_stand(record: FlightRecord, number: int) -> Bools:
     """When a follower (index from 0) has to stand, (n,)."""
     stale_s = record.scenario.guidance.stale_age_s or math.inf
@@ -278,7 +292,7 @@ def must_stand(record: FlightRecord, number: int) -> Bools:
     # One that has made room for another is given the time to stop again.
     reason &= record.guided[:, number] & ~_making_room(record, number + 1)
     # So is one whose own receiver has jumped: its autopilot flies that before anybody knows of it.
-    reason &= ~_jumps(record, number)
+    reason &= ~_jumps(record, number) & ~_wanders(record, number + 1)
     reason[: round(STOPS_WITHIN_S / SAMPLE_S)] = False
     return _could_stop(reason, record.speed_over_ground_mps[:, number + 1])
 

@@ -152,13 +152,13 @@ class Cloud:
         nearer, across = north * cos + east * sin, east * cos - north * sin
         up = above_m - self._off[2]
         reach_m2 = clear_m * clear_m - across * across - up * up
-        reaches = np.sqrt(np.maximum(0.0, reach_m2))
-        in_the_way = (reach_m2 > 0.0) & (nearer < far_m)
-        room_m = np.where(in_the_way, nearer + reaches, 0.0)
-        order = np.argsort(room_m)
-        below = np.cumsum(self._weight[order])
-        place = min(int(np.searchsorted(below, 1.0 - RISK)), GUESSES - 1)
-        return max(0.0, float(room_m[order[place]]))
+        there = np.flatnonzero((reach_m2 > 0.0) & (nearer < far_m))
+        room_m, weight = nearer[there] + np.sqrt(reach_m2[there]), self._weight[there]
+        if float(weight.sum()) <= RISK:
+            return 0.0
+        furthest = np.argsort(-room_m)
+        place = int(np.searchsorted(np.cumsum(weight[furthest]), RISK, side="right"))
+        return max(0.0, float(room_m[furthest[min(place, len(furthest) - 1)]]))
 
     # ---- what is learnt ----
 

@@ -1,12 +1,17 @@
 """How high each follower flies, above its own home. Pure."""
 
+import math
+
 from echowing.flight.guard import Guard
 from echowing.flight.lowest import LOWEST_M
 from echowing.flight.state import FollowerState, Known
 
-# By so much the barometers of two vehicles in flight may disagree; a vehicle climbs no faster than
-# this for it, so that nothing else notices; and it is known to no better than that.
-MOST_M, CLIMB_MPS, SURE_M = 3.0, 0.3, 0.5
+# By so much the barometers of two vehicles in flight may disagree, and a vehicle climbs no faster
+# than this for it, so that nothing else notices.
+MOST_M, CLIMB_MPS = 3.0, 0.3
+# What the beam tells of heights is flown after up to so many standard deviations: within them the
+# leader may as well be where it is.
+SURE_SIGMAS = 1.5
 # A follower that stops this near its wanted altitude keeps that (barometers wander), else its own.
 SAME_ALTITUDE_M = 1.0
 
@@ -31,11 +36,11 @@ class Heights:
         """
         elapsed_s, follower.levelled_at_s = now_s - follower.levelled_at_s, now_s
         offset = follower.estimate.offset
-        if offset.up_sigma_m < SURE_M and follower.estimate.hears(now_s):
-            wanted_m = max(-MOST_M, min(MOST_M, -offset.up_m))
-            most_m = CLIMB_MPS * min(elapsed_s, 1.0)
-            change_m = max(-most_m, min(most_m, wanted_m - follower.level_m))
-            follower.level_m += change_m
+        if follower.estimate.hears(now_s):
+            off_m = max(-MOST_M, min(MOST_M, -offset.up_m)) - follower.level_m
+            sure_m = max(0.0, abs(off_m) - SURE_SIGMAS * offset.up_sigma_m)
+            change_m = min(sure_m, CLIMB_MPS * min(elapsed_s, 1.0))
+            follower.level_m += math.copysign(change_m, off_m)
         return max(LOWEST_M, self.commanded_m(follower) + follower.level_m)
 
     def wanted_m(self, follower: FollowerState) -> float | None:
