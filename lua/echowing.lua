@@ -246,7 +246,8 @@ end
 -- Speeds are along the nose, where the sonar looks. Times are in ms; nil is "never".
 local own = { mps = 0, accel_mps2 = 0 } -- this vehicle's motion; at_ms: when
 local track = { -- what the sonar reads (averages, single readings), and where the leader is by that, and how fast
-    board_ms = 0, late_ms = 0, quickest_ms = 0, dated = 0, leader_mps = 0, seen_ms = 0, readings = 0, spike_ms = 0, noise_m = 0.0,
+    board_ms = 0, late_ms = 0, quickest_ms = 0, dated = 0, leader_mps = 0, seen_ms = 0, readings = 0, spike_ms = 0,
+    noise_m = 0.0,
 }
 local hold = { mps = 0 } -- moves points along the beam
 local guard = {} -- keeps away from the leader
