@@ -3,11 +3,12 @@
 import math
 from collections import deque
 
-from echowing.flight.alignment import Alignment, History, Report
+from echowing.flight.alignment import AlignedReading, Alignment, History, Report
 from echowing.flight.belief import SonarBelief
 from echowing.flight.guidance import Horizontal, LeaderFix, predicted
+from echowing.flight.hearing import Hearing, Reading
 from echowing.flight.offset_grid import OffsetGrid
-from echowing.geo import GlobalPosition, displace
+from echowing.geo import GlobalPosition, displace, wrap_angle_rad
 
 # Propellers cause single wild readings: a reading counts if the one before it agrees.
 CONFIRM_S, CONFIRM_M = 0.3, 0.5
@@ -65,8 +66,11 @@ class Estimate:
         self.sonar = sonar
         self.history = History()
         self.offset = OffsetGrid(sonar)
+        self.hearing = Hearing(sonar)
         self.sonar_clock = SenderClock()
         self._alignment = Alignment()
+        self._every = Alignment()
+        """Each reading, whether another confirms it or not: for `hearing`."""
         self._before = (-math.inf, math.nan)
         self._alike = 0
         self._within: deque[float] = deque(maxlen=2)  # the last readings of something in reach
@@ -116,6 +120,7 @@ class Estimate:
         was_believed = self.is_believed
         self._before = (time_s, range_m)
         self._alike = self._alike + 1 if range_m == before_m else 0
+        self._every.add(time_s - SONAR_AGE_S, range_m if range_m < self.sonar.reach_m else None)
         self._compare(range_m)
         if not self.is_believed:
             if was_believed:  # it was wrong before that showed
@@ -147,6 +152,25 @@ class Estimate:
                 self.offset.heard(one.time_s, one.distance_m, one.axis_rad, believed_m)
             elif one.lean_rad < LEVEL_RAD:
                 self.offset.silent(one.time_s, one.axis_rad, believed_m, one.above_m)
+        for one in self._every.due(leader, self.history):
+            if one.lean_rad < LEVEL_RAD:
+                self.hearing.take(self._beside_leader(one))
+
+    def _beside_leader(self, one: AlignedReading) -> Reading:
+        """A reading and where the leader was, the disagreement of the receivers allowed for."""
+        north_m = one.believed_m[0] - self.jumped_m[0] - self.offset.north_m
+        east_m = one.believed_m[1] - self.jumped_m[1] - self.offset.east_m
+        level_m, bearing_rad = math.hypot(north_m, east_m), math.atan2(east_m, north_m)
+        far_m = math.hypot(level_m, one.above_m)
+        aside_rad = wrap_angle_rad(bearing_rad - one.axis_rad)
+        across_m = self.offset.sigma_m(bearing_rad + math.pi / 2.0)
+        return Reading(
+            one.time_s,
+            one.distance_m,
+            far_m - self.sonar.inset_m,
+            math.hypot(aside_rad, math.atan2(one.above_m, level_m)),
+            math.atan2(across_m, max(far_m, self.sonar.shortest_m)),
+        )
 
     def forget(self) -> None:
         """Drop what was learnt: a receiver has started anew."""

@@ -100,7 +100,8 @@ class FollowerState:
     last, and when; beyond_s: when the leader was last out of its sonar's reach, as far as is
     known; opens: it was said that the slot opens for a reversal; searches: it looks
     for the leader from the side; unsure: its newest report may be another vehicle's, with its id;
-    away_beats: heartbeats in a row that were not of one that flies in Guided.
+    away_beats: heartbeats in a row that were not of one that flies in Guided; worse_since_s,
+    worse_said_s: since when its sonar hears worse than believed, and when that was said.
     """
 
     plan: FollowerPlan
@@ -142,6 +143,8 @@ class FollowerState:
     flying: bool = False
     in_guided: bool = False
     away_beats: int = 2
+    worse_since_s: float = math.inf
+    worse_said_s: float = -math.inf
     flown: bool = False
     sent_to: bool = False
     held_at: GlobalPosition | None = None
