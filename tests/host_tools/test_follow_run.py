@@ -19,6 +19,7 @@ from echowing.flight.state import FollowerPlan
 from echowing.mavlink.seats import LISTEN_S, VehicleFinder, parse_seat
 from echowing.sonar_file import load_sonar, shipped_sonar, write_sonar
 from echowing.stopping import StopRequest
+from echowing.tool.health import health
 from echowing.tool.log import FollowLog
 from echowing.tool.panel import LINK_WINDOW_S, SONAR_FRESH_S, Panel, Row, VehicleHealth
 from echowing.tool.picture import SETTLED_S, Photographer, drawn
@@ -312,6 +313,20 @@ def test_a_long_event_goes_on_under_its_text() -> None:
     assert third == "   12.4 s  engaged"
     assert f"{first.strip()[8:]} {second.strip()}" == said
     assert max(map(len, (first, second))) <= 60
+
+
+def test_what_a_sonar_has_heard_stands_in_the_lines_of_health() -> None:
+    well, badly, unknown = (
+        health([row(**told)]).plain
+        for told in (
+            {"heard_percent": 74.2},
+            {"heard_percent": 31.0, "worse": "sonar hears 31%, 50% is believed"},
+            {},
+        )
+    )
+    assert "hears 74 %" in well
+    assert "sonar hears 31%, 50% is believed" in badly
+    assert "hears" not in unknown
 
 
 def test_reasons_stand_under_the_table_and_the_switch_in_the_lines_of_health() -> None:

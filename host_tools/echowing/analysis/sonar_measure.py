@@ -35,6 +35,8 @@ TAPE_M = 0.02
 BEYOND_SHARE = 1.05
 # Nearer to the axis than this all of the beam hears.
 NEAR_DEG = 4.0
+# How well the scatter of ranges in flight is known, as a factor.
+NOISE_UNSURE = 1.3
 # More readings of the same other thing than these are worth a word.
 STEADY_SHARE = 0.1
 
@@ -126,21 +128,16 @@ class Measured:
 
 
 def measured_sonar(
-    readings: Sequence[Readings], base: SonarFile, conditions: Conditions, how: str = "bench"
+    readings: Sequence[Readings], base: SonarFile, conditions: Conditions
 ) -> Measured:
-    """The sonar file; all that cannot be measured here is as in `base`.
+    """The sonar file of a bench; all that cannot be measured there is as in `base`.
 
     Raises EchowingError where too little was heard to say anything.
     """
     hovering = [one for one in readings if one.throttle == conditions.hover and one.pings]
-    alike = dependence(run for one in hovering for run in one.hits())
-    fit = fitted(
-        (Tally(one.separation_m, one.off_deg, one.pings, one.heard) for one in hovering), alike
-    )
-    if not any(at.half_deg is not None for at in fit.at):
-        raise EchowingError("the leader was hardly heard at any distance: nothing can be fitted")
+    fit, alike = _fit(hovering)
     inset_m = _inset_m(hovering)
-    middle_m = (inset_m[0] + inset_m[1]) / 2.0
+    middle_m = _middle(inset_m)
     values = {
         "inset_m": inset_m,
         "noise_m": _noise_m(hovering),
@@ -150,13 +147,80 @@ def measured_sonar(
         **_reaches(fit, base, conditions, middle_m),
         **_throttles(readings, conditions),
     }
-    said = f"measured: {how}, {datetime.now(UTC):%d %B %Y}, {sum(one.pings for one in hovering)} "
-    said += f"pings at {conditions.legs} legs, throttle {conditions.hover:g}"
-    source = {**base.source, **dict.fromkeys(_keys(values), said)}
+    said = _said("bench", hovering, conditions.legs) + f", throttle {conditions.hover:g}"
     other = "stock_to_m" if conditions.legs == "foil" else "foil_to_m"
-    source[other] = f"guess: in the proportion of thesis Table 5; {said}"
-    table = {**base.model_dump(), **values, "source": source, "title": f"{base.title}, {how}"}
-    return Measured(SonarFile.model_validate(table), fit, conditions.hover, _notes(hovering))
+    source = {other: f"guess: in the proportion of thesis Table 5; {said}"}
+    file = _changed(base, values, said, source)
+    return Measured(file, fit, conditions.hover, _notes(hovering))
+
+
+def flown_sonar(
+    readings: Sequence[Readings], base: SonarFile, legs: Legs, noise_m: float | None
+) -> Measured:
+    """The sonar file of a flight: where the leader was is known from the estimate.
+
+    So reach and inset are as in `base`, and so is how wide the beam may be. noise_m: of a range,
+    where it is known.
+    """
+    flown = [one for one in readings if one.pings]
+    fit, alike = _fit(flown)
+    inset_m = _middle(base.inset_m)
+    values: dict[str, Any] = {
+        **_wrong(flown, alike),
+        "heard": _with_far(_heard(fit, inset_m), base),
+        "beam": _as_narrow(_beam(fit, inset_m), base),
+    }
+    if noise_m is not None:
+        values["noise_m"] = (round(noise_m / NOISE_UNSURE, 4), round(noise_m * NOISE_UNSURE, 4))
+    file = _changed(base, values, _said("flight", flown, legs), {})
+    return Measured(file, fit, flown[0].throttle, ())
+
+
+def _fit(readings: Sequence[Readings]) -> tuple[Fit, float]:
+    """The fit, and how alike the readings are."""
+    alike = dependence(run for one in readings for run in one.hits())
+    fit = fitted(
+        (Tally(one.separation_m, one.off_deg, one.pings, one.heard) for one in readings), alike
+    )
+    if not any(at.half_deg is not None for at in fit.at):
+        raise EchowingError("the leader was hardly heard at any distance: nothing can be fitted")
+    return fit, alike
+
+
+def _said(how: str, readings: Sequence[Readings], legs: Legs) -> str:
+    pings = sum(one.pings for one in readings)
+    return f"measured: {how}, {datetime.now(UTC):%d %B %Y}, {pings} pings at {legs} legs"
+
+
+def _changed(
+    base: SonarFile, values: dict[str, Any], said: str, source: dict[str, str]
+) -> SonarFile:
+    """The base with these values, and where they come from."""
+    sources = {**base.source, **dict.fromkeys(_keys(values), said), **source}
+    how = said.partition(": ")[2].partition(",")[0]
+    title = f"{base.title.partition(' (')[0]} ({how})"
+    return SonarFile.model_validate(
+        {**base.model_dump(), **values, "source": sources, "title": title}
+    )
+
+
+def _with_far(heard: dict[str, tuple[float, ...]], base: SonarFile) -> dict[str, tuple[float, ...]]:
+    """What was flown, and beyond it what is believed."""
+    far = [n for n, range_m in enumerate(base.heard.range_m) if range_m > heard["range_m"][-1]]
+    believed = {name: getattr(base.heard, name) for name in heard}
+    return {name: (*values, *(believed[name][n] for n in far)) for name, values in heard.items()}
+
+
+def _as_narrow(beam: dict[str, Any], base: SonarFile) -> dict[str, Any]:
+    """A beam as narrow as it was flown, and as wide as is believed.
+
+    In flight the axis is known only to some degrees, which narrows what is fitted.
+    """
+    widest = base.belief().widest_rad
+    wide_deg = [math.degrees(widest.at(range_m)) for range_m in beam["range_m"]]
+    narrow_deg = beam["narrowest_deg"]
+    pairs = zip(narrow_deg, wide_deg, strict=True)
+    return {**beam, "widest_deg": tuple(round(max(pair), 1) for pair in pairs)}
 
 
 def _keys(values: dict[str, Any]) -> list[str]:
@@ -248,6 +312,10 @@ def _notes(readings: Sequence[Readings]) -> tuple[str, ...]:
         "clear the place, and measure again."
         for one in steady[:3]
     )
+
+
+def _middle(pair: Between) -> float:
+    return (pair[0] + pair[1]) / 2.0
 
 
 def _rounded(pair: Between) -> Between:

@@ -49,6 +49,8 @@ DISTANCE_HZ, ATTITUDE_HZ = 5.0, 2.0
 AWAY_BEATS = 2
 # The speed sent for a slot that stands.
 LEAST_MPS = 0.001
+# A sonar that hears worse than believed is told of once it has for so long, then after so long.
+WORSE_LASTS_S, WORSE_AGAIN_S = 5.0, 120.0
 # A slot that opened for a fast leader counts as closed when it needs less than its radius by this.
 SLACK_M = 0.3
 
@@ -310,6 +312,7 @@ class FollowSession:
         if follower.held_at is not None:
             self._let_go(follower, now_s)
         follower.guided = planned(self.known, follower, fix, now_s)
+        self._tell_of_hearing(follower, now_s)
         if self.settings.feed_forward:
             north_mps, east_mps = follower.guided.velocity_mps
             # The applet takes a point without any velocity for a hold.
@@ -340,6 +343,18 @@ class FollowSession:
                 "should the leader turn round",
             )
         follower.opens = opens or (follower.opens and follower.reversal_m > radius_m - SLACK_M)
+
+    def _tell_of_hearing(self, follower: FollowerState, now_s: float) -> None:
+        """Say that its sonar hears worse than its file says: its pilots decide whether it may."""
+        worse = follower.estimate.hearing.heard().worse
+        if worse is None:
+            follower.worse_since_s = math.inf
+            return
+        follower.worse_since_s = min(follower.worse_since_s, now_s)
+        lasts, again = now_s - follower.worse_since_s, now_s - follower.worse_said_s
+        if lasts >= WORSE_LASTS_S and again >= WORSE_AGAIN_S and self._moves(follower):
+            follower.worse_said_s = now_s
+            self._remark(follower.plan.system_id, worse, now_s)
 
     def _command(
         self, follower: FollowerState, point: GlobalPosition, look: Look | None, now_s: float

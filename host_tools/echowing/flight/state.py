@@ -99,7 +99,9 @@ class FollowerState:
     last, and when; opens: it was said that the slot opens for a reversal; unsure: its newest report
     may be another vehicle's, with its id; away_beats: heartbeats in a row that were not of one that
     flies in Guided; level_m, levelled_at_s: by how much it flies higher than planned, to be level
-    with its leader, and when that was set; sonar_id: the component that sends its sonar's readings.
+    with its leader, and when that was set; sonar_id: the component that sends its sonar's readings;
+    worse_since_s, worse_said_s: since when its sonar hears worse than believed, and when that was
+    said.
     """
 
     plan: FollowerPlan
@@ -141,6 +143,8 @@ class FollowerState:
     flying: bool = False
     in_guided: bool = False
     away_beats: int = 2
+    worse_since_s: float = math.inf
+    worse_said_s: float = -math.inf
     flown: bool = False
     sent_to: bool = False
     held_at: GlobalPosition | None = None

@@ -43,7 +43,10 @@ A sonar file (TOML) says what is known of a follower's sonar on its mount, with 
 before and around it, and how a leader is heard by it. `echowing follow --sonar FILE` flies with \
 it; without it with `mb1202`, the file that the package brings \
 ([`host_tools/echowing/sonars/mb1202.toml`](echowing/sonars/mb1202.toml)). Most of that one is \
-guessed, and so it is cautious. Measure your own: [`RIG.md`](RIG.md), response matrix.
+guessed, and so it is cautious. Measure your own: [`RIG.md`](RIG.md), response matrix; or out of \
+a flight, `echowing analyze out/flight-7 --sonar mine.toml`. In flight the view shows what the \
+sonar has heard in the last minute, and pilots are told of one that hears less, scatters more or \
+is wrong more often than its file says.
 
 Where two values stand, `[least, most]`, nine such sonars of ten are between them. The product \
 believes the worse of the two: as few readings as may be heard, and as many wrong ones; nobody is \
