@@ -472,8 +472,9 @@ end
 -- What takes memory once: the vehicle forgets the main function, and then this one, as soon as they have ended.
 local function start()
     if not param:add_table(95, 'ECHO_', 50) then error('ECHO: parameter table key 95 is taken') end -- ArduPilot's use others
-    local units = param:get('ECHO_MIRROR') -- it is not saved: adding it brings its default back
-    param:add_param(95, 28, 'MIRROR', 0)
+    local units = param:get('ECHO_MIRROR') -- what a script that died in control left there
+    param:add_param(95, 28, 'MIRROR', 0) -- it is not saved: its default is back
+    if units then param:set('ECHO_MIRROR', units) end
     for _ = 1, 20 do
         local name, value, i = PARAMETERS:match('(%S+) (%S+) %S+ %S+ (%S+)', S.row)
         C[name] = tonumber(value)
@@ -487,7 +488,6 @@ local function start()
         mavlink:register_rx_msgid(86)
         mavlink:register_rx_msgid(251)
     end) and 'other scripts leave no place to receive'
-    -- What a script that died in control left in the mirror.
     if units and units > 0 then
         S.units, S.pilot_units = param:get(SPEED_NAME), units
         hand_back('restarted')
