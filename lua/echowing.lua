@@ -247,6 +247,7 @@ local own = { mps = 0, north_mps = 0, east_mps = 0, accel_mps2 = 0 } -- this veh
 local look = { north = 1, east = 0 } -- where the sonar looks, a unit vector
 local track = { -- what the sonar reads (averages, single readings), and where the leader is by that, and how fast
     board_ms = 0, late_ms = 0, quickest_ms = 0, dated = 0, leader_mps = 0, seen_ms = 0, readings = 0, spike_ms = 0,
+    noise_m = 0.0,
 }
 local hold = {} -- moves points along the beam
 local guard = {} -- keeps away from the leader
@@ -558,11 +559,13 @@ do
         track.carry(t_ms)
         local aged_s = 0.05 + (t_ms - read_ms) * 0.001
         local residual_m = range_m + (track.leader_mps - own.mps) * aged_s - track.range_m
-        -- Readings 0.1 s apart differ by less than 0.15 m even where both vehicles change their speed at 5 m/s2.
-        if abs(residual_m) > 0.15 or dt_s > 0.3 then
-            return unforeseen(range_m, read_ms, t_ms, abs(residual_m))
-        end
-        local keep = exp(-dt_s / C.TAU)
+        -- Readings 0.1 s apart differ by less than 0.15 m even where both vehicles change their speed at 5 m/s2, but for
+        -- the sonar's noise, as it is seen.
+        local off_m = abs(residual_m)
+        if off_m > max(0.15, 4 * track.noise_m) then return unforeseen(range_m, read_ms, t_ms, off_m) end
+        -- Of the last three seconds. Up to 0.02 m it is that of whole centimetres; more is smoothed for longer.
+        track.noise_m = track.noise_m + 0.03 * (off_m - track.noise_m)
+        local keep = exp(-dt_s / (C.TAU * clamp(track.noise_m / 0.02, 1, 3)))
         local lose = 1 - keep
         -- The first readings count as in a straight line through all of them. A float: the square of the readings of 39
         -- minutes is no 32-bit integer.

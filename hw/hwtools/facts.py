@@ -1,5 +1,6 @@
 """Where the hardware room's facts live, and how to read those that live in other rooms."""
 
+import math
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -74,8 +75,8 @@ def scan_aims() -> list[Aim]:
 
 
 def beam_half_angle_deg() -> float:
-    """Return the sonar's beam half-angle, from the simulator's sonar."""
-    return sonar.BEAM_HALF_ANGLE_DEG
+    """Return the sonar's beam half-angle, from the simulator's sonar on a desk."""
+    return math.degrees(sonar.ON_A_DESK.widest_rad)
 
 
 def lever_arm_mm() -> float:

@@ -128,6 +128,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "response-matrix` writes it, or the name of one that is shipped (mb1202)",
     )
     place.add_argument(
+        "--legs",
+        choices=("foil", "stock"),
+        default="foil",
+        help="what the sonars see of the leader: legs with foil, or stock ones, which are heard "
+        "less far (foil)",
+    )
+    place.add_argument(
         "--rate", type=float, default=8.0, metavar="HZ", help="points per second, up to 20 (8)"
     )
     links.add_argument(
@@ -310,7 +317,7 @@ def _options(args: argparse.Namespace) -> "FollowOptions":
         seats=seats,
         slots=slots,
         settings=GuidanceSettings(lead_time_s=args.lead_time, feed_forward=not args.position_only),
-        sonar=load_sonar(args.sonar).belief(),
+        sonar=load_sonar(args.sonar).belief(args.legs),
         altitude_m=altitude_m,
         rate_hz=args.rate,
         limits=Limits(

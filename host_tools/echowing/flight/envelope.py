@@ -52,9 +52,10 @@ class Other:
     """Another vehicle as this one sees it.
 
     name: for messages; from_it_m: from it to here, NED; velocity_mps: its, NED; nearer_m: by so
-    much it may be nearer, as certain as we want to be; age_s: of its data when the order takes effect; in_the_way: the plan
-    leads beyond it (see `is_in_the_way`), so it is passed; brakes_mps2: it may brake, turn round
-    and come nearer at this acceleration from now on, 0: it does not; led: by the same tool, which
+    much it may be nearer than that, one case in 160 left out; age_s: of its data when the order
+    takes effect; in_the_way: the plan leads beyond it (see `is_in_the_way`), so it is passed;
+    brakes_mps2: it may brake, turn round and come nearer at this acceleration from now on, 0: it
+    does not; led: by the same tool, which
     keeps it away from here too.
     """
 

@@ -3,11 +3,12 @@
 import math
 from collections import deque
 
-from echowing.flight.alignment import Alignment, History, Report
+from echowing.flight.alignment import AlignedReading, Alignment, History, Report
 from echowing.flight.axis import Axis
 from echowing.flight.belief import SonarBelief
 from echowing.flight.cloud import Cloud
 from echowing.flight.guidance import Horizontal, LeaderFix, predicted
+from echowing.flight.hearing import Hearing, Reading
 from echowing.geo import GlobalPosition, displace
 
 # Propellers cause single wild readings: a reading counts if the one before it agrees.
@@ -62,12 +63,15 @@ class SenderClock:
 class Estimate:
     """One follower's view of its leader: the receivers' disagreement, learnt from the sonar."""
 
-    def __init__(self, sonar: SonarBelief) -> None:
-        self.sonar = sonar
+    def __init__(self, sonar: SonarBelief, *, alone: bool = True) -> None:
+        self.sonar, self._alone = sonar, alone
         self.history = History()
-        self.offset = Cloud(sonar)
+        self.offset = Cloud(sonar, alone=alone)
+        self.hearing = Hearing(sonar)
         self.sonar_clock = SenderClock()
         self._alignment = Alignment()
+        self._every = Alignment()
+        """Each reading, whether another confirms it or not: for `hearing`."""
         self._before = (-math.inf, math.nan)
         self._alike = 0
         self._within: deque[float] = deque(maxlen=2)  # the last readings of something in reach
@@ -116,6 +120,7 @@ class Estimate:
         """Take where the sonar looked for the reading with this stamp."""
         self._pointed_at_s = now_s
         self._alignment.point(stamp_ms, axis)
+        self._every.point(stamp_ms, axis)
 
     def points(self, now_s: float) -> bool:
         """Whether the sonar says where it looks."""
@@ -127,6 +132,8 @@ class Estimate:
         was_believed = self.is_believed
         self._before = (time_s, range_m)
         self._alike = self._alike + 1 if range_m == before_m else 0
+        heard_m = range_m if range_m < self.sonar.reach_m else None
+        self._every.add(time_s - SONAR_AGE_S, heard_m, stamp_ms)
         self._compare(range_m)
         if not self.is_believed:
             if was_believed:  # it was wrong before that showed
@@ -160,6 +167,28 @@ class Estimate:
                 self.offset.heard(one.time_s, one.distance_m, one.axis, believed_m)
             elif one.told or one.lean_rad < LEVEL_RAD:
                 self.offset.silent(one.time_s, one.axis, believed_m)
+        for one in self._every.due(leader, self.history):
+            if one.told or (one.lean_rad < LEVEL_RAD and not self.points(one.time_s)):
+                self.hearing.take(self._beside_leader(one))
+
+    def _beside_leader(self, one: AlignedReading) -> Reading:
+        """A reading and where the leader was, the disagreement of the receivers allowed for."""
+        offset = self.offset
+        north_m = one.believed_m[0] - self.jumped_m[0] - offset.north_m
+        east_m = one.believed_m[1] - self.jumped_m[1] - offset.east_m
+        to_it_m = north_m, east_m, offset.up_m - one.above_m
+        far_m = math.hypot(*to_it_m)
+        ahead = sum(a * b for a, b in zip(one.axis.unit_ned, to_it_m, strict=True))
+        off_rad = math.acos(max(-1.0, min(1.0, ahead / max(far_m, self.sonar.shortest_m))))
+        across_m = offset.sigma_m(math.atan2(east_m, north_m) + math.pi / 2.0)
+        unsure_m = max(across_m, offset.up_sigma_m)
+        return Reading(
+            one.time_s,
+            one.distance_m,
+            far_m - self.sonar.inset_m,
+            off_rad,
+            math.atan2(unsure_m, max(far_m, self.sonar.shortest_m)),
+        )
 
     def forget(self) -> None:
         """Drop what was learnt: a receiver has started anew."""
@@ -168,7 +197,7 @@ class Estimate:
 
     def _unlearn(self) -> None:
         """Drop what the sonar taught; the receivers' jumps stay allowed for."""
-        self.offset = Cloud(self.sonar)
+        self.offset = Cloud(self.sonar, alone=self._alone)
         self._alignment = Alignment()
 
     def jumped(self, moved_m: tuple[float, float]) -> None:

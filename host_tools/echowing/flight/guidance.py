@@ -18,14 +18,6 @@ Horizontal = tuple[float, float]
 SLOW_MPS = 0.25
 # Back to the course only above this, so that a leader near the limit does not switch to and fro.
 MOVING_MPS = 0.35
-# The nose points at the leader while the standard deviation of its bearing is under SURE_RAD. Above
-# that it sways to both sides: more and more, and by SWAY_RAD from UNSURE_RAD on, there and back in
-# SWAY_PERIOD_S (13 deg/s at the most). A leader far off the nose then leaves the beam (14 deg) on
-# one side, which shows where it is. The sway ends as soon as it can, because a leader that brakes
-# outside the beam is noticed late. It does not end at once: that moved the nose by 11 degrees, and
-# the sonar lost the leader at the next corner.
-SURE_RAD, UNSURE_RAD = math.radians(4.0), math.radians(7.0)
-SWAY_RAD, SWAY_PERIOD_S = math.radians(8.0), 4.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,16 +185,6 @@ def held_behind(offset_m: Horizontal, course_rad: float, clearance_m: float) -> 
     furthest_m = -math.sqrt(max(0.0, clearance_m**2 - right_m**2))
     back_m = max(0.0, ahead_m - furthest_m)
     return offset_m[0] - back_m * cos, offset_m[1] - back_m * sin
-
-
-def sway_rad(unsure_rad: float, now_s: float) -> float:
-    """How far off the leader's bearing to look, to learn where in the beam it is.
-
-    A leader that is always heard may be anywhere in the beam; the edge passing over it shows where.
-    It fades as the bearing becomes sure.
-    """
-    share = max(0.0, min(1.0, (unsure_rad - SURE_RAD) / (UNSURE_RAD - SURE_RAD)))
-    return share * SWAY_RAD * math.sin(2.0 * math.pi * now_s / SWAY_PERIOD_S)
 
 
 def lead_share(age_s: float, settings: GuidanceSettings) -> float:

@@ -12,13 +12,18 @@ from dataclasses import dataclass, replace
 from echowing.flight.axis import Axis, along, spread_rad, turns_rps
 from echowing.flight.estimate import Estimate
 from echowing.flight.state import FollowerState, Known
-from echowing.geo import Ned, displace, ned_between, wrap_angle_rad
+from echowing.geo import Ned, ned_between, wrap_angle_rad
 
 # Under the first the direction is sure enough; a cone wider than the second would leave a leader
 # straight ahead in half the beam only.
 SURE_RAD, WIDEST_RAD = math.radians(4.0), math.radians(10.0)
-# Once round: 30 deg/s at the widest, a tenth of what the servos can.
-ROUND_S = 2.0
+# Once round, by a gimbal: 30 deg/s at the widest, a tenth of what the servos can; and by the nose,
+# where the sonar has no gimbal (ArduCopter turns by 60 deg/s).
+ROUND_S, NOSE_ROUND_S = 2.0, 4.0
+# Once through the figure 8: twelve points of 0.3 s (the co-processor's SCAN_DWELL).
+FIGURE_S = 3.6
+# So far the nose looks to each side for a leader that is not heard, in this time there and back.
+NOSE_RAD, NOSE_LOOKS_S = math.radians(45.0), 8.0
 # A leader that is not heard for so long is looked for where it most likely is. The time counts up
 # to the last reading that could be used, not up to now: with a slow radio that reading is a second
 # old, and nothing is lost.
@@ -40,17 +45,19 @@ def look_at(known: Known, follower: FollowerState, now_s: float) -> Look | None:
     leader, here = known.leader_then(follower, arrives_s), follower.then(arrives_s)
     if leader is None or here is None or known.leader_is_stale(now_s):
         return None
-    estimate, place = follower.estimate, leader.position
-    lost = estimate.missed_s > LOST_S
-    if lost:
-        (north, east), mean = estimate.offset.most_likely_m, estimate.offset
-        place = displace(place, (mean.north_m - north, mean.east_m - east, 0.0))
-    north, east, _ = ned_between(here, place)
+    estimate = follower.estimate
+    north, east, _ = ned_between(here, leader.position)
     to_it_m = north, east, estimate.offset.up_m - known.leader_above_m(follower)
-    look = Look(along(to_it_m), _rate_rps(to_it_m, leader.velocity_ned_mps, follower, arrives_s), 0.0)
+    look = Look(
+        along(to_it_m), _rate_rps(to_it_m, leader.velocity_ned_mps, follower, arrives_s), 0.0
+    )
     across_rad, up_rad = _unsure_rad(estimate, look.axis, to_it_m)
     look = replace(look, sigma_rad=max(across_rad, up_rad))
-    return look if lost else _coned(look, across_rad, up_rad, now_s)
+    lost, by_nose = estimate.missed_s > LOST_S, not estimate.points(now_s)
+    if lost:
+        return _to_both_sides(look, now_s) if by_nose else _by_turns(look, now_s)
+    cone_rad = _wide_rad(across_rad), _wide_rad(up_rad)
+    return _coned(look, cone_rad, now_s / (NOSE_ROUND_S if by_nose else ROUND_S))
 
 
 def _rate_rps(
@@ -69,14 +76,25 @@ def _unsure_rad(estimate: Estimate, axis: Axis, to_it_m: Ned) -> tuple[float, fl
     return spread_rad(across_m, to_it_m), spread_rad(estimate.offset.up_sigma_m, to_it_m)
 
 
-def _coned(look: Look, across_rad: float, up_rad: float, now_s: float) -> Look:
+def _coned(look: Look, cone_rad: tuple[float, float], rounds: float) -> Look:
     """The look on its way round the cone."""
-    phase_rad = 2.0 * math.pi * now_s / ROUND_S
-    aside_rad = _wide_rad(across_rad) * math.sin(phase_rad)
-    above_rad = _wide_rad(up_rad) * math.cos(phase_rad)
+    phase_rad = 2.0 * math.pi * rounds
+    aside_rad, above_rad = cone_rad[0] * math.sin(phase_rad), cone_rad[1] * math.cos(phase_rad)
     axis = look.axis
     turned = Axis(wrap_angle_rad(axis.azimuth_rad + aside_rad), axis.elevation_rad + above_rad)
     return replace(look, axis=turned)
+
+
+def _by_turns(look: Look, now_s: float) -> Look:
+    """Every other round of the figure 8 half as wide: a narrow beam leaves gaps in a wide one."""
+    narrow = now_s / FIGURE_S % 2.0 >= 1.0
+    return replace(look, sigma_rad=0.5 * look.sigma_rad) if narrow else look
+
+
+def _to_both_sides(look: Look, now_s: float) -> Look:
+    """A look for a leader that is not heard, by a sonar that no gimbal turns."""
+    aside_rad = min(NOSE_RAD, 2.0 * look.sigma_rad)
+    return _coned(look, (aside_rad, 0.0), now_s / NOSE_LOOKS_S)
 
 
 def _wide_rad(unsure_rad: float) -> float:

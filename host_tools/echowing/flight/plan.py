@@ -3,7 +3,6 @@
 import math
 from dataclasses import replace
 
-from echowing.flight.estimate import HEARD_S
 from echowing.flight.guidance import (
     GuidanceSettings,
     GuidedPoint,
@@ -50,8 +49,6 @@ def planned(known: Known, follower: FollowerState, fix: LeaderFix, now_s: float)
         if here is not None:
             to_it_m = ned_between(here, leader.position)[:2]
             least_m = max(least_m, known.nearest_m(follower, to_it_m, settings.clearance_m))
-            if math.hypot(*to_it_m) > follower.plan.sonar.reach_m:
-                follower.beyond_s = now_s
         if _is_lost(follower, now_s):
             least_m = max(least_m, _reversal_by_radio_m(known, follower, fix))
     least_m = _closing_slowly(follower, least_m, now_s)
@@ -71,14 +68,14 @@ def _leader(known: Known, follower: FollowerState, fix: LeaderFix, at_s: float) 
 
 
 def _is_lost(follower: FollowerState, now_s: float) -> bool:
-    """Whether a leader that was heard is not heard, though it was within the sonar's reach.
+    """Whether a leader that was heard is not heard, wherever it may be: the sonar is deaf.
 
-    One that is out of reach because the follower fell behind at a corner is heard again on the way
-    to the slot. If the slot opened meanwhile, it would stay out of reach.
+    One that may be out of reach, because the follower fell behind at a corner, is heard again on
+    the way to the slot. If the slot opened meanwhile, it would stay out of reach.
     """
     estimate = follower.estimate
-    fell_behind = now_s - follower.beyond_s <= HEARD_S
-    return math.isfinite(estimate.missed_s) and not estimate.hears(now_s) and not fell_behind
+    silent = math.isfinite(estimate.missed_s) and not estimate.hears(now_s)
+    return silent and estimate.offset.deaf_share > 0.5
 
 
 def _reversal_by_radio_m(known: Known, follower: FollowerState, fix: LeaderFix) -> float:

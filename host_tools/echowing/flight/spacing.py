@@ -4,12 +4,19 @@ import math
 from collections.abc import Callable, Iterator
 
 from echowing.flight.closing import MOST_MPS, Closing
-from echowing.flight.envelope import OTHERS_MPS2, SURE_SIGMAS, Other, is_in_the_way, keep_apart, straight_out
+from echowing.flight.cloud import Wandering
+from echowing.flight.envelope import (
+    OTHERS_MPS2,
+    SURE_SIGMAS,
+    Other,
+    is_in_the_way,
+    keep_apart,
+    straight_out,
+)
 from echowing.flight.guard import Guard
 from echowing.flight.guidance import Horizontal
 from echowing.flight.holds import moved_off
 from echowing.flight.jumps import SAME_RANGE_M
-from echowing.flight.cloud import Wandering
 from echowing.flight.state import LEADER, FollowerState, Known
 from echowing.geo import GlobalPosition, Ned, displace, ned_between
 

@@ -25,7 +25,6 @@ from echowing.flight.handling import Handling, leader_brakes_mps2
 from echowing.flight.jumps import OwnJump, RangeMemory
 from echowing.flight.leader_track import LeaderTrack, VehicleClock, changes_mps2, is_late
 from echowing.flight.own_motion import OwnMotion
-from echowing.flight.search import Search
 from echowing.flight.tail import TailSlot
 from echowing.flight.tow_bar import TowBar
 from echowing.flight.wind import Wind
@@ -97,11 +96,12 @@ class FollowerState:
     it leaves its plan; latched: why it is held until it leaves Guided; proven_m: the part of
     `Known.doubted_m` that the sonar has settled; reversal_m: the nearest slot from which it
     gets away if the leader turns round now; least_m, least_at_s: the nearest slot it was given
-    last, and when; beyond_s: when the leader was last out of its sonar's reach, as far as is
-    known; opens: it was said that the slot opens for a reversal; searches: it looks
-    for the leader from the side; unsure: its newest report may be another vehicle's, with its id;
-    away_beats: heartbeats in a row that were not of one that flies in Guided; sonar_id: the
-    component that sends its sonar's readings.
+    last, and when; opens: it was said that the slot opens for a reversal; unsure: its newest report
+    may be another vehicle's, with its id; away_beats: heartbeats in a row that were not of one that
+    flies in Guided; level_m, levelled_at_s: by how much it flies higher than planned, to be level
+    with its leader, and when that was set; sonar_id: the component that sends its sonar's readings;
+    worse_since_s, worse_said_s: since when its sonar hears worse than believed, and when that was
+    said.
     """
 
     plan: FollowerPlan
@@ -112,7 +112,6 @@ class FollowerState:
     own_jump: OwnJump = field(default_factory=OwnJump)
     handling: Handling = field(default_factory=Handling)
     motion: OwnMotion = field(default_factory=OwnMotion)
-    search: Search = field(default_factory=Search)
     wind: Wind = field(default_factory=Wind)
     latched: str | None = None
     unsure: bool = False
@@ -120,9 +119,9 @@ class FollowerState:
     reversal_m: float = 0.0
     least_m: float = 0.0
     least_at_s: float = 0.0
-    beyond_s: float = -math.inf
     opens: bool = False
-    searches: bool = False
+    level_m: float = 0.0
+    levelled_at_s: float = -math.inf
     raw_at_s: float = -math.inf
     sonar_id: int | None = None
     feed_mps: Horizontal | None = None
@@ -144,6 +143,8 @@ class FollowerState:
     flying: bool = False
     in_guided: bool = False
     away_beats: int = 2
+    worse_since_s: float = math.inf
+    worse_said_s: float = -math.inf
     flown: bool = False
     sent_to: bool = False
     held_at: GlobalPosition | None = None
@@ -281,7 +282,7 @@ class FollowerState:
             and message.orientation == FORWARD
             and now_s - self.raw_at_s > RAW_FRESH_S
         ):
-            range_m = sonar_range_m(message)
+            range_m = sonar_range_m(message, self.plan.sonar.reach_m)
             heard_m = self.plan.sonar.reach_m if range_m is None else range_m
             self._take_range(now_s - self.way_s - AVERAGE_AGE_S, heard_m)
 
@@ -310,7 +311,7 @@ class Known:
             plan.system_id: FollowerState(
                 plan,
                 TowBar(plan.slot, longest_m) if settings.tow_bar else TailSlot(plan.slot),
-                Estimate(plan.sonar),
+                Estimate(plan.sonar, alone=len(plans) == 1),
             )
             for plan in plans
         }

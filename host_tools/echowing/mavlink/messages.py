@@ -121,10 +121,10 @@ def heading_of(message: Any, before_rad: float) -> float:
     return before_rad if message.hdg == UNKNOWN_HEADING else math.radians(message.hdg / 100.0)
 
 
-def sonar_range_m(message: Any) -> float | None:
-    """The range in a DISTANCE_SENSOR; None: the sonar detects no target."""
+def sonar_range_m(message: Any, reach_m: float = DETECTION_LIMIT_M) -> float | None:
+    """The range in a DISTANCE_SENSOR; None: the sonar detects no target within its reach."""
     range_m = float(message.current_distance) / 100.0
-    nothing = range_m >= min(DETECTION_LIMIT_M, message.max_distance / 100.0)
+    nothing = range_m >= min(reach_m, message.max_distance / 100.0)
     return None if nothing else range_m
 
 

@@ -22,7 +22,7 @@ from echowing.sim.fault_section import LEADER_FAULTS, FaultSection, objection
 from echowing.sim.named_parameters import objections
 from echowing.sim.parameters import Generation
 from echowing.sim.radio import RadioSettings
-from echowing.sonar_file import SHIPPED, load_sonar
+from echowing.sonar_file import SHIPPED, HalfAngle, SonarFile, load_sonar
 from echowing.tool.formation_file import FormationSection
 
 # What the applets do: the speed applet's laws with their numbers (lua/echowing_speed.md), and what
@@ -147,28 +147,67 @@ class GuidanceSection(Section):
 
 
 class SonarSection(Section):
-    """The sonars."""
+    """The sonars: what the product believes of them, and what they are.
+
+    Each follower's is drawn anew for each seed around what the sonar file says. The keys that have
+    a default of none set a value for all of them instead.
+    """
 
     file: str = SHIPPED
     """What the product believes of them: a sonar by name, or a sonar file (.toml)."""
+    spread: NotNegative = 1.0
+    """How far they are drawn around the file: 1: as far as it says; 0: all are the middle of it."""
+    heard_share: Share | None = None
+    """Share of the pings that hear a leader within the beam."""
+    deaf_share: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
+    """Share of the time in which nothing at all is heard, in bursts."""
+    deaf_s: Positive = 1.0
+    """How long such a burst lasts on average."""
+    beam_near_deg: HalfAngle | None = None
+    """Half angle of the beam up to 2 m."""
+    beam_far_deg: HalfAngle | None = None
+    """Half angle of it at 4.6 m and beyond; none, with `beam_near_deg`: the same."""
+    noise_m: NotNegative | None = None
+    """Standard deviation of a range."""
+    wild_share: Share | None = None
+    """Share of the readings that are anything at all."""
+    tone_share: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
+    """Share of the time in which a stranger's sonar is heard: then a range is anything at all."""
+    heard_to_m: Positive | None = None
+    """How far a leader is heard, whatever its legs."""
+    inset_m: Annotated[float, Field(ge=0.1)] | None = None
+    """How much less than the separation they read."""
 
 
 class GpsSection(Section):
-    """Drift of the estimated position, first-order Gauss-Markov.
+    """What receivers and barometers err by: errors that wander (first-order Gauss-Markov).
 
-    `sigma_m`: each horizontal axis. `vertical_sigma_m`: the height. It is 0 because ArduCopter
-    takes its height from the barometer (EK3_SRC1_POSZ 1), whose drift is mostly the weather's and
-    so common to a formation. With the receiver's height (EK3_SRC1_POSZ 3) it is about twice
-    `sigma_m`: 13 m against 8 m at 95 % (GPS SPS Performance Standard, 2020), which are 6.6 m and
-    3.3 m an axis.
+    ArduCopter reports its height, and flies by it, as its barometer has it (EK3_SRC1_POSZ 1); the
+    receiver's own height is in GPS_RAW_INT. With EK3_SRC1_POSZ 3 a follower flies by that. Each
+    vehicle's errors are drawn anew for each seed around what stands here.
     """
 
     sigma_m: NotNegative = 0.8
-    """Standard deviation per horizontal axis."""
+    """Standard deviation of the position, per horizontal axis."""
     tau_s: Positive = 60.0
-    """Correlation time."""
-    vertical_sigma_m: NotNegative = 0.0
-    """Standard deviation of the height."""
+    """Correlation time of it."""
+    vertical_sigma_m: NotNegative = 0.5
+    """Standard deviation of the height that the vehicle reports and flies by."""
+    vertical_tau_s: Positive = 60.0
+    """Correlation time of it."""
+    receiver_vertical_sigma_m: NotNegative = 1.6
+    """Standard deviation of the receiver's own height: about twice a horizontal axis (13 m against
+    8 m at 95 %, GPS SPS Performance Standard, 2020)."""
+    spread: NotNegative = 0.25
+    """Standard deviation, as a share, of how far these five are off in each vehicle; 0: not."""
+    step_m: NotNegative = 0.0
+    """Standard deviation of a step per horizontal axis, as another satellite counts."""
+    step_every_s: Positive = 30.0
+    """How often such a step comes, on average; it fades with `tau_s`."""
+    multipath_m: NotNegative = 0.0
+    """Standard deviation per horizontal axis of what comes and goes beside the slow drift."""
+    multipath_s: Positive = 10.0
+    """Correlation time of that."""
 
 
 class WindSection(Section):
@@ -393,9 +432,14 @@ class Scenario(Section):
         return replace(settings, feed_forward=False) if self.law in SPEED_LAWS else settings
 
     @cached_property
+    def sonar_file(self) -> SonarFile:
+        """What is known of the sonars."""
+        return load_sonar(self.sonar.file)
+
+    @cached_property
     def sonar_belief(self) -> SonarBelief:
-        """What the product believes of the sonars."""
-        return load_sonar(self.sonar.file).belief()
+        """What the product believes of the sonars: its operator knows the leader's legs."""
+        return self.sonar_file.belief(self.leader.target)
 
     def slots(self) -> list[Slot]:
         """The formation's slots."""

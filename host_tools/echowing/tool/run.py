@@ -341,11 +341,20 @@ class FollowTool:
         moment = Moment(now_s, rows, self._tracks(now_s), self._cohesion.health)
         if self._log is not None:
             self._log.rows(self._start_unix_s + now_s, rows, moment.tracks)
+            self._log_readings(self._log)
         if judge:
             self._next_health_s = now_s + HEALTH_PERIOD_S
             moment = self._judged(moment)
         if self._page is not None:
             self._page.show(moment)
+
+    def _log_readings(self, log: BackgroundLog) -> None:
+        """Write down what each sonar has read since the last time."""
+        for system_id, follower in self._session.followers.items():
+            fresh = follower.estimate.hearing.fresh
+            if fresh:
+                log.readings(self._start_unix_s, system_id, list(fresh))
+                fresh.clear()
 
     def _judged(self, moment: Moment) -> Moment:
         """The moment with the formation's health; changes of it are reported."""

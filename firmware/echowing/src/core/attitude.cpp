@@ -32,17 +32,28 @@ void Attitude::on_message(const Instant& now, const mavlink_message_t& message) 
   mavlink_attitude_t told;
   mavlink_msg_attitude_decode(&message, &told);
   if (!plausible(told)) return;
-  received_ = from_euler(told.roll, told.pitch, told.yaw);
-  rates_rps_ = {told.rollspeed, told.pitchspeed, told.yawspeed};
-  received_us_ = now.us;
-  freshness_.start(now, kFresh);
+  newest_ = {
+      {told.roll, told.pitch, told.yaw}, {told.rollspeed, told.pitchspeed, told.yawspeed}, now};
+  steps_left_ = 2;
   if (count_ < kEnough) ++count_;
 }
 
+bool Attitude::renew() {
+  if (steps_left_ == 0) return false;
+  if (steps_left_-- == 2) {
+    nose_ = nose(newest_.angles_rad.y, newest_.angles_rad.z);
+    return true;
+  }
+  rotation_ = rolled(nose_, newest_.angles_rad.x);
+  rates_rps_ = newest_.rates_rps;
+  at_us_ = newest_.received.us - kAge;
+  freshness_.start(newest_.received, kFresh);
+  return true;
+}
+
 Quaternion Attitude::at(Microseconds time) const {
-  const int32_t since_us = static_cast<int32_t>(time + kAge - received_us_);
-  const float half_s = 0.5e-6f * static_cast<float>(since_us);
-  return product(received_,
+  const float half_s = 0.5e-6f * static_cast<float>(static_cast<int32_t>(time - at_us_));
+  return product(rotation_,
                  {1.0f, half_s * rates_rps_.x, half_s * rates_rps_.y, half_s * rates_rps_.z});
 }
 

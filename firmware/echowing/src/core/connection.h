@@ -44,8 +44,8 @@ class Connection {
   // Queues one of the other messages; true if there was one to send and the wire was free for it.
   bool send_other(const Instant& now, const Parameters& parameters, const Telemetry& telemetry,
                   const char* git_hash);
-  // Hands what is queued to the port, as far as it takes it; true if it took anything.
-  bool flush() { return link_.flush(port_); }
+  // Hands what is queued to the port, as far as budget and port take it; returns the budget's rest.
+  uint8_t flush(uint8_t budget) { return link_.flush(port_, budget); }
 
   // The partner is our autopilot, and is to send its attitude.
   void ask_for_attitude() { attitude_wanted_ = true; }

@@ -41,7 +41,7 @@ Coprocessor::Coprocessor(const Ports& ports, uint32_t seed, Microseconds now, Mi
 
 bool Coprocessor::set_parameter(uint8_t index, float value) {
   const bool taken = parameters_.set(index, value);
-  pointing_stale_ = true;
+  pointing_.find(pointed_);
   renew_identity();
   return taken;
 }
@@ -82,9 +82,10 @@ void Coprocessor::act(const Instant& now) {
 void Coprocessor::tell(const Instant& now) {
   const Telemetry telemetry = observe(now);
   const bool busy = new_reading_ || sonar_.timed_out() || report_reading(now, telemetry) ||
-                    look_.work(now, tracker_) || handle_message(now) || renew_pointing();
+                    sonar_.pinged() || look_.work(now, tracker_) || handle_message(now) ||
+                    pointing_.step(parameters_);
   if (!busy) send_other(now, telemetry);
-  if (!autopilot_connection_.flush()) usb_connection_.flush();
+  usb_connection_.flush(autopilot_connection_.flush(Link::kBytesOutPerTurn));
 }
 
 void Coprocessor::poll_sonar(const Instant& now) {
@@ -96,7 +97,7 @@ void Coprocessor::poll_sonar(const Instant& now) {
   if (sonar_.take_address_changed()) adopt_sonar_address(now);
   if (!new_reading_) return;
   heard_sonar_ = true;
-  look_.on_reading();
+  look_.on_reading(now, tracker_);
   autopilot_connection_.on_reading();
   usb_connection_.on_reading();
   reading_ms_ = now.ms;
@@ -155,7 +156,7 @@ void Coprocessor::note_pointing(const Instant& now) {
   const Aim aim = tracker_.aim();
   const bool moved = aim.pan_us != pointed_.pan_us || aim.tilt_us != pointed_.tilt_us;
   if (!moved) return;
-  pointing_stale_ = true;
+  pointing_.find(aim);
   pointed_ = aim;
   look_.on_aim(now, aim);
 }
@@ -188,7 +189,7 @@ void Coprocessor::restart_if_ordered(const Instant& now) {
 Telemetry Coprocessor::observe(const Instant& now) {
   return {
       tracker_,
-      pointing_,
+      pointing_.found(),
       look_.axis(),
       reading_ms_,
       identity_,
@@ -211,13 +212,6 @@ bool Coprocessor::report_reading(const Instant& now, const Telemetry& telemetry)
 bool Coprocessor::handle_message(const Instant& now) {
   return receive(now, autopilot_connection_, kAutopilotPort) ||
          receive(now, usb_connection_, kUsbPort);
-}
-
-bool Coprocessor::renew_pointing() {
-  if (!pointing_stale_) return false;
-  pointing_stale_ = false;
-  pointing_ = pointing(parameters_, pointed_);
-  return true;
 }
 
 void Coprocessor::send_other(const Instant& now, const Telemetry& telemetry) {

@@ -98,7 +98,6 @@ class Coprocessor {
   Telemetry observe(const Instant& now);
   bool report_reading(const Instant& now, const Telemetry& telemetry);
   bool handle_message(const Instant& now);
-  bool renew_pointing();
   void send_other(const Instant& now, const Telemetry& telemetry);
   void notify(Notice notice);
 
@@ -133,8 +132,7 @@ class Coprocessor {
   GimbalOrders orders_;
   Identity identity_ = {};
   Aim pointed_;
-  Quaternion pointing_;  // of pointed_
-  bool pointing_stale_ = false;
+  PointingFinder pointing_;  // of pointed_
   Timeout freshness_;
   Milliseconds reading_ms_ = 0;
   bool new_reading_ = false;

@@ -117,7 +117,7 @@ void Coprocessor::on_look_order(const Instant& now, const mavlink_message_t& mes
   mavlink_gimbal_device_set_attitude_t order;
   mavlink_msg_gimbal_device_set_attitude_decode(&message, &order);
   if (!is_for_us(order.target_system, order.target_component, false)) return;
-  look_.on_order(now, message, tracker_);
+  look_.on_order(now, message);
 }
 
 void Coprocessor::on_command(const Instant& now, Connection& connection,
@@ -180,7 +180,7 @@ uint8_t Coprocessor::restore_defaults(const Order& order) {
   const float address = parameters_.get(Parameter::kSonarAddress);
   parameters_.reset();
   parameters_.set(static_cast<uint8_t>(Parameter::kSonarAddress), address);
-  pointing_stale_ = true;
+  pointing_.find(pointed_);
   renew_identity();
   store_.touch(order.now);
   notify(Notice::kParametersReset);

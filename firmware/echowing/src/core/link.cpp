@@ -46,19 +46,18 @@ void Link::push(uint8_t byte) {
   ++queued_;
 }
 
-bool Link::flush(SerialPort& port) {
-  uint8_t left = kBytesOutPerTurn;
-  while (queued_ > 0 && left > 0) {
+uint8_t Link::flush(SerialPort& port, uint8_t budget) {
+  while (queued_ > 0 && budget > 0) {
     const uint16_t to_end = kQueueSize - first_;
     const uint16_t run = queued_ < to_end ? queued_ : to_end;
-    const uint8_t offered = run < left ? static_cast<uint8_t>(run) : left;
+    const uint8_t offered = run < budget ? static_cast<uint8_t>(run) : budget;
     const uint8_t taken = port.write(queue_ + first_, offered);
     first_ = (first_ + taken) % kQueueSize;
     queued_ -= taken;
-    left = static_cast<uint8_t>(left - taken);
+    budget = static_cast<uint8_t>(budget - taken);
     if (taken < offered) break;
   }
-  return left < kBytesOutPerTurn;
+  return budget;
 }
 
 }  // namespace echowing

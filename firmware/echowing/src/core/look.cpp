@@ -41,70 +41,88 @@ Reach reach(const Parameters& parameters, Direction body) {
   return {{pan.pulse_us, tilt.pulse_us}, limits};
 }
 
-Direction in_body(const Quaternion& attitude, Direction earth) {
-  const Direction told = {wrapped(earth.right_rad), limited(earth.up_rad, -0.5f * kPi, 0.5f * kPi)};
-  return direction(turned_back(attitude, vector(told)));
-}
-
-void Look::on_order(const Instant& now, const mavlink_message_t& message, Tracker& tracker) {
-  const bool had_order = order_.fresh(now);
-  const Direction before = order_.at(now.us);
-  if (!order_.on_message(now, message) || !had_order) return;
-  const Direction after = order_.at(now.us);
-  tracker.on_order({wrapped(after.right_rad - before.right_rad), after.up_rad - before.up_rad});
+Vector sight(Direction earth) {
+  return vector({wrapped(earth.right_rad), limited(earth.up_rad, -0.5f * kPi, 0.5f * kPi)});
 }
 
 void Look::on_ping(const Instant& now) {
-  ping_aim_ = servos_.at(now.ms, servo_rate());
+  pointing_.find(servos_.at(now.ms, servo_rate()));
   ping_us_ = now.us;
   ping_axis_.in_earth_frame = attitude_.fresh(now);
   ordered_at_ping_ = active(now);
-  axis_wanted_ = true;
+  ping_unfinished_ = axis_wanted_ = true;
 }
 
-void Look::on_reading() {
-  // An echo takes many turns: this finds something left only where turns are very long.
-  if (axis_wanted_) find_axis();
-  if (limits_wanted_) find_limits();
+// An echo takes many turns: something is left to do only where turns are very long.
+void Look::on_reading(const Instant& now, Tracker& tracker) {
+  while (ping_unfinished_) work(now, tracker);
   axis_ = ping_axis_;
 }
 
+// A turn in which the search has chosen a point has done enough: to begin a frame is cheap.
 bool Look::work(const Instant& now, Tracker& tracker) {
-  const bool frame_due = tracker.urgent() || now.us - frame_us_ >= milliseconds(kServoFrame);
-  if (tracker.looks() && frame_due) {
-    frame_us_ = now.us;
-    steady(now, tracker);
-  } else if (axis_wanted_) {
-    find_axis();
-  } else if (limits_wanted_) {
-    find_limits();
-  } else {
-    return false;
+  if (next_ != Step::kNone) {
+    proceed(now, tracker);
+    return true;
   }
+  if (order_.renew()) {
+    tracker.on_order(order_.moved());
+    return true;
+  }
+  if (!tracker.urgent() && attitude_.renew()) return true;
+  return begin_frame(now, tracker) || pointing_.step(parameters_) || tell_ping();
+}
+
+bool Look::begin_frame(const Instant& now, Tracker& tracker) {
+  const bool due = tracker.urgent() || now.us - frame_us_ >= milliseconds(kServoFrame);
+  if (!tracker.looks() || !due) return false;
+  frame_us_ = now.us;
+  for_ping_ = false;
+  time_us_ = now.us + kAhead;
+  offset_ = tracker.settle_offset();
+  next_ = Step::kSight;
   return true;
 }
 
-void Look::steady(const Instant& now, Tracker& tracker) {
-  const Microseconds then = now.us + kAhead;
-  const Direction ordered = order_.at(then);
-  const Direction offset = tracker.offset();
-  const Direction wanted = {ordered.right_rad + offset.right_rad, ordered.up_rad + offset.up_rad};
-  tracker.steady(now, reach(parameters_, in_body(attitude_.at(then), wanted)).aim);
-}
-
-void Look::find_axis() {
+bool Look::tell_ping() {
+  if (!axis_wanted_) return false;
   axis_wanted_ = false;
-  limits_wanted_ = ordered_at_ping_;
+  ping_axis_.rotation = pointing_.found();
+  if (ping_axis_.in_earth_frame) {
+    ping_axis_.rotation = normalized(product(attitude_.at(ping_us_), ping_axis_.rotation));
+  }
   ping_axis_.limits = 0;
-  const Quaternion body = pointing(parameters_, ping_aim_);
-  ping_axis_.rotation =
-      ping_axis_.in_earth_frame ? normalized(product(attitude_.at(ping_us_), body)) : body;
+  ping_unfinished_ = ordered_at_ping_;
+  if (!ordered_at_ping_) return true;
+  for_ping_ = true;
+  time_us_ = ping_us_;
+  offset_ = {};
+  next_ = Step::kSight;
+  return true;
 }
 
-void Look::find_limits() {
-  limits_wanted_ = false;
-  const Direction body = in_body(attitude_.at(ping_us_), order_.at(ping_us_));
-  ping_axis_.limits = reach(parameters_, body).limits;
+void Look::proceed(const Instant& now, Tracker& tracker) {
+  switch (next_) {
+    case Step::kSight: {
+      const Direction ordered = order_.at(time_us_);
+      sight_ = sight({ordered.right_rad + offset_.right_rad, ordered.up_rad + offset_.up_rad});
+      next_ = Step::kBody;
+      return;
+    }
+    case Step::kBody:
+      sight_ = turned_back(attitude_.at(time_us_), sight_);
+      next_ = Step::kAim;
+      return;
+    default:
+      next_ = Step::kNone;
+      return finish(now, reach(parameters_, direction(sight_)), tracker);
+  }
+}
+
+void Look::finish(const Instant& now, Reach found, Tracker& tracker) {
+  if (!for_ping_) return tracker.steady(now, found.aim);
+  ping_axis_.limits = found.limits;
+  ping_unfinished_ = false;
 }
 
 }  // namespace echowing

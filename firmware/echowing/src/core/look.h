@@ -22,8 +22,8 @@ struct Reach {
 };
 Reach reach(const Parameters& parameters, Direction body);
 
-// An earth-frame direction as the body sees it. `attitude` need not be of length 1.
-Direction in_body(const Quaternion& attitude, Direction earth);
+// The unit vector of an earth-frame direction of at most some turns.
+Vector sight(Direction earth);
 
 // Where the sonar looked at a ping.
 struct Axis {
@@ -42,7 +42,9 @@ class Look {
     attitude_.on_message(now, message);
   }
   // A GIMBAL_DEVICE_SET_ATTITUDE to us.
-  void on_order(const Instant& now, const mavlink_message_t& message, Tracker& tracker);
+  void on_order(const Instant& now, const mavlink_message_t& message) {
+    order_.on_message(now, message);
+  }
   // Whether attitude has to be asked for.
   bool take_request(const Instant& now) { return attitude_.take_request(now); }
 
@@ -53,29 +55,40 @@ class Look {
   // The servos were given other pulses.
   void on_aim(const Instant& now, Aim aim) { servos_.follow(now.ms, aim, servo_rate()); }
   void on_ping(const Instant& now);
-  void on_reading();
-  // One of the costly things that are due; true if there was one. Once a turn.
+  void on_reading(const Instant& now, Tracker& tracker);
+  // One of the costly steps that are due; true if there was one. Once a turn.
   bool work(const Instant& now, Tracker& tracker);
 
   // Of the newest reading's ping.
   const Axis& axis() const { return axis_; }
 
  private:
-  void steady(const Instant& now, Tracker& tracker);
-  void find_axis();
-  void find_limits();
+  // The costly steps: a direction in the earth frame, the same in the body's, and its pulses.
+  enum class Step : uint8_t { kNone, kSight, kBody, kAim };
+
+  bool begin_frame(const Instant& now, Tracker& tracker);
+  // Turns the axis of the ping to the earth, and looks whether what was ordered lay within reach.
+  bool tell_ping();
+  void proceed(const Instant& now, Tracker& tracker);
+  void finish(const Instant& now, Reach found, Tracker& tracker);
+
   uint16_t servo_rate() const { return parameters_.whole(Parameter::kServoRate); }
 
   const Parameters& parameters_;
   Attitude attitude_;
   LookOrder order_;
   ServoModel servos_;
-  Microseconds frame_us_ = 0;  // of the newest pulses
-  Aim ping_aim_ = {};
+  Microseconds frame_us_ = 0;    // of the newest pulses
+  PointingFinder pointing_{{}};  // of the ping
   Microseconds ping_us_ = 0;
   bool ordered_at_ping_ = false;
   bool axis_wanted_ = false;
-  bool limits_wanted_ = false;
+  bool ping_unfinished_ = false;
+  Step next_ = Step::kNone;
+  bool for_ping_ = false;
+  Microseconds time_us_ = 0;  // for which the step is
+  Direction offset_ = {};
+  Vector sight_ = {};
   Axis ping_axis_;
   Axis axis_;
 };

@@ -24,16 +24,32 @@ SineCosine half_turn(uint16_t pulse_us, uint16_t centre_us, float us_per_deg) {
   return sine_cosine(fmaxf(-0.5f * kPi, fminf(half_rad, 0.5f * kPi)));
 }
 
+SineCosine half_pan(const Parameters& parameters, Aim aim) {
+  return half_turn(aim.pan_us, scan_centre(parameters).pan_us,
+                   parameters.get(Parameter::kPanScale));
+}
+
+SineCosine half_tilt(const Parameters& parameters, Aim aim) {
+  return half_turn(aim.tilt_us, scan_centre(parameters).tilt_us,
+                   parameters.get(Parameter::kTiltScale));
+}
+
 }  // namespace
 
-// Pan about the down axis, then tilt about the right axis: the product of the two rotations.
+// Pan about the down axis, then tilt about the right axis.
 Quaternion pointing(const Parameters& parameters, Aim aim) {
-  const Aim centre = scan_centre(parameters);
-  const SineCosine pan = half_turn(aim.pan_us, centre.pan_us, parameters.get(Parameter::kPanScale));
-  const SineCosine tilt =
-      half_turn(aim.tilt_us, centre.tilt_us, parameters.get(Parameter::kTiltScale));
-  return {pan.cosine * tilt.cosine, -pan.sine * tilt.sine, pan.cosine * tilt.sine,
-          pan.sine * tilt.cosine};
+  return from_halves(half_pan(parameters, aim), half_tilt(parameters, aim));
+}
+
+bool PointingFinder::step(const Parameters& parameters) {
+  if (steps_left_ == 0) return false;
+  if (steps_left_ == 2) {
+    half_pan_ = half_pan(parameters, aim_);
+  } else {
+    found_ = from_halves(half_pan_, half_tilt(parameters, aim_));
+  }
+  --steps_left_;
+  return true;
 }
 
 mavlink_distance_sensor_t distance_report(const Parameters& parameters, const Tracker& tracker,

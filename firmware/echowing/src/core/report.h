@@ -22,6 +22,27 @@ constexpr Milliseconds kStale = 300;
 // Rotation from straight ahead to where the gimbal points, body frame.
 Quaternion pointing(const Parameters& parameters, Aim aim);
 
+// The same, found in two steps: each is costly on AVR.
+class PointingFinder {
+ public:
+  explicit PointingFinder(const Quaternion& start) : found_(start) {}
+
+  void find(Aim aim) {
+    aim_ = aim;
+    steps_left_ = 2;
+  }
+  // Makes a step; false if there was none to make.
+  bool step(const Parameters& parameters);
+  // The newest that was found to the end.
+  const Quaternion& found() const { return found_; }
+
+ private:
+  Aim aim_ = {};
+  SineCosine half_pan_ = {};
+  uint8_t steps_left_ = 0;
+  Quaternion found_;
+};
+
 mavlink_distance_sensor_t distance_report(const Parameters& parameters, const Tracker& tracker,
                                           const Quaternion& direction, Milliseconds reading_ms);
 

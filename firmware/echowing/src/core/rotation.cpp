@@ -66,13 +66,19 @@ Quaternion normalized(const Quaternion& q) {
   return {by * q.w, by * q.x, by * q.y, by * q.z};
 }
 
-Quaternion from_euler(float roll_rad, float pitch_rad, float yaw_rad) {
+Quaternion from_halves(SineCosine yaw, SineCosine pitch) {
+  return {yaw.cosine * pitch.cosine, -yaw.sine * pitch.sine, yaw.cosine * pitch.sine,
+          yaw.sine * pitch.cosine};
+}
+
+Quaternion nose(float pitch_rad, float yaw_rad) {
+  return from_halves(sine_cosine(0.5f * yaw_rad), sine_cosine(0.5f * pitch_rad));
+}
+
+Quaternion rolled(const Quaternion& nose, float roll_rad) {
   const SineCosine roll = sine_cosine(0.5f * roll_rad);
-  const SineCosine pitch = sine_cosine(0.5f * pitch_rad);
-  const SineCosine yaw = sine_cosine(0.5f * yaw_rad);
-  const Quaternion turned = {yaw.cosine * pitch.cosine, -yaw.sine * pitch.sine,
-                             yaw.cosine * pitch.sine, yaw.sine * pitch.cosine};
-  return product(turned, {roll.cosine, roll.sine, 0.0f, 0.0f});
+  return {nose.w * roll.cosine - nose.x * roll.sine, nose.w * roll.sine + nose.x * roll.cosine,
+          nose.y * roll.cosine + nose.z * roll.sine, nose.z * roll.cosine - nose.y * roll.sine};
 }
 
 Vector forward(const Quaternion& q) {
@@ -81,9 +87,12 @@ Vector forward(const Quaternion& q) {
 }
 
 Vector turned_back(const Quaternion& q, Vector vector) {
-  const Quaternion back = {q.w, -q.x, -q.y, -q.z};
-  const Quaternion turned = product(product(back, {0.0f, vector.x, vector.y, vector.z}), q);
-  return {turned.x, turned.y, turned.z};
+  const float same = q.w * q.w - q.x * q.x - q.y * q.y - q.z * q.z;
+  const float along = 2 * (q.x * vector.x + q.y * vector.y + q.z * vector.z);
+  const float across = 2 * q.w;
+  return {same * vector.x + along * q.x + across * (vector.y * q.z - vector.z * q.y),
+          same * vector.y + along * q.y + across * (vector.z * q.x - vector.x * q.z),
+          same * vector.z + along * q.z + across * (vector.x * q.y - vector.y * q.x)};
 }
 
 }  // namespace echowing

@@ -49,8 +49,11 @@ Direction direction(Vector vector);
 // First `b`, then `a`.
 Quaternion product(const Quaternion& a, const Quaternion& b);
 Quaternion normalized(const Quaternion& q);
-// Of length 1, from yaw, then pitch, then roll, each at most half a turn.
-Quaternion from_euler(float roll_rad, float pitch_rad, float yaw_rad);
+// Of length 1: yaw (or pan), then pitch (or tilt), by their half angles.
+Quaternion from_halves(SineCosine yaw, SineCosine pitch);
+// An attitude by its angles, each at most half a turn: yaw, then pitch; then rolled. Of length 1.
+Quaternion nose(float pitch_rad, float yaw_rad);
+Quaternion rolled(const Quaternion& nose, float roll_rad);
 // Forward, turned by `q`; longer by the square of q's length.
 Vector forward(const Quaternion& q);
 // `vector` turned back by `q`; longer by the square of q's length.

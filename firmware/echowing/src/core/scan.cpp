@@ -37,7 +37,9 @@ float stretched(uint16_t pulse_us, uint16_t centre_us, float us_per_deg, float l
   if (pulse_us == centre_us || us_per_deg == 0.0f) return 0.0f;
   const float offset_us = static_cast<float>(pulse_us) - static_cast<float>(centre_us);
   const float angle_rad = offset_us / us_per_deg * kRadiansPerDegree;
-  return angle_rad < 0.0f ? fminf(angle_rad, -least_rad) : fmaxf(angle_rad, least_rad);
+  // A scale near nought makes any number of turns of it.
+  if (angle_rad < 0.0f) return fmaxf(-kPi, fminf(angle_rad, -least_rad));
+  return fminf(kPi, fmaxf(angle_rad, least_rad));
 }
 
 float within_reach(float angle_rad, uint16_t reach_deg) {
@@ -78,19 +80,18 @@ Direction scan_offset(const Parameters& parameters, uint8_t index, float deviati
   };
 }
 
-uint8_t nearest_scan_offset(const Parameters& parameters, Direction offset, float deviation_rad) {
-  uint8_t nearest = 0;
-  float least = 0.0f;
-  for (uint8_t index = 0; index < kScanPoints; ++index) {
-    const Direction point = scan_offset(parameters, index, deviation_rad);
-    const float right = point.right_rad - offset.right_rad;
-    const float up = point.up_rad - offset.up_rad;
-    const float distance = right * right + up * up;
-    if (index != 0 && distance >= least) continue;
-    least = distance;
-    nearest = index;
+uint8_t faded_scan_point(const Parameters& parameters, uint8_t index, Direction offset,
+                         float deviation_rad) {
+  const Direction point = scan_offset(parameters, index, deviation_rad);
+  const Cell was = from_flash(kCells[index]);
+  const bool aside = 2 * fabsf(offset.right_rad) > fabsf(point.right_rad);
+  const bool off_level = 2 * fabsf(offset.up_rad) > fabsf(point.up_rad);
+  const Cell now = {aside ? was.pan : kMiddle, off_level ? was.tilt : kLevel};
+  for (index = 0; index < kScanPoints; ++index) {
+    const Cell cell = from_flash(kCells[index]);
+    if (cell.pan == now.pan && cell.tilt == now.tilt) break;
   }
-  return nearest;
+  return index;
 }
 
 }  // namespace echowing

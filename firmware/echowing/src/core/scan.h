@@ -25,7 +25,9 @@ uint8_t nearest_scan_point(const Parameters& parameters, Aim aim);
 // pulses say.
 Direction scan_offset(const Parameters& parameters, uint8_t index, float deviation_rad);
 
-// Index of the point nearest to `offset`; the first of equals.
-uint8_t nearest_scan_offset(const Parameters& parameters, Direction offset, float deviation_rad);
+// Index of the point that `offset` is nearest to by now, having come from the point `index` towards
+// the middle; the middle itself of equals.
+uint8_t faded_scan_point(const Parameters& parameters, uint8_t index, Direction offset,
+                         float deviation_rad);
 
 }  // namespace echowing

@@ -49,12 +49,13 @@ void Tracker::begin(GimbalMode mode) {
   if (!looks()) return;
   offset_ = {};
   settling_ = true;
+  moving_ = false;
   entering_ = entering_ || !looked;
 }
 
 // The ordered direction is the best guess where nothing has been heard.
 uint8_t Tracker::first_point() const {
-  if (looks()) return nearest_scan_offset(parameters_, offset_, deviation_rad_);
+  if (looks()) return faded_scan_point(parameters_, point_, offset_, deviation_rad_);
   return seen_ ? nearest_scan_point(parameters_, last_seen_) : 0;
 }
 
@@ -71,12 +72,18 @@ void Tracker::scan(const Instant& now) {
   arrival_ = now.ms;
   dwell_.start(now, parameters_.whole(Parameter::kDwell));
   if (!looks()) return move(now, scan_point(parameters_, point_));
-  offset_ = scan_offset(parameters_, point_, deviation_rad_);
-  settling_ = true;
+  moving_ = settling_ = true;
   forget();
 }
 
+Direction Tracker::settle_offset() {
+  if (moving_) offset_ = scan_offset(parameters_, point_, deviation_rad_);
+  moving_ = false;
+  return offset_;
+}
+
 void Tracker::steady(const Instant& now, Aim aim) {
+  if (!looks()) return;
   if (settling_) arrival_ = now.ms + travel_time(aim);
   if (entering_ && far_apart(aim, aim_)) forget();
   settling_ = entering_ = false;
@@ -95,8 +102,11 @@ void Tracker::on_order(Direction moved) {
   const float right_rad = fabsf(moved.right_rad + offset_.right_rad - before.right_rad);
   const float up_rad = fabsf(moved.up_rad + offset_.up_rad - before.up_rad);
   if (fmaxf(right_rad, up_rad) <= half_beam_rad()) return;
+  settling_ = true;
+  if (!tracking_) return;  // the search goes on round the new direction
   offset_ = {};
-  restart_ = settling_ = true;
+  moving_ = false;
+  restart_ = true;
   forget();
 }
 
@@ -129,7 +139,7 @@ Milliseconds Tracker::travel_time(Aim aim) const {
 }
 
 void Tracker::on_reading(const Instant& now, const Reading& reading) {
-  if (!settling_ && reached(reading.triggered.ms, arrival_)) heard_here_ = true;
+  if (reached(reading.triggered.ms, arrival_)) heard_here_ = true;
   if (reading.range_cm >= parameters_.whole(Parameter::kTrackRange)) {
     remember(false);
     return miss();

@@ -36,9 +36,9 @@ class Tracker {
 
   // The pulses come from `steady`, once a servo frame, or at once where that is `urgent`.
   bool looks() const { return mode_ == GimbalMode::kLook || mode_ == GimbalMode::kLookRound; }
-  bool urgent() const { return settling_; }
+  bool urgent() const { return looks() && settling_; }
   // How far off the ordered direction to look.
-  Direction offset() const { return offset_; }
+  Direction settle_offset();
   void steady(const Instant& now, Aim aim);
   // The ordered direction has moved so far at once.
   void on_order(Direction moved);
@@ -78,6 +78,7 @@ class Tracker {
   Direction offset_ = {};
   float deviation_rad_ = 0.0f;
   bool entering_ = false;  // the first pulses of looking are to come
+  bool moving_ = false;    // to the offset of another point
   bool settling_ = false;  // pulses for another offset are to come
   bool heard_here_ = false;
   uint8_t point_ = 0;
