@@ -174,25 +174,25 @@ local yaw_rad = ahrs.get_yaw_rad or ahrs.get_yaw
 -- Name, default, lowest and highest accepted value, and the number by which the autopilot finds what a pilot has saved:
 -- the numbers of parameters that are gone stay free. A text takes less of the vehicle's memory than a table.
 local PARAMETERS = [[
-    'ENABLE', 0, 0, 1, 1,
-    'DIST', 3.0, 1.5, 6.0, 3,
-    'DETECT', 4.5, 2.0, 7.6, 4,
-    'TAU', 0.12, 0.05, 1.0, 12,
-    'SPD_MIN', 0.2, 0.2, 2.0, 13,
-    'SPD_MAX', 5.0, 1.0, 15.0, 14,
-    'SPD_LOST', 3.0, 0.2, 15.0, 16,
-    'LOST_T', 1.3, 0.3, 10.0, 17,
-    'NODATA_T', 1.0, 0.3, 10.0, 18,
-    'CLOSE', 1.5, 0.5, 4.0, 19,
-    'DELAY', 0.6, 0.1, 2.0, 20,
-    'DECEL', 2.5, 0.5, 10.0, 21,
-    'STREAM_T', 1.0, 0.0, 10.0, 23,
-    'SWITCH', 0, 0, 307, 24,
-    'LOG_HZ', 10, 0, 20, 25,
-    'ARM_CHK', 1, 0, 1, 26,
-    'INSET', 0.2, 0.0, 1.0, 27,
-    'MIRROR', 0, 0, 5000, 28,
-    'FORMAT', 2, 2, 2, 29,
+ENABLE 0 0 1 1
+DIST 3 1.5 6 3
+DETECT 4.5 2 7.6 4
+TAU 0.12 0.05 1 12
+SPD_MIN 0.2 0.2 2 13
+SPD_MAX 5 1 15 14
+SPD_LOST 3 0.2 15 16
+LOST_T 1.3 0.3 10 17
+NODATA_T 1 0.3 10 18
+CLOSE 1.5 0.5 4 19
+DELAY 0.6 0.1 2 20
+DECEL 2.5 0.5 10 21
+STREAM_T 1 0 10 23
+SWITCH 0 0 307 24
+LOG_HZ 10 0 20 25
+ARM_CHK 1 0 1 26
+INSET 0.2 0 1 27
+MIRROR 0 0 5000 28
+FORMAT 2 2 2 29
 ]]
 
 local C = {} -- values in force: C.DIST, ...
@@ -227,7 +227,7 @@ do
     -- 95 is the table key that no script in ArduPilot's tree uses.
     local left = param:get('ECHO_MIRROR')
     assert(param:add_table(95, 'ECHO_', 29), 'ECHO: parameter table key 95 is taken')
-    for name, value, low, high, id in PARAMETERS:gmatch("'(%S+)', (%S+), (%S+), (%S+), (%S+),") do
+    for name, value, low, high, id in PARAMETERS:gmatch('(%S+) (%S+) (%S+) (%S+) (%S+)') do
         local i = #names + 1
         assert(param:add_param(95, tonumber(id), name, tonumber(value)), 'ECHO: cannot add ECHO_' .. name)
         names[i], C[name], least[i], most[i] = name, tonumber(value), tonumber(low), tonumber(high)
@@ -295,15 +295,15 @@ local function order(mps, position, velocity, acceleration, nose_rad)
 end
 
 -- So does every order to the gimbal: to look at what is so far north and east, moves past so fast, and may be so far
--- aside. GIMBAL_DEVICE_SET_ATTITUDE: the rotation from north to there, level, in the earth frame (92), and how fast it
--- turns; a beam has no roll, and the rate of it is the standard deviation.
+-- aside. GIMBAL_DEVICE_SET_ATTITUDE: the rotation from north to there in the earth frame, its height left as the ground
+-- tool has ordered it (84), and how fast it turns; a beam has no roll, and the rate of it is the standard deviation.
 function look.order(north_m, east_m, north_mps, east_mps, aside_m)
     local far_m = max(1, sqrt(north_m * north_m + east_m * east_m)) -- nearer it turns faster than any gimbal
     local half_rad, unsure_rad = 0.5 * atan(east_m, north_m), atan(aside_m, far_m)
     local turn_rps = (north_m * east_mps - east_m * north_mps) / (far_m * far_m)
     if not (is_within(turn_rps, 4) and is_within(unsure_rad, pi)) then return refuse('implausible look') end
     return mavlink:send_chan(track.link, 284, ('<fffffffI2BB'):pack(cos(half_rad), 0, 0, sin(half_rad), unsure_rad, 0,
-        turn_rps, 92, MY_SYSTEM, track.component))
+        turn_rps, 84, MY_SYSTEM, track.component))
 end
 
 -- This vehicle's motion ----------------------------------------------------------------------------------------------
@@ -385,9 +385,9 @@ do
             return
         end
         sent_ms = t_ms
-        -- The ground tool's estimate is off by 0.2 m; a leader that turns off does it with 1 m/s2.
-        local untold_s = untold_ms * 0.001
-        look.order(look.north * far_m, look.east * far_m, north_mps, east_mps, 0.2 + 0.5 * untold_s * untold_s)
+        -- Heard, it is in the beam; a leader that turns off does it with 1 m/s2.
+        local unseen_s = (t_ms - track.seen_ms) * 0.001
+        look.order(look.north * far_m, look.east * far_m, north_mps, east_mps, 0.2 + 0.5 * unseen_s * unseen_s)
     end
 
     -- The leader's bearing is the yaw of each point, and goes on by the point's velocity, which after 2 s tells nothing of

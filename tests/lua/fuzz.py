@@ -37,7 +37,7 @@ from tests.lua.hostile_frames import (
     whole,
 )
 
-from echowing.mavlink.messages import EARTH_FRAME
+from echowing.mavlink.messages import WITHOUT_HEIGHT
 from echowing.paths import lua_folder
 from echowing.sim.desk_vehicle import GOOD, DeskVehicle
 from echowing.sim.luahost import LuaHost
@@ -441,7 +441,7 @@ class Flight:
             raise BrokenError(f"a look that is no direction: {told}")
         if not 0.0 <= unsure_rad <= math.pi / 2.0 + SLACK or max(up_rps, abs(turn_rps)) > TURN_RPS:
             raise BrokenError(f"a look beyond what a gimbal can: {told}")
-        if (flags, system) != (EARTH_FRAME, VEHICLE):
+        if (flags, system) != (WITHOUT_HEIGHT, VEHICLE):
             raise BrokenError(f"an order that is not the gimbal's: {told}")
 
     def _check_told(self) -> None:
