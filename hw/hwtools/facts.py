@@ -1,6 +1,7 @@
 """Where the hardware room's facts live, and how to read those that live in other rooms."""
 
 import tomllib
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -65,6 +66,26 @@ def firmware_pins() -> dict[str, dict[str, str]]:
     }
 
 
+@dataclass(frozen=True, slots=True)
+class Reach:
+    """How far the gimbal may turn to each side, and up and down."""
+
+    pan_deg: float
+    tilt_deg: float
+
+
+def gimbal_reach() -> Reach:
+    """Return the reach of a board with its defaults.
+
+    Until the firmware's parameter table has PAN_REACH and TILT_REACH: `[sweep]`.
+    """
+    normal, ours = search.parameter_defaults(), load(MOUNT / "parameters.toml")["sweep"]
+    return Reach(
+        normal.get("PAN_REACH", ours["pan_reach_deg"]),
+        normal.get("TILT_REACH", ours["tilt_reach_deg"]),
+    )
+
+
 def scan_aims() -> list[Aim]:
     """Return the search's points as directions; pulses grow to the right and upwards."""
     normal = search.parameter_defaults()
@@ -76,8 +97,3 @@ def scan_aims() -> list[Aim]:
 def beam_half_angle_deg() -> float:
     """Return the sonar's beam half-angle, from the simulator's sonar."""
     return sonar.BEAM_HALF_ANGLE_DEG
-
-
-def lever_arm_mm() -> float:
-    """Return how far the sonar's face is ahead of the aircraft's centre, from the simulator."""
-    return sonar.LEVER_ARM_M * 1000.0
