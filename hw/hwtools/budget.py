@@ -102,7 +102,7 @@ def _servo_supply(f: Figures) -> list[Check]:
     peak = "both servos starting, or stalled"
     return [
         Check("all", f"{average}: from the BEC", moving, "<=", f.bec_output / 2, "mA",
-              "2 servos; half of what the BEC gives, as it stands in no wind in its heat shrink"),
+              "2 servos; half of what the BEC gives, so that it stays cool"),
         Check("all", f"{peak}: from the BEC", stalled, "<=", f.bec_output, "mA",
               "2 servos: each small move begins with the motor at rest"),
         Check("all", f"{average}: heat in the BEC", moving * lost, "<=", f.bec_output / 2 * lost,

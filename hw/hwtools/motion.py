@@ -64,12 +64,12 @@ def loads(rig: Rig) -> list[Load]:
     sonar_nm = f.lead_stiffness / 1e6 / bends_m["sonar's lead"]
     servo_nm = f.servo_lead_stiffness / 1e6 / bends_m["servo's lead"]
     return [
-        Load("pan", *_turned(rig, panning, np.array([0.0, 0.0, 1.0])), sonar_nm + servo_nm),
-        Load("tilt", *_turned(rig, tilting, np.array([0.0, 1.0, 0.0])), sonar_nm),
+        Load("pan", *turned(rig, panning, np.array([0.0, 0.0, 1.0])), sonar_nm + servo_nm),
+        Load("tilt", *turned(rig, tilting, np.array([0.0, 1.0, 0.0])), sonar_nm),
     ]
 
 
-def _turned(rig: Rig, bodies: tuple[str, ...], axis: Point) -> tuple[float, float]:
+def turned(rig: Rig, bodies: tuple[str, ...], axis: Point) -> tuple[float, float]:
     """Return inertia about an axis through the pivot, and mass times distance from it."""
     mass_kg = masses_kg()
     inertia, moment = 0.0, np.zeros(3)
@@ -232,8 +232,9 @@ def _gap_text(rig: Rig) -> str:
 
 Over pan {swept.pan_deg:g} and tilt {swept.tilt_deg:g} degrees, {mount.number("sweep_beyond_deg"):g}
 beyond the reach. Between solids the gap wanted is proved for every pose, not only for those looked
-at; *least* is the narrowest that was seen. *tilting* is cradle and sonar, *panning* yoke and tilt servo, *fixed* base, cap, pan servo
-and tube, all with their screws; *frame* and *discs* are the aircraft.
+at; *least* is the narrowest that was seen. *tilting* is cradle and sonar, *panning* yoke and tilt
+servo, *fixed* base, cap, pan servo and tube, all with their screws; *frame* and *discs* are the
+aircraft.
 
 | moves | beside | least, mm | wanted, mm |
 |---|---|---|---|

@@ -45,12 +45,19 @@ class Rig:
         """How far the sonar's face is ahead of the pivot."""
         return self.measures["face_x"]
 
+    def motion(self, solid: str, aim: Aim) -> NDArray[np.float64]:
+        """Return how a solid is moved with the gimbal at `aim`: turn and shift (3, 4)."""
+        pans, tilts = solid in (PANNING, TILTING), solid == TILTING
+        turn = rotation(Aim(aim.right_deg if pans else 0.0, aim.up_deg if tilts else 0.0))
+        return np.column_stack([turn, self.pivot - turn @ self.pivot])
+
     def turned(self, points: Points, solid: str, aim: Aim) -> Points:
         """Return points of a solid with the gimbal at `aim`."""
-        if solid == TILTING:
-            turned: Points = (points - self.pivot) @ rotation(aim).T + self.pivot
-            return turned
-        return points @ rotation(Aim(aim.right_deg, 0.0)).T if solid == PANNING else points
+        if solid in STANDING:
+            return points
+        motion = self.motion(solid, aim)
+        turned: Points = points @ motion[:, :3].T + motion[:, 3]
+        return turned
 
 
 def load_rig(folder: Path, names: Sequence[str] = (*STANDING, PANNING, TILTING, *BODIES)) -> Rig:
@@ -88,7 +95,7 @@ def sampled(solid: trimesh.Trimesh, size_mm: float) -> Points:
     """Return points on the solid's surface, no farther apart than `size_mm`."""
     cut: Any = trimesh.remesh.subdivide_to_size  # has no types of its own
     vertices, _ = cut(solid.vertices, solid.faces, size_mm, max_iter=12)
-    return np.asarray(vertices, dtype=np.float64)
+    return np.unique(np.asarray(vertices, dtype=np.float64).round(2), axis=0)
 
 
 def common_mm3(one: trimesh.Trimesh, other: trimesh.Trimesh) -> float:
