@@ -45,7 +45,7 @@ lint: setup-test ## run formatters and linters; changes nothing
 	$(BIN)/clang-format --dry-run --Werror $$(git ls-files 'firmware/*.cpp' 'firmware/*.hpp' 'firmware/*.h' 'firmware/*.c' 'firmware/*.ino')
 
 pages: setup ## write the pages that are made from the code
-	$(BIN)/python -m echowing.sim.scenario_page host_tools/SCENARIOS.md
+	$(BIN)/python -m echowing.sim.key_pages host_tools
 
 format: setup-test ## apply the formatters
 	$(BIN)/ruff format .

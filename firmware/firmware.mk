@@ -14,7 +14,7 @@ BUILD_TOOLS := firmware/tools/build.py host_tools/echowing/sim/firmware.py
 export ECHOWING_STM32_CORE ECHOWING_STM32_CMSIS
 # What the Mega's binary is run through in `make test`, and what only the STM32 boards do.
 STM32_TESTS := $(addprefix tests/firmware/,on_stm32.py test_emulator_faults.py test_emulator_scan.py \
-	test_emulator_link.py test_emulator_figures.py)
+	test_emulator_link.py test_emulator_figures.py) tests/system/test_look.py
 
 .PHONY: arduino-cli firmware firmware-stm32 flash emulator emulated git-hash stm32-core test-stm32
 

@@ -5,10 +5,12 @@ max_comment_line_length = false -- a parameter's description is one line, as Ard
 
 -- What ArduPilot's Lua has of a stock one (host_tools/echowing/sim/lua_prelude.lua, `sandbox`).
 stds.vehicle = {
-    read_globals = {
-        'assert', 'error', 'ipairs', 'load', 'next', 'pairs', 'pcall', 'require', 'setmetatable', 'tonumber', 'tostring',
-        'type',
+    globals = { -- an applet may give these back
+        'package', 'require',
         math = { other_fields = true }, table = { other_fields = true }, io = { other_fields = true },
+    },
+    read_globals = {
+        'assert', 'error', 'ipairs', 'load', 'next', 'pairs', 'pcall', 'setmetatable', 'tonumber', 'tostring', 'type',
         string = {
             fields = {
                 'byte', 'char', 'find', 'format', 'gmatch', 'gsub', 'len', 'lower', 'match', 'pack', 'packsize', 'rep',

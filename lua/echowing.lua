@@ -20,15 +20,20 @@
 
 ---@diagnostic disable: need-check-nil
 
+-- Each script gets its own copy of the vehicle's libraries. What this one does not use of them goes: it takes 2 kB.
+local abs, cos, deg, exp, max, min = math.abs, math.cos, math.deg, math.exp, math.max, math.min
+local pi, sin, sqrt = math.pi, math.sin, math.sqrt
+io, math, package, require, table = nil, nil, nil, nil, nil
+
+local boot = millis() -- first: the operators of its class take the largest block of all
+
 -- The vehicle's memory is small: a number that is used once stands where it is used.
 local BLIND_MS = 2500 -- a target lost while too close is taken to be there for this time: no speed without sonar yet
-local FASTEST_MPS = 30.0 -- no copter flies faster; WPNAV_SPEED and WP_SPD reach 20
+local FASTEST_MPS = 30 -- no copter flies faster; WPNAV_SPEED and WP_SPD reach 20
 
 local function say(severity, text) -- MAV_SEVERITY: 2 critical, 3 error, 4 warning, 5 notice, 6 information
     gcs:send_text(severity, 'ECHO: ' .. text)
 end
-
-local min, max = math.min, math.max
 
 local function clamp(value, low, high)
     return max(low, min(high, value))
@@ -42,7 +47,7 @@ end
 
 -- The speed parameter and how many of its units make 1 m/s: WP_SPD from later 4.7 on, WPNAV_SPEED before.
 local SPEED_NAME = param:get('WP_SPD') and 'WP_SPD' or 'WPNAV_SPEED'
-local SPEED_UNITS = SPEED_NAME == 'WP_SPD' and 1.0 or 100.0
+local SPEED_UNITS = SPEED_NAME == 'WP_SPD' and 1 or 100
 if not (vehicle.set_target_posvelaccel_NED and mavlink and mavlink.receive_chan and param:get(SPEED_NAME)) then
     say(3, 'stopped, this firmware is not Copter 4.5 or newer')
     return
@@ -194,28 +199,28 @@ local PARAMETERS = [[
 local C = {} -- values in force: C.DIST, ...
 local read_some, mirror -- the mirror is written by part "speed"
 do
-    local names, lowest, highest, objects = {}, {}, {}, {}
+    local names, least, most, objects = {}, {}, {}, {}
     local complained = {}
-    local next_number = 1
+    local number = 1
 
     -- Uses the new value of parameter number i if it is in its range (NaN is not); else keeps the value in use.
     local function read(i)
         local name, value = names[i], objects[i]:get()
-        if value and value >= lowest[i] and value <= highest[i] then
+        if value and value >= least[i] and value <= most[i] then
             C[name] = value
             complained[name] = nil
         elseif not complained[name] then
             complained[name] = true
-            say(4, string.format('ECHO_%s out of range, using %.2f', name, C[name]))
+            say(4, ('ECHO_%s out of range, using %.2f'):format(name, C[name]))
         end
     end
 
     -- Three at each update: all of them within half a second in control, two seconds otherwise.
     function read_some()
         for _ = 1, 3 do
-            read(next_number)
-            next_number = next_number % (#names - 2) + 1 -- all but the last two, which the applet writes
-            if next_number == 1 then C.SPD_MAX = max(C.SPD_MAX, C.SPD_MIN) end
+            read(number)
+            number = number % (#names - 2) + 1 -- all but the last two, which the applet writes
+            if number == 1 then C.SPD_MAX = max(C.SPD_MAX, C.SPD_MIN) end
         end
     end
 
@@ -223,10 +228,10 @@ do
     -- 95 is the table key that no script in ArduPilot's tree uses.
     local left = param:get('ECHO_MIRROR')
     assert(param:add_table(95, 'ECHO_', 29), 'ECHO: parameter table key 95 is taken')
-    for name, value, low, high, number in string.gmatch(PARAMETERS, "'(%S+)', (%S+), (%S+), (%S+), (%S+),") do
+    for name, value, low, high, id in PARAMETERS:gmatch("'(%S+)', (%S+), (%S+), (%S+), (%S+),") do
         local i = #names + 1
-        assert(param:add_param(95, tonumber(number), name, tonumber(value)), 'ECHO: cannot add ECHO_' .. name)
-        names[i], C[name], lowest[i], highest[i] = name, tonumber(value), tonumber(low), tonumber(high)
+        assert(param:add_param(95, tonumber(id), name, tonumber(value)), 'ECHO: cannot add ECHO_' .. name)
+        names[i], C[name], least[i], most[i] = name, tonumber(value), tonumber(low), tonumber(high)
         objects[i] = Parameter('ECHO_' .. name)
     end
     objects[#objects]:set(2)
@@ -239,14 +244,15 @@ end
 -- The parts and their state -------------------------------------------------------------------------------------------
 
 -- Speeds are along the nose, where the sonar looks. Times are in ms; nil is "never".
-local own = { mps = 0.0, accel_mps2 = 0.0 } -- this vehicle's motion; at_ms: when
+local own = { mps = 0, accel_mps2 = 0 } -- this vehicle's motion; at_ms: when
 local track = { -- what the sonar reads (averages, single readings), and where the leader is by that, and how fast
-    board_ms = 0, late_ms = 0, quickest_ms = 0, dated = 0, leader_mps = 0.0, seen_ms = 0, readings = 0, spike_ms = 0,
+    board_ms = 0, late_ms = 0, quickest_ms = 0, dated = 0, leader_mps = 0, seen_ms = 0, readings = 0, spike_ms = 0,
+    noise_m = 0.0,
 }
-local hold = { mps = 0.0 } -- moves points along the beam
+local hold = { mps = 0 } -- moves points along the beam
 local guard = {} -- keeps away from the leader
-local stream = { north_mps = 0.0, east_mps = 0.0, yaw_rps = 0.0 } -- the ground tool's guided points
-local speed = { out_mps = 0.0, changes = {} } -- the speed parameter: ours, the pilot's, another script's
+local stream = { north_mps = 0, east_mps = 0, yaw_rps = 0 } -- the ground tool's guided points
+local speed = { out_mps = 0, changes = {} } -- the speed parameter: ours, the pilot's, another script's
 -- What pilots see: 0 off, 1 searching, 2 tracking, 3 too close, 4 no sonar data, 5 stream lost, 6 backing off, 7
 -- holding.
 local report = { state = 0 }
@@ -267,7 +273,7 @@ end
 -- is not goes nowhere. mps: the speed limit; nil: a target. False: it was not sent, or the autopilot refused it.
 local function order(mps, position, velocity, acceleration, look_rad, turn_rps)
     if mps then
-        if not is_within(mps, FASTEST_MPS) or mps <= 0.0 then return refuse('implausible speed') end
+        if not is_within(mps, FASTEST_MPS) or mps <= 0 then return refuse('implausible speed') end
         vehicle:set_desired_speed(mps)
         return true
     end
@@ -279,13 +285,13 @@ local function order(mps, position, velocity, acceleration, look_rad, turn_rps)
     -- The leader is within the sonar's reach, and its point within a second's flight of it; no copter is 100 km from
     -- where its estimator began, decelerates harder than the highest ECHO_DECEL, or turns its nose by 4 rad/s. The
     -- autopilot takes a yaw of up to 360 degrees.
-    if not (is_within(here:length(), 50.0) and is_within(position:length(), 1e5)
-        and is_within(velocity:length(), FASTEST_MPS) and is_within(acceleration:length(), 10.0)
-        and is_within(look_rad, 2.0 * math.pi) and is_within(turn_rps, 4.0)) then
+    if not (is_within(here:length(), 50) and is_within(position:length(), 1e5)
+        and is_within(velocity:length(), FASTEST_MPS) and is_within(acceleration:length(), 10)
+        and is_within(look_rad, 2 * pi) and is_within(turn_rps, 4)) then
         return refuse('implausible target')
     end
-    return vehicle:set_target_posvelaccel_NED(position, velocity, acceleration, true, math.deg(look_rad),
-        turn_rps ~= 0.0, math.deg(turn_rps), false)
+    return vehicle:set_target_posvelaccel_NED(position, velocity, acceleration, true, deg(look_rad),
+        turn_rps ~= 0, deg(turn_rps), false)
 end
 
 -- This vehicle's motion ----------------------------------------------------------------------------------------------
@@ -294,17 +300,17 @@ do
     -- Own speed along the heading, 0 while the estimator has none, and how it is changing: smoothed (100 ms), and no
     -- more than the vehicle can.
     function own.update(t_ms)
-        local velocity, mps = ahrs:get_velocity_NED(), 0.0
+        local velocity, mps = ahrs:get_velocity_NED(), 0
         if velocity then
             local yaw = yaw_rad(ahrs)
-            mps = velocity:x() * math.cos(yaw) + velocity:y() * math.sin(yaw)
-            if not is_within(mps, FASTEST_MPS) then mps = 0.0 end
+            mps = velocity:x() * cos(yaw) + velocity:y() * sin(yaw)
+            if not is_within(mps, FASTEST_MPS) then mps = 0 end
         end
-        local dt_ms = own.at_ms and t_ms - own.at_ms or math.maxinteger
+        local dt_ms = own.at_ms and t_ms - own.at_ms or 1000
         if dt_ms > 200 then
-            own.accel_mps2 = 0.0 -- too long ago to compare with
+            own.accel_mps2 = 0 -- too long ago to compare with
         elseif dt_ms > 0 then
-            local change_mps2 = clamp((mps - own.mps) * 1000.0 / dt_ms, -C.DECEL, C.DECEL)
+            local change_mps2 = clamp((mps - own.mps) * 1000 / dt_ms, -C.DECEL, C.DECEL)
             own.accel_mps2 = own.accel_mps2 + (change_mps2 - own.accel_mps2) * dt_ms / (dt_ms + 100)
         end
         own.mps, own.at_ms = mps, t_ms
@@ -316,7 +322,7 @@ do
         position:y(position:y() + east_m)
         -- With a velocity, as the points: Guided starts another way of flying with the lean of the moment for its
         -- steady part, and a vehicle that brakes or speeds up would swing by metres.
-        return order(nil, position, Vector3f(), Vector3f(), yaw_rad(ahrs), 0.0)
+        return order(nil, position, Vector3f(), Vector3f(), yaw_rad(ahrs), 0)
     end
 
     -- Flies to a place so far straight back, at this height, looking where it looks now.
@@ -324,13 +330,13 @@ do
         local position = ahrs:get_relative_position_NED_origin()
         if not position then return false end
         local yaw = yaw_rad(ahrs)
-        return fly_to(position, -back_m * math.cos(yaw), -back_m * math.sin(yaw))
+        return fly_to(position, -back_m * cos(yaw), -back_m * sin(yaw))
     end
 
     -- Whether it has come to rest, but for what the estimator is off: one that still leans only turns round.
     function own.stands()
         local velocity = ahrs:get_velocity_NED()
-        if not velocity or math.abs(own.accel_mps2) > 1.0 then return false end
+        if not velocity or abs(own.accel_mps2) > 1 then return false end
         local north_mps, east_mps = velocity:x(), velocity:y()
         return north_mps * north_mps + east_mps * east_mps < 0.3 * 0.3
     end
@@ -343,10 +349,10 @@ do
         local position, velocity = ahrs:get_relative_position_NED_origin(), ahrs:get_velocity_NED()
         if not (position and velocity) then return false end
         local north_mps, east_mps = velocity:x(), velocity:y()
-        local mps = math.sqrt(north_mps * north_mps + east_mps * east_mps)
-        if not is_within(mps, FASTEST_MPS) or mps < 0.01 then return fly_to(position, 0.0, 0.0) end
-        local then_mps = max(0.0, mps + own.accel_mps2 * own.mps / mps * LEAN_S)
-        local share = (0.5 * (mps + then_mps) * LEAN_S + then_mps * then_mps / (2.0 * C.DECEL)) / mps
+        local mps = sqrt(north_mps * north_mps + east_mps * east_mps)
+        if not is_within(mps, FASTEST_MPS) or mps < 0.01 then return fly_to(position, 0, 0) end
+        local then_mps = max(0, mps + own.accel_mps2 * own.mps / mps * LEAN_S)
+        local share = (0.5 * (mps + then_mps) * LEAN_S + then_mps * then_mps / (2 * C.DECEL)) / mps
         return fly_to(position, share * north_mps, share * east_mps)
     end
 end
@@ -364,9 +370,9 @@ do
         local status = rangefinder:status_orient(0) -- forward; 1 no data, 2 too low, 4 good
         if status ~= 4 and status ~= 2 then return nil, status end
         local range_m = rangefinder.distance_orient and rangefinder:distance_orient(0)
-            or rangefinder:distance_cm_orient(0) / 100.0
+            or rangefinder:distance_cm_orient(0) / 100
         -- The longest reach of a MaxBotix sonar is 10.7 m.
-        if not is_within(range_m, 20.0) or range_m < 0.0 or (range_m == 0.0 and status == 4) then return nil, status end
+        if not is_within(range_m, 20) or range_m < 0 or (range_m == 0 and status == 4) then return nil, status end
         return range_m + C.INSET, status
     end
 
@@ -393,9 +399,9 @@ do
     end
 
     function track.take(payload, t_ms)
-        local board_ms, value, name = string.unpack('<I4fc10', payload)
+        local board_ms, value, name = ('<I4fc10'):unpack(payload)
         if name ~= 'SNR_RAW\0\0\0' then return end
-        if not is_within(value, 20.0) or value <= 0.0 then return refuse('implausible reading') end
+        if not is_within(value, 20) or value <= 0 then return refuse('implausible reading') end
         track.raw_m, track.raw_ms = value + C.INSET, taken_ms(board_ms, t_ms)
         -- Stuck: readings stay the same to the centimetre while this vehicle changes its speed, and no leader flies so
         -- exactly alike. Of themselves no more than four in a row are the same.
@@ -433,9 +439,9 @@ do
     -- it is noise of the sonar (1 cm). After 1 s, of radio, the ground tool knows of it; a leader for which the slot
     -- was not opened is on a mission, or slow, and most likely flies round a corner.
     function track.braking_mps2(t_ms)
-        local opened = hold.distance_m() > C.DIST
-        if t_ms - track.seen_ms > (opened and 1000 or 300) or track.leader_mps2 > -0.8 then return 0.0 end
-        return max(-4.0, track.leader_mps2)
+        local unseen_ms = t_ms - track.seen_ms
+        if unseen_ms > (hold.distance_m() > C.DIST and 1000 or 300) or track.leader_mps2 > -0.8 then return 0 end
+        return max(-4, track.leader_mps2)
     end
 
     -- The leader's speed, carried on over dt_s to a moment that long after a reading. Not seen, it speeds up no
@@ -444,7 +450,7 @@ do
     local function carried_mps(unseen_ms, t_ms, dt_s)
         if unseen_ms <= 150 then return track.leader_mps + track.leader_mps2 * dt_s end
         if unseen_ms > 1000 then return track.seen_mps end
-        local least_mps = track.seen_mps > 0.0 and 0.0 or -2.0
+        local least_mps = track.seen_mps > 0 and 0 or -2
         local near = track.range_m < hold.distance_m() and track.leader_mps > least_mps
         if not near or track.braking_mps2(t_ms) > -1.5 then return min(track.leader_mps, track.seen_mps) end
         return max(least_mps, track.leader_mps + track.braking_mps2(t_ms) * dt_s)
@@ -470,7 +476,7 @@ do
     local function is_second(range_m, read_ms)
         if not track.spike_m then return false end
         local dt_s = (read_ms - track.spike_ms) * 0.001
-        return dt_s > 0.0 and dt_s < 0.3 and math.abs(range_m - track.spike_m) < 0.15 + 5.0 * dt_s, dt_s
+        return dt_s > 0 and dt_s < 0.3 and abs(range_m - track.spike_m) < 0.15 + 5 * dt_s, dt_s
     end
 
     -- A reading that was not foreseen counts only when the next one is like it: propellers make single wild ones. The
@@ -482,13 +488,13 @@ do
         -- on): two alike may be late echoes of something else, and three are believed.
         local unseen_s = min(read_ms - track.seen_ms, 700) * 0.001
         track.doubted = second and not third and track.readings >= TRUST_READINGS and
-            jump_m > 0.6 + 0.5 * 4.0 * unseen_s * unseen_s
+            jump_m > 0.6 + 0.5 * 4 * unseen_s * unseen_s
         if track.doubted or not second then return wait(range_m, read_ms) end
-        local rate_mps = clamp((range_m - track.spike_m) / dt_s, -5.0, 5.0)
-        track.leader_mps = rate_mps + 0.5 * (track.spike_own_mps + own.mps) - own.accel_mps2 * 0.05
+        track.leader_mps = clamp((range_m - track.spike_m) / dt_s, -5, 5)
+            + 0.5 * (track.spike_own_mps + own.mps) - own.accel_mps2 * 0.05
         track.range_m = range_m + (track.leader_mps - own.mps) * (0.05 + (t_ms - read_ms) * 0.001)
         track.own_mps, track.at_ms, track.seen_ms = own.mps, t_ms, read_ms
-        track.seen_mps, track.leader_mps2 = track.leader_mps, 0.0
+        track.seen_mps, track.leader_mps2 = track.leader_mps, 0
         -- Two alike may still be wild ones, until a third is foreseen.
         local trusted = third or track.readings >= TRUST_READINGS
         track.readings, track.spike_m = trusted and TRUST_READINGS or 2, nil
@@ -502,23 +508,27 @@ do
             local second = is_second(range_m, read_ms)
             track.range_m, track.leader_mps, track.own_mps, track.at_ms = range_m, own.mps, own.mps, t_ms
             track.seen_ms, track.readings = read_ms, 1
-            track.seen_mps, track.leader_mps2 = own.mps, 0.0
-            return (second and unforeseen or wait)(range_m, read_ms, t_ms, 0.0)
+            track.seen_mps, track.leader_mps2 = own.mps, 0
+            return (second and unforeseen or wait)(range_m, read_ms, t_ms, 0)
         end
         local dt_s = (read_ms - track.seen_ms) * 0.001
-        if dt_s <= 0.0 then return end
+        if dt_s <= 0 then return end
         track.carry(t_ms)
         local aged_s = 0.05 + (t_ms - read_ms) * 0.001
         local residual_m = range_m + (track.leader_mps - own.mps) * aged_s - track.range_m
-        -- Readings 0.1 s apart differ by less than 0.15 m even where both vehicles change their speed at 5 m/s2.
-        if math.abs(residual_m) > 0.15 or dt_s > 0.3 then
-            return unforeseen(range_m, read_ms, t_ms, math.abs(residual_m))
-        end
-        local keep = math.exp(-dt_s / C.TAU)
-        local lose = 1.0 - keep
-        local n = track.readings + 1 -- the first readings count as in a straight line through all of them
-        local range_share = max(1.0 - keep * keep * keep, 2.0 * (2.0 * n - 1.0) / (n * (n + 1.0)))
-        local rate_share = max(1.5 * lose * lose * (1.0 + keep), 6.0 / (n * (n + 1.0)))
+        -- Readings 0.1 s apart differ by less than 0.15 m even where both vehicles change their speed at 5 m/s2, but for
+        -- the sonar's noise, as it is seen.
+        local off_m = abs(residual_m)
+        if off_m > max(0.15, 4 * track.noise_m) then return unforeseen(range_m, read_ms, t_ms, off_m) end
+        -- Of the last three seconds. Up to 0.02 m it is that of whole centimetres; more is smoothed for longer.
+        track.noise_m = track.noise_m + 0.03 * (off_m - track.noise_m)
+        local keep = exp(-dt_s / (C.TAU * clamp(track.noise_m / 0.02, 1, 3)))
+        local lose = 1 - keep
+        -- The first readings count as in a straight line through all of them. A float: the square of the readings of 39
+        -- minutes is no 32-bit integer.
+        local n = track.readings + 1.0
+        local range_share = max(1 - keep * keep * keep, 2 * (2 * n - 1) / (n * (n + 1)))
+        local rate_share = max(1.5 * lose * lose * (1 + keep), 6 / (n * (n + 1)))
         local change_mps = rate_share / dt_s * residual_m
         -- The rate is that of the reading's time: the range of now changes with it. Left out, the next reading corrects
         -- for it once more, and the observer swings; from 0.14 s of age on it swings ever wider.
@@ -539,16 +549,16 @@ do
     -- answer begins 0.1 s later, and then dies away at the autopilot's jerk (PSC_JERK_NE, 5 m/s3 as it comes): until
     -- then the closing speed rises.
     local function closing_distance(closing_mps)
-        local a = max(0.0, own.accel_mps2)
-        local peak_mps = max(0.0, closing_mps + a * 0.1 + 0.5 * a * a / 5.0)
-        return peak_mps * C.DELAY + peak_mps * peak_mps / (2.0 * C.DECEL)
+        local accel_mps2 = max(0, own.accel_mps2)
+        local peak_mps = max(0, closing_mps + accel_mps2 * 0.1 + 0.5 * accel_mps2 * accel_mps2 / 5)
+        return peak_mps * C.DELAY + peak_mps * peak_mps / (2 * C.DECEL)
     end
 
     -- The closing speed from which the vehicle still stops at the close distance: the inverse of the above without
     -- acceleration.
     function guard.stoppable_mps(range_m)
         local lag_mps = C.DECEL * C.DELAY
-        return math.sqrt(lag_mps * lag_mps + 2.0 * C.DECEL * max(0.0, range_m - C.CLOSE)) - lag_mps
+        return sqrt(lag_mps * lag_mps + 2 * C.DECEL * max(0, range_m - C.CLOSE)) - lag_mps
     end
 
     -- Whether to fly a target of the applet's own away from the leader: it is still closing (slower than 0.15 m/s is
@@ -556,9 +566,9 @@ do
     -- metre to it).
     local function should_back_off(behind_m, near_m, closing_mps)
         local approach_mps = -track.leader_mps
-        if guard.evading then return approach_mps > 0.15 or closing_mps > 0.0 end
+        if guard.evading then return approach_mps > 0.15 or closing_mps > 0 end
         if closing_mps <= 0.15 or behind_m > max(0.5, approach_mps) then return false end
-        return approach_mps > 0.15 or near_m < C.CLOSE or near_m - closing_distance(closing_mps) < 1.0
+        return approach_mps > 0.15 or near_m < C.CLOSE or near_m - closing_distance(closing_mps) < 1
     end
 
     -- Too close and the track agrees: the state, and backing off.
@@ -566,17 +576,17 @@ do
         guard.too_close, guard.close_ms = true, t_ms
         report.state = 3
         -- Half a metre lower than points lead (flight/lowest.py) what is near is most likely the ground.
-        local LOWEST_M = 2.0
+        local LOWEST_M = 2
         local here = -ahrs:get_relative_position_D_home() > LOWEST_M - 0.5 and vehicle:get_likely_flying()
             and ahrs:get_location()
         -- Metres that the point in force lies behind the vehicle, away from the leader; 0 if it leads towards the
         -- leader.
-        local behind_m = 0.0
+        local behind_m = 0
         local ahead_m, mps = stream.ahead(here, t_ms)
-        if ahead_m and mps <= 0.0 then behind_m = max(0.0, -ahead_m) end
+        if ahead_m and mps <= 0 then behind_m = max(0, -ahead_m) end
         -- Back to the wanted distance, and the leader's approach of one second more, by 0.5 to 5 m.
         local evades = here and should_back_off(behind_m, near_m, closing_mps) and own.fly_back(clamp(
-            hold.distance_m() - near_m + max(0.0, -track.leader_mps), 0.5, 5.0))
+            hold.distance_m() - near_m + max(0, -track.leader_mps), 0.5, 5))
         if evades then
             report.state = 6
             -- Sent at once: the ground tool would call it back to where it held it.
@@ -594,15 +604,15 @@ do
     -- The limit to set, by the sonar's status.
     function guard.update(status, t_ms)
         local trusted = track.trusted(t_ms)
-        local closing_mps = trusted and own.mps - track.leader_mps or 0.0
-        local tracked_m = trusted and track.range_m or nil
-        local margin_m = guard.too_close and 0.3 or 0.0 -- it ends so far beyond where it began
+        local closing_mps = trusted and own.mps - track.leader_mps or 0
+        local near_m = trusted and track.range_m or nil
+        local margin_m = guard.too_close and 0.3 or 0 -- it ends so far beyond where it began
         -- From a leader that comes (0.5 m/s) it backs off to the wanted distance: if it stopped as soon as it was as
         -- fast, it would begin anew from nearer, its nose and its sonar down.
-        if status == 2 or (tracked_m and (tracked_m < 1.0 + margin_m -- closing or not
-            or tracked_m - closing_distance(closing_mps) < C.CLOSE + margin_m
-            or (guard.evading and track.leader_mps < -0.5 and tracked_m < hold.distance_m()))) then
-            return too_close(tracked_m or 0.0, closing_mps, t_ms)
+        if status == 2 or (near_m and (near_m < 1 + margin_m -- closing or not
+            or near_m - closing_distance(closing_mps) < C.CLOSE + margin_m
+            or (guard.evading and track.leader_mps < -0.5 and near_m < hold.distance_m()))) then
+            return too_close(near_m or 0, closing_mps, t_ms)
         end
         guard.rest()
         return clamp(C.SPD_LOST, C.SPD_MIN, C.SPD_MAX)
@@ -612,12 +622,12 @@ end
 -- Hold: points that carry a velocity -----------------------------------------------------------------------------------
 
 do
-    local LEAD_S = 0.3 -- until this vehicle leans against its motion
+    local LEAN_S = 0.3 -- until this vehicle leans against its motion
 
     -- The distance to keep, centre to centre: the ground tool opens the slot for a leader that can turn round faster
     -- than the vehicle gets away from ECHO_DIST. Such a leader may turn round faster than one on a mission does.
     function hold.distance_m()
-        return max(C.DIST, stream.at_ms and stream.opens_m or 0.0)
+        return max(C.DIST, stream.at_ms and stream.opens_m or 0)
     end
 
     -- Whether the leader most likely goes on with its mission.
@@ -642,17 +652,17 @@ do
     -- faster.
     local function along_beam(ahead_m, mps, braking_mps2, t_ms)
         -- From where both will be once this vehicle leans.
-        local wanted_m = track.range_m + 0.5 * braking_mps2 * LEAD_S * LEAD_S - hold.distance_m()
+        local wanted_m = track.range_m + 0.5 * braking_mps2 * LEAN_S * LEAN_S - hold.distance_m()
         local unseen_ms = t_ms - track.seen_ms
         if flies_on() and unseen_ms > 900 then track.leader_mps, track.seen_mps = mps, mps end
         if unseen_ms > 300 then
-            wanted_m = max(min(wanted_m, ahead_m), ahead_m - 5.0)
-            return min(eased(wanted_m), ahead_m + 1.0), min(track.leader_mps, mps)
+            wanted_m = max(min(wanted_m, ahead_m), ahead_m - 5)
+            return min(eased(wanted_m), ahead_m + 1), min(track.leader_mps, mps)
         end
         wanted_m = eased(wanted_m)
-        if wanted_m > ahead_m + 1.0 then return ahead_m + 1.0, min(mps, track.leader_mps) end
-        if wanted_m < ahead_m - 5.0 then return ahead_m - 5.0, mps end
-        return wanted_m, min(track.leader_mps, mps + 1.0)
+        if wanted_m > ahead_m + 1 then return ahead_m + 1, min(mps, track.leader_mps) end
+        if wanted_m < ahead_m - 5 then return ahead_m - 5, mps end
+        return wanted_m, min(track.leader_mps, mps + 1)
     end
 
     -- Towards the leader no faster than keeps it in the beam: a copter leans as it speeds up, and its sonar with it, 8
@@ -660,7 +670,7 @@ do
     -- so a target is hardly ahead; what is left of the gap is flown by speed, 1 m/s for each metre.
     local function gently(t_ms, wanted_m, wanted_mps)
         local mps = (hold.active and hold.mps or own.mps) + 1.4 * min(t_ms - (hold.at_ms or t_ms), 100) * 0.001
-        hold.mps, hold.at_ms = min(wanted_mps + clamp(wanted_m - 0.2, 0.0, 1.0), mps), t_ms
+        hold.mps, hold.at_ms = min(wanted_mps + clamp(wanted_m - 0.2, 0, 1), mps), t_ms
         return min(wanted_m, 0.2), hold.mps
     end
 
@@ -669,7 +679,7 @@ do
         local here = vehicle:get_likely_flying() and ahrs:get_location()
         local position = here and ahrs:get_relative_position_NED_origin()
         if not position then return false end
-        local ahead_m, mps, north_m, east_m, cos, sin = stream.ahead(here, t_ms)
+        local ahead_m, mps, north_m, east_m, c, s = stream.ahead(here, t_ms)
         if not ahead_m then return false end
         -- A leader that brakes is answered with its own deceleration.
         local braking_mps2 = track.braking_mps2(t_ms)
@@ -684,29 +694,29 @@ do
         else
             wanted_m, wanted_mps = gently(t_ms, along_beam(ahead_m, mps, braking_mps2, t_ms))
         end
-        local by_m, by_mps = wanted_m - ahead_m, wanted_mps + braking_mps2 * LEAD_S - mps
-        position:x(position:x() + north_m + by_m * cos)
-        position:y(position:y() + east_m + by_m * sin)
+        local by_m, by_mps = wanted_m - ahead_m, wanted_mps + braking_mps2 * LEAN_S - mps
+        position:x(position:x() + north_m + by_m * c)
+        position:y(position:y() + east_m + by_m * s)
         position:z(position:z() - stream.up_m - ahrs:get_relative_position_D_home())
         local velocity, acceleration = Vector3f(), Vector3f()
-        velocity:x(stream.north_mps + by_mps * cos)
-        velocity:y(stream.east_mps + by_mps * sin)
+        velocity:x(stream.north_mps + by_mps * c)
+        velocity:y(stream.east_mps + by_mps * s)
         -- What it does not yet decelerate by itself: more than the lean can give, and Guided's own plan would wait.
-        local missing_mps2 = max(braking_mps2, min(0.0, braking_mps2 - own.accel_mps2))
-        acceleration:x(missing_mps2 * cos)
-        acceleration:y(missing_mps2 * sin)
+        local missing_mps2 = max(braking_mps2, min(0, braking_mps2 - own.accel_mps2))
+        acceleration:x(missing_mps2 * c)
+        acceleration:y(missing_mps2 * s)
         -- After a leader that turns a corner with the rate, too: after a yaw alone Guided turns by ATC_INPUT_TC later,
         -- 0.15 s, 6 of the 20 degrees to the edge of the beam; and ahead by the 0.2 s that the nose is behind its
         -- attitude's target (SITL 4.6 0.2 s, 4.8 0.25 s). One that flies back is too near for a rate from its estimated
         -- bearing.
-        local turn_rps = stream.yaw_rad and flies_on() and stream.yaw_rps or 0.0
+        local turn_rps = stream.yaw_rad and flies_on() and stream.yaw_rps or 0
         local look_rad = (stream.yaw_rad or yaw_rad(ahrs)) + turn_rps * ((t_ms - stream.at_ms) * 0.001 + 0.2)
         return order(nil, position, velocity, acceleration, look_rad, turn_rps)
     end
 
     -- A point with no velocity at all is where the ground tool has stopped it: there it stays.
     function hold.is_wanted()
-        return stream.north_mps ~= 0.0 or stream.east_mps ~= 0.0
+        return stream.north_mps ~= 0 or stream.east_mps ~= 0
     end
 
     -- Whether the distance is held: points carry a velocity, and there is a leader to hold on to.
@@ -730,31 +740,31 @@ do
     -- opened, whether the tool leads it past another vehicle than the leader, and the format that says so.
     function stream.take(payload, sender, t_ms)
         local lat, lng, up_m, north_mps, east_mps, _, opens_m, makes_way, format, yaw, _, mask, system, _, frame =
-            string.unpack('<i4i4fffffffffI2BBB', payload, 5)
+            ('<i4i4fffffffffI2BBB'):unpack(payload, 5)
         if system ~= 0 and system ~= MY_SYSTEM then return end
         if format ~= 2 or frame ~= 6 or mask & ~0x0400 ~= 0x09C0 then return refuse('points of another format') end
         -- The autopilot's greatest latitude and longitude, and more metres than any slot opens to or copter climbs to.
         local looks = mask & 0x0400 == 0
-        if not (is_within(lat, 900000000) and is_within(lng, 1800000000) and is_within(up_m, 10000.0)
-            and is_within(north_mps, FASTEST_MPS) and is_within(east_mps, FASTEST_MPS) and is_within(opens_m, 1000.0)
-            and is_within(makes_way, 1.0) and (not looks or is_within(yaw, 2.0 * math.pi))) then
+        if not (is_within(lat, 900000000) and is_within(lng, 1800000000) and is_within(up_m, 10000)
+            and is_within(north_mps, FASTEST_MPS) and is_within(east_mps, FASTEST_MPS) and is_within(opens_m, 1000)
+            and is_within(makes_way, 1) and (not looks or is_within(yaw, 2 * pi))) then
             return refuse('implausible point')
         end
         -- Points count from one sender until it has been silent for a second: two would pull the vehicle to and fro.
-        local dt_s = stream.at_ms and (t_ms - stream.at_ms) * 0.001 or 1.0
-        if sender ~= stream.sender and dt_s < 1.0 then return refuse('points of a second sender') end
+        local dt_s = stream.at_ms and (t_ms - stream.at_ms) * 0.001 or 1
+        if sender ~= stream.sender and dt_s < 1 then return refuse('points of a second sender') end
         -- How fast the streamed yaw turns: half of what was, for the leader's bearing is estimated. Points nearer in
         -- time, or further, do not tell; the highest rate is that of ATC_RATE_WPY_MAX, 60 deg/s.
-        local rate_rps = 0.0
+        local turn_rps = 0
         if looks and stream.yaw_rad and dt_s > 0.05 and dt_s < 0.4 then
-            local turn_rad = (yaw - stream.yaw_rad + math.pi) % (2.0 * math.pi) - math.pi
-            rate_rps = clamp(turn_rad / dt_s, -1.0, 1.0)
+            local turn_rad = (yaw - stream.yaw_rad + pi) % (2 * pi) - pi
+            turn_rps = clamp(turn_rad / dt_s, -1, 1)
         end
-        stream.yaw_rps = 0.5 * (stream.yaw_rps + rate_rps)
+        stream.yaw_rps = 0.5 * (stream.yaw_rps + turn_rps)
         stream.sender, stream.at_ms = sender, t_ms
         stream.lat, stream.lng, stream.up_m, stream.yaw_rad = lat, lng, up_m, looks and yaw or nil
         stream.north_mps, stream.east_mps = north_mps, east_mps
-        stream.opens_m, stream.makes_way = min(opens_m, 6.0), makes_way == 1.0 -- as the highest ECHO_DIST
+        stream.opens_m, stream.makes_way = min(opens_m, 6), makes_way == 1 -- as the highest ECHO_DIST
     end
 
     -- The point in force now: metres ahead of here (along the nose) and its speed there; the same north and east in
@@ -764,17 +774,16 @@ do
         local target = here:copy()
         target:lat(stream.lat)
         target:lng(stream.lng)
-        local offset, age_s = here:get_distance_NE(target), (t_ms - stream.at_ms) * 0.001
-        local north_m, east_m = offset:x() + stream.north_mps * age_s, offset:y() + stream.east_mps * age_s
+        local offset, dt_s = here:get_distance_NE(target), (t_ms - stream.at_ms) * 0.001
+        local north_m, east_m = offset:x() + stream.north_mps * dt_s, offset:y() + stream.east_mps * dt_s
         local yaw = yaw_rad(ahrs)
-        local cos, sin = math.cos(yaw), math.sin(yaw)
-        return north_m * cos + east_m * sin, stream.north_mps * cos + stream.east_mps * sin, north_m, east_m, cos, sin
+        local c, s = cos(yaw), sin(yaw)
+        return north_m * c + east_m * s, stream.north_mps * c + stream.east_mps * s, north_m, east_m, c, s
     end
 
     -- Holds the vehicle where it is once a stream of guided points has fallen silent.
     function stream.watch(t_ms)
-        local silent = C.STREAM_T > 0.0 and stream.at_ms and t_ms - stream.at_ms > C.STREAM_T * 1000.0
-        if not silent then
+        if not (C.STREAM_T > 0 and stream.at_ms and t_ms - stream.at_ms > C.STREAM_T * 1000) then
             stream.holding = false
             return
         end
@@ -809,13 +818,13 @@ do
     -- Whether bytes that end with their checksum are whole (X.25, which is then 0): four bytes at a time. Zeros that
     -- follow change nothing.
     local function is_whole(bytes)
-        local unpack, crc = string.unpack, 0xFFFF
+        local crc = 0xFFFF
         for i = 1, #bytes - 3, 4 do
-            local q = unpack('<i4', bytes, i) ~ crc
-            q = q ~ q << 4 ~ q << 11 ~ q << 16
-            q = q ~ q << 8 ~ q << 22
-            q = q ~ q << 16
-            crc = q >> 16 ~ q >> 21 ~ q >> 28
+            crc = crc ~ ('<i4'):unpack(bytes, i)
+            crc = crc ~ crc << 4 ~ crc << 11 ~ crc << 16
+            crc = crc ~ crc << 8 ~ crc << 22
+            crc = crc ~ crc << 16
+            crc = crc >> 16 ~ crc >> 21 ~ crc >> 28
         end
         return crc == 0
     end
@@ -824,22 +833,22 @@ do
     -- message that is for another script, or damaged. Bytes that the checksum does not cover are not used.
     local function read(message)
         -- A mavlink_message_t has 299 bytes where system ids have 32 bits, 291 where they have 8.
-        local sub, wide = string.sub, #message >= 299 and 3 or 0
-        local magic, length, flags = string.unpack('BBB', message, 3)
-        local component, id = string.unpack('<BI3', message, 9 + wide)
+        local wide = #message >= 299 and 3 or 0
+        local magic, length, flags = message:byte(3, 5)
+        local component, id = ('<BI3'):unpack(message, 9 + wide)
         local extra = CRC_EXTRA[id]
         if not extra then return nil end
         local old = magic == 0xFE -- MAVLink 1
         -- 53 bytes are the longest payload; flag 1, a signature, is the only one that changes nothing before the
         -- checksum.
         if length <= 53 and (old or flags & ~1 == 0) then
-            local payload = sub(message, 13 + wide, 12 + wide + length)
+            local payload = message:sub(13 + wide, 12 + wide + length)
             -- As on the wire: from the length to one byte of the system's id, its component, one or three bytes of id.
-            local sent = sub(message, 4, old and 4 or 6) .. sub(message, 7, 8)
-                .. sub(message, 9 + wide, (old and 10 or 12) + wide) .. payload
-            if is_whole(sent .. string.char(extra) .. sub(message, 1, 2) .. '\0\0\0') then
-                local system = string.byte(message, 8)
-                return id, system, system << 8 | component, payload .. string.rep('\0', 53 - length)
+            local sent = message:sub(4, old and 4 or 6) .. message:sub(7, 8)
+                .. message:sub(9 + wide, (old and 10 or 12) + wide) .. payload
+            if is_whole(sent .. ('B'):pack(extra) .. message:sub(1, 2) .. '\0\0\0') then
+                local system = message:byte(8)
+                return id, system, system << 8 | component, payload .. ('\0'):rep(53 - length)
             end
         end
         return nil, refuse('damaged message')
@@ -871,7 +880,7 @@ do
 
     -- A value of the speed parameter, in its unit, that is a pilot's.
     local function is_speed(units)
-        return is_within(units, FASTEST_MPS * SPEED_UNITS) and units > 0.0
+        return is_within(units, FASTEST_MPS * SPEED_UNITS) and units > 0
     end
 
     function speed.is_set()
@@ -898,15 +907,15 @@ do
 
     -- Outside changes of the speed parameter: one is the pilot's, four in ten seconds are another script's.
     function speed.fought_over(t_ms)
-        return #speed.changes == 4 and t_ms - speed.changes[1] < 10000
+        return speed.changes[4] and t_ms - speed.changes[4] < 10000
     end
 
     -- The pilot has set the speed parameter while the applet is in control: his value from now on.
     function speed.watch(t_ms)
         local units = parameter:get()
         if speed.units and units ~= speed.units and is_speed(units) then
-            table.insert(speed.changes, t_ms)
-            if #speed.changes > 4 then table.remove(speed.changes, 1) end
+            local changes = speed.changes
+            speed.changes = { t_ms, changes[1], changes[2], changes[3] }
             if control.active then
                 speed.pilot_units, speed.conflict = units, speed.fought_over(t_ms)
                 mirror:set(units)
@@ -919,7 +928,7 @@ do
     local left = mirror:get()
     if is_speed(left) then
         speed.give_back(left)
-        say(4, string.format('restarted, %s back to %.2f', SPEED_NAME, left))
+        say(4, ('restarted, %s back to %.2f'):format(SPEED_NAME, left))
     end
 end
 
@@ -941,25 +950,25 @@ do
     function report.announce(t_ms)
         local state = report.state
         if state == report.announced then return end
-        local severity, text, gap_ms = table.unpack(NOTICES, 3 * state - 2, 3 * state)
+        local severity, text, gap_ms = NOTICES[3 * state - 2], NOTICES[3 * state - 1], NOTICES[3 * state]
         local last_ms = report.announced_ms[state]
         if last_ms and t_ms - last_ms < gap_ms then return end
         report.announced, report.announced_ms[state] = state, t_ms
-        if state == 1 or state == 4 then text = string.format('%s, %.1f m/s', text, C.SPD_LOST) end
+        if state == 1 or state == 4 then text = ('%s, %.1f m/s'):format(text, C.SPD_LOST) end
         say(severity, text)
     end
 
     function report.send(range_m, t_ms)
         if not report.named_ms or t_ms - report.named_ms >= 500 then
             report.named_ms = t_ms
-            gcs:send_named_float('ECHO_RNG', range_m or 0.0)
+            gcs:send_named_float('ECHO_RNG', range_m or 0)
             gcs:send_named_float('ECHO_SPD', speed.out_mps)
             gcs:send_named_float('ECHO_STATE', report.state)
         end
-        if C.LOG_HZ <= 0.0 or (report.log_ms and t_ms - report.log_ms < 1000.0 / C.LOG_HZ - 1.0) then return end
+        if C.LOG_HZ <= 0 or (report.log_ms and t_ms - report.log_ms < 1000 / C.LOG_HZ - 1) then return end
         report.log_ms = t_ms
         logger:write('ECHO', 'Rng,Flt,Err,Spd,St,Ref', 'ffffBI', 'mmmn--', '0000--', range_m or 0.0,
-            track.range_m or 0.0, range_m and range_m - hold.distance_m() or 0.0, speed.out_mps, report.state,
+            track.range_m or 0, range_m and range_m - hold.distance_m() or 0, speed.out_mps, report.state,
             refused.count)
     end
 end
@@ -1000,8 +1009,6 @@ end
 -- Control: who flies, and the update ---------------------------------------------------------------------------------
 
 do
-    -- Milliseconds since the script started, a plain integer (wraps after 24 days).
-    local boot = millis()
     -- Why the applet must not act now, or nil.
     local function reason_not_to_act()
         if C.ENABLE < 1 then return 'disabled' end
@@ -1013,15 +1020,15 @@ do
         if control.deaf then return 'deaf' end
         if not speed.is_set() then return SPEED_NAME .. ' out of range' end
         if speed.conflict then return 'another script sets ' .. SPEED_NAME end
-        local channel = C.SWITCH > 0 and rc:find_channel_for_option(math.tointeger(C.SWITCH // 1))
-        if C.SWITCH > 0 and not (channel and channel:get_aux_switch_pos() == 2) then return 'switch' end -- high
+        local switch = C.SWITCH > 0 and rc:find_channel_for_option(C.SWITCH // 1 | 0)
+        if C.SWITCH > 0 and not (switch and switch:get_aux_switch_pos() == 2) then return 'switch' end -- high
         return nil
     end
 
     local function take_control(t_ms)
         speed.take_over()
         control.active = true
-        stream.at_ms, stream.holding, stream.yaw_rps = nil, false, 0.0
+        stream.at_ms, stream.holding, stream.yaw_rps = nil, false, 0
         guard.evading, guard.close_ms, guard.seen_ms, guard.data_ms = false, t_ms - BLIND_MS, t_ms, t_ms
         report.announced_ms, report.state, report.announced = {}, 2, 2 -- a target is assumed until it is missed
         track.range_m = nil
@@ -1034,7 +1041,7 @@ do
         control.active = false
         speed.give_back(speed.pilot_units)
         report.state = 0
-        say(5, string.format('handed back, %s %.2f (%s)', SPEED_NAME, speed.pilot_units, reason))
+        say(5, ('handed back, %s %.2f (%s)'):format(SPEED_NAME, speed.pilot_units, reason))
     end
 
     local function act(t_ms)
@@ -1048,9 +1055,9 @@ do
         if status > 1 then guard.data_ms = t_ms end
         if track.is_target(range_m) then guard.seen_ms = t_ms end
         report.state = 2
-        if t_ms - guard.data_ms >= C.NODATA_T * 1000.0 then
+        if t_ms - guard.data_ms >= C.NODATA_T * 1000 then
             report.state = 4
-        elseif t_ms - guard.seen_ms >= C.LOST_T * 1000.0 and t_ms - guard.close_ms >= BLIND_MS then
+        elseif t_ms - guard.seen_ms >= C.LOST_T * 1000 and t_ms - guard.close_ms >= BLIND_MS then
             report.state = 1
         end
         -- The limit of the correction towards the points.
@@ -1071,7 +1078,7 @@ do
     end
 
     local function update()
-        local t_ms = (millis() - boot):toint()
+        local t_ms = (millis() - boot):toint() -- since the script started: a plain integer, wraps after 24 days
         read_some()
         own.update(t_ms)
         track.carry(t_ms)

@@ -13,11 +13,16 @@
   echowing.lua, the other applet, holds the distance more exactly, and needs more memory. A card holds one of the two:
   they use the same parameters. Purpose, parameters, and what each message means: echowing_speed.md.
 
-  How it stays small: each name, function and local takes heap for itself, so one table holds the state, and a number that
-  is used once stands where it is used, with its meaning beside it.
+  How it stays small: each name, function and local takes heap for itself, so one table holds the state, a name stands for
+  what is alike, and a number that is used once stands where it is used, with its meaning beside it. What runs once comes
+  last, in a function of its own. The names, texts and numbers are less than 256: the compiler's table of them would double.
 --]]
 
 ---@diagnostic disable: need-check-nil
+
+-- Each script gets its own copy of the vehicle's libraries. What this one does not use of them goes: it takes 2 kB.
+local abs, cos, deg, max, min, sin = math.abs, math.cos, math.deg, math.max, math.min, math.sin
+io, math, table = nil, nil, nil
 
 -- States, as ECHO_STATE tells them: 0 off, 1 searching, 2 tracking, 3 too close, 4 no sonar data, 5 stream lost, 6 backing
 -- off. Severities: 2 critical, 4 warning, 5 notice, 6 info. Mode 4 is Guided.
@@ -27,289 +32,226 @@ local function say(severity, text)
 end
 
 local function clamp(value, low, high)
-    return math.max(low, math.min(high, value))
+    return max(low, min(high, value))
 end
 
 -- Parameters ---------------------------------------------------------------------------------------------------------
 
--- Name, default, lowest and highest accepted value of each parameter. In a function: what reads the script keeps the
--- memory of an unfinished function, and the main one is finished last.
-local PARAMETERS = (function() return {
-    --[[
-      // @Param: ECHO_ENABLE
-      // @DisplayName: Echowing enable
-      // @Description: Lets the applet set the speed in Guided
-      // @Values: 0:Disabled,1:Enabled
-      // @User: Standard
-    --]]
-    'ENABLE', 0, 0, 1,
-    --[[
-      // @Param: ECHO_LAW
-      // @DisplayName: Echowing speed law
-      // @Description: How the range sets the speed. Thesis: fixed steps by bands; no change while no target is detected. Bands: the same steps, which stop at the limits; the speed recovers when the target is lost
-      // @Values: 0:Thesis,1:Bands
-      // @User: Standard
-    --]]
-    'LAW', 0, 0, 1,
-    --[[
-      // @Param: ECHO_DIST
-      // @DisplayName: Echowing wanted distance
-      // @Description: Distance to the leader, centre to centre
-      // @Range: 1.5 6
-      // @Units: m
-      // @User: Standard
-    --]]
-    'DIST', 3, 1.5, 6,
-    --[[
-      // @Param: ECHO_DETECT
-      // @DisplayName: Echowing detection limit
-      // @Description: The applet takes a range of this or more for no target
-      // @Range: 2 7.6
-      // @Units: m
-      // @User: Standard
-    --]]
-    'DETECT', 4.5, 2, 7.6,
-    --[[
-      // @Param: ECHO_BAND_IN
-      // @DisplayName: Echowing monitor band
-      // @Description: The speed does not change while the range is within this of the wanted distance
-      // @Range: 0.01 0.5
-      // @Units: m
-      // @User: Advanced
-    --]]
-    'BAND_IN', 0.05, 0.01, 0.5,
-    --[[
-      // @Param: ECHO_BAND_OUT
-      // @DisplayName: Echowing small step band
-      // @Description: The speed changes by the small step while the range is within this of the wanted distance, else by the big step
-      // @Range: 0.05 1.5
-      // @Units: m
-      // @User: Advanced
-    --]]
-    'BAND_OUT', 0.25, 0.05, 1.5,
-    --[[
-      // @Param: ECHO_STEP_SML
-      // @DisplayName: Echowing small step
-      // @Description: Change of speed per period, near the wanted distance
-      // @Range: 0.05 2
-      // @Units: m/s
-      // @User: Advanced
-    --]]
-    'STEP_SML', 0.5, 0.05, 2,
-    --[[
-      // @Param: ECHO_STEP_BIG
-      // @DisplayName: Echowing big step
-      // @Description: Change of speed per period, far from the wanted distance
-      // @Range: 0.05 3
-      // @Units: m/s
-      // @User: Advanced
-    --]]
-    'STEP_BIG', 1, 0.05, 3,
-    --[[
-      // @Param: ECHO_PERIOD
-      // @DisplayName: Echowing law period
-      // @Description: Time between two steps
-      // @Range: 0.1 2
-      // @Units: s
-      // @User: Advanced
-    --]]
-    'PERIOD', 0.45, 0.1, 2,
-    --[[
-      // @Param: ECHO_SPD_MIN
-      // @DisplayName: Echowing lowest speed
-      // @Description: Lowest speed limit. 0 would mean no limit. Below 0.2 the autopilot saves a value of its own
-      // @Range: 0.2 2
-      // @Units: m/s
-      // @User: Standard
-    --]]
-    'SPD_MIN', 0.2, 0.2, 2,
-    --[[
-      // @Param: ECHO_SPD_MAX
-      // @DisplayName: Echowing highest speed
-      // @Description: Highest speed limit
-      // @Range: 1 15
-      // @Units: m/s
-      // @User: Standard
-    --]]
-    'SPD_MAX', 5, 1, 15,
-    --[[
-      // @Param: ECHO_SPD_INIT
-      // @DisplayName: Echowing initial speed
-      // @Description: Speed limit when the applet takes control
-      // @Range: 0.2 15
-      // @Units: m/s
-      // @User: Standard
-    --]]
-    'SPD_INIT', 2.5, 0.2, 15,
-    --[[
-      // @Param: ECHO_SPD_LOST
-      // @DisplayName: Echowing speed without sonar
-      // @Description: Speed limit while the sonar sends no data or detects no target (law 0 keeps its speed while it detects no target)
-      // @Range: 0.2 15
-      // @Units: m/s
-      // @User: Standard
-    --]]
-    'SPD_LOST', 3, 0.2, 15,
-    --[[
-      // @Param: ECHO_LOST_T
-      // @DisplayName: Echowing target lost time
-      // @Description: The target is lost after this time without a detection
-      // @Range: 0.3 10
-      // @Units: s
-      // @User: Standard
-    --]]
-    'LOST_T', 1.5, 0.3, 10,
-    --[[
-      // @Param: ECHO_CLOSE
-      // @DisplayName: Echowing close distance
-      // @Description: Too close: the range minus the distance that still closes before the vehicle stops is under this. Any range under 1 m is too close
-      // @Range: 0.5 4
-      // @Units: m
-      // @User: Standard
-    --]]
-    'CLOSE', 1.5, 0.5, 4,
-    --[[
-      // @Param: ECHO_DELAY
-      // @DisplayName: Echowing reaction delay
-      // @Description: Time from a reading until the vehicle reacts: sonar, wire and attitude. Used for the closing distance
-      // @Range: 0.1 2
-      // @Units: s
-      // @User: Advanced
-    --]]
-    'DELAY', 1.2, 0.1, 2,
-    --[[
-      // @Param: ECHO_DECEL
-      // @DisplayName: Echowing braking
-      // @Description: Deceleration that the vehicle reaches. Used for the closing distance
-      // @Range: 0.5 10
-      // @Units: m/s/s
-      // @User: Advanced
-    --]]
-    'DECEL', 2.5, 0.5, 10,
-    --[[
-      // @Param: ECHO_RATE
-      // @DisplayName: Echowing rate limit
-      // @Description: Law 1: highest rate of change of the speed limit, except when too close. 0: no rate limit
-      // @Range: 0 20
-      // @Units: m/s/s
-      // @User: Advanced
-    --]]
-    'RATE', 4, 0, 20,
-    --[[
-      // @Param: ECHO_STREAM_T
-      // @DisplayName: Echowing stream watchdog
-      // @Description: The applet holds the vehicle where it is when a stream of guided points stops for this long. 0: no watchdog
-      // @Range: 0 10
-      // @Units: s
-      // @User: Standard
-    --]]
-    'STREAM_T', 1, 0, 10,
-    --[[
-      // @Param: ECHO_INSET
-      // @DisplayName: Echowing sonar inset
-      // @Description: Distance between the two vehicles' centres minus what the sonar reads. The sonar's face is ahead of the follower's centre, and the leader's legs, which reflect, are around its centre
-      // @Range: 0 1
-      // @Units: m
-      // @User: Standard
-    --]]
-    'INSET', 0.2, 0, 1,
-    --[[
-      // @Param: ECHO_MIRROR
-      // @DisplayName: Echowing mirror of the pilot's speed
-      // @Description: The pilot's value of the speed parameter, in its own unit, while the applet is in control; 0 otherwise. The applet writes it, so that a restarted script can restore the speed parameter
-      // @Range: 0 10000
-      // @ReadOnly: True
-      // @User: Advanced
-    --]]
-    'MIRROR', 0, 0, 10000,
-} end)()
--- What the applet knows. Times are in ms; distances are between the two vehicles' centres. All of it from the start, and
--- false where it is not known: a table that grows in flight, as it also does for what was nil, needs a hole of its new
--- size, and small heaps have small holes.
+--[[
+  // @Param: ECHO_ENABLE
+  // @DisplayName: Echowing enable
+  // @Description: Lets the applet set the speed in Guided
+  // @Values: 0:Disabled,1:Enabled
+  // @User: Standard
+  // @Param: ECHO_LAW
+  // @DisplayName: Echowing speed law
+  // @Description: How the range sets the speed. Thesis: fixed steps by bands; no change while no target is detected. Bands: the same steps, which stop at the limits; the speed recovers when the target is lost
+  // @Values: 0:Thesis,1:Bands
+  // @User: Standard
+  // @Param: ECHO_DIST
+  // @DisplayName: Echowing wanted distance
+  // @Description: Distance to the leader, centre to centre
+  // @Range: 1.5 6
+  // @Units: m
+  // @User: Standard
+  // @Param: ECHO_DETECT
+  // @DisplayName: Echowing detection limit
+  // @Description: The applet takes a range of this or more for no target
+  // @Range: 2 7.6
+  // @Units: m
+  // @User: Standard
+  // @Param: ECHO_BAND_IN
+  // @DisplayName: Echowing monitor band
+  // @Description: The speed does not change while the range is within this of the wanted distance
+  // @Range: 0.01 0.5
+  // @Units: m
+  // @User: Advanced
+  // @Param: ECHO_BAND_OUT
+  // @DisplayName: Echowing small step band
+  // @Description: The speed changes by the small step while the range is within this of the wanted distance, else by the big step
+  // @Range: 0.05 1.5
+  // @Units: m
+  // @User: Advanced
+  // @Param: ECHO_STEP_SML
+  // @DisplayName: Echowing small step
+  // @Description: Change of speed per period, near the wanted distance
+  // @Range: 0.05 2
+  // @Units: m/s
+  // @User: Advanced
+  // @Param: ECHO_STEP_BIG
+  // @DisplayName: Echowing big step
+  // @Description: Change of speed per period, far from the wanted distance
+  // @Range: 0.05 3
+  // @Units: m/s
+  // @User: Advanced
+  // @Param: ECHO_PERIOD
+  // @DisplayName: Echowing law period
+  // @Description: Time between two steps
+  // @Range: 0.1 2
+  // @Units: s
+  // @User: Advanced
+  // @Param: ECHO_SPD_MIN
+  // @DisplayName: Echowing lowest speed
+  // @Description: Lowest speed limit. 0 would mean no limit. Below 0.2 the autopilot saves a value of its own
+  // @Range: 0.2 2
+  // @Units: m/s
+  // @User: Standard
+  // @Param: ECHO_SPD_MAX
+  // @DisplayName: Echowing highest speed
+  // @Description: Highest speed limit
+  // @Range: 1 15
+  // @Units: m/s
+  // @User: Standard
+  // @Param: ECHO_SPD_INIT
+  // @DisplayName: Echowing initial speed
+  // @Description: Speed limit when the applet takes control
+  // @Range: 0.2 15
+  // @Units: m/s
+  // @User: Standard
+  // @Param: ECHO_SPD_LOST
+  // @DisplayName: Echowing speed without sonar
+  // @Description: Speed limit while the sonar sends no data or detects no target (law 0 keeps its speed while it detects no target)
+  // @Range: 0.2 15
+  // @Units: m/s
+  // @User: Standard
+  // @Param: ECHO_LOST_T
+  // @DisplayName: Echowing target lost time
+  // @Description: The target is lost after this time without a detection
+  // @Range: 0.3 10
+  // @Units: s
+  // @User: Standard
+  // @Param: ECHO_CLOSE
+  // @DisplayName: Echowing close distance
+  // @Description: Too close: the range minus the distance that still closes before the vehicle stops is under this. Any range under 1 m is too close
+  // @Range: 0.5 4
+  // @Units: m
+  // @User: Standard
+  // @Param: ECHO_DELAY
+  // @DisplayName: Echowing reaction delay
+  // @Description: Time from a reading until the vehicle reacts: sonar, wire and attitude. Used for the closing distance
+  // @Range: 0.1 2
+  // @Units: s
+  // @User: Advanced
+  // @Param: ECHO_DECEL
+  // @DisplayName: Echowing braking
+  // @Description: Deceleration that the vehicle reaches. Used for the closing distance
+  // @Range: 0.5 10
+  // @Units: m/s/s
+  // @User: Advanced
+  // @Param: ECHO_RATE
+  // @DisplayName: Echowing rate limit
+  // @Description: Law 1: highest rate of change of the speed limit, except when too close. 0: no rate limit
+  // @Range: 0 20
+  // @Units: m/s/s
+  // @User: Advanced
+  // @Param: ECHO_STREAM_T
+  // @DisplayName: Echowing stream watchdog
+  // @Description: The applet holds the vehicle where it is when a stream of guided points stops for this long. 0: no watchdog
+  // @Range: 0 10
+  // @Units: s
+  // @User: Standard
+  // @Param: ECHO_INSET
+  // @DisplayName: Echowing sonar inset
+  // @Description: Distance between the two vehicles' centres minus what the sonar reads. The sonar's face is ahead of the follower's centre, and the leader's legs, which reflect, are around its centre
+  // @Range: 0 1
+  // @Units: m
+  // @User: Standard
+  // @Param: ECHO_MIRROR
+  // @DisplayName: Echowing mirror of the pilot's speed
+  // @Description: The pilot's value of the speed parameter, in its own unit, while the applet is in control; 0 otherwise. The applet writes it, so that a restarted script can restore the speed parameter
+  // @Range: 0 10000
+  // @ReadOnly: True
+  // @User: Advanced
+--]]
+
+-- Name, default, lowest and highest accepted value, and the number by which the autopilot finds what a pilot has saved: a
+-- number belongs to one name for ever, in both applets. A table of them, with an object each, would take 2 kB more.
+local PARAMETERS = [[
+ENABLE 0 0 1 1
+LAW 0 0 1 2
+DIST 3 1.5 6 3
+DETECT 4.5 2 7.6 4
+BAND_IN 0.05 0.01 0.5 5
+BAND_OUT 0.25 0.05 1.5 6
+STEP_SML 0.5 0.05 2 7
+STEP_BIG 1 0.05 3 8
+PERIOD 0.45 0.1 2 9
+SPD_MIN 0.2 0.2 2 13
+SPD_MAX 5 1 15 14
+SPD_INIT 2.5 0.2 15 15
+SPD_LOST 3 0.2 15 16
+LOST_T 1.5 0.3 10 17
+CLOSE 1.5 0.5 4 19
+DELAY 1.2 0.1 2 20
+DECEL 2.5 0.5 10 21
+RATE 4 0 20 22
+STREAM_T 1 0 10 23
+INSET 0.2 0 1 27
+]]
+
+-- What the applet knows. Times are in ms; distances are between the two vehicles' centres, speeds along the nose. All of it
+-- from the start, and false where it is not known: a table that grows in flight, as it also does for what was nil, needs a
+-- hole of its new size, and small heaps have small holes.
 local S = {
-    state = 0, row = 1, points = 0, point_ms = 0, near_m = 0, closing_mps = 0, board_ms = 0, seen_ms = -10000,
-    sender = 0,
-    wild = false, close = false, holding = false, pilot_units = false, units = false, announced = 0, text = false,
-    law_mps = 0, wish_mps = 0, speed_mps = 0, data_ms = 0, range_ms = 0,
-    step_ms = 0, update_ms = 0, told_ms = 0, named_ms = 0,
+    state = 0, row = 1, points = 0, point_ms = 0, sender = 0, update_ms = 0, dt_s = 0, yaw = 0, own_mps = 0,
+    near_m = 10, leader_mps = 0, board_ms = 0, seen_ms = 0, wilds = 0, wild_m = 0,
+    auth = false, deaf = false, close = false, holding = false, pilot_units = false, units = false, text = false,
+    law_mps = 0, wish_mps = 0, speed_mps = 0, data_ms = 0, range_ms = 0, step_ms = 0,
+    announced = 0, told_ms = 0, named_ms = 0,
 }
 local C = {} -- values in force: C.DIST, ...
-for i = 1, #PARAMETERS, 4 do C[PARAMETERS[i]] = PARAMETERS[i + 1] end
 
-
--- Uses the new value of a parameter (its name is PARAMETERS[i]) if it is in its range (NaN is not); else keeps the old.
-local function read(i)
-    local name, value = PARAMETERS[i], PARAMETERS[i + 1]:get()
-    if value and value >= PARAMETERS[i + 2] and value <= PARAMETERS[i + 3] then
+-- Uses the new value of the next parameter, in row S.row of the text, if it is in its range (NaN is not); else keeps the
+-- old.
+local function read()
+    local name, low, high, row = PARAMETERS:match('(%S+) %S+ (%S+) (%S+) %S+()', S.row)
+    S.row = row < #PARAMETERS and row or 1
+    local value = param:get('ECHO_' .. name)
+    if value and value >= tonumber(low) and value <= tonumber(high) then
         C[name] = value
-        if C[i] then C[i] = nil end -- no new key for a nil
-    elseif not C[i] then
-        C[i] = name -- told
-        say(4, string.format('ECHO_%s out of range, using %.2f', name, C[name]))
+        if C[row] then C[row] = nil end -- no new key for a nil
+    elseif not C[row] then
+        C[row] = name -- told
+        say(4, ('ECHO_%s out of range, using %.2f'):format(name, C[name]))
     end
 end
 
-if not param:add_table(95, 'ECHO_', 50) then error('ECHO: parameter table key 95 is taken') end -- ArduPilot's use others
--- What a script that died in control left in the mirror, the last parameter: its value is not saved, and the default is
--- back once it is added.
-local units = param:get('ECHO_' .. PARAMETERS[#PARAMETERS - 3])
-for i = 1, #PARAMETERS, 4 do
-    local name = PARAMETERS[i]
-    -- Their numbers, in the same order. The autopilot keeps a saved value by its number: a number belongs to one name for
-    -- ever, in both applets.
-    param:add_param(
-        95, string.byte('\1\2\3\4\5\6\7\8\9\13\14\15\16\17\19\20\21\22\23\27\28', 1 + i // 4), name, PARAMETERS[i + 1])
-    PARAMETERS[i + 1] = Parameter('ECHO_' .. name) -- in the place of its default
-    read(i)
-end
-local mirror = PARAMETERS[#PARAMETERS - 2]
-
--- State --------------------------------------------------------------------------------------------------------------
+-- This vehicle -------------------------------------------------------------------------------------------------------
 
 -- The speed parameter and how many of its units make 1 m/s: WP_SPD from later 4.7 on, WPNAV_SPEED before.
 local SPEED_NAME = param:get('WP_SPD') and 'WP_SPD' or 'WPNAV_SPEED'
-local parameter = Parameter(SPEED_NAME)
 local per_mps = SPEED_NAME == 'WP_SPD' and 1 or 100
 
 -- Flies to a place so far back, looking where it looks now: Guided would turn the nose, and with it the sonar, towards a
 -- target without a yaw. False: it does not fly, or the target was refused.
 local function fly_back(off_m)
-    local position, yaw = ahrs:get_relative_position_NED_origin(), (ahrs.get_yaw_rad or ahrs.get_yaw)(ahrs)
+    local position, yaw = ahrs:get_relative_position_NED_origin(), S.yaw
     if not (position and vehicle:get_likely_flying()) then return false end
-    position:x(position:x() - off_m * math.cos(yaw))
-    position:y(position:y() - off_m * math.sin(yaw))
-    return position:length() < 10000 and math.abs(yaw) < 6 -- NaN is not, nor is what an estimator that fails tells
-        and vehicle:set_target_pos_NED(position, true, math.deg(yaw), false, 0, false, false)
+    position:x(position:x() - off_m * cos(yaw))
+    position:y(position:y() - off_m * sin(yaw))
+    return position:length() < 10000 and abs(yaw) < 6 -- NaN is not, nor is what an estimator that fails tells
+        and vehicle:set_target_pos_NED(position, true, deg(yaw), false, 0, false, false)
 end
 
 -- Sonar --------------------------------------------------------------------------------------------------------------
 
--- Distance by the rangefinder's running average, nil where it is no measurement or no target; and the status.
-local function read_sonar()
-    local status = rangefinder:status_orient(0) -- 1 no data, 2 too low, 3 too high, 4 good
-    local range_m = rangefinder.distance_orient and rangefinder:distance_orient(0)
-        or rangefinder:distance_cm_orient(0) / 100
-    return (status == 4 and range_m > 0 or status == 2 and range_m >= 0)
-        and range_m < C.DETECT and range_m + C.INSET or nil, status
-end
-
--- Distance and closing speed of the target by the single readings: an observer that is damped well at 10 and at 20 Hz. One
--- reading far from the rest is wild, as propellers make them; a second one begins anew. board_ms: the co-processor's clock.
-local function track(range_m, board_ms, t_ms)
-    local dt_s = (board_ms - S.board_ms) / 1000
-    local off_m = range_m - S.near_m + S.closing_mps * dt_s
+-- Distance and speed of the target by the single readings: an observer that is damped well at 10 and at 20 Hz. A reading far
+-- from what was foreseen is wild, as propellers make them, and late echoes make two alike: the third one is a target, which
+-- flies as fast as this vehicle until the next ones show its speed. board_ms: the co-processor's clock.
+local function track(range_m, board_ms)
+    local dt_s, off_m = (board_ms - S.board_ms) / 1000, range_m - S.near_m
     local known = dt_s > 0 and dt_s < 0.5
-    if known and math.abs(off_m) > 0.5 and not S.wild then
-        S.wild = known
-        return
-    end
-    S.board_ms, S.seen_ms, S.wild = board_ms, t_ms, false
-    if not known or math.abs(off_m) > 0.5 then
-        S.near_m, S.closing_mps = range_m, 0
-    else
+    S.board_ms = board_ms
+    if known and abs(off_m) < 0.5 then
         S.near_m = range_m - 0.3 * off_m
-        S.closing_mps = clamp(S.closing_mps - 0.4 * off_m / dt_s, -C.SPD_MAX, C.SPD_MAX)
+        S.leader_mps = clamp(S.leader_mps + 0.4 * off_m / dt_s, -C.SPD_MAX, C.SPD_MAX)
+    else
+        S.wilds = known and abs(range_m - S.wild_m) < 0.5 and S.wilds + 1 or 1
+        S.wild_m = range_m
+        if S.wilds < 3 then return end
+        S.near_m, S.leader_mps = range_m, S.own_mps
     end
+    S.seen_ms, S.wilds = S.update_ms, 0
 end
 
 -- Laws ---------------------------------------------------------------------------------------------------------------
@@ -333,8 +275,14 @@ local function law_step(speed_mps, range_m)
     return wish_mps
 end
 
--- The law's speed.
-local function run_law(range_m, status, t_ms)
+-- Sets the law's speed by the rangefinder's running average. Gives the distance, nil where it is no measurement or no
+-- target, and the status.
+local function run_law(t_ms)
+    local status = rangefinder:status_orient(0) -- 1 no data, 2 too low, 3 too high, 4 good
+    local range_m = rangefinder.distance_orient and rangefinder:distance_orient(0)
+        or rangefinder:distance_cm_orient(0) / 100
+    range_m = (status == 4 and range_m > 0 or status == 2 and range_m >= 0)
+        and range_m < C.DETECT and range_m + C.INSET or nil
     S.state = 2
     if status > 1 then S.data_ms = t_ms end
     if range_m then
@@ -348,19 +296,19 @@ local function run_law(range_m, status, t_ms)
             S.state, S.wish_mps = 1, C.LAW >= 1 and C.SPD_LOST or S.wish_mps
         end
     end
-    local most_mps = C.LAW >= 1 and C.RATE > 0 and C.RATE * (t_ms - S.update_ms) / 1000 or C.SPD_MAX
-    S.law_mps = clamp(S.law_mps + clamp(S.wish_mps - S.law_mps, -most_mps, most_mps), C.SPD_MIN, C.SPD_MAX)
+    local mps = C.LAW >= 1 and C.RATE > 0 and C.RATE * S.dt_s or C.SPD_MAX
+    S.law_mps = clamp(S.law_mps + clamp(S.wish_mps - S.law_mps, -mps, mps), C.SPD_MIN, C.SPD_MAX)
+    return range_m, status
 end
 
--- Guard: too close, or too fast to stop before it is, wins over every law. It backs off to the wanted distance: it would
--- begin anew from nearer, its nose and its sonar down. Gives the speed to set.
+-- Guard: too close, or too fast to stop before it is, wins over every law. From a leader that comes (0.5 m/s) it backs off to
+-- the wanted distance: it would begin anew from nearer, its nose and its sonar down. Gives the speed to set.
 local function guard(status, t_ms)
     -- A target lost while too close is taken to be there for 2.5 s: while it backs off the nose is up, and the sonar often
     -- sees nothing.
     local known = t_ms - S.seen_ms <= (S.close and 5 or 1) * 500
-    local closing_mps = math.max(0, known and S.closing_mps or 0)
-    local near_m = known and S.near_m - closing_mps * (t_ms - S.seen_ms) / 1000 or 10
-    S.close = status == 2 or S.close and near_m < C.DIST
+    local near_m, closing_mps = known and S.near_m or 10, known and max(0, S.own_mps - S.leader_mps) or 0
+    S.close = status == 2 or S.close and near_m < C.DIST and (S.leader_mps < -0.5 or near_m < C.CLOSE + 0.3)
         or near_m - closing_mps * C.DELAY - closing_mps * closing_mps / (2 * C.DECEL) < C.CLOSE
     if not S.close then return S.law_mps end
     if C.LAW >= 1 then S.wish_mps, S.law_mps = C.SPD_MIN, C.SPD_MIN end
@@ -373,56 +321,39 @@ local function guard(status, t_ms)
     return C.SPD_MIN
 end
 
--- Stream watch: holds the vehicle where it is once a stream of guided points has fallen silent. Three points are a stream;
--- one alone may be a pilot's click on the map.
-local function watch_stream(t_ms)
-    if C.STREAM_T == 0 or S.points < 3 or t_ms - S.point_ms <= C.STREAM_T * 1000 or S.close then
-        S.holding = false -- hold again where the evasion ends
-    else
-        S.state, S.holding = 5, S.holding or fly_back(0)
-    end
-end
-
 -- MAVLink ------------------------------------------------------------------------------------------------------------
-
--- SET_POSITION_TARGET_GLOBAL_INT and NAMED_VALUE_FLOAT. An error where other scripts have taken the places.
-local deaf = not pcall(function()
-    mavlink:init(5, 2)
-    mavlink:register_rx_msgid(86)
-    mavlink:register_rx_msgid(251)
-end) and 'other scripts leave no place to receive'
 
 -- Takes a point for this vehicle, or a single reading. Frames whose checksum is wrong reach scripts too: it is computed.
 -- Points count from one sender until it has been silent for a second.
 local function take_message(message, t_ms)
-    local sub, wide = string.sub, #message >= 299 and 3 or 0 -- bytes of mavlink_message_t where ids have 32 bits; else 291
-    local old, length, flags = string.byte(message, 3, 5)
-    local point = string.byte(message, 10 + wide) == 86
+    local wide = #message >= 299 and 3 or 0 -- bytes of mavlink_message_t where ids have 32 bits; else 291
+    local old, length, flags = message:byte(3, 5)
+    local point = message:byte(10 + wide) == 86
     old = old == 0xFE -- MAVLink 1
     if length > 53 or not (old or flags < 2) then return end -- 1: signed; more changes the frame
     -- As on the wire from the length on; one or three bytes of message id. The byte that follows is the message's
     -- CRC_EXTRA.
-    local bytes = sub(message, 4, old and 4 or 6) .. sub(message, 7, 8)
-        .. sub(message, 9 + wide, (old and 10 or 12) + wide) .. sub(message, 13 + wide, 12 + wide + length)
-        .. (point and '\5' or '\170') .. sub(message, 1, 2) .. '\0\0\0'
+    local bytes = message:sub(4, old and 4 or 6) .. message:sub(7, 8)
+        .. message:sub(9 + wide, (old and 10 or 12) + wide) .. message:sub(13 + wide, 12 + wide + length)
+        .. (point and '\5' or '\170') .. message:sub(1, 2) .. '\0\0\0'
     local crc = 0xFFFF -- X.25, four bytes at a time; 0 at the end, and zeros that follow change nothing
     for i = 1, #bytes - 3, 4 do
-        crc = crc ~ string.unpack('<i4', bytes, i)
+        crc = crc ~ ('<i4'):unpack(bytes, i)
         crc = crc ~ crc << 4 ~ crc << 11 ~ crc << 16
         crc = crc ~ crc << 8 ~ crc << 22
         crc = crc ~ crc << 16
         crc = crc >> 16 ~ crc >> 21 ~ crc >> 28
     end
     if crc ~= 0 then return end
-    local own, sender = param:get('MAV_SYSID') or param:get('SYSID_THISMAV'), string.byte(message, 8)
+    local own, sender = param:get('MAV_SYSID') or param:get('SYSID_THISMAV'), message:byte(8)
     if not point then
-        local board_ms, range_m, name = string.unpack('<i4fc7', message, 13 + wide)
+        local board_ms, range_m, name = ('<i4fc7'):unpack(message, 13 + wide)
         if sender == own and name == 'SNR_RAW' and range_m > 0 and range_m < C.DETECT then
-            track(range_m + C.INSET, board_ms, t_ms)
+            track(range_m + C.INSET, board_ms)
         end
         return
     end
-    local system = length > 50 and string.byte(message, 63 + wide) or 0
+    local system = length > 50 and message:byte(63 + wide) or 0
     local late = t_ms - S.point_ms > 1000
     if system ~= 0 and system ~= own or sender ~= S.sender and not late then return end
     S.points, S.point_ms, S.sender = late and 1 or S.points + 1, t_ms, sender
@@ -432,18 +363,22 @@ end
 
 -- An outside change while in control is the pilot's: his value from now on.
 local function watch_speed()
-    local value = parameter:get()
+    local value = param:get(SPEED_NAME)
     if value ~= S.units and value > 0 then -- NaN is not
         S.pilot_units = value
-        mirror:set(value)
+        param:set('ECHO_MIRROR', value)
     end
 end
 
-local function give_back(value, reason)
-    parameter:set(value)
+local function hand_back(reason)
+    if not S.pilot_units then return end
+    watch_speed()
+    local value = S.pilot_units
+    param:set(SPEED_NAME, value)
     if vehicle:get_mode() == 4 then vehicle:set_desired_speed(value / per_mps) end
-    mirror:set(0)
-    say(5, string.format('handed back, %s %.2f (%s)', SPEED_NAME, value, reason))
+    param:set('ECHO_MIRROR', 0)
+    say(5, ('handed back, %s %.2f (%s)'):format(SPEED_NAME, value, reason))
+    S.pilot_units, S.state = false, 0
 end
 
 -- What pilots see ----------------------------------------------------------------------------------------------------
@@ -468,56 +403,55 @@ end
 
 -- Control: who flies, and the update ---------------------------------------------------------------------------------
 
-local function hand_back(reason)
-    if not S.pilot_units then return end
-    watch_speed()
-    give_back(S.pilot_units, reason)
-    S.pilot_units, S.state = false, 0
-end
-
 local function act(t_ms)
     if not S.pilot_units then
         S.units, S.points, S.close, S.holding = false, 0, false, false
-        S.step_ms, S.update_ms, S.data_ms, S.range_ms, S.told_ms = t_ms, t_ms, t_ms, t_ms, t_ms - 10000
+        S.step_ms, S.data_ms, S.range_ms, S.told_ms = t_ms, t_ms, t_ms, t_ms - 10000
         S.named_ms, S.announced = t_ms - 500, 2
         S.law_mps = clamp(C.SPD_INIT, C.SPD_MIN, C.SPD_MAX)
         S.wish_mps = S.law_mps
-        say(6, string.format('in control, law %.0f, %.1f m/s', C.LAW // 1, S.law_mps))
+        say(6, ('in control, law %.0f, %.1f m/s'):format(C.LAW // 1, S.law_mps))
     end
     watch_speed() -- before the speed is touched: a restart must find the pilot's
-    local range_m, status = read_sonar()
-    run_law(range_m, status, t_ms)
+    local range_m, status = run_law(t_ms)
     S.speed_mps = guard(status, t_ms)
-    watch_stream(t_ms)
-    parameter:set(S.speed_mps * per_mps)
-    S.units, S.update_ms = parameter:get(), t_ms
+    -- Holds the vehicle where it is once a stream of guided points has fallen silent. Three points are a stream; one alone
+    -- may be a pilot's click on the map.
+    if C.STREAM_T == 0 or S.points < 3 or t_ms - S.point_ms <= C.STREAM_T * 1000 or S.close then
+        S.holding = false -- hold again where the evasion ends
+    else
+        S.state, S.holding = 5, S.holding or fly_back(0)
+    end
+    param:set(SPEED_NAME, S.speed_mps * per_mps)
+    S.units = param:get(SPEED_NAME)
     vehicle:set_desired_speed(S.speed_mps)
     report(range_m, t_ms)
     return S.state == 6 and 20 or 50
 end
 
-local auth = arming:get_aux_auth_id()
-
 -- Gives the pause before the next update, ms.
 local function update()
     local t_ms = millis():toint()
-    for _ = 1, 3 do -- each of them within half a second in control; the mirror is written, not read
-        read(S.row)
-        S.row = (S.row + 3) % (#PARAMETERS - 4) + 1
-    end
-    C.SPD_MAX = math.max(C.SPD_MAX, C.SPD_MIN)
+    for _ = 1, 3 do read() end -- each of them within half a second in control
+    C.SPD_MAX = max(C.SPD_MAX, C.SPD_MIN)
+    -- The target's distance is carried on to now: this vehicle knows its own motion, also while its sonar sees nothing.
+    local velocity, yaw = ahrs:get_velocity_NED(), (ahrs.get_yaw_rad or ahrs.get_yaw)(ahrs)
+    local mps = velocity and velocity:x() * cos(yaw) + velocity:y() * sin(yaw) or 0
+    S.own_mps = abs(mps) < 50 and mps or 0 -- no copter flies faster, and NaN is not
+    S.yaw, S.dt_s, S.update_ms = yaw, (t_ms - S.update_ms) / 1000, t_ms
+    S.near_m = S.near_m + (S.leader_mps - S.own_mps) * S.dt_s
     for _ = 1, 5 do
         local message = mavlink:receive_chan()
         if message then take_message(message, t_ms) end
     end
-    local reason = (C.ENABLE < 1 or deaf) and 'disabled' or not arming:is_armed() and 'disarmed'
+    local reason = (C.ENABLE < 1 or S.deaf) and 'disabled' or not arming:is_armed() and 'disarmed'
         or vehicle:get_mode() ~= 4 and 'mode'
     if not reason then return act(t_ms) end
     hand_back(reason)
-    if auth and C.ENABLE >= 1 and (deaf or not rangefinder:has_orientation(0)) then
-        arming:set_aux_auth_failed(auth, 'ECHO: ' .. (deaf or 'no forward rangefinder'))
-    elseif auth then
-        arming:set_aux_auth_passed(auth)
+    if S.auth and C.ENABLE >= 1 and (S.deaf or not rangefinder:has_orientation(0)) then
+        arming:set_aux_auth_failed(S.auth, 'ECHO: ' .. (S.deaf or 'no forward rangefinder'))
+    elseif S.auth then
+        arming:set_aux_auth_passed(S.auth)
     end
     return 100
 end
@@ -533,7 +467,33 @@ local function run()
     return run, value
 end
 
--- A script that died in control left the pilot's value in the mirror.
-if units and units > 0 then give_back(units, 'restarted') end
-say(deaf and 4 or 6, deaf or 'ready')
-return run, 100
+-- Start --------------------------------------------------------------------------------------------------------------
+
+-- What takes memory once: the vehicle forgets the main function, and then this one, as soon as they have ended.
+local function start()
+    if not param:add_table(95, 'ECHO_', 50) then error('ECHO: parameter table key 95 is taken') end -- ArduPilot's use others
+    local units = param:get('ECHO_MIRROR') -- what a script that died in control left there
+    param:add_param(95, 28, 'MIRROR', 0) -- it is not saved: its default is back
+    if units then param:set('ECHO_MIRROR', units) end
+    for _ = 1, 20 do
+        local name, value, i = PARAMETERS:match('(%S+) (%S+) %S+ %S+ (%S+)', S.row)
+        C[name] = tonumber(value)
+        param:add_param(95, tonumber(i), name, C[name])
+        read()
+    end
+    -- SET_POSITION_TARGET_GLOBAL_INT and NAMED_VALUE_FLOAT. An error where other scripts have taken the places.
+    S.auth = arming:get_aux_auth_id()
+    S.deaf = not pcall(function()
+        mavlink:init(5, 2)
+        mavlink:register_rx_msgid(86)
+        mavlink:register_rx_msgid(251)
+    end) and 'other scripts leave no place to receive'
+    if units and units > 0 then
+        S.units, S.pilot_units = param:get(SPEED_NAME), units
+        hand_back('restarted')
+    end
+    say(S.deaf and 4 or 6, S.deaf or 'ready')
+    return run, 100
+end
+
+return start, 0

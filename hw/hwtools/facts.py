@@ -1,5 +1,6 @@
 """Where the hardware room's facts live, and how to read those that live in other rooms."""
 
+import math
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
@@ -75,15 +76,9 @@ class Reach:
 
 
 def gimbal_reach() -> Reach:
-    """Return the reach of a board with its defaults.
-
-    Until the firmware's parameter table has PAN_REACH and TILT_REACH: `[sweep]`.
-    """
-    normal, ours = search.parameter_defaults(), load(MOUNT / "parameters.toml")["sweep"]
-    return Reach(
-        normal.get("PAN_REACH", ours["pan_reach_deg"]),
-        normal.get("TILT_REACH", ours["tilt_reach_deg"]),
-    )
+    """Return the reach of a board with its defaults, from the firmware's parameter table."""
+    normal = search.parameter_defaults()
+    return Reach(normal["PAN_REACH"], normal["TILT_REACH"])
 
 
 def scan_aims() -> list[Aim]:
@@ -95,5 +90,5 @@ def scan_aims() -> list[Aim]:
 
 
 def beam_half_angle_deg() -> float:
-    """Return the sonar's beam half-angle, from the simulator's sonar."""
-    return sonar.BEAM_HALF_ANGLE_DEG
+    """Return the sonar's beam half-angle, from the simulator's sonar on a desk."""
+    return math.degrees(sonar.ON_A_DESK.widest_rad)

@@ -111,7 +111,7 @@ def checks(rig: Rig) -> list[Check]:
             Check(load.axis, "speed under that load, in pulse", speed * servo.us_per_deg, ">=",
                   slowest_us, "us/s", "the firmware's SERVO_RATE counts on it"),
         ]  # fmt: skip
-    return [*found, *_travel(), *_boom(rig)]
+    return [*found, *travel_checks(), *_boom(rig)]
 
 
 def reach_deg(middle_us: float, us_per_deg: float) -> float:
@@ -120,7 +120,8 @@ def reach_deg(middle_us: float, us_per_deg: float) -> float:
     return min(most - middle_us, middle_us - least) / us_per_deg
 
 
-def _travel() -> list[Check]:
+def travel_checks() -> list[Check]:
+    """Return whether the servos turn as far as the firmware may tell them to."""
     servo, reach = servos.Servo(), gimbal_reach()
     turns = reach_deg(MIDDLE_US, servo.us_per_deg)
     how = f"{MIDDLE_US:g} us straight ahead, {PULSES_US[0]:g} to {PULSES_US[1]:g} us"

@@ -5,8 +5,8 @@
 //
 // part = "base", "cap", "yoke" or "cradle": one printed part, lying as it is printed.
 // part = "plate": all four as printed, side by side.
-// part = "assembly": everything in place. part = "keepout": the same with the beam's cones.
-// part = "vehicle": the keep-out with frame and propellers.
+// part = "assembly": everything in place.
+// part = "vehicle": the same on frame and propellers, with the beam's cones.
 // part = "fixed", "panning", "tilting", "frame", "discs": what stands and moves together, for the
 // checks; without the servos' horns and the pivot's shaft, which touch on purpose.
 // part = "yoke_mass", "tilt_servo_mass", "cradle_mass", "sonar_mass": one body each, for the inertia.
@@ -23,7 +23,7 @@ $fn = 48;
 eps = 0.01; // keeps cut faces from coinciding
 bodies = ["fixed", "panning", "tilting", "frame", "discs",
           "yoke_mass", "tilt_servo_mass", "cradle_mass", "sonar_mass"];
-horns = len([for (body = bodies) if (body == part) body]) == 0;
+drawn = len([for (body = bodies) if (body == part) body]) == 0; // a picture or a print, no check
 
 // ---- derived heights and widths ---------------------------------------------------------------
 shelf_top = frame_tube_diameter_mm / 2 + print_wall_mm;
@@ -218,7 +218,7 @@ module servo() {
         cube([servo_ear_length_mm, servo_body_width_mm, servo_ear_thickness_mm]);
     color("SteelBlue") translate([0, 0, servo_case_top_mm - servo_ear_underside_mm - eps])
         cylinder(d = servo_tower_diameter_mm, h = servo_tower_top_mm - servo_case_top_mm);
-    if (horns) color("White") translate([0, 0, servo_tower_top_mm - servo_ear_underside_mm])
+    if (drawn) color("White") translate([0, 0, servo_tower_top_mm - servo_ear_underside_mm])
         cylinder(d = horn_hub_diameter_mm - 0.6,
                  h = servo_horn_top_mm - servo_tower_top_mm - horn_recess_mm);
 }
@@ -296,8 +296,8 @@ module tilt_lead() {
 module tilting() {
     color("Tomato") cradle();
     translate([board_back, 0, 0]) sonar();
-    // the sonar's two screws, on either diagonal: their heads behind the plate
-    for (side = [-1, 1], edge = [-1, 1])
+    // the sonar's two screws, their heads behind the plate; the checks take either diagonal
+    for (side = [-1, 1], edge = drawn ? [side] : [-1, 1])
         translate([plate_back, edge * sonar_hole_pitch_width_mm / 2,
                    side * sonar_hole_pitch_height_mm / 2]) rotate([0, -90, 0]) m3_head();
 }
@@ -329,9 +329,9 @@ module assembly() {
 
 // the beam at the scan's points (green) and at the ends of the reach (blue); it starts as wide as
 // the transducer
-module beams(ends = reach_ends_deg) {
+module beams() {
     for (point = scan_points_deg) color("LimeGreen", 0.10) beam(point);
-    for (point = ends) color("DodgerBlue", 0.16) beam(point);
+    for (point = reach_ends_deg) color("DodgerBlue", 0.16) beam(point);
 }
 module beam(point) { // [left, up] in degrees
     start = sonar_transducer_diameter_mm / 2;
@@ -391,10 +391,10 @@ module printed(name) {
 }
 
 module plate() {
-    translate([0, -30, 0]) color("Orange") printed("base");
-    translate([0, 25, 0]) color("Orange") printed("cap");
-    translate([50, -25, 0]) color("Gold") printed("yoke");
-    translate([40, 25, 0]) color("Tomato") printed("cradle");
+    translate([0, -35, 0]) color("Orange") printed("base");
+    translate([0, 35, 0]) color("Orange") printed("cap");
+    translate([60, -35, 0]) color("Gold") printed("yoke");
+    translate([40, 45, 0]) color("Tomato") printed("cradle");
 }
 
 // Which way the aircraft flies, in the pictures only: an arrow and its word, which faces whoever
@@ -419,7 +419,6 @@ echo(yoke_bottom = yoke_bottom, tilt_z = tilt_z, face_x = face_x, shelf_top = sh
      plate_back = plate_back, yoke_back = -arm_width / 2);
 
 if (part == "assembly") { assembly(); forward(); }
-else if (part == "keepout") { assembly(); beams(); forward(); }
 else if (part == "vehicle") { assembly(); frame(); discs(); beams(); forward(); }
 else if (part == "plate") plate();
 else if (part == "fixed") fixed();

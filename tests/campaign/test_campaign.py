@@ -8,6 +8,7 @@ import sys
 import time
 import tomllib
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ from echowing.campaign.shrink import shrink, table_of
 from echowing.campaign.workers import WorkersDied, connected, done_by_workers
 from echowing.cli import main
 from echowing.errors import EchowingError
-from echowing.sim.scenario import load_scenario, scenario_of
+from echowing.sim.scenario import Scenario, load_scenario, scenario_of
 from echowing.sim.summary import fly
 
 SHORT = """
@@ -66,6 +67,39 @@ def test_the_shipped_description_draws_every_kind_of_fault_and_every_number_of_f
     speeds = [one.leader.speed_mps for one in drawn]
     assert min(speeds) < 1.0
     assert max(speeds) > 4.5
+
+
+@pytest.mark.parametrize(
+    ("section", "key", "span", "in_share"),
+    [
+        ("gps", "sigma_m", (0.3, 1.5), 1.0),
+        ("gps", "tau_s", (20.0, 120.0), 1.0),
+        ("gps", "vertical_sigma_m", (0.2, 1.0), 1.0),
+        ("gps", "step_m", (0.5, 3.0), 0.2),
+        ("gps", "multipath_m", (0.1, 0.6), 0.3),
+        ("sonar", "heard_share", (0.4, 1.0), 0.25),
+        ("sonar", "deaf_share", (0.05, 0.35), 0.2),
+        ("sonar", "beam_near_deg", (10.0, 25.0), 0.2),
+        ("sonar", "beam_far_deg", (6.0, 18.0), 0.2),
+        ("sonar", "noise_m", (0.005, 0.06), 0.2),
+        ("sonar", "wild_share", (0.0, 0.06), 0.2),
+        ("sonar", "tone_share", (0.02, 0.2), 0.1),
+    ],
+)
+def test_the_field_draws_sonars_and_receivers_within_their_spans(
+    section: str, key: str, span: tuple[float, float], in_share: float
+) -> None:
+    values = [getattr(getattr(one, section), key) for one in drawn_fields()]
+    found = [one for one in values if one]
+
+    # Of 300 flights, each half of a span has some, and the share is known to 0.03.
+    assert len(found) / len(values) == pytest.approx(in_share, abs=0.08)
+    assert span[0] <= min(found) < sum(span) / 2.0 < max(found) <= span[1]
+
+
+@cache
+def drawn_fields() -> list[Scenario]:
+    return [draw(load_description(), 1, index) for index in range(300)]
 
 
 def test_a_flight_is_drawn_the_same_wherever_it_is_drawn() -> None:
@@ -115,7 +149,7 @@ path = { weighted = { circle = 3, rectangle = 1 } }
             r"flight\.duration_s: uniform = \[5\.0\] is",
         ),
         ("[flight]\nduration_s = { uniform = [1.0, 2.0], one_of = [1] }", "beside uniform: remove"),
-        ("[flight.gps]\nsigma = 1.0", r"gps\.sigma: no such key; allowed here: sigma_m"),
+        ("[flight.gps]\nsigma = 1.0", r"gps\.sigma: no such key; allowed here: .* sigma_m"),
         ("[flights]\nx = 1", "flights: no such key"),
         (
             "[formation]\nshape = 'ring'",

@@ -25,6 +25,8 @@ from echowing.sim.fault_section import FaultSection
 from echowing.sim.modes import GUIDED, LOITER
 from echowing.sim.scenario import Scenario, scenario_of
 
+from ..world import CLEAR
+
 STEP_S = 0.1
 
 
@@ -395,7 +397,8 @@ def test_a_promised_text_that_is_missing_is_found() -> None:
 
 
 def test_the_mean_error_counts_where_nothing_is_wrong() -> None:
-    record = fly_recorded(scenario_of({"title": "t", "duration_s": 60.0}, "test"), 3)
+    table = {"title": "t", "duration_s": 60.0, **CLEAR}
+    record = fly_recorded(scenario_of(table, "test"), 3)
     assert mean_error(record) == []
 
     off = replace(record.flights[0], wanted_separation_m=4.0)
@@ -404,6 +407,17 @@ def test_the_mean_error_counts_where_nothing_is_wrong() -> None:
         update={"wind": record.scenario.wind.model_copy(update={"speed_mps": 1.0})}
     )
     assert mean_error(replace(record, flights=[off], scenario=windy)) == []
+    for section, key, value in (
+        ("sonar", "heard_share", 0.4),
+        ("sonar", "beam_near_deg", 12.0),
+        ("sonar", "noise_m", 0.05),
+        ("sonar", "deaf_share", 0.3),
+        ("gps", "sigma_m", 1.5),
+        ("gps", "vertical_sigma_m", 1.0),
+        ("gps", "step_m", 2.0),
+    ):
+        worse = scenario_of({**table, section: {**CLEAR[section], key: value}}, "test")
+        assert mean_error(replace(record, flights=[off], scenario=worse)) == [], key
     # Of a flight that was only begun nothing is said.
     begun = replace(record, flights=[off], time_s=record.time_s[:200])
     assert mean_error(begun) == []

@@ -1,7 +1,9 @@
 """`echowing emulator`: a process whose ports other programs open."""
 
+import math
 import socket
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +11,17 @@ import pytest
 from pymavlink import mavutil
 
 from echowing.errors import EchowingError
+from echowing.flight.belief import Curve
+from echowing.flight.sonar import PAN_CENTRE_US, TILT_CENTRE_US
 from echowing.sim.avr import AvrBoard
 from echowing.sim.desk import Desk, Scene, leader_from
+from echowing.sim.sonar import (
+    COMMAND_RANGE,
+    DEFAULT_ADDRESS,
+    LEVER_ARM_M,
+    ON_A_DESK,
+    TrueSonar,
+)
 from echowing.sim.wires import PtyWire, TcpServerWire, open_udp, open_wire
 
 from .bench import BenchSonar
@@ -86,6 +97,7 @@ class TestProcess:
             (["--eeprom", "/"], "cannot read the memory from /: Is a directory"),
             (["--eeprom", "/no/where", "--duration", "0"], "cannot keep the memory in /no/where"),
             (["--target", "tcp:1"], "write udp:PORT"),
+            (["--target", "udp:0", "--sonar", "ear=1"], "sonar.ear: no such key"),
             (["--range-cm", "100", "--target", "udp:1"], "not allowed with"),
         ],
     )
@@ -93,6 +105,25 @@ class TestProcess:
         emulator = Emulator(*options)
         assert emulator.process.wait(timeout=PATIENCE_S) == 2
         assert words in emulator.stop()
+
+
+def heard_m(off_deg: float, sonar: TrueSonar) -> float | None:
+    """What a scene's sonar reads of a leader 3 m away."""
+    off = math.radians(off_deg)
+    leader = (LEVER_ARM_M + 3.0 * math.cos(off), 3.0 * math.sin(off), 0.0)
+    scene = Scene(watched=lambda: leader, sonar=sonar)
+    scene.step(0.02, PAN_CENTRE_US, TILT_CENTRE_US)
+    scene.sensor.write(0, DEFAULT_ADDRESS, bytes([COMMAND_RANGE]))
+    return scene.sensor.last_range_m
+
+
+def test_a_scene_hears_as_the_sonar_that_it_is_given() -> None:
+    desk = replace(ON_A_DESK, wild_share=0.0)
+    narrow = replace(desk, half_rad=Curve((0.0,), (math.radians(6.0),)), inset_m=0.3)
+
+    assert heard_m(12.0, desk) == pytest.approx(3.0 - 0.1, abs=0.05)
+    assert heard_m(12.0, narrow) is None
+    assert heard_m(0.0, narrow) == pytest.approx(3.0 - 0.2, abs=0.05)
 
 
 class TestWires:

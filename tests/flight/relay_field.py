@@ -15,6 +15,7 @@ from echowing.flight.session import FollowSession
 from echowing.flight.state import FollowerPlan
 from echowing.geo import GlobalPosition, Ned, displace, ned_between
 from echowing.sim.copter import Copter
+from echowing.sonar_file import shipped_sonar
 
 from ..host_tools.yard import HERE, Vehicle
 
@@ -66,7 +67,7 @@ class RelayField:
         self._fly, self._offset_m, self._home_m = fly, offset_m, home_m
         self.session = FollowSession(
             REMOTE,
-            [FollowerPlan(RELAY, Slot(0.0), heights_m[1] - home_m)],
+            [FollowerPlan(RELAY, Slot(0.0), heights_m[1] - home_m, sonar=shipped_sonar())],
             RELAY_SETTINGS,
             limits=Limits(
                 max_distance_m=5_000.0,

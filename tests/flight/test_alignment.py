@@ -153,7 +153,7 @@ def test_the_nose_turns_the_short_way_through_south() -> None:
 
     (reading,) = waiting.due(leader, follower)
 
-    assert abs(reading.axis_rad) == pytest.approx(math.pi, abs=1e-6)
+    assert abs(reading.axis.azimuth_rad) == pytest.approx(math.pi, abs=1e-6)
 
 
 def test_a_copter_leans_as_its_velocity_changes() -> None:

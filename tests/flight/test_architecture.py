@@ -59,7 +59,7 @@ def test_no_step_reaches_back_to_the_session(module: str) -> None:
 
 def test_the_steps_are_in_the_order_of_the_tick() -> None:
     """Known, estimate, plan, envelope: none of them imports a later one."""
-    order = ["offset_grid", "estimate", "state", "plan", "spacing", "session"]
+    order = ["cloud", "estimate", "state", "look", "plan", "spacing", "session"]
     for number, module in enumerate(order):
         later = set(order[number + 1 :])
         assert not _all_within(module) & later

@@ -44,7 +44,7 @@ others = st.builds(
     name=st.just("another"),
     from_it_m=st.builds(level, angles, distances),
     velocity_mps=velocities,
-    sigma_m=st.floats(0.0, 1.2),
+    nearer_m=st.floats(0.0, 3.0),
     age_s=st.floats(0.0, 1.5),
     in_the_way=st.booleans(),
 )
@@ -66,12 +66,12 @@ def limit_mps(other: Other) -> float:
 
 
 def test_what_is_not_known_is_against_us() -> None:
-    other = Other("leader", (3.0, 0.0, 4.0), (0.0, 0.0, 0.0), sigma_m=0.4, age_s=0.8)
+    other = Other("leader", (3.0, 0.0, 4.0), (0.0, 0.0, 0.0), nearer_m=1.0, age_s=0.8)
 
     least_m = 5.0 - SURE_SIGMAS * 0.4 - 0.5 * OTHERS_MPS2 * 0.8**2
     assert certain_distance_m(other) == pytest.approx(least_m)
     assert certain_distance_m(replace(other, age_s=1.0)) < least_m
-    assert certain_distance_m(replace(other, sigma_m=0.5)) < least_m
+    assert certain_distance_m(replace(other, nearer_m=1.25)) < least_m
 
 
 @pytest.mark.parametrize("certain_m", [1.0, 1.2, 2.0, 5.0, 20.0])
@@ -235,7 +235,7 @@ def test_between_two_that_come_from_both_sides_it_goes_aside() -> None:
 
 def test_the_way_out_never_leads_through_the_one_that_comes_nearer() -> None:
     """Beyond it there is most room a second later: a follower flew there, 0.7 m past its leader."""
-    leader = Other("the leader", (-2.0, 0.0, 0.0), (-2.0, 0.0, 0.0), sigma_m=0.2, age_s=0.5)
+    leader = Other("the leader", (-2.0, 0.0, 0.0), (-2.0, 0.0, 0.0), nearer_m=0.5, age_s=0.5)
     behind = Other("follower 3", (5.9, 0.0, 0.0), (0.0, 0.0, 0.0), UNRANGED_SIGMA_M, age_s=0.5)
 
     flown, _ = keep_apart((0.5, 0.0, 0.0), [leader, behind], QUICK, own_mps=(0.5, 0.0, 0.0))
@@ -393,7 +393,7 @@ def test_a_vehicle_no_quicker_than_its_leader_counts_on_its_slot() -> None:
 
 
 def test_what_is_closed_too_fast_is_braked_besides() -> None:
-    other = Other("leader", (-3.0, 0.0, 0.0), (0.0, 0.0, 0.0), sigma_m=0.0, age_s=0.0)
+    other = Other("leader", (-3.0, 0.0, 0.0), (0.0, 0.0, 0.0), nearer_m=0.0, age_s=0.0)
     limit = closing_limit_mps(3.0, ANSWER)
     slow, _ = keep_apart((limit, 0.0, 0.0), [other], ANSWER, own_mps=(limit, 0.0, 0.0))
     fast, _ = keep_apart((limit, 0.0, 0.0), [other], ANSWER, own_mps=(limit + 1.0, 0.0, 0.0))
@@ -403,7 +403,7 @@ def test_what_is_closed_too_fast_is_braked_besides() -> None:
 
 # ---- far too fast: all the lean goes into the way out -----
 
-AHEAD = Other("the leader", (-3.0, 0.0, 0.0), (-2.0, 0.0, 0.0), sigma_m=0.1, age_s=0.2)
+AHEAD = Other("the leader", (-3.0, 0.0, 0.0), (-2.0, 0.0, 0.0), nearer_m=0.25, age_s=0.2)
 ASIDE_MPS = (-4.0, 1.5, 0.3)  # north as the envelope wants it, east as the plan does
 
 
@@ -424,6 +424,6 @@ def test_otherwise_the_plan_counts_across_it(own_mps: Ned, in_the_way: bool) -> 
 
 
 def test_nor_does_it_fly_straight_into_a_third() -> None:
-    third = Other("follower 3", (0.3, 1.2, 0.0), (0.0, 0.0, 0.0), sigma_m=0.1, age_s=0.2)
+    third = Other("follower 3", (0.3, 1.2, 0.0), (0.0, 0.0, 0.0), nearer_m=0.25, age_s=0.2)
     about = [AHEAD, third]
     assert straight_out(ASIDE_MPS, AHEAD, about, ANSWER, LEAST_M, (2.0, -0.4, 0.0)) is None

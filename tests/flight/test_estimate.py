@@ -1,5 +1,6 @@
 import math
 import random
+from dataclasses import replace
 
 import pytest
 
@@ -8,13 +9,14 @@ from echowing.flight.estimate import (
     CLOCK_WINDOW_S,
     LONGEST_CARRY_S,
     SONAR_AGE_S,
-    STUCK_READINGS,
+    STUCK_S,
     Estimate,
     SenderClock,
     carried_on,
 )
 from echowing.flight.guidance import Horizontal, LeaderFix
 from echowing.geo import GlobalPosition, displace, ned_between
+from echowing.sonar_file import shipped_sonar
 
 START = GlobalPosition(39.34, -86.03, 260.0)
 
@@ -63,9 +65,11 @@ def test_a_message_out_of_order_is_no_new_start() -> None:
     assert clock.to_ours(499.0, 1000.5, 0.0) == pytest.approx(999.0)
 
 
-def listening(lean_mps2: float = 0.0, above_m: float = 0.0) -> tuple[Estimate, History]:
+def listening(
+    lean_mps2: float = 0.0, above_m: float = 0.0, inset_m: float = 0.2
+) -> tuple[Estimate, History]:
     """A follower 3 m south of its leader, and below it, both known from 0 to 10 s."""
-    estimate, leader = Estimate(), History()
+    estimate, leader = Estimate(replace(shipped_sonar(), inset_m=inset_m)), History()
     for number in range(41):
         time_s = number * 0.25
         leader.add(Report(time_s, displace(START, (3.0, 0.0, -above_m)), (0.0, 0.0), 0.0))
@@ -83,18 +87,18 @@ def test_what_a_stuck_sensor_taught_is_forgotten_and_it_is_believed_once_it_move
     """3 s after its last change; a formation in the air repeats a centimetre five times."""
     estimate, leader = listening()
     unknown_m = estimate.offset.sigma_m(0.0)
-    believed = 16 + STUCK_READINGS - 1
+    believed = 16 + round(STUCK_S * shipped_sonar().rate_hz) - 1
     for number in range(52):
         if number == believed:
             assert estimate.is_believed
             assert estimate.offset.sigma_m(0.0) < 0.5 * unknown_m
-        estimate.heard(4.5 + number * 0.1, swaying_m(2.8, min(number, 19)), 0.2)
+        estimate.heard(4.5 + number * 0.1, swaying_m(2.8, min(number, 19)))
         estimate.learn(leader)
     assert not estimate.is_believed
     assert estimate.offset.unheard_s(10.0) == math.inf
     assert estimate.offset.sigma_m(0.0) == pytest.approx(unknown_m, rel=0.05)
 
-    estimate.heard(9.7, 2.9, 0.2)
+    estimate.heard(9.7, 2.9)
     estimate.learn(leader)
     assert estimate.offset.unheard_s(10.0) == pytest.approx(0.3 + SONAR_AGE_S)
 
@@ -105,7 +109,7 @@ def test_a_sonar_that_hears_anything_teaches_nothing_and_is_believed_once_it_agr
     unknown_m = estimate.offset.sigma_m(0.0)
     chance = random.Random(7)
     for number in range(40):
-        estimate.heard(2.0 + number * 0.1, chance.uniform(0.2, 7.65), 0.2)
+        estimate.heard(2.0 + number * 0.1, chance.uniform(0.2, 7.65))
         estimate.learn(leader)
     assert estimate.is_wild
     assert not estimate.listens(6.0)
@@ -113,10 +117,10 @@ def test_a_sonar_that_hears_anything_teaches_nothing_and_is_believed_once_it_agr
     assert estimate.offset.sigma_m(0.0) == pytest.approx(unknown_m, rel=0.05)
 
     for number in range(30):
-        estimate.heard(6.0 + number * 0.1, swaying_m(2.8, number), 0.2)
+        estimate.heard(6.0 + number * 0.1, swaying_m(2.8, number))
     assert not estimate.is_wild
-    estimate.heard(9.8, 2.8, 0.2)
-    estimate.heard(9.9, 2.8, 0.2)
+    estimate.heard(9.8, 2.8)
+    estimate.heard(9.9, 2.8)
     estimate.learn(leader)
     assert estimate.offset.unheard_s(10.0) == pytest.approx(0.1 + SONAR_AGE_S)
 
@@ -124,7 +128,7 @@ def test_a_sonar_that_hears_anything_teaches_nothing_and_is_believed_once_it_agr
 @pytest.mark.parametrize("wild_share", [0.01, 0.03])
 def test_a_healthy_sonar_is_believed_through_its_wild_readings(wild_share: float) -> None:
     """Twenty minutes at the edge of the beam: 1.5 m/s, misses, wild ones."""
-    estimate = Estimate()
+    estimate = Estimate(shipped_sonar())
     chance = random.Random(11)
     for number in range(12_000):
         range_m = 2.5 + 0.75 * math.sin(2.0 * number * 0.1)
@@ -132,7 +136,7 @@ def test_a_healthy_sonar_is_believed_through_its_wild_readings(wild_share: float
             range_m = 7.65
         if chance.random() < wild_share:
             range_m = chance.uniform(0.2, 7.65)
-        estimate.heard(number * 0.1, range_m + chance.gauss(0.0, 0.01), 0.2)
+        estimate.heard(number * 0.1, range_m + chance.gauss(0.0, 0.01))
         assert not estimate.is_wild
 
 
@@ -141,7 +145,7 @@ def test_nothing_in_reach_is_the_same_for_as_long_as_it_likes() -> None:
     hear_nothing(estimate, leader)
     known_m = estimate.offset.sigma_m(0.0)
     for number in range(10):
-        estimate.heard(8.1 + number * 0.1, 7.65, 0.2)
+        estimate.heard(8.1 + number * 0.1, 7.65)
     estimate.learn(leader)
     assert estimate.offset.sigma_m(0.0) != known_m
 
@@ -149,11 +153,11 @@ def test_nothing_in_reach_is_the_same_for_as_long_as_it_likes() -> None:
 def test_two_readings_alike_are_the_leader() -> None:
     estimate, leader = listening()
 
-    estimate.heard(9.0, 2.8, 0.2)
+    estimate.heard(9.0, 2.8)
     estimate.learn(leader)
     assert estimate.offset.unheard_s(10.0) == math.inf
 
-    estimate.heard(9.1, 2.8, 0.2)
+    estimate.heard(9.1, 2.8)
     estimate.learn(leader)
     assert estimate.offset.unheard_s(10.0) == pytest.approx(0.9 + SONAR_AGE_S)
 
@@ -165,8 +169,8 @@ def test_a_leader_is_missed_by_the_readings_that_were_used_and_not_by_now() -> N
     estimate.learn(leader)
     assert estimate.missed_s == math.inf  # never heard
 
-    estimate.heard(9.0, 2.8, 0.2)
-    estimate.heard(9.1, 2.8, 0.2)
+    estimate.heard(9.0, 2.8)
+    estimate.heard(9.1, 2.8)
     estimate.learn(leader)
     assert estimate.missed_s == pytest.approx(0.9 + SONAR_AGE_S)
 
@@ -191,8 +195,8 @@ def test_a_reading_alone_is_not(first: tuple[float, float], second: tuple[float,
     estimate, leader = listening()
     before = (estimate.offset.north_m, estimate.offset.sigma_m(0.0))
 
-    estimate.heard(*first, 0.2)
-    estimate.heard(*second, 0.2)
+    estimate.heard(*first)
+    estimate.heard(*second)
     estimate.learn(leader)
 
     assert (estimate.offset.north_m, estimate.offset.sigma_m(0.0)) == before
@@ -200,7 +204,7 @@ def test_a_reading_alone_is_not(first: tuple[float, float], second: tuple[float,
 
 def hear_nothing(estimate: Estimate, leader: History) -> None:
     for number in range(60):
-        estimate.heard(2.0 + number * 0.1, 7.65, 0.2)
+        estimate.heard(2.0 + number * 0.1, 7.65)
     estimate.learn(leader)
 
 
@@ -229,10 +233,10 @@ def test_silence_of_a_level_follower_counts_and_of_one_that_looks_past_its_leade
 def test_the_inset_is_added_to_the_range() -> None:
     """Receivers say 3.0 m; the sonar's 2.6 m from face to legs are 2.8 m: 0.2 m between them."""
     with_inset, leader = listening()
-    without, _ = listening()
+    without, _ = listening(inset_m=0.0)
     for number in range(80):
-        with_inset.heard(1.0 + number * 0.1, swaying_m(2.8, number), 0.2)
-        without.heard(1.0 + number * 0.1, swaying_m(2.8, number), 0.0)
+        with_inset.heard(1.0 + number * 0.1, swaying_m(2.8, number))
+        without.heard(1.0 + number * 0.1, swaying_m(2.8, number))
     with_inset.learn(leader)
     without.learn(leader)
 
@@ -243,7 +247,7 @@ def test_a_leader_is_moved_by_what_was_learnt_and_back_when_it_is_forgotten() ->
     estimate, leader = listening()
     for number in range(80):
         # 0.8 m nearer than receivers say
-        estimate.heard(1.0 + number * 0.1, swaying_m(2.0, number), 0.2)
+        estimate.heard(1.0 + number * 0.1, swaying_m(2.0, number))
     estimate.learn(leader)
     believed = displace(START, (3.0, 0.0, 0.0))
 

@@ -9,6 +9,7 @@ from echowing.flight.own_motion import BEGINS_S, REMEMBERED_S, OwnMotion
 from echowing.geo import GlobalPosition, displace
 
 from ..system.flown import flown
+from ..world import CLEARLY
 
 HERE = GlobalPosition(39.34, -86.03, 260.0)
 CLOSING = Closing(accel_mps2=2.0, jerk_mps3=8.0)
@@ -86,7 +87,7 @@ def test_over_two_slow_radios_the_leader_is_found_and_held(seed: int) -> None:
 
     The leader turns its first corner at 35 s: 3.2 to 4.7 m in 16 seeds that have found it.
     """
-    one = flown("echowing", seed, "radio.follower.latency_s=0.46", "duration_s=45")
+    one = flown("echowing", seed, "radio.follower.latency_s=0.46", "duration_s=45", *CLEARLY)
     late = one.flights[0].time_s > 35.0
     assert one.flights[0].separation_m[late].max() < 5.0
     assert one.flights[0].separation_m[late].mean() < 3.6

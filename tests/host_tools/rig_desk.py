@@ -35,7 +35,8 @@ class Sonar(MaxSonar):
 class CoreWire:
     """The core as a wire; time passes as it is read.
 
-    drop: which of the board's frames get lost. armed: None, no autopilot is beside it.
+    drop: which of the board's frames get lost. armed: None, no autopilot is beside it. attitude:
+    what that one tells 25 times a second: roll, pitch and yaw at a time, radians.
     """
 
     def __init__(self, range_m: float | None = 3.0) -> None:
@@ -50,7 +51,8 @@ class CoreWire:
         self.sent: list[Any] = []
         self._parser = Parser()
         self._ears = mavlink.MAVLink(None)
-        self._beat_at_s = 0.0
+        self._beat_at_s = self._attitude_at_s = 0.0
+        self.attitude: Callable[[float], tuple[float, float, float]] | None = None
 
     def _board(self) -> NativeCoprocessor:
         return NativeCoprocessor(self.sonar, parameters={"SYS_ID": self.autopilot_system})
@@ -63,6 +65,7 @@ class CoreWire:
         while not (data := self._take()) and self.t_s < end_s:
             self.t_s += SLICE_S
             self._beat()
+            self._lean()
             self.core.run_until(round((self.t_s - self.started_s) * 1e6))
         return data
 
@@ -85,6 +88,16 @@ class CoreWire:
         self._beat_at_s = self.t_s + 1.0
         autopilot = mavlink.MAVLink(None, srcSystem=self.autopilot_system, srcComponent=1)
         self.core.feed(AUTOPILOT_PORT, autopilot_heartbeat(armed=self.armed).pack(autopilot))
+
+    def _lean(self) -> None:
+        if self.attitude is None or self.t_s < self._attitude_at_s:
+            return
+        self._attitude_at_s = self.t_s + 0.04
+        now, soon = self.attitude(self.t_s), self.attitude(self.t_s + 0.001)
+        rates = [(b - a) * 1000.0 for a, b in zip(now, soon, strict=True)]
+        autopilot = mavlink.MAVLink(None, srcSystem=self.autopilot_system, srcComponent=1)
+        told = mavlink.MAVLink_attitude_message(0, *now, *rates)
+        self.core.feed(AUTOPILOT_PORT, told.pack(autopilot))
 
     def write(self, data: bytes) -> None:
         self.sent += self._ears.parse_buffer(data) or []

@@ -31,6 +31,7 @@ from echowing.flight.switch import StopSwitch
 from echowing.geo import GlobalPosition, displace, distance_m, ned_between
 from echowing.mavlink.plausible import FIELDS, Door
 from echowing.mavlink.signing import Parser
+from echowing.sonar_file import shipped_sonar
 
 FLIGHT_S = 20.0
 IDS = (LEADER, FOLLOWER, SECOND)
@@ -63,7 +64,10 @@ class Fuzz:
             FOLLOWER: Vehicle((-4.0, 0.0)),
             SECOND: Vehicle((-9.0, 1.0)),
         }
-        plans = [FollowerPlan(system_id, slot) for system_id, slot in SLOTS.items()]
+        plans = [
+            FollowerPlan(system_id, slot, sonar=shipped_sonar())
+            for system_id, slot in SLOTS.items()
+        ]
         switch = StopSwitch(7, 1700) if self.chance.random() < 0.3 else None
         limits = replace(FIELD_LIMITS, switch=switch)
         self.session = FollowSession(LEADER, plans, GuidanceSettings(), limits=limits)

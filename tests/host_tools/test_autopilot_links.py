@@ -479,9 +479,10 @@ def test_garbage_and_broken_frames_are_skipped() -> None:
 
 # A script that says what it hears, and flies where a point says, as one that checks nothing does.
 LISTENS = """
-    mavlink:init(10, 2)
+    mavlink:init(10, 3)
     mavlink:register_rx_msgid(86)
     mavlink:register_rx_msgid(251)
+    mavlink:register_rx_msgid(285)
     local function update()
       local message = mavlink:receive_chan()
       while message do
@@ -510,6 +511,53 @@ def with_script(text: str, folder: Path, generation: Generation = Generation.V4_
     bench.send(BEAT)
     bench.step()
     return bench
+
+
+def look_order() -> mavlink.MAVLink_message:
+    return mavlink.MAVLink_gimbal_device_set_attitude_message(
+        *COPROCESSOR, 4 | 8 | 16 | 64, [1.0, 0.0, 0.0, 0.0], 0.1, 0.0, 0.0
+    )
+
+
+def test_an_order_where_to_look_goes_to_the_co_processor_alone() -> None:
+    bench = Bench()
+    bench.add_link("usb")
+    bench.send(BEAT, link="usb", source=(255, 190))
+    bench.send(BEAT, link="coprocessor", source=COPROCESSOR)
+    bench.step()
+    bench.send(look_order())
+    bench.step()
+    assert len(bench.heard("GIMBAL_DEVICE_SET_ATTITUDE", "coprocessor")) == 1
+    assert not bench.heard("GIMBAL_DEVICE_SET_ATTITUDE", "usb")
+
+
+def test_the_axis_of_a_reading_goes_to_everybody_and_to_scripts(tmp_path: Path) -> None:
+    bench = with_script(LISTENS, tmp_path)
+    bench.add_link("usb")
+    bench.send(BEAT, link="usb", source=(255, 190))
+    bench.step()
+    axis = mavlink.MAVLink_gimbal_device_attitude_status_message(
+        0, 0, 1234, 92, [1.0, 0.0, 0.0, 0.0], math.nan, math.nan, math.nan, 4
+    )
+    bench.send(axis, link="coprocessor", source=COPROCESSOR)
+    bench.run(0.2)
+    for link in ("telemetry", "usb"):
+        (told,) = bench.heard("GIMBAL_DEVICE_ATTITUDE_STATUS", link)
+        assert (told.get_srcComponent(), told.time_boot_ms) == (191, 1234)
+    assert not bench.heard("GIMBAL_DEVICE_ATTITUDE_STATUS", "coprocessor")
+    assert bench.texts().count("heard 285") == 1
+
+
+def test_attitude_comes_as_often_as_the_co_processor_asks_on_its_own_port() -> None:
+    bench = Bench()
+    ask = mavlink.MAVLink_command_long_message(
+        SYSTEM_ID, 1, SET_INTERVAL, 0, mavlink.MAVLINK_MSG_ID_ATTITUDE, 40_000.0, *(0.0,) * 5
+    )
+    bench.send(ask, link="coprocessor", source=COPROCESSOR)
+    bench.run(2.0)
+    assert len(bench.heard("ATTITUDE", "coprocessor")) == pytest.approx(50, abs=1)
+    assert [m.result for m in bench.heard("COMMAND_ACK", "coprocessor")] == [ACCEPTED]
+    assert not bench.heard("ATTITUDE")
 
 
 def named_float(*, whole: bool) -> bytes:

@@ -22,6 +22,7 @@ from echowing.mavlink.seats import parse_seat
 from echowing.mavlink.signing import LinkSigning
 from echowing.sim.autopilot import ORIGIN, Autopilot
 from echowing.sim.copter import Copter
+from echowing.sonar_file import shipped_sonar
 from echowing.stopping import NotHeededError, StopRequest, stop_on_signals
 from echowing.tool.again import fly_again
 from echowing.tool.panel import Row
@@ -130,6 +131,7 @@ class Flight:
             seats,
             [Slot(build_up[0] if build_up else 3.0)],
             settings,
+            shipped_sonar(),
             engage=keys is None,
             duration_s=20.0,
             build_up=build_up,
@@ -231,7 +233,7 @@ def test_a_tick_that_fails_for_good_stops_the_follower_and_tells_everybody(tmp_p
 
 
 def a_session() -> FollowSession:
-    plans = [FollowerPlan(FOLLOWER, Slot(3.0))]
+    plans = [FollowerPlan(FOLLOWER, Slot(3.0), sonar=shipped_sonar())]
     return FollowSession(LEADER, plans, GuidanceSettings(learn_offset=False), limits=Limits())
 
 

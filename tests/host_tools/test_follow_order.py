@@ -8,13 +8,15 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from echowing.flight.guidance import GuidanceSettings, Slot
 from echowing.flight.session import FollowSession
 from echowing.flight.state import FollowerPlan
+from echowing.sonar_file import shipped_sonar
 
 LEADER, FOLLOWER = 1, 2
 MINUTE_MS = 60_000
 
 
 def flown() -> FollowSession:
-    return FollowSession(LEADER, [FollowerPlan(FOLLOWER, Slot(3.0))], GuidanceSettings())
+    plan = FollowerPlan(FOLLOWER, Slot(3.0), sonar=shipped_sonar())
+    return FollowSession(LEADER, [plan], GuidanceSettings())
 
 
 def report(session: FollowSession, boot_ms: int, speed_cmps: int, now_s: float) -> None:

@@ -17,7 +17,9 @@ from echowing.flight.guidance import GuidanceSettings, Slot
 from echowing.flight.session import FollowSession
 from echowing.flight.state import FollowerPlan
 from echowing.mavlink.seats import LISTEN_S, VehicleFinder, parse_seat
+from echowing.sonar_file import load_sonar, shipped_sonar, write_sonar
 from echowing.stopping import StopRequest
+from echowing.tool.health import health
 from echowing.tool.log import FollowLog
 from echowing.tool.panel import LINK_WINDOW_S, SONAR_FRESH_S, Panel, Row, VehicleHealth
 from echowing.tool.picture import SETTLED_S, Photographer, drawn
@@ -145,12 +147,25 @@ def test_a_flight_is_logged_unless_told_otherwise() -> None:
 
 
 def session() -> FollowSession:
-    return FollowSession(LEADER, [FollowerPlan(FOLLOWER, Slot(3.0))], GuidanceSettings())
+    plan = FollowerPlan(FOLLOWER, Slot(3.0), sonar=shipped_sonar())
+    return FollowSession(LEADER, [plan], GuidanceSettings())
 
 
 def sonar(range_cm: int) -> Any:
     message = mavlink.MAVLink_distance_sensor_message(0, 20, 765, range_cm, 1, 0, 0, 0)
     return received(FOLLOWER, message, component=191)
+
+
+def test_the_sonar_that_is_believed_is_the_files_before_these_legs(tmp_path: Path) -> None:
+    ends = ["--leader", "udpin:1", "--follower", "udpin:2"]
+    mine = tmp_path / "mine.toml"
+    write_sonar(mine, load_sonar("mb1202").model_copy(update={"reach_m": 4.2}))
+
+    assert options_of(ends).sonar == shipped_sonar()
+    assert options_of([*ends, "--sonar", str(mine)]).sonar.reach_m == 4.2
+    assert options_of([*ends, "--legs", "stock"]).sonar.heard_to_m < shipped_sonar().heard_to_m
+    with pytest.raises(EchowingError, match="no sonar 'mb7'"):
+        options_of([*ends, "--sonar", "mb7"])
 
 
 def test_a_sonar_reading_is_shown_while_fresh_and_nothing_is_not_a_range() -> None:
@@ -300,6 +315,20 @@ def test_a_long_event_goes_on_under_its_text() -> None:
     assert max(map(len, (first, second))) <= 60
 
 
+def test_what_a_sonar_has_heard_stands_in_the_lines_of_health() -> None:
+    well, badly, unknown = (
+        health([row(**told)]).plain
+        for told in (
+            {"heard_percent": 74.2},
+            {"heard_percent": 31.0, "worse": "sonar hears 31%, 50% is believed"},
+            {},
+        )
+    )
+    assert "hears 74 %" in well
+    assert "sonar hears 31%, 50% is believed" in badly
+    assert "hears" not in unknown
+
+
 def test_reasons_stand_under_the_table_and_the_switch_in_the_lines_of_health() -> None:
     shown = lines_of([row(own=replace(OWN, switch="off"), leader=OWN), WIDE], 80)
     reason = shown.index("255: the leader's telemetry is stale, not flying")
@@ -364,7 +393,8 @@ def test_plain_lines_come_now_and_then_and_events_at_once(
 
 
 def test_before_the_first_report_a_row_says_just_that() -> None:
-    session = FollowSession(LEADER, [FollowerPlan(FOLLOWER, Slot(3.0), 10.0)], GuidanceSettings())
+    plan = FollowerPlan(FOLLOWER, Slot(3.0), 10.0, sonar=shipped_sonar())
+    session = FollowSession(LEADER, [plan], GuidanceSettings())
     (silent,) = Panel([LEADER, FOLLOWER]).rows(session, 1.0)
     assert plain_row(silent) == "follower 2: no report yet"
     assert "?" not in "".join(lines_of([silent], 80))

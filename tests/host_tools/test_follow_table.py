@@ -19,6 +19,7 @@ from echowing.flight.guidance import GuidanceSettings, Slot
 from echowing.flight.session import FollowSession
 from echowing.flight.state import FollowerPlan
 from echowing.geo import GlobalPosition, displace
+from echowing.sonar_file import shipped_sonar
 from echowing.tool.log import FollowLog
 from echowing.tool.panel import Panel
 from echowing.tool.track import track
@@ -63,7 +64,8 @@ def write(
 
     changed: from when on the radius is another, and which.
     """
-    plans = [FollowerPlan(one, Slot(radius_m, math.radians(angle_deg)), 10.0) for one in followers]
+    slot = Slot(radius_m, math.radians(angle_deg))
+    plans = [FollowerPlan(one, slot, 10.0, sonar=shipped_sonar()) for one in followers]
     # A relay, radius 0, has no bar.
     settings = GuidanceSettings(tow_bar=radius_m > 0.0, learn_offset=False, feed_forward=False)
     session = FollowSession(LEADER, plans, settings)

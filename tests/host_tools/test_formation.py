@@ -7,7 +7,7 @@ import pytest
 
 from echowing.commands.follow import options_of
 from echowing.errors import EchowingError
-from echowing.flight.envelope import Other, certain_distance_m
+from echowing.flight.envelope import SURE_SIGMAS, Other, certain_distance_m
 from echowing.flight.formation import (
     IN_SLOT_M,
     check_formation,
@@ -52,8 +52,9 @@ def test_an_empty_formation_is_refused() -> None:
 def test_receivers_demand_what_is_certain_once_both_are_in_their_slots() -> None:
     # A metre, two receivers at 2.5 standard deviations (2.83 m), each half a metre off its slot.
     assert receivers_demand_m(1.0) == pytest.approx(4.83, abs=0.01)
+    nearer_m = SURE_SIGMAS * UNRANGED_SIGMA_M
     certain_m = certain_distance_m(
-        Other("b", (receivers_demand_m(1.0), 0.0, 0.0), (0.0, 0.0, 0.0), UNRANGED_SIGMA_M, 0.0)
+        Other("b", (receivers_demand_m(1.0), 0.0, 0.0), (0.0, 0.0, 0.0), nearer_m, 0.0)
     )
     assert certain_m == pytest.approx(1.0 + 2.0 * IN_SLOT_M)
 

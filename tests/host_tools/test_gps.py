@@ -1,20 +1,25 @@
 import itertools
 import random
 import statistics
+from typing import Any
 
 import numpy as np
 import pytest
 
-from echowing.sim.gps import GpsDrift
-from echowing.sim.hangar import Hangar
-from echowing.sim.scenario import load_scenario
+from echowing.sim.gps import Drift, Errors
 
 DT_S = 0.5
+WANDERS = Errors(sigma_m=0.8, tau_s=60.0)
 
 
-def series(seed: int, seconds: float, sigma_m: float = 0.8, tau_s: float = 60.0) -> list[float]:
-    drift = GpsDrift(sigma_m, tau_s, random.Random(seed))
-    return [drift.step(DT_S)[0] for _ in range(int(seconds / DT_S))]
+def drift_of(seed: int, errors: Errors, **other: Any) -> Drift:
+    return Drift(errors, lambda name: random.Random(f"{seed} {name}"), **other)
+
+
+def series(seed: int, seconds: float, errors: Errors = WANDERS, axis: int = 0) -> list[float]:
+    """The error on one axis, every half second."""
+    drift = drift_of(seed, errors)
+    return [drift.step(DT_S)[axis] for _ in range(int(seconds / DT_S))]
 
 
 def test_the_spread_is_sigma() -> None:
@@ -33,7 +38,7 @@ def test_after_one_time_constant_a_third_is_remembered() -> None:
 
 
 def test_it_starts_spread_out_as_it_goes_on() -> None:
-    starts = [GpsDrift(0.8, 60.0, random.Random(seed)).step(0.0)[0] for seed in range(500)]
+    starts = [drift_of(seed, WANDERS).step(0.0)[0] for seed in range(500)]
 
     assert statistics.pstdev(starts) == pytest.approx(0.8, rel=0.1)
 
@@ -46,7 +51,7 @@ def test_it_glides() -> None:
 
 
 def test_a_jump_comes_at_once() -> None:
-    drift = GpsDrift(0.0, 60.0, random.Random(1))
+    drift = drift_of(1, Errors())
     drift.jump_ned_m = (15.0, -10.0, 0.0)
 
     assert drift.step(0.02) == pytest.approx((15.0, -10.0, 0.0))
@@ -57,11 +62,9 @@ def test_the_same_seed_drifts_the_same_way() -> None:
     assert series(7, 100) != series(8, 100)
 
 
-def test_the_height_wanders_by_a_sigma_of_its_own_and_moves_nothing_else() -> None:
-    level = GpsDrift(0.8, 60.0, random.Random(3))
-    both = GpsDrift(
-        0.8, 60.0, random.Random(3), vertical_sigma_m=1.6, vertical_rng=random.Random(4)
-    )
+def test_the_height_wanders_by_a_sigma_and_a_time_of_its_own_and_moves_nothing_else() -> None:
+    high = Errors(0.8, 60.0, height_sigma_m=1.6, height_tau_s=20.0)
+    level, both = drift_of(3, WANDERS), drift_of(3, high)
     heights = []
     for _ in range(80_000):
         north, east, down = both.step(DT_S)
@@ -70,12 +73,56 @@ def test_the_height_wanders_by_a_sigma_of_its_own_and_moves_nothing_else() -> No
 
     assert statistics.pstdev(heights) == pytest.approx(1.6, rel=0.12)
     assert statistics.fmean(heights) == pytest.approx(0.0, abs=0.4)
+    lag = int(20.0 / DT_S)
+    assert np.corrcoef(heights[:-lag], heights[lag:])[0, 1] == pytest.approx(0.37, abs=0.1)
 
 
-def test_the_height_of_a_scenario_is_off_unless_asked_for() -> None:
-    right = Hangar(load_scenario("echowing"), 1).leader()
-    wrong = Hangar(load_scenario("echowing", ["gps.vertical_sigma_m=1.6"]), 1).leader()
+def test_barometer_and_receiver_are_apart() -> None:
+    """The autopilot flies by one; the other is only told, unless it flies by that."""
+    errors = Errors(height_sigma_m=0.5, receiver_height_sigma_m=1.6)
+    usual, by_receiver = drift_of(6, errors), drift_of(6, errors, by_receiver=True)
+    flown, told, flown_by_receiver = [], [], []
+    for _ in range(40_000):
+        flown.append(usual.step(DT_S)[2])
+        told.append(usual.receiver_down_m)
+        flown_by_receiver.append(by_receiver.step(DT_S)[2])
 
-    assert right.body.est_down_m == right.body.down_m
-    assert abs(wrong.body.est_down_m - wrong.body.down_m) > 0.01
-    assert wrong.body.est_north_m == right.body.est_north_m
+    assert statistics.pstdev(flown) == pytest.approx(0.5, rel=0.15)
+    assert statistics.pstdev(told) == pytest.approx(1.6, rel=0.15)
+    assert abs(np.corrcoef(flown, told)[0, 1]) < 0.2
+    assert np.corrcoef(flown_by_receiver, told)[0, 1] > 0.95
+
+
+def test_a_parked_vehicle_takes_its_barometer_for_right() -> None:
+    errors = Errors(sigma_m=0.8, height_sigma_m=0.5)
+    parked = drift_of(2, errors, parked=True)
+
+    north, _, down = parked.step(0.0)
+    assert (north, down) == (drift_of(2, errors).step(0.0)[0], 0.0)
+    assert statistics.pstdev(parked.step(DT_S)[2] for _ in range(40_000)) == pytest.approx(
+        0.5, rel=0.15
+    )
+
+
+def test_steps_come_as_often_as_told_and_fade() -> None:
+    errors = Errors(tau_s=5.0, step_m=3.0, step_every_s=60.0)
+    values = np.array(series(9, 60_000, errors))
+
+    # A step is on its way within a second, and then 1 m further in half a second or so.
+    begins = np.abs(np.diff(values)) > 0.3
+    steps = int(np.sum(begins[1:] & ~begins[:-1]))
+    # 1,000 come; a fourth of them is smaller than 1 m and not counted.
+    assert 600 < steps < 1_000
+    # Each begins at 3 m and fades in 5 s: 3 m x sqrt(5 s / 2 / 60 s), a little less by the filter.
+    assert statistics.pstdev(values) == pytest.approx(0.61, rel=0.2)
+
+
+def test_multipath_comes_beside_the_slow_drift() -> None:
+    errors = Errors(0.8, 60.0, multipath_m=0.6, multipath_s=5.0)
+    slow, both = np.array(series(4, 20_000)), np.array(series(4, 20_000, errors))
+    beside = both - slow
+
+    # The filter's second takes a tenth of its square: 0.6 x sqrt(5 / 6).
+    assert statistics.pstdev(beside) == pytest.approx(0.55, rel=0.1)
+    lag = int(10.0 / DT_S)
+    assert abs(np.corrcoef(beside[:-lag], beside[lag:])[0, 1]) < 0.3

@@ -1,4 +1,3 @@
-import itertools
 import math
 from dataclasses import replace
 
@@ -16,11 +15,11 @@ from echowing.flight.guidance import (
     lead_share,
     predicted,
     slot_offset_m,
-    sway_rad,
 )
 from echowing.flight.plan import planned
 from echowing.flight.state import FollowerPlan, Known
 from echowing.geo import GlobalPosition, Ned, displace, ned_between
+from echowing.sonar_file import shipped_sonar
 
 HERE = GlobalPosition(39.34, -86.03, 260.0)
 COURSES_DEG = range(0, 360, 15)
@@ -32,7 +31,8 @@ class Planner:
     """Points for one follower, which gets them at once; heading north at first."""
 
     def __init__(self, settings: GuidanceSettings, slot: Slot | None = None) -> None:
-        self.known = Known(1, [FollowerPlan(FOLLOWER, slot or Slot(3.0))], settings)
+        plan = FollowerPlan(FOLLOWER, slot or Slot(3.0), sonar=shipped_sonar())
+        self.known = Known(1, [plan], settings)
         self.follower = self.known.followers[FOLLOWER]
         self.follower.clock.answered(0.0, 0.0, 0.0)
 
@@ -251,23 +251,6 @@ def test_an_accelerating_leader_is_predicted_with_its_acceleration() -> None:
     # 2 m/s x 0.5 s - 2 m/s2 x (0.5 s)^2 / 2, and 2 - 1 m/s.
     assert ned_between(HERE, now.position)[0] == pytest.approx(0.75, abs=0.02)
     assert now.velocity_ned_mps[0] == pytest.approx(1.0)
-
-
-def test_the_nose_sways_to_both_sides_while_the_bearing_is_unsure() -> None:
-    looks = [sway_rad(math.radians(30.0), t / 10.0) for t in range(40)]
-
-    assert max(looks) == pytest.approx(math.radians(8.0), abs=0.01)
-    assert min(looks) == pytest.approx(-math.radians(8.0), abs=0.01)
-    # A copter turns at 60 deg/s at the most and the sonar has to have time to hear.
-    assert max(abs(b - a) for a, b in itertools.pairwise(looks)) < math.radians(1.5)
-    assert all(sway_rad(math.radians(4.0), t / 10.0) == 0.0 for t in range(40))
-
-
-def test_a_sway_fades_as_the_bearing_becomes_sure() -> None:
-    """Switched off at once it moved the nose by 11 degrees, and the sonar lost its leader."""
-    widest = [sway_rad(math.radians(unsure_deg / 10.0), 1.0) for unsure_deg in range(100)]
-
-    assert max(abs(b - a) for a, b in itertools.pairwise(widest)) < math.radians(0.5)
 
 
 @pytest.mark.parametrize("feed_forward", [True, False])

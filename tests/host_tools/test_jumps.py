@@ -22,6 +22,7 @@ from echowing.geo import GlobalPosition, displace, ned_between
 from echowing.sim.flight import FormationFlight
 from echowing.sim.scenario import load_scenario
 
+from ..world import CLEARLY
 from .yard import FOLLOWER, GUIDED, HERE, LEADER, LOITER, TICK_S, Vehicle, Yard
 
 JUMP_M = (12.0, 0.0, 0.0)
@@ -244,7 +245,7 @@ def test_in_simulated_flight_the_sonar_denies_it_or_the_pilot_engages_it_again(
     learns: bool,
 ) -> None:
     changes = [" ".join(JUMP.split()), f"guidance.learn_offset={str(learns).lower()}"]
-    flight = FormationFlight(load_scenario("hostile", [*changes, "duration_s=35"]), 1)
+    flight = FormationFlight(load_scenario("hostile", [*changes, *CLEARLY, "duration_s=35"]), 1)
     events = [text for _, text in flight.run().events]
     if learns:
         assert any("jumped by 12.0 m: the sonar's range did not change" in text for text in events)

@@ -11,6 +11,7 @@ from echowing.flight.relay import RELAY_SETTINGS, RelayGuide, parse_ground
 from echowing.flight.state import FollowerPlan, Known
 from echowing.geo import GlobalPosition, Ned, displace, ned_between
 from echowing.sim.copter import Copter
+from echowing.sonar_file import shipped_sonar
 
 from ..flight.relay_field import RELAY, REMOTE, RelayField
 
@@ -29,7 +30,7 @@ def guided(guide: RelayGuide, remote_m: Ned, way_mps: Ned, here_m: Ned | None = 
 
 def test_the_point_is_midway_to_where_the_remote_vehicle_is_now_beside_the_line() -> None:
     fix = LeaderFix(10.0, displace(GROUND, (200.0, 0.0, 0.0)), (4.0, 0.0, 0.0), 0.0)
-    known = Known(REMOTE, [FollowerPlan(RELAY, Slot(0.0))], RELAY_SETTINGS)
+    known = Known(REMOTE, [FollowerPlan(RELAY, Slot(0.0), sonar=shipped_sonar())], RELAY_SETTINGS)
     known.leader.fix = fix
     relay = known.followers[RELAY]
     relay.guide = RelayGuide(GROUND, CLEAR_M)

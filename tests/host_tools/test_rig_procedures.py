@@ -29,12 +29,12 @@ from echowing.rig.bench import (
 )
 from echowing.rig.latency_test import Clocks, LatencyTest, bins
 from echowing.rig.law_steps import Law, Sample, judged
+from echowing.rig.law_test import OUT_OF_RANGE, GimbalWatch, Hold, holds
 from echowing.rig.law_vehicles import law_of
 from echowing.rig.messages import Frames
 from echowing.rig.ports import PortLostError
 from echowing.rig.range_test import Point, RangeTest, distances, effective_range_m
 from echowing.rig.readings import percentile, spread
-from echowing.rig.response_matrix import OUT_OF_RANGE, GimbalWatch, Hold, holds
 from echowing.rig.result import Check, Result, write_result
 from echowing.rig.scan_test import ScanTest, Visits, by_point
 from echowing.rig.soak import Soak, SoakTest
@@ -531,7 +531,7 @@ def test_histogram_counts_every_value_once() -> None:
     assert found[-1][2] == 10  # the last holds all beyond
 
 
-# ---- response matrix ----------------------------------------------------------------------------
+# ---- law test -----------------------------------------------------------------------------------
 
 THESIS = Law(3.0, 0.05, 0.25, 4.5, 0.5, 1.0, 0.45, 0.0, 5.0)
 

@@ -18,6 +18,7 @@ from echowing.mavlink.signing import (
     is_refused,
     load_key,
 )
+from echowing.sonar_file import shipped_sonar
 from echowing.stopping import StopRequest
 from echowing.tool.leader import PUBLISHED_LINK_ID, VEHICLE_LINK_ID
 from echowing.tool.run import FollowOptions, FollowTool
@@ -146,7 +147,9 @@ def test_follow_setup_and_leader_sign_with_ids_of_their_own() -> None:
         return Link(address)
 
     seats = [parse_seat("follower", f"udpin:{port}@{port}") for port in range(1, 52)]
-    options = FollowOptions(seats, [Slot(3.0)] * 50, GuidanceSettings(), signing_key=KEY)
+    options = FollowOptions(
+        seats, [Slot(3.0)] * 50, GuidanceSettings(), shipped_sonar(), signing_key=KEY
+    )
     FollowTool(options, PlainView(), StopRequest(), make_link=note)
     ids = [*made, SETUP_LINK_ID, VEHICLE_LINK_ID, PUBLISHED_LINK_ID]
     assert len(made) == 51

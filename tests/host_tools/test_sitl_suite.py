@@ -16,7 +16,7 @@ import pytest
 from echowing.sim import flight
 from echowing.sim.gps import ESTIMATE_LAG_S
 from echowing.sim.hangar import Hangar
-from echowing.sim.scenario import Scenario
+from echowing.sim.scenario import load_scenario
 
 from ..sitl import loopback, truth
 from ..sitl.drift import METRES_PER_DEGREE, STEP_S, Drift
@@ -68,7 +68,7 @@ def test_drift_has_the_deviation_and_the_memory_of_its_model() -> None:
 
 def test_drift_is_that_of_the_simulators_receiver() -> None:
     assert flight.STEP_S == STEP_S
-    hangar = Hangar(Scenario(title="a seed"), 2)
+    hangar = Hangar(load_scenario("echowing", ["gps.spread=0"]), 2)
     simulated = hangar.leader().drift
     settings = hangar.scenario.gps
     drift = Drift.of_receiver(settings.sigma_m, settings.tau_s, 2, "leader")

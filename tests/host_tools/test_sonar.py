@@ -1,25 +1,28 @@
 import math
 import random
 import statistics
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import pytest
 
+from echowing.flight.belief import Curve
 from echowing.flight.sonar import PAN_CENTRE_US, TILT_CENTRE_US
 from echowing.sim import sonar
 from echowing.sim.sonar import (
-    BEAM_HALF_ANGLE_DEG,
-    FOIL_X8_RANGE_M,
     GROUND,
     LEVER_ARM_M,
+    ON_A_DESK,
     SPEED_OF_SOUND_MPS,
-    STOCK_X8_RANGE_M,
-    TARGET_RADIUS_M,
     Ear,
     Gimbal,
     MaxSonar,
     Pose,
     Surface,
     Target,
+    TrueSonar,
     body_to_ned,
     surface_range_m,
     target_range_m,
@@ -28,54 +31,153 @@ from echowing.sim.sonar import (
 NORTH = (1.0, 0.0, 0.0)
 HIGH = (0.0, 0.0, -10.0)
 WALL_AT_5_M = Surface((5.0, 0.0, 0.0), (-1.0, 0.0, 0.0))
-BODY_SIZES_M = LEVER_ARM_M + TARGET_RADIUS_M
+BODY_SIZES_M = ON_A_DESK.inset_m
+QUIET = replace(ON_A_DESK, wild_share=0.0)
+HALF_DEG = math.degrees(ON_A_DESK.widest_rad)
 
 
-def quiet_ear(seed: int = 1) -> Ear:
-    return Ear(random.Random(seed), wild_share=0.0)
+def quiet_ear(seed: int = 1, **other: Any) -> Ear:
+    """A sonar on a desk without wild readings, and what is told otherwise of it."""
+    return ear_of(replace(QUIET, **other), seed)
+
+
+def ear_of(true: TrueSonar, seed: int = 1) -> Ear:
+    return Ear(lambda name: random.Random(f"{seed} {name}"), true)
 
 
 def target_at(
-    distance_m: float, off_axis_deg: float = 0.0, heard_to_m: float = FOIL_X8_RANGE_M
+    distance_m: float, off_axis_deg: float = 0.0, heard_to_m: float = ON_A_DESK.foil_m
 ) -> Target:
+    """A leader so far from the sonar's face, that far off its axis."""
     off = math.radians(off_axis_deg)
-    return Target((distance_m * math.cos(off), distance_m * math.sin(off), -10.0), heard_to_m)
+    north_m, east_m = LEVER_ARM_M + distance_m * math.cos(off), distance_m * math.sin(off)
+    return Target((north_m, east_m, -10.0), heard_to_m)
 
 
-def heard_share(target: Target, pings: int = 400) -> float:
-    ear, pose = quiet_ear(), Pose(HIGH, NORTH)
-    heard = [ear.ping(k * 0.1, pose, [target], ()) is not None for k in range(pings)]
-    return sum(heard) / pings
+def readings_m(ear: Ear, target: Target, pings: int = 400) -> list[float | None]:
+    return [ear.ping(k * 0.1, Pose(HIGH, NORTH), [target], ()) for k in range(pings)]
+
+
+def heard_share(target: Target, pings: int = 400, **other: Any) -> float:
+    readings = readings_m(quiet_ear(**other), target, pings)
+    return sum(one is not None for one in readings) / pings
 
 
 def test_the_range_is_from_the_sonars_face_to_the_leaders_foil() -> None:
-    assert target_range_m(Pose(HIGH, NORTH), target_at(3.0)) == pytest.approx(3.0 - BODY_SIZES_M)
+    range_m, off_rad = target_range_m(Pose(HIGH, NORTH), target_at(3.0, 12.0))
+
+    assert range_m == pytest.approx(3.0 + LEVER_ARM_M - BODY_SIZES_M)
+    assert math.degrees(off_rad) == pytest.approx(12.0)
 
 
-def test_the_cone_ends_at_its_half_angle() -> None:
-    pose = Pose(HIGH, NORTH)
+def test_another_inset_is_other_legs_on_the_leader() -> None:
+    legs_m = 0.15
+    leader = replace(target_at(3.0), radius_m=legs_m)
 
-    # The lever arm brings the face nearer, so the angle from it is a little wider.
-    assert target_range_m(pose, target_at(3.0, BEAM_HALF_ANGLE_DEG - 1.5)) is not None
-    assert target_range_m(pose, target_at(3.0, BEAM_HALF_ANGLE_DEG + 0.1)) is None
-    assert target_range_m(pose, target_at(3.0, 180.0)) is None
+    assert target_range_m(Pose(HIGH, NORTH), leader)[0] == pytest.approx(3.0 - legs_m)
 
 
-@pytest.mark.parametrize("heard_to_m", [STOCK_X8_RANGE_M, FOIL_X8_RANGE_M])
+def test_on_a_desk_the_beam_is_a_cone() -> None:
+    assert heard_share(target_at(3.0, HALF_DEG - 0.1)) == 1.0
+    assert heard_share(target_at(3.0, HALF_DEG + 0.1)) == 0.0
+    assert heard_share(target_at(3.0, 180.0)) == 0.0
+
+
+@pytest.mark.parametrize("heard_to_m", [ON_A_DESK.stock_m, ON_A_DESK.foil_m])
 def test_a_leader_is_heard_as_far_as_table_5_says(heard_to_m: float) -> None:
-    near = target_at(heard_to_m * 0.94 + BODY_SIZES_M, heard_to_m=heard_to_m)
-    at_limit = target_at(heard_to_m + BODY_SIZES_M, heard_to_m=heard_to_m)
-    beyond = target_at(heard_to_m * 1.06 + BODY_SIZES_M, heard_to_m=heard_to_m)
+    reads_more_m = BODY_SIZES_M - LEVER_ARM_M
+    near = target_at(heard_to_m * 0.94 + reads_more_m, heard_to_m=heard_to_m)
+    at_limit = target_at(heard_to_m + reads_more_m, heard_to_m=heard_to_m)
+    beyond = target_at(heard_to_m * 1.06 + reads_more_m, heard_to_m=heard_to_m)
 
     assert heard_share(near) == 1.0
     assert 0.35 < heard_share(at_limit) < 0.65
     assert heard_share(beyond) == 0.0
 
 
+# A share of 2,000 pings is known to 0.011 (one standard deviation), or better.
+def test_only_a_share_of_the_pings_is_heard_by_range() -> None:
+    heard = Curve((1.0, 3.0), (0.9, 0.5))
+
+    assert heard_share(target_at(2.1), 2_000, heard=heard) == pytest.approx(0.7, abs=0.04)
+    assert heard_share(target_at(3.1), 2_000, heard=heard) == pytest.approx(0.5, abs=0.04)
+
+
+def test_the_beam_narrows_with_the_range() -> None:
+    narrowing = Curve((1.0, 3.0), (math.radians(20.0), math.radians(6.0)))
+
+    assert heard_share(target_at(1.1, 12.0), half_rad=narrowing) == 1.0
+    assert heard_share(target_at(3.1, 12.0), half_rad=narrowing) == 0.0
+    assert heard_share(target_at(3.1, 5.0), half_rad=narrowing) == 1.0
+
+
+def test_the_beams_edge_is_as_soft_as_it_is_told() -> None:
+    edge_rad = math.radians(4.0)
+
+    assert heard_share(target_at(3.0, HALF_DEG), 2_000, edge_rad=edge_rad) == pytest.approx(
+        0.5, abs=0.04
+    )
+    # One edge outside, and one inside: 1 / (1 + e^2) = 0.12.
+    outside, inside = (target_at(3.0, HALF_DEG + off_deg) for off_deg in (4.0, -4.0))
+    assert heard_share(outside, 2_000, edge_rad=edge_rad) == pytest.approx(0.12, abs=0.03)
+    assert heard_share(inside, 2_000, edge_rad=edge_rad) == pytest.approx(0.88, abs=0.03)
+
+
+def test_a_smaller_leader_is_heard_over_a_narrower_beam() -> None:
+    narrowing = Curve((2.0, 4.6), (math.radians(20.0), math.radians(8.0)))
+    foil, stock = target_at(2.9, 12.0), target_at(2.9, 12.0, ON_A_DESK.stock_m)
+
+    assert heard_share(foil, half_rad=narrowing) == 1.0
+    assert heard_share(stock, half_rad=narrowing) == 0.0
+
+
+def test_deafness_comes_in_bursts() -> None:
+    """A third of the time, two seconds at a time: 20 readings."""
+    readings = readings_m(quiet_ear(deaf_share=1.0 / 3.0, deaf_s=2.0), target_at(3.0), 40_000)
+    silent = [one is None for one in readings]
+    bursts = sum(silent[k] and not silent[k - 1] for k in range(1, len(silent)))
+
+    # About 670 bursts: their mean length is known to 4 %.
+    assert sum(silent) / len(silent) == pytest.approx(1.0 / 3.0, abs=0.05)
+    assert 0.1 * sum(silent) / bursts == pytest.approx(2.0, rel=0.15)
+
+
+def test_a_strangers_sonar_makes_anything_of_a_range_in_bursts() -> None:
+    readings = readings_m(quiet_ear(tone_share=0.25), target_at(4.0), 40_000)
+    # Of the ranges that are anything up to 7.65 m, half are nearer than the leader.
+    wrong = sum(one is not None and one < 3.7 for one in readings) / len(readings)
+
+    assert wrong == pytest.approx(0.25 * (3.7 - 0.2) / 7.45, abs=0.03)
+
+
+def test_noise_is_as_told() -> None:
+    readings = [one or 0.0 for one in readings_m(quiet_ear(noise_m=0.05), target_at(3.0), 2_000)]
+
+    assert statistics.pstdev(readings) == pytest.approx(0.05, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    "other",
+    [{"heard": Curve((0.0,), (0.5,))}, {"deaf_share": 0.5}, {"wild_share": 0.3}],
+)
+def test_what_else_is_different_changes_no_other_draw(other: dict[str, Any]) -> None:
+    """A reading that is the leader's in both flights is the same in both.
+
+    Wild ones may come to lie just before the leader; of other noise two thirds would be different.
+    """
+    usual = readings_m(quiet_ear(), target_at(3.0))
+    changed = readings_m(quiet_ear(**other), target_at(3.0))
+
+    right = [(a, b) for a, b in zip(usual, changed, strict=True) if b is not None and b > 2.8]
+    assert len(right) > 100
+    assert sum(a != b for a, b in right) < 0.03 * len(right)
+    assert usual != changed
+
+
 def test_the_nearest_of_all_vehicles_is_what_is_heard() -> None:
     pings = quiet_ear().ping(0.0, Pose(HIGH, NORTH), [target_at(4.0), target_at(2.0)], ())
 
-    assert pings == pytest.approx(2.0 - BODY_SIZES_M, abs=0.05)
+    assert pings == pytest.approx(2.0 + LEVER_ARM_M - BODY_SIZES_M, abs=0.05)
 
 
 def test_readings_come_in_whole_centimetres_with_centimetre_noise() -> None:
@@ -86,7 +188,7 @@ def test_readings_come_in_whole_centimetres_with_centimetre_noise() -> None:
     assert all(r is not None and abs(r * 100 - round(r * 100)) < 1e-9 for r in readings)
     mean = statistics.mean(r for r in readings if r is not None)
     # Truncation to the centimetre takes half of one off on average.
-    assert mean == pytest.approx(3.0 - BODY_SIZES_M - 0.005, abs=0.003)
+    assert mean == pytest.approx(3.0 + LEVER_ARM_M - BODY_SIZES_M - 0.005, abs=0.003)
 
 
 def test_nothing_is_nearer_than_the_shortest_range() -> None:
@@ -105,7 +207,7 @@ def test_the_beam_reaches_the_wall_by_its_squarest_ray() -> None:
     aslant = body_to_ned((1.0, 0.0, 0.0), 0.0, 0.0, math.radians(30.0))
 
     # 30 degrees off, 20 of them inside the beam.
-    expected = 5.0 / math.cos(math.radians(30.0 - BEAM_HALF_ANGLE_DEG))
+    expected = 5.0 / math.cos(math.radians(30.0 - HALF_DEG))
     assert surface_range_m(Pose(HIGH, aslant), WALL_AT_5_M) == pytest.approx(expected)
 
 
@@ -135,7 +237,7 @@ def test_at_the_recommended_100_ms_there_is_no_ghost() -> None:
 
 
 def test_one_reading_in_a_hundred_is_wild() -> None:
-    ear, pose = Ear(random.Random(5)), Pose(HIGH, NORTH)
+    ear, pose = ear_of(ON_A_DESK, 5), Pose(HIGH, NORTH)
 
     wild = sum(ear.ping(k * 0.1, pose, [], ()) is not None for k in range(20_000))
 
@@ -152,15 +254,62 @@ def test_two_sonars_that_face_each_other_hear_each_others_tone() -> None:
     assert all(ear.ping(k * 0.1, pose, [], (), [same_way]) is None for k in range(20))
 
 
-def test_the_gimbal_slews_at_the_servos_rate_and_stops_at_its_pulse() -> None:
+def test_the_gimbal_slews_at_the_servos_rate_and_stops_half_its_play_short_of_its_pulse() -> None:
     gimbal = Gimbal()
 
-    gimbal.step(0.01, PAN_CENTRE_US - 100.0, TILT_CENTRE_US)
+    gimbal.step(0.015, PAN_CENTRE_US - 100.0, TILT_CENTRE_US)
     on_the_way = gimbal.pan_deg
     gimbal.step(1.0, PAN_CENTRE_US - 100.0, TILT_CENTRE_US)
 
-    assert on_the_way == pytest.approx(-5.0)  # 500 deg/s for 10 ms
-    assert gimbal.pan_deg == pytest.approx(-10.0)  # 100 us at 10 us a degree
+    # A dead time of 5 ms, then 500 deg/s for 10 ms; half a degree of play is taken up first.
+    assert on_the_way == pytest.approx(-4.5)
+    assert gimbal.pan_deg == pytest.approx(-9.5)  # 100 us at 10 us a degree
+
+
+def test_play_is_a_degree_between_coming_from_the_left_and_from_the_right() -> None:
+    gimbal = Gimbal()
+    stops_deg = []
+    for from_us in (-100.0, 100.0):
+        gimbal.step(1.0, PAN_CENTRE_US + from_us, TILT_CENTRE_US + from_us)
+        gimbal.step(1.0, PAN_CENTRE_US + 50.0, TILT_CENTRE_US + 50.0)
+        stops_deg.append((gimbal.pan_deg, gimbal.tilt_deg))
+    assert stops_deg == [pytest.approx((4.5, 4.5)), pytest.approx((5.5, 5.5))]
+    # Less than the play moves the gears, and not the axis.
+    gimbal.step(1.0, PAN_CENTRE_US + 59.0, TILT_CENTRE_US)
+    assert gimbal.pan_deg == pytest.approx(5.5)
+
+
+@pytest.mark.parametrize("step_s", [0.001, 0.004, 0.02])
+def test_pulses_count_after_the_dead_time_in_their_order_at_any_step(step_s: float) -> None:
+    """A pulse of a frame's length turns the servo out and back, 5 ms later, and loses nothing."""
+    gimbal = Gimbal()
+    reached_deg = []
+    for k in range(round(0.1 / step_s)):
+        out = k * step_s < 0.0199
+        gimbal.step(step_s, PAN_CENTRE_US + (300.0 if out else 0.0), TILT_CENTRE_US)
+        reached_deg.append(gimbal.pan_deg)
+    # Out for 20 ms at 500 deg/s, from 5 to 25 ms; half a degree of play on each side.
+    if step_s == 0.001:
+        assert max(reached_deg) == pytest.approx(9.5)
+        assert reached_deg[3] == 0.0
+    assert reached_deg[round(0.02 / step_s) - 1] == pytest.approx(7.0)
+    assert reached_deg[round(0.04 / step_s) - 1] == pytest.approx(3.0)
+    assert reached_deg[-1] == pytest.approx(0.5)
+
+
+VECTORS = tomllib.loads((Path(__file__).parents[1] / "flight" / "axis.toml").read_text())["axis"]
+
+
+@pytest.mark.parametrize("row", VECTORS, ids=lambda row: f"{row['azimuth_deg']:g}")
+def test_the_gimbal_s_axis_is_the_one_of_the_table_that_all_share(row: dict[str, float]) -> None:
+    pan, tilt = math.radians(row["pan_deg"]), math.radians(row["tilt_deg"])
+    body = math.cos(tilt) * math.cos(pan), math.cos(tilt) * math.sin(pan), -math.sin(tilt)
+    north, east, down = body_to_ned(
+        body, *(math.radians(row[f"{angle}_deg"]) for angle in ("roll", "pitch", "yaw"))
+    )
+    turn_deg = math.degrees(math.atan2(east, north)) - row["azimuth_deg"]
+    assert (turn_deg + 180.0) % 360.0 - 180.0 == pytest.approx(0.0, abs=1e-3)
+    assert math.degrees(math.asin(-down)) == pytest.approx(row["elevation_deg"], abs=1e-3)
 
 
 def test_longer_pulses_look_right_and_up() -> None:

@@ -15,6 +15,7 @@ from echowing.flight.take_off import STALE_S, WARNING_S, Lift, TakeOff
 from echowing.geo import ned_between
 from echowing.sim.autopilot import ORIGIN, Autopilot
 from echowing.sim.copter import Copter
+from echowing.sonar_file import shipped_sonar
 from echowing.tool.panel import left_as, state_of
 
 LEADER, FIRST, SECOND = 1, 2, 3
@@ -35,7 +36,10 @@ class Field:
         self.autopilots = {i: Autopilot(c, system_id=i) for i, c in self.copters.items()}
         self.parsers = {i: mavlink.MAVLink(None) for i in starts}
         self.packer = mavlink.MAVLink(None, srcSystem=245, srcComponent=190)
-        plans = [FollowerPlan(i, Slot(6.0 * (i - 1)), 10.0) for i in (FIRST, SECOND)]
+        plans = [
+            FollowerPlan(i, Slot(6.0 * (i - 1)), 10.0, sonar=shipped_sonar())
+            for i in (FIRST, SECOND)
+        ]
         self.session = FollowSession(
             LEADER,
             plans,

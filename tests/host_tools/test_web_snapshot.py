@@ -87,6 +87,19 @@ def test_a_glance_is_enough_for_tracks_and_plots() -> None:
 # ---- what is wrong ----------------------------------------------------------------------------
 
 
+def test_what_the_sonar_has_heard_is_on_the_page_and_worse_is_to_be_looked_at() -> None:
+    heard = row(heard_percent=74.2, scatter_m=0.021, wrong_percent=1.4)
+    shown = snapshot(Moment(0.0, [heard], [track()]), HERE)
+    sonar = shown["followers"][0]["sonar"]
+    assert (sonar["heard"], sonar["scatter"], sonar["wrong"]) == (74.0, 0.02, 1.0)
+    assert shown["alarms"] == []
+
+    worse = row(heard_percent=31.0, worse="sonar hears 31%, 50% is believed")
+    (alarm,) = alarms(Moment(0.0, [worse], [track()]))
+    assert alarm.level is Level.LOOK
+    assert alarm.text == "Follower 2: sonar hears 31%, 50% is believed"
+
+
 def test_nothing_wrong() -> None:
     assert alarms(moment()) == []
     assert headline(moment()) == "1 of 1 following"

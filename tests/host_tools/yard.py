@@ -15,6 +15,7 @@ from echowing.flight.state import FollowerPlan
 from echowing.flight.vehicle_limits import usual_parameters
 from echowing.geo import GlobalPosition, displace
 from echowing.mavlink.plausible import Door
+from echowing.sonar_file import shipped_sonar
 from echowing.tool.panel import state_of
 
 LEADER, FOLLOWER, SECOND = 1, 2, 3
@@ -142,7 +143,10 @@ class Yard:
         limits = limits or Limits(home_difference_m=5.0)
         self.session = FollowSession(
             LEADER,
-            [FollowerPlan(i, slot, 10.0) for i, slot in zip(followers, slots, strict=True)],
+            [
+                FollowerPlan(i, slot, 10.0, sonar=shipped_sonar())
+                for i, slot in zip(followers, slots, strict=True)
+            ],
             settings or GuidanceSettings(learn_offset=False),
             limits=replace(limits, ready=ready or Readiness()),
             engaged=engaged,

@@ -29,6 +29,13 @@ def test_every_board_and_harness_is_shown_or_linked() -> None:
     assert all(f"/{name}.svg" in text for name in drawn)
 
 
+def test_every_view_of_the_mount_is_shown() -> None:
+    text = (HW / "README.md").read_text(encoding="utf-8")
+    shown = re.findall(r"!\[[^]]*\]\(pictures/mount/(\w+)\.png\)", text)
+    assert set(shown) == set(mount.VIEWS)
+    assert {path.stem for path in (HW / "pictures" / "mount").iterdir()} == set(mount.VIEWS)
+
+
 def test_build_ends_with_the_self_test() -> None:
     text = (HW / "README.md").read_text(encoding="utf-8")
     steps = [text.index(word) for word in ("Carrier board", "First power-up", "rig self-test")]

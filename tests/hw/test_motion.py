@@ -1,15 +1,15 @@
 """The servos are strong and fast enough, the boom is stiff enough."""
 
 import math
+import re
 
 import numpy as np
 import pytest
 import trimesh
 
-from echowing.paths import shipped
 from echowing.rig import search
 from hwtools import motion, servos
-from hwtools.facts import gimbal_reach, load, scan_aims
+from hwtools.facts import ROOT, gimbal_reach, load, read, scan_aims
 from hwtools.figures import figures
 from hwtools.mount import number
 from hwtools.rig import Rig
@@ -67,10 +67,9 @@ def test_the_servo_turns_the_whole_reach_within_the_firmwares_pulses() -> None:
 
 
 def test_pulse_limits_are_the_firmwares() -> None:
-    source = shipped("parameter_table.h").read_text(encoding="utf-8")
-    for name in ("PAN_LEFT", "PAN_RIGHT", "TILT_LOW", "TILT_HIGH"):
-        least, most = motion.PULSES_US
-        assert f'"{name}", {search.parameter_defaults()[name]:g}, {least:g}, {most:g},' in source
+    source = read(ROOT / "firmware/echowing/src/core/ports.h")
+    found = re.findall(r"k(?:Shortest|Longest)Pulse_us = ([\d.]+)f;", source)
+    assert tuple(map(float, found)) == motion.PULSES_US
 
 
 def test_settings_keep_the_thesiss_figure_8() -> None:

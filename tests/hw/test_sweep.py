@@ -8,7 +8,7 @@ import trimesh
 
 from echowing.rig import search
 from echowing.rig.search import Aim
-from hwtools import facts, keepout, lead, sweep
+from hwtools import facts, keepout, lead, motion, sweep
 from hwtools.facts import Reach, gimbal_reach
 from hwtools.mount import number
 from hwtools.rig import PANNING, TILTING, Rig, rotation
@@ -38,12 +38,13 @@ def test_what_is_swept_is_the_firmwares_reach_and_more() -> None:
     assert swept.pan_deg - reach.pan_deg == number("sweep_beyond_deg") > 0.0
 
 
-def test_the_reach_is_the_firmwares_where_its_table_has_one(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_reach_is_what_a_board_has_by_default(monkeypatch: pytest.MonkeyPatch) -> None:
+    """More than the servos turn, in the firmware's table, and the mount's checks fail."""
     normal = {**search.parameter_defaults(), "PAN_REACH": 70.0, "TILT_REACH": 40.0}
     monkeypatch.setattr(search, "parameter_defaults", lambda: normal)
     assert gimbal_reach() == Reach(70.0, 40.0)
+    assert sweep.swept_reach() == Reach(75.0, 45.0)
+    assert [check.board for check in motion.travel_checks() if not check.holds] == ["pan"]
 
 
 def test_a_peg_between_two_poses_of_the_search_is_found(solids: Rig) -> None:

@@ -303,6 +303,7 @@ class Flight:
 
     def fly(self, *, deafened: bool = False) -> None:
         """All of it; deafened: without the frames that hostile radios add."""
+        self._start()
         for action in self.case.actions:
             if not (deafened and action[0] == "frame"):
                 self._do(action)
@@ -331,17 +332,20 @@ class Flight:
                 vehicle.switches[option] = position
             case ("traffic", name, value):
                 setattr(self.traffic, name, value)
-            case ("kill", instructions) if self.host.next_run_ms:
-                # Not while it loads: its parameters are added anew then, the mirror among them.
+            case ("kill", instructions):
                 self.host.kill_after(instructions)
                 self.killed = True
             case ("restart",):
                 # What a pilot sets while no script looks at it is taken for the dead script's.
                 self._wait(6)
                 self.host = self._new_host()
-                self._wait(1)
+                self._start()
             case ("pause", milliseconds):
                 vehicle.t_ms += milliseconds // STEP_MS * STEP_MS
+
+    def _start(self) -> None:
+        """Nothing comes between: its parameters are added anew, the mirror among them."""
+        self._wait(2)  # the first run may only give the function that starts it
 
     def _wait(self, steps: int) -> None:
         for _ in range(steps):

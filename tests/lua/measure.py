@@ -1,6 +1,6 @@
 """Lua instructions of the applet per update, as figures for its doc.
 
-    .venv/bin/python tests/lua/measure.py
+    .venv/bin/python -m tests.lua.measure
 
 Each situation is flown on a vehicle on the desk with the instruction counter on: it counts the
 applet's own instructions; what ArduPilot does in C costs one each. For the memory see heap.py.

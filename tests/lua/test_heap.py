@@ -61,6 +61,17 @@ def test_numbers_and_pointers_take_32_bits(needs: Measure) -> None:
     assert thousand.least_bytes - one.least_bytes > (1023 + 512 - 1) * 8
 
 
+def test_the_compilers_table_of_words_doubles_when_it_is_full(needs: Measure) -> None:
+    def with_names(count: int) -> heap.Need:
+        return needs("\n".join(f"kept.n{i} = nil" for i in range(count)))
+
+    hundred = with_names(100)
+    assert with_names(130).words == hundred.words + 30
+    full, over = (with_names(100 + 256 - hundred.words + more) for more in (0, 1))
+    assert (full.words, over.words) == (256, 257)
+    assert over.load_peak_bytes - full.load_peak_bytes > 256 * 20  # bytes of an entry
+
+
 def test_a_block_has_a_header_and_is_moved_to_grow(needs: Measure) -> None:
     """ChibiOS: 8 bytes before each block, and whole 8 bytes; Lua's string: 16 and a zero."""
     many = "for i = 1, 100 do kept[i] = string.rep('x', {}) .. i + 100 end"

@@ -8,7 +8,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.lua.conftest import GROUND_TOOL, HERE, POSITION_ONLY, Rig, mavlink_frame
+from tests.lua.conftest import GROUND_TOOL, HERE, POSITION_ONLY, STEP_MS, Rig, mavlink_frame
 
 from echowing.paths import lua_folder
 from echowing.sim.luahost import LuaHost
@@ -26,6 +26,7 @@ NO_DATA, LOW, HIGH, GOOD = 1, 2, 3, 4
 SEARCHING, TRACKING, TOO_CLOSE, NO_SONAR, STREAM_LOST, BACKING_OFF = range(1, 7)
 SLOWEST_MPS = pytest.approx(0.2)  # ECHO_SPD_MIN
 FASTEST_MPS = 5.0  # ECHO_SPD_MAX
+STEP_S = STEP_MS / 1000.0
 
 # Thesis Figure 28: average in metres, speed assigned after it in cm/s, from 200 cm/s.
 FIGURE_28 = [
@@ -219,11 +220,16 @@ def test_ranges_that_are_none_change_nothing(rig: MakeRig, metres: float, status
 
 def close_in(r: Rig, from_m: float, closing_mps: float, to_m: float) -> None:
     """The range shrinks steadily, from one that is long known."""
-    r.range(from_m).run(1.5)
-    metres = from_m
-    while metres > to_m:
-        metres -= closing_mps * 0.01
-        r.range(metres).step()
+    change(r.range(from_m).run(1.5), to_m, closing_mps)
+
+
+def change(r: Rig, to_m: float, mps: float) -> Rig:
+    """The range goes on steadily from what it was."""
+    from_m = r.raw_m
+    steps_count = round(abs(to_m - from_m) / (mps * STEP_S))
+    for i in range(1, steps_count + 1):
+        r.range(from_m + (to_m - from_m) * i / steps_count).step()
+    return r
 
 
 @pytest.mark.parametrize("law", [0, 1])
@@ -232,31 +238,114 @@ def test_too_fast_to_stop_it_backs_off(rig: MakeRig, law: int) -> None:
     r = rig(LAW=law, DIST=2.0)
     close_in(r, 4.4, 1.5, 3.85)
     assert r.vehicle.targets == []
-    metres = 3.85
-    while metres > 3.2:
-        metres -= 0.015
-        r.range(metres).step()
+    change(r, 3.2, 1.5)
     assert r.target_ahead_m() < -0.4
     assert r.speed_mps == FASTEST_MPS  # free to get away
     assert r.state == BACKING_OFF
     assert "too close, backing off" in r.texts
 
 
-def test_too_near_it_backs_off_to_the_wanted_distance(rig: MakeRig) -> None:
-    """Once it backs off it goes on until there: it would begin anew from nearer."""
+def test_too_near_it_backs_off_until_it_is_not(rig: MakeRig) -> None:
+    """Its target is at the wanted distance; 0.3 m past "too close" it is left to the law."""
     r = rig(LAW=1).range(2.0).run(2.0)
     assert r.vehicle.targets == []
     r.range(1.3).run(2.0)
     assert r.target_ahead_m() == pytest.approx(-1.7, abs=0.1)  # 3 m are wanted
-    r.range(2.6).run(1.0)
-    targets = len(r.vehicle.targets)
-    r.run(0.5)
-    assert len(r.vehicle.targets) > targets
-    r.range(3.1).run(1.5)
-    targets = len(r.vehicle.targets)
-    r.run(1.0)
-    assert len(r.vehicle.targets) == targets
+    assert backs_off(change(r, 1.7, 0.2).run(0.5))  # ECHO_CLOSE is 1.5 m
+    assert not backs_off(change(r, 1.9, 0.2).run(0.5))
     assert r.state == TRACKING
+
+
+def test_from_a_leader_that_comes_it_backs_off_to_the_wanted_distance(rig: MakeRig) -> None:
+    """It would begin anew from nearer, its nose and its sonar down."""
+    r = rig(LAW=1)
+    close_in(r, 4.4, 1.5, 2.6)  # this vehicle stands
+    r.vehicle.velocity = (-1.5, 0.0, 0.0)  # now it is as fast as the leader: the distance stays
+    assert backs_off(r.run(1.0))
+    r.vehicle.velocity = (-2.0, 0.0, 0.0)
+    assert not backs_off(change(r, 3.1, 0.5).run(0.5))
+
+
+def backs_off(r: Rig) -> bool:
+    """Whether the next half second brings targets away from the leader."""
+    before = len(r.vehicle.targets)
+    r.run(0.5)
+    return len(r.vehicle.targets) > before
+
+
+def read_once(r: Rig, *ranges_m: float) -> None:
+    """These readings instead of the next ones, one each 0.1 s."""
+    every_ms, r.raw_every_ms = r.raw_every_ms, None
+    for range_m in ranges_m:
+        r.run(0.1 - STEP_S)
+        r.send_raw(range_m)
+        r.step()
+    r.raw_every_ms = every_ms
+
+
+@pytest.mark.parametrize("seen", [True, False], ids=["known leader", "no leader"])
+def test_the_third_wild_reading_alike_is_believed(rig: MakeRig, *, seen: bool) -> None:
+    """Propellers make single wild ones, late echoes of the ground make two alike."""
+    r = rig(LAW=1).range(3.0 if seen else 7.66, GOOD if seen else HIGH)
+    r.run(2.0)
+    for wild in ([1.0], [1.0, 1.1], [0.6, 1.2, 0.6], [1.0, 1.1, 1.7]):
+        read_once(r, *wild)
+        assert not backs_off(r), wild
+    r.raw_every_ms = None
+    read_once(r, 1.0, 1.1, 1.0)
+    assert backs_off(r)
+
+
+def test_wild_readings_that_are_far_apart_are_not_alike(rig: MakeRig) -> None:
+    r = rig(LAW=1).range(7.66, HIGH).run(2.0)
+    r.raw_every_ms = None
+    for _ in range(10):
+        read_once(r, 1.0)
+        r.run(0.5)
+    assert r.vehicle.targets == []
+
+
+def test_own_braking_ends_it_while_the_sonar_sees_nothing(rig: MakeRig) -> None:
+    """Its nose is up as it brakes: it is slower than the leader before it sees it again."""
+    r = rig(LAW=0)
+    r.vehicle.velocity = (3.5, 0.0, 0.0)  # 1.5 m/s faster than the leader
+    close_in(r, 4.4, 1.5, 3.2)
+    assert r.state == BACKING_OFF
+    r.range(7.66, HIGH)
+    assert backs_off(r)
+    r.vehicle.velocity = (1.5, 0.0, 0.0)
+    r.run(0.1)
+    assert not backs_off(r)
+
+
+@pytest.mark.parametrize("mps", [math.nan, math.inf, 1e30, -1e30])
+def test_a_velocity_that_is_none_is_not_used(rig: MakeRig, mps: float) -> None:
+    r = rig(LAW=1).range(3.0).run(2.0)
+    r.vehicle.velocity = (mps, 0.0, 0.0)
+    r.run(1.0)
+    r.vehicle.velocity = (0.0, 0.0, 0.0)
+    r.run(1.0)
+    assert r.vehicle.targets == []
+    assert r.state == TRACKING
+    assert backs_off(r.range(1.2).run(0.5))
+
+
+def test_without_a_velocity_it_still_backs_off(rig: MakeRig) -> None:
+    r = rig(LAW=1).range(3.0)
+    r.vehicle.velocity = None
+    r.run(2.0)
+    assert r.vehicle.targets == []
+    assert backs_off(r.range(1.2).run(0.5))
+
+
+def test_readings_a_millisecond_apart_are_no_speed(rig: MakeRig) -> None:
+    """A leader does not come faster than the highest speed, ECHO_SPD_MAX."""
+    r = rig(LAW=1).range(3.0).run(2.0)
+    r.raw_every_ms = None
+    r.send_raw(3.0)
+    r.send_raw(2.9, board_ms=r.vehicle.t_ms + 1)
+    r.run(0.1)
+    assert r.host.local_value("S")["leader_mps"] == -FASTEST_MPS
 
 
 def test_backs_off_along_the_heading(rig: MakeRig) -> None:
@@ -485,8 +574,9 @@ def test_an_error_is_told_once_with_its_place_and_hands_back(rig: MakeRig) -> No
 def test_stops_when_its_parameter_key_is_taken(rig: MakeRig) -> None:
     r = rig()
     r.vehicle.tables[95] = "OTHER_"
-    r.vehicle.t_ms = 10
-    r.host.step(10)
+    for t_ms in (10, 20):
+        r.vehicle.t_ms = t_ms
+        r.host.step(t_ms)
     assert "parameter table key 95 is taken" in str(r.host.error)
 
 

@@ -8,6 +8,7 @@ import pytest
 from echowing.sim.scenario import load_scenario
 from echowing.sim.summary import FlownScenario, fly
 
+from ..world import CLEARLY
 from .flown import flown
 
 pytestmark = pytest.mark.seconds(100)
@@ -17,7 +18,7 @@ RADIUS_M, JOINED_S, FLOWN_S = 3.0, 45.0, 150.0
 
 
 def flight(firmware: str, seed: int) -> FlownScenario:
-    return flown("echowing", seed, f"duration_s={FLOWN_S:g}", firmware=firmware)
+    return flown("echowing", seed, f"duration_s={FLOWN_S:g}", *CLEARLY, firmware=firmware)
 
 
 def usual_error_m(firmware: str, seed: int) -> float:

@@ -12,6 +12,8 @@ from echowing.sim.flight import FlightResult, FormationFlight
 from echowing.sim.ground import TELEMETRY
 from echowing.sim.scenario import load_scenario
 
+from ..world import CLEARLY
+
 pytestmark = pytest.mark.seconds(60)
 
 FOLLOWER, SHORT = 2, "duration_s=40"
@@ -19,7 +21,7 @@ RADIOS = ("radio.leader", "radio.follower", "wire")
 
 
 def flight(seed: int, *changes: str) -> FormationFlight:
-    return FormationFlight(load_scenario("echowing", [SHORT, *changes]), seed)
+    return FormationFlight(load_scenario("echowing", [SHORT, *CLEARLY, *changes]), seed)
 
 
 @cache

@@ -7,6 +7,7 @@ answered. Deadlines are generous, nothing waits a fixed time.
 import contextlib
 import csv
 import json
+import math
 import re
 import signal
 import socket
@@ -25,6 +26,7 @@ from echowing.rig.board import Board, open_board
 from echowing.sim.autopilot import Autopilot
 from echowing.sim.copter import Copter
 from echowing.sim.serve import Server
+from echowing.sonar_file import load_sonar
 
 pytestmark = pytest.mark.seconds(90)
 PATIENCE_S = 120.0
@@ -123,7 +125,7 @@ def rig(
         said.append(line)
         watch(line, process)
         if place and "press Enter" in line:
-            wanted = re.search(r"at (\d+\.\d+) m", line)
+            wanted = re.search(r"(?:at|leader) (\d+(?:\.\d+)?) m", line)
             place(float(wanted[1]) if wanted else AWAY_M)
             process.stdin.write("\n")
     return Rig(process.wait(timeout=PATIENCE_S), "".join(said), out, verb)
@@ -273,9 +275,37 @@ def test_latency_test_fails_without_a_target(movable: Emulator, tmp_path: Path) 
 # ---- response matrix ----------------------------------------------------------------------------
 
 
-def test_response_matrix_with_the_built_in_applet(movable: Emulator, tmp_path: Path) -> None:
+def test_response_matrix_finds_the_beam_and_writes_its_file(
+    movable: Emulator, tmp_path: Path
+) -> None:
+    """The emulated sonar is one on a desk: it hears all within 20 degrees, up to 4.6 m."""
+    file = tmp_path / "mine.toml"
+    where = ("--distances", "1.5,3", "--angles", "0,10,17,23,30", "--throttles", "0.4")
+    options = (*where, "--seconds", "3", "--slot", "2", "--write", str(file))
+
+    def place(distance_m: float) -> None:
+        if distance_m < AWAY_M:  # centre to centre; the other prompts are about propellers
+            movable.put_target(distance_m - NEARER_M)
+
     def measure(out: Path) -> Rig:
-        options = ("response-matrix", "--hold", "2.2")
+        return rig(out, movable.port, "response-matrix", *options, place=place)
+
+    done = in_real_time(movable, tmp_path, measure, passed)
+    assert done.result["verdict"] == "PASS", done.said
+    sonar = load_sonar(file)
+    assert sonar.heard.least[0] > 0.8
+    assert all(one < 20.0 for one in sonar.beam.narrowest_deg)
+    assert all(17.0 < one < 30.0 for one in sonar.beam.widest_deg)
+    assert sonar.inset_m[0] < NEARER_M + 0.005 < sonar.inset_m[1]  # whole centimetres down
+    assert f"echowing follow --sonar {file}" in done.said
+
+
+# ---- law test -----------------------------------------------------------------------------------
+
+
+def test_law_test_with_the_built_in_applet(movable: Emulator, tmp_path: Path) -> None:
+    def measure(out: Path) -> Rig:
+        options = ("law-test", "--hold", "2.2")
         return rig(out, movable.port, *options, place=movable.put_target)
 
     def two_steps(done: Rig) -> bool:
@@ -289,28 +319,43 @@ def test_response_matrix_with_the_built_in_applet(movable: Emulator, tmp_path: P
     assert all(step["right"] for step in done.result["measured"]["steps"])
 
 
-def test_response_matrix_fails_with_a_target_that_stays(fixed: Emulator, tmp_path: Path) -> None:
-    done = rig(tmp_path, fixed.port, "response-matrix", "--hold", "0.5")
+def test_law_test_fails_with_a_target_that_stays(fixed: Emulator, tmp_path: Path) -> None:
+    done = rig(tmp_path, fixed.port, "law-test", "--hold", "0.5")
     assert (done.code, done.result["verdict"]) == (1, "FAIL")
     assert done.check("monitor") == "PASS"  # it stood there for 3 s: long enough
     assert done.check(BIG_STEP) == "FAIL"
     assert done.check("gimbal out of range") == "FAIL"
 
 
-class ServedVehicle:
-    """A simulated autopilot with the speed applet: the board on one port, us on another."""
+def leave_alone(copter: Copter, t_s: float) -> None:
+    """Nobody touches it."""
 
-    def __init__(self, board_port: str) -> None:
-        copter = Copter((0.0, 0.0, -10.0), 0.0, flying=True)
+
+class ServedVehicle:
+    """A simulated autopilot: the board on one port, us on another. In the air it flies an applet.
+
+    hand: turns the vehicle at a time, seconds, after it has moved by itself.
+    """
+
+    def __init__(
+        self,
+        board_port: str,
+        *,
+        flying: bool = True,
+        hand: Callable[[Copter, float], None] = leave_alone,
+    ) -> None:
+        copter = Copter((0.0, 0.0, -10.0 if flying else 0.0), 0.0, flying=flying)
         parameters = {"RNGFND1_TYPE": 10.0, "RNGFND1_ORIENT": 0.0, "SCR_ENABLE": 1.0}
         parameters |= {"ECHO_ENABLE": 1.0, "ECHO_LAW": 0.0}
         autopilot = Autopilot(copter, system_id=7, parameters=parameters)
         for name in ("board", "telemetry"):
             autopilot.add_link(name)
-        autopilot.load_script(lua_folder() / "echowing_speed.lua")
+        if flying:
+            autopilot.load_script(lua_folder() / "echowing_speed.lua")
 
         def step(t_s: float) -> None:
             copter.step(0.02)
+            hand(copter, t_s)
             autopilot.step(t_s)
 
         self._server = Server(step)
@@ -329,12 +374,12 @@ class ServedVehicle:
         self._server.close()
 
 
-def test_response_matrix_with_an_autopilot(tmp_path: Path) -> None:
+def test_law_test_with_an_autopilot(tmp_path: Path) -> None:
     emulator = Emulator("--link", "tcpin:0", "--target", "udp:0")
     vehicle = ServedVehicle(emulator.link)
 
     def measure(out: Path) -> Rig:
-        options = ("response-matrix", "--hold", "2.5", "--autopilot", vehicle.where)
+        options = ("law-test", "--hold", "2.5", "--autopilot", vehicle.where)
         return rig(out, emulator.port, *options, place=emulator.put_target)
 
     done = in_real_time(emulator, tmp_path, measure, passed)
@@ -342,6 +387,62 @@ def test_response_matrix_with_an_autopilot(tmp_path: Path) -> None:
     emulator.stop()
     assert done.result["verdict"] == "PASS", done.said
     assert done.result["system"] == "7"  # the board has taken the autopilot's
+
+
+# ---- axis test ----------------------------------------------------------------------------------
+
+
+class Hand:
+    """Turns the vehicle by up to 20 degrees, nose up and down and to the sides, when told to."""
+
+    def __init__(self) -> None:
+        self.turns = False
+        self._since_s: float | None = None
+
+    def __call__(self, copter: Copter, t_s: float) -> None:
+        if not self.turns:
+            self._since_s = None
+            copter.pitch_rad = copter.yaw_rad = copter.pitchspeed_rps = copter.yawspeed_rps = 0.0
+            return
+        self._since_s = t_s if self._since_s is None else self._since_s
+        t_s -= self._since_s
+        copter.pitch_rad, copter.pitchspeed_rps = self._swing(t_s, 2.0)
+        copter.yaw_rad, copter.yawspeed_rps = self._swing(t_s, 1.5)
+
+    @staticmethod
+    def _swing(t_s: float, rate_rps: float) -> tuple[float, float]:
+        angle = math.radians(20.0)
+        return angle * math.sin(rate_rps * t_s), rate_rps * angle * math.cos(rate_rps * t_s)
+
+
+def test_axis_test_with_an_autopilot_that_a_hand_turns(tmp_path: Path) -> None:
+    emulator = Emulator("--link", "tcpin:0")
+    hand = Hand()
+    vehicle = ServedVehicle(emulator.link, flying=False, hand=hand)
+    with listening(emulator) as board:  # it learns its vehicle, and asks it for its attitude
+        end_s = board.now_s() + PATIENCE_S
+        while board.now_s() < end_s and not any(m.get_srcSystem() == 7 for m in board.poll(0.1)):
+            pass
+
+    def watch(line: str, process: "subprocess.Popen[str]") -> None:
+        hand.turns = "turn it by hand" in line or (hand.turns and "axis-test" not in line)
+
+    def measure(out: Path) -> Rig:
+        options = ("axis-test", "--rounds", "1", "--seconds", "6", *SLOW_HOST)
+        return rig(out, emulator.port, *options, watch=watch)
+
+    done = in_real_time(emulator, tmp_path, measure, passed)
+    vehicle.stop()
+    emulator.stop()
+    assert done.result["verdict"] == "PASS", done.said
+    assert min(done.result["measured"]["turned_deg"]) > 25.0
+    assert max(move["off_deg"] for move in done.result["measured"]["moves"]) < 1.0
+
+
+def test_axis_test_fails_without_an_autopilot(fixed: Emulator, tmp_path: Path) -> None:
+    done = rig(tmp_path, fixed.port, "axis-test", "--still")
+    assert (done.code, done.check("attitude")) == (1, "FAIL")
+    assert "does the autopilot's TX reach the board" in done.said
 
 
 # ---- soak ---------------------------------------------------------------------------------------

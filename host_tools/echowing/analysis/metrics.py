@@ -8,7 +8,7 @@ RMSD^2 = sigma^2 + mean^2 holds to the last digit; the thesis's own figures do n
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 
 import numpy as np
@@ -16,16 +16,19 @@ from numpy.typing import NDArray
 
 from echowing.analysis.flight import Flight, Floats
 from echowing.errors import EchowingError
-from echowing.flight.guidance import GuidanceSettings
+from echowing.sonar_file import shipped_sonar
 
 # From the sonar's face to what echoes is so much less than from centre to centre (ECHO_INSET).
-SONAR_INSET_M = GuidanceSettings().sonar_inset_m
+SONAR_INSET_M = shipped_sonar().inset_m
 # A reading this near to the distance between the two positions is a sight of the leader. Generous:
 # in real logs two receivers drift apart by metres (0.8 m an axis each in the simulator).
 SIGHT_TOLERANCE_M = 2.0
 # The approach ends where a follower has first come this near to its slot.
 APPROACHED_M = 1.0
 STEADY_S = 1.0
+# A sonar that has its leader hears so much of a second: one that hears four pings of ten, mostly.
+# One reading, or two, may be anything.
+HEARD_SHARE, LEAST_READINGS = 0.3, 3
 # A reading is up to 0.1 s old, and a leader that turns round is 0.4 m elsewhere by then.
 FOUND_M = 0.5
 # One sweep of the figure 8 takes 3.6 s (thesis Appendix A: 12 points, 0.3 s each): after more
@@ -104,8 +107,8 @@ def _ranged_s(flight: Flight) -> list[float]:
 
     Longer than any single echo of something else; empty where there is none.
     """
-    ranged = np.abs(flight.sonar_m - flight.wanted_separation_m) <= APPROACHED_M
-    first_s = _first_steady_s(flight, ranged)
+    off_m = np.abs(flight.sonar_m - flight.wanted_separation_m)
+    first_s = _first_ranged_s(flight, off_m <= APPROACHED_M)
     return [] if first_s is None else [first_s]
 
 
@@ -115,22 +118,37 @@ def found_s(flight: Flight, inset_m: float) -> float | None:
     inset_m: how much less than the separation it reads.
     """
     off_m = flight.sonar_m + inset_m - flight.separation_m
-    first_s = _first_steady_s(flight, np.abs(off_m) <= FOUND_M)
+    first_s = _first_ranged_s(flight, np.abs(off_m) <= FOUND_M)
     return None if first_s is None else first_s - float(flight.time_s[0])
 
 
 def within_s(flight: Flight, distance_m: float) -> float | None:
     """After how long the two have been so near for a second; None: never."""
-    first_s = _first_steady_s(flight, flight.separation_m <= distance_m)
+    near = flight.separation_m <= distance_m
+    first_s = _first_steady_s(flight, near, lambda second: bool(near[second].all()))
     return None if first_s is None else first_s - float(flight.time_s[0])
 
 
-def _first_steady_s(flight: Flight, holds: NDArray[np.bool_]) -> float | None:
-    """The first moment from which on something holds for a second; None: never."""
+def _first_ranged_s(flight: Flight, right: NDArray[np.bool_]) -> float | None:
+    """From when on all of a second's readings are right; it may hear only some of its pings."""
+    heard = np.isfinite(flight.sonar_m)
+
+    def has_it(second: slice) -> bool:
+        readings = heard[second]
+        enough = readings.sum() >= LEAST_READINGS and readings.mean() >= HEARD_SHARE
+        return bool(enough and right[second][readings].all())
+
+    return _first_steady_s(flight, right, has_it)
+
+
+def _first_steady_s(
+    flight: Flight, begins: NDArray[np.bool_], holds: Callable[[slice], bool]
+) -> float | None:
+    """The first moment at which something begins and then holds for a second; None: never."""
     ends = np.searchsorted(flight.time_s, flight.time_s + STEADY_S, side="right")
-    for first in np.flatnonzero(holds).tolist():
+    for first in np.flatnonzero(begins).tolist():
         last = int(ends[first])
-        if last < len(holds) and holds[first:last].all():
+        if last < len(begins) and holds(slice(first, last)):
             return float(flight.time_s[first])
     return None
 

@@ -28,6 +28,7 @@ from echowing.flight.spacing import UNRANGED_SIGMA_M
 from echowing.flight.vehicle_limits import INPUT_TIME
 from echowing.sim.flight import SAMPLE_S
 from echowing.sim.modes import GUIDED
+from echowing.sim.scenario import Scenario
 
 # README's promise between any two vehicles.
 LEAST_M = 1.0
@@ -36,6 +37,9 @@ STOPS_WITHIN_S = 2.0
 # A held copter follows its receiver's wandering and the gusts: measured on a hovering leader, at
 # most 0.23 m/s in calm and 0.1 m/s more for each 4 m/s of wind; twice that is motion.
 STANDS_MPS, STANDS_PER_WIND = 0.5, 0.05
+# A receiver that wanders by so much within so long, or steps: its vehicle flies after it at half a
+# metre a second and more, and swings.
+WANDERS_M, FOLLOWS_S = 0.8, 4.0
 # A vehicle that flies away from another nearer than this makes room, whatever is stale: between
 # followers the distance that the envelope keeps where no sonar ranges, from the leader its slot's
 # radius; and half a metre more.
@@ -232,7 +236,7 @@ def _known_from(record: FlightRecord, first: int, follower: int) -> int:
 def _ranges_the_leader(record: FlightRecord, at: int, follower: int) -> bool:
     """Whether the sonar's newest reading is the leader's, and no other vehicle's."""
     apart = record.position_ned_m[at, follower] - record.position_ned_m[at, 0]
-    reads_m = float(np.linalg.norm(apart)) - record.scenario.guidance.sonar_inset_m
+    reads_m = float(np.linalg.norm(apart)) - record.scenario.sonar_belief.inset_m
     return bool(abs(record.sonar_m[at, follower - 1] - reads_m) < RANGES_IT_M)
 
 
@@ -261,6 +265,17 @@ def stopped(record: FlightRecord) -> list[Broken]:
     return broken
 
 
+def _wanders(record: FlightRecord, vehicle: int) -> Bools:
+    """Whether a vehicle's receiver has just wandered so fast that to follow it is motion, (n,)."""
+    error_m = record.receiver_error_m[:, vehicle]
+    span = round(FOLLOWS_S / SAMPLE_S)
+    moved_m = np.zeros(len(error_m))
+    for back in range(1, span + 1):  # a step and back counts as both
+        off_m = np.linalg.norm(error_m[back:] - error_m[:-back], axis=1)
+        moved_m[back:] = np.maximum(moved_m[back:], off_m)
+    return np.asarray(moved_m > WANDERS_M)
+
+
 def must_stand(record: FlightRecord, number: int) -> Bools:
     """When a follower (index from 0) has to stand, (n,)."""
     stale_s = record.scenario.guidance.stale_age_s or math.inf
@@ -277,7 +292,7 @@ def must_stand(record: FlightRecord, number: int) -> Bools:
     # One that has made room for another is given the time to stop again.
     reason &= record.guided[:, number] & ~_making_room(record, number + 1)
     # So is one whose own receiver has jumped: its autopilot flies that before anybody knows of it.
-    reason &= ~_jumps(record, number)
+    reason &= ~_jumps(record, number) & ~_wanders(record, number + 1)
     reason[: round(STOPS_WITHIN_S / SAMPLE_S)] = False
     return _could_stop(reason, record.speed_over_ground_mps[:, number + 1])
 
@@ -424,7 +439,7 @@ def mean_error(record: FlightRecord) -> list[Broken]:
     broken = []
     for number, flight in enumerate(record.flights):
         slot = record.scenario.formation.slots[number]
-        inset_m = record.scenario.guidance.sonar_inset_m
+        inset_m = record.scenario.sonar_belief.inset_m
         if slot.radius_m - inset_m >= DETECTION_LIMIT_M or slot.altitude_step_m != 0.0:
             continue
         approached_s = approach_s(flight)
@@ -458,8 +473,34 @@ def nothing_wrong(record: FlightRecord) -> bool:
         and leader.frames_lost <= CALM_LOSS
         and scenario.radio.follower.byte_loss <= CALM_LOSS
         and scenario.wire == type(scenario.wire)()
+        and not _is_worse_than_believed(scenario)
         and leader.latency_s + leader.jitter_s <= CALM_LATENCY_S
         and scenario.airframe == type(scenario.airframe)()
+    )
+
+
+def _is_worse_than_believed(scenario: Scenario) -> bool:
+    """Whether sonars, receivers or heights are given worse than the product takes for granted."""
+    given, file, gps = scenario.sonar, scenario.sonar_file, scenario.gps
+    usual = type(gps)()
+    no_less = (
+        (given.heard_share, min(file.heard.least)),
+        (given.beam_near_deg, file.beam.narrowest_deg[0]),
+        (given.beam_far_deg, file.beam.narrowest_deg[-1]),
+        (given.heard_to_m, file.foil_to_m[0]),
+    )
+    no_more = (
+        (given.noise_m, file.noise_m[1]),
+        (given.wild_share, file.wild_share[1] + file.late_share[1]),
+        (given.deaf_share + given.tone_share, 0.0),
+        (given.spread, 1.0),
+        (gps.sigma_m, usual.sigma_m),
+        (gps.vertical_sigma_m, usual.vertical_sigma_m),
+        (gps.spread, usual.spread),
+        (gps.step_m + gps.multipath_m, 0.0),
+    )
+    return any(value is not None and value < least for value, least in no_less) or any(
+        value is not None and value > most for value, most in no_more
     )
 
 

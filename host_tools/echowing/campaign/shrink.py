@@ -28,6 +28,7 @@ _SECTIONS = (
     ("radio", "follower"),
     ("wind",),
     ("radio", "leader"),
+    ("sonar",),
     ("gps",),
     ("follower",),
     ("guidance",),

@@ -7,8 +7,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from echowing.flight.guidance import GuidanceSettings
-
 if TYPE_CHECKING:
     from echowing.analysis.flight import Flight
     from echowing.analysis.logs import TruthComparison
@@ -21,6 +19,7 @@ examples:
   echowing analyze leader.BIN follower.BIN
   echowing analyze out/flight-7 --out out/flight-7      what `echowing follow --log` has written
   echowing analyze leader.tlog follower.tlog --radius 4 --out out/flight-7
+  echowing analyze out/flight-7 --sonar mine.toml       what its sonar hears, as a sonar file
   echowing analyze --answer follower.BIN                how it answers a speed step
   echowing analyze out/mine/leader.tlog out/mine/follower-2.tlog --json
       with the truth.csv that `echowing sim --out` has written beside them
@@ -32,7 +31,7 @@ SEEN_ENOUGH = 0.5
 TRUTH, SONAR, ESTIMATE, GPS = "in truth", "by sonar", "by estimate", "by GPS"
 WITNESSES = (
     "The first row of a flight is the most certain. in truth: from truth.csv. by sonar: its "
-    f"readings and {GuidanceSettings().sonar_inset_m:g} m, from centre to centre, while it detects "
+    "readings and the sonar's inset, from centre to centre, while it detects "
     "the leader. by estimate: positions, corrected by what the sonar has shown of the receivers. "
     "by GPS: positions by the vehicles' own receivers, which differ by a metre or more."
 )
@@ -83,11 +82,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="measure instead how each vehicle answers a speed step, from its own log (.BIN), and "
         "compare it with what the envelope counts with",
     )
+    parser.add_argument(
+        "--sonar",
+        type=Path,
+        metavar="FILE",
+        help="write instead what the follower's sonar has heard in this flight, as a sonar file; "
+        "all that a flight does not tell is as in --base",
+    )
+    parser.add_argument(
+        "--base", default="mb1202", metavar="SONAR", help="the sonar file that was flown (mb1202)"
+    )
+    parser.add_argument(
+        "--legs", choices=("foil", "stock"), default="foil", help="what the leader had on (foil)"
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object per follower")
 
 
 def run(args: argparse.Namespace) -> int:
     """Read, measure, print."""
+    if args.sonar is not None:
+        return _sonar(args)
     if args.answer:
         return _answers(args.logs, as_json=args.json)
     from echowing.analysis.logs import read_flights  # noqa: PLC0415 (imported when it is used)
@@ -102,6 +116,27 @@ def run(args: argparse.Namespace) -> int:
         _print(measured)
     if args.out is not None:
         _write(args.out, measured)
+    return 0
+
+
+def _sonar(args: argparse.Namespace) -> int:
+    """Write the sonar file of a flight, and say what has changed in it."""
+    from echowing.analysis.flown_sonar import sonar_from  # noqa: PLC0415 (imported when it is used)
+    from echowing.errors import EchowingError  # noqa: PLC0415
+    from echowing.sonar_file import load_sonar, write_sonar  # noqa: PLC0415
+
+    if len(args.logs) != 1:
+        raise EchowingError("--sonar: give one log of `echowing follow`, or its DIR")
+    base = load_sonar(args.base)
+    measured = sonar_from(args.logs[0], base, args.legs)
+    write_sonar(args.sonar, measured.file)
+    if args.json:
+        print(json.dumps(measured.file.model_dump(mode="json")))
+        return 0
+    for at in measured.fit.at:
+        low, high = at.share_between
+        print(f"{at.range_m:.1f} m: hears {at.share:.0%} on the axis ({low:.0%} to {high:.0%})")
+    print(f"{args.sonar}: fly by it with `echowing follow --sonar {args.sonar}`")
     return 0
 
 

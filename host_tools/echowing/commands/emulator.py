@@ -3,8 +3,12 @@
 import argparse
 import contextlib
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from echowing.errors import EchowingError
+
+if TYPE_CHECKING:
+    from echowing.sim.sonar import TrueSonar
 
 EXAMPLES = """\
 examples:
@@ -60,6 +64,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "connection string of each, CONN[@ID]",
     )
     parser.add_argument(
+        "--sonar",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="with --target or --vehicles: what the sonar truly is, a key of a scenario's [sonar] "
+        "(host_tools/SCENARIOS.md), drawn by the spread of its sonar file; without: one that hears "
+        "all within 20 degrees",
+    )
+    parser.add_argument(
         "--eeprom", type=Path, metavar="FILE", help="keep the board's stored parameters here"
     )
     parser.add_argument("--duration", type=float, metavar="S", help="end after S seconds")
@@ -81,7 +94,7 @@ def run(args: argparse.Namespace) -> int:
             sitl = SitlScene(*args.vehicles, say=lambda text: print(text, flush=True))
             stack.callback(sitl.close)
             watched = sitl.leader_body_m
-        scene = Scene(args.range_cm, args.target, watched)
+        scene = Scene(args.range_cm, args.target, watched, _sonar(args.sonar))
         stack.callback(scene.close)
         board = emulated_board(
             scene.sensor,
@@ -108,6 +121,18 @@ def run(args: argparse.Namespace) -> int:
             stack.callback(lambda: _save(args.eeprom, board.eeprom()))
         Desk(board, wires, scene).run(args.duration)
     return 0
+
+
+def _sonar(changes: list[str]) -> "TrueSonar":
+    """The sonar that a scenario with these keys would give its first follower."""
+    from echowing.sim.hangar import Hangar  # noqa: PLC0415
+    from echowing.sim.scenario import load_scenario  # noqa: PLC0415
+    from echowing.sim.sonar import ON_A_DESK  # noqa: PLC0415
+
+    if not changes:
+        return ON_A_DESK
+    scenario = load_scenario("echowing", [f"sonar.{change}" for change in changes])
+    return Hangar(scenario, seed=1).ear(0).sonar
 
 
 def _load(path: Path | None) -> bytes | None:

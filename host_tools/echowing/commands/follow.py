@@ -121,6 +121,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "copter trails its points by about 1.4 s",
     )
     place.add_argument(
+        "--sonar",
+        default="mb1202",
+        metavar="FILE",
+        help="what is believed of the followers' sonars: a sonar file (.toml), as `echowing rig "
+        "response-matrix` writes it, or the name of one that is shipped (mb1202)",
+    )
+    place.add_argument(
+        "--legs",
+        choices=("foil", "stock"),
+        default="foil",
+        help="what the sonars see of the leader: legs with foil, or stock ones, which are heard "
+        "less far (foil)",
+    )
+    place.add_argument(
         "--rate", type=float, default=8.0, metavar="HZ", help="points per second, up to 20 (8)"
     )
     links.add_argument(
@@ -287,6 +301,7 @@ def _options(args: argparse.Namespace) -> "FollowOptions":
     from echowing.flight.switch import parse_stop_switch  # noqa: PLC0415
     from echowing.mavlink.seats import VehicleFinder  # noqa: PLC0415
     from echowing.mavlink.signing import read_key  # noqa: PLC0415
+    from echowing.sonar_file import load_sonar  # noqa: PLC0415
     from echowing.tool.run import FollowOptions  # noqa: PLC0415
 
     _check_numbers(args)
@@ -302,6 +317,7 @@ def _options(args: argparse.Namespace) -> "FollowOptions":
         seats=seats,
         slots=slots,
         settings=GuidanceSettings(lead_time_s=args.lead_time, feed_forward=not args.position_only),
+        sonar=load_sonar(args.sonar).belief(args.legs),
         altitude_m=altitude_m,
         rate_hz=args.rate,
         limits=Limits(

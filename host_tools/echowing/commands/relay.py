@@ -90,6 +90,7 @@ def run(args: argparse.Namespace) -> int:
     from echowing.flight.switch import parse_stop_switch  # noqa: PLC0415
     from echowing.mavlink.seats import parse_seat  # noqa: PLC0415
     from echowing.mavlink.signing import read_key  # noqa: PLC0415
+    from echowing.sonar_file import shipped_sonar  # noqa: PLC0415
     from echowing.tool.run import FollowOptions  # noqa: PLC0415
 
     altitude_told = args.altitude is not None
@@ -103,6 +104,7 @@ def run(args: argparse.Namespace) -> int:
         ],
         slots=[Slot(0.0)],
         settings=RELAY_SETTINGS,
+        sonar=shipped_sonar(),
         altitude_m=args.altitude,
         rate_hz=args.rate,
         limits=Limits(

@@ -10,6 +10,7 @@ import math
 from collections import deque
 from dataclasses import dataclass
 
+from echowing.flight.axis import Axis
 from echowing.flight.guidance import Horizontal
 from echowing.geo import GlobalPosition, ned_between, wrap_angle_rad
 
@@ -34,14 +35,16 @@ class Report:
 class AlignedReading:
     """A sonar reading with both vehicles' places at that moment.
 
-    distance_m: between the vehicles' centres, None: nothing was heard; axis_rad: bearing of the
-    follower's nose; believed_m: from follower to leader by their own receivers, (north, east);
-    above_m: how much higher the leader was; lean_rad: of the follower, from its change of velocity.
+    distance_m: between the vehicles' centres, None: nothing was heard; axis: where the sonar looked
+    (`told`), or level along the follower's nose; believed_m: from follower to leader by their own
+    receivers, (north, east); above_m: how much higher the leader was; lean_rad: of the follower,
+    from its change of velocity.
     """
 
     time_s: float
     distance_m: float | None
-    axis_rad: float
+    axis: Axis
+    told: bool
     believed_m: Horizontal
     above_m: float
     lean_rad: float
@@ -79,45 +82,62 @@ class History:
         return None
 
 
+@dataclass(slots=True)
+class _Reading:
+    """One that waits; stamp_ms: by which its axis names it, axis: where the sonar looked."""
+
+    time_s: float
+    distance_m: float | None
+    stamp_ms: int | None
+    axis: Axis | None = None
+
+
 class Alignment:
     """The readings of one follower's sonar that wait for the reports around them."""
 
     def __init__(self) -> None:
-        self._waiting: deque[tuple[float, float | None]] = deque()
+        self._waiting: deque[_Reading] = deque()
 
-    def add(self, time_s: float, distance_m: float | None) -> None:
-        """Take a reading: when it was taken, the distance between the centres (None: nothing)."""
-        self._waiting.append((time_s, distance_m))
+    def add(self, time_s: float, distance_m: float | None, stamp_ms: int | None = None) -> None:
+        """Take a reading: when it was taken, the distance between the centres (None: nothing).
+
+        stamp_ms: of the message that brought it, None: it names none.
+        """
+        self._waiting.append(_Reading(time_s, distance_m, stamp_ms))
+
+    def point(self, stamp_ms: int, axis: Axis) -> None:
+        """Take where the sonar looked for the newest reading, if that has this stamp."""
+        if self._waiting and self._waiting[-1].stamp_ms == stamp_ms:
+            self._waiting[-1].axis = axis
 
     def due(self, leader: History, follower: History) -> list[AlignedReading]:
         """The readings with later reports of both vehicles; each is returned once."""
         aligned = []
         ready_s = min(leader.newest_s, follower.newest_s)
-        while self._waiting and self._waiting[0][0] <= ready_s:
-            time_s, distance_m = self._waiting.popleft()
-            of_leader, of_follower = leader.around(time_s), follower.around(time_s)
+        while self._waiting and self._waiting[0].time_s <= ready_s:
+            reading = self._waiting.popleft()
+            of_leader = leader.around(reading.time_s)
+            of_follower = follower.around(reading.time_s)
             if of_leader is not None and of_follower is not None:
-                aligned.append(_aligned(time_s, distance_m, of_leader, of_follower))
-        while self._waiting and self._waiting[0][0] < self._waiting[-1][0] - LONGEST_WAIT_S:
+                aligned.append(_aligned(reading, of_leader, of_follower))
+        while self._waiting and self._waiting[0].time_s < self._waiting[-1].time_s - LONGEST_WAIT_S:
             self._waiting.popleft()
         return aligned
 
 
 def _aligned(
-    time_s: float,
-    distance_m: float | None,
-    leader: tuple[Report, Report],
-    follower: tuple[Report, Report],
+    reading: _Reading, leader: tuple[Report, Report], follower: tuple[Report, Report]
 ) -> AlignedReading:
-    origin = follower[0].position
+    time_s, origin = reading.time_s, follower[0].position
     leader_m, follower_m = _place_m(origin, leader, time_s), _place_m(origin, follower, time_s)
     before, after = follower
     share = _share(before, after, time_s)
     turn_rad = wrap_angle_rad(after.heading_rad - before.heading_rad)
     return AlignedReading(
         time_s=time_s,
-        distance_m=distance_m,
-        axis_rad=wrap_angle_rad(before.heading_rad + share * turn_rad),
+        distance_m=reading.distance_m,
+        axis=reading.axis or Axis(wrap_angle_rad(before.heading_rad + share * turn_rad)),
+        told=reading.axis is not None,
         believed_m=(leader_m[0] - follower_m[0], leader_m[1] - follower_m[1]),
         above_m=_altitude_m(leader, time_s) - _altitude_m(follower, time_s),
         lean_rad=_lean_rad(before, after),

@@ -20,7 +20,6 @@ from echowing.flight.heights import Heights
 from echowing.flight.leader_speed import MOST_LEADER_MPS, LeaderSpeed
 from echowing.flight.lowest import LOWEST_M
 from echowing.flight.readiness import Readiness
-from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.flight.state import FollowerState, Known, Say
 from echowing.geo import GlobalPosition, ned_between
 from echowing.mavlink.messages import read_parameter
@@ -508,7 +507,7 @@ class Engagement:
         known = vehicle.parameters
         findings = [Finding("applet", *_applet_state(vehicle, self._wanted_applet))]
         if self.readiness.distance and DIST in known and INSET in known:
-            distance = _distance(known, follower, self._known.settings.sonar_inset_m)
+            distance = _distance(known, follower)
             findings += [] if distance is None else [distance]
         return findings
 
@@ -734,13 +733,11 @@ def _misfit(runs: Applet | None, wanted: Applet | None) -> str:
     return f"it runs {flies[runs]}, or `echowing setup apply --applet {wanted.name} --replace`"
 
 
-def _distance(
-    known: Mapping[str, float], follower: FollowerState, inset_m: float
-) -> Finding | None:
+def _distance(known: Mapping[str, float], follower: FollowerState) -> Finding | None:
     """The applet's distance against the slot's, where the sonar reaches the leader from there."""
-    radius_m = follower.plan.slot.radius_m
+    radius_m, inset_m = follower.plan.slot.radius_m, follower.plan.sonar.inset_m
     shown = f"{known[DIST]:.1f} m"
-    if not 0.0 < radius_m - inset_m < DETECTION_LIMIT_M:
+    if not 0.0 < radius_m - inset_m < follower.plan.sonar.reach_m:
         return None
     if abs(known[INSET] - inset_m) > INSET_M:
         return Finding(

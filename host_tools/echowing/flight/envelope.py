@@ -51,17 +51,18 @@ class Answer:
 class Other:
     """Another vehicle as this one sees it.
 
-    name: for messages; from_it_m: from it to here, NED; velocity_mps: its, NED; sigma_m: standard
-    deviation of the distance; age_s: of its data when the order takes effect; in_the_way: the plan
-    leads beyond it (see `is_in_the_way`), so it is passed; brakes_mps2: it may brake, turn round
-    and come nearer at this acceleration from now on, 0: it does not; led: by the same tool, which
+    name: for messages; from_it_m: from it to here, NED; velocity_mps: its, NED; nearer_m: by so
+    much it may be nearer than that, one case in 160 left out; age_s: of its data when the order
+    takes effect; in_the_way: the plan leads beyond it (see `is_in_the_way`), so it is passed;
+    brakes_mps2: it may brake, turn round and come nearer at this acceleration from now on, 0: it
+    does not; led: by the same tool, which
     keeps it away from here too.
     """
 
     name: str
     from_it_m: Ned
     velocity_mps: Ned
-    sigma_m: float
+    nearer_m: float
     age_s: float
     in_the_way: bool = False
     brakes_mps2: float = 0.0
@@ -77,7 +78,7 @@ def is_in_the_way(to_it_m: Ned, to_goal_m: Ned) -> bool:
 def certain_distance_m(other: Other) -> float:
     """The distance that is left in the worst case of all that is not known."""
     meanwhile_m = 0.5 * OTHERS_MPS2 * other.age_s * other.age_s
-    return math.hypot(*other.from_it_m) - SURE_SIGMAS * other.sigma_m - meanwhile_m
+    return math.hypot(*other.from_it_m) - other.nearer_m - meanwhile_m
 
 
 def closing_limit_mps(
@@ -226,7 +227,7 @@ def _left_m(other: Other, way: tuple[float, float]) -> tuple[float, float]:
     lost_m = math.hypot(*other.from_it_m) - certain_distance_m(other)
     if other.led:
         # It makes room itself: at most one standard deviation counts against a way out.
-        lost_m = min(lost_m, other.sigma_m)
+        lost_m = min(lost_m, other.nearer_m / SURE_SIGMAS)
     nearest_m, end_m = (
         math.hypot(north + share * gone_north, east + share * gone_east, down) - lost_m
         for share in (nearest_at, 1.0)

@@ -3,22 +3,24 @@
 import math
 from collections import deque
 
-from echowing.flight.alignment import Alignment, History, Report
+from echowing.flight.alignment import AlignedReading, Alignment, History, Report
+from echowing.flight.axis import Axis
+from echowing.flight.belief import SonarBelief
+from echowing.flight.cloud import Cloud
 from echowing.flight.guidance import Horizontal, LeaderFix, predicted
-from echowing.flight.offset_grid import OffsetGrid
-from echowing.flight.sonar import DETECTION_LIMIT_M
+from echowing.flight.hearing import Hearing, Reading
 from echowing.geo import GlobalPosition, displace
 
 # Propellers cause single wild readings: a reading counts if the one before it agrees.
 CONFIRM_S, CONFIRM_M = 0.3, 0.5
-# Between two vehicles in flight a range in centimetres changes within this many readings (3 s): if
-# it does not, the sensor is stuck.
-STUCK_READINGS = 30
+# Between two vehicles in flight a range in centimetres changes within this time: if not, the sensor
+# is stuck.
+STUCK_S = 3.0
 # A sonar that hears anything at all, an engine or another sonar, gives ranges of which four in ten
 # within reach are by chance like one of the two before. A healthy one gives one wild reading in a
-# hundred: six of thirty (3 s) are a fault.
-WILD_READINGS, WILD_OF = 6, 30
-# Readings come ten times a second, over a radio that may lose some.
+# hundred: two of ten are a fault.
+WILD_SHARE, WILD_S = 0.2, 3.0
+# Readings come several times a second, over a radio that may lose some.
 LISTENS_S = 3.0
 # A sonar that has detected the leader within this (readings are used a second late) is sure of it.
 HEARD_S = 3.0
@@ -61,28 +63,35 @@ class SenderClock:
 class Estimate:
     """One follower's view of its leader: the receivers' disagreement, learnt from the sonar."""
 
-    def __init__(self) -> None:
+    def __init__(self, sonar: SonarBelief, *, alone: bool = True) -> None:
+        self.sonar, self._alone = sonar, alone
         self.history = History()
-        self.offset = OffsetGrid()
+        self.offset = Cloud(sonar, alone=alone)
+        self.hearing = Hearing(sonar)
         self.sonar_clock = SenderClock()
         self._alignment = Alignment()
+        self._every = Alignment()
+        """Each reading, whether another confirms it or not: for `hearing`."""
         self._before = (-math.inf, math.nan)
         self._alike = 0
         self._within: deque[float] = deque(maxlen=2)  # the last readings of something in reach
-        self._scattered: deque[bool] = deque(maxlen=WILD_OF)
+        self._scattered: deque[bool] = deque(maxlen=round(WILD_S * sonar.rate_hz))
         self.jumped_m: Horizontal = (0.0, 0.0)
         """Receivers' jumps that are allowed for: the leader's, less the follower's."""
         self._used_to_s = -math.inf
+        self._pointed_at_s = -math.inf
 
     @property
     def is_stuck(self) -> bool:
         """Whether the sonar keeps giving the same range."""
-        return self._alike >= STUCK_READINGS and self._before[1] < DETECTION_LIMIT_M
+        readings = round(STUCK_S * self.sonar.rate_hz)
+        return self._alike >= readings and self._before[1] < self.sonar.reach_m
 
     @property
     def is_wild(self) -> bool:
         """Whether the sonar's ranges do not agree with each other."""
-        return sum(self._scattered) >= WILD_READINGS
+        most = self._scattered.maxlen or 0
+        return sum(self._scattered) >= round(WILD_SHARE * most)
 
     @property
     def is_believed(self) -> bool:
@@ -107,12 +116,24 @@ class Estimate:
         """Take a report of the follower itself."""
         self.history.add(report)
 
-    def heard(self, time_s: float, range_m: float, inset_m: float) -> None:
-        """Take a sonar reading; `inset_m`: how much less than the separation it is."""
+    def pointed(self, stamp_ms: int, axis: Axis, now_s: float) -> None:
+        """Take where the sonar looked for the reading with this stamp."""
+        self._pointed_at_s = now_s
+        self._alignment.point(stamp_ms, axis)
+        self._every.point(stamp_ms, axis)
+
+    def points(self, now_s: float) -> bool:
+        """Whether the sonar says where it looks."""
+        return now_s - self._pointed_at_s < LISTENS_S
+
+    def heard(self, time_s: float, range_m: float, stamp_ms: int | None = None) -> None:
+        """Take a sonar reading; stamp_ms: by which `pointed` names it."""
         before_s, before_m = self._before
         was_believed = self.is_believed
         self._before = (time_s, range_m)
         self._alike = self._alike + 1 if range_m == before_m else 0
+        heard_m = range_m if range_m < self.sonar.reach_m else None
+        self._every.add(time_s - SONAR_AGE_S, heard_m, stamp_ms)
         self._compare(range_m)
         if not self.is_believed:
             if was_believed:  # it was wrong before that showed
@@ -121,14 +142,14 @@ class Estimate:
         if not time_s - before_s < CONFIRM_S:
             return
         time_s -= SONAR_AGE_S
-        if min(range_m, before_m) >= DETECTION_LIMIT_M:
-            self._alignment.add(time_s, None)
-        elif abs(range_m - before_m) < CONFIRM_M and 0.0 < range_m < DETECTION_LIMIT_M:
-            self._alignment.add(time_s, range_m + inset_m)
+        if min(range_m, before_m) >= self.sonar.reach_m:
+            self._alignment.add(time_s, None, stamp_ms)
+        elif abs(range_m - before_m) < CONFIRM_M and 0.0 < range_m < self.sonar.reach_m:
+            self._alignment.add(time_s, range_m + self.sonar.inset_m, stamp_ms)
 
     def _compare(self, range_m: float) -> None:
         """Note whether a range is like one of the two before it."""
-        in_reach = range_m < DETECTION_LIMIT_M
+        in_reach = range_m < self.sonar.reach_m
         alone = all(abs(range_m - before_m) >= CONFIRM_M for before_m in self._within)
         self._scattered.append(in_reach and len(self._within) == 2 and alone)
         if in_reach:
@@ -138,12 +159,36 @@ class Estimate:
         """Use the readings for which later reports of both vehicles have come."""
         self._used_to_s = min(leader.newest_s, self.history.newest_s)
         for one in self._alignment.due(leader, self.history):
+            if not one.told and self.points(one.time_s):
+                continue  # what it said of its axis was lost
             north_m, east_m = one.believed_m
-            believed_m = north_m - self.jumped_m[0], east_m - self.jumped_m[1]
+            believed_m = north_m - self.jumped_m[0], east_m - self.jumped_m[1], one.above_m
             if one.distance_m is not None:
-                self.offset.heard(one.time_s, one.distance_m, one.axis_rad, believed_m)
-            elif one.lean_rad < LEVEL_RAD:
-                self.offset.silent(one.time_s, one.axis_rad, believed_m, one.above_m)
+                self.offset.heard(one.time_s, one.distance_m, one.axis, believed_m)
+            elif one.told or one.lean_rad < LEVEL_RAD:
+                self.offset.silent(one.time_s, one.axis, believed_m)
+        for one in self._every.due(leader, self.history):
+            if one.told or (one.lean_rad < LEVEL_RAD and not self.points(one.time_s)):
+                self.hearing.take(self._beside_leader(one))
+
+    def _beside_leader(self, one: AlignedReading) -> Reading:
+        """A reading and where the leader was, the disagreement of the receivers allowed for."""
+        offset = self.offset
+        north_m = one.believed_m[0] - self.jumped_m[0] - offset.north_m
+        east_m = one.believed_m[1] - self.jumped_m[1] - offset.east_m
+        to_it_m = north_m, east_m, offset.up_m - one.above_m
+        far_m = math.hypot(*to_it_m)
+        ahead = sum(a * b for a, b in zip(one.axis.unit_ned, to_it_m, strict=True))
+        off_rad = math.acos(max(-1.0, min(1.0, ahead / max(far_m, self.sonar.shortest_m))))
+        across_m = offset.sigma_m(math.atan2(east_m, north_m) + math.pi / 2.0)
+        unsure_m = max(across_m, offset.up_sigma_m)
+        return Reading(
+            one.time_s,
+            one.distance_m,
+            far_m - self.sonar.inset_m,
+            off_rad,
+            math.atan2(unsure_m, max(far_m, self.sonar.shortest_m)),
+        )
 
     def forget(self) -> None:
         """Drop what was learnt: a receiver has started anew."""
@@ -152,7 +197,7 @@ class Estimate:
 
     def _unlearn(self) -> None:
         """Drop what the sonar taught; the receivers' jumps stay allowed for."""
-        self.offset = OffsetGrid()
+        self.offset = Cloud(self.sonar, alone=self._alone)
         self._alignment = Alignment()
 
     def jumped(self, moved_m: tuple[float, float]) -> None:

@@ -18,14 +18,6 @@ Horizontal = tuple[float, float]
 SLOW_MPS = 0.25
 # Back to the course only above this, so that a leader near the limit does not switch to and fro.
 MOVING_MPS = 0.35
-# The nose points at the leader while the standard deviation of its bearing is under SURE_RAD. Above
-# that it sways to both sides: more and more, and by SWAY_RAD from UNSURE_RAD on, there and back in
-# SWAY_PERIOD_S (13 deg/s at the most). A leader far off the nose then leaves the beam (14 deg) on
-# one side, which shows where it is. The sway ends as soon as it can, because a leader that brakes
-# outside the beam is noticed late. It does not end at once: that moved the nose by 11 degrees, and
-# the sonar lost the leader at the next corner.
-SURE_RAD, UNSURE_RAD = math.radians(4.0), math.radians(7.0)
-SWAY_RAD, SWAY_PERIOD_S = math.radians(8.0), 4.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,8 +68,6 @@ class GuidanceSettings:
     learn_offset: learn from the sonar how far the two receivers disagree (`flight`), move the
         leader by it, and stand off by `standoff_sigmas` of its uncertainty, so that even then
         `clearance_m` is left.
-    sonar_inset_m: how much less than the separation the sonar reads: its face is ahead of the
-        follower's centre, the leader's reflecting legs are around its own. Measure yours.
     fresh_age_s, stale_age_s: the lead shrinks to nothing between these ages of the report;
         beyond the second the follower is stopped.
     """
@@ -92,7 +82,6 @@ class GuidanceSettings:
     face_leader: bool = True
     learn_offset: bool = True
     standoff_sigmas: float = 2.5
-    sonar_inset_m: float = 0.2
     # Reports by telemetry radio are 0.46 to 0.71 s old. What fades is room for a leader that turns
     # round where the sonar loses it: on SITL 4.8 1.3 m were left, and 0.5 m with 0.75 s here.
     fresh_age_s: float | None = 0.5
@@ -196,16 +185,6 @@ def held_behind(offset_m: Horizontal, course_rad: float, clearance_m: float) -> 
     furthest_m = -math.sqrt(max(0.0, clearance_m**2 - right_m**2))
     back_m = max(0.0, ahead_m - furthest_m)
     return offset_m[0] - back_m * cos, offset_m[1] - back_m * sin
-
-
-def sway_rad(unsure_rad: float, now_s: float) -> float:
-    """How far off the leader's bearing to look, to learn where in the beam it is.
-
-    A leader that is always heard may be anywhere in the beam; the edge passing over it shows where.
-    It fades as the bearing becomes sure.
-    """
-    share = max(0.0, min(1.0, (unsure_rad - SURE_RAD) / (UNSURE_RAD - SURE_RAD)))
-    return share * SWAY_RAD * math.sin(2.0 * math.pi * now_s / SWAY_PERIOD_S)
 
 
 def lead_share(age_s: float, settings: GuidanceSettings) -> float:

@@ -26,7 +26,7 @@ from itertools import combinations
 
 import networkx as nx
 
-from echowing.flight.offset_grid import Wandering
+from echowing.flight.cloud import Wandering
 from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.geo import Ned, wrap_angle_rad
 

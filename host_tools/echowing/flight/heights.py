@@ -1,8 +1,17 @@
 """How high each follower flies, above its own home. Pure."""
 
+import math
+
 from echowing.flight.guard import Guard
+from echowing.flight.lowest import LOWEST_M
 from echowing.flight.state import FollowerState, Known
 
+# By so much the barometers of two vehicles in flight may disagree, and a vehicle climbs no faster
+# than this for it, so that nothing else notices.
+MOST_M, CLIMB_MPS = 3.0, 0.3
+# What the beam tells of heights is flown after up to so many standard deviations: within them the
+# leader may as well be where it is.
+SURE_SIGMAS = 1.5
 # A follower that stops this near its wanted altitude keeps that (barometers wander), else its own.
 SAME_ALTITUDE_M = 1.0
 
@@ -19,6 +28,20 @@ class Heights:
         plan = follower.plan
         shift_m = 0.0 if self._guard is None else self._guard.altitude_shift_m(plan.system_id)
         return plan.wanted_m + shift_m
+
+    def level_m(self, follower: FollowerState, now_s: float) -> float:
+        """As `commanded_m`, and as high as the leader truly is, as far as the sonar shows it.
+
+        The beam tells how far the two barometers disagree; flown after, that leaves the beam.
+        """
+        elapsed_s, follower.levelled_at_s = now_s - follower.levelled_at_s, now_s
+        offset = follower.estimate.offset
+        if follower.estimate.hears(now_s):
+            off_m = max(-MOST_M, min(MOST_M, -offset.up_m)) - follower.level_m
+            sure_m = max(0.0, abs(off_m) - SURE_SIGMAS * offset.up_sigma_m)
+            change_m = min(sure_m, CLIMB_MPS * min(elapsed_s, 1.0))
+            follower.level_m += math.copysign(change_m, off_m)
+        return max(LOWEST_M, self.commanded_m(follower) + follower.level_m)
 
     def wanted_m(self, follower: FollowerState) -> float | None:
         """As `commanded_m`; None: not known yet."""

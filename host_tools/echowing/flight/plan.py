@@ -3,22 +3,16 @@
 import math
 from dataclasses import replace
 
-from echowing.flight.estimate import HEARD_S
 from echowing.flight.guidance import (
     GuidanceSettings,
     GuidedPoint,
     LeaderFix,
-    bearing_rad,
     held_behind,
     lead_share,
-    sway_rad,
 )
 from echowing.flight.handling import least_slot_m
-from echowing.flight.offset_grid import SILENT_HALF_RAD
-from echowing.flight.search import swung
-from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.flight.state import FollowerState, Known
-from echowing.geo import displace, distance_m, ned_between, wrap_angle_rad
+from echowing.geo import displace, distance_m, ned_between
 
 # A leader that the sonar does not hear is approached no faster than this. A copter stops from it
 # within the beam's reach, even if the receivers are wrong.
@@ -38,12 +32,8 @@ NEAR_M, HEARD_PER_S = 0.3, 0.7
 WITHIN_REACH_M = 0.7
 # A slot that was opened closes slowly: one that leans to catch up loses its leader.
 CLOSES_MPS = 0.6
-# A leader that is not heard for so long is looked for where it most likely is. The time counts up
-# to the last reading that could be used, not up to now: with a slow radio that reading is a second
-# old, and the nose would swing although nothing is lost.
-LOST_S = 1.0
-# Nearer to its slot than the first, a follower is in it; nearer than the second, it has arrived.
-IN_SLOT_M, AT_SLOT_M = 1.0, 0.05
+# Nearer to its slot, a follower has arrived.
+AT_SLOT_M = 0.05
 
 
 def planned(known: Known, follower: FollowerState, fix: LeaderFix, now_s: float) -> GuidedPoint:
@@ -55,43 +45,20 @@ def planned(known: Known, follower: FollowerState, fix: LeaderFix, now_s: float)
     arrives_s = now_s + follower.way_s
     leader, here = _leader(known, follower, fix, arrives_s), follower.then(arrives_s)
     if settings.learn_offset:
-        least_m = max(least_m, _least_radius_m(known, follower, now_s))
-        if here is not None and distance_m(here, leader.position) > DETECTION_LIMIT_M:
-            follower.beyond_s = now_s
-        if least_m > 0.0 and _is_overdue(follower, now_s):
+        follower.estimate.offset.advance(now_s)
+        if here is not None:
+            to_it_m = ned_between(here, leader.position)[:2]
+            least_m = max(least_m, known.nearest_m(follower, to_it_m, settings.clearance_m))
+        if _is_lost(follower, now_s):
             least_m = max(least_m, _reversal_by_radio_m(known, follower, fix))
     least_m = _closing_slowly(follower, least_m, now_s)
     guided = follower.guide.update(leader, arrives_s, here, least_m)
     guided = replace(guided, age_s=max(0.0, now_s - fix.time_s))
-    # In a formation another follower may be where it would search.
-    if settings.learn_offset and len(known.followers) == 1:
-        guided = _searching(known, follower, guided, now_s)
     if settings.feed_forward:
         guided = _gently(follower, _fading(guided, settings), now_s)
     elif settings.lead_time_s > 0.0:
         guided = _led(guided, leader, settings)
-    if not settings.face_leader:
-        return replace(guided, yaw_rad=None)
-    return _looking_around(follower, guided, now_s)
-
-
-def _searching(
-    known: Known, follower: FollowerState, guided: GuidedPoint, now_s: float
-) -> GuidedPoint:
-    """The slot, swung round a leader that is not heard though it is within the sonar's reach."""
-    here, estimate = follower.on_arrival(now_s), follower.estimate
-    radius_m = follower.plan.slot.radius_m
-    # From below or above the beam does not meet it from any side.
-    level = abs(known.leader_above_m(follower)) < radius_m * math.tan(SILENT_HALF_RAD)
-    within_reach = radius_m < DETECTION_LIMIT_M and level
-    unheard = estimate.missed_s > LOST_S
-    rate_rps = follower.search.update(
-        now_s,
-        misses=unheard and within_reach and estimate.listens(now_s),
-        in_slot=here is not None and distance_m(here, guided.slot) < IN_SLOT_M,
-        new=math.isinf(estimate.missed_s),
-    )
-    return swung(guided, follower.search.aside_rad, rate_rps)
+    return guided if settings.face_leader else replace(guided, yaw_rad=None)
 
 
 def _leader(known: Known, follower: FollowerState, fix: LeaderFix, at_s: float) -> LeaderFix:
@@ -100,24 +67,15 @@ def _leader(known: Known, follower: FollowerState, fix: LeaderFix, at_s: float) 
     return then or known.seen_by(follower, fix)
 
 
-def _least_radius_m(known: Known, follower: FollowerState, now_s: float) -> float:
-    """How near the leader a slot may be, given what the sonar has not yet confirmed."""
-    settings, offset = known.settings, follower.estimate.offset
-    offset.advance(now_s)
-    line_rad = known.bearing_of_leader(follower, now_s) or 0.0
-    unsure_m = settings.standoff_sigmas * offset.unproven_sigma_m(line_rad, now_s)
-    return settings.clearance_m + unsure_m + offset.unproven_shift_m(line_rad, now_s)
+def _is_lost(follower: FollowerState, now_s: float) -> bool:
+    """Whether a leader that was heard is not heard, wherever it may be: the sonar is deaf.
 
-
-def _is_overdue(follower: FollowerState, now_s: float) -> bool:
-    """Whether the leader is not heard, though for a while it was within the sonar's reach.
-
-    One that was heard, and is out of reach because the follower fell behind at a corner, is heard
-    again on the way to the slot. If the slot opened meanwhile, it would stay out of reach.
+    One that may be out of reach, because the follower fell behind at a corner, is heard again on
+    the way to the slot. If the slot opened meanwhile, it would stay out of reach.
     """
     estimate = follower.estimate
-    fell_behind = math.isfinite(estimate.missed_s) and now_s - follower.beyond_s <= HEARD_S
-    return not estimate.hears(now_s) and not fell_behind
+    silent = math.isfinite(estimate.missed_s) and not estimate.hears(now_s)
+    return silent and estimate.offset.deaf_share > 0.5
 
 
 def _reversal_by_radio_m(known: Known, follower: FollowerState, fix: LeaderFix) -> float:
@@ -131,7 +89,7 @@ def _reversal_by_radio_m(known: Known, follower: FollowerState, fix: LeaderFix) 
     least_m = least_slot_m(
         speed_mps, answer, known.settings.clearance_m, noticed_s, known.leader_brakes_mps2
     )
-    return min(DETECTION_LIMIT_M - WITHIN_REACH_M, least_m)
+    return min(follower.plan.sonar.reach_m - WITHIN_REACH_M, least_m)
 
 
 def _closing_slowly(follower: FollowerState, least_m: float, now_s: float) -> float:
@@ -192,19 +150,3 @@ def _gently(follower: FollowerState, guided: GuidedPoint, now_s: float) -> Guide
         point=displace(here, (ahead * north, ahead * east, down)),
         velocity_mps=(slot_north + pace * north, slot_east + pace * east),
     )
-
-
-def _looking_around(follower: FollowerState, guided: GuidedPoint, now_s: float) -> GuidedPoint:
-    """Turn the nose to where the leader most likely is, or to both sides to learn where."""
-    offset, here = follower.estimate.offset, follower.position
-    if guided.yaw_rad is None or here is None:
-        return guided
-    if follower.estimate.missed_s > LOST_S:
-        north, east = offset.most_likely_m
-        leader = displace(guided.leader, (offset.north_m - north, offset.east_m - east, 0.0))
-        looks_rad = bearing_rad(here, leader) + follower.search.look_rad(now_s)
-        return replace(guided, yaw_rad=wrap_angle_rad(looks_rad))
-    across_m = offset.sigma_m(guided.yaw_rad + math.pi / 2.0)
-    unsure_rad = across_m / max(1.0, distance_m(here, guided.leader))
-    off_rad = sway_rad(unsure_rad, now_s)
-    return replace(guided, yaw_rad=wrap_angle_rad(guided.yaw_rad + off_rad))

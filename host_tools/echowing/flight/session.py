@@ -27,6 +27,7 @@ from echowing.flight.handling import least_slot_m
 from echowing.flight.heights import Heights
 from echowing.flight.holds import Holds
 from echowing.flight.leader_track import LeaderTrack
+from echowing.flight.look import Look, look_at
 from echowing.flight.plan import planned
 from echowing.flight.requests import Rate, Requests, positions
 from echowing.flight.spacing import Spacing
@@ -34,7 +35,12 @@ from echowing.flight.state import GUIDED_MODE, FollowerPlan, FollowerState, Know
 from echowing.flight.take_off import Lift, TakeOff, TakeOffs
 from echowing.flight.trust import Trust
 from echowing.geo import GlobalPosition
-from echowing.mavlink.messages import TOOL_SYSTEM_ID, position_target, status_text
+from echowing.mavlink.messages import (
+    TOOL_SYSTEM_ID,
+    look_order,
+    position_target,
+    status_text,
+)
 
 STALE = "leader is stale"
 DISTANCE_HZ, ATTITUDE_HZ = 5.0, 2.0
@@ -43,6 +49,8 @@ DISTANCE_HZ, ATTITUDE_HZ = 5.0, 2.0
 AWAY_BEATS = 2
 # The speed sent for a slot that stands.
 LEAST_MPS = 0.001
+# A sonar that hears worse than believed is told of once it has for so long, then after so long.
+WORSE_LASTS_S, WORSE_AGAIN_S = 5.0, 120.0
 # A slot that opened for a fast leader counts as closed when it needs less than its radius by this.
 SLACK_M = 0.3
 
@@ -143,7 +151,7 @@ class FollowSession:
     def _follower_message(
         self, follower: FollowerState, kind: str, message: Any, now_s: float
     ) -> None:
-        follower.ranged(kind, message, now_s, self.settings.sonar_inset_m)
+        follower.ranged(kind, message, now_s)
         if kind == "PARAM_VALUE":
             follower.handling.receive(message.param_id, message.param_value)
         if kind == "GLOBAL_POSITION_INT":
@@ -230,14 +238,18 @@ class FollowSession:
         for follower in self.followers.values():
             self._trust.settle(follower, now_s)
             self.known.feel_wind(follower, now_s)
-            messages.extend(self._led(follower, now_s))
+            look = look_at(self.known, follower, now_s) if self.settings.learn_offset else None
+            messages.extend(self._led(follower, look, now_s))
+            messages.extend(self._looking(follower, look))
         messages.extend(self._hud)
         self._hud.clear()
         if self.guard is not None and (self.engaged or self.take_offs is not None):
             messages.extend(self.guard.messages(self.followers, now_s))
         return messages
 
-    def _led(self, follower: FollowerState, now_s: float) -> list[tuple[int, Any]]:
+    def _led(
+        self, follower: FollowerState, look: Look | None, now_s: float
+    ) -> list[tuple[int, Any]]:
         """The point for one follower, where points go to it: plan, envelope, command."""
         point = self._point_for(follower, now_s)
         before, follower.sent_to = follower.sent_to, self.sends_to(follower, now_s)
@@ -252,13 +264,21 @@ class FollowSession:
             self._stop_out_of_reach(follower, now_s)
             point = follower.held_at or point
         follower.ordered(point, now_s)
-        command = self._command(follower, point, now_s)
+        command = self._command(follower, point, look, now_s)
         follower.flown = True
         if self.guard is not None:
             self.guard.sent(follower, point, now_s)
             if follower.held_at is not None:
                 self.guard.holding(follower, now_s)
         return [(follower.plan.system_id, command)]
+
+    def _looking(self, follower: FollowerState, look: Look | None) -> list[tuple[int, Any]]:
+        """Tell its gimbal where to look, whoever flies it."""
+        if look is None or follower.sonar_id is None:
+            return []
+        system_id, sonar_id = follower.plan.system_id, follower.sonar_id
+        order = look_order(system_id, sonar_id, look.axis, look.rate_rps, look.sigma_rad)
+        return [(system_id, order)]
 
     def _may_leave(self, follower: FollowerState, point: GlobalPosition) -> bool:
         """Whether a point is finite, and near: whatever was reckoned with, nothing else leaves."""
@@ -292,7 +312,7 @@ class FollowSession:
         if follower.held_at is not None:
             self._let_go(follower, now_s)
         follower.guided = planned(self.known, follower, fix, now_s)
-        self._tell_of_search(follower, now_s)
+        self._tell_of_hearing(follower, now_s)
         if self.settings.feed_forward:
             north_mps, east_mps = follower.guided.velocity_mps
             # The applet takes a point without any velocity for a hold.
@@ -324,21 +344,32 @@ class FollowSession:
             )
         follower.opens = opens or (follower.opens and follower.reversal_m > radius_m - SLACK_M)
 
-    def _tell_of_search(self, follower: FollowerState, now_s: float) -> None:
-        """Say that it searches, so that nobody wonders why it leaves the tail."""
-        before, follower.searches = follower.searches, follower.search.is_under_way(now_s)
-        if follower.searches and not before and self._moves(follower):
-            self._remark(follower.plan.system_id, "no echo, looking from the side", now_s)
+    def _tell_of_hearing(self, follower: FollowerState, now_s: float) -> None:
+        """Say that its sonar hears worse than its file says: its pilots decide whether it may."""
+        worse = follower.estimate.hearing.heard().worse
+        if worse is None:
+            follower.worse_since_s = math.inf
+            return
+        follower.worse_since_s = min(follower.worse_since_s, now_s)
+        lasts, again = now_s - follower.worse_since_s, now_s - follower.worse_said_s
+        if lasts >= WORSE_LASTS_S and again >= WORSE_AGAIN_S and self._moves(follower):
+            follower.worse_said_s = now_s
+            self._remark(follower.plan.system_id, worse, now_s)
 
-    def _command(self, follower: FollowerState, point: GlobalPosition, now_s: float) -> Any:
+    def _command(
+        self, follower: FollowerState, point: GlobalPosition, look: Look | None, now_s: float
+    ) -> Any:
         if follower.held_at is None:
             follower.yaw_rad = None if follower.guided is None else follower.guided.yaw_rad
+            if follower.yaw_rad is not None and look and not follower.estimate.points(now_s):
+                # A sonar without a gimbal looks with its vehicle.
+                follower.yaw_rad = look.axis.azimuth_rad
         elif self.settings.face_leader:
             bearing_rad = self.known.bearing_of_leader(follower, now_s)
             follower.yaw_rad = follower.yaw_rad if bearing_rad is None else bearing_rad
         altitude_m = follower.held_altitude_m
         if altitude_m is None:
-            altitude_m = self.heights.commanded_m(follower)
+            altitude_m = self.heights.level_m(follower, now_s)
         return position_target(
             follower.plan.system_id,
             point,

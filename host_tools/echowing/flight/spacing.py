@@ -4,13 +4,19 @@ import math
 from collections.abc import Callable, Iterator
 
 from echowing.flight.closing import MOST_MPS, Closing
-from echowing.flight.envelope import OTHERS_MPS2, Other, is_in_the_way, keep_apart, straight_out
+from echowing.flight.cloud import Wandering
+from echowing.flight.envelope import (
+    OTHERS_MPS2,
+    SURE_SIGMAS,
+    Other,
+    is_in_the_way,
+    keep_apart,
+    straight_out,
+)
 from echowing.flight.guard import Guard
-from echowing.flight.guidance import Horizontal, bearing_rad
+from echowing.flight.guidance import Horizontal
 from echowing.flight.holds import moved_off
 from echowing.flight.jumps import SAME_RANGE_M
-from echowing.flight.offset_grid import Wandering
-from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.flight.state import LEADER, FollowerState, Known
 from echowing.geo import GlobalPosition, Ned, displace, ned_between
 
@@ -95,10 +101,19 @@ class Spacing:
                 LEADER,
                 self._between_m(known.leader_id, place, follower, here),
                 leader.velocity_ned_mps,
-                follower.estimate.offset.sigma_m(bearing_rad(here, place)),
+                self._nearer_m(follower, here, place),
                 known.leader_age_s(arrives_s),
                 brakes_mps2=0.0 if self._looks_for_it(follower, now_s) else OTHERS_MPS2,
             )
+
+    def _nearer_m(
+        self, follower: FollowerState, here: GlobalPosition, leader: GlobalPosition
+    ) -> float:
+        """By how much the leader may be nearer than it is believed."""
+        assert self._least_m is not None
+        to_it_m = ned_between(here, leader)[:2]
+        nearest_m = self._known.nearest_m(follower, to_it_m, self._least_m)
+        return max(0.0, nearest_m - self._least_m)
 
     def _looks_for_it(self, follower: FollowerState, now_s: float) -> bool:
         """Whether its sonar is still to find the leader.
@@ -106,7 +121,7 @@ class Spacing:
         Until then it is kept further off, because the receivers may be wrong. With room for its
         braking on top the follower would stay out of the sonar's reach, and never find it.
         """
-        within_reach = follower.plan.slot.radius_m < DETECTION_LIMIT_M
+        within_reach = follower.plan.slot.radius_m < follower.plan.sonar.reach_m
         return within_reach and not follower.estimate.hears(now_s)
 
     def _other(
@@ -137,7 +152,7 @@ class Spacing:
                 f"follower {system_id}",
                 self._between_m(system_id, place, follower, here),
                 velocity,
-                UNRANGED_SIGMA_M,
+                SURE_SIGMAS * UNRANGED_SIGMA_M,
                 age_s,
                 is_in_the_way(ned_between(here, place), ned_between(here, goal)),
                 # Its applet flies it, and knows of nobody beside it.

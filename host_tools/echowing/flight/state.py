@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 from echowing.flight.alignment import History, Report
+from echowing.flight.belief import SonarBelief
 from echowing.flight.estimate import LONGEST_CARRY_S, Estimate, carried_on
 from echowing.flight.guidance import (
     GuidanceSettings,
@@ -24,13 +25,11 @@ from echowing.flight.handling import Handling, leader_brakes_mps2
 from echowing.flight.jumps import OwnJump, RangeMemory
 from echowing.flight.leader_track import LeaderTrack, VehicleClock, changes_mps2, is_late
 from echowing.flight.own_motion import OwnMotion
-from echowing.flight.search import Search
-from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.flight.tail import TailSlot
 from echowing.flight.tow_bar import TowBar
 from echowing.flight.wind import Wind
 from echowing.geo import GlobalPosition, displace
-from echowing.mavlink.messages import FORWARD, heading_of, sonar_range_m
+from echowing.mavlink.messages import FORWARD, axis_seen, heading_of, sonar_range_m
 
 GUIDED_MODE = 4
 # What messages call the leader.
@@ -56,11 +55,12 @@ InHeight = Callable[[int, GlobalPosition], GlobalPosition]
 
 @dataclass(slots=True)
 class FollowerPlan:
-    """One follower: its system id, its slot, its altitude above its home."""
+    """One follower: its system id, its slot, its altitude above its home, and its sonar."""
 
     system_id: int
     slot: Slot
     altitude_m: float = 10.0
+    sonar: SonarBelief = field(kw_only=True)
 
     @property
     def wanted_m(self) -> float:
@@ -96,21 +96,22 @@ class FollowerState:
     it leaves its plan; latched: why it is held until it leaves Guided; proven_m: the part of
     `Known.doubted_m` that the sonar has settled; reversal_m: the nearest slot from which it
     gets away if the leader turns round now; least_m, least_at_s: the nearest slot it was given
-    last, and when; beyond_s: when the leader was last out of its sonar's reach, as far as is
-    known; opens: it was said that the slot opens for a reversal; searches: it looks
-    for the leader from the side; unsure: its newest report may be another vehicle's, with its id;
-    away_beats: heartbeats in a row that were not of one that flies in Guided.
+    last, and when; opens: it was said that the slot opens for a reversal; unsure: its newest report
+    may be another vehicle's, with its id; away_beats: heartbeats in a row that were not of one that
+    flies in Guided; level_m, levelled_at_s: by how much it flies higher than planned, to be level
+    with its leader, and when that was set; sonar_id: the component that sends its sonar's readings;
+    worse_since_s, worse_said_s: since when its sonar hears worse than believed, and when that was
+    said.
     """
 
     plan: FollowerPlan
     guide: Guide
+    estimate: Estimate
     clock: VehicleClock = field(default_factory=VehicleClock)
-    estimate: Estimate = field(default_factory=Estimate)
     ranges: RangeMemory = field(default_factory=RangeMemory)
     own_jump: OwnJump = field(default_factory=OwnJump)
     handling: Handling = field(default_factory=Handling)
     motion: OwnMotion = field(default_factory=OwnMotion)
-    search: Search = field(default_factory=Search)
     wind: Wind = field(default_factory=Wind)
     latched: str | None = None
     unsure: bool = False
@@ -118,10 +119,11 @@ class FollowerState:
     reversal_m: float = 0.0
     least_m: float = 0.0
     least_at_s: float = 0.0
-    beyond_s: float = -math.inf
     opens: bool = False
-    searches: bool = False
+    level_m: float = 0.0
+    levelled_at_s: float = -math.inf
     raw_at_s: float = -math.inf
+    sonar_id: int | None = None
     feed_mps: Horizontal | None = None
     yaw_rad: float | None = None
     gives_way_to: str | None = None
@@ -141,6 +143,8 @@ class FollowerState:
     flying: bool = False
     in_guided: bool = False
     away_beats: int = 2
+    worse_since_s: float = math.inf
+    worse_said_s: float = -math.inf
     flown: bool = False
     sent_to: bool = False
     held_at: GlobalPosition | None = None
@@ -261,25 +265,30 @@ class FollowerState:
         attitude_rad = message.roll, message.pitch, message.yaw
         self.wind.leans(attitude_rad, self.velocity_mps, now_s)
 
-    def ranged(self, kind: str, message: Any, now_s: float, inset_m: float) -> None:
+    def ranged(self, kind: str, message: Any, now_s: float) -> None:
         """Take a message that may be its sonar's; single readings count before averages."""
         if kind == "NAMED_VALUE_FLOAT" and message.name == SONAR_READING:
             self.raw_at_s = now_s
             stamp_s = message.time_boot_ms / 1e3
             time_s = self.estimate.sonar_clock.to_ours(stamp_s, now_s, self.way_s)
-            self._take_range(time_s, message.value, inset_m)
+            self.sonar_id = message.get_srcComponent()
+            self._take_range(time_s, message.value, message.time_boot_ms)
+        elif kind == "GIMBAL_DEVICE_ATTITUDE_STATUS":
+            axis = axis_seen(message)
+            if axis is not None and message.get_srcComponent() == self.sonar_id:
+                self.estimate.pointed(message.time_boot_ms, axis, now_s)
         elif (
             kind == "DISTANCE_SENSOR"
             and message.orientation == FORWARD
             and now_s - self.raw_at_s > RAW_FRESH_S
         ):
-            range_m = sonar_range_m(message)
-            heard_m = DETECTION_LIMIT_M if range_m is None else range_m
-            self._take_range(now_s - self.way_s - AVERAGE_AGE_S, heard_m, inset_m)
+            range_m = sonar_range_m(message, self.plan.sonar.reach_m)
+            heard_m = self.plan.sonar.reach_m if range_m is None else range_m
+            self._take_range(now_s - self.way_s - AVERAGE_AGE_S, heard_m)
 
-    def _take_range(self, time_s: float, range_m: float, inset_m: float) -> None:
-        self.estimate.heard(time_s, range_m, inset_m)
-        if 0.0 < range_m < DETECTION_LIMIT_M and self.estimate.is_believed:
+    def _take_range(self, time_s: float, range_m: float, stamp_ms: int | None = None) -> None:
+        self.estimate.heard(time_s, range_m, stamp_ms)
+        if 0.0 < range_m < self.plan.sonar.reach_m and self.estimate.is_believed:
             self.ranges.add(time_s, range_m)
 
 
@@ -300,7 +309,9 @@ class Known:
         """A vehicle's place with the altitude to compare with others' (`Guard.in_height`)."""
         self.followers = {
             plan.system_id: FollowerState(
-                plan, TowBar(plan.slot, longest_m) if settings.tow_bar else TailSlot(plan.slot)
+                plan,
+                TowBar(plan.slot, longest_m) if settings.tow_bar else TailSlot(plan.slot),
+                Estimate(plan.sonar, alone=len(plans) == 1),
             )
             for plan in plans
         }
@@ -355,6 +366,11 @@ class Known:
             return 0.0
         leader = self.in_height(self.leader_id, fix.position)
         return leader.alt_m - self.in_height(follower.plan.system_id, here).alt_m
+
+    def nearest_m(self, follower: FollowerState, to_it_m: Horizontal, clear_m: float) -> float:
+        """How near a follower may come to the leader, (north, east) from it (`Cloud.nearest_m`)."""
+        above_m = self.leader_above_m(follower)
+        return follower.estimate.offset.nearest_m(to_it_m, above_m, clear_m)
 
     def doubted_m(self, follower: FollowerState) -> Horizontal:
         """How far off a follower sees its leader, (north, east), if all jumps were errors.

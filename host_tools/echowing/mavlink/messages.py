@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.flight.axis import Axis, axis_of
 from echowing.flight.sonar import DETECTION_LIMIT_M
 
 if TYPE_CHECKING:
@@ -81,15 +82,49 @@ def position_target(
     )
 
 
+# The axis holds still against every turn of its vehicle, and its bearing is from north.
+EARTH_FRAME = (
+    mavlink.GIMBAL_DEVICE_FLAGS_ROLL_LOCK
+    | mavlink.GIMBAL_DEVICE_FLAGS_PITCH_LOCK
+    | mavlink.GIMBAL_DEVICE_FLAGS_YAW_LOCK
+    | mavlink.GIMBAL_DEVICE_FLAGS_YAW_IN_EARTH_FRAME
+)
+
+
+def look_order(
+    system_id: int, component_id: int, axis: Axis, rate_rps: tuple[float, float], sigma_rad: float
+) -> Any:
+    """GIMBAL_DEVICE_SET_ATTITUDE for the co-processor: look along an axis.
+
+    rate_rps: by which its azimuth and elevation change; sigma_rad: standard deviation of the
+    leader's direction, in the field of the roll's rate, as a beam has no roll.
+    """
+    return mavlink.MAVLink_gimbal_device_set_attitude_message(
+        system_id,
+        component_id,
+        EARTH_FRAME,
+        list(axis.quaternion),
+        sigma_rad,
+        rate_rps[1],
+        rate_rps[0],
+    )
+
+
+def axis_seen(message: Any) -> Axis | None:
+    """The axis in a GIMBAL_DEVICE_ATTITUDE_STATUS; None: not in the earth frame, or none at all."""
+    in_earth_frame = message.flags & EARTH_FRAME == EARTH_FRAME
+    return axis_of(message.q) if in_earth_frame else None
+
+
 def heading_of(message: Any, before_rad: float) -> float:
     """The heading in a GLOBAL_POSITION_INT; the one before if it is not known."""
     return before_rad if message.hdg == UNKNOWN_HEADING else math.radians(message.hdg / 100.0)
 
 
-def sonar_range_m(message: Any) -> float | None:
-    """The range in a DISTANCE_SENSOR; None: the sonar detects no target."""
+def sonar_range_m(message: Any, reach_m: float = DETECTION_LIMIT_M) -> float | None:
+    """The range in a DISTANCE_SENSOR; None: the sonar detects no target within its reach."""
     range_m = float(message.current_distance) / 100.0
-    nothing = range_m >= min(DETECTION_LIMIT_M, message.max_distance / 100.0)
+    nothing = range_m >= min(reach_m, message.max_distance / 100.0)
     return None if nothing else range_m
 
 

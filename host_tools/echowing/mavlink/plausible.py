@@ -61,6 +61,14 @@ FIELDS: dict[str, dict[str, Span]] = {
         "airspeed_variance": _ANY,
     },
     "FILE_TRANSFER_PROTOCOL": {},
+    # Of a quaternion that is none the axis is not known; rates are not read, and may be no numbers.
+    "GIMBAL_DEVICE_ATTITUDE_STATUS": {
+        "angular_velocity_x": _ANY,
+        "angular_velocity_y": _ANY,
+        "angular_velocity_z": _ANY,
+        "delta_yaw": _ANY,
+        "delta_yaw_velocity": _ANY,
+    },
     "GLOBAL_POSITION_INT": {
         **_DEGREES_E7,
         "alt": _ALTITUDE_MM,

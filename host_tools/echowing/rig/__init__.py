@@ -19,9 +19,13 @@ BOARD_VERBS = {
 # The guided procedures.
 PROCEDURES = {
     "range-test": "measure how far, how often and how exactly the sonar detects a target (Table 5)",
-    "response-matrix": "check the speed for each range, with the applet in the loop (Table 6)",
+    "response-matrix": "measure what the sonar hears by range, angle and throttle, write its sonar "
+    "file, and say whether it carries a slot",
+    "law-test": "check the speed for each range, with the applet in the loop (Table 6)",
     "scan-test": "measure the search: its twelve points, their dwell and their coverage "
     "(Figure 17)",
     "latency-test": "measure the time from command to acknowledgement and from reading to report",
+    "axis-test": "check that the gimbal looks where it is ordered to, and stays there while the "
+    "vehicle is turned by hand",
     "soak": "watch the board for hours and count every message, gap and fault",
 }

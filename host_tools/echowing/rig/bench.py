@@ -150,9 +150,17 @@ class Bench:
     def centre(self) -> None:
         """Centre the gimbal and wait; messages received meanwhile are dropped."""
         self.board.scan(ScanMode.CENTRE)
+        self._settle()
+
+    def _settle(self) -> None:
         end_s = self.clock() + SETTLE_S
         while self.clock() < end_s:
             self.board.poll(POLL_S)
+
+    def aim(self, pan_us: float, tilt_us: float) -> None:
+        """Point the gimbal there and wait; messages received meanwhile are dropped."""
+        self.board.aim(pan_us, tilt_us)
+        self._settle()
 
     def search(self) -> None:
         """The gimbal searches, and holds still on what it detects."""

@@ -16,11 +16,11 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 
 from echowing.analysis.metrics import approach_s, found_s, metrics, within_s
+from echowing.flight.belief import SonarBelief
+from echowing.flight.cloud import Cloud
 from echowing.flight.guidance import Horizontal
-from echowing.flight.offset_grid import OffsetGrid
 from echowing.sim.flight import FormationFlight
 from echowing.sim.scenario import load_scenario
-from echowing.sim.sonar import FOIL_X8_RANGE_M
 
 # Nobody has flown these to choose anything.
 FIRST_SEED = 301
@@ -30,11 +30,12 @@ FOUND_WITHIN_S = 20.0
 
 @dataclass(frozen=True)
 class Goal:
-    """What a row has to keep to, metres."""
+    """What a row has to keep to, metres; and until when its leader has to be found."""
 
     mean_error_m: float
     rmsd_m: float
     least_m: float
+    found_s: float = FOUND_WITHIN_S
 
 
 @dataclass(frozen=True)
@@ -81,12 +82,12 @@ class Flown:
 class Kept:
     """A row as it was flown, and whether each of its goals was met.
 
-    known: the same seeds with the receivers' disagreement known.
+    known: the same seeds with the receivers' disagreement known, where they were flown so too.
     """
 
     row: Row
     flights: tuple[Flown, ...]
-    known: tuple[Flown, ...]
+    known: tuple[Flown, ...] = ()
 
     @property
     def mean_error_m(self) -> float:
@@ -132,7 +133,7 @@ class Kept:
             "mean error": round(self.mean_error_m, 2) <= goal.mean_error_m,
             "RMSD": round(self.rmsd_m, 2) <= goal.rmsd_m,
             "least": self.least_m >= goal.least_m,
-            "found": self.found_s <= FOUND_WITHIN_S,
+            "found": self.found_s <= goal.found_s,
         }
         return tuple(name for name, is_met in met.items() if not is_met)
 
@@ -141,28 +142,41 @@ def _mean(values: Iterable[float]) -> float:
     return statistics.mean(values)
 
 
-def fly_rows(seeds: int, advance: Callable[[], None], jobs: int | None = None) -> list[Kept]:
-    """Fly every row with `seeds` seeds on all cores; `advance` is called after each flight."""
-    plan = [
-        (row, FIRST_SEED + number, known)
-        for row in ROWS
-        for known in (False, True)
-        for number in range(seeds)
-    ]
-    with ProcessPoolExecutor(jobs or os.cpu_count()) as pool:
-        futures = [pool.submit(fly_row, row, seed, known=known) for row, seed, known in plan]
-        for _ in as_completed(futures):
-            advance()
-    flown = [one.result() for one in futures]
-    return [
-        Kept(row, tuple(flown[at : at + seeds]), tuple(flown[at + seeds : at + 2 * seeds]))
-        for at, row in zip(range(0, len(flown), 2 * seeds), ROWS, strict=True)
-    ]
+def fly_accuracy(seeds: int, advance: Callable[[], None]) -> list[Kept]:
+    """Fly every row, as it is and with the receivers' disagreement known."""
+    return fly_rows(ROWS, seeds, advance, first_seed=FIRST_SEED, known=True)
 
 
 def flight_count(seeds: int) -> int:
-    """How many flights `fly_rows` flies."""
+    """How many flights `fly_accuracy` flies."""
     return 2 * len(ROWS) * seeds
+
+
+def fly_rows(
+    rows: Sequence[Row],
+    seeds: int,
+    advance: Callable[[], None],
+    *,
+    first_seed: int,
+    known: bool,
+) -> list[Kept]:
+    """Fly rows with `seeds` seeds on all cores; `advance` is called after each flight.
+
+    known: each is flown a second time with the receivers' disagreement known.
+    """
+    numbers = range(first_seed, first_seed + seeds)
+    ways = (False, True) if known else (False,)
+    with ProcessPoolExecutor(os.cpu_count()) as pool:
+        futures = [
+            [[pool.submit(fly_row, row, seed, known=way) for seed in numbers] for way in ways]
+            for row in rows
+        ]
+        for _ in as_completed(one for of_row in futures for of_way in of_row for one in of_way):
+            advance()
+    return [
+        Kept(row, *(tuple(one.result() for one in of_way) for of_way in of_row))
+        for row, of_row in zip(rows, futures, strict=True)
+    ]
 
 
 def fly_row(row: Row, seed: int, changes: Sequence[str] = (), *, known: bool = False) -> Flown:
@@ -172,14 +186,15 @@ def fly_row(row: Row, seed: int, changes: Sequence[str] = (), *, known: bool = F
     watch = _Watch(flight, known=known)
     result = flight.run(after_step=watch.step)
     (flown,) = result.flights
-    approached_s, inset_m = approach_s(flown), scenario.guidance.sonar_inset_m
+    approached_s, sonar = approach_s(flown), flight.followers[0].ear.sonar
+    inset_m = sonar.inset_m
     measured = metrics(flown, approached_s)
     return Flown(
         mean_error_m=measured.mean_abs_error_m,
         rmsd_m=measured.rmsd_m,
         least_m=result.closest_m,
         found_s=_or_never(found_s(flown, inset_m)),
-        reached_s=_or_never(within_s(flown, FOIL_X8_RANGE_M + inset_m)),
+        reached_s=_or_never(within_s(flown, sonar.foil_m + inset_m)),
         sigma_m=watch.sigma_m(approached_s),
     )
 
@@ -188,18 +203,22 @@ def _or_never(first_s: float | None) -> float:
     return math.inf if first_s is None else first_s
 
 
-class Known(OffsetGrid):
+class Known(Cloud):
     """The receivers' disagreement itself, in place of its estimate; `truth` gives it."""
 
-    def __init__(self, truth: Callable[[], Horizontal]) -> None:
-        super().__init__()
+    def __init__(self, sonar: SonarBelief, truth: Callable[[], Horizontal]) -> None:
+        super().__init__(sonar)
         self._truth = truth
         self._covariance = (0.0, 0.0, 0.0)
 
     def advance(self, now_s: float) -> None:
         """As good as heard at this moment."""
         self._heard_at_s = now_s
-        self.north_m, self.east_m = self.most_likely_m = self._truth()
+        self.north_m, self.east_m = self._truth()
+
+    def nearest_m(self, to_it_m: Horizontal, above_m: float, clear_m: float) -> float:
+        """Where it is known, so far and no nearer."""
+        return clear_m
 
     def heard(self, *_: object) -> None:
         """Nothing to learn."""
@@ -217,7 +236,7 @@ class _Watch:
         self._estimate = follower.estimate
         self._variances: list[tuple[float, float]] = []
         if known:
-            self._estimate.offset = Known(self._truth)
+            self._estimate.offset = Known(self._estimate.sonar, self._truth)
 
     def step(self) -> None:
         """After each step."""

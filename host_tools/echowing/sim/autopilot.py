@@ -248,9 +248,10 @@ class Autopilot:
         """What it wants to send, whole frames."""
         return self.links[link].drain()
 
-    def set_gps_offset(self, offset_ned_m: Ned) -> None:
-        """Error of the receiver: estimated minus true position."""
+    def set_errors(self, offset_ned_m: Ned, receiver_down_m: float) -> None:
+        """Estimated minus true position, and the error of the receiver's own height."""
         self.copter.set_estimate_offset(offset_ned_m)
+        self.reports.receiver_down_m = receiver_down_m
 
     def set_rc(self, channel: int, pwm: int) -> None:
         """Move a channel of the pilot's transmitter (1 to 16), microseconds."""

@@ -11,11 +11,14 @@ from echowing.flight.sonar import PAN_CENTRE_US, TILT_CENTRE_US
 from echowing.geo import Ned
 from echowing.sim.emulated import EmulatedBoard
 from echowing.sim.sonar import (
+    LEVER_ARM_M,
+    ON_A_DESK,
     Ear,
     Gimbal,
     MaxSonar,
     Pose,
     Target,
+    TrueSonar,
 )
 from echowing.sim.wires import Wire, open_udp
 
@@ -31,7 +34,7 @@ class Scene:
     """What the sonar hears: a fixed range, a leader told of in datagrams or watched, or nothing.
 
     A leader stays where it was told to be until the next datagram. watched: where it is in the
-    follower's body frame, asked for at every step.
+    follower's body frame, asked for at every step. sonar: what it truly hears of a leader.
     """
 
     def __init__(
@@ -39,6 +42,7 @@ class Scene:
         range_cm: int | None = None,
         target: str | None = None,
         watched: Callable[[], Ned | None] | None = None,
+        sonar: TrueSonar = ON_A_DESK,
     ) -> None:
         if range_cm is not None and not 0 <= range_cm <= LONGEST_RANGE_CM:
             raise EchowingError(f"a range of {range_cm} cm: give 0 to {LONGEST_RANGE_CM}")
@@ -48,7 +52,7 @@ class Scene:
         self._leader_body_m: Ned | None = None
         self._watched = watched
         self._gimbal = Gimbal()
-        self._ear = Ear(random.Random(0))
+        self._ear = Ear(lambda name: random.Random(f"0 {name}"), sonar)
 
     @property
     def udp_port(self) -> int | None:
@@ -59,7 +63,9 @@ class Scene:
         if self._datagrams is None and self._watched is None:
             return self._range_m
         pose = Pose((0.0, 0.0, 0.0), self._gimbal.axis_body())
-        targets = [] if self._leader_body_m is None else [Target(self._leader_body_m)]
+        sonar, at_m = self._ear.sonar, self._leader_body_m
+        legs_m = sonar.inset_m - LEVER_ARM_M
+        targets = [] if at_m is None else [Target(at_m, sonar.foil_m, legs_m)]
         return self._ear.ping(t_s, pose, targets, surfaces=())
 
     def step(self, dt_s: float, pan_us: float, tilt_us: float) -> None:

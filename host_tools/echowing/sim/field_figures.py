@@ -31,6 +31,7 @@ from echowing.mavlink.seats import Seat
 from echowing.mavlink.signing import LinkSigning
 from echowing.sim.fleet import FIRST_FOLLOWER_ID, HEIGHT_M, LEADER_ID
 from echowing.sim.scenario import load_scenario
+from echowing.sonar_file import shipped_sonar
 from echowing.stopping import StopRequest
 from echowing.tool.panel import Row
 from echowing.tool.run import FollowOptions, FollowTool
@@ -253,6 +254,7 @@ def _options(followers: int, rate_hz: float, port: int, folder: Path) -> FollowO
         seats=[Seat(role, link, system_id) for role, system_id in roles],
         slots=load_scenario("many").slots()[:followers],
         settings=GuidanceSettings(),
+        sonar=shipped_sonar(),
         altitude_m=HEIGHT_M,
         rate_hz=rate_hz,
         limits=Limits(max_distance_m=100.0, min_separation_m=1.5, home_difference_m=5.0),

@@ -1,6 +1,7 @@
 """What the flashed binary achieves on the emulated board: for `echowing bench`."""
 
 import itertools
+import math
 import random
 import time
 from collections.abc import Iterator
@@ -19,6 +20,10 @@ STEP_US = 5_000
 RANGE_M = 2.0
 REPORT_PERIOD_US = 50_000
 REQUEST_MESSAGE, AUTOPILOT_VERSION = 512, 148
+# The vehicle whose board it then is, and what makes it look: how often it gets attitude and orders.
+VEHICLE, LEARNED_S = 7, 6
+ATTITUDE_S, ORDER_S, LOOK_STEP_S = 0.04, 0.1, 0.02
+EARTH_FRAME = 4 | 8 | 16 | 64
 
 
 class FirmwareFigure(NamedTuple):
@@ -56,6 +61,7 @@ class _Run:
         self._parser = mavlink.MAVLink(None)
         self._parser.robust_parsing = True
         self._ground = mavlink.MAVLink(None, srcSystem=245, srcComponent=190)
+        self._autopilot = mavlink.MAVLink(None, srcSystem=VEHICLE, srcComponent=1)
         self._rise_us = 0.0
         self.board.pin(self.board.type.pan)
 
@@ -76,6 +82,37 @@ class _Run:
 
     def send(self, message: Any, port: int = AUTOPILOT_PORT) -> None:
         self.board.feed(port, bytes(message.pack(self._ground)))
+
+    def learn(self) -> None:
+        """Let it learn its vehicle, which is armed."""
+        armed = mavlink.MAV_MODE_FLAG_SAFETY_ARMED
+        beat = mavlink.MAVLink_heartbeat_message(
+            mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, armed, 4, 4, 3
+        )
+        for _ in range(LEARNED_S):
+            self.board.feed(AUTOPILOT_PORT, bytes(beat.pack(self._autopilot)))
+            self.run(1.0)
+
+    def look(self, seconds: float) -> None:
+        """Lean and turn the vehicle for that long, and order it to look."""
+        for k in range(round(seconds / LOOK_STEP_S)):
+            lean = 0.3 * math.sin(k * LOOK_STEP_S)
+            if k % round(ATTITUDE_S / LOOK_STEP_S) == 0:
+                attitude = mavlink.MAVLink_attitude_message(0, lean, -lean, lean, 0.3, -0.3, 0.3)
+                self.board.feed(AUTOPILOT_PORT, bytes(attitude.pack(self._autopilot)))
+            if k % round(ORDER_S / LOOK_STEP_S) == 0:
+                self.send(
+                    mavlink.MAVLink_gimbal_device_set_attitude_message(
+                        VEHICLE,
+                        DEVICE_COMPONENT,
+                        EARTH_FRAME,
+                        [math.cos(0.05), 0.0, 0.0, math.sin(0.05)],
+                        0.1,
+                        0.0,
+                        0.0,
+                    )
+                )
+            self.run(LOOK_STEP_S)
 
     def times_us(self, kind: str, since_us: float = 0.0) -> list[float]:
         return [t for t, m in self.messages if m.get_type() == kind and t >= since_us]
@@ -131,15 +168,16 @@ def _pulses(run: _Run) -> Iterator[FirmwareFigure]:
 
 
 def _load(run: _Run) -> Iterator[FirmwareFigure]:
-    """Everything at once: noise and requests on both ports while it searches and tracks."""
+    """Everything at once: noise and requests on both ports while it looks, searches and tracks."""
     noise = random.Random(1)
+    run.learn()
     run.board.clear_meters()
     for turn in range(8):
         run.sonar.target = turn % 4 != 0
         for port in (AUTOPILOT_PORT, USB_PORT):
             run.send(mavlink.MAVLink_param_request_list_message(0, 0), port)
             run.board.feed(port, noise.randbytes(2_000))
-        run.run(1.0)
+        run.look(1.0)
     meters = run.board.meters()
     lost = run.board.overruns(AUTOPILOT_PORT) + run.board.overruns(USB_PORT)
     yield FirmwareFigure("longest loop turn", meters.longest_turn_us / 1e3, "ms", "under 2")

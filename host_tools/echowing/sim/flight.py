@@ -29,9 +29,8 @@ from echowing.sim.pilots import Pilot
 from echowing.sim.recorder import Recorder, Sample, write_truth
 from echowing.sim.scenario import Scenario
 from echowing.sim.sonar import (
-    FOIL_X8_RANGE_M,
     GROUND,
-    STOCK_X8_RANGE_M,
+    LEVER_ARM_M,
     Pose,
     Target,
 )
@@ -118,12 +117,14 @@ class FormationWorld:
     def _listen(self, follower: SimFollower, t_s: float) -> float | None:
         """What this follower's sonar hears now."""
         pose = follower.pose()
-        heard_to_m = FOIL_X8_RANGE_M if self.scenario.leader.target == "foil" else STOCK_X8_RANGE_M
-        targets = [Target(self.leader.position_ned_m, heard_to_m)]
+        sonar = follower.ear.sonar
+        heard_to_m = sonar.foil_m if self.scenario.leader.target == "foil" else sonar.stock_m
+        legs_m = sonar.inset_m - LEVER_ARM_M
+        targets = [Target(self.leader.position_ned_m, heard_to_m, legs_m)]
         others: list[Pose] = []
         for other in self.followers:
             if other is not follower and _near(pose.position_ned_m, other.position_ned_m):
-                targets.append(Target(other.position_ned_m, STOCK_X8_RANGE_M))
+                targets.append(Target(other.position_ned_m, sonar.stock_m, legs_m))
                 others.append(other.pose())
         targets += follower.reflector(pose)
         return follower.heard(follower.ear.ping(t_s, pose, targets, (GROUND,), others))
@@ -202,8 +203,9 @@ class FormationFlight(FormationWorld):
         scenario = self.scenario
         # A leader that is carried may be lower than any follower is flown.
         altitude_m = max(LOWEST_M, scenario.leader.altitude_m)
+        sonar = scenario.sonar_belief
         plans = [
-            FollowerPlan(FIRST_FOLLOWER_ID + i, slot, altitude_m)
+            FollowerPlan(FIRST_FOLLOWER_ID + i, slot, altitude_m, sonar=sonar)
             for i, slot in enumerate(scenario.slots())
         ]
         return FollowSession(

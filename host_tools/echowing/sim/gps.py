@@ -1,7 +1,9 @@
-"""GPS drift: the slow wandering of an estimated position, and of an estimated height."""
+"""What a vehicle errs by: position and height by its receiver, and height by its barometer."""
 
 import math
 import random
+from collections.abc import Callable
+from dataclasses import dataclass
 
 from echowing.geo import Ned
 
@@ -10,55 +12,118 @@ from echowing.geo import Ned
 ESTIMATE_LAG_S = 1.0
 
 
-class _Wander:
-    """One axis: a first-order Gauss-Markov error and what the filter makes of it (metres)."""
+@dataclass(frozen=True, slots=True)
+class Errors:
+    """How far off a vehicle is, by standard deviations, and for how long.
 
-    def __init__(self, sigma_m: float, tau_s: float, rng: random.Random) -> None:
+    sigma_m, tau_s: each horizontal axis of the receiver, which wanders slowly. height_sigma_m,
+    height_tau_s: the height that the autopilot reports and flies by, which is its barometer's.
+    receiver_height_sigma_m: the receiver's own. step_m, step_every_s: each axis of a step as
+    another satellite counts, which fades with `tau_s`, and how often one comes (infinite: never).
+    multipath_m, multipath_s: each axis of what echoes of the satellites' signals add.
+    """
+
+    sigma_m: float = 0.0
+    tau_s: float = 60.0
+    height_sigma_m: float = 0.0
+    height_tau_s: float = 60.0
+    receiver_height_sigma_m: float = 0.0
+    step_m: float = 0.0
+    step_every_s: float = math.inf
+    multipath_m: float = 0.0
+    multipath_s: float = 10.0
+
+
+class _Wander:
+    """A first-order Gauss-Markov error (metres); begins in its steady state, or at rest."""
+
+    def __init__(
+        self, sigma_m: float, tau_s: float, chance: random.Random, *, at_rest: bool = False
+    ) -> None:
         self._sigma_m = sigma_m
         self._tau_s = tau_s
-        self._rng = rng
-        self._error_m = self.estimate_m = rng.gauss(0.0, sigma_m)
+        self._chance = chance
+        first_m = chance.gauss(0.0, sigma_m)
+        self.error_m = 0.0 if at_rest else first_m
         self._dt_s = -1.0
-        self._keep = self._kick_m = self._blend = 0.0
+        self._keep = self._kick_m = 0.0
+
+    def step(self, dt_s: float) -> float:
+        """The error after `dt_s` more seconds."""
+        if dt_s != self._dt_s:
+            self._dt_s = dt_s
+            self._keep = math.exp(-dt_s / self._tau_s)
+            self._kick_m = self._sigma_m * math.sqrt(1.0 - self._keep * self._keep)
+        self.error_m = self._keep * self.error_m + self._chance.gauss(0.0, self._kick_m)
+        return self.error_m
+
+
+class _Steps:
+    """An error that jumps now and then, and fades (metres)."""
+
+    def __init__(self, step_m: float, every_s: float, fades_s: float, chance: random.Random):
+        self._step_m, self._every_s, self._fades_s = step_m, every_s, fades_s
+        self._chance = chance
+        self.error_m = 0.0
+        self._left_s = chance.expovariate(1.0) * every_s
+
+    def step(self, dt_s: float) -> float:
+        """The error after `dt_s` more seconds."""
+        self.error_m *= math.exp(-dt_s / self._fades_s)
+        self._left_s -= dt_s
+        if self._left_s <= 0.0:
+            self.error_m += self._chance.gauss(0.0, self._step_m)
+            self._left_s += self._chance.expovariate(1.0) * self._every_s
+        return self.error_m
+
+
+class _Estimate:
+    """What the autopilot's filter makes of several errors on one axis (metres)."""
+
+    def __init__(self, *errors: "_Wander | _Steps") -> None:
+        self._errors = errors
+        self._error_m = sum(one.error_m for one in errors)
+        self._dt_s, self._blend = -1.0, 0.0
 
     def step(self, dt_s: float) -> float:
         """The estimate's error after `dt_s` more seconds."""
         if dt_s != self._dt_s:
-            self._prepare(dt_s)
-        self._error_m = self._keep * self._error_m + self._rng.gauss(0.0, self._kick_m)
-        self.estimate_m += self._blend * (self._error_m - self.estimate_m)
-        return self.estimate_m
-
-    def _prepare(self, dt_s: float) -> None:
-        """What a step keeps of the error, adds to it, and lets the filter follow."""
-        self._dt_s = dt_s
-        self._keep = math.exp(-dt_s / self._tau_s)
-        self._kick_m = self._sigma_m * math.sqrt(1.0 - self._keep * self._keep)
-        self._blend = 1.0 - math.exp(-dt_s / ESTIMATE_LAG_S)
+            self._dt_s, self._blend = dt_s, 1.0 - math.exp(-dt_s / ESTIMATE_LAG_S)
+        error_m = sum(one.step(dt_s) for one in self._errors)
+        self._error_m += self._blend * (error_m - self._error_m)
+        return self._error_m
 
 
-class GpsDrift:
-    """First-order Gauss-Markov offset of an estimated position. Starts in the steady state.
+class Drift:
+    """How a vehicle's estimate of its own place wanders. Starts in the steady state.
 
-    sigma_m: standard deviation of each horizontal axis; tau_s: correlation time;
-    vertical_sigma_m: that of the height, with chance of its own (`vertical_rng`), so that it
-    changes nothing else in a flight. 0: the height is right.
+    chance(name): a stream of chance for each error, so that none changes another; without a name
+    that of the slow drift. parked: its
+    autopilot starts now, and takes its barometer for right. by_receiver: it flies by the
+    receiver's height.
     """
 
     def __init__(
         self,
-        sigma_m: float,
-        tau_s: float,
-        rng: random.Random,
+        errors: Errors,
+        chance: Callable[[str], random.Random],
         *,
-        vertical_sigma_m: float = 0.0,
-        vertical_rng: random.Random | None = None,
+        parked: bool = False,
+        by_receiver: bool = False,
     ) -> None:
-        self._north = _Wander(sigma_m, tau_s, rng)
-        self._east = _Wander(sigma_m, tau_s, rng)
-        self._down: _Wander | None = None
-        if vertical_sigma_m > 0.0:
-            self._down = _Wander(vertical_sigma_m, tau_s, vertical_rng or rng)
+        drifts = chance("")
+        self._axes = [
+            _Estimate(_Wander(errors.sigma_m, errors.tau_s, drifts), *_beside(errors, chance, axis))
+            for axis in ("north", "east")
+        ]
+        barometer = _Wander(
+            errors.height_sigma_m, errors.height_tau_s, chance("height"), at_rest=parked
+        )
+        self._receiver_height = _Wander(
+            errors.receiver_height_sigma_m, errors.tau_s, chance("receiver height")
+        )
+        self._height = _Estimate(self._receiver_height if by_receiver else barometer)
+        self._by_receiver = by_receiver
         self.jump_ned_m: Ned = (0.0, 0.0, 0.0)
 
     def step(self, dt_s: float) -> Ned:
@@ -66,7 +131,26 @@ class GpsDrift:
 
         A jump (`jump_ned_m`, a fault) is added at once: the filter resets to it.
         """
-        north, east = self._north.step(dt_s), self._east.step(dt_s)
-        down = self._down.step(dt_s) if self._down is not None else 0.0
-        jump = self.jump_ned_m
+        north, east = (axis.step(dt_s) for axis in self._axes)
+        down, jump = self._height.step(dt_s), self.jump_ned_m
+        if not self._by_receiver:
+            self._receiver_height.step(dt_s)
         return north + jump[0], east + jump[1], down + jump[2]
+
+    @property
+    def receiver_down_m(self) -> float:
+        """How far off the receiver's own height is, down."""
+        return self._receiver_height.error_m + self.jump_ned_m[2]
+
+
+def _beside(
+    errors: Errors, chance: Callable[[str], random.Random], axis: str
+) -> list[_Wander | _Steps]:
+    """What a receiver errs by on one axis beside its slow drift."""
+    found: list[_Wander | _Steps] = []
+    if math.isfinite(errors.step_every_s):
+        steps = chance(f"{axis} steps")
+        found.append(_Steps(errors.step_m, errors.step_every_s, errors.tau_s, steps))
+    if errors.multipath_m > 0.0:
+        found.append(_Wander(errors.multipath_m, errors.multipath_s, chance(f"{axis} multipath")))
+    return found

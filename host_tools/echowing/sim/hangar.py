@@ -14,17 +14,20 @@ from echowing.sim.autopilot import Autopilot
 from echowing.sim.coprocessor import NativeCoprocessor
 from echowing.sim.copter import Copter, Tuning, tuning_of
 from echowing.sim.cutter import PacketCutter
-from echowing.sim.gps import GpsDrift
+from echowing.sim.gps import Drift
 from echowing.sim.ground import Telemetry, open_log
 from echowing.sim.leader import TrackedBody, load_track, walk
 from echowing.sim.parameters import Generation
 from echowing.sim.radio import Radio
 from echowing.sim.scenario import SPEED_LAWS, LossySection, RadioSection, Scenario
+from echowing.sim.sonar import Ear
+from echowing.sim.truth import true_errors, true_sonar
 from echowing.sim.vehicles import Body, MakeCoprocessor, SimFollower, SimVehicle
 from echowing.sim.wind import Wind
 
 LEADER_ID = 1
 FIRST_FOLLOWER_ID = 2
+HEIGHT_BY_RECEIVER = 3.0  # EK3_SRC1_POSZ
 
 Listen = Callable[[SimFollower, float], float | None]
 
@@ -80,7 +83,8 @@ class Hangar:
         """Follower number `index` (from 0), with the applet running unless the law is none."""
         scenario = self.scenario
         body = Copter(start_ned_m, yaw_rad, tuning=self._tuning(), flying=True)
-        drift = self._drift(f"follower {index}", body)
+        by_receiver = scenario.follower.parameters.get("EK3_SRC1_POSZ") == HEIGHT_BY_RECEIVER
+        drift = self._drift(f"follower {index}", body, by_receiver=by_receiver)
         wind = self._wind(f"follower {index}", body)
         follower = SimFollower(
             body,
@@ -88,7 +92,7 @@ class Hangar:
             drift,
             listen=listen,
             make_coprocessor=self._make_coprocessor,
-            rng=self.rng(f"sonar {index}"),
+            ear=self.ear(index),
             wire=self.cutters(f"wire {index}", scenario.wire),
             wind=wind,
         )
@@ -184,15 +188,20 @@ class Hangar:
         body.settle()
         return wind
 
-    def _drift(self, name: str, body: Body) -> GpsDrift:
-        """The receiver's drift; the body believes it before its autopilot starts to hold."""
-        gps = self.scenario.gps
-        drift = GpsDrift(
-            gps.sigma_m,
-            gps.tau_s,
-            self.rng(f"gps {name}"),
-            vertical_sigma_m=gps.vertical_sigma_m,
-            vertical_rng=self.rng(f"gps height {name}"),
-        )
+    def ear(self, index: int) -> Ear:
+        """A follower's sonar, as it is in this flight."""
+        chance = self._streams(f"sonar {index}")
+        return Ear(chance, true_sonar(self.scenario.sonar_file, self.scenario.sonar, chance))
+
+    def _drift(
+        self, name: str, body: Body, *, parked: bool = False, by_receiver: bool = False
+    ) -> Drift:
+        """What the vehicle errs by; the body believes it before its autopilot starts to hold."""
+        chance = self._streams(f"gps {name}")
+        errors = true_errors(self.scenario.gps, chance)
+        drift = Drift(errors, chance, parked=parked, by_receiver=by_receiver)
         body.set_estimate_offset(drift.step(0.0))
         return drift
+
+    def _streams(self, owner: str) -> Callable[[str], random.Random]:
+        return lambda name: self.rng(f"{owner} {name}".rstrip())

@@ -15,9 +15,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from echowing.sim.coprocessor import AUTOPILOT_PORT, NativeCoprocessor
 from echowing.sim.sonar import (
-    FOIL_X8_RANGE_M,
-    LEVER_ARM_M,
-    TARGET_RADIUS_M,
+    ON_A_DESK,
     Ear,
     MaxSonar,
     Pose,
@@ -86,7 +84,7 @@ class _Listener:
     ) -> None:
         self.tally = _Tally()
         self.present = False
-        self._ear = Ear(random.Random(seed))
+        self._ear = Ear(lambda name: random.Random(f"{seed} {name}"))
         self._beyond = [] if reflector_m is None else [_target(reflector_m, _LOUD_M)]
         self._core = NativeCoprocessor(
             MaxSonar(self._listen),
@@ -120,7 +118,7 @@ class _Listener:
                     self.tally.false_readings += _is_false(message.value, limit_m=4.5)
 
     def _listen(self, t_s: float) -> float | None:
-        leader = [_target(LEADER_M, FOIL_X8_RANGE_M)] if self.present else []
+        leader = [_target(LEADER_M, ON_A_DESK.foil_m)] if self.present else []
         return self._ear.ping(t_s, _POSE, leader + self._beyond, ())
 
     def _beat(self) -> None:
@@ -147,7 +145,7 @@ class _Listener:
 
 def _target(range_m: float, heard_to_m: float) -> Target:
     """Something whose face is `range_m` from the sonar's, straight ahead."""
-    north_m = range_m + LEVER_ARM_M + TARGET_RADIUS_M
+    north_m = range_m + ON_A_DESK.inset_m
     return Target((north_m, 0.0, _POSE.position_ned_m[2]), heard_to_m)
 
 

@@ -6,11 +6,9 @@ from collections.abc import Iterator
 from echowing.flight.guard import mode_name
 from echowing.flight.guidance import MOVING_MPS, slot_offset_m
 from echowing.flight.health import Cohesion
-from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.geo import GlobalPosition, Ned, displace
 from echowing.sim.autopilot import ORIGIN
 from echowing.sim.flight import FormationWorld, speed_parameter_mps
-from echowing.sim.sonar import LEVER_ARM_M, TARGET_RADIUS_M
 from echowing.sim.vehicles import SimFollower, SimVehicle
 from echowing.tool.moment import Moment, members, places
 from echowing.tool.panel import Row, VehicleHealth
@@ -20,7 +18,6 @@ from echowing.tool.track import Track
 SHOWN_EVERY = 5  # steps of 20 ms: 10 Hz
 JUDGED_EVERY = 50
 # What makes a sonar read less than the distance between two centres.
-INSET_M = LEVER_ARM_M + TARGET_RADIUS_M
 
 
 class WorldOnPage:
@@ -29,6 +26,7 @@ class WorldOnPage:
     def __init__(self, world: FormationWorld, page: Page) -> None:
         self._world, self._page = world, page
         self._cohesion = Cohesion(world.leader.autopilot.system_id)
+        self._inset_m = world.scenario.sonar_belief.inset_m
         self._modes: dict[int, str] = {}
         self._steps = 0
 
@@ -42,7 +40,7 @@ class WorldOnPage:
             self._page.event(self._world.t_s, text)
         moment = moment_of(self._world)
         if self._steps % JUDGED_EVERY == 0:
-            vehicles = members(moment, places(moment, ORIGIN), INSET_M)
+            vehicles = members(moment, places(moment, ORIGIN), self._inset_m)
             for text in self._cohesion.update(vehicles, moment.time_s):
                 self._page.event(moment.time_s, text)
         self._page.show(Moment(moment.time_s, moment.rows, moment.tracks, self._cohesion.health))
@@ -81,7 +79,7 @@ def _row(world: FormationWorld, follower: SimFollower) -> Row:
         separation_m=math.dist(leader.position_ned_m, follower.position_ned_m),
         error_m=None,
         slot_error_m=None,
-        sonar_m=_range_m(follower),
+        sonar_m=_range_m(follower, world.scenario.sonar_belief.reach_m),
         gimbal=None,
         leader_age_s=0.0,
         age_s=0.0,
@@ -151,10 +149,10 @@ def _course_rad(leader: SimVehicle) -> float:
     return math.atan2(east_mps, north_mps)
 
 
-def _range_m(follower: SimFollower) -> float | None:
-    """What its sonar has read; beyond the detection limit it is no target."""
+def _range_m(follower: SimFollower, reach_m: float) -> float | None:
+    """What its sonar has read; out of its reach it is no target."""
     range_m = follower.sensor.last_range_m
-    return None if range_m is None or range_m > DETECTION_LIMIT_M else range_m
+    return None if range_m is None or range_m > reach_m else range_m
 
 
 def _mode(vehicle: SimVehicle) -> str:

@@ -45,6 +45,7 @@ class GroundOnPage:
         self._session = flight.ground.session
         self._panel = Panel(flight.ground.links)
         self._cohesion = Cohesion(LEADER_ID)
+        self._inset_m = flight.scenario.sonar_belief.inset_m
         self._steps = self._told = 0
         for system_id, link in flight.ground.links.items():
             link.tap = partial(self._heard, mavlink.MAVLink(None, system_id))
@@ -64,7 +65,7 @@ class GroundOnPage:
         moment = Moment(now_s, self._panel.rows(session, now_s), tracks)
         origin = moment.origin
         if origin is not None and self._steps % JUDGED_EVERY == 0:
-            vehicles = members(moment, places(moment, origin), session.settings.sonar_inset_m)
+            vehicles = members(moment, places(moment, origin), self._inset_m)
             for text in self._cohesion.update(vehicles, now_s):
                 self._page.event(now_s, text)
         for time_s, text in session.events[self._told :]:

@@ -58,7 +58,7 @@ class ParkedHangar(Hangar):
     def leader(self) -> SimVehicle:
         """The leader at the origin."""
         body = Copter((0.0, 0.0, 0.0), tuning=self._tuning())
-        drift, wind = self._drift("leader", body), self._wind("leader", body)
+        drift, wind = self._drift("leader", body, parked=True), self._wind("leader", body)
         return SimVehicle(body, self._autopilot(body, LEADER_ID, {}), drift, wind)
 
     def follower(
@@ -70,10 +70,10 @@ class ParkedHangar(Hangar):
         return ParkedFollower(
             body,
             self._autopilot(body, FIRST_FOLLOWER_ID + index, saved),
-            self._drift(f"follower {index}", body),
+            self._drift(f"follower {index}", body, parked=True),
             listen=listen,
             make_coprocessor=self._make_coprocessor,
-            rng=self.rng(f"sonar {index}"),
+            ear=self.ear(index),
             wire=self.cutters(f"wire {index}", self.scenario.wire),
             wind=self._wind(f"follower {index}", body),
         )

@@ -3,23 +3,26 @@
 import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from functools import cached_property
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, Field, ValidationError, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from echowing.applets import HOLD, SPEED, Applet
 from echowing.errors import EchowingError
+from echowing.flight.belief import SonarBelief
 from echowing.flight.build_up import LEAST_DIST_M, MOST_DIST_M
 from echowing.flight.formation import check_formation
 from echowing.flight.guidance import GRAY, GuidanceSettings, Slot
-from echowing.section import NotNegative, Positive, Section, Share
+from echowing.section import NotNegative, Positive, Section, Share, section_of
 from echowing.sim.cutter import ByteLoss
 from echowing.sim.fault_section import LEADER_FAULTS, FaultSection, objection
 from echowing.sim.named_parameters import objections
 from echowing.sim.parameters import Generation
 from echowing.sim.radio import RadioSettings
+from echowing.sonar_file import SHIPPED, HalfAngle, SonarFile, load_sonar
 from echowing.tool.formation_file import FormationSection
 
 # What the applets do: the speed applet's laws with their numbers (lua/echowing_speed.md), and what
@@ -117,8 +120,6 @@ class GuidanceSection(Section):
     """Learn from the sonar how far the receivers disagree."""
     standoff_sigmas: NotNegative = _OURS.standoff_sigmas
     """Standard deviations of what is not known of it, kept as a distance."""
-    sonar_inset_m: NotNegative = _OURS.sonar_inset_m
-    """How much less than the separation the sonar reads."""
     feed_forward: bool = _OURS.feed_forward
     """Points carry the slot's velocity, and no lead."""
     fresh_age_s: Positive | None = _OURS.fresh_age_s
@@ -139,29 +140,74 @@ class GuidanceSection(Section):
             face_leader=self.face_leader,
             learn_offset=self.learn_offset,
             standoff_sigmas=self.standoff_sigmas,
-            sonar_inset_m=self.sonar_inset_m,
             feed_forward=self.feed_forward,
             fresh_age_s=self.fresh_age_s,
             stale_age_s=self.stale_age_s,
         )
 
 
-class GpsSection(Section):
-    """Drift of the estimated position, first-order Gauss-Markov.
+class SonarSection(Section):
+    """The sonars: what the product believes of them, and what they are.
 
-    `sigma_m`: each horizontal axis. `vertical_sigma_m`: the height. It is 0 because ArduCopter
-    takes its height from the barometer (EK3_SRC1_POSZ 1), whose drift is mostly the weather's and
-    so common to a formation. With the receiver's height (EK3_SRC1_POSZ 3) it is about twice
-    `sigma_m`: 13 m against 8 m at 95 % (GPS SPS Performance Standard, 2020), which are 6.6 m and
-    3.3 m an axis.
+    Each follower's is drawn anew for each seed around what the sonar file says. The keys that have
+    a default of none set a value for all of them instead.
+    """
+
+    file: str = SHIPPED
+    """What the product believes of them: a sonar by name, or a sonar file (.toml)."""
+    spread: NotNegative = 1.0
+    """How far they are drawn around the file: 1: as far as it says; 0: all are the middle of it."""
+    heard_share: Share | None = None
+    """Share of the pings that hear a leader within the beam."""
+    deaf_share: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
+    """Share of the time in which nothing at all is heard, in bursts."""
+    deaf_s: Positive = 1.0
+    """How long such a burst lasts on average."""
+    beam_near_deg: HalfAngle | None = None
+    """Half angle of the beam up to 2 m."""
+    beam_far_deg: HalfAngle | None = None
+    """Half angle of it at 4.6 m and beyond; none, with `beam_near_deg`: the same."""
+    noise_m: NotNegative | None = None
+    """Standard deviation of a range."""
+    wild_share: Share | None = None
+    """Share of the readings that are anything at all."""
+    tone_share: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
+    """Share of the time in which a stranger's sonar is heard: then a range is anything at all."""
+    heard_to_m: Positive | None = None
+    """How far a leader is heard, whatever its legs."""
+    inset_m: Annotated[float, Field(ge=0.1)] | None = None
+    """How much less than the separation they read."""
+
+
+class GpsSection(Section):
+    """What receivers and barometers err by: errors that wander (first-order Gauss-Markov).
+
+    ArduCopter reports its height, and flies by it, as its barometer has it (EK3_SRC1_POSZ 1); the
+    receiver's own height is in GPS_RAW_INT. With EK3_SRC1_POSZ 3 a follower flies by that. Each
+    vehicle's errors are drawn anew for each seed around what stands here.
     """
 
     sigma_m: NotNegative = 0.8
-    """Standard deviation per horizontal axis."""
+    """Standard deviation of the position, per horizontal axis."""
     tau_s: Positive = 60.0
-    """Correlation time."""
-    vertical_sigma_m: NotNegative = 0.0
-    """Standard deviation of the height."""
+    """Correlation time of it."""
+    vertical_sigma_m: NotNegative = 0.5
+    """Standard deviation of the height that the vehicle reports and flies by."""
+    vertical_tau_s: Positive = 60.0
+    """Correlation time of it."""
+    receiver_vertical_sigma_m: NotNegative = 1.6
+    """Standard deviation of the receiver's own height: about twice a horizontal axis (13 m against
+    8 m at 95 %, GPS SPS Performance Standard, 2020)."""
+    spread: NotNegative = 0.25
+    """Standard deviation, as a share, of how far these five are off in each vehicle; 0: not."""
+    step_m: NotNegative = 0.0
+    """Standard deviation of a step per horizontal axis, as another satellite counts."""
+    step_every_s: Positive = 30.0
+    """How often such a step comes, on average; it fades with `tau_s`."""
+    multipath_m: NotNegative = 0.0
+    """Standard deviation per horizontal axis of what comes and goes beside the slow drift."""
+    multipath_s: Positive = 10.0
+    """Correlation time of that."""
 
 
 class WindSection(Section):
@@ -327,6 +373,8 @@ class Scenario(Section):
     """Parameters of the applet by name, `ECHO_…`."""
     coprocessor: dict[str, float] = Field(default={})
     """Parameters of the co-processor by name."""
+    sonar: SonarSection = SonarSection()
+    """The sonars."""
     gps: GpsSection = GpsSection()
     """The receivers."""
     wind: WindSection = WindSection()
@@ -382,6 +430,16 @@ class Scenario(Section):
         """How points are made; the speed applet's have no velocity."""
         settings = self.guidance.settings()
         return replace(settings, feed_forward=False) if self.law in SPEED_LAWS else settings
+
+    @cached_property
+    def sonar_file(self) -> SonarFile:
+        """What is known of the sonars."""
+        return load_sonar(self.sonar.file)
+
+    @cached_property
+    def sonar_belief(self) -> SonarBelief:
+        """What the product believes of the sonars: its operator knows the leader's legs."""
+        return self.sonar_file.belief(self.leader.target)
 
     def slots(self) -> list[Slot]:
         """The formation's slots."""
@@ -457,11 +515,7 @@ def _apply(table: dict[str, Any], change: str) -> None:
 
 def scenario_of(table: Mapping[str, Any], source: str) -> Scenario:
     """A scenario from what its file says; EchowingError names the source and the key."""
-    try:
-        scenario = Scenario.model_validate(table)
-    except ValidationError as error:
-        lines = [_explained(item) for item in error.errors()]
-        raise EchowingError("\n".join(f"{source}: {line}" for line in lines)) from error
+    scenario = section_of(Scenario, table, source)
     generation = scenario.follower.autopilot_generation()
     wrong = list(
         objections(generation, scenario.applet_flown, scenario.applet, scenario.follower.parameters)
@@ -469,46 +523,8 @@ def scenario_of(table: Mapping[str, Any], source: str) -> Scenario:
     if wrong:
         raise EchowingError("\n".join(f"{source}: {line}" for line in wrong))
     try:
+        _ = scenario.sonar_belief  # a file of the user's
         check_formation(scenario.slots(), scenario.formation.slot_separation_m)
     except EchowingError as error:
         raise EchowingError(f"{source}: {error}") from error
     return scenario
-
-
-def _explained(item: Any) -> str:
-    """One validation error as `key: what is wrong; what is allowed`."""
-    location = [str(part) for part in item["loc"]]
-    key = ".".join(location) or "scenario"
-    if item["type"] == "extra_forbidden":
-        allowed = ", ".join(sorted(_keys_at(location[:-1])))
-        return f"{key}: no such key; allowed here: {allowed}"
-    if item["type"] == "missing":
-        return f"{key}: missing"
-    message = item["msg"].removeprefix("Value error, ")
-    got = item["input"]
-    shown = "" if isinstance(got, dict) else f" (got {got!r})"
-    return f"{key}: {message}{shown}"
-
-
-def _keys_at(location: Iterable[str]) -> list[str]:
-    """The keys that a section may have."""
-    model: type[BaseModel] = Scenario
-    for part in location:
-        if part.isdigit():
-            continue
-        field = model.model_fields.get(part)
-        inner = _model_in(field.annotation if field else None)
-        if inner is None:
-            return []
-        model = inner
-    return list(model.model_fields)
-
-
-def _model_in(annotation: Any) -> type[BaseModel] | None:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
-    for inner in getattr(annotation, "__args__", ()):
-        found = _model_in(inner)
-        if found is not None:
-            return found
-    return None

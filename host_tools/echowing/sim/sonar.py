@@ -6,21 +6,25 @@ PD11848 and thesis Table 5 unless a line says otherwise.
 
 import math
 import random
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from echowing.analysis.thesis import TABLE_5
+from echowing.flight.belief import Curve
 from echowing.flight.sonar import PAN_CENTRE_US, SERVO_US_PER_DEG, TILT_CENTRE_US
 from echowing.geo import Ned
 
-# The beam of an MB1202 for a copter-sized target; the thesis gives none. Twenty degrees is what
-# the ArduCopter SITL formation flights were flown with.
-BEAM_HALF_ANGLE_DEG = 20.0
 # 0.12 s for 60 degrees: an ordinary micro servo at 5 V.
 SERVO_SLEW_DPS = 500.0
+# From the end of a pulse until the motor moves: its controller compares each pulse with the last
+# one, and the motor has to start (assumed; no maker gives it). The frame of 20 ms, in which a new
+# pulse is waited for, is a board's pin's or the world's step.
+SERVO_DEAD_TIME_S = 0.005
+# Play of gears and linkage: the axis stops half of it short of where it comes from (assumed; a
+# worn micro servo has a degree).
+SERVO_PLAY_DEG = 1.0
 
-STOCK_X8_RANGE_M = TABLE_5["MB1202"].stock_m
-FOIL_X8_RANGE_M = TABLE_5["MB1202"].foil_m
 SHORTEST_M = 0.20
 LONGEST_M = 7.65
 SPEED_OF_SOUND_MPS = 343.0
@@ -32,13 +36,13 @@ SURFACE_RANGE_M = 10.0
 # What a ping sends out has died away after this long, the datasheet's pause between readings (an
 # echo from 17 m).
 SOUND_DIES_S = 0.1
-NOISE_M = 0.01
-# Propeller noise: one reading in a hundred is anything at all.
-WILD_SHARE = 0.01
-# Sonar face ahead of the follower's centre, and the leader's reflecting legs (Fig. 26) around
-# its centre: the sonar reads this much less than the separation.
+# Sonar face ahead of the follower's centre. The leader's reflecting legs (Fig. 26) are around its
+# own: the sonar reads less than the separation by this and by their distance.
 LEVER_ARM_M = 0.10
-TARGET_RADIUS_M = 0.10
+# The tone of another sonar is there for so long, on average.
+TONE_S = 1.0
+# Near its limit an echo comes and goes: from sure to never within so much either side.
+FADES_SHARE = 0.05
 
 DEFAULT_ADDRESS = 0x70
 COMMAND_RANGE = 0x51
@@ -47,27 +51,71 @@ REFUSED_ADDRESSES = (0, 80, 164, 170)
 # What a read gives before the first command: part information, not a distance.
 PART_INFORMATION = b"\x12\x02"
 
-BEAM_HALF_ANGLE_RAD = math.radians(BEAM_HALF_ANGLE_DEG)
+
+@dataclass(frozen=True, slots=True)
+class TrueSonar:
+    """A sonar as it is, whatever anybody believes of it.
+
+    heard: share of its pings that bring an echo from the axis, over the range. half_rad: half angle
+    of its beam for a vehicle, over the range; edge_rad: over this angle the beam begins. noise_m:
+    standard deviation of a range. wild_share: of its readings that are anything at all, by
+    propeller noise or as an echo of an earlier ping. stock_m, foil_m: how far an X8 without and
+    with foil on its legs is heard. inset_m: how much less than the separation it reads. deaf_share,
+    deaf_s: share of the time in which it hears nothing, and how long that lasts on average.
+    tone_share: share of the time in which the tone of a stranger's sonar reaches it.
+    """
+
+    heard: Curve
+    half_rad: Curve
+    edge_rad: float = 0.0
+    noise_m: float = 0.01
+    wild_share: float = 0.01
+    stock_m: float = TABLE_5["MB1202"].stock_m
+    foil_m: float = TABLE_5["MB1202"].foil_m
+    inset_m: float = 0.2
+    deaf_share: float = 0.0
+    deaf_s: float = 1.0
+    tone_share: float = 0.0
+
+    @property
+    def widest_rad(self) -> float:
+        """Half angle of its beam for what is large: a wall, another sonar's tone."""
+        return max(self.half_rad.values)
+
+    def share(self, range_m: float, off_rad: float, widest_rad: float = math.inf) -> float:
+        """Share of its pings that bring an echo from there; `widest_rad`: no beam is wider."""
+        beyond_rad = off_rad - min(widest_rad, self.half_rad.at(range_m))
+        if self.edge_rad == 0.0:
+            return self.heard.at(range_m) if beyond_rad <= 0.0 else 0.0
+        # Ten edges outside nothing is left of it.
+        steps = min(20.0, beyond_rad / (0.5 * self.edge_rad))
+        return self.heard.at(range_m) / (1.0 + math.exp(steps))
+
+
+# One on a desk, without propellers: it hears all that is in its beam. Twenty degrees is what the
+# ArduCopter SITL formation flights were flown with.
+ON_A_DESK = TrueSonar(heard=Curve((0.0,), (1.0,)), half_rad=Curve((0.0,), (math.radians(20.0),)))
 
 
 @dataclass(slots=True)
 class Pose:
     """Where a sonar is: its vehicle's centre (NED metres) and the unit vector it looks along.
 
-    beam_half_angle_rad: of its cone.
+    beam_half_angle_rad: the beam is nowhere wider.
     """
 
     position_ned_m: Ned
     axis_ned: Ned
-    beam_half_angle_rad: float = BEAM_HALF_ANGLE_RAD
+    beam_half_angle_rad: float = ON_A_DESK.widest_rad
 
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """A vehicle to be heard: centre, and how far it is heard on the axis (Table 5)."""
+    """A vehicle to be heard: centre, how far it is heard, and how far out its legs are."""
 
     position_ned_m: Ned
-    heard_to_m: float = FOIL_X8_RANGE_M
+    heard_to_m: float = ON_A_DESK.foil_m
+    radius_m: float = ON_A_DESK.inset_m - LEVER_ARM_M
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,29 +129,68 @@ class Surface:
 GROUND = Surface((0.0, 0.0, 0.0), (0.0, 0.0, -1.0))
 
 
+class Servo:
+    """What a servo makes of its pulses: a dead time, a limited rate, and play at the axis."""
+
+    def __init__(self) -> None:
+        self.axis_deg = 0.0
+        self._gear_deg = 0.0
+        self._goal_deg = 0.0
+        self._coming: deque[tuple[float, float]] = deque()  # until it counts, and the goal
+
+    def step(self, dt_s: float, pulse_deg: float) -> None:
+        """Move for `dt_s`, in which the pulses say `pulse_deg`."""
+        newest_deg = self._coming[-1][1] if self._coming else self._goal_deg
+        if pulse_deg != newest_deg:
+            self._coming.append((SERVO_DEAD_TIME_S, pulse_deg))
+        while self._coming and self._coming[0][0] <= dt_s:
+            wait_s, goal_deg = self._coming.popleft()
+            self._move(wait_s)
+            self._goal_deg = goal_deg
+            dt_s -= wait_s
+            self._wait(wait_s)
+        self._wait(dt_s)
+        self._move(dt_s)
+
+    def _wait(self, span_s: float) -> None:
+        if self._coming:
+            self._coming = deque((wait_s - span_s, goal) for wait_s, goal in self._coming)
+
+    def _move(self, dt_s: float) -> None:
+        self._gear_deg = _approach(self._gear_deg, self._goal_deg, SERVO_SLEW_DPS * dt_s)
+        play_deg = SERVO_PLAY_DEG / 2.0
+        least_deg, most_deg = self._gear_deg - play_deg, self._gear_deg + play_deg
+        self.axis_deg = max(least_deg, min(most_deg, self.axis_deg))
+
+
 class Gimbal:
-    """Pan and tilt servos: they follow their pulses at a limited rate.
+    """Pan and tilt servos.
 
     Pan turns right and tilt turns up with longer pulses. Angles are in degrees off straight
     ahead.
     """
 
     def __init__(self) -> None:
-        self.pan_deg = 0.0
-        self.tilt_deg = 0.0
+        self._pan = Servo()
+        self._tilt = Servo()
         self.jammed = False
+
+    @property
+    def pan_deg(self) -> float:
+        """Where the axis is, to the right."""
+        return self._pan.axis_deg
+
+    @property
+    def tilt_deg(self) -> float:
+        """Where the axis is, up."""
+        return self._tilt.axis_deg
 
     def step(self, dt_s: float, pan_us: float, tilt_us: float) -> None:
         """Move for `dt_s` towards the pulses in force, unless jammed."""
         if self.jammed:
             return
-        most_deg = SERVO_SLEW_DPS * dt_s
-        self.pan_deg = _approach(
-            self.pan_deg, (pan_us - PAN_CENTRE_US) / SERVO_US_PER_DEG, most_deg
-        )
-        self.tilt_deg = _approach(
-            self.tilt_deg, (tilt_us - TILT_CENTRE_US) / SERVO_US_PER_DEG, most_deg
-        )
+        self._pan.step(dt_s, (pan_us - PAN_CENTRE_US) / SERVO_US_PER_DEG)
+        self._tilt.step(dt_s, (tilt_us - TILT_CENTRE_US) / SERVO_US_PER_DEG)
 
     def axis_body(self) -> Ned:
         """Unit vector of the beam, forward-right-down."""
@@ -131,19 +218,18 @@ def body_to_ned(vector: Ned, roll_rad: float, pitch_rad: float, yaw_rad: float) 
     )
 
 
-def target_range_m(pose: Pose, target: Target) -> float | None:
-    """Distance from the sonar's face to a vehicle in its cone; None outside the cone."""
+def target_range_m(pose: Pose, target: Target) -> tuple[float, float]:
+    """Distance from the sonar's face to a vehicle, and how far off the axis that is, rad."""
     ax, ay, az = pose.axis_ned
     px, py, pz = pose.position_ned_m
     tx, ty, tz = target.position_ned_m
     dx, dy, dz = tx - px - LEVER_ARM_M * ax, ty - py - LEVER_ARM_M * ay, tz - pz - LEVER_ARM_M * az
     distance_m = math.sqrt(dx * dx + dy * dy + dz * dz)
     # Within a body's own size the beam cannot miss it.
-    if distance_m > TARGET_RADIUS_M:
-        along_m = dx * ax + dy * ay + dz * az
-        if along_m < distance_m * math.cos(pose.beam_half_angle_rad):
-            return None
-    return max(0.0, distance_m - TARGET_RADIUS_M)
+    if distance_m <= target.radius_m:
+        return 0.0, 0.0
+    along = (dx * ax + dy * ay + dz * az) / distance_m
+    return distance_m - target.radius_m, math.acos(max(-1.0, min(1.0, along)))
 
 
 def surface_range_m(pose: Pose, surface: Surface) -> float | None:
@@ -166,12 +252,42 @@ def surface_range_m(pose: Pose, surface: Surface) -> float | None:
     return range_m if range_m <= SURFACE_RANGE_M * math.cos(slant_rad) ** 2 else None
 
 
-class Ear:
-    """Pings: from what is in the beam to a range, with noise, wild readings and ghosts."""
+class _Bursts:
+    """Something that comes for a while, and goes: so much of the time, so long on average."""
 
-    def __init__(self, rng: random.Random, *, wild_share: float = WILD_SHARE) -> None:
-        self._rng = rng
-        self._wild_share = wild_share
+    def __init__(self, share: float, mean_s: float, chance: random.Random) -> None:
+        self._chance = chance
+        # Of what is never, and of what is always, nothing changes.
+        self._changes = 0.0 < share < 1.0
+        self._is_on = chance.random() < share
+        self._means_s = {True: mean_s, False: mean_s * (1.0 - share) / share if share else 0.0}
+        self._until_s = self._lasts_s()
+
+    def is_on(self, t_s: float) -> bool:
+        """Whether it is there; times only rise."""
+        while self._changes and t_s >= self._until_s:
+            self._is_on = not self._is_on
+            self._until_s += self._lasts_s()
+        return self._is_on
+
+    def _lasts_s(self) -> float:
+        return self._chance.expovariate(1.0) * self._means_s[self._is_on]
+
+
+class Ear:
+    """Pings: from what is in the beam to a range, with noise, wild readings and ghosts.
+
+    chance(name): a stream of chance for each of what may happen. Each takes as much of its own at
+    every ping, so that another sonar changes nothing else in a flight.
+    """
+
+    def __init__(
+        self, chance: Callable[[str], random.Random], sonar: TrueSonar = ON_A_DESK
+    ) -> None:
+        self.sonar = sonar
+        self._echo, self._wild, self._noise = chance("echo"), chance("wild"), chance("noise")
+        self._deaf = _Bursts(sonar.deaf_share, sonar.deaf_s, chance("deaf"))
+        self._tone = _Bursts(sonar.tone_share, TONE_S, chance("tone"))
         self._pings: list[tuple[float, list[float]]] = []  # time, and what they bring back when
 
     def ping(
@@ -186,23 +302,21 @@ class Ear:
         echoes_m = self._echoes_m(pose, targets, surfaces)
         heard = [range_m for range_m in echoes_m if range_m <= LONGEST_M] + self._ghosts_m(t_s)
         self._pings.append((t_s, echoes_m))
-        if self._rng.random() < self._wild_share or any(
-            hears_tone(pose, other) for other in other_sonars
-        ):
-            heard.append(self._rng.uniform(SHORTEST_M, LONGEST_M))
-        if not heard:
+        is_wild = self._wild.random() < self.sonar.wild_share
+        anything_m = self._wild.uniform(SHORTEST_M, LONGEST_M)
+        toned = self._tone.is_on(t_s) or any(hears_tone(pose, other) for other in other_sonars)
+        off_m = self._noise.gauss(0.0, 1.0) * self.sonar.noise_m
+        if is_wild or toned:
+            heard.append(anything_m)
+        if self._deaf.is_on(t_s) or not heard:
             return None
-        range_m = min(heard) + self._rng.gauss(0.0, NOISE_M)
-        return max(SHORTEST_M, math.floor(range_m * 100.0) / 100.0)
+        return max(SHORTEST_M, math.floor((min(heard) + off_m) * 100.0) / 100.0)
 
     def _echoes_m(
         self, pose: Pose, targets: Sequence[Target], surfaces: Sequence[Surface]
     ) -> list[float]:
         ranges = [
-            range_m
-            for target in targets
-            if (range_m := target_range_m(pose, target)) is not None
-            and self._is_loud(range_m, target.heard_to_m)
+            range_m for target in targets if (range_m := self._echo_m(pose, target)) is not None
         ]
         for surface in surfaces:
             range_m = surface_range_m(pose, surface)
@@ -210,9 +324,17 @@ class Ear:
                 ranges.append(range_m)
         return ranges
 
-    def _is_loud(self, range_m: float, heard_to_m: float) -> bool:
-        """Near its limit an echo comes and goes: from sure to never within 5 % either side."""
-        return self._rng.uniform(0.95, 1.05) * heard_to_m >= range_m
+    def _echo_m(self, pose: Pose, target: Target) -> float | None:
+        """Distance to a vehicle whose echo comes back."""
+        reaches_m = self._echo.uniform(1.0 - FADES_SHARE, 1.0 + FADES_SHARE) * target.heard_to_m
+        drawn = self._echo.random()
+        range_m, off_rad = target_range_m(pose, target)
+        if range_m > reaches_m:
+            return None
+        # Small targets shorten the beam, and narrow it: as if they were further away.
+        as_foil_m = range_m * self.sonar.foil_m / target.heard_to_m
+        is_heard = drawn < self.sonar.share(as_foil_m, off_rad, pose.beam_half_angle_rad)
+        return range_m if is_heard else None
 
     def _ghosts_m(self, t_s: float) -> list[float]:
         """Echoes of earlier pings that arrive now, at the distance they then seem to have."""

@@ -79,8 +79,8 @@ class Reports:
     """Builds each message of the vehicle's state as of now.
 
     `t_s` is the time since the autopilot started and `unix_s` the same as UTC; both are set before
-    use. `has_fix`: of the receiver; `has_position`: of the estimator. A message that makes no sense
-    now is None.
+    use. `has_fix`: of the receiver; `has_position`: of the estimator; `receiver_down_m`: how far
+    off the receiver's own height is. A message that makes no sense now is None.
     """
 
     def __init__(
@@ -95,6 +95,7 @@ class Reports:
         self.t_s = 0.0
         self.unix_s = float(START_UNIX_S)
         self.has_fix = self.has_position = True
+        self.receiver_down_m = 0.0
         self._body = body
         self._parameters = parameters
         self._places = places
@@ -188,7 +189,7 @@ class Reports:
             mavlink.GPS_FIX_TYPE_3D_FIX if self.has_fix else mavlink.GPS_FIX_TYPE_NO_FIX,
             _e7(here.lat_deg),
             _e7(here.lon_deg),
-            round(here.alt_m * 1e3),
+            round((ORIGIN.alt_m - body.down_m - self.receiver_down_m) * 1e3),
             _EPH_CM,
             _EPH_CM,
             min(65534, round(math.hypot(body.vn_mps, body.ve_mps) * 100.0)),

@@ -1,7 +1,6 @@
 """The vehicles of a simulated flight: body, autopilot, receiver, and the follower's sonar rig."""
 
 import math
-import random
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,11 +9,10 @@ from echowing.sim.autopilot import Autopilot
 from echowing.sim.coprocessor import Coprocessor, SonarBus
 from echowing.sim.copter import Copter
 from echowing.sim.cutter import PacketCutter
-from echowing.sim.gps import GpsDrift
+from echowing.sim.gps import Drift
 from echowing.sim.leader import TrackedBody, mission
 from echowing.sim.scenario import LeaderEvent, LeaderSection
 from echowing.sim.sonar import (
-    BEAM_HALF_ANGLE_RAD,
     Ear,
     Gimbal,
     MaxSonar,
@@ -35,10 +33,10 @@ MakeCoprocessor = Callable[[SonarBus, int], Coprocessor]
 
 
 class SimVehicle:
-    """A body in the air with an autopilot and a GPS receiver that drifts, in wind if there is."""
+    """A body in the air with an autopilot whose estimate drifts, in wind if there is."""
 
     def __init__(
-        self, body: Body, autopilot: Autopilot, drift: GpsDrift, wind: Wind | None = None
+        self, body: Body, autopilot: Autopilot, drift: Drift, wind: Wind | None = None
     ) -> None:
         self.body = body
         self.autopilot = autopilot
@@ -57,7 +55,7 @@ class SimVehicle:
 
     def move(self, dt_s: float) -> None:
         """Receiver, wind and body, one step on."""
-        self.autopilot.set_gps_offset(self.drift.step(dt_s))
+        self.autopilot.set_errors(self.drift.step(dt_s), self.drift.receiver_down_m)
         if self._wind is not None and isinstance(self.body, Copter):
             self.body.wind_ned_mps = self._wind.step(dt_s)
         self.body.step(dt_s)
@@ -83,7 +81,7 @@ class SimFollower(SimVehicle):
     """A follower: the vehicle, with gimbal, sonar and co-processor on it.
 
     Faults: `hears` makes something else of what the sonar hears; `reflector_m`: so far ahead is
-    something loud; `beam_half_angle_rad`: the beam that it really has. `wire`: how the bytes fare
+    something loud; `beam_half_angle_rad`: its beam is nowhere wider. `wire`: how the bytes fare
     between autopilot and co-processor, to it and from it.
     """
 
@@ -91,21 +89,21 @@ class SimFollower(SimVehicle):
         self,
         body: Body,
         autopilot: Autopilot,
-        drift: GpsDrift,
+        drift: Drift,
         *,
         listen: Callable[["SimFollower", float], float | None],
         make_coprocessor: MakeCoprocessor,
-        rng: random.Random,
+        ear: Ear,
         wire: tuple[PacketCutter, PacketCutter],
         wind: Wind | None = None,
     ) -> None:
         super().__init__(body, autopilot, drift, wind)
         self.wire_down, self.wire_up = wire
         self.gimbal = Gimbal()
-        self.ear = Ear(rng)
+        self.ear = ear
         self.hears: Callable[[float | None], float | None] | None = None
         self.reflector_m: float | None = None
-        self.beam_half_angle_rad = BEAM_HALF_ANGLE_RAD
+        self.beam_half_angle_rad = ear.sonar.widest_rad
         self.sensor = MaxSonar(lambda t_s: listen(self, t_s))
         self._make_coprocessor = make_coprocessor
         self._powered = True

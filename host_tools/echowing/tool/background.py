@@ -8,6 +8,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Sequence
 
+from echowing.flight.hearing import Reading
 from echowing.terminal import ring
 from echowing.tool.log import FollowLog
 from echowing.tool.panel import Row
@@ -171,6 +172,10 @@ class BackgroundLog:
     def rows(self, unix_s: float, rows: Sequence[Row], tracks: Sequence[Track]) -> None:
         """As `FollowLog`."""
         self._do(lambda: self._log.rows(unix_s, rows, tracks))
+
+    def readings(self, start_unix_s: float, system_id: int, readings: Sequence[Reading]) -> None:
+        """As `FollowLog`."""
+        self._do(lambda: self._log.readings(start_unix_s, system_id, readings))
 
     def event(self, unix_s: float, text: str) -> None:
         """As `FollowLog`."""

@@ -13,7 +13,7 @@ WRONG, UNKNOWN = "bold red", "yellow"
 def health(rows: Sequence[Row]) -> Text:
     """A line per vehicle, the leader first; wrong values are highlighted."""
     lines = [_line("leader", leaders_words(rows[0].leader))]
-    lines += [_line(str(row.system_id), in_words(row.own)) for row in rows]
+    lines += [_line(str(row.system_id), [*in_words(row.own), *_sonar(row)]) for row in rows]
     return Text("\n").join(lines)
 
 
@@ -30,6 +30,15 @@ def in_words(one: VehicleHealth) -> list[tuple[str, str]]:
     if one.switch is not None:
         parts.append((f"switch {one.switch}", "" if one.switch == "off" else WRONG))
     return parts
+
+
+def _sonar(row: Row) -> list[tuple[str, str]]:
+    """What its sonar has heard in the last minute; what is worse than believed in full."""
+    if row.worse is not None:
+        return [(row.worse, WRONG)]
+    if row.heard_percent is None:
+        return []
+    return [(f"hears {row.heard_percent:.0f} %", "")]
 
 
 def _line(name: str, words: Sequence[tuple[str, str]]) -> Text:

@@ -1,22 +1,29 @@
 """What `echowing follow` writes down: a .tlog of all frames, a CSV of all rows, events as text.
 
+And what each sonar has read, with where its leader was then, for `echowing analyze --sonar`.
+
 A log that cannot be opened is refused. If writing fails later, that is reported once and the log
 ends: it never stops the flight.
 """
 
 import csv
+import json
+import math
 import struct
 from collections.abc import Callable, Sequence
 from dataclasses import fields
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import BinaryIO, TextIO
+from typing import Any, BinaryIO, TextIO
 
 from echowing.errors import EchowingError
+from echowing.flight.hearing import Reading
 from echowing.tool.panel import COLUMNS, Row
 from echowing.tool.track import Track
 
 Say = Callable[[str], None]
+# What the file of the sonars' readings ends with.
+SONAR = "-sonar.jsonl"
 
 
 class FollowLog:
@@ -30,6 +37,7 @@ class FollowLog:
         self._tlog: BinaryIO | None = None
         self._table: TextIO | None = None
         self._events: TextIO | None = None
+        self._sonar: TextIO | None = None
         stamp = datetime.fromtimestamp(start_unix_s, UTC).strftime("%Y%m%d-%H%M%S")
         self._fault = folder / f"follow-{stamp}-fault.json"
         try:
@@ -37,6 +45,7 @@ class FollowLog:
             self._tlog = (folder / f"follow-{stamp}.tlog").open("wb")
             self._table = (folder / f"follow-{stamp}.csv").open("w", newline="", encoding="utf-8")
             self._events = (folder / f"follow-{stamp}.txt").open("w", encoding="utf-8")
+            self._sonar = (folder / f"follow-{stamp}{SONAR}").open("w", encoding="utf-8")
             names = ["unix_time_s", *COLUMNS, *(column.name for column in fields(Track))]
             self._writer = csv.DictWriter(self._table, names)
             self._writer.writeheader()
@@ -88,10 +97,20 @@ class FollowLog:
         except OSError as error:
             self._give_up(error)
 
+    def readings(self, start_unix_s: float, system_id: int, readings: Sequence[Reading]) -> None:
+        """What a sonar has read, and where its leader was then; a line of JSON for each."""
+        if self._sonar is None:
+            return
+        try:
+            for one in readings:
+                self._sonar.write(json.dumps(_line(start_unix_s, system_id, one)) + "\n")
+        except OSError as error:
+            self._give_up(error)
+
     def close(self) -> None:
         """End the logs."""
-        files = (self._tlog, self._table, self._events)
-        self._tlog = self._table = self._events = None
+        files = (self._tlog, self._table, self._events, self._sonar)
+        self._tlog = self._table = self._events = self._sonar = None
         for file in files:
             try:
                 if file is not None:
@@ -105,3 +124,14 @@ class FollowLog:
             "without a log"
         )
         self.close()
+
+
+def _line(start_unix_s: float, system_id: int, one: Reading) -> dict[str, Any]:
+    return {
+        "unix_time_s": round(start_unix_s + one.time_s, 3),
+        "system_id": system_id,
+        "range_m": None if one.range_m is None else round(one.range_m, 3),
+        "expected_m": round(one.expected_m, 3),
+        "off_deg": round(math.degrees(one.off_rad), 1),
+        "sure_deg": round(math.degrees(one.sure_rad), 1),
+    }

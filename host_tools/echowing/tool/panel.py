@@ -67,6 +67,9 @@ class Row:
     same minus the wanted radius, if there is one; slot_error_m: horizontally from the slot;
     leader_age_s: of the leader's report in use; age_s: of the follower's, both by their time
     stamps; command_mps: the applet's limit; own, leader: the follower's and the leader's health.
+    heard_percent, scatter_m, wrong_percent: what its sonar has heard in the last minute: share of
+    the pings at the leader, standard deviation of a range, share of readings of something else;
+    worse: what of it is worse than its sonar file says.
     """
 
     time_s: float
@@ -87,6 +90,10 @@ class Row:
     east_offset_m: float
     own: VehicleHealth = VehicleHealth()
     leader: VehicleHealth = VehicleHealth()
+    heard_percent: float | None = None
+    scatter_m: float | None = None
+    wrong_percent: float | None = None
+    worse: str | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Its fields and those of its healths, named as in `COLUMNS`, rounded to the millimetre."""
@@ -226,6 +233,7 @@ class Panel:
             east_offset_m=follower.estimate.offset.east_m,
             own=self._health(session, follower.plan.system_id, follower.clock, now_s),
             leader=self._health(session, session.leader_id, session.leader.clock, now_s),
+            **_heard(follower),
         )
 
     def _health(
@@ -299,6 +307,21 @@ def _led_state(session: FollowSession, follower: FollowerState) -> str:
         return "waiting for the leader"
     name = follower.gives_way_to
     return "following" if name is None else f"gives way to {name}"
+
+
+def _heard(follower: FollowerState) -> dict[str, Any]:
+    """What a follower's sonar has heard lately."""
+    heard = follower.estimate.hearing.heard()
+    return {
+        "heard_percent": _percent(heard.share),
+        "scatter_m": heard.scatter_m,
+        "wrong_percent": _percent(heard.wrong_share),
+        "worse": heard.worse,
+    }
+
+
+def _percent(share: float | None) -> float | None:
+    return None if share is None else 100.0 * share
 
 
 def _separation_m(session: FollowSession, follower: FollowerState, now_s: float) -> float | None:

@@ -9,6 +9,7 @@ from typing import Any, Protocol
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.flight.belief import SonarBelief
 from echowing.flight.build_up import BuildUp
 from echowing.flight.guard import Limits
 from echowing.flight.guidance import GuidanceSettings, Slot
@@ -61,6 +62,7 @@ class FollowOptions:
     seats: list[Seat]
     slots: list[Slot]
     settings: GuidanceSettings
+    sonar: SonarBelief
     altitude_m: float | None = 10.0
     rate_hz: float = 8.0
     limits: Limits = field(default_factory=Limits)
@@ -189,8 +191,9 @@ class FollowTool:
     def _make_session(self) -> None:
         options = self._options
         leader, *followers = options.seats
+        altitude_m = options.altitude_m or UNKNOWN_ALTITUDE_M
         plans = [
-            FollowerPlan(known_id(seat), slot, options.altitude_m or UNKNOWN_ALTITUDE_M)
+            FollowerPlan(known_id(seat), slot, altitude_m, sonar=options.sonar)
             for seat, slot in zip(followers, options.slots, strict=True)
         ]
         self._session = FollowSession(
@@ -338,18 +341,27 @@ class FollowTool:
         moment = Moment(now_s, rows, self._tracks(now_s), self._cohesion.health)
         if self._log is not None:
             self._log.rows(self._start_unix_s + now_s, rows, moment.tracks)
+            self._log_readings(self._log)
         if judge:
             self._next_health_s = now_s + HEALTH_PERIOD_S
             moment = self._judged(moment)
         if self._page is not None:
             self._page.show(moment)
 
+    def _log_readings(self, log: BackgroundLog) -> None:
+        """Write down what each sonar has read since the last time."""
+        for system_id, follower in self._session.followers.items():
+            fresh = follower.estimate.hearing.fresh
+            if fresh:
+                log.readings(self._start_unix_s, system_id, list(fresh))
+                fresh.clear()
+
     def _judged(self, moment: Moment) -> Moment:
         """The moment with the formation's health; changes of it are reported."""
         origin = moment.origin
         if origin is None:
             return moment
-        inset_m = self._session.settings.sonar_inset_m
+        inset_m = self._options.sonar.inset_m
         vehicles = members(moment, places(moment, origin), inset_m)
         for text in self._cohesion.update(vehicles, moment.time_s):
             self._event(moment.time_s, text)

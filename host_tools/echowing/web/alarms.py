@@ -72,6 +72,8 @@ def _of_followers(rows: Sequence[Row], tracks: Sequence[Track]) -> Iterator[Alar
         yield from _of_distance(name, row, track)
         if row.gimbal == SONAR_FAULT:
             yield Alarm(Level.LOOK, row.system_id, f"{name}: its sonar has a fault")
+        elif row.worse is not None:
+            yield Alarm(Level.LOOK, row.system_id, f"{name}: {row.worse}")
         yield from _of_battery(name, row.system_id, row.own.battery_percent)
 
 

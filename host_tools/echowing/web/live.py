@@ -13,10 +13,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from echowing.geo import GlobalPosition
+from echowing.sonar_file import shipped_sonar
 from echowing.tool.moment import Moment
 from echowing.web.options import PageAddress
 from echowing.web.server import PageServer, Socket, until_gone
-from echowing.web.snapshot import BEAM, Json, glance, snapshot
+from echowing.web.snapshot import Json, beam, glance, snapshot
 
 # How much of the past a new browser receives: a minute, for plots and tracks.
 PAST_S, GLANCE_S = 60.0, 0.5
@@ -37,7 +38,12 @@ class LiveFeed:
     """
 
     def __init__(self, source: str) -> None:
-        self._hello = {"kind": "hello", "source": source, "run": secrets.token_hex(8), **BEAM}
+        self._hello = {
+            "kind": "hello",
+            "source": source,
+            "run": secrets.token_hex(8),
+            **beam(shipped_sonar()),
+        }
         self._loop: asyncio.AbstractEventLoop | None = None
         self._newest: Moment | None = None
         self._waking = False

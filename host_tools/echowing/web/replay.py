@@ -11,10 +11,11 @@ from aiohttp import WSMsgType
 
 from echowing.errors import EchowingError
 from echowing.geo import GlobalPosition
+from echowing.sonar_file import shipped_sonar
 from echowing.web.live import GLANCE_S, PAST_S, encoded, told
 from echowing.web.recording import Recording, index_at
 from echowing.web.server import Socket, either
-from echowing.web.snapshot import BEAM, Json, glance, snapshot
+from echowing.web.snapshot import Json, beam, glance, snapshot
 
 FRAME_S = 0.1
 LEAST_SPEED, MOST_SPEED = 0.01, 1000.0
@@ -106,7 +107,7 @@ class ReplayFeed:
     async def _serve(self, browser: Socket, line: TimeLine, moved: asyncio.Event) -> None:
         from_s, to_s = self._span_s
         span = {"from_s": from_s, "to_s": to_s}
-        hello = {"kind": "hello", "source": "replay", "run": "replay", **BEAM}
+        hello = {"kind": "hello", "source": "replay", "run": "replay", **beam(shipped_sonar())}
         await browser.send_str(
             encoded({**hello, "title": self._recording.title, "replay": span, "past": []})
         )

@@ -3,21 +3,23 @@
 import math
 from typing import Any
 
+from echowing.flight.belief import SonarBelief
 from echowing.flight.envelope import SURE_SIGMAS
 from echowing.flight.health import Health
-from echowing.flight.offset_grid import BEAM_HALF_RAD
-from echowing.flight.sonar import DETECTION_LIMIT_M, pan_rad
+from echowing.flight.sonar import pan_rad
 from echowing.geo import GlobalPosition, Ned
 from echowing.tool.moment import Moment, places, seen_leader
 from echowing.tool.panel import Row, VehicleHealth
 from echowing.tool.track import Track
 from echowing.web.alarms import alarms, headline, level_of
 
-BEAM = {
-    "half_deg": round(math.degrees(BEAM_HALF_RAD), 1),
-    "reach_m": DETECTION_LIMIT_M,
-}
 Json = dict[str, Any]
+
+
+def beam(sonar: SonarBelief) -> Json:
+    """The beam as the page draws it: as wide as it is half way to its reach."""
+    half_rad = sonar.widest_rad.at(0.5 * sonar.reach_m)
+    return {"half_deg": round(math.degrees(half_rad), 1), "reach_m": sonar.reach_m}
 
 
 def snapshot(moment: Moment, origin: GlobalPosition) -> Json:
@@ -96,6 +98,9 @@ def _follower(row: Row, track: Track, where: tuple[Ned | None, ...]) -> Json:
             "range": _number(row.sonar_m),
             "bearing": _number(_axis_deg(track), 1),
             "state": row.gimbal,
+            "heard": _number(row.heard_percent, 0),
+            "scatter": _number(row.scatter_m),
+            "wrong": _number(row.wrong_percent, 0),
         },
         "seen": _seen(track, leader),
         "speed": _number(row.speed_mps),

@@ -214,6 +214,22 @@ std::vector<mavlink_heartbeat_t> Rig::heartbeats(int port) {
   return found;
 }
 
+std::vector<AxisTold> Rig::axes(int port) {
+  std::vector<AxisTold> found;
+  for (const Sent& each : sent_[port]) {
+    if (each.message.msgid != MAVLINK_MSG_ID_GIMBAL_DEVICE_ATTITUDE_STATUS) continue;
+    mavlink_gimbal_device_attitude_status_t told;
+    mavlink_msg_gimbal_device_attitude_status_decode(&each.message, &told);
+    found.push_back({each.at,
+                     told.time_boot_ms,
+                     told.flags,
+                     told.failure_flags,
+                     {told.q[0], told.q[1], told.q[2], told.q[3]},
+                     each.message.len});
+  }
+  return found;
+}
+
 std::vector<float> Rig::named(const char* name, int port) {
   std::vector<float> found;
   for (const Sent& each : sent_[port]) {
@@ -251,5 +267,7 @@ RIG_FRAME(param_request_read)
 RIG_FRAME(param_request_list)
 RIG_FRAME(command_long)
 RIG_FRAME(command_int)
+RIG_FRAME(attitude)
+RIG_FRAME(gimbal_device_set_attitude)
 
 }  // namespace rig

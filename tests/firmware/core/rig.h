@@ -118,6 +118,16 @@ struct Range {
   Report report;
 };
 
+// GIMBAL_DEVICE_ATTITUDE_STATUS unpacked, and its payload's length on the wire.
+struct AxisTold {
+  Microseconds at;
+  uint32_t time_boot_ms;
+  uint16_t flags;
+  uint32_t failure_flags;
+  Quaternion q;
+  uint8_t length;
+};
+
 struct Value {
   std::string name;
   float value;
@@ -161,6 +171,7 @@ class Rig {
   std::vector<Ack> acks(int port = 0);
   std::vector<Value> values(int port = 0);
   std::vector<mavlink_heartbeat_t> heartbeats(int port = 0);
+  std::vector<AxisTold> axes(int port = 0);
   std::vector<float> named(const char* name, int port = 0);
   bool said(const char* part, int port = 0);
   // Bytes that left a port and belonged to no frame.
@@ -180,6 +191,9 @@ class Rig {
   static std::vector<uint8_t> frame(const mavlink_command_long_t&, uint8_t system,
                                     uint8_t component);
   static std::vector<uint8_t> frame(const mavlink_command_int_t&, uint8_t system,
+                                    uint8_t component);
+  static std::vector<uint8_t> frame(const mavlink_attitude_t&, uint8_t system, uint8_t component);
+  static std::vector<uint8_t> frame(const mavlink_gimbal_device_set_attitude_t&, uint8_t system,
                                     uint8_t component);
 
   FakeSerial serial[2];

@@ -260,7 +260,7 @@ TEST_CASE("COMMAND_INT does what COMMAND_LONG does") {
 
 TEST_CASE("an acknowledgement goes to who asked, on the port it came by, at once") {
   Rig rig;
-  rig.run(ms(500));
+  rig.run(ms(530));  // between two readings, whose messages go first
   rig.forget();
   mavlink_command_long_t message = {};
   message.target_system = 1;
@@ -406,7 +406,7 @@ TEST_CASE("a megabyte of random bytes: reports go on, nothing changes") {
     std::vector<uint8_t> noise(105);
     for (uint8_t& byte : noise) byte = static_cast<uint8_t>(std::rand());
     feed(rig, noise);
-    rig.run(ms(15));
+    rig.run(ms(15), 500);  // a turn of the slowest board under such a flood
     reports += rig.ranges().size();
     rig.forget();
   }

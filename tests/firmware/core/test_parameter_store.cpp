@@ -40,16 +40,16 @@ FakeMemory memory_with(int count) {
 }
 
 // Gives a forged slot a good CRC (CRC-16/CCITT-FALSE, low byte first).
-void seal(uint8_t* slot) {
+void seal(uint8_t* slot, uint16_t size = ParameterStore::kImageSize) {
   uint16_t crc = 0xffff;
-  for (uint16_t i = 0; i < ParameterStore::kImageSize; ++i) {
+  for (uint16_t i = 0; i < size; ++i) {
     crc ^= static_cast<uint16_t>(slot[i] << 8);
     for (int bit = 0; bit < 8; ++bit) {
       crc = static_cast<uint16_t>(crc & 0x8000 ? crc << 1 ^ 0x1021 : crc << 1);
     }
   }
-  slot[ParameterStore::kImageSize] = static_cast<uint8_t>(crc & 0xff);
-  slot[ParameterStore::kImageSize + 1] = static_cast<uint8_t>(crc >> 8);
+  slot[size] = static_cast<uint8_t>(crc & 0xff);
+  slot[size + 1] = static_cast<uint8_t>(crc >> 8);
 }
 
 float stored_dwell(FakeMemory& memory, Loaded expected) {
@@ -60,6 +60,38 @@ float stored_dwell(FakeMemory& memory, Loaded expected) {
 }
 
 }  // namespace
+
+TEST_CASE("a set of the firmware before is taken, and goes on as one of today's") {
+  FakeMemory memory = memory_with(2);
+  // What that firmware has written: its layout and its values, then the CRC, then nothing.
+  const uint16_t former = ParameterStore::kHeaderSize + kFormerParameterCount * sizeof(float);
+  for (auto& slot : memory.slots) {
+    slot[0] = static_cast<uint8_t>(parameter_layout(kFormerParameterCount) & 0xff);
+    slot[1] = static_cast<uint8_t>(parameter_layout(kFormerParameterCount) >> 8);
+    memset(slot + former, 0xff, ParameterStore::kSlotSize - former);
+    seal(slot, former);
+  }
+  ParameterStore kept;
+  Parameters parameters;
+  REQUIRE(kept.load(memory, parameters) == Loaded::kStored);
+  CHECK(kept.sound(memory));
+  CHECK(parameters.get(Parameter::kDwell) == 200);
+  CHECK(parameters.get(Parameter::kPanReach) == 60);
+  CHECK(parameters.get(Parameter::kTiltReach) == 30);
+  REQUIRE(parameters.set(static_cast<uint8_t>(Parameter::kPanReach), 45));
+  Milliseconds now = 0;
+  REQUIRE(store(kept, memory, parameters, now));
+  ParameterStore again;
+  Parameters loaded;
+  REQUIRE(again.load(memory, loaded) == Loaded::kStored);
+  CHECK(loaded.get(Parameter::kDwell) == 200);
+  CHECK(loaded.get(Parameter::kPanReach) == 45);
+}
+
+TEST_CASE("the layout of the firmware before is the one that its boards have in memory") {
+  // As 0.2.0 had it: CRC-16/CCITT-FALSE of its 23 names, 16 bytes each.
+  CHECK(parameter_layout(kFormerParameterCount) == 0xb42c);
+}
 
 TEST_CASE("erased memory gives defaults without complaint") {
   FakeMemory memory;

@@ -166,15 +166,12 @@ TEST_CASE("the quaternion keeps its length up to straight back, where the angle 
       CAPTURE(scale);
       Parameters parameters;
       REQUIRE(parameters.set(static_cast<uint8_t>(Parameter::kPanScale), scale));
-      const Pointing direction = pointing(parameters, {pan_us, 1500});
-      const float* q = direction.quaternion;
+      const Quaternion q = pointing(parameters, {pan_us, 1500});
       const double half_tilt = 5.0 * 3.14159265 / 180;
       const double degrees = std::max(-180.0, std::min((pan_us - 1380) / double{scale}, 180.0));
-      CHECK(q[0] ==
-            doctest::Approx(cos(degrees / 360 * 3.14159265) * cos(half_tilt)).epsilon(1e-5));
-      CHECK(q[3] ==
-            doctest::Approx(sin(degrees / 360 * 3.14159265) * cos(half_tilt)).epsilon(1e-5));
-      const float length = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3];
+      CHECK(q.w == doctest::Approx(cos(degrees / 360 * 3.14159265) * cos(half_tilt)).epsilon(1e-5));
+      CHECK(q.z == doctest::Approx(sin(degrees / 360 * 3.14159265) * cos(half_tilt)).epsilon(1e-5));
+      const float length = q.w * q.w + q.x * q.x + q.y * q.y + q.z * q.z;
       CHECK(length == doctest::Approx(1.0).epsilon(1e-5));
     }
   }

@@ -19,7 +19,7 @@ using rig::Rig;
 constexpr Microseconds kLongTurn = 2000;
 
 struct Kind {
-  uint8_t id;
+  uint16_t id;
   uint8_t crc_extra;
 };
 
@@ -30,6 +30,8 @@ constexpr Kind kKinds[] = {
     {MAVLINK_MSG_ID_PARAM_SET, MAVLINK_MSG_ID_PARAM_SET_CRC},
     {MAVLINK_MSG_ID_COMMAND_LONG, MAVLINK_MSG_ID_COMMAND_LONG_CRC},
     {MAVLINK_MSG_ID_COMMAND_INT, MAVLINK_MSG_ID_COMMAND_INT_CRC},
+    {MAVLINK_MSG_ID_ATTITUDE, MAVLINK_MSG_ID_ATTITUDE_CRC},
+    {MAVLINK_MSG_ID_GIMBAL_DEVICE_SET_ATTITUDE, MAVLINK_MSG_ID_GIMBAL_DEVICE_SET_ATTITUDE_CRC},
 };
 constexpr size_t kKindCount = sizeof(kKinds) / sizeof(kKinds[0]);
 
@@ -37,7 +39,9 @@ std::vector<uint8_t> frame(const Kind& kind, const uint8_t* payload, uint8_t len
   // Heartbeats come from several vehicles.
   const bool beat = kind.id == MAVLINK_MSG_ID_HEARTBEAT;
   const uint8_t system = static_cast<uint8_t>(beat ? 1 + (payload[0] & 3) : 1);
-  std::vector<uint8_t> bytes = {MAVLINK_STX, length, 0, 0, 0, system, 1, kind.id, 0, 0};
+  const uint8_t id_low = static_cast<uint8_t>(kind.id & 0xff);
+  const uint8_t id_high = static_cast<uint8_t>(kind.id >> 8);
+  std::vector<uint8_t> bytes = {MAVLINK_STX, length, 0, 0, 0, system, 1, id_low, id_high, 0};
   bytes.insert(bytes.end(), payload, payload + length);
   uint16_t crc = crc_calculate(&bytes[1], static_cast<uint16_t>(bytes.size() - 1));
   crc_accumulate(kind.crc_extra, &crc);

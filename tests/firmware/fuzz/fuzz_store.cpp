@@ -24,8 +24,8 @@ void require_limits(const Parameters& parameters) {
 
 // Gives a slot today's layout and a good CRC, which a fuzzer would hardly find.
 void seal(uint8_t* slot) {
-  slot[0] = static_cast<uint8_t>(parameter_layout() & 0xff);
-  slot[1] = static_cast<uint8_t>(parameter_layout() >> 8);
+  slot[0] = static_cast<uint8_t>(parameter_layout(kParameterCount) & 0xff);
+  slot[1] = static_cast<uint8_t>(parameter_layout(kParameterCount) >> 8);
   uint16_t crc = kCrcStart;
   for (uint16_t i = 0; i < ParameterStore::kImageSize; ++i) crc = crc_add(crc, slot[i]);
   slot[ParameterStore::kImageSize] = static_cast<uint8_t>(crc & 0xff);

@@ -19,6 +19,7 @@
 
 /* lbaselib.c with its table: a script gets some of these functions, see create_sandbox(). */
 #include "lbaselib.c"
+#include "lstate.h"
 
 #define MOST_BYTES 204800u /* the largest default of SCR_HEAP_SIZE */
 #define STEP_BYTES 256u    /* to which the least heap is found */
@@ -38,7 +39,7 @@ struct file {
 
 struct flight {
   const char* trouble; /* NULL: flown to its end */
-  uint32_t load_peak, peak, live, told, most_garbage, updates;
+  uint32_t words, load_peak, peak, live, told, most_garbage, updates;
   uint32_t update_ticks, collect_ticks; /* the longest */
 };
 
@@ -105,6 +106,25 @@ static void create_sandbox(lua_State* L) {
   replay_open(L);
 }
 
+static void most(uint32_t* value, uint32_t candidate) {
+  if (candidate > *value) *value = candidate;
+}
+
+static uint32_t entries(Table* table) {
+  uint32_t count = 0;
+  for (int i = 0; i < sizenode(table); i++) count += !ttisnil(&table->node[i].i_val);
+  return count;
+}
+
+/* The compiler's table of the words in a script, its largest table, is still there after it. */
+static uint32_t count_words(lua_State* L) {
+  uint32_t most_entries = 0;
+  for (GCObject* object = G(L)->allgc; object != NULL; object = object->next) {
+    if (object->tt == LUA_TTABLE) most(&most_entries, entries(gco2t(object)));
+  }
+  return most_entries;
+}
+
 struct job {
   struct file script;
   struct flight* flight;
@@ -120,10 +140,6 @@ static int run_update(lua_State* L, int function) {
   lua_pop(L, 1);
   luaL_unref(L, LUA_REGISTRYINDEX, function);
   return luaL_ref(L, LUA_REGISTRYINDEX);
-}
-
-static void most(uint32_t* value, uint32_t candidate) {
-  if (candidate > *value) *value = candidate;
 }
 
 static int fly(lua_State* L) {
@@ -142,6 +158,7 @@ static int fly(lua_State* L) {
   heap_change_size(NULL, NULL, 0, 32); /* script_info */
   const char* source = (const char*)job->script.bytes;
   if (luaL_loadbuffer(L, source, job->script.size, "@/APM/scripts/echowing.lua")) lua_error(L);
+  flight->words = count_words(L);
   create_sandbox(L);
   lua_pushvalue(L, -1);
   lua_setupvalue(L, -3, 1);
@@ -247,11 +264,12 @@ static const char* quoted(const char* text) {
 static void tell(const char* name, const struct flight* flight, uint32_t least_bytes) {
   static char line[600];
   snprintf(line, sizeof line,
-           "{\"trouble\": %s, \"least_bytes\": %lu, \"live_bytes\": %lu, \"load_peak_bytes\": %lu, "
-           "\"peak_bytes\": %lu, \"told_bytes\": %lu, \"garbage_bytes\": %lu, \"updates\": %lu, "
-           "\"update_instructions\": %lu, \"collect_instructions\": %lu}\n",
-           quoted(flight->trouble), least_bytes, flight->live, flight->load_peak, flight->peak,
-           flight->told, flight->most_garbage, flight->updates,
+           "{\"trouble\": %s, \"words\": %lu, \"least_bytes\": %lu, \"live_bytes\": %lu, "
+           "\"load_peak_bytes\": %lu, \"peak_bytes\": %lu, \"told_bytes\": %lu, "
+           "\"garbage_bytes\": %lu, \"updates\": %lu, \"update_instructions\": %lu, "
+           "\"collect_instructions\": %lu}\n",
+           quoted(flight->trouble), flight->words, least_bytes, flight->live, flight->load_peak,
+           flight->peak, flight->told, flight->most_garbage, flight->updates,
            flight->update_ticks * INSTRUCTIONS_PER_TICK,
            flight->collect_ticks * INSTRUCTIONS_PER_TICK);
   host_write(name, line);

@@ -1,5 +1,6 @@
 #include "connection.h"
 
+#include <math.h>
 #include <string.h>
 
 #include "version.h"
@@ -14,14 +15,22 @@ constexpr Milliseconds kRepeat = 1000;
 constexpr float kShortest_us = 25000.0f;
 constexpr float kLongestReport_us = 200000.0f;
 constexpr float kLongestValues_us = 60e6f;
+constexpr uint16_t kSetMessageInterval = 511;  // MAV_CMD_SET_MESSAGE_INTERVAL
+// What an order in the earth frame carries, too.
+constexpr uint16_t kEarthFrame = GIMBAL_DEVICE_FLAGS_ROLL_LOCK | GIMBAL_DEVICE_FLAGS_PITCH_LOCK |
+                                 GIMBAL_DEVICE_FLAGS_YAW_LOCK |
+                                 GIMBAL_DEVICE_FLAGS_YAW_IN_EARTH_FRAME;
+constexpr uint16_t kBodyFrame = GIMBAL_DEVICE_FLAGS_YAW_IN_VEHICLE_FRAME;
 
 }  // namespace
 
 bool Connection::send_reading(const Instant& now, const Parameters& parameters,
                               const Telemetry& telemetry) {
-  if (!reading_unsent_ && !raw_unsent_ && report_clock_.quiet(now.us)) return false;
+  const bool unsent = reading_unsent_ || raw_unsent_ || axis_unsent_;
+  if (!unsent && report_clock_.quiet(now.us)) return false;
   if (send_report(now, parameters, telemetry)) return true;
-  return raw_unsent_ && send_raw(now, telemetry);
+  if (raw_unsent_) return send_raw(now, telemetry);
+  return axis_unsent_ && send_axis(telemetry);
 }
 
 bool Connection::send_report(const Instant& now, const Parameters& parameters,
@@ -39,8 +48,21 @@ bool Connection::send_raw(const Instant& now, const Telemetry& telemetry) {
   raw_unsent_ = false;
   if (values_off_ || raw_pause_.running(now)) return false;
   if (value_period_ != 0) raw_pause_.start(now, value_period_);
+  axis_unsent_ = !axis_off_;
   return send_value(telemetry.identity, telemetry.reading_ms, "SNR_RAW",
                     raw_range_m(telemetry.raw_cm));
+}
+
+bool Connection::send_axis(const Telemetry& telemetry) {
+  axis_unsent_ = false;
+  const Axis& axis = telemetry.axis;
+  mavlink_gimbal_device_attitude_status_t message = {};
+  message.time_boot_ms = telemetry.reading_ms;
+  message.flags = axis.in_earth_frame ? kEarthFrame : kBodyFrame;
+  memcpy(message.q, &axis.rotation, sizeof(message.q));
+  message.angular_velocity_x = message.angular_velocity_y = message.angular_velocity_z = NAN;
+  message.failure_flags = axis.limits;
+  return link_.send(telemetry.identity, message);
 }
 
 bool Connection::send_other(const Instant& now, const Parameters& parameters,
@@ -51,6 +73,7 @@ bool Connection::send_other(const Instant& now, const Parameters& parameters,
     heartbeat_pause_.start(now, kHeartbeatPeriod);
     return send_heartbeat(telemetry);
   }
+  if (attitude_wanted_) return send_attitude_request(telemetry);
   if (!notices_.empty()) return send_notice(telemetry);
   if (version_wanted_) return send_version(telemetry, git_hash);
   return send_info(now, parameters, telemetry) || send_next_asked(telemetry, parameters);
@@ -63,6 +86,18 @@ bool Connection::send_heartbeat(const Telemetry& telemetry) {
   message.system_status = telemetry.faulty ? MAV_STATE_CRITICAL : MAV_STATE_ACTIVE;
   message.mavlink_version = 3;  // MAVLink's own number for the protocol
   return link_.send(telemetry.identity, message);
+}
+
+bool Connection::send_attitude_request(const Telemetry& telemetry) {
+  mavlink_command_long_t message = {};
+  message.target_system = telemetry.identity.system;
+  message.target_component = MAV_COMP_ID_AUTOPILOT1;
+  message.command = kSetMessageInterval;
+  message.param1 = MAVLINK_MSG_ID_ATTITUDE;
+  message.param2 = Attitude::kInterval;
+  if (!link_.send(telemetry.identity, message)) return false;
+  attitude_wanted_ = false;
+  return true;
 }
 
 bool Connection::send_notice(const Telemetry& telemetry) {
@@ -180,6 +215,10 @@ uint8_t Connection::set_interval(uint32_t id, float interval_us) {
   const bool off = interval_us == -1.0f;
   const bool usual = interval_us == 0.0f;
   const bool reports = id == MAVLINK_MSG_ID_DISTANCE_SENSOR;
+  if (id == MAVLINK_MSG_ID_GIMBAL_DEVICE_ATTITUDE_STATUS && (off || usual)) {
+    axis_off_ = off;
+    return MAV_RESULT_ACCEPTED;
+  }
   if (!reports && id != MAVLINK_MSG_ID_NAMED_VALUE_FLOAT) return MAV_RESULT_UNSUPPORTED;
   const float most = reports ? kLongestReport_us : kLongestValues_us;
   if (!off && !usual && !(interval_us >= kShortest_us && interval_us <= most))
@@ -196,7 +235,7 @@ uint8_t Connection::set_interval(uint32_t id, float interval_us) {
 }
 
 void Connection::restore_intervals() {
-  reports_off_ = values_off_ = false;
+  reports_off_ = values_off_ = axis_off_ = false;
   report_period_ = 0;
   value_period_ = 0;
 }

@@ -4,6 +4,7 @@
 #include <stdint.h>
 
 #include "link.h"
+#include "look.h"
 #include "notices.h"
 #include "parameters.h"
 #include "report.h"
@@ -13,7 +14,8 @@ namespace echowing {
 // The state of the device as every port reports it; the caller fills it once a turn.
 struct Telemetry {
   const Tracker& tracker;
-  const Pointing& pointing;
+  const Quaternion& pointing;
+  const Axis& axis;         // of the newest reading's ping
   Milliseconds reading_ms;  // uptime at the newest reading
   Identity identity;
   Milliseconds uptime_ms;
@@ -36,15 +38,17 @@ class Connection {
   // A new reading is ready to be sent.
   void on_reading() { reading_unsent_ = raw_unsent_ = true; }
 
-  // Queues the report, or the raw reading, if it is due; true if so. Once a turn, unless that turn
-  // has been filled by another connection.
+  // Queues the report, the raw reading, or its axis, if it is due; true if so. Once a turn, unless
+  // that turn has been filled by another connection.
   bool send_reading(const Instant& now, const Parameters& parameters, const Telemetry& telemetry);
   // Queues one of the other messages; true if there was one to send and the wire was free for it.
   bool send_other(const Instant& now, const Parameters& parameters, const Telemetry& telemetry,
                   const char* git_hash);
-  // Hands what is queued to the port, as far as it takes it; true if it took anything.
-  bool flush() { return link_.flush(port_); }
+  // Hands what is queued to the port, as far as budget and port take it; returns the budget's rest.
+  uint8_t flush(uint8_t budget) { return link_.flush(port_, budget); }
 
+  // The partner is our autopilot, and is to send its attitude.
+  void ask_for_attitude() { attitude_wanted_ = true; }
   void notify(Notice notice) { notices_.add(notice); }
   void acknowledge(Identity identity, const mavlink_message_t& asked, uint16_t command,
                    uint8_t result);
@@ -63,7 +67,9 @@ class Connection {
 
   bool send_report(const Instant& now, const Parameters& parameters, const Telemetry& telemetry);
   bool send_raw(const Instant& now, const Telemetry& telemetry);
+  bool send_axis(const Telemetry& telemetry);
   bool send_heartbeat(const Telemetry& telemetry);
+  bool send_attitude_request(const Telemetry& telemetry);
   bool send_notice(const Telemetry& telemetry);
   bool send_parameter(const Telemetry& telemetry, const Parameters& parameters, uint8_t index);
   bool send_next_asked(const Telemetry& telemetry, const Parameters& parameters);
@@ -85,8 +91,11 @@ class Connection {
   Milliseconds value_period_ = 0;   // 0: the usual
   bool reading_unsent_ = false;
   bool raw_unsent_ = false;
+  bool axis_unsent_ = false;
   bool reports_off_ = false;
   bool values_off_ = false;
+  bool axis_off_ = false;
+  bool attitude_wanted_ = false;
   bool version_wanted_ = false;
   bool asked_[kParameterCount] = {};  // parameters to be sent
   uint8_t asked_count_ = 0;           // how many of them are true

@@ -29,6 +29,7 @@ Coprocessor::Coprocessor(const Ports& ports, uint32_t seed, Microseconds now, Mi
       autopilot_({now, uptime}),
       sonar_(parameters_, seed, {now, uptime}),
       tracker_(parameters_, {now, uptime}),
+      look_(parameters_, tracker_.aim(), {now, uptime}),
       autopilot_connection_(ports.autopilot, true),
       usb_connection_(ports.usb, false),
       pointed_(tracker_.aim()),
@@ -40,7 +41,7 @@ Coprocessor::Coprocessor(const Ports& ports, uint32_t seed, Microseconds now, Mi
 
 bool Coprocessor::set_parameter(uint8_t index, float value) {
   const bool taken = parameters_.set(index, value);
-  pointing_stale_ = true;
+  pointing_.find(pointed_);
   renew_identity();
   return taken;
 }
@@ -65,6 +66,7 @@ void Coprocessor::decide(const Instant& now) {
   if (autopilot_.take_conflict(now)) {
     notify(autopilot_.own() == 0 ? Notice::kSeveralVehicles : Notice::kOnlyOtherVehicles);
   }
+  if (autopilot_.own() != 0 && look_.take_request(now)) autopilot_connection_.ask_for_attitude();
   run_self_test(now);
   aim_gimbal(now);
 }
@@ -80,9 +82,10 @@ void Coprocessor::act(const Instant& now) {
 void Coprocessor::tell(const Instant& now) {
   const Telemetry telemetry = observe(now);
   const bool busy = new_reading_ || sonar_.timed_out() || report_reading(now, telemetry) ||
-                    handle_message(now) || renew_pointing();
+                    sonar_.pinged() || look_.work(now, tracker_) || handle_message(now) ||
+                    pointing_.step(parameters_);
   if (!busy) send_other(now, telemetry);
-  if (!autopilot_connection_.flush()) usb_connection_.flush();
+  usb_connection_.flush(autopilot_connection_.flush(Link::kBytesOutPerTurn));
 }
 
 void Coprocessor::poll_sonar(const Instant& now) {
@@ -90,9 +93,11 @@ void Coprocessor::poll_sonar(const Instant& now) {
   new_reading_ = event == SonarEvent::kReading;
   if (event == SonarEvent::kFault) notify(Notice::kSonarFault);
   if (event == SonarEvent::kRecovered) notify(Notice::kSonarBack);
+  if (sonar_.pinged()) look_.on_ping(now);
   if (sonar_.take_address_changed()) adopt_sonar_address(now);
   if (!new_reading_) return;
   heard_sonar_ = true;
+  look_.on_reading(now, tracker_);
   autopilot_connection_.on_reading();
   usb_connection_.on_reading();
   reading_ms_ = now.ms;
@@ -142,21 +147,26 @@ void Coprocessor::report_self_test() {
 
 void Coprocessor::aim_gimbal(const Instant& now) {
   tracker_.hold_at(self_test_.running() ? self_test_.aim(parameters_) : orders_.aim());
-  tracker_.step(now, gimbal_mode());
+  tracker_.step(now, gimbal_mode(now), look_.deviation_rad());
   if (new_reading_) tracker_.on_reading(now, sonar_.reading());
-  note_pointing();
+  note_pointing(now);
 }
 
-void Coprocessor::note_pointing() {
+void Coprocessor::note_pointing(const Instant& now) {
   const Aim aim = tracker_.aim();
   const bool moved = aim.pan_us != pointed_.pan_us || aim.tilt_us != pointed_.tilt_us;
-  pointing_stale_ = pointing_stale_ || moved;
+  if (!moved) return;
+  pointing_.find(aim);
   pointed_ = aim;
+  look_.on_aim(now, aim);
 }
 
-GimbalMode Coprocessor::gimbal_mode() const {
+GimbalMode Coprocessor::gimbal_mode(const Instant& now) {
   if (self_test_.running()) return GimbalMode::kHold;
   const bool on_the_ground = autopilot_.heard() && !autopilot_.armed();
+  if (look_.active(now)) {
+    return orders_.mode(on_the_ground ? GimbalMode::kLook : GimbalMode::kLookRound);
+  }
   return orders_.mode(on_the_ground ? GimbalMode::kCentre : GimbalMode::kScan);
 }
 
@@ -179,7 +189,8 @@ void Coprocessor::restart_if_ordered(const Instant& now) {
 Telemetry Coprocessor::observe(const Instant& now) {
   return {
       tracker_,
-      pointing_,
+      pointing_.found(),
+      look_.axis(),
       reading_ms_,
       identity_,
       now.ms,
@@ -201,13 +212,6 @@ bool Coprocessor::report_reading(const Instant& now, const Telemetry& telemetry)
 bool Coprocessor::handle_message(const Instant& now) {
   return receive(now, autopilot_connection_, kAutopilotPort) ||
          receive(now, usb_connection_, kUsbPort);
-}
-
-bool Coprocessor::renew_pointing() {
-  if (!pointing_stale_) return false;
-  pointing_stale_ = false;
-  pointing_ = pointing(parameters_, pointed_);
-  return true;
 }
 
 void Coprocessor::send_other(const Instant& now, const Telemetry& telemetry) {

@@ -7,6 +7,7 @@
 #include "connection.h"
 #include "gimbal_orders.h"
 #include "led.h"
+#include "look.h"
 #include "parameter_store.h"
 #include "parameters.h"
 #include "ports.h"
@@ -90,29 +91,30 @@ class Coprocessor {
   void run_self_test(const Instant& now);
   void report_self_test();
   void aim_gimbal(const Instant& now);
-  void note_pointing();
+  void note_pointing(const Instant& now);
   void store_parameters(const Instant& now);
   void restart_if_ordered(const Instant& now);
 
   Telemetry observe(const Instant& now);
   bool report_reading(const Instant& now, const Telemetry& telemetry);
   bool handle_message(const Instant& now);
-  bool renew_pointing();
   void send_other(const Instant& now, const Telemetry& telemetry);
   void notify(Notice notice);
 
   bool receive(const Instant& now, Connection& connection, Port port);
+  void hear_autopilot(const Instant& now, const mavlink_message_t& message);
   void dispatch(const Instant& now, Connection& connection, const mavlink_message_t& message);
   void on_parameter_read(Connection& connection, const mavlink_message_t& message);
   void on_parameter_list(Connection& connection, const mavlink_message_t& message);
   void on_parameter_set(const Instant& now, Connection& connection,
                         const mavlink_message_t& message);
+  void on_look_order(const Instant& now, const mavlink_message_t& message);
   void on_command(const Instant& now, Connection& connection, const mavlink_message_t& message,
                   const Command& command);
   uint8_t execute(uint16_t number, const Order& order);
   bool is_for_us(uint8_t system, uint8_t component, bool broadcast_too) const;
 
-  GimbalMode gimbal_mode() const;
+  GimbalMode gimbal_mode(const Instant& now);
   void renew_identity();
 
   Ports ports_;
@@ -123,14 +125,14 @@ class Coprocessor {
   AutopilotWatch autopilot_;
   SonarDriver sonar_;
   Tracker tracker_;
+  Look look_;
   Connection autopilot_connection_;
   Connection usb_connection_;
   SelfTest self_test_;
   GimbalOrders orders_;
   Identity identity_ = {};
   Aim pointed_;
-  Pointing pointing_;  // of pointed_
-  bool pointing_stale_ = false;
+  PointingFinder pointing_;  // of pointed_
   Timeout freshness_;
   Milliseconds reading_ms_ = 0;
   bool new_reading_ = false;

@@ -41,9 +41,16 @@ bool Coprocessor::receive(const Instant& now, Connection& connection, Port port)
   if (message == nullptr) return false;
   const bool our_own = message->sysid == identity_.system && message->compid == identity_.component;
   if (our_own) self_test_.on_own_message(port);
-  if (port == kAutopilotPort) autopilot_.on_message(now, *message);
+  if (port == kAutopilotPort) hear_autopilot(now, *message);
   dispatch(now, connection, *message);
   return true;
+}
+
+void Coprocessor::hear_autopilot(const Instant& now, const mavlink_message_t& message) {
+  autopilot_.on_message(now, message);
+  const bool ours = autopilot_.own() != 0 && message.sysid == autopilot_.own() &&
+                    message.compid == MAV_COMP_ID_AUTOPILOT1;
+  if (ours && message.msgid == MAVLINK_MSG_ID_ATTITUDE) look_.on_attitude(now, message);
 }
 
 void Coprocessor::dispatch(const Instant& now, Connection& connection,
@@ -52,6 +59,7 @@ void Coprocessor::dispatch(const Instant& now, Connection& connection,
     case MAVLINK_MSG_ID_PARAM_REQUEST_READ: return on_parameter_read(connection, message);
     case MAVLINK_MSG_ID_PARAM_REQUEST_LIST: return on_parameter_list(connection, message);
     case MAVLINK_MSG_ID_PARAM_SET: return on_parameter_set(now, connection, message);
+    case MAVLINK_MSG_ID_GIMBAL_DEVICE_SET_ATTITUDE: return on_look_order(now, message);
     case MAVLINK_MSG_ID_COMMAND_LONG: {
       mavlink_command_long_t command;
       mavlink_msg_command_long_decode(&message, &command);
@@ -103,6 +111,13 @@ void Coprocessor::on_parameter_set(const Instant& now, Connection& connection,
     return connection.notify(Notice::kNotInFlight);
   }
   if (set_parameter(row, asked.param_value)) store_.touch(now);
+}
+
+void Coprocessor::on_look_order(const Instant& now, const mavlink_message_t& message) {
+  mavlink_gimbal_device_set_attitude_t order;
+  mavlink_msg_gimbal_device_set_attitude_decode(&message, &order);
+  if (!is_for_us(order.target_system, order.target_component, false)) return;
+  look_.on_order(now, message);
 }
 
 void Coprocessor::on_command(const Instant& now, Connection& connection,
@@ -165,7 +180,7 @@ uint8_t Coprocessor::restore_defaults(const Order& order) {
   const float address = parameters_.get(Parameter::kSonarAddress);
   parameters_.reset();
   parameters_.set(static_cast<uint8_t>(Parameter::kSonarAddress), address);
-  pointing_stale_ = true;
+  pointing_.find(pointed_);
   renew_identity();
   store_.touch(order.now);
   notify(Notice::kParametersReset);

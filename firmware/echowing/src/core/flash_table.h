@@ -33,4 +33,13 @@ inline bool same_as_in_flash(const char* text, const char* in_flash, uint8_t len
 #endif
 }
 
+// As strlen, of a string of a table.
+inline uint16_t length_in_flash(const char* in_flash) {
+#if defined(__AVR__)
+  return strlen_P(in_flash);
+#else
+  return static_cast<uint16_t>(strlen(in_flash));
+#endif
+}
+
 }  // namespace echowing

@@ -5,10 +5,6 @@
 namespace echowing {
 namespace {
 
-// What hobby servos stand.
-constexpr float kShortestPulse_us = 800.0f;
-constexpr float kLongestPulse_us = 2200.0f;
-
 bool is_pulse(float pulse_us) {
   return pulse_us >= kShortestPulse_us && pulse_us <= kLongestPulse_us;
 }

@@ -15,12 +15,21 @@ const mavlink_message_t* Link::receive(SerialPort& port) {
   return nullptr;
 }
 
-bool Link::send_bytes(Identity from, uint8_t id, uint8_t crc_extra, const uint8_t* payload,
+bool Link::send_bytes(Identity from, uint32_t id, uint8_t crc_extra, const uint8_t* payload,
                       uint8_t length) {
   while (length > 1 && payload[length - 1] == 0) --length;
   if (queued_ + kHeaderLength + length + kChecksumLength > kQueueSize) return false;
   const uint8_t header[kHeaderLength] = {
-      MAVLINK_STX, length, 0, 0, sequence_++, from.system, from.component, id, 0, 0,
+      MAVLINK_STX,
+      length,
+      0,
+      0,
+      sequence_++,
+      from.system,
+      from.component,
+      static_cast<uint8_t>(id & 0xff),
+      static_cast<uint8_t>(id >> 8 & 0xff),
+      static_cast<uint8_t>(id >> 16),
   };
   uint16_t checksum = crc_calculate(header + 1, kHeaderLength - 1);
   crc_accumulate_buffer(&checksum, reinterpret_cast<const char*>(payload), length);
@@ -37,19 +46,18 @@ void Link::push(uint8_t byte) {
   ++queued_;
 }
 
-bool Link::flush(SerialPort& port) {
-  uint8_t left = kBytesOutPerTurn;
-  while (queued_ > 0 && left > 0) {
+uint8_t Link::flush(SerialPort& port, uint8_t budget) {
+  while (queued_ > 0 && budget > 0) {
     const uint16_t to_end = kQueueSize - first_;
     const uint16_t run = queued_ < to_end ? queued_ : to_end;
-    const uint8_t offered = run < left ? static_cast<uint8_t>(run) : left;
+    const uint8_t offered = run < budget ? static_cast<uint8_t>(run) : budget;
     const uint8_t taken = port.write(queue_ + first_, offered);
     first_ = (first_ + taken) % kQueueSize;
     queued_ -= taken;
-    left = static_cast<uint8_t>(left - taken);
+    budget = static_cast<uint8_t>(budget - taken);
     if (taken < offered) break;
   }
-  return left < kBytesOutPerTurn;
+  return budget;
 }
 
 }  // namespace echowing

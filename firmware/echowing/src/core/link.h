@@ -19,7 +19,8 @@ class Link {
  public:
   // At most this many bytes are taken, and handed on, in a turn: a flood cannot starve the scan,
   // and turns stay short on AVR, where a byte costs up to 30 us in and 10 us out. At 115200 baud
-  // 11.5 of them pass in a millisecond, and the usual turn is shorter than half of one.
+  // 11.5 of them pass in a millisecond, and the usual turn is shorter than half of one. What goes
+  // out is a budget for both ports: what the first one cannot take yet is the second one's.
   static constexpr uint8_t kBytesInPerTurn = 8;
   static constexpr uint8_t kBytesOutPerTurn = 24;
 
@@ -36,8 +37,9 @@ class Link {
                       reinterpret_cast<const uint8_t*>(&payload), Format::kLength);
   }
 
-  // Hands queued bytes to the port, as far as it takes them; true if it took any. Once a turn.
-  bool flush(SerialPort& port);
+  // Hands up to `budget` queued bytes to the port, as far as it takes them; returns what is left of
+  // the budget. Once a turn.
+  uint8_t flush(SerialPort& port, uint8_t budget);
   bool idle() const { return queued_ == 0; }
 
  private:
@@ -45,7 +47,7 @@ class Link {
   static constexpr uint8_t kHeaderLength = 10;
   static constexpr uint8_t kChecksumLength = 2;
 
-  bool send_bytes(Identity from, uint8_t id, uint8_t crc_extra, const uint8_t* payload,
+  bool send_bytes(Identity from, uint32_t id, uint8_t crc_extra, const uint8_t* payload,
                   uint8_t length);
   void push(uint8_t byte);
 

@@ -32,8 +32,7 @@ const char kTexts[] ECHOWING_FLASH =
 NoticeText notice_text(Notice notice) {
   const char* next = kTexts;
   for (uint8_t before = static_cast<uint8_t>(notice); before > 0; --before) {
-    while (from_flash(*next++) != '\0') {
-    }
+    next += length_in_flash(next) + 1;
   }
   NoticeText line = {};
   line.severity = static_cast<uint8_t>(from_flash(*next++));

@@ -17,13 +17,25 @@ uint16_t read_word(SlotMemory& memory, uint8_t slot, uint16_t offset) {
   return static_cast<uint16_t>(low | memory.read(slot, offset + 1) << 8);
 }
 
-bool intact(SlotMemory& memory, uint8_t slot) {
-  if (read_word(memory, slot, 0) != parameter_layout()) return false;
+constexpr uint16_t image_size(uint8_t count) {
+  return static_cast<uint16_t>(ParameterStore::kHeaderSize + count * sizeof(float));
+}
+static_assert(image_size(kParameterCount) == ParameterStore::kImageSize, "two sizes of an image");
+
+bool holds(SlotMemory& memory, uint8_t slot, uint8_t count) {
+  if (read_word(memory, slot, 0) != parameter_layout(count)) return false;
+  const uint16_t size = image_size(count);
   uint16_t crc = kCrcStart;
-  for (uint16_t offset = 0; offset < ParameterStore::kImageSize; ++offset) {
+  for (uint16_t offset = 0; offset < size; ++offset) {
     crc = crc_add(crc, memory.read(slot, offset));
   }
-  return crc == read_word(memory, slot, ParameterStore::kImageSize);
+  return crc == read_word(memory, slot, size);
+}
+
+// How many values an intact slot holds; 0 for any other.
+uint8_t values_in(SlotMemory& memory, uint8_t slot) {
+  if (holds(memory, slot, kParameterCount)) return kParameterCount;
+  return holds(memory, slot, kFormerParameterCount) ? kFormerParameterCount : 0;
 }
 
 // Erased memory reads as ones.
@@ -34,9 +46,9 @@ bool blank(SlotMemory& memory, uint8_t slot) {
   return true;
 }
 
-void read_values(SlotMemory& memory, uint8_t slot, Parameters& parameters) {
+void read_values(SlotMemory& memory, uint8_t slot, uint8_t count, Parameters& parameters) {
   uint16_t offset = ParameterStore::kHeaderSize;
-  for (uint8_t index = 0; index < kParameterCount; ++index) {
+  for (uint8_t index = 0; index < count; ++index) {
     uint8_t bytes[sizeof(float)];
     for (uint8_t& byte : bytes) byte = memory.read(slot, offset++);
     float value;
@@ -48,15 +60,15 @@ void read_values(SlotMemory& memory, uint8_t slot, Parameters& parameters) {
 }  // namespace
 
 ParameterStore::Loaded ParameterStore::load(SlotMemory& memory, Parameters& parameters) {
-  const bool good[kSlots] = {intact(memory, 0), intact(memory, 1)};
-  if (!good[0] && !good[1]) {
+  const uint8_t count[kSlots] = {values_in(memory, 0), values_in(memory, 1)};
+  if (count[0] == 0 && count[1] == 0) {
     return blank(memory, 0) && blank(memory, 1) ? Loaded::kBlank : Loaded::kCorrupt;
   }
   const uint16_t sequence[kSlots] = {read_word(memory, 0, 2), read_word(memory, 1, 2)};
   const bool second_newer = static_cast<int16_t>(sequence[1] - sequence[0]) > 0;
-  slot_ = !good[0] || (good[1] && second_newer) ? 1 : 0;
+  slot_ = count[0] == 0 || (count[1] != 0 && second_newer) ? 1 : 0;
   sequence_ = sequence[slot_];
-  read_values(memory, slot_, parameters);
+  read_values(memory, slot_, count[slot_], parameters);
   return Loaded::kStored;
 }
 
@@ -66,7 +78,7 @@ void ParameterStore::touch(const Instant& now) {
 }
 
 bool ParameterStore::sound(SlotMemory& memory) const {
-  return intact(memory, slot_) || (blank(memory, 0) && blank(memory, 1));
+  return values_in(memory, slot_) != 0 || (blank(memory, 0) && blank(memory, 1));
 }
 
 StoreEvent ParameterStore::step(const Instant& now, bool allowed, SlotMemory& memory,
@@ -122,7 +134,7 @@ StoreEvent ParameterStore::read_back(SlotMemory& memory) {
 
 uint8_t ParameterStore::image_byte(uint16_t offset, const Parameters& parameters) const {
   if (offset >= kImageSize) return static_cast<uint8_t>(crc_ >> 8 * (offset - kImageSize));
-  if (offset < 2) return static_cast<uint8_t>(parameter_layout() >> 8 * offset);
+  if (offset < 2) return static_cast<uint8_t>(parameter_layout(kParameterCount) >> 8 * offset);
   if (offset < kHeaderSize) return static_cast<uint8_t>(sequence_ >> 8 * (offset - 2));
   const uint16_t place = offset - kHeaderSize;
   const float value = parameters.at(static_cast<uint8_t>(place / sizeof(float)));

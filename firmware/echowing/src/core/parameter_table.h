@@ -29,3 +29,5 @@ ECHOWING_PARAMETER(kBeamWidth, "BEAM_WIDTH", 40, 1, 120, false, true, "deg", "fu
 ECHOWING_PARAMETER(kReportRate, "REPORT_RATE", 20, 5, 40, true, false, "Hz", "DISTANCE_SENSOR messages per second")
 ECHOWING_PARAMETER(kSensorId, "SENSOR_ID", 0, 0, 255, true, false, "", "id in DISTANCE_SENSOR, to match the autopilot's RNGFNDx_ADDR where that is set")
 ECHOWING_PARAMETER(kInfoRate, "INFO_RATE", 2, 1, 20, true, true, "Hz", "state, pan and tilt for display, on the autopilot's port; the autopilot passes them on to its radios")
+ECHOWING_PARAMETER(kPanReach, "PAN_REACH", 60, 0, 90, true, false, "deg", "most that the gimbal pans to each side when it looks where it is told")
+ECHOWING_PARAMETER(kTiltReach, "TILT_REACH", 30, 0, 90, true, false, "deg", "most that it tilts up and down then")

@@ -13,9 +13,9 @@ constexpr ParameterInfo kTable[kParameterCount] ECHOWING_FLASH = {
 #undef ECHOWING_PARAMETER
 };
 
-constexpr uint16_t layout_of(const ParameterInfo (&table)[kParameterCount]) {
+constexpr uint16_t layout_of(const ParameterInfo (&table)[kParameterCount], uint8_t count) {
   uint16_t crc = kCrcStart;
-  for (uint8_t row = 0; row < kParameterCount; ++row) {
+  for (uint8_t row = 0; row < count; ++row) {
     for (uint8_t i = 0; i < kParameterNameLength; ++i) {
       crc = crc_add(crc, static_cast<uint8_t>(table[row].name[i]));
     }
@@ -23,7 +23,8 @@ constexpr uint16_t layout_of(const ParameterInfo (&table)[kParameterCount]) {
   return crc;
 }
 
-constexpr uint16_t kLayout = layout_of(kTable);
+constexpr uint16_t kLayout = layout_of(kTable, kParameterCount);
+constexpr uint16_t kFormerLayout = layout_of(kTable, kFormerParameterCount);
 
 bool acceptable(const ParameterInfo& info, float value) {
   // Not-a-number fails both comparisons.
@@ -35,7 +36,9 @@ bool acceptable(const ParameterInfo& info, float value) {
 
 ParameterInfo parameter_info(uint8_t index) { return from_flash(kTable[index]); }
 
-uint16_t parameter_layout() { return kLayout; }
+uint16_t parameter_layout(uint8_t count) {
+  return count == kParameterCount ? kLayout : kFormerLayout;
+}
 
 bool Parameters::set(uint8_t index, float value) {
   if (index >= kParameterCount || !acceptable(parameter_info(index), value)) return false;

@@ -18,6 +18,11 @@ constexpr uint8_t kParameterCount = 0
 #undef ECHOWING_PARAMETER
     ;
 
+// How many there were before PAN_REACH and TILT_REACH were added at the end: a board that is
+// flashed anew finds such a set in its memory.
+constexpr uint8_t kFormerParameterCount = 23;
+static_assert(kFormerParameterCount < kParameterCount, "parameters are added at the end");
+
 // PARAM_VALUE.param_id holds 16 characters, without a null when all are used.
 constexpr uint8_t kParameterNameLength = 16;
 
@@ -33,8 +38,9 @@ struct ParameterInfo {
 // Row of the table; `index` below kParameterCount.
 ParameterInfo parameter_info(uint8_t index);
 
-// Changes with the names and order of the parameters: what another table stored is not ours.
-uint16_t parameter_layout();
+// Changes with the names and order of the first `count` parameters, which is one of the two counts:
+// what another table stored is not ours.
+uint16_t parameter_layout(uint8_t count);
 
 static_assert(sizeof(float) == 4, "values travel and are stored as 32-bit floats");
 

@@ -44,6 +44,10 @@ struct Aim {
   uint16_t tilt_us;
 };
 
+// What hobby servos stand.
+constexpr float kShortestPulse_us = 800.0f;
+constexpr float kLongestPulse_us = 2200.0f;
+
 class ServoOutput {
  public:
   virtual void write(Aim aim) = 0;

@@ -8,29 +8,12 @@
 namespace echowing {
 namespace {
 
-constexpr float kRadiansPerDegree = 0.017453293f;
 constexpr uint8_t kCovarianceUnknown = 255;
 
 // A reading that is too far off to take the beat with it moves it its way a little; one as far as
 // this from a beat belongs to none, as readings are usually twice this apart.
 constexpr Microseconds kLean = 1500;
 constexpr Microseconds kCapture = milliseconds(25);
-
-constexpr float kPi = 3.1415927f;
-
-struct SineCosine {
-  float sine;
-  float cosine;
-};
-
-// Taylor's series, good to 4e-6 for the quarter turn that is the most asked here. The library's
-// functions, made for every angle, take 4 kB on the boards without a floating-point unit.
-SineCosine sine_cosine(float angle_rad) {
-  const float x2 = angle_rad * angle_rad;
-  const float s = 1 - x2 * (1 / 20.0f) * (1 - x2 * (1 / 42.0f) * (1 - x2 * (1 / 72.0f)));
-  const float c = 1 - x2 * (1 / 30.0f) * (1 - x2 * (1 / 56.0f) * (1 - x2 * (1 / 90.0f)));
-  return {angle_rad * (1 - x2 * (1 / 6.0f) * s), 1 - x2 * 0.5f * (1 - x2 * (1 / 12.0f) * c)};
-}
 
 // Half the angle of a servo, at most a quarter turn either way: no gimbal looks farther than
 // straight back.
@@ -41,20 +24,36 @@ SineCosine half_turn(uint16_t pulse_us, uint16_t centre_us, float us_per_deg) {
   return sine_cosine(fmaxf(-0.5f * kPi, fminf(half_rad, 0.5f * kPi)));
 }
 
+SineCosine half_pan(const Parameters& parameters, Aim aim) {
+  return half_turn(aim.pan_us, scan_centre(parameters).pan_us,
+                   parameters.get(Parameter::kPanScale));
+}
+
+SineCosine half_tilt(const Parameters& parameters, Aim aim) {
+  return half_turn(aim.tilt_us, scan_centre(parameters).tilt_us,
+                   parameters.get(Parameter::kTiltScale));
+}
+
 }  // namespace
 
-// Pan about the down axis, then tilt about the right axis: the product of the two rotations.
-Pointing pointing(const Parameters& parameters, Aim aim) {
-  const Aim centre = scan_centre(parameters);
-  const SineCosine pan = half_turn(aim.pan_us, centre.pan_us, parameters.get(Parameter::kPanScale));
-  const SineCosine tilt =
-      half_turn(aim.tilt_us, centre.tilt_us, parameters.get(Parameter::kTiltScale));
-  return {{pan.cosine * tilt.cosine, -pan.sine * tilt.sine, pan.cosine * tilt.sine,
-           pan.sine * tilt.cosine}};
+// Pan about the down axis, then tilt about the right axis.
+Quaternion pointing(const Parameters& parameters, Aim aim) {
+  return from_halves(half_pan(parameters, aim), half_tilt(parameters, aim));
+}
+
+bool PointingFinder::step(const Parameters& parameters) {
+  if (steps_left_ == 0) return false;
+  if (steps_left_ == 2) {
+    half_pan_ = half_pan(parameters, aim_);
+  } else {
+    found_ = from_halves(half_pan_, half_tilt(parameters, aim_));
+  }
+  --steps_left_;
+  return true;
 }
 
 mavlink_distance_sensor_t distance_report(const Parameters& parameters, const Tracker& tracker,
-                                          const Pointing& direction, Milliseconds reading_ms) {
+                                          const Quaternion& direction, Milliseconds reading_ms) {
   mavlink_distance_sensor_t report = {};
   report.time_boot_ms = reading_ms;
   report.min_distance = kNearestCm;
@@ -66,7 +65,7 @@ mavlink_distance_sensor_t distance_report(const Parameters& parameters, const Tr
   report.covariance = kCovarianceUnknown;
   report.horizontal_fov = parameters.get(Parameter::kBeamWidth) * kRadiansPerDegree;
   report.vertical_fov = report.horizontal_fov;
-  memcpy(report.quaternion, direction.quaternion, sizeof(report.quaternion));
+  memcpy(report.quaternion, &direction, sizeof(report.quaternion));
   report.signal_quality = tracker.quality_percent();
   return report;
 }

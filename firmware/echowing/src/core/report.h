@@ -6,6 +6,7 @@
 #include "mavlink_headers.h"
 #include "parameters.h"
 #include "ports.h"
+#include "rotation.h"
 #include "sonar_driver.h"
 #include "timing.h"
 #include "tracker.h"
@@ -18,15 +19,32 @@ constexpr uint16_t kNoTargetCm = kFarthestCm + 1;
 // A range older than this is not reported any more: the autopilot then sees "no data".
 constexpr Milliseconds kStale = 300;
 
-// Rotation from straight ahead to where the gimbal points, body frame, w x y z.
-struct Pointing {
-  float quaternion[4];
+// Rotation from straight ahead to where the gimbal points, body frame.
+Quaternion pointing(const Parameters& parameters, Aim aim);
+
+// The same, found in two steps: each is costly on AVR.
+class PointingFinder {
+ public:
+  explicit PointingFinder(const Quaternion& start) : found_(start) {}
+
+  void find(Aim aim) {
+    aim_ = aim;
+    steps_left_ = 2;
+  }
+  // Makes a step; false if there was none to make.
+  bool step(const Parameters& parameters);
+  // The newest that was found to the end.
+  const Quaternion& found() const { return found_; }
+
+ private:
+  Aim aim_ = {};
+  SineCosine half_pan_ = {};
+  uint8_t steps_left_ = 0;
+  Quaternion found_;
 };
 
-Pointing pointing(const Parameters& parameters, Aim aim);
-
 mavlink_distance_sensor_t distance_report(const Parameters& parameters, const Tracker& tracker,
-                                          const Pointing& direction, Milliseconds reading_ms);
+                                          const Quaternion& direction, Milliseconds reading_ms);
 
 // The newest single reading in metres, as SNR_RAW carries it.
 float raw_range_m(uint16_t range_cm);

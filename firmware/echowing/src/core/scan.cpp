@@ -1,5 +1,7 @@
 #include "scan.h"
 
+#include <math.h>
+
 #include "flash_table.h"
 
 namespace echowing {
@@ -30,6 +32,20 @@ uint32_t distance_squared(Aim a, Aim b) {
   return static_cast<uint32_t>(pan * pan + tilt * tilt);
 }
 
+// An angle of the figure as its pulse says it, or farther out to `least_rad`; the middle stays.
+float stretched(uint16_t pulse_us, uint16_t centre_us, float us_per_deg, float least_rad) {
+  if (pulse_us == centre_us || us_per_deg == 0.0f) return 0.0f;
+  const float offset_us = static_cast<float>(pulse_us) - static_cast<float>(centre_us);
+  const float angle_rad = offset_us / us_per_deg * kRadiansPerDegree;
+  // A scale near nought makes any number of turns of it.
+  if (angle_rad < 0.0f) return fmaxf(-kPi, fminf(angle_rad, -least_rad));
+  return fminf(kPi, fmaxf(angle_rad, least_rad));
+}
+
+float within_reach(float angle_rad, uint16_t reach_deg) {
+  return fminf(angle_rad, reach_deg * kRadiansPerDegree);
+}
+
 }  // namespace
 
 Aim scan_point(const Parameters& parameters, uint8_t index) {
@@ -51,6 +67,31 @@ uint8_t nearest_scan_point(const Parameters& parameters, Aim aim) {
     nearest = index;
   }
   return nearest;
+}
+
+Direction scan_offset(const Parameters& parameters, uint8_t index, float deviation_rad) {
+  const Aim point = scan_point(parameters, index);
+  const Aim centre = scan_centre(parameters);
+  const float pan_rad = within_reach(2 * deviation_rad, parameters.whole(Parameter::kPanReach));
+  const float tilt_rad = within_reach(2 * deviation_rad, parameters.whole(Parameter::kTiltReach));
+  return {
+      stretched(point.pan_us, centre.pan_us, parameters.get(Parameter::kPanScale), pan_rad),
+      stretched(point.tilt_us, centre.tilt_us, parameters.get(Parameter::kTiltScale), tilt_rad),
+  };
+}
+
+uint8_t faded_scan_point(const Parameters& parameters, uint8_t index, Direction offset,
+                         float deviation_rad) {
+  const Direction point = scan_offset(parameters, index, deviation_rad);
+  const Cell was = from_flash(kCells[index]);
+  const bool aside = 2 * fabsf(offset.right_rad) > fabsf(point.right_rad);
+  const bool off_level = 2 * fabsf(offset.up_rad) > fabsf(point.up_rad);
+  const Cell now = {aside ? was.pan : kMiddle, off_level ? was.tilt : kLevel};
+  for (index = 0; index < kScanPoints; ++index) {
+    const Cell cell = from_flash(kCells[index]);
+    if (cell.pan == now.pan && cell.tilt == now.tilt) break;
+  }
+  return index;
 }
 
 }  // namespace echowing

@@ -31,6 +31,7 @@ SonarDriver::SonarDriver(const Parameters& parameters, uint32_t seed, Instant no
 }
 
 SonarEvent SonarDriver::step(const Instant& now, I2cBus& bus) {
+  pinged_ = false;
   const SonarEvent event = proceed(now, bus);
   // Some peripherals do not come back by themselves from a transfer that was broken off.
   timed_out_ = bus.take_timeout();
@@ -68,6 +69,7 @@ SonarEvent SonarDriver::trigger(const Instant& now, I2cBus& bus) {
   }
   if (!bus.write(address(), &kCommandRange, 1)) return silent(now);
   reading_.triggered = now;
+  pinged_ = true;
   phase_ = Phase::kAwait;
   next_ = read_due_;
   const SonarEvent event = answered(now);

@@ -32,6 +32,8 @@ class SonarDriver {
   // One loop turn.
   SonarEvent step(const Instant& now, I2cBus& bus);
   const Reading& reading() const { return reading_; }
+  // In this turn the sonar has sent a ping.
+  bool pinged() const { return pinged_; }
   bool faulty() const { return faulty_; }
   // In this turn a transfer has ended by time-out: it has been a long one already.
   bool timed_out() const { return timed_out_; }
@@ -71,6 +73,7 @@ class SonarDriver {
   bool address_changed_ = false;
   bool faulty_ = false;
   bool timed_out_ = false;
+  bool pinged_ = false;
   uint32_t random_;
 };
 

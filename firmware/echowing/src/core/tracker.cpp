@@ -1,17 +1,27 @@
 #include "tracker.h"
 
+#include <math.h>
+
 #include "scan.h"
+#include "servo_model.h"
 
 namespace echowing {
 namespace {
 
 constexpr uint8_t kQualityReadings = 10;
-// A servo gets a new pulse with its next 50 Hz frame.
-constexpr Milliseconds kServoFrame = 20;
+// The part of its offset that a held target loses each servo frame: 1/e is left after a second.
+constexpr float kFade = kServoFrame * 0.001f;
 
 uint16_t apart(uint16_t a, uint16_t b) { return a > b ? a - b : b - a; }
 
 bool same(Aim a, Aim b) { return a.pan_us == b.pan_us && a.tilt_us == b.tilt_us; }
+
+// An order that moves to where the target was heard has learned of it: what it has moved is no
+// offset any more.
+float left_of(float offset, float moved) {
+  if (offset * moved <= 0.0f) return offset;
+  return fabsf(moved) < fabsf(offset) ? offset - moved : 0.0f;
+}
 
 }  // namespace
 
@@ -22,19 +32,37 @@ Tracker::Tracker(const Parameters& parameters, Instant now)
       last_seen_(aim_),
       arrival_(now.ms) {}
 
-void Tracker::step(const Instant& now, GimbalMode mode) {
-  if (mode != mode_) restart_ = true;
-  mode_ = mode;
+void Tracker::step(const Instant& now, GimbalMode mode, float deviation_rad) {
+  if (mode != mode_) begin(mode);
+  deviation_rad_ = deviation_rad;
   filter_.expire(now.ms);
+  const bool scans = mode == GimbalMode::kScan || mode == GimbalMode::kLookRound;
   if (mode == GimbalMode::kCentre) move(now, scan_centre(parameters_));
   if (mode == GimbalMode::kHold) move(now, hold_);
-  if (mode == GimbalMode::kScan && !tracking_) scan(now);
+  if (scans && !tracking_) scan(now);
+}
+
+void Tracker::begin(GimbalMode mode) {
+  const bool looked = looks();
+  mode_ = mode;
+  restart_ = true;
+  if (!looks()) return;
+  offset_ = {};
+  settling_ = true;
+  moving_ = false;
+  entering_ = entering_ || !looked;
+}
+
+// The ordered direction is the best guess where nothing has been heard.
+uint8_t Tracker::first_point() const {
+  if (looks()) return faded_scan_point(parameters_, point_, offset_, deviation_rad_);
+  return seen_ ? nearest_scan_point(parameters_, last_seen_) : 0;
 }
 
 void Tracker::scan(const Instant& now) {
   if (restart_) {
     restart_ = false;
-    point_ = seen_ ? nearest_scan_point(parameters_, last_seen_) : 0;
+    point_ = first_point();
   } else if (heard_here_ && !dwell_.running(now)) {
     point_ = static_cast<uint8_t>((point_ + 1) % kScanPoints);
   } else {
@@ -43,7 +71,55 @@ void Tracker::scan(const Instant& now) {
   heard_here_ = false;
   arrival_ = now.ms;
   dwell_.start(now, parameters_.whole(Parameter::kDwell));
-  move(now, scan_point(parameters_, point_));
+  if (!looks()) return move(now, scan_point(parameters_, point_));
+  moving_ = settling_ = true;
+  forget();
+}
+
+Direction Tracker::settle_offset() {
+  if (moving_) offset_ = scan_offset(parameters_, point_, deviation_rad_);
+  moving_ = false;
+  return offset_;
+}
+
+void Tracker::steady(const Instant& now, Aim aim) {
+  if (!looks()) return;
+  if (settling_) arrival_ = now.ms + travel_time(aim);
+  if (entering_ && far_apart(aim, aim_)) forget();
+  settling_ = entering_ = false;
+  aim_ = aim;
+  if (!tracking_) return;
+  offset_.right_rad -= kFade * offset_.right_rad;
+  offset_.up_rad -= kFade * offset_.up_rad;
+}
+
+// An echo from a slightly moved axis is of the same target.
+void Tracker::on_order(Direction moved) {
+  const Direction before = offset_;
+  if (tracking_) {
+    offset_ = {left_of(offset_.right_rad, moved.right_rad), left_of(offset_.up_rad, moved.up_rad)};
+  }
+  const float right_rad = fabsf(moved.right_rad + offset_.right_rad - before.right_rad);
+  const float up_rad = fabsf(moved.up_rad + offset_.up_rad - before.up_rad);
+  if (fmaxf(right_rad, up_rad) <= half_beam_rad()) return;
+  settling_ = true;
+  if (!tracking_) return;  // the search goes on round the new direction
+  offset_ = {};
+  moving_ = false;
+  restart_ = true;
+  forget();
+}
+
+bool Tracker::far_apart(Aim a, Aim b) const {
+  const float pan_us =
+      fabsf(half_beam_rad() / kRadiansPerDegree * parameters_.get(Parameter::kPanScale));
+  const float tilt_us =
+      fabsf(half_beam_rad() / kRadiansPerDegree * parameters_.get(Parameter::kTiltScale));
+  return apart(a.pan_us, b.pan_us) > pan_us || apart(a.tilt_us, b.tilt_us) > tilt_us;
+}
+
+float Tracker::half_beam_rad() const {
+  return 0.5f * kRadiansPerDegree * parameters_.get(Parameter::kBeamWidth);
 }
 
 void Tracker::move(const Instant& now, Aim aim) {

@@ -1,4 +1,6 @@
 // Gimbal control: search with the figure 8, hold still on a target, search again when it is lost.
+// Or all of that round a direction in the earth frame that somebody orders: see look.h, which finds
+// the pulses.
 #pragma once
 
 #include <stdint.h>
@@ -6,6 +8,7 @@
 #include "filter.h"
 #include "parameters.h"
 #include "ports.h"
+#include "rotation.h"
 #include "sonar_driver.h"
 #include "timing.h"
 
@@ -13,20 +16,32 @@ namespace echowing {
 
 // Who decides where the gimbal points.
 enum class GimbalMode : uint8_t {
-  kCentre,  // straight ahead
-  kScan,    // search and track
-  kHold,    // where the bench has put it
+  kCentre,     // straight ahead
+  kScan,       // search and track
+  kHold,       // where the bench has put it
+  kLook,       // in the ordered direction
+  kLookRound,  // search and track round it
 };
 
 class Tracker {
  public:
   Tracker(const Parameters& parameters, Instant now);
 
-  // Once a loop turn, before the readings of that turn.
-  void step(const Instant& now, GimbalMode mode);
+  // Once a loop turn, before the readings of that turn. `deviation_rad`: how unsure the ordered
+  // direction is, for GimbalMode::kLookRound.
+  void step(const Instant& now, GimbalMode mode, float deviation_rad);
   void on_reading(const Instant& now, const Reading& reading);
   // For GimbalMode::kHold.
   void hold_at(Aim aim) { hold_ = aim; }
+
+  // The pulses come from `steady`, once a servo frame, or at once where that is `urgent`.
+  bool looks() const { return mode_ == GimbalMode::kLook || mode_ == GimbalMode::kLookRound; }
+  bool urgent() const { return looks() && settling_; }
+  // How far off the ordered direction to look.
+  Direction settle_offset();
+  void steady(const Instant& now, Aim aim);
+  // The ordered direction has moved so far at once.
+  void on_order(Direction moved);
 
   Aim aim() const { return aim_; }
   // A target is in the beam; the gimbal holds still.
@@ -39,7 +54,11 @@ class Tracker {
 
  private:
   void move(const Instant& now, Aim aim);
+  void begin(GimbalMode mode);
   void scan(const Instant& now);
+  uint8_t first_point() const;
+  bool far_apart(Aim a, Aim b) const;
+  float half_beam_rad() const;
   void see();
   void miss();
   void forget();
@@ -56,6 +75,11 @@ class Tracker {
   bool tracking_ = false;
   bool confirmed_ = false;  // the target, by a second reading
   bool restart_ = true;
+  Direction offset_ = {};
+  float deviation_rad_ = 0.0f;
+  bool entering_ = false;  // the first pulses of looking are to come
+  bool moving_ = false;    // to the offset of another point
+  bool settling_ = false;  // pulses for another offset are to come
   bool heard_here_ = false;
   uint8_t point_ = 0;
   uint8_t misses_ = 0;

@@ -14,7 +14,7 @@ struct WireFormat;
 #define ECHOWING_WIRE_FORMAT(name, NAME)                                     \
   template <>                                                                \
   struct WireFormat<mavlink_##name##_t> {                                    \
-    static constexpr uint8_t kId = MAVLINK_MSG_ID_##NAME;                    \
+    static constexpr uint32_t kId = MAVLINK_MSG_ID_##NAME;                   \
     static constexpr uint8_t kLength = MAVLINK_MSG_ID_##NAME##_LEN;          \
     static constexpr uint8_t kCrcExtra = MAVLINK_MSG_ID_##NAME##_CRC;        \
     static_assert(sizeof(mavlink_##name##_t) >= kLength &&                   \
@@ -24,11 +24,13 @@ struct WireFormat;
 
 ECHOWING_WIRE_FORMAT(heartbeat, HEARTBEAT)
 ECHOWING_WIRE_FORMAT(param_value, PARAM_VALUE)
+ECHOWING_WIRE_FORMAT(command_long, COMMAND_LONG)
 ECHOWING_WIRE_FORMAT(command_ack, COMMAND_ACK)
 ECHOWING_WIRE_FORMAT(distance_sensor, DISTANCE_SENSOR)
 ECHOWING_WIRE_FORMAT(autopilot_version, AUTOPILOT_VERSION)
 ECHOWING_WIRE_FORMAT(named_value_float, NAMED_VALUE_FLOAT)
 ECHOWING_WIRE_FORMAT(statustext, STATUSTEXT)
+ECHOWING_WIRE_FORMAT(gimbal_device_attitude_status, GIMBAL_DEVICE_ATTITUDE_STATUS)
 
 #undef ECHOWING_WIRE_FORMAT
 

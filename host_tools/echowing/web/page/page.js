@@ -207,7 +207,9 @@ function showVehicle(one, leads) {
   const error = one.error === null ? "" : `${signed(one.error, 2)} m of ${number(one.wanted, 2)} m`;
   say("wanted", error);
   const range = number(one.sonar.range, 2, " m");
-  say("sonar", one.sonar.state ? `${range}, ${one.sonar.state}` : range);
+  const heard = number(one.sonar.heard, 0, " %");
+  const parts = [range, one.sonar.state, one.sonar.heard === null ? "" : `hears ${heard}`];
+  say("sonar", parts.filter(part => part).join(", "));
   say("limit", number(one.limit, 1, " m/s"));
   say("height", `${number(one.height, 1)} / ${number(one.wanted_height, 1, " m")}`);
 }

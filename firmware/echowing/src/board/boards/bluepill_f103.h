@@ -10,7 +10,7 @@
 #define ECHOWING_PROGRAM_BYTES 63488
 #define ECHOWING_SLOT_BYTES 1024
 #define ECHOWING_RAM_BYTES 20480
-#define ECHOWING_PROGRAM_LIMIT 49152
+#define ECHOWING_PROGRAM_LIMIT 57344
 
 // Pins as Arduino names them. The link is USART1, the console is the USB socket.
 #define ECHOWING_PIN_PAN PA6

@@ -9,7 +9,7 @@
 // ourselves of it.
 #define ECHOWING_PROGRAM_BYTES 253952
 #define ECHOWING_RAM_BYTES 8192
-#define ECHOWING_PROGRAM_LIMIT 32768
+#define ECHOWING_PROGRAM_LIMIT 45056
 #define ECHOWING_RAM_LIMIT 4096
 
 // Pins as Arduino numbers them. Servos on Timer1's OC1A and OC1B, the link on Serial1.

@@ -1,13 +1,15 @@
-"""The page of all scenario keys, made from the model: `python -m echowing.sim.scenario_page`."""
+"""The pages of keys, made from the models: `python -m echowing.sim.key_pages host_tools`."""
 
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from echowing.section import Section
 from echowing.sim.scenario import Scenario
+from echowing.sonar_file import SonarFile
 
-HEAD = """\
+SCENARIOS = """\
 # Scenarios
 
 A scenario is a TOML file that `echowing sim FILE.toml` flies. Only `title` must be in it: all \
@@ -34,6 +36,27 @@ The units are in the names: `_m` metres, `_s` seconds, `_mps` metres per second,
 `_dps` degrees per second, `_hz` per second. This page is made by `make pages` from the model \
 (`host_tools/echowing/sim/scenario.py`).
 """
+SONAR = """\
+# Sonar files
+
+A sonar file (TOML) says what is known of a follower's sonar on its mount, with its propellers \
+before and around it, and how a leader is heard by it. `echowing follow --sonar FILE` flies with \
+it; without it with `mb1202`, the file that the package brings \
+([`host_tools/echowing/sonars/mb1202.toml`](echowing/sonars/mb1202.toml)). Most of that one is \
+guessed, and so it is cautious. Measure your own: [`RIG.md`](RIG.md), response matrix; or out of \
+a flight, `echowing analyze out/flight-7 --sonar mine.toml`. In flight the view shows what the \
+sonar has heard in the last minute, and pilots are told of one that hears less, scatters more or \
+is wrong more often than its file says.
+
+Where two values stand, `[least, most]`, nine such sonars of ten are between them. The product \
+believes the worse of the two: as few readings as may be heard, and as many wrong ones; nobody is \
+heard outside the widest beam, and silence counts only within the narrowest. The simulator draws a \
+sonar for each follower and each seed from the whole of it and beyond: of each value one of twenty \
+is worse than believed ([`SCENARIOS.md`](SCENARIOS.md), `[sonar]`).
+
+The units are in the names: `_m` metres, `_deg` degrees, `_hz` per second; shares are 0 to 1. This \
+page is made by `make pages` from the model (`host_tools/echowing/sonar_file.py`).
+"""
 
 _SIGNS = {
     "minimum": "≥",
@@ -44,12 +67,19 @@ _SIGNS = {
 _TYPES = {"number": "number", "integer": "whole number", "boolean": "true, false", "string": "text"}
 
 
-def page() -> str:
-    """The page as Markdown."""
-    schema = Scenario.model_json_schema()
+PAGES: dict[str, tuple[type[Section], str]] = {
+    "SCENARIOS.md": (Scenario, SCENARIOS),
+    "SONAR.md": (SonarFile, SONAR),
+}
+
+
+def page(name: str) -> str:
+    """A page as Markdown."""
+    model, head = PAGES[name]
+    schema = model.model_json_schema()
     sections = [_table("", schema)]
-    sections += [_table(name, part) for name, part in _parts(schema, schema, "")]
-    return HEAD + "".join(sections)
+    sections += [_table(section, part) for section, part in _parts(schema, schema, "")]
+    return head + "".join(sections)
 
 
 def _parts(schema: Any, part: Any, prefix: str) -> Iterator[tuple[str, Any]]:
@@ -101,9 +131,9 @@ def _allowed(value: Any) -> str:
     if kind == "null":
         return "nothing"
     if kind == "object":
-        return "table of numbers"
+        return f"table of {_TYPES[value['additionalProperties']['type']]}s"
     if kind == "array":
-        return f"{len(value['prefixItems'])} numbers"
+        return f"{len(value['prefixItems'])} numbers" if "prefixItems" in value else "numbers"
     limits = [f"{sign} {value[key]:g}" for key, sign in _SIGNS.items() if key in value]
     return " ".join([_TYPES[kind], *limits])
 
@@ -122,4 +152,5 @@ def _default(value: Any, *, needed: bool) -> str:
 
 
 if __name__ == "__main__":
-    Path(sys.argv[1]).write_text(page(), encoding="utf-8")
+    for each in PAGES:
+        (Path(sys.argv[1]) / each).write_text(page(each), encoding="utf-8")

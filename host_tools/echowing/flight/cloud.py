@@ -1,0 +1,302 @@
+"""What two vehicles' own positions disagree by, learnt from the sonar, and how sure that is. Pure.
+
+Leader and follower each report a place a metre or so from the true one, and the errors wander over
+a minute: the receivers' north and east, the barometers' up. Only their difference matters to a
+formation, and the sonar shows it. A reading says that the leader is on an arc, at that range and
+somewhere in the beam; silence says that it is not in the beam, or that the sonar is deaf. How far
+receivers wander, how quickly, how wide the beam is for this leader and how often it is heard,
+nobody knows beforehand.
+
+So this is no Kalman filter with given figures but a cloud of guesses (a particle filter; Gordon,
+Salmond and Smith 1993): each is one difference (north, east, up) with its own figures for all that.
+Guesses that foretell what the sonar says gain weight, and are repeated with small changes (Liu and
+West 2001); the others die out. What a deaf sonar leaves open stays open: some guesses hold the
+sonar for deaf, and lose all weight with the first reading that fits.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from echowing.flight.axis import Axis
+from echowing.flight.belief import SonarBelief
+from echowing.flight.guidance import Horizontal
+
+Array = NDArray[np.float64]
+# From follower to leader, by their own positions: (north, east, up).
+Between = tuple[float, float, float]
+
+# The mean of so many is off by a hundredth of their spread, and one in 160 of them are still two
+# dozen.
+GUESSES = 4000
+# One error in 160 is larger than what is allowed for: 2.5 standard deviations.
+RISK = 1.0 / 160.0
+# Both vehicles are known at the reading's moment to a decimetre.
+PLACED_SIGMA_M = 0.15
+# Readings nearer in time share their errors, and must not count twice.
+UPDATE_PERIOD_S = 0.25
+# Guesses move by centimetres in this time.
+ADVANCE_PERIOD_S = 0.5
+# So many readings in a row that nothing had foretold, while the leader has not been heard for so
+# long, are its own.
+AGREE, LOST_S = 3, 3.0
+# A sonar hears its leader somewhat more seldom than its file says at the least, or in nearly all
+# readings.
+HEARS, MOST_HEARD = (0.6, 1.9), 0.98
+# A leader is heard to this share of what its legs promise: those of a stock X8 to 0.7 of those with
+# foil (thesis Table 5).
+LEAST_FAR = 0.7
+# Two vehicles nearer than this have no direction.
+CLOSE_M = 0.1
+# By how many standard deviations receivers disagree where nobody had foretold it.
+RARE_SIGMAS = 2.5
+# How a guess changes when it is repeated (Liu and West's discount of 0.98, for which 0.2 is the
+# share of the spread), and by how far it moves.
+KEPT_OF_SPREAD, NEW_OF_SPREAD, MOVES_M = 0.98, 0.2, 0.03
+# A sonar falls deaf, and hears again, once in so long.
+DEAFENS_S, RECOVERS_S = 600.0, 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class Wandering:
+    """What is believed beforehand: the middle of the guesses, and the spread of their logarithms.
+
+    sigma_m: how far each receiver wanders per axis (standard deviation); tau_s: how quickly
+    (correlation time); height_sigma_m: that of each vehicle's height.
+    """
+
+    sigma_m: float = 0.8
+    sigma_spread: float = 0.4
+    tau_s: float = 60.0
+    tau_spread: float = 0.5
+    height_sigma_m: float = 0.5
+    deaf_share: float = 0.02
+
+
+class Cloud:
+    """Leader's minus follower's position error, (north, east, up) metres, with its uncertainty.
+
+    alone: there is no other vehicle whose echo could be taken for the leader's.
+    """
+
+    def __init__(
+        self, sonar: SonarBelief, wandering: Wandering | None = None, *, alone: bool = True
+    ) -> None:
+        wandering = wandering or Wandering()
+        self._sonar, self._alone = sonar, alone
+        self._range_sigma_m = math.hypot(PLACED_SIGMA_M, sonar.noise_m)
+        self._chance = chance = np.random.Generator(np.random.PCG64(0))
+        count = GUESSES
+        # Of a pair: the difference of two that wander alike.
+        sigma = math.sqrt(2.0) * wandering.sigma_m
+        self._least_log_sigma, self._most_log_tau = math.log(sigma), math.log(wandering.tau_s)
+        self._log_sigma = math.log(sigma) + wandering.sigma_spread * chance.standard_normal(count)
+        self._log_tau = math.log(wandering.tau_s) + wandering.tau_spread * chance.standard_normal(
+            count
+        )
+        self._height_sigma_m = math.sqrt(2.0) * wandering.height_sigma_m
+        # The sonar: between the narrowest and the widest beam that are believed, between how far it
+        # hears surely and at most, and as a share of how often it hears at the least.
+        self._wide, self._far = chance.random(count), chance.random(count)
+        self._hears = chance.uniform(*HEARS, count)
+        self._deaf = chance.random(count) < wandering.deaf_share
+        # Each with its opposite: so their mean is none.
+        half = chance.standard_normal((3, count // 2))
+        self._log_sigma[count // 2 :] = self._log_sigma[: count // 2]
+        self._off = np.concatenate((half, -half), axis=1)
+        self._off[:2] *= np.exp(self._log_sigma)
+        self._off[2] *= self._height_sigma_m
+        self._weight = np.full(count, 1.0 / count)
+        self._advanced_s: float | None = None
+        self._heard_at_s = -math.inf
+        self._silent_at_s = -math.inf
+        self._unforetold = 0
+        self._summarise()
+
+    # ---- what is known ----
+
+    def unheard_s(self, now_s: float) -> float:
+        """Time since the last reading that was the leader's; infinite at first."""
+        return now_s - self._heard_at_s
+
+    def sigma_m(self, direction_rad: float) -> float:
+        """Standard deviation of the estimate along a bearing."""
+        cos, sin = math.cos(direction_rad), math.sin(direction_rad)
+        p_nn, p_ne, p_ee = self._covariance
+        return math.sqrt(max(0.0, p_nn * cos * cos + 2.0 * p_ne * cos * sin + p_ee * sin * sin))
+
+    @property
+    def deaf_share(self) -> float:
+        """How likely the sonar is deaf."""
+        return float(self._weight @ self._deaf)
+
+    @property
+    def wander_m(self) -> float:
+        """How far each receiver wanders per axis, standard deviation, as learnt."""
+        return float(self._weight @ np.exp(self._log_sigma)) / math.sqrt(2.0)
+
+    def nearest_m(self, to_it_m: Horizontal, above_m: float, clear_m: float) -> float:
+        """How near one may come, on the straight way, to where the leader is believed (`RISK`).
+
+        From there it is certain that the leader is no nearer than `clear_m`. to_it_m, above_m: from
+        here to where it is believed, (north, east), and up by both vehicles' own heights; a leader
+        behind here is nobody to fly at.
+        """
+        far_m = math.hypot(*to_it_m)
+        cos, sin = to_it_m[0] / max(far_m, CLOSE_M), to_it_m[1] / max(far_m, CLOSE_M)
+        # From where it is believed to where a guess has it: towards here, and across. Past a leader
+        # that is further across one may come nearer.
+        north, east = self._off[0] - self.north_m, self._off[1] - self.east_m
+        nearer, across = north * cos + east * sin, east * cos - north * sin
+        up = above_m - self._off[2]
+        reach_m2 = clear_m * clear_m - across * across - up * up
+        there = np.flatnonzero((reach_m2 > 0.0) & (nearer < far_m))
+        room_m, weight = nearer[there] + np.sqrt(reach_m2[there]), self._weight[there]
+        if float(weight.sum()) <= RISK:
+            return 0.0
+        furthest = np.argsort(-room_m)
+        place = int(np.searchsorted(np.cumsum(weight[furthest]), RISK, side="right"))
+        return max(0.0, float(room_m[furthest[min(place, len(furthest) - 1)]]))
+
+    # ---- what is learnt ----
+
+    def advance(self, now_s: float) -> None:
+        """Let the guesses wander until `now_s`."""
+        if self._advanced_s is None:
+            self._advanced_s = now_s
+        elapsed_s = now_s - self._advanced_s
+        if elapsed_s < ADVANCE_PERIOD_S:
+            return
+        self._advanced_s = now_s
+        kept = np.exp(-elapsed_s * np.exp(-self._log_tau))
+        moves = np.sqrt(1.0 - kept * kept)
+        self._off *= kept
+        self._off[:2] += np.exp(self._log_sigma) * moves * self._normal(2)
+        self._off[2] += self._height_sigma_m * moves * self._normal(1)[0]
+        changes = self._chance.random(GUESSES)
+        deafens, recovers = elapsed_s / DEAFENS_S, elapsed_s / RECOVERS_S
+        self._deaf = np.where(self._deaf, changes > recovers, changes < deafens)
+        self._summarise()
+
+    def heard(self, time_s: float, distance_m: float, axis: Axis, believed: Between) -> None:
+        """Take a sonar reading.
+
+        Args:
+            time_s: when it was taken.
+            distance_m: between the two vehicles' centres, by the sonar.
+            axis: the sonar looked along it.
+            believed: from follower to leader by their own positions, (north, east, up) metres.
+
+        """
+        if time_s - self._heard_at_s < UPDATE_PERIOD_S:
+            return
+        self.advance(time_s)
+        far_m, detected = self._detected(axis, believed)
+        density = np.exp(-0.5 * ((far_m - distance_m) / self._range_sigma_m) ** 2)
+        density /= self._range_sigma_m * math.sqrt(2.0 * math.pi)
+        fits = density * detected
+        wrong = self._sonar.wrong_share / self._sonar.reach_m
+        foretold = float(self._weight @ fits) > wrong
+        self._unforetold = 0 if foretold else self._unforetold + 1
+        if foretold:
+            self._heard_at_s = time_s
+        elif self._alone and self._unforetold >= AGREE and self.unheard_s(time_s) > LOST_S:
+            self._guess_anew(distance_m, axis, believed)
+        self._update(fits + wrong)
+
+    def _guess_anew(self, distance_m: float, axis: Axis, believed: Between) -> None:
+        """Put every other guess where readings say the leader is, though none had foretold it.
+
+        The receivers disagree by more than anybody thought.
+        """
+        count = GUESSES // 2
+        aside, above, far = self._normal(3)[:, :count]
+        half_rad = 0.5 * self._sonar.widest_rad.at(distance_m)
+        azimuth = axis.azimuth_rad + half_rad * aside
+        elevation = axis.elevation_rad + half_rad * above
+        far = distance_m + self._range_sigma_m * far
+        level = far * np.cos(elevation)
+        to_it = np.array(
+            (level * np.cos(azimuth), level * np.sin(azimuth), far * np.sin(elevation))
+        )
+        self._off[:, ::2] = np.array(believed)[:, np.newaxis] - to_it
+        # They wander so far that this is rare.
+        rare = np.log(np.hypot(*self._off[:2, ::2]) / RARE_SIGMAS)
+        self._log_sigma[::2] = np.maximum(self._least_log_sigma, rare)
+        self._deaf[::2] = False
+        self._weight[:] = 1.0 / GUESSES
+        self._unforetold = 0
+
+    def silent(self, time_s: float, axis: Axis, believed: Between) -> None:
+        """Take a reading without an echo; arguments as for `heard`."""
+        if time_s - max(self._silent_at_s, self._heard_at_s) < UPDATE_PERIOD_S:
+            return
+        self._silent_at_s = time_s
+        self.advance(time_s)
+        _, detected = self._detected(axis, believed)
+        self._update(1.0 - detected)
+
+    def _detected(self, axis: Axis, believed: Between) -> tuple[Array, Array]:
+        """How far the leader is by each guess, and how likely it is heard then."""
+        sonar = self._sonar
+        to_it = np.array(believed)[:, np.newaxis] - self._off
+        far_m = np.sqrt((to_it * to_it).sum(axis=0))
+        north, east, down = axis.unit_ned
+        ahead = np.array((north, east, -down)) @ to_it / np.maximum(far_m, PLACED_SIGMA_M)
+        off_rad = np.arccos(np.clip(ahead, -1.0, 1.0))
+        narrowest = sonar.narrowest_rad.at(far_m)
+        half_rad = narrowest + self._wide * (sonar.widest_rad.at(far_m) - narrowest)
+        beyond = np.minimum((off_rad - half_rad) / (0.5 * sonar.edge_rad), 80.0)
+        surely_m = LEAST_FAR * sonar.heard_to_m
+        to_m = surely_m + self._far * (sonar.reach_m - surely_m)
+        share = np.minimum(MOST_HEARD, self._hears * sonar.heard.at(far_m))
+        share = share * (far_m < to_m + sonar.inset_m) * ~self._deaf
+        return far_m, share / (1.0 + np.exp(beyond))
+
+    def _update(self, likelihood: Array) -> None:
+        self._weight *= likelihood
+        self._weight /= self._weight.sum()
+        if 1.0 / float(self._weight @ self._weight) < 0.5 * GUESSES:
+            self._repeat()
+        self._summarise()
+
+    def _repeat(self) -> None:
+        """Repeat each guess as its weight says, with small changes (systematic resampling)."""
+        places = (np.arange(GUESSES) + self._chance.random()) / GUESSES
+        chosen = np.minimum(np.searchsorted(np.cumsum(self._weight), places), GUESSES - 1)
+        self._off = self._off[:, chosen] + MOVES_M * self._normal(3)
+        # That receivers wander less, or more slowly, than believed takes longer than a flight to
+        # learn, and to believe it too soon costs the leader.
+        self._log_sigma = np.maximum(self._least_log_sigma, self._changed(self._log_sigma[chosen]))
+        self._log_tau = np.minimum(self._most_log_tau, self._changed(self._log_tau[chosen]))
+        self._wide = np.clip(self._changed(self._wide[chosen]), 0.0, 1.0)
+        self._far = np.clip(self._changed(self._far[chosen]), 0.0, 1.0)
+        self._hears = np.clip(self._changed(self._hears[chosen]), *HEARS)
+        self._deaf = self._deaf[chosen]
+        self._weight = np.full(GUESSES, 1.0 / GUESSES)
+
+    def _changed(self, values: Array) -> Array:
+        """Nearer to their mean, and scattered by as much: the spread stays."""
+        mean, spread = float(values.mean()), float(values.std())
+        kept: Array = KEPT_OF_SPREAD * (values - mean)
+        changed: Array = kept + mean + NEW_OF_SPREAD * spread * self._normal(1)[0]
+        return changed
+
+    def _normal(self, rows: int) -> Array:
+        drawn: Array = self._chance.standard_normal((rows, GUESSES))
+        return drawn
+
+    def _summarise(self) -> None:
+        """Mean and covariance of the guesses."""
+        self.north_m, self.east_m, self.up_m = map(float, self._off @ self._weight)
+        north, east = self._off[0] - self.north_m, self._off[1] - self.east_m
+        up = self._off[2] - self.up_m
+        weight = self._weight
+        self._covariance: tuple[float, float, float] = (
+            float(weight @ (north * north)),
+            float(weight @ (north * east)),
+            float(weight @ (east * east)),
+        )
+        self.up_sigma_m = math.sqrt(float(weight @ (up * up)))

@@ -1,0 +1,108 @@
+"""Where a sonar is to look: at its leader, and round it while its direction is unsure. Pure.
+
+A leader that is always heard may be anywhere in the beam; the beam's edge passing over it shows
+where. So the axis goes round the expected direction on a cone, as wide as the direction is unsure
+across and in height. A leader that is not heard the co-processor looks for, round the same
+direction and as wide as that is unsure.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+from echowing.flight.axis import Axis, along
+from echowing.flight.estimate import Estimate
+from echowing.flight.state import FollowerState, Known
+from echowing.geo import Ned, ned_between, wrap_angle_rad
+
+# Under the first the direction is sure enough; a cone wider than the second would leave a leader
+# straight ahead in half the beam only.
+SURE_RAD, WIDEST_RAD = math.radians(4.0), math.radians(10.0)
+# Once round, by a gimbal: 30 deg/s at the widest, a tenth of what the servos can; and by the nose,
+# where the sonar has no gimbal (ArduCopter turns by 60 deg/s).
+ROUND_S, NOSE_ROUND_S = 2.0, 4.0
+# Once through the figure 8: twelve points of 0.3 s (the co-processor's SCAN_DWELL).
+FIGURE_S = 3.6
+# So far the nose looks to each side for a leader that is not heard, in this time there and back.
+NOSE_RAD, NOSE_LOOKS_S = math.radians(45.0), 8.0
+# A leader that is not heard for so long is looked for where it most likely is. The time counts up
+# to the last reading that could be used, not up to now: with a slow radio that reading is a second
+# old, and nothing is lost.
+LOST_S = 1.0
+# Nearer than this a direction turns faster than anything could follow.
+NEAREST_M = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """An axis, by how much it turns (azimuth, elevation), and its standard deviation."""
+
+    axis: Axis
+    rate_rps: tuple[float, float]
+    sigma_rad: float
+
+
+def look_at(known: Known, follower: FollowerState, now_s: float) -> Look | None:
+    """Where its sonar looks from when the order arrives; None: that is not known."""
+    arrives_s = now_s + follower.way_s
+    leader, here = known.leader_then(follower, arrives_s), follower.then(arrives_s)
+    if leader is None or here is None or known.leader_is_stale(now_s):
+        return None
+    estimate = follower.estimate
+    north, east, _ = ned_between(here, leader.position)
+    to_it_m = north, east, estimate.offset.up_m - known.leader_above_m(follower)
+    look = Look(
+        along(to_it_m), _rate_rps(to_it_m, leader.velocity_ned_mps, follower, arrives_s), 0.0
+    )
+    across_rad, up_rad = _unsure_rad(estimate, look.axis, to_it_m)
+    look = replace(look, sigma_rad=max(across_rad, up_rad))
+    lost, by_nose = estimate.missed_s > LOST_S, not estimate.points(now_s)
+    if lost:
+        return _to_both_sides(look, now_s) if by_nose else _by_turns(look, now_s)
+    cone_rad = _wide_rad(across_rad), _wide_rad(up_rad)
+    return _coned(look, cone_rad, now_s / (NOSE_ROUND_S if by_nose else ROUND_S))
+
+
+def _rate_rps(
+    to_it_m: Ned, its_mps: Ned, follower: FollowerState, at_s: float
+) -> tuple[float, float]:
+    """How fast the direction of a vehicle turns, by both vehicles' velocities."""
+    own_north, own_east = follower.velocity_then(at_s)
+    north_mps, east_mps = its_mps[0] - own_north, its_mps[1] - own_east
+    up_mps = -its_mps[2] - follower.climb_mps
+    north, east, _ = to_it_m
+    level_m = max(NEAREST_M, math.hypot(north, east))
+    turns_rps = (north * east_mps - east * north_mps) / (level_m * level_m)
+    return turns_rps, up_mps / level_m
+
+
+def _unsure_rad(estimate: Estimate, axis: Axis, to_it_m: Ned) -> tuple[float, float]:
+    """Standard deviation of a direction, across and in height."""
+    far_m = max(NEAREST_M, math.hypot(*to_it_m))
+    across_m = estimate.offset.sigma_m(axis.azimuth_rad + math.pi / 2.0)
+    return math.atan2(across_m, far_m), math.atan2(estimate.offset.up_sigma_m, far_m)
+
+
+def _coned(look: Look, cone_rad: tuple[float, float], rounds: float) -> Look:
+    """The look on its way round the cone."""
+    phase_rad = 2.0 * math.pi * rounds
+    aside_rad, above_rad = cone_rad[0] * math.sin(phase_rad), cone_rad[1] * math.cos(phase_rad)
+    axis = look.axis
+    turned = Axis(wrap_angle_rad(axis.azimuth_rad + aside_rad), axis.elevation_rad + above_rad)
+    return replace(look, axis=turned)
+
+
+def _by_turns(look: Look, now_s: float) -> Look:
+    """Every other round of the figure 8 half as wide: a narrow beam leaves gaps in a wide one."""
+    narrow = now_s / FIGURE_S % 2.0 >= 1.0
+    return replace(look, sigma_rad=0.5 * look.sigma_rad) if narrow else look
+
+
+def _to_both_sides(look: Look, now_s: float) -> Look:
+    """A look for a leader that is not heard, by a sonar that no gimbal turns."""
+    aside_rad = min(NOSE_RAD, 2.0 * look.sigma_rad)
+    return _coned(look, (aside_rad, 0.0), now_s / NOSE_LOOKS_S)
+
+
+def _wide_rad(unsure_rad: float) -> float:
+    """How far the cone goes to a side."""
+    return max(0.0, min(WIDEST_RAD, 2.0 * (unsure_rad - SURE_RAD)))

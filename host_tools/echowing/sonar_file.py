@@ -1,0 +1,257 @@
+"""A sonar as a TOML file describes it: what is believed of it, and where each value comes from.
+
+Of what is not known exactly the file gives two values, between which nine such sonars of ten are.
+The product believes the worse one. The simulator draws its own sonars from between, and beyond.
+"""
+
+import math
+import tomllib
+from collections.abc import Mapping
+from functools import cache
+from importlib import resources
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, ConfigDict, Field, field_validator, model_validator
+
+from echowing.errors import EchowingError
+from echowing.flight.belief import Curve, SonarBelief
+from echowing.section import NotNegative, Positive, Section, Share, section_of
+
+SHIPPED = "mb1202"
+Legs = Literal["foil", "stock"]
+
+
+def _least_first(pair: tuple[float, float]) -> tuple[float, float]:
+    if pair[0] > pair[1]:
+        raise ValueError("the least first, then the most")
+    return pair
+
+
+def _check_rising(name: str, values: tuple[float, ...]) -> None:
+    if any(one >= other for one, other in pairwise(values)):
+        raise ValueError(f"{name}: the least first, and none twice")
+
+
+def _check_columns(
+    range_m: tuple[float, ...],
+    least: tuple[str, tuple[float, ...]],
+    most: tuple[str, tuple[float, ...]],
+) -> None:
+    """ValueError unless ranges rise, and each has its two values."""
+    _check_rising("range_m", range_m)
+    for name, values in (least, most):
+        if len(values) != len(range_m):
+            raise ValueError(f"{name}: as many values as range_m has")
+    if any(low > high for low, high in zip(least[1], most[1], strict=True)):
+        raise ValueError(f"{least[0]}: no more than {most[0]}")
+
+
+HalfAngle = Annotated[float, Field(gt=0.0, le=180.0)]
+Ranges = Annotated[tuple[NotNegative, ...], Field(min_length=1)]
+BetweenShares = Annotated[tuple[Share, Share], AfterValidator(_least_first)]
+BetweenPositive = Annotated[tuple[Positive, Positive], AfterValidator(_least_first)]
+Between = Annotated[tuple[NotNegative, NotNegative], AfterValidator(_least_first)]
+
+
+class _Finite(Section):
+    model_config = ConfigDict(allow_inf_nan=False)
+
+
+class HeardSection(_Finite):
+    """How many of its readings hear a leader with foil on its legs, on the axis, in hover."""
+
+    range_m: Ranges
+    """Distances. What is heard beyond the last one, nobody knows."""
+    least: tuple[Share, ...]
+    """Share there, at least."""
+    most: tuple[Share, ...]
+    """Share there, at most."""
+
+    @model_validator(mode="after")
+    def _complete(self) -> "HeardSection":
+        _check_columns(self.range_m, ("least", self.least), ("most", self.most))
+        return self
+
+
+class BeamSection(_Finite):
+    """How wide the beam is for a vehicle, as half angles."""
+
+    range_m: Ranges
+    """Distances."""
+    narrowest_deg: tuple[HalfAngle, ...]
+    """Half angle there, at least."""
+    widest_deg: tuple[HalfAngle, ...]
+    """Half angle there, at most."""
+    edge_deg: BetweenPositive
+    """Where the beam ends the share falls from three quarters to one over this angle."""
+
+    @model_validator(mode="after")
+    def _complete(self) -> "BeamSection":
+        narrowest, widest = ("narrowest_deg", self.narrowest_deg), ("widest_deg", self.widest_deg)
+        _check_columns(self.range_m, narrowest, widest)
+        return self
+
+
+class ThrottleSection(_Finite):
+    """How the share heard changes with the throttle."""
+
+    throttle: Annotated[tuple[Share, ...], Field(min_length=1)] = (0.0,)
+    """Throttles, 0 to 1."""
+    share: tuple[Share, ...] = (1.0,)
+    """What is left there of the share that is heard in hover."""
+
+    @model_validator(mode="after")
+    def _complete(self) -> "ThrottleSection":
+        _check_rising("throttle", self.throttle)
+        if len(self.share) != len(self.throttle):
+            raise ValueError("share: as many values as throttle has")
+        return self
+
+
+class SonarFile(_Finite):
+    """A sonar, its mount and its propellers.
+
+    Where two values stand, `[least, most]`, nine such sonars of ten are between them.
+    """
+
+    title: str
+    """What it describes."""
+    shortest_m: NotNegative
+    """Nearer reads as this."""
+    reach_m: Positive
+    """A range from here on is no target."""
+    foil_to_m: BetweenPositive
+    """So far it hears a leader with foil on its legs."""
+    stock_to_m: BetweenPositive
+    """So far it hears one with stock legs."""
+    inset_m: Between
+    """How much less than the separation, from centre to centre, it reads."""
+    rate_hz: Positive
+    """Readings per second, as the co-processor sends them."""
+    noise_m: Between
+    """Standard deviation of a range."""
+    wild_share: BetweenShares
+    """Share of the readings that are anything at all."""
+    late_share: BetweenShares
+    """Share of the readings that are an echo of an earlier ping."""
+    heard: HeardSection
+    """What it hears."""
+    beam: BeamSection
+    """Its beam."""
+    throttle: ThrottleSection = ThrottleSection()
+    """What propellers leave of it."""
+    source: dict[str, str] = Field(default={})
+    """Where values come from, by key; a text that begins with `guess` says that nobody knows."""
+
+    @field_validator("source")
+    @classmethod
+    def _of_values(cls, source: dict[str, str]) -> dict[str, str]:
+        strange = sorted(source.keys() - set(value_keys(cls)))
+        if strange:
+            raise ValueError(f"there is no value {', '.join(strange)}")
+        return source
+
+    @property
+    def guesses(self) -> list[str]:
+        """The values that nobody has measured."""
+        return [key for key, text in self.source.items() if text.startswith("guess")]
+
+    def belief(self, legs: Legs = "foil") -> SonarBelief:
+        """What the flight core believes of it, before a leader with these legs."""
+        beam, heard = self.beam, self.heard
+        heard_to_m = self.foil_to_m[0] if legs == "foil" else self.stock_to_m[0]
+        # A leader that is heard less far is heard as one with foil is further away.
+        nearer = heard_to_m / self.foil_to_m[0]
+        left = min(self.throttle.share)
+        return SonarBelief(
+            heard=Curve(_times(heard.range_m, nearer), _times(heard.least, left)),
+            widest_rad=_radians(beam.range_m, beam.widest_deg),
+            narrowest_rad=_radians(_times(beam.range_m, nearer), beam.narrowest_deg),
+            edge_rad=math.radians(_mean(beam.edge_deg)),
+            noise_m=self.noise_m[1],
+            wrong_share=self.wild_share[1] + self.late_share[1],
+            shortest_m=self.shortest_m,
+            reach_m=self.reach_m,
+            heard_to_m=heard_to_m,
+            inset_m=_mean(self.inset_m),
+            rate_hz=self.rate_hz,
+        )
+
+
+def _times(values: tuple[float, ...], factor: float) -> tuple[float, ...]:
+    return tuple(factor * value for value in values)
+
+
+def _radians(range_m: tuple[float, ...], values_deg: tuple[float, ...]) -> Curve:
+    return Curve(range_m, tuple(map(math.radians, values_deg)))
+
+
+def _mean(pair: tuple[float, float]) -> float:
+    return (pair[0] + pair[1]) / 2.0
+
+
+def value_keys(model: type[Section], prefix: str = "") -> list[str]:
+    """The keys of a sonar file that hold values, with their sections."""
+    keys: list[str] = []
+    for name, field in model.model_fields.items():
+        kind = field.annotation
+        if isinstance(kind, type) and issubclass(kind, Section):
+            keys += value_keys(kind, f"{prefix}{name}.")
+        elif name not in ("title", "source"):
+            keys.append(prefix + name)
+    return keys
+
+
+def sonar_names() -> list[str]:
+    """Names of the sonars that come with the package."""
+    folder = resources.files("echowing") / "sonars"
+    return sorted(entry.name[:-5] for entry in folder.iterdir() if entry.name.endswith(".toml"))
+
+
+def load_sonar(name_or_path: str | Path) -> SonarFile:
+    """A sonar by name, or from a user's TOML file; EchowingError names the file and the key."""
+    path = Path(name_or_path)
+    if path.suffix == ".toml":
+        try:
+            text = path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise EchowingError(f"{path}: cannot read the sonar: {error}") from error
+        return sonar_of(_table(text, str(path)), str(path))
+    if str(name_or_path) not in sonar_names():
+        raise EchowingError(
+            f"no sonar {str(name_or_path)!r}; there are {', '.join(sonar_names())}, "
+            "or give a .toml file"
+        )
+    shipped = resources.files("echowing") / "sonars" / f"{name_or_path}.toml"
+    source = f"sonar {name_or_path}"
+    return sonar_of(_table(shipped.read_text(encoding="utf-8"), source), source)
+
+
+def sonar_of(table: Mapping[str, Any], source: str) -> SonarFile:
+    """A sonar from what its file says; EchowingError names the source and the key."""
+    return section_of(SonarFile, table, source)
+
+
+def _table(text: str, source: str) -> dict[str, Any]:
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise EchowingError(f"{source}: not valid TOML: {error}") from error
+
+
+@cache
+def shipped_sonar() -> SonarBelief:
+    """What is believed of the sonar that the package ships."""
+    return load_sonar(SHIPPED).belief()
+
+
+def write_sonar(path: Path, sonar: SonarFile) -> None:
+    """Write a sonar file. Raises EchowingError where that cannot be done."""
+    import tomli_w  # noqa: PLC0415 (only here)
+
+    try:
+        path.write_text(tomli_w.dumps(sonar.model_dump(mode="json")), encoding="utf-8")
+    except OSError as error:
+        raise EchowingError(f"{path}: cannot be written: {error.strerror}") from error
