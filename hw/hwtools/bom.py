@@ -3,17 +3,30 @@
 from collections import Counter
 from typing import Any
 
-from hwtools import keepout, mount, wiring
+from hwtools import mount, servos, wiring
 from hwtools.facts import HW, HardwareError, load
+from hwtools.rig import read_stl
 
 SOURCE = HW / "parts.toml"
 REPORT = HW / "BOM.md"
 GRAMS_PER_POUND = 453.592
 
 
+def parts(table: str = "part") -> list[dict[str, Any]]:
+    """Return the parts of a table of the file; a servo's mass comes from `servos.toml`."""
+    return [_weighed(part) for part in load(SOURCE)[table]]
+
+
+def _weighed(part: dict[str, Any]) -> dict[str, Any]:
+    if "servo" not in part:
+        return part
+    mass = next(row for row in servos.Servo().rows if row["what"] == "mass")
+    return part | {"mass_g": mass["value"], "mass_source": mass["source"]}
+
+
 def parts_for(board: str) -> list[dict[str, Any]]:
     """Return the parts of a build with this board, in the file's order."""
-    return [part for part in load(SOURCE)["part"] if board in part.get("boards", [board])]
+    return [part for part in parts() if board in part.get("boards", [board])]
 
 
 def wire_lengths_m(board: str) -> dict[str, float]:
@@ -30,7 +43,7 @@ def wire_lengths_m(board: str) -> dict[str, float]:
 
 def print_mass_g(part: str) -> float:
     """Return a printed part's mass were it solid."""
-    volume_mm3 = keepout.read_stl(mount.stl_path(part)).volume
+    volume_mm3 = read_stl(mount.stl_path(part)).volume
     return float(volume_mm3) / 1e3 * float(load(SOURCE)["print_density_g_cm3"])
 
 
@@ -81,7 +94,7 @@ def report_text() -> str:
         "",
         "## Follower",
         "",
-        *_part_table(table["part"]),
+        *_part_table(parts()),
         "",
         "## Printed parts",
         "",
@@ -100,7 +113,11 @@ def report_text() -> str:
         "",
         "## Leader",
         "",
-        *_part_table(table["leader"]),
+        *_part_table(parts("leader")),
+        "",
+        "## In the field box",
+        "",
+        *_part_table(parts("spare")),
         "",
     ]
     return "\n".join(lines)
@@ -114,7 +131,7 @@ def _mass_row(board: str) -> str:
     return f"| {board} | {groups} | {total:.0f} | {share:.0f} % | {price_usd(board):.0f} |"
 
 
-def _part_table(parts: list[dict[str, Any]]) -> list[str]:
+def _part_table(listed: list[dict[str, Any]]) -> list[str]:
     return [
         "| part | for | number | each, g | mass from | each, US$ | boards | alternatives |",
         "|---|---|---|---|---|---|---|---|",
@@ -123,7 +140,7 @@ def _part_table(parts: list[dict[str, Any]]) -> list[str]:
             f"| {part.get('mass_source', 'estimate')} | {part['price_usd']:g} "
             f"| {', '.join(part.get('boards', ['all']))} "
             f"| {part['alternatives']} |"
-            for part in parts
+            for part in listed
         ),
     ]
 

@@ -1,13 +1,14 @@
 """Power and signal budget: every check is computed from `budget.toml` and from the wiring."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from hwtools import wiring
+from hwtools import levels, servos, wiring
 from hwtools.facts import HW, WIRING, load
+from hwtools.figures import SOURCE, Figures, figures
 
-SOURCE = HW / "budget.toml"
 REPORT = HW / "BUDGET.md"
 
 METER_STAGES = (
@@ -17,6 +18,7 @@ METER_STAGES = (
 )
 Sense = Literal["<=", ">="]
 ROUNDING = 1e-9  # two ways to the same number may differ in the last bits
+RISE_30_TO_70 = math.log(0.7 / 0.3)  # rise from 0.3 to 0.7 of the supply, in time constants
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,32 +40,13 @@ class Check:
         return over <= ROUNDING if self.sense == "<=" else over >= -ROUNDING
 
 
-class Figures:
-    """The numbers of `budget.toml` by name."""
-
-    def __init__(self, table: dict[str, Any]) -> None:
-        self._table = table
-
-    def __getattr__(self, name: str) -> float:
-        return float(self._table[name]["value"])
-
-    def board(self, board: str) -> dict[str, Any]:
-        """Return a board's own figures."""
-        return dict(self._table["board"][board])
-
-
-def figures() -> Figures:
-    """Read `budget.toml`."""
-    return Figures(load(SOURCE))
-
-
 def cable_length_m(cable: str) -> float:
     """Return a cable's length from the wiring's shared parts."""
     return float(wiring.read_sheet(WIRING / "parts.yml")["cables"][cable]["length"])
 
 
 def checks() -> list[Check]:
-    """Return the whole budget, common checks first."""
+    """Return the whole budget but the levels, common checks first."""
     found = figures()
     return [
         *_servo_supply(found),
@@ -78,219 +61,136 @@ def sonar_volts(f: Figures) -> float:
 
 
 def bus_pullup_ohm(board: str, f: Figures) -> float:
-    """Return the pull-up of one bus line: ours, and the board's own in parallel."""
+    """Return the pull-up of one bus line at the sonar: ours, beside it the board's or module's."""
     own = f.board(board).get("onboard_pullup_ohm")
-    return f.pullup if own is None else 1.0 / (1.0 / f.pullup + 1.0 / float(own))
+    beside = f.shifter_pullup if levels.wires(board).bus_shifter else own
+    return f.pullup if beside is None else 1.0 / (1.0 / f.pullup + 1.0 / float(beside))
 
 
-def bus_capacitance_pf(length_m: float, f: Figures) -> float:
+def bus_capacitance_pf(board: str, length_m: float, f: Figures) -> float:
     """Return what one bus line has to be charged with, for a sonar lead of this length."""
-    return 2 * f.pin_capacitance + f.carrier_capacitance + f.cable_capacitance * length_m
+    shifter = f.shifter_capacitance if levels.wires(board).bus_shifter else 0.0
+    return 2 * f.pin_capacitance + f.carrier_capacitance + shifter + f.cable_capacitance * length_m
+
+
+def sonar_lead_m() -> float:
+    """Return the sonar lead's length, its soft end with it."""
+    return cable_length_m("W_SONAR") + cable_length_m("W_SONAR_TAIL")
 
 
 def longest_lead_m(board: str, f: Figures) -> float:
     """Return the longest sonar lead the rise time allows."""
     most_pf = f.bus_rise_limit / (RISE_30_TO_70 * bus_pullup_ohm(board, f)) * 1e3
-    return (most_pf - bus_capacitance_pf(0.0, f)) / f.cable_capacitance
+    return (most_pf - bus_capacitance_pf(board, 0.0, f)) / f.cable_capacitance
 
 
-RISE_30_TO_70 = math.log(0.7 / 0.3)  # rise from 0.3 to 0.7 of the supply, in time constants
+def servo_volts(each_ma: float, f: Figures) -> float:
+    """Return a servo's supply while both draw this, the BEC's output at its least."""
+    own = f.servo_lead * f.wire_resistance_28awg + cable_length_m("W_PAN") * f.wire_resistance_26awg
+    shared = cable_length_m("W_BEC") * f.wire_resistance_22awg
+    return f.bec_least - 2 * (shared * 2 * each_ma + own * each_ma) / 1e3
 
 
 def _servo_supply(f: Figures) -> list[Check]:
-    stalled = 2 * f.servo_stalled
-    from_battery = stalled * f.supply / (f.battery_nominal * f.bec_efficiency)
-    drop = (
-        2 * cable_length_m("W_BEC") * f.wire_resistance_22awg * stalled
-        + 2 * cable_length_m("W_PAN") * f.wire_resistance_28awg * f.servo_stalled
-    ) / 1e3
-    moving = 2 * f.servo_moving * f.supply / f.bec_efficiency / 1e3
-    hover = f.battery_charge * f.battery_nominal / (f.flight_time / 60)
+    servo = servos.Servo()
+    moving, stalled = 2 * servo.moving, 2 * servo.stalled
+    per_ma = f.supply / (f.battery_nominal * f.bec_efficiency)
+    moving_w = moving * f.supply / f.bec_efficiency / 1e3
+    lost = f.supply * (1 / f.bec_efficiency - 1) / 1e3  # watts a milliampere
+    hover_w = f.battery_charge * f.battery_nominal / (f.flight_time / 60)
+    average = "both servos moving, the whole flight"
+    peak = "both servos starting, or stalled"
     return [
-        Check(
-            "all",
-            "both servos stalled, from the BEC",
-            stalled,
-            "<=",
-            f.bec_output,
-            "mA",
-            "2 servos",
-        ),
-        Check(
-            "all",
-            "BEC's input, battery full",
-            f.battery_full,
-            "<=",
-            f.bec_most_input,
-            "V",
-            "4 cells",
-        ),
-        Check(
-            "all",
-            "F1 with both servos stalled",
-            from_battery,
-            "<=",
-            f.fuse,
-            "mA",
-            "5 V current x 5 V / (battery x efficiency)",
-        ),
-        Check(
-            "all",
-            "voltage at a stalled servo",
-            f.supply - drop,
-            ">=",
-            f.servo_least,
-            "V",
-            "5 V less the leads' drop, there and back",
-        ),
-        Check(
-            "all",
-            "both servos moving, share of the hover power",
-            100 * moving / hover,
-            "<=",
-            1.0,
-            "%",
-            "hover: battery's energy over the flight time of Table 3",
-        ),
-    ]
+        Check("all", f"{average}: from the BEC", moving, "<=", f.bec_output / 2, "mA",
+              "2 servos; half of what the BEC gives, so that it stays cool"),
+        Check("all", f"{peak}: from the BEC", stalled, "<=", f.bec_output, "mA",
+              "2 servos: each small move begins with the motor at rest"),
+        Check("all", f"{average}: heat in the BEC", moving * lost, "<=", f.bec_output / 2 * lost,
+              "W", "output x (1 / efficiency - 1), against half of its rated current"),
+        Check("all", f"{average}: heat in a servo", servo.moving * f.supply / 1e3, "<=",
+              f.servo_heat, "W", "all that it draws, as nothing is lifted"),
+        Check("all", f"{average}: share of the hover power", 100 * moving_w / hover_w, "<=", 1.0,
+              "%", f"{moving_w:.1f} W; hover: battery's energy over the flight time of Table 3"),
+        Check("all", f"{average}: flight that is lost", f.flight_time * 60 * moving_w / hover_w,
+              "<=", 10.0, "s", "that share of the flight time"),
+        Check("all", f"{average}: F1", moving * per_ma, "<=", f.fuse / 2, "mA",
+              "5 V current x 5 V / (battery x efficiency); a fuse lasts at half its rating"),
+        Check("all", f"{peak}: F1", stalled * per_ma, "<=", f.fuse, "mA", "the same"),
+        Check("all", "BEC's input, battery full", f.battery_full, "<=", f.bec_most_input, "V",
+              "4 cells"),
+        Check("all", "voltage at a moving servo", servo_volts(servo.moving, f), ">=",
+              servo.least_volts, "V", "BEC's least, less the leads' drop, there and back"),
+        Check("all", "voltage at a stalled servo", servo_volts(servo.stalled, f), ">=",
+              f.servo_brownout, "V", "the same: its electronics go on"),
+    ]  # fmt: skip
 
 
 def _sonar_supply(f: Figures) -> list[Check]:
-    steady = sonar_volts(f)
+    lost = f.filter_resistor * f.sonar_average / 1e3
     dip = f.sonar_peak * f.sonar_burst / f.filter_capacitor
     return [
-        Check(
-            "all",
-            "sonar's supply at the end of a burst",
-            steady - dip,
-            ">=",
-            f.sonar_least,
-            "V",
-            "5 V - R1 x average - peak x burst / C1",
-        ),
-        Check(
-            "all",
-            "R1 with the sonar shorted",
-            f.supply**2 / f.filter_resistor,
-            "<=",
-            f.resistor_rating,
-            "W",
-            "5 V squared / R1",
-        ),
-    ]
+        Check("all", "sonar's supply at the end of a burst", f.supply_least - lost - dip, ">=",
+              f.sonar_least, "V", "least 5V - R1 x average - peak x burst / C1"),
+        Check("all", "R1 with the sonar shorted", f.supply_most**2 / f.filter_resistor,
+              "<=", f.resistor_rating, "W", "most 5V squared / R1"),
+    ]  # fmt: skip
 
 
 def _board(board: str, f: Figures) -> list[Check]:
-    own = f.board(board)
+    own, wired = f.board(board), levels.wires(board)
     logic = float(wiring.board_sheet(board)["metadata"]["logic_v"])
-    pullup = bus_pullup_ohm(board, f)
-    length = cable_length_m("W_SONAR")
+    pullup, length = bus_pullup_ohm(board, f), sonar_lead_m()
     led = (logic - f.led_forward) / f.led_resistor * 1e3
-    bus = 2 * (logic - f.bus_low) / pullup * 1e3
+    # A line that is held low carries both sides' pull-ups.
+    low = (sonar_volts(f) - f.bus_low) / pullup * 1e3
+    low += f.logic_most / f.shifter_pullup * 1e3 if wired.bus_shifter else 0.0
     burst = (f.supply - sonar_volts(f)) / f.filter_resistor * 1e3 + (
         f.sonar_peak * f.sonar_burst / f.filter_capacitor / f.filter_resistor * 1e3
     )
-    shifter = 4 * logic / f.shifter_pullup * 1e3 if logic > f.autopilot_high else 0.0
-    return [
-        Check(
-            board,
-            "drawn from TELEM2",
-            own["draw_ma"] + burst + led + bus + shifter,
-            "<=",
-            f.telem_limit,
-            "mA",
-            "board, sonar through R1 after a burst, LED, bus low, shifter",
-        ),
-        Check(
-            board,
-            "rise time of SDA and SCL",
-            RISE_30_TO_70 * pullup * bus_capacitance_pf(length, f) / 1e3,
-            "<=",
-            f.bus_rise_limit,
-            "ns",
-            f"0.85 x {pullup:.0f} ohm x {bus_capacitance_pf(length, f):.0f} pF",
-        ),
-        Check(
-            board,
-            "sonar lead",
-            length,
-            "<=",
-            longest_lead_m(board, f),
-            "m",
-            "the length at which the rise time reaches its limit",
-        ),
-        Check(
-            board,
-            "sink current of SDA and SCL",
-            (logic - f.bus_low) / pullup * 1e3,
-            "<=",
-            f.bus_sink_limit,
-            "mA",
-            "(logic supply - 0.4 V) / pull-up",
-        ),
-        Check(
-            board,
-            "bus high, as the sonar wants it",
-            logic,
-            ">=",
-            f.bus_high_share * sonar_volts(f),
-            "V",
-            "0.7 of its supply behind R1 (UM10204; PD11848 gives none)",
-        ),
-        Check(board, "servo signal, high", logic, ">=", f.servo_signal, "V", "an unloaded output"),
+    link = 4 * logic / f.shifter_pullup * 1e3 if wired.link_shifter else 0.0
+    load_pf = bus_capacitance_pf(board, length, f)
+    found = [
+        Check(board, "drawn from TELEM2", own["draw_ma"] + burst + led + 2 * low + link, "<=",
+              f.telem_limit, "mA", "board, sonar through R1 after a burst, LED, bus low, shifter"),
+        Check(board, "rise time of SDA and SCL, sonar's side", _rise_ns(pullup, load_pf), "<=",
+              f.bus_rise_limit, "ns", f"0.85 x {pullup:.0f} ohm x {load_pf:.0f} pF"),
+        Check(board, "sonar lead", length, "<=", longest_lead_m(board, f), "m",
+              "the length at which the rise time reaches its limit"),
+        Check(board, "sink current of SDA and SCL", low, "<=", f.bus_sink_limit, "mA",
+              "(supply - 0.4 V) / pull-up, both sides of a shifter"),
         Check(board, "LED", led, "<=", own["led_limit_ma"], "mA", "(logic supply - LED) / R4"),
-        *_link(board, logic, f),
-    ]
+    ]  # fmt: skip
+    if wired.bus_shifter:
+        near_pf = f.pin_capacitance + f.carrier_capacitance + f.shifter_capacitance
+        rise = _rise_ns(f.shifter_pullup, near_pf)
+        found.append(
+            Check(board, "rise time of SDA and SCL, board's side", rise, "<=", f.bus_rise_limit,
+                  "ns", f"0.85 x 10 kohm x {near_pf:.0f} pF")
+        )  # fmt: skip
+    if wired.link_shifter:
+        load_pf = f.shifter_capacitance + f.wire_capacitance * cable_length_m("W_TELEM")
+        rise = 2.2 * f.shifter_pullup * load_pf / 1e6
+        how = f"2.2 x 10 kohm x {load_pf:.0f} pF against half a bit"
+        found.append(
+            Check(board, "rise time behind the shifter", rise, "<=", 0.5e6 / f.baud, "us", how)
+        )
+    return found
 
 
-def _link(board: str, logic: float, f: Figures) -> list[Check]:
-    """Return the autopilot link's levels: behind a shifter on a 5 V board, else straight."""
-    if logic <= f.autopilot_high:
-        return [
-            Check(
-                board, "board's TX into TELEM2", logic, "<=", f.autopilot_high, "V", "same levels"
-            ),
-        ]
-    wants = f.mega_high_share * logic
-    load_pf = f.shifter_capacitance + f.wire_capacitance * cable_length_m("W_TELEM")
-    return [
-        Check(
-            board,
-            "board's RX, high, behind the shifter",
-            logic,
-            ">=",
-            wants + 1.0,
-            "V",
-            f"{wants:g} V wanted, 1 V of margin; straight from the autopilot: "
-            f"{f.autopilot_high - wants:.1f} V",
-        ),
-        Check(
-            board,
-            "board's TX into TELEM2, behind the shifter",
-            f.autopilot_high,
-            "<=",
-            f.autopilot_high,
-            "V",
-            f"without it: {logic:g} V",
-        ),
-        Check(
-            board,
-            "rise time behind the shifter",
-            2.2 * f.shifter_pullup * load_pf / 1e6,
-            "<=",
-            0.5e6 / f.baud,
-            "us",
-            f"2.2 x 10 kohm x {load_pf:.0f} pF against half a bit",
-        ),
-    ]
+def _rise_ns(pullup_ohm: float, load_pf: float) -> float:
+    return RISE_30_TO_70 * pullup_ohm * load_pf / 1e3
 
 
 def meter_rows(board: str) -> list[tuple[str, str, str]]:
     """Return what a multimeter shows on this board: (when, where, reading)."""
-    f = figures()
+    f, wired = figures(), levels.wires(board)
     logic = float(wiring.board_sheet(board)["metadata"]["logic_v"])
-    pullup = bus_pullup_ohm(board, f)
-    link = "no short" if logic > f.autopilot_high else "under 1 ohm"
+    link = "no short" if wired.link_shifter else "under 1 ohm"
+    pulse = "no short" if wired.buffer else "under 1 ohm"
+    pullup = f"about {bus_pullup_ohm(board, f) / 1e3:.1f} kohm"
+    least, most = (
+        levels.sonar_supply(at, f) for at in (levels.corners(f)[0], levels.corners(f)[-1])
+    )
     dead, bec, live = METER_STAGES
     return [
         (dead, "GND of battery, BEC, board, sonar, servos, TELEM2", "joined, under 1 ohm"),
@@ -298,15 +198,35 @@ def meter_rows(board: str) -> list[tuple[str, str, str]]:
         (dead, "servos' 5V to GND", "no short, once C2 has charged"),
         (dead, "servos' 5V to board's 5V", "open"),
         (dead, "board's 5V to the sonar's V+", f"{f.filter_resistor:.0f} ohm"),
-        (dead, "SDA to the pull-ups' rail, and SCL", f"about {pullup / 1e3:.1f} kohm"),
+        (dead, "SDA to the sonar's V+, and SCL", pullup),
+        (dead, "board's SDA to the sonar's, and SCL", _joined(wired.bus_shifter)),
+        (dead, "board's PAN to the servo's signal, and TILT", pulse),
         (dead, "sonar lead's shield to GND", "under 1 ohm"),
         (dead, "board's TX to TELEM2 pin 3, RX to pin 2", link),
-        (bec, "servos' 5V", "4.9 to 5.1 V"),
-        (live, "board's 5V", "4.8 to 5.2 V"),
-        (live, "board's 3V3", "3.2 to 3.4 V"),
-        (live, "sonar's V+", f"about {sonar_volts(f):.2f} V"),
-        (live, "SDA and SCL, at the sonar", f"near {logic:g} V, dipping"),
+        (bec, "servos' 5V", f"{f.bec_least:g} to {f.bec_most:g} V"),
+        (live, "board's 5V", f"{f.supply_least:g} to {f.supply_most:g} V"),
+        (live, "board's 3V3", f"{f.logic_least:g} to {f.logic_most:g} V"),
+        (live, "sonar's V+", f"{least:.1f} to {most:.1f} V"),
+        (live, "SDA and SCL, at the sonar", "near the sonar's V+, dipping"),
+        (live, "SDA and SCL, at the board", f"near {logic:g} V, dipping"),
         (live, "TELEM2 pins 2 and 3", f"near {f.autopilot_high:g} V, dipping"),
+    ]
+
+
+def _joined(shifter: bool) -> str:
+    return "no short" if shifter else "under 1 ohm"
+
+
+def check_table(found: Sequence[Check], first: str) -> list[str]:
+    """Return checks as a Markdown table."""
+    return [
+        f"| {first} | what | value | limit | how |",
+        "|---|---|---|---|---|",
+        *(
+            f"| {c.board} | {c.what} | {_number(c.value)}{_unit(c.unit)} "
+            f"| {c.sense} {_number(c.limit)}{_unit(c.unit)} | {c.how} |"
+            for c in found
+        ),
     ]
 
 
@@ -334,13 +254,16 @@ def report_text() -> str:
         "",
         "## Checks",
         "",
-        "| board | what | value | limit | how |",
-        "|---|---|---|---|---|",
-        *(
-            f"| {c.board} | {c.what} | {_number(c.value)} {c.unit} "
-            f"| {c.sense} {_number(c.limit)} {c.unit} | {c.how} |"
-            for c in checks()
-        ),
+        *check_table(checks(), "board"),
+        "",
+        "The servos steady the sonar all the time. The lines take them to move under load all the",
+        "time, too, which is more. Their figures: [mount/MOTION.md](mount/MOTION.md).",
+        "",
+        "## Levels",
+        "",
+        "At the worst of the supplies that the meter's table accepts, everywhere at once.",
+        "",
+        *levels.table(wiring.BOARDS, figures()),
         "",
         "## What a multimeter shows",
         "",

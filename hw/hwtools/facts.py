@@ -2,6 +2,7 @@
 
 import math
 import tomllib
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -66,6 +67,20 @@ def firmware_pins() -> dict[str, dict[str, str]]:
     }
 
 
+@dataclass(frozen=True, slots=True)
+class Reach:
+    """How far the gimbal may turn to each side, and up and down."""
+
+    pan_deg: float
+    tilt_deg: float
+
+
+def gimbal_reach() -> Reach:
+    """Return the reach of a board with its defaults, from the firmware's parameter table."""
+    normal = search.parameter_defaults()
+    return Reach(normal["PAN_REACH"], normal["TILT_REACH"])
+
+
 def scan_aims() -> list[Aim]:
     """Return the search's points as directions; pulses grow to the right and upwards."""
     normal = search.parameter_defaults()
@@ -77,8 +92,3 @@ def scan_aims() -> list[Aim]:
 def beam_half_angle_deg() -> float:
     """Return the sonar's beam half-angle, from the simulator's sonar on a desk."""
     return math.degrees(sonar.ON_A_DESK.widest_rad)
-
-
-def lever_arm_mm() -> float:
-    """Return how far the sonar's face is ahead of the aircraft's centre, from the simulator."""
-    return sonar.LEVER_ARM_M * 1000.0

@@ -7,16 +7,21 @@ the hash of what each was made from; when a source changes, the hash no longer f
 
 import hashlib
 import json
+import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from hwtools import bom, budget, coverage, keepout, mount, sheet, wiring
+from echowing.rig.search import Aim
+from hwtools import bom, budget, coverage, keepout, lead, motion, mount, sheet, sweep, wiring
 from hwtools.facts import HW, MOUNT, PICTURES, read
+from hwtools.lead import curve
+from hwtools.rig import load_rig
 
 RECORD = HW / "made.json"
-KEEPOUT_REPORT = MOUNT / "KEEPOUT.md"
+# The reports that are computed from the solids.
+REPORTS = {MOUNT / "KEEPOUT.md": keepout.report_text, motion.REPORT: motion.report_text}
 COVERAGE_PLOT = PICTURES / "coverage.svg"
 
 
@@ -77,7 +82,7 @@ def views() -> Iterator[Made]:
     """Yield the pictures of the mount."""
     for view in mount.VIEWS:
         path = PICTURES / "mount" / f"{view}.png"
-        yield Made(path, partial(_view_inputs, view), partial(mount.render, view))
+        yield Made(path, partial(_view_inputs, view), partial(render, view))
 
 
 def plots() -> Iterator[Made]:
@@ -88,6 +93,15 @@ def plots() -> Iterator[Made]:
 def everything() -> list[Made]:
     """Return all that `made.json` records."""
     return [*drawings(), *solids(), *views(), *plots()]
+
+
+def render(view: str, path: Path) -> None:
+    """Draw one of the mount's views, the leads as they run at its pose."""
+    seen = mount.VIEWS[view]
+    aim = Aim(0.0 - seen.left_deg, seen.up_deg)
+    with tempfile.TemporaryDirectory() as folder:
+        measures = mount.derived(Path(folder))
+    mount.render(view, path, [curve(one, aim) for one in sweep.leads(measures)])
 
 
 def digest(made: Made) -> str:
@@ -121,8 +135,10 @@ def make_everything(folder: Path, tell: Callable[[str], None]) -> None:
     for text in texts():
         tell(name_of(text.path))
         _write(text.path, text.content())
-    tell(name_of(KEEPOUT_REPORT))
-    _write(KEEPOUT_REPORT, keepout.report_text(keepout.load_rig(folder)))
+    rig = load_rig(folder)
+    for path, report_text in REPORTS.items():
+        tell(name_of(path))
+        _write(path, report_text(rig))
     write_record()
 
 
@@ -147,9 +163,8 @@ def _solid_inputs(part: str) -> str:
 
 
 def _view_inputs(view: str) -> str:
-    return (
-        f"{mount.VIEWS[view]}{mount.IMAGE_SIZE}" + read(mount.SCAD) + mount.scad_parameters_text()
-    )
+    seen = f"{mount.VIEWS[view]}{mount.IMAGE_SIZE}"
+    return seen + read(mount.SCAD) + mount.scad_parameters_text() + read(Path(lead.__file__))
 
 
 def _write(path: Path, text: str) -> None:

@@ -1,7 +1,7 @@
 """Wiring diagrams: a board's pins and a harness's wires, put together and drawn by WireViz.
 
 A board file names the harnesses it needs; a harness file names pins by their role (SDA, PAN ...).
-So four boards and seven harnesses are eleven sources, not twenty copies.
+So four boards and eleven harnesses are fifteen sources, not twenty-eight copies.
 """
 
 import contextlib

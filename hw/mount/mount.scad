@@ -1,13 +1,15 @@
 // Pan/tilt mount for a MaxBotix MB1202 and two micro servos, clamped to a frame tube.
 //
 // All numbers come from parameters.scad, which `make hw` writes from parameters.toml, from the
-// firmware's scan points and from the simulator's beam: edit those, not this.
+// firmware's scan points and reach and from the simulator's beam: edit those, not this.
 //
 // part = "base", "cap", "yoke" or "cradle": one printed part, lying as it is printed.
 // part = "plate": all four as printed, side by side.
-// part = "assembly": everything in place. part = "keepout": the same with the beam's cones.
-// part = "vehicle": the keep-out with frame and propellers.
-// part = "fixed", "panning", "tilting", "aircraft": what stands and moves together, for the checks.
+// part = "assembly": everything in place.
+// part = "vehicle": the same on frame and propellers, with the beam's cones.
+// part = "fixed", "panning", "tilting", "frame", "discs": what stands and moves together, for the
+// checks; without the servos' horns and the pivot's shaft, which touch on purpose.
+// part = "yoke_mass", "tilt_servo_mass", "cradle_mass", "sonar_mass": one body each, for the inertia.
 // part = "none": nothing; only tells the derived measures.
 // pan_deg and tilt_deg turn the assembly (left and up positive).
 
@@ -19,6 +21,9 @@ tilt_deg = 0;
 
 $fn = 48;
 eps = 0.01; // keeps cut faces from coinciding
+bodies = ["fixed", "panning", "tilting", "frame", "discs",
+          "yoke_mass", "tilt_servo_mass", "cradle_mass", "sonar_mass"];
+drawn = len([for (body = bodies) if (body == part) body]) == 0; // a picture or a print, no check
 
 // ---- derived heights and widths ---------------------------------------------------------------
 shelf_top = frame_tube_diameter_mm / 2 + print_wall_mm;
@@ -39,6 +44,8 @@ arm_top = tilt_axis_above_yoke_mm + print_wall_mm + 11.5;
 plate_back = -10;
 board_back = plate_back + print_plate_mm + print_rail_mm;
 face_x = board_back + sonar_face_ahead_of_back_mm;
+
+servo_middle_x = servo_spline_from_end_mm - servo_body_length_mm / 2; // between the ears
 
 clamp_width = frame_tube_diameter_mm + 2 * (clamp_screw_offset_mm + 5);
 clamp_front = frame_tube_front_mm; // a thick tube would meet the ribs beyond it
@@ -67,16 +74,14 @@ module servo_cutout(depth) {
     near = servo_spline_from_end_mm + servo_fit_mm / 2;
     translate([near - length, -width / 2, 0]) cube([length, width, depth]);
     for (side = [-1, 1])
-        translate([servo_spline_from_end_mm - servo_body_length_mm / 2
-                   + side * servo_ear_screw_pitch_mm / 2, 0, 0])
+        translate([servo_middle_x + side * servo_ear_screw_pitch_mm / 2, 0, 0])
             cylinder(d = servo_ear_screw_pilot_mm, h = depth, $fn = 24);
 }
 
 // ---- printed parts, in place -------------------------------------------------------------------
 // upper clamp half and the pan servo's shelf
 module base() {
-    middle = servo_spline_from_end_mm - servo_body_length_mm / 2;
-    shelf_front = middle + servo_ear_length_mm / 2 + 2;
+    shelf_front = servo_middle_x + servo_ear_length_mm / 2 + 2;
     shelf_half = servo_body_width_mm / 2 + 5;
     difference() {
         union() {
@@ -142,7 +147,7 @@ module yoke() {
         // the horn: two arms, across, let into the underside
         translate([0, 0, -eps]) rotate(90) horn_recess([-1, 1]);
         translate([0, 0, -eps]) rotate(90) horn_screws(print_wall_mm + 1, [-1, 1]);
-        // a cable tie here holds the sonar's lead, with slack for the tilt
+        // a cable tie here holds the tilt servo's lead
         for (side = [-1, 1])
             translate([-arm_width / 2 + 2, side * 4 - 1, -eps])
                 cube([print_tie_width_mm, 2, print_wall_mm + 2 * eps]);
@@ -208,15 +213,25 @@ module servo() {
     color("SteelBlue") translate([servo_spline_from_end_mm - servo_body_length_mm,
                                   -servo_body_width_mm / 2, -servo_ear_underside_mm])
         cube([servo_body_length_mm, servo_body_width_mm, servo_case_top_mm]);
-    color("SteelBlue") translate([servo_spline_from_end_mm - servo_body_length_mm / 2
-                                  - servo_ear_length_mm / 2, -servo_body_width_mm / 2, 0])
+    color("SteelBlue") translate([servo_middle_x - servo_ear_length_mm / 2,
+                                  -servo_body_width_mm / 2, 0])
         cube([servo_ear_length_mm, servo_body_width_mm, servo_ear_thickness_mm]);
     color("SteelBlue") translate([0, 0, servo_case_top_mm - servo_ear_underside_mm - eps])
         cylinder(d = servo_tower_diameter_mm, h = servo_tower_top_mm - servo_case_top_mm);
-    color("White") translate([0, 0, servo_tower_top_mm - servo_ear_underside_mm])
+    if (drawn) color("White") translate([0, 0, servo_tower_top_mm - servo_ear_underside_mm])
         cylinder(d = horn_hub_diameter_mm - 0.6,
                  h = servo_horn_top_mm - servo_tower_top_mm - horn_recess_mm);
 }
+
+// the heads of the servo's two screws, on a face at z = 0 of servo()'s frame, towards +z
+module servo_screw_heads() {
+    color("Silver") for (side = [-1, 1])
+        translate([servo_middle_x + side * servo_ear_screw_pitch_mm / 2, 0, 0])
+            cylinder(d = servo_ear_screw_head_mm, h = 1.5, $fn = 24);
+}
+
+// a screw's head or its nut with washer, on z = 0, upwards
+module m3_head() { color("Silver") cylinder(d = 6.4, h = 3, $fn = 24); }
 
 module sonar() {
     // origin: middle of the board's back, looking along +x
@@ -234,15 +249,23 @@ module panned() { translate([0, 0, yoke_bottom]) rotate(pan_deg) children(); }
 module tilted() {
     panned() translate([0, 0, tilt_z - yoke_bottom]) rotate([0, -tilt_deg, 0]) children();
 }
-module pan_servo() { translate([0, 0, shelf_top]) servo(); }
-module tilt_servo() {
+module pan_servo() {
+    translate([0, 0, shelf_top]) servo();
+    translate([0, 0, shelf_top + servo_ear_thickness_mm]) servo_screw_heads();
+}
+module tilt_servo_frame() {
     // its ears' upper side (towards the spline) on the arm's outer face
     translate([0, arm_left + print_wall_mm + servo_ear_thickness_mm, tilt_z - yoke_bottom])
-        rotate([90, 0, 0]) rotate(90) servo();
+        rotate([90, 0, 0]) rotate(90) children();
 }
+module tilt_servo() { tilt_servo_frame() servo(); }
 module tube() {
-    color("DimGray") translate([-100, 0, 0]) rotate([0, 90, 0])
-        cylinder(d = frame_tube_diameter_mm, h = 100 + frame_tube_front_mm);
+    color("DimGray") translate([frame_tube_front_mm - frame_tube_length_mm, 0, 0])
+        rotate([0, 90, 0]) difference() {
+            cylinder(d = frame_tube_diameter_mm, h = frame_tube_length_mm);
+            translate([0, 0, -1]) cylinder(d = frame_tube_diameter_mm - 2 * frame_tube_wall_mm,
+                                           h = frame_tube_length_mm + 2);
+        }
 }
 
 module fixed() {
@@ -250,38 +273,79 @@ module fixed() {
     color("Orange") cap();
     pan_servo();
     tube();
+    for (x = clamp_screw_x(), side = [-1, 1])
+        translate([x, side * clamp_screw_y(), shelf_top]) m3_head();
 }
 module panning() {
     color("Gold") yoke();
     tilt_servo();
+    color("SaddleBrown") tilt_lead();
+    // screwed through the ears from outside, the pivot's screw from the right
+    tilt_servo_frame() rotate([180, 0, 0]) servo_screw_heads();
+    translate([0, -arm_right - print_wall_mm, tilt_z - yoke_bottom]) rotate([90, 0, 0]) m3_head();
+}
+// the tilt servo's lead, from the servo's outer end round the arm to the tie on the plate
+module tilt_lead() {
+    r = lead_servo_diameter_mm / 2;
+    lead([[-servo_body_width_mm / 2 - r, arm_left + 20, print_wall_mm + 6],
+          [-arm_width / 2 - r, arm_left + 2, print_wall_mm + 5],
+          [-arm_width / 2 - r, arm_left - 4, print_wall_mm + 3],
+          [-arm_width / 2 + 4, 0, print_wall_mm + r - 0.2],
+          [-arm_width / 2 - 0.5, 0, print_wall_mm + r - 0.2]], 2 * r);
 }
 module tilting() {
     color("Tomato") cradle();
     translate([board_back, 0, 0]) sonar();
+    // the sonar's two screws, their heads behind the plate; the checks take either diagonal
+    for (side = [-1, 1], edge = drawn ? [side] : [-1, 1])
+        translate([plate_back, edge * sonar_hole_pitch_width_mm / 2,
+                   side * sonar_hole_pitch_height_mm / 2]) rotate([0, -90, 0]) m3_head();
 }
+
+// a lead through its points, [x, y, z] in the mount's frame
+module lead(points, d) {
+    for (i = [1 : len(points) - 1]) hull() {
+        translate(points[i - 1]) sphere(d = d, $fn = 10);
+        translate(points[i]) sphere(d = d, $fn = 10);
+    }
+}
+leads_mm = []; // the sonar's and the servo's at the pose, in the pictures only: these say where
+module leads() if (len(leads_mm) == 2) {
+    color("White") lead(leads_mm[0], lead_sonar_diameter_mm);
+    color("SaddleBrown") lead(leads_mm[1], lead_servo_diameter_mm);
+    color("Black") translate([lead_tie_x_mm - 1.5, -clamp_width / 2 - 1, -shelf_top - 1])
+        difference() {
+            cube([3, clamp_width + 2, 2 * shelf_top + 2]);
+            translate([-1, 1, 1]) cube([5, clamp_width, 2 * shelf_top]);
+        }
+}
+
 module assembly() {
     fixed();
     panned() panning();
     tilted() tilting();
+    leads();
 }
 
-// the beam at every scan point, [left, up] in degrees; it starts as wide as the transducer
+// the beam at the scan's points (green) and at the ends of the reach (blue); it starts as wide as
+// the transducer
 module beams() {
+    for (point = scan_points_deg) color("LimeGreen", 0.10) beam(point);
+    for (point = reach_ends_deg) color("DodgerBlue", 0.16) beam(point);
+}
+module beam(point) { // [left, up] in degrees
     start = sonar_transducer_diameter_mm / 2;
-    for (point = scan_points_deg)
-        translate([0, 0, tilt_z]) rotate(point[0]) rotate([0, -point[1], 0])
-            translate([face_x, 0, 0]) rotate([0, 90, 0])
-                color("LimeGreen", 0.10)
-                    cylinder(r1 = start,
-                             r2 = start + keepout_drawn_length_mm * tan(beam_half_angle_deg),
-                             h = keepout_drawn_length_mm);
+    translate([0, 0, tilt_z]) rotate(point[0]) rotate([0, -point[1], 0])
+        translate([face_x, 0, 0]) rotate([0, 90, 0])
+            cylinder(r1 = start, r2 = start + keepout_drawn_length_mm * tan(beam_half_angle_deg),
+                     h = keepout_drawn_length_mm);
 }
 
 // the aircraft, as far as it could be in the way
-module aircraft() {
-    translate([face_x - lever_arm_mm, 0, 0]) {
+module on_aircraft() { translate([face_x - frame_face_ahead_mm, 0, 0]) children(); }
+module frame() {
+    on_aircraft() {
         corners() motors();
-        corners() propellers();
         for (side = [-1, 1], end = [-1, 1]) color("DimGray") {
             rod([end * 40, side * 40, frame_arm_plane_mm],
                 [end * frame_motor_length_mm / 2, side * frame_motor_width_mm / 2,
@@ -294,6 +358,7 @@ module aircraft() {
                       frame_body_top_mm - frame_body_bottom_mm]);
     }
 }
+module discs() { on_aircraft() corners() propellers(); }
 
 function mirrored(point, end, side) = [end * point[0], side * point[1], point[2]];
 
@@ -326,10 +391,10 @@ module printed(name) {
 }
 
 module plate() {
-    translate([0, -30, 0]) color("Orange") printed("base");
-    translate([0, 25, 0]) color("Orange") printed("cap");
-    translate([50, -25, 0]) color("Gold") printed("yoke");
-    translate([40, 25, 0]) color("Tomato") printed("cradle");
+    translate([0, -35, 0]) color("Orange") printed("base");
+    translate([0, 35, 0]) color("Orange") printed("cap");
+    translate([60, -35, 0]) color("Gold") printed("yoke");
+    translate([40, 45, 0]) color("Tomato") printed("cradle");
 }
 
 // Which way the aircraft flies, in the pictures only: an arrow and its word, which faces whoever
@@ -348,14 +413,21 @@ module forward() {
     }
 }
 
-echo(yoke_bottom = yoke_bottom, tilt_z = tilt_z, face_x = face_x);
+// millimetres: where the yoke's underside, the tilt axis, the sonar's face, the clamp's top, the
+// cradle's back and the tilt servo's outer end are
+echo(yoke_bottom = yoke_bottom, tilt_z = tilt_z, face_x = face_x, shelf_top = shelf_top,
+     plate_back = plate_back, yoke_back = -arm_width / 2);
 
 if (part == "assembly") { assembly(); forward(); }
-else if (part == "keepout") { assembly(); beams(); forward(); }
-else if (part == "vehicle") { assembly(); aircraft(); beams(); forward(); }
+else if (part == "vehicle") { assembly(); frame(); discs(); beams(); forward(); }
 else if (part == "plate") plate();
 else if (part == "fixed") fixed();
 else if (part == "panning") translate([0, 0, yoke_bottom]) panning();
 else if (part == "tilting") translate([0, 0, tilt_z]) tilting();
-else if (part == "aircraft") aircraft();
+else if (part == "frame") frame();
+else if (part == "discs") discs();
+else if (part == "yoke_mass") translate([0, 0, yoke_bottom]) yoke();
+else if (part == "tilt_servo_mass") translate([0, 0, yoke_bottom]) tilt_servo();
+else if (part == "cradle_mass") translate([0, 0, tilt_z]) cradle();
+else if (part == "sonar_mass") translate([0, 0, tilt_z]) translate([board_back, 0, 0]) sonar();
 else if (part != "none") printed(part);

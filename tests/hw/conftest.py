@@ -5,13 +5,13 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "hw"))
 
-from hwtools import keepout, mount
+from hwtools import mount, rig
 
 
 @pytest.fixture(scope="session")
-def rig(tmp_path_factory: pytest.TempPathFactory) -> keepout.Rig:
+def solids(tmp_path_factory: pytest.TempPathFactory) -> rig.Rig:
     """The mount's solids, made afresh from mount.scad."""
-    return keepout.load_rig(tmp_path_factory.mktemp("solids"))
+    return rig.load_rig(tmp_path_factory.mktemp("solids"))
 
 
 @pytest.fixture(scope="session")

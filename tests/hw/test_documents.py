@@ -1,12 +1,14 @@
 """The builder's pages lead somewhere."""
 
+import math
 import re
 from pathlib import Path
 
 import pytest
 
-from hwtools import bom, mount, wiring
-from hwtools.facts import HW, lever_arm_mm
+from hwtools import bom, motion, mount, servos, wiring
+from hwtools.facts import HW, gimbal_reach
+from hwtools.rig import Rig
 
 PAGES = sorted(HW.rglob("*.md"))
 
@@ -27,18 +29,47 @@ def test_every_board_and_harness_is_shown_or_linked() -> None:
     assert all(f"/{name}.svg" in text for name in drawn)
 
 
+def test_every_view_of_the_mount_is_shown() -> None:
+    text = (HW / "README.md").read_text(encoding="utf-8")
+    shown = re.findall(r"!\[[^]]*\]\(pictures/mount/(\w+)\.png\)", text)
+    assert set(shown) == set(mount.VIEWS)
+    assert {path.stem for path in (HW / "pictures" / "mount").iterdir()} == set(mount.VIEWS)
+
+
 def test_build_ends_with_the_self_test() -> None:
     text = (HW / "README.md").read_text(encoding="utf-8")
     steps = [text.index(word) for word in ("Carrier board", "First power-up", "rig self-test")]
     assert steps == sorted(steps)
 
 
-def test_readmes_numbers_are_the_computed_ones() -> None:
+def test_readmes_numbers_are_the_computed_ones(solids: Rig) -> None:
     text = " ".join((HW / "README.md").read_text(encoding="utf-8").split())
     masses = [sum(bom.masses_g(board).values()) for board in wiring.BOARDS]
-    assert 165 < min(masses) < max(masses) < 205, "README says about 170 to 200 g"
+    assert 220 < min(masses) < max(masses) < 260, "README says about 230 to 250 g"
     assert f"{bom.payload_limit_g():.0f} g payload" in text
-    assert f"{lever_arm_mm() / 1000:.2f} m ahead of the aircraft's centre" in text
+    ahead_m = mount.number("frame_face_ahead_mm") / 1000
+    assert f"{ahead_m:.2f} m ahead of the aircraft's centre" in text
+    inset_m = ahead_m + 0.10  # the leader's legs with their foil, around its centre
+    assert f"`ECHO_INSET` to {inset_m:.2f}" in text
+    pan_deg, boom_m = gimbal_reach().pan_deg, ahead_m - solids.face_x / 1000
+    aside_m = inset_m - boom_m * (1.0 - math.cos(math.radians(pan_deg)))
+    assert f"{aside_m:.2f} m at {pan_deg:g} degrees of pan" in text
+    assert f"[{inset_m - 0.05:.2f}, {inset_m + 0.05:.2f}]" in text
+    for lead in ("sonar", "servo"):
+        assert f"{mount.number(f'lead_{lead}_free_mm'):g} mm" in text
+
+
+def test_battery_moves_as_far_as_is_computed(solids: Rig) -> None:
+    text = (HW / "README.md").read_text(encoding="utf-8")
+    moved = next(c for c in motion.checks(solids) if c.what.startswith("battery"))
+    assert f"about {moved.value:.0f} mm" in text
+
+
+def test_the_pages_change_the_servos_when_the_table_says_so() -> None:
+    hours = servos.life()["change_h"]
+    assert f"after {hours:g} hours" in (HW / "README.md").read_text(encoding="utf-8")
+    flying = HW.parent / "host_tools" / "FLYING.md"
+    assert f"new ones after {hours:g} hours" in flying.read_text(encoding="utf-8")
 
 
 def test_parts_are_told_to_be_printed() -> None:

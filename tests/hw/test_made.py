@@ -11,8 +11,9 @@ from xml.etree import ElementTree
 import pytest
 from PIL import Image
 
-from hwtools import keepout, made, mount, wiring
+from hwtools import made, mount, wiring
 from hwtools.facts import HW, MOUNT, PICTURES
+from hwtools.rig import Rig, read_stl
 
 
 def label_of(item: made.Made | made.Text) -> str:
@@ -24,8 +25,9 @@ def test_text_is_current(text: made.Text) -> None:
     assert text.path.read_text(encoding="utf-8") == text.content(), "run `make hw`, commit"
 
 
-def test_keepout_report_is_current(rig: keepout.Rig) -> None:
-    assert made.KEEPOUT_REPORT.read_text(encoding="utf-8") == keepout.report_text(rig)
+@pytest.mark.parametrize("path", made.REPORTS, ids=made.name_of)
+def test_report_of_the_solids_is_current(path: Path, solids: Rig) -> None:
+    assert path.read_text(encoding="utf-8") == made.REPORTS[path](solids), "run `make hw`, commit"
 
 
 @pytest.mark.parametrize("item", made.everything(), ids=label_of)
@@ -56,8 +58,8 @@ def test_drawings_say_what_fresh_ones_say(board: str) -> None:
 
 @pytest.mark.parametrize("part", mount.PARTS)
 def test_committed_solid_is_the_fresh_one(part: str, fresh_parts: dict[str, Path]) -> None:
-    committed = keepout.read_stl(mount.stl_path(part))
-    fresh = keepout.read_stl(fresh_parts[part])
+    committed = read_stl(mount.stl_path(part))
+    fresh = read_stl(fresh_parts[part])
     assert committed.volume == pytest.approx(fresh.volume, rel=1e-4)
     assert committed.bounds.ravel() == pytest.approx(fresh.bounds.ravel(), abs=1e-3)
 
@@ -72,7 +74,7 @@ def test_a_changed_source_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_mount_can_be_rendered_here(tmp_path: Path) -> None:
     picture = tmp_path / "assembly.png"
-    mount.render("assembly", picture)
+    made.render("assembly", picture)
     with Image.open(picture) as image:
         colours = image.convert("RGB").getcolors(maxcolors=1 << 24)
     assert len(colours or []) > 20, "an empty scene has one colour"

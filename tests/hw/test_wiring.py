@@ -26,6 +26,9 @@ ROLES = {
 TELEM_ORDER = ["5V", "TX (out)", "RX (in)", "CTS (in)", "RTS (out)", "GND"]
 FIVE_VOLT_BOARDS = [b for b in wiring.BOARDS if wiring.board_sheet(b)["metadata"]["logic_v"] == 5.0]
 
+three_volt_boards = pytest.mark.parametrize(
+    "board", [b for b in wiring.BOARDS if b not in FIVE_VOLT_BOARDS]
+)
 every_board = pytest.mark.parametrize("board", wiring.BOARDS)
 
 
@@ -50,8 +53,9 @@ def copper(board: str) -> list[set[Pin]]:
                 ],
             )
     join(nets, [("JP1", "TELEM 5V"), ("JP1", "board 5V")])  # jumper in place
-    if "SHIFTER" in harness.connectors:
-        join(nets, [("SHIFTER", "HV GND"), ("SHIFTER", "LV GND")])  # joined on the module
+    for shifter in ("SHIFTER", "BUS_SHIFTER"):  # joined on the module
+        if shifter in harness.connectors:
+            join(nets, [(shifter, "HV GND"), (shifter, "LV GND")])
     return nets
 
 
@@ -92,16 +96,45 @@ def test_led_current_flows_the_right_way(board: str) -> None:
 
 
 @every_board
-def test_sonar_gets_bus_ground_and_filtered_supply(board: str) -> None:
-    for role in ("SDA", "SCL", "GND"):
-        assert ("BOARD", role) in net_of(board, ("SONAR", role))
+def test_sonar_gets_ground_and_filtered_supply(board: str) -> None:
+    assert ("BOARD", "GND") in net_of(board, ("SONAR", "GND"))
     assert ("FILTER", "V+ out") in net_of(board, ("SONAR", "V+"))
     assert ("FILTER", "5V in") not in net_of(board, ("SONAR", "V+")), "R1 is bridged"
 
 
+@pytest.mark.parametrize("board", FIVE_VOLT_BOARDS)
+def test_bus_of_a_5v_board_goes_straight_to_the_sonar(board: str) -> None:
+    for role in ("SDA", "SCL"):
+        assert ("BOARD", role) in net_of(board, ("SONAR", role))
+
+
+@three_volt_boards
+def test_bus_of_a_3v3_board_passes_its_shifter(board: str) -> None:
+    for role in ("SDA", "SCL"):
+        low = {pin for name, pin in net_of(board, ("BOARD", role)) if name == "BUS_SHIFTER"}
+        high = {pin for name, pin in net_of(board, ("SONAR", role)) if name == "BUS_SHIFTER"}
+        assert {pin.replace("LV", "HV") for pin in low} == high != set()
+        assert ("BOARD", role) not in net_of(board, ("SONAR", role)), "3.3 V on the sonar's bus"
+    assert ("BUS_SHIFTER", "LV 3V3") in net_of(board, ("BOARD", "3V3"))
+    assert ("BUS_SHIFTER", "HV V+") in net_of(board, ("SONAR", "V+")), "above the sonar's supply"
+    assert ("BUS_SHIFTER", "HV GND") in net_of(board, ("BOARD", "GND"))
+
+
+@every_board
+def test_only_soft_wires_move_with_the_gimbal(board: str) -> None:
+    """The stiff shielded lead ends at the clamp."""
+    cables = wiring.draw(board, wiring.OVERVIEW).cables
+    ends = {wire.to_name for wire in cables["W_SONAR"].connections if wire.to_name}
+    assert ends == {"SONAR_JOINT"}
+    assert (cables["W_SONAR_TAIL"].gauge, cables["W_SONAR_TAIL"].type) == (
+        "30",
+        "silicone, soft, twisted",
+    )
+
+
 @every_board
 def test_shield_is_grounded_at_one_end_only(board: str) -> None:
-    harness = wiring.draw(board, "sonar_5v" if board in FIVE_VOLT_BOARDS else "sonar_3v3")
+    harness = wiring.draw(board, "sonar_lead")
     ends = [w for w in harness.cables["W_SONAR"].connections if w.via_port == "s"]
     assert [(end.from_name, end.to_name) for end in ends] == [("FILTER", None)]
     assert ("BOARD", "GND") in net_of(board, ("W_SONAR", "s"))
@@ -118,13 +151,26 @@ def test_servos_have_their_own_supply_and_the_common_ground(board: str) -> None:
     assert ("BEC", "GND out") in ground
 
 
-@every_board
-def test_servo_signals_come_from_their_pins(board: str) -> None:
+@pytest.mark.parametrize("board", FIVE_VOLT_BOARDS)
+def test_servo_pulses_of_a_5v_board_come_from_their_pins(board: str) -> None:
     assert ("PAN_SERVO", "signal") in net_of(board, ("BOARD", "PAN"))
     assert ("TILT_SERVO", "signal") in net_of(board, ("BOARD", "TILT"))
 
 
-@pytest.mark.parametrize("board", [b for b in wiring.BOARDS if b not in FIVE_VOLT_BOARDS])
+@three_volt_boards
+def test_servo_pulses_of_a_3v3_board_pass_the_buffer(board: str) -> None:
+    for role, gate in (("PAN", "1"), ("TILT", "2")):
+        assert ("BUFFER", f"{gate}A") in net_of(board, ("BOARD", role))
+        assert ("BUFFER", f"{gate}Y") in net_of(board, (f"{role}_SERVO", "signal"))
+    assert ("BUFFER", "VCC") in net_of(board, ("RAIL", "5V servo")), "pulses above their supply"
+    assert ("BUFFER", "GND") in net_of(board, ("BOARD", "GND"))
+    # SN74AHCT125, DIP-14
+    buffer = wiring.draw(board, wiring.OVERVIEW).connectors["BUFFER"]
+    pins = dict(zip(buffer.pinlabels, buffer.pins, strict=True))
+    assert pins == {"VCC": 14, "GND": 7, "1A": 2, "1Y": 3, "2A": 5, "2Y": 6}
+
+
+@three_volt_boards
 def test_link_crosses_on_a_3v3_board(board: str) -> None:
     assert ("TELEM2", "RX (in)") in net_of(board, ("BOARD", "AP_TX"))
     assert ("TELEM2", "TX (out)") in net_of(board, ("BOARD", "AP_RX"))
@@ -151,12 +197,10 @@ def test_telem_plug_has_the_standards_order_and_no_flow_control(board: str) -> N
 
 
 @every_board
-def test_pullups_go_to_the_boards_own_logic_supply(board: str) -> None:
+def test_pullups_go_to_the_sonars_own_supply(board: str) -> None:
     notes = wiring.draw(board, wiring.OVERVIEW).connectors["FILTER"].notes
-    rail = "5V in" if board in FIVE_VOLT_BOARDS else "3V3"
-    assert f"R2 4.7 kohm from SDA to {rail}" in notes
-    assert f"R3 4.7 kohm from SCL to {rail}" in notes
-    assert ("FILTER", rail) in net_of(board, ("BOARD", "5V" if rail == "5V in" else "3V3"))
+    assert "R2 4.7 kohm from SDA to V+ out" in notes
+    assert "R3 4.7 kohm from SCL to V+ out" in notes
 
 
 def test_a_wire_to_nowhere_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -46,7 +46,7 @@ _PARTS = (
         "good",
         None,
         "check its 5 V behind R1, SDA and SCL for being swapped or open, and its address "
-        "(SONAR_ADDR, as delivered 112); 3.3 V boards want pull-ups to 3.3 V",
+        "(SONAR_ADDR, as delivered 112); 3.3 V boards: the bus's level shifter has 3.3 V and V+",
     ),
     (
         "memory",
