@@ -27,6 +27,9 @@ WORST = _goal(0.30, 0.50, 1.0)
 # Any two together: only that nobody comes too near.
 APART = _goal(math.inf, math.inf, 1.0)
 
+# As far as the row says, not drawn around it.
+EXACTLY = "gps.spread=0"
+
 ONE_BY_ONE = (
     Row(
         "beam of 20 degrees to 2 m, 6 at 4.6 m",
@@ -39,18 +42,18 @@ ONE_BY_ONE = (
     Row("deaf for 1 s in 3", (f"sonar.deaf_share={1 / 3}", "sonar.deaf_s=1"), BAD),
     Row("noise of 5 cm", ("sonar.noise_m=0.05",), BAD),
     Row("stock legs", ("leader.target=stock",), WORST),
-    Row("receivers of 1.5 m", ("gps.sigma_m=1.5",), WORST),
-    Row("heights of 1.0 m", ("gps.vertical_sigma_m=1.0",), WORST),
+    Row("receivers of 1.5 m", ("gps.sigma_m=1.5", EXACTLY), WORST),
+    Row("heights of 1.0 m", ("gps.vertical_sigma_m=1.0", EXACTLY), WORST),
 )
 ROWS = (Row("as shipped", (), SHIPPED), *ONE_BY_ONE)
 
 
 def _together(a: Row, b: Row) -> Row | None:
-    """Two of them at once; None: both set the same."""
-    keys = [{change.partition("=")[0] for change in row.changes} for row in (a, b)]
-    if keys[0] & keys[1]:
+    """Two of them at once; None: each wants another value of the same."""
+    changes = tuple(dict.fromkeys((*a.changes, *b.changes)))
+    if len({change.partition("=")[0] for change in changes}) < len(changes):
         return None
-    return Row(f"{a.name}; {b.name}", (*a.changes, *b.changes), APART)
+    return Row(f"{a.name}; {b.name}", changes, APART)
 
 
 PAIRS = tuple(row for a, b in combinations(ONE_BY_ONE, 2) if (row := _together(a, b)) is not None)
