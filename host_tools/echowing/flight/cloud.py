@@ -113,6 +113,7 @@ class Cloud:
         self._heard_at_s = -math.inf
         self._silent_at_s = -math.inf
         self._unforetold = 0
+        self._nearest_m = 0.0
         self._summarise()
 
     # ---- what is known ----
@@ -144,6 +145,12 @@ class Cloud:
         here to where it is believed, (north, east), and up by both vehicles' own heights; a leader
         behind here is nobody to fly at.
         """
+        asked = to_it_m, above_m, clear_m
+        if asked != self._asked:  # the plan and the envelope mostly ask the same
+            self._asked, self._nearest_m = asked, self._find_nearest_m(*asked)
+        return self._nearest_m
+
+    def _find_nearest_m(self, to_it_m: Horizontal, above_m: float, clear_m: float) -> float:
         far_m = math.hypot(*to_it_m)
         cos, sin = to_it_m[0] / max(far_m, CLOSE_M), to_it_m[1] / max(far_m, CLOSE_M)
         # From where it is believed to where a guess has it: towards here, and across. Past a leader
@@ -303,6 +310,7 @@ class Cloud:
 
     def _summarise(self) -> None:
         """Mean and covariance of the guesses."""
+        self._asked: tuple[Horizontal, float, float] | None = None
         self.north_m, self.east_m, self.up_m = map(float, self._off @ self._weight)
         self._around = north, east = self._off[0] - self.north_m, self._off[1] - self.east_m
         up = self._off[2] - self.up_m

@@ -234,16 +234,16 @@ def _checked_source(binding: Binding) -> str:
     lines = [
         "local call, check, class = ...",
         "local math_type, meta, select, type, classes = math_type, meta, select, type, classes",
+        "local own = class and class.meta",
         "return function(" + ("self, ..." if binding.owner else "...") + ")",
     ]
     if binding.owner:
-        wrong = "meta(self) ~= class.meta" if of_userdata else "self ~= class.only"
+        wrong = "meta(self) ~= own" if of_userdata else "self ~= class.only"
         lines.append(f"  if {wrong} then check.self(self, class, '{binding.name}') end")
     lines.append("  local given = select('#', ...)")
-    exact = "~=" if least == len(names) and not binding.variadic else "<"
-    bound = f"given {exact} {least}"
-    if exact == "<" and not binding.variadic:
-        bound += f" or given > {len(names)}"
+    too_few = [f"given < {least}"] if least else []
+    too_many = [] if binding.variadic else [f"given > {len(names)}"]
+    bound = " or ".join(too_few + too_many)
     lines.append(f"  if {bound} then check.arity(given, {least}, '{binding.name}') end")
     if names:
         lines.append(f"  local {', '.join(names)} = ...")
