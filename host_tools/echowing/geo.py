@@ -47,13 +47,14 @@ def load_exact() -> tuple[Any, Any, Any]:
 
 def ned_between(origin: GlobalPosition, point: GlobalPosition) -> Ned:
     """Local NED metres from `origin` to `point`; works across the antimeridian."""
-    here, there = _frame(origin), _frame(point)
-    x_m, y_m, z_m = there.x_m - here.x_m, there.y_m - here.y_m, there.z_m - here.z_m
-    outward_m = here.cos_lon * x_m + here.sin_lon * y_m
+    here_x_m, here_y_m, here_z_m, sin_lat, cos_lat, sin_lon, cos_lon = _frame(origin)
+    there_x_m, there_y_m, there_z_m, *_ = _frame(point)
+    x_m, y_m, z_m = there_x_m - here_x_m, there_y_m - here_y_m, there_z_m - here_z_m
+    outward_m = cos_lon * x_m + sin_lon * y_m
     return (
-        here.cos_lat * z_m - here.sin_lat * outward_m,
-        here.cos_lon * y_m - here.sin_lon * x_m,
-        -here.cos_lat * outward_m - here.sin_lat * z_m,
+        cos_lat * z_m - sin_lat * outward_m,
+        cos_lon * y_m - sin_lon * x_m,
+        -cos_lat * outward_m - sin_lat * z_m,
     )
 
 

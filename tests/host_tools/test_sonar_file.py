@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from echowing.cli import main
 from echowing.errors import EchowingError
@@ -141,3 +143,16 @@ def test_a_scenario_with_a_wrong_sonar_is_refused_before_it_flies(
     assert main(["sim", "echowing", "--set", "sonar.file=mb7"]) == 2
 
     assert "no sonar 'mb7'" in capsys.readouterr().err
+
+
+@given(
+    points=st.lists(st.tuples(st.floats(0.0, 8.0), st.floats(0.0, 1.0)), min_size=1, max_size=6),
+    range_m=st.floats(-1.0, 9.0),
+)
+def test_a_curve_is_at_one_range_what_it_is_at_many(
+    points: list[tuple[float, float]], range_m: float
+) -> None:
+    at_m, values = zip(*sorted(dict(points).items()), strict=True)
+    curve = Curve(at_m, values)
+    asked_m = [range_m, *at_m]
+    assert [curve.at(one_m) for one_m in asked_m] == curve.at(np.array(asked_m)).tolist()

@@ -9,6 +9,7 @@ both positions at the moment of the reading, and nothing has to be predicted.
 import math
 from collections import deque
 from dataclasses import dataclass
+from itertools import pairwise
 
 from echowing.flight.axis import Axis
 from echowing.flight.guidance import Horizontal
@@ -75,7 +76,7 @@ class History:
 
     def around(self, time_s: float) -> tuple[Report, Report] | None:
         """The reports before and after a moment; None: there are none near enough."""
-        for before, after in zip(self._reports, list(self._reports)[1:], strict=False):
+        for before, after in pairwise(self._reports):
             if before.time_s <= time_s <= after.time_s:
                 near = after.time_s - before.time_s <= LONGEST_GAP_S
                 return (before, after) if near else None

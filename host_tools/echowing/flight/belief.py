@@ -5,6 +5,7 @@ the simulator's sonar is drawn anew for each flight, and a real one is what it i
 """
 
 import math
+from bisect import bisect_right
 from dataclasses import dataclass
 from typing import overload
 
@@ -38,7 +39,13 @@ class Curve:
         if isinstance(range_m, np.ndarray):
             found: Values = np.interp(range_m, self.at_m, self.values)
             return found
-        return float(np.interp(range_m, self.at_m, self.values))
+        # As np.interp, to the last digit, which takes six times as long for one value.
+        after = bisect_right(self.at_m, range_m)
+        if after in (0, len(self.at_m)):
+            return self.values[max(0, after - 1)]
+        before_m, before = self.at_m[after - 1], self.values[after - 1]
+        slope = (self.values[after] - before) / (self.at_m[after] - before_m)
+        return slope * (range_m - before_m) + before
 
 
 @dataclass(frozen=True, slots=True)

@@ -113,6 +113,7 @@ class Cloud:
         self._heard_at_s = -math.inf
         self._silent_at_s = -math.inf
         self._unforetold = 0
+        self._nearest_m = 0.0
         self._summarise()
 
     # ---- what is known ----
@@ -144,18 +145,34 @@ class Cloud:
         here to where it is believed, (north, east), and up by both vehicles' own heights; a leader
         behind here is nobody to fly at.
         """
+        asked = to_it_m, above_m, clear_m
+        if asked != self._asked:  # the plan and the envelope mostly ask the same
+            self._asked, self._nearest_m = asked, self._find_nearest_m(*asked)
+        return self._nearest_m
+
+    def _find_nearest_m(self, to_it_m: Horizontal, above_m: float, clear_m: float) -> float:
         far_m = math.hypot(*to_it_m)
         cos, sin = to_it_m[0] / max(far_m, CLOSE_M), to_it_m[1] / max(far_m, CLOSE_M)
         # From where it is believed to where a guess has it: towards here, and across. Past a leader
         # that is further across one may come nearer.
-        north, east = self._off[0] - self.north_m, self._off[1] - self.east_m
-        nearer, across = north * cos + east * sin, east * cos - north * sin
+        north, east = self._around
+        nearer = north * cos
+        nearer += east * sin
+        across = east * cos
+        across -= north * sin
+        across *= across
         up = above_m - self._off[2]
-        reach_m2 = clear_m * clear_m - across * across - up * up
+        up *= up
+        reach_m2 = clear_m * clear_m - across
+        reach_m2 -= up
         there = np.flatnonzero((reach_m2 > 0.0) & (nearer < far_m))
         room_m, weight = nearer[there] + np.sqrt(reach_m2[there]), self._weight[there]
         if float(weight.sum()) <= RISK:
             return 0.0
+        # The furthest are enough; they are rarely more than one in ten.
+        likely = np.flatnonzero(room_m > 0.5 * (room_m.max() + room_m.sum() / len(room_m)))
+        if float(weight[likely].sum()) > 2.0 * RISK:
+            room_m, weight = room_m[likely], weight[likely]
         furthest = np.argsort(-room_m)
         place = int(np.searchsorted(np.cumsum(weight[furthest]), RISK, side="right"))
         return max(0.0, float(room_m[furthest[min(place, len(furthest) - 1)]]))
@@ -279,10 +296,13 @@ class Cloud:
 
     def _changed(self, values: Array) -> Array:
         """Nearer to their mean, and scattered by as much: the spread stays."""
-        mean, spread = float(values.mean()), float(values.std())
-        kept: Array = KEPT_OF_SPREAD * (values - mean)
-        changed: Array = kept + mean + NEW_OF_SPREAD * spread * self._normal(1)[0]
-        return changed
+        mean = float(values.sum()) / GUESSES
+        off = values - mean
+        spread = math.sqrt(float((off * off).sum()) / GUESSES)
+        off *= KEPT_OF_SPREAD
+        off += mean
+        off += NEW_OF_SPREAD * spread * self._normal(1)[0]
+        return off
 
     def _normal(self, rows: int) -> Array:
         drawn: Array = self._chance.standard_normal((rows, GUESSES))
@@ -290,8 +310,9 @@ class Cloud:
 
     def _summarise(self) -> None:
         """Mean and covariance of the guesses."""
+        self._asked: tuple[Horizontal, float, float] | None = None
         self.north_m, self.east_m, self.up_m = map(float, self._off @ self._weight)
-        north, east = self._off[0] - self.north_m, self._off[1] - self.east_m
+        self._around = north, east = self._off[0] - self.north_m, self._off[1] - self.east_m
         up = self._off[2] - self.up_m
         weight = self._weight
         self._covariance: tuple[float, float, float] = (

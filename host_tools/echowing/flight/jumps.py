@@ -130,7 +130,6 @@ def beyond_movement_m(before: Report, after: Report) -> Horizontal:
     """How far a report is from where the one before leads, (north, east)."""
     elapsed_s = after.time_s - before.time_s
     north_m, east_m, _ = ned_between(before.position, after.position)
-    mean_n, mean_e = (
-        (a + b) / 2.0 for a, b in zip(before.velocity_mps, after.velocity_mps, strict=True)
-    )
+    (before_n, before_e), (after_n, after_e) = before.velocity_mps, after.velocity_mps
+    mean_n, mean_e = (before_n + after_n) / 2.0, (before_e + after_e) / 2.0
     return north_m - mean_n * elapsed_s, east_m - mean_e * elapsed_s

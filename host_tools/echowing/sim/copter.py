@@ -204,7 +204,7 @@ class Copter(EstimatedPosition):
         self._yaw_shaped = self.yaw_rad
         self._yaw_shaped_rate = 0.0
         self._dt = 0.0
-        self.set_limits(TrackLimits())
+        self._take_limits(TrackLimits())
         self.settle()
 
     def settle(self) -> None:
@@ -223,6 +223,10 @@ class Copter(EstimatedPosition):
         The autopilot reads them from its parameters when a sub-mode or a mission starts, and when
         the speed is set (AC_PosControl::NE_set_max_speed_accel_m); whoever plays it does so too.
         """
+        if limits is not self.limits:  # a new speed mostly brings the same
+            self._take_limits(limits)
+
+    def _take_limits(self, limits: TrackLimits) -> None:
         self.limits = limits
         # However high PSC_JERK_NE is, the jerk stays below what the lean's rate makes, and below
         # half the root of WP_ACC times what its acceleration makes (AC_PosControl.cpp).

@@ -236,10 +236,10 @@ class FormationFlight(FormationWorld):
             self.phases[label] = min(self.phases.get(label, math.inf), closest_m)
 
     def _followers_apart_m(self) -> float:
-        positions = [follower.position_ned_m for follower in self.followers]
         # Fifty followers have 1225 pairs: once a sample is often enough for what drifts slowly.
-        if len(positions) < 2 or self._step % STEPS_PER_SAMPLE:
+        if len(self.followers) < 2 or self._step % STEPS_PER_SAMPLE:
             return math.inf
+        positions = [follower.position_ned_m for follower in self.followers]
         return min(math.dist(a, b) for i, a in enumerate(positions) for b in positions[:i])
 
     def _record(self) -> None:

@@ -89,7 +89,9 @@ class _Estimate:
         """The estimate's error after `dt_s` more seconds."""
         if dt_s != self._dt_s:
             self._dt_s, self._blend = dt_s, 1.0 - math.exp(-dt_s / ESTIMATE_LAG_S)
-        error_m = sum(one.step(dt_s) for one in self._errors)
+        error_m = 0.0
+        for one in self._errors:
+            error_m += one.step(dt_s)
         self._error_m += self._blend * (error_m - self._error_m)
         return self._error_m
 
@@ -112,10 +114,10 @@ class Drift:
         by_receiver: bool = False,
     ) -> None:
         drifts = chance("")
-        self._axes = [
+        self._north, self._east = (
             _Estimate(_Wander(errors.sigma_m, errors.tau_s, drifts), *_beside(errors, chance, axis))
             for axis in ("north", "east")
-        ]
+        )
         barometer = _Wander(
             errors.height_sigma_m, errors.height_tau_s, chance("height"), at_rest=parked
         )
@@ -131,7 +133,7 @@ class Drift:
 
         A jump (`jump_ned_m`, a fault) is added at once: the filter resets to it.
         """
-        north, east = (axis.step(dt_s) for axis in self._axes)
+        north, east = self._north.step(dt_s), self._east.step(dt_s)
         down, jump = self._height.step(dt_s), self.jump_ned_m
         if not self._by_receiver:
             self._receiver_height.step(dt_s)

@@ -12,6 +12,7 @@ from echowing.mavlink.messages import TOOL_COMPONENT_ID, TOOL_SYSTEM_ID
 from echowing.mavlink.plausible import Door
 from echowing.mavlink.signing import Parser
 from echowing.sim.autopilot import Autopilot
+from echowing.sim.links import decoded
 from echowing.sim.radio import Radio
 from echowing.sim.streams import START_UNIX_S
 
@@ -150,7 +151,6 @@ class GroundStation:
         if session.settings.feed_forward:
             self._heard.add(mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR)
         self._mav = mavlink.MAVLink(None, srcSystem=TOOL_SYSTEM_ID, srcComponent=TOOL_COMPONENT_ID)
-        self._mav.robust_parsing = True
 
     @property
     def events(self) -> list[tuple[float, str]]:
@@ -173,7 +173,7 @@ class GroundStation:
             link.deliver(t_s)
             for frame in link.collect(t_s):
                 if self.running and message_id(frame) in self._heard:
-                    self._hear(self._mav.decode(bytearray(frame)), t_s)
+                    self._hear(decoded(frame), t_s)
         if t_s >= self._due_s - 1e-9:
             self._due_s += self._period_s
             if self.running:

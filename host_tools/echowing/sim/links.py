@@ -4,6 +4,7 @@ Routing follows ArduPilot's libraries/GCS_MAVLink/MAVLink_routing.cpp.
 """
 
 from collections.abc import Callable, Iterator
+from functools import lru_cache
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -23,6 +24,16 @@ _BROADCAST = 0
 _BUFFER_BYTES, _FRAME_BYTES = 256, 12
 # pymavlink's word for a wrong checksum.
 _BAD_CHECKSUM = "invalid MAVLink CRC"
+_DECODER = mavlink.MAVLink(None)
+
+
+@lru_cache(maxsize=1024)
+def decoded(frame: bytes) -> Any:
+    """The message of a frame, whoever may have signed it; not to be changed.
+
+    A frame passes an autopilot and a ground station, and is decoded once. Raises MAVError.
+    """
+    return _DECODER.decode(bytearray(frame))
 
 
 class SerialLink:
@@ -77,14 +88,15 @@ class SerialLink:
         checksum cannot be known. What signing refuses is dropped.
         """
         data, self._incoming = bytes(self._incoming), bytearray()
-        for frame in self._framer.cut(data):
+        signed = self._mav.signing.secret_key is not None
+        for frame in map(bytes, self._framer.cut(data)):
             try:
-                message = self._mav.decode(frame)
+                message = self._mav.decode(bytearray(frame)) if signed else decoded(frame)
             except mavlink.MAVError as error:
                 if str(error).startswith(_BAD_CHECKSUM):
-                    yield bytes(frame), None
+                    yield frame, None
                 continue
-            yield bytes(frame), message if message.get_msgId() >= 0 else None  # unknown: below 0
+            yield frame, message if message.get_msgId() >= 0 else None  # unknown: below 0
 
     def send(self, message: Any) -> None:
         """Pack a message and queue its bytes."""

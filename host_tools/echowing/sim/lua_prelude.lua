@@ -9,14 +9,13 @@
 local py, script_source = ...
 
 local KEY = {} -- where a disguised userdata keeps its value; no script can name this key
-local TRUE_TYPE, MATH_TYPE, SELECT = type, math.type, select
+local TRUE_TYPE, MATH_TYPE, SELECT, META = type, math.type, select, getmetatable
 local METRES_PER_LATLNG = 0.011131884502145034 -- 1e-7 degrees of latitude, AP_Common/Location.h
 
-local classes = {} -- class name -> metatable
+local classes = {} -- class name -> class, metatable -> class
 
 local function class_of(value)
-    local meta = TRUE_TYPE(value) == 'table' and getmetatable(value)
-    return meta and classes[meta]
+    return classes[META(value)]
 end
 
 local function type_name(value)
@@ -118,7 +117,7 @@ end
 local u32 = new_class('uint32_t')
 
 local function to_u32(value, position)
-    if class_of(value) == u32 then return value[KEY] end
+    if META(value) == u32.meta then return value[KEY] end
     local number = to_number(value)
     local integer = number and math.tointeger(number)
     if integer and integer >= 0 then return integer end
@@ -507,14 +506,15 @@ local function owner_table(owner)
     return class.methods, class
 end
 
--- Adds one checked call. `build` is the loaded source that luahost wrote from the annotations.
+-- Adds one checked call. `source` is what luahost wrote from the annotations.
 local host = {}
+local offered = { math_type = MATH_TYPE, meta = META, select = SELECT, type = TRUE_TYPE, classes = classes }
 
 function host.bind(owner, name, source)
     local methods, class = owner_table(owner)
     local call = raw[owner] and raw[owner][name]
     if not call then error('no implementation of ' .. owner .. ':' .. name) end
-    methods[name] = load(source, '=bindings', 't', { MATH_TYPE = MATH_TYPE, select = SELECT })(call, check, class)
+    methods[name] = load(source, '=bindings', 't', offered)(call, check, class)
 end
 
 function host.load(source, chunk_name)

@@ -228,40 +228,66 @@ def _parameter(match: re.Match[str]) -> Parameter:
 
 
 def _checked_source(binding: Binding) -> str:
-    """Lua source of the function that checks a call's arguments and then makes it."""
+    """Lua source of the function that checks a call's arguments and then makes it.
+
+    What is right in the first place is seen here; `check` coerces, or fails.
+    """
     names = [f"a{i}" for i, _ in enumerate(binding.parameters, 1)]
     least = sum(not p.optional for p in binding.parameters)
-    most = "math.huge" if binding.variadic else str(len(names))
+    of_userdata = binding.owner.endswith("_ud")
     lines = [
         "local call, check, class = ...",
+        "local math_type, meta, select, type, classes = math_type, meta, select, type, classes",
+        "local own = class and class.meta",
         "return function(" + ("self, ..." if binding.owner else "...") + ")",
     ]
     if binding.owner:
-        lines.append(f"  if self ~= class.only then check.self(self, class, '{binding.name}') end")
+        wrong = "meta(self) ~= own" if of_userdata else "self ~= class.only"
+        lines.append(f"  if {wrong} then check.self(self, class, '{binding.name}') end")
     lines.append("  local given = select('#', ...)")
-    bound = f"given < {least}" + ("" if binding.variadic else f" or given > {most}")
+    too_few = [f"given < {least}"] if least else []
+    too_many = [] if binding.variadic else [f"given > {len(names)}"]
+    bound = " or ".join(too_few + too_many)
     lines.append(f"  if {bound} then check.arity(given, {least}, '{binding.name}') end")
     if names:
         lines.append(f"  local {', '.join(names)} = ...")
     for position, (name, parameter) in enumerate(zip(names, binding.parameters, strict=True), 1):
         lines.append(_check_line(name, parameter, position, binding.name))
-    passed = (["self"] if binding.owner.endswith("_ud") else []) + names
+    passed = (["self"] if of_userdata else []) + names
     if binding.variadic:
         passed.append(f"select({len(names) + 1}, ...)")
     return "\n".join([*lines, f"  return call({', '.join(passed)})", "end"])
 
 
+# What is right in the first place, by kind; a float is taken as it is.
+_RIGHT = {
+    "number": "math_type({0}) == 'float'",
+    "integer": "math_type({0}) == 'integer'",
+    "string": "type({0}) == 'string'",
+    "boolean": "type({0}) == 'boolean'",
+}
+
+
 def _check_line(name: str, parameter: Parameter, position: int, function: str) -> str:
-    plain = parameter.kind if parameter.kind in {"number", "integer", "string", "boolean"} else None
-    if plain is None and "|" not in parameter.kind and parameter.kind.endswith("_ud"):
-        extra = f", '{parameter.kind.removesuffix('_ud')}'"
-        check = f"{name} = check.userdata({name}, {position}, '{function}'{extra})"
-    elif plain is None:
-        check = f"{name} = check.any({name})"
+    kind, extra = parameter.kind, ""
+    if kind in _RIGHT:
+        right = _RIGHT[kind].format(name)
+        if parameter.span:
+            least, most = parameter.span
+            right += f" and {name} >= {least} and {name} <= {most}"
+            extra = f", {least}, {most}"
+    elif "|" not in kind and kind.endswith("_ud"):
+        userdata = kind.removesuffix("_ud")
+        right, extra, kind = (
+            f"meta({name}) == classes.{userdata}.meta",
+            f", '{userdata}'",
+            "userdata",
+        )
     else:
-        span = f", {parameter.span[0]}, {parameter.span[1]}" if parameter.span else ""
-        check = f"{name} = check.{plain}({name}, {position}, '{function}'{span})"
-    return f"  if {name} ~= nil then {check} end" if parameter.optional else f"  {check}"
+        return f"  -- {name}: anything"
+    unless = f"{name} == nil or ({right})" if parameter.optional else right
+    check = f"{name} = check.{kind}({name}, {position}, '{function}'{extra})"
+    return f"  if not ({unless}) then {check} end"
 
 
 @cache

@@ -158,7 +158,9 @@ class Parameters:
         self._values: dict[str, float] = {}
         self._names: list[str] = []
         self._tables: dict[int, tuple[str, int]] = {}
-        self._motion_limits: tuple[tuple[float, ...], TrackLimits] | None = None
+        self._motion_limits: TrackLimits | None = None
+        """None: one of the parameters that they are made of was set."""
+        self._of_motion = {*_LEAN, *(name for name, _ in self.dialect.limits.values())}
         for name, kind, default in _rows(generation):
             self._declare(name, kind, default)
 
@@ -194,6 +196,8 @@ class Parameters:
         if name not in self._values or not math.isfinite(value):
             return False
         self._values[name] = self._fitted(name, value)
+        if name in self._of_motion:
+            self._motion_limits = None
         return True
 
     def save(self, name: str, value: float) -> bool:
@@ -252,11 +256,9 @@ class Parameters:
 
     def motion_limits(self) -> TrackLimits:
         """The limits of acceleration, jerk and vertical speed; defaults where 0 or less is set."""
-        limits = (name for name, _ in self.dialect.limits.values())
-        values = tuple(map(self.value, (*limits, *_LEAN)))
-        if self._motion_limits is None or self._motion_limits[0] != values:
-            self._motion_limits = values, self._read_motion_limits()
-        return self._motion_limits[1]
+        if self._motion_limits is None:
+            self._motion_limits = self._read_motion_limits()
+        return self._motion_limits
 
     def _read_motion_limits(self) -> TrackLimits:
         names, defaults = self.dialect.limits, TrackLimits()
