@@ -237,10 +237,10 @@ def nearest_by_definition(cloud: Cloud, to_it_m: Horizontal, above_m: float) -> 
     far_m = math.hypot(*to_it_m)
     north, east = to_it_m[0] / far_m, to_it_m[1] / far_m
     rooms: list[tuple[float, float]] = []
-    for (off_n, off_e, off_u), weight in zip(cloud._off.T, cloud._weight, strict=True):
-        off_n, off_e = off_n - cloud.north_m, off_e - cloud.east_m
+    for guess, weight in zip(cloud._off.T, cloud._weight, strict=True):
+        off_n, off_e = guess[0] - cloud.north_m, guess[1] - cloud.east_m
         nearer, across = off_n * north + off_e * east, off_e * north - off_n * east
-        reach_m2 = 1.0 - across * across - (above_m - off_u) ** 2
+        reach_m2 = 1.0 - across * across - (above_m - guess[2]) ** 2
         if reach_m2 > 0.0 and nearer < far_m:
             rooms.append((nearer + math.sqrt(reach_m2), weight))
     nearest_m, left = 0.0, RISK
