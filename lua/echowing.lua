@@ -21,14 +21,13 @@
 ---@diagnostic disable: need-check-nil
 
 -- Each script gets its own copy of the vehicle's libraries. What this one does not use of them goes: it takes 2 kB.
-local abs, cos, deg, exp, max, min = math.abs, math.cos, math.deg, math.exp, math.max, math.min
+local abs, atan, cos, deg, exp, max, min = math.abs, math.atan, math.cos, math.deg, math.exp, math.max, math.min
 local pi, sin, sqrt = math.pi, math.sin, math.sqrt
 io, math, package, require, table = nil, nil, nil, nil, nil
 
 local boot = millis() -- first: the operators of its class take the largest block of all
 
 -- The vehicle's memory is small: a number that is used once stands where it is used.
-local BLIND_MS = 2500 -- a target lost while too close is taken to be there for this time: no speed without sonar yet
 local FASTEST_MPS = 30 -- no copter flies faster; WPNAV_SPEED and WP_SPD reach 20
 
 local function say(severity, text) -- MAV_SEVERITY: 2 critical, 3 error, 4 warning, 5 notice, 6 information
@@ -175,25 +174,25 @@ local yaw_rad = ahrs.get_yaw_rad or ahrs.get_yaw
 -- Name, default, lowest and highest accepted value, and the number by which the autopilot finds what a pilot has saved:
 -- the numbers of parameters that are gone stay free. A text takes less of the vehicle's memory than a table.
 local PARAMETERS = [[
-    'ENABLE', 0, 0, 1, 1,
-    'DIST', 3.0, 1.5, 6.0, 3,
-    'DETECT', 4.5, 2.0, 7.6, 4,
-    'TAU', 0.12, 0.05, 1.0, 12,
-    'SPD_MIN', 0.2, 0.2, 2.0, 13,
-    'SPD_MAX', 5.0, 1.0, 15.0, 14,
-    'SPD_LOST', 3.0, 0.2, 15.0, 16,
-    'LOST_T', 1.3, 0.3, 10.0, 17,
-    'NODATA_T', 1.0, 0.3, 10.0, 18,
-    'CLOSE', 1.5, 0.5, 4.0, 19,
-    'DELAY', 0.6, 0.1, 2.0, 20,
-    'DECEL', 2.5, 0.5, 10.0, 21,
-    'STREAM_T', 1.0, 0.0, 10.0, 23,
-    'SWITCH', 0, 0, 307, 24,
-    'LOG_HZ', 10, 0, 20, 25,
-    'ARM_CHK', 1, 0, 1, 26,
-    'INSET', 0.2, 0.0, 1.0, 27,
-    'MIRROR', 0, 0, 5000, 28,
-    'FORMAT', 2, 2, 2, 29,
+ENABLE 0 0 1 1
+DIST 3 1.5 6 3
+DETECT 4.5 2 7.6 4
+TAU 0.12 0.05 1 12
+SPD_MIN 0.2 0.2 2 13
+SPD_MAX 5 1 15 14
+SPD_LOST 3 0.2 15 16
+LOST_T 1.3 0.3 10 17
+NODATA_T 1 0.3 10 18
+CLOSE 1.5 0.5 4 19
+DELAY 0.6 0.1 2 20
+DECEL 2.5 0.5 10 21
+STREAM_T 1 0 10 23
+SWITCH 0 0 307 24
+LOG_HZ 10 0 20 25
+ARM_CHK 1 0 1 26
+INSET 0.2 0 1 27
+MIRROR 0 0 5000 28
+FORMAT 2 2 2 29
 ]]
 
 local C = {} -- values in force: C.DIST, ...
@@ -228,7 +227,7 @@ do
     -- 95 is the table key that no script in ArduPilot's tree uses.
     local left = param:get('ECHO_MIRROR')
     assert(param:add_table(95, 'ECHO_', 29), 'ECHO: parameter table key 95 is taken')
-    for name, value, low, high, id in PARAMETERS:gmatch("'(%S+)', (%S+), (%S+), (%S+), (%S+),") do
+    for name, value, low, high, id in PARAMETERS:gmatch('(%S+) (%S+) (%S+) (%S+) (%S+)') do
         local i = #names + 1
         assert(param:add_param(95, tonumber(id), name, tonumber(value)), 'ECHO: cannot add ECHO_' .. name)
         names[i], C[name], least[i], most[i] = name, tonumber(value), tonumber(low), tonumber(high)
@@ -243,15 +242,16 @@ end
 
 -- The parts and their state -------------------------------------------------------------------------------------------
 
--- Speeds are along the nose, where the sonar looks. Times are in ms; nil is "never".
-local own = { mps = 0, accel_mps2 = 0 } -- this vehicle's motion; at_ms: when
+-- Speeds are along the beam, which is at the leader's bearing. Times are in ms; nil is "never".
+local own = { mps = 0, north_mps = 0, east_mps = 0, accel_mps2 = 0 } -- this vehicle's motion; at_ms: when
+local look = { north = 1, east = 0 } -- where the sonar looks, a unit vector
 local track = { -- what the sonar reads (averages, single readings), and where the leader is by that, and how fast
     board_ms = 0, late_ms = 0, quickest_ms = 0, dated = 0, leader_mps = 0, seen_ms = 0, readings = 0, spike_ms = 0,
     noise_m = 0.0,
 }
-local hold = { mps = 0 } -- moves points along the beam
+local hold = {} -- moves points along the beam
 local guard = {} -- keeps away from the leader
-local stream = { north_mps = 0, east_mps = 0, yaw_rps = 0 } -- the ground tool's guided points
+local stream = { north_mps = 0, east_mps = 0 } -- the ground tool's guided points
 local speed = { out_mps = 0, changes = {} } -- the speed parameter: ours, the pilot's, another script's
 -- What pilots see: 0 off, 1 searching, 2 tracking, 3 too close, 4 no sonar data, 5 stream lost, 6 backing off, 7
 -- holding.
@@ -271,7 +271,7 @@ end
 
 -- Every target and every speed that leaves the applet passes here: numbers, near, and no more than a copter can. What
 -- is not goes nowhere. mps: the speed limit; nil: a target. False: it was not sent, or the autopilot refused it.
-local function order(mps, position, velocity, acceleration, look_rad, turn_rps)
+local function order(mps, position, velocity, acceleration, nose_rad)
     if mps then
         if not is_within(mps, FASTEST_MPS) or mps <= 0 then return refuse('implausible speed') end
         vehicle:set_desired_speed(mps)
@@ -283,37 +283,52 @@ local function order(mps, position, velocity, acceleration, look_rad, turn_rps)
     here:y(position:y() - here:y())
     here:z(position:z() - here:z())
     -- The leader is within the sonar's reach, and its point within a second's flight of it; no copter is 100 km from
-    -- where its estimator began, decelerates harder than the highest ECHO_DECEL, or turns its nose by 4 rad/s. The
-    -- autopilot takes a yaw of up to 360 degrees.
+    -- where its estimator began, or decelerates harder than the highest ECHO_DECEL. The autopilot takes a yaw of up to
+    -- 360 degrees.
     if not (is_within(here:length(), 50) and is_within(position:length(), 1e5)
         and is_within(velocity:length(), FASTEST_MPS) and is_within(acceleration:length(), 10)
-        and is_within(look_rad, 2 * pi) and is_within(turn_rps, 4)) then
+        and is_within(nose_rad, 2 * pi)) then
         return refuse('implausible target')
     end
-    return vehicle:set_target_posvelaccel_NED(position, velocity, acceleration, true, deg(look_rad),
-        turn_rps ~= 0, deg(turn_rps), false)
+    return vehicle:set_target_posvelaccel_NED(position, velocity, acceleration, true, deg(nose_rad),
+        false, 0, false)
+end
+
+-- So does every order to the gimbal: to look at what is so far north and east, moves past so fast, and may be so far
+-- aside. GIMBAL_DEVICE_SET_ATTITUDE: the rotation from north to there in the earth frame, its height left as the ground
+-- tool has ordered it (84), and how fast it turns; a beam has no roll, and the rate of it is the standard deviation.
+function look.order(north_m, east_m, north_mps, east_mps, aside_m)
+    local far_m = max(1, sqrt(north_m * north_m + east_m * east_m)) -- nearer it turns faster than any gimbal
+    local half_rad, unsure_rad = 0.5 * atan(east_m, north_m), atan(aside_m, far_m)
+    local turn_rps = (north_m * east_mps - east_m * north_mps) / (far_m * far_m)
+    if not (is_within(turn_rps, 4) and is_within(unsure_rad, pi)) then return refuse('implausible look') end
+    return mavlink:send_chan(track.link, 284, ('<fffffffI2BB'):pack(cos(half_rad), 0, 0, sin(half_rad), unsure_rad, 0,
+        turn_rps, 84, MY_SYSTEM, track.component))
 end
 
 -- This vehicle's motion ----------------------------------------------------------------------------------------------
 
 do
-    -- Own speed along the heading, 0 while the estimator has none, and how it is changing: smoothed (100 ms), and no
-    -- more than the vehicle can.
+    -- Own speed along the beam, 0 while the estimator has none, and how it is changing: smoothed (100 ms), and no more
+    -- than the vehicle can. A beam that turns changes the speed along it: that is no acceleration, and to the track it is
+    -- as if the leader's had changed by as much, for the range goes on as it did.
     function own.update(t_ms)
-        local velocity, mps = ahrs:get_velocity_NED(), 0
-        if velocity then
-            local yaw = yaw_rad(ahrs)
-            mps = velocity:x() * cos(yaw) + velocity:y() * sin(yaw)
-            if not is_within(mps, FASTEST_MPS) then mps = 0 end
+        local velocity, north_mps, east_mps = ahrs:get_velocity_NED(), 0, 0
+        if velocity and is_within(velocity:length(), FASTEST_MPS) then
+            north_mps, east_mps = velocity:x(), velocity:y()
         end
         local dt_ms = own.at_ms and t_ms - own.at_ms or 1000
+        look.update(t_ms, dt_ms * 0.001)
+        local before_mps = own.north_mps * look.north + own.east_mps * look.east
+        local mps = north_mps * look.north + east_mps * look.east
         if dt_ms > 200 then
             own.accel_mps2 = 0 -- too long ago to compare with
         elseif dt_ms > 0 then
-            local change_mps2 = clamp((mps - own.mps) * 1000 / dt_ms, -C.DECEL, C.DECEL)
+            local change_mps2 = clamp((mps - before_mps) * 1000 / dt_ms, -C.DECEL, C.DECEL)
             own.accel_mps2 = own.accel_mps2 + (change_mps2 - own.accel_mps2) * dt_ms / (dt_ms + 100)
         end
-        own.mps, own.at_ms = mps, t_ms
+        track.turn(before_mps - own.mps)
+        own.mps, own.north_mps, own.east_mps, own.at_ms = mps, north_mps, east_mps, t_ms
     end
 
     -- Guided would turn the nose, and with it the sonar, towards a target without a yaw. False: refused.
@@ -322,15 +337,14 @@ do
         position:y(position:y() + east_m)
         -- With a velocity, as the points: Guided starts another way of flying with the lean of the moment for its
         -- steady part, and a vehicle that brakes or speeds up would swing by metres.
-        return order(nil, position, Vector3f(), Vector3f(), yaw_rad(ahrs), 0)
+        return order(nil, position, Vector3f(), Vector3f(), yaw_rad(ahrs))
     end
 
-    -- Flies to a place so far straight back, at this height, looking where it looks now.
+    -- Flies to a place so far straight back from the leader, at this height, its nose where it is now.
     function own.fly_back(back_m)
         local position = ahrs:get_relative_position_NED_origin()
         if not position then return false end
-        local yaw = yaw_rad(ahrs)
-        return fly_to(position, -back_m * cos(yaw), -back_m * sin(yaw))
+        return fly_to(position, -back_m * look.north, -back_m * look.east)
     end
 
     -- Whether it has come to rest, but for what the estimator is off: one that still leans only turns round.
@@ -357,9 +371,46 @@ do
     end
 end
 
+-- The beam ----------------------------------------------------------------------------------------------------------
+
+do
+    local point_ms -- of the newest point that told the bearing
+    local sent_ms -- of the newest order to the gimbal
+
+    -- Through a lost link the applet orders the gimbal, until the leader is lost. The co-processor obeys once the ground
+    -- tool has been silent for a second.
+    local function carry_on(t_ms, untold_ms, far_m, north_mps, east_mps)
+        if untold_ms <= 500 or not (control.active and track.fresh(t_ms) and track.link and mavlink.send_chan)
+            or sent_ms and t_ms - sent_ms < 150 then
+            return
+        end
+        sent_ms = t_ms
+        -- Heard, it is in the beam; a leader that turns off does it with 1 m/s2.
+        local unseen_s = (t_ms - track.seen_ms) * 0.001
+        look.order(look.north * far_m, look.east * far_m, north_mps, east_mps, 0.2 + 0.5 * unseen_s * unseen_s)
+    end
+
+    -- The leader's bearing is the yaw of each point, and goes on by the point's velocity, which after 2 s tells nothing of
+    -- the leader any more, and by the own. Where nothing tells it, the sonar looks ahead.
+    function look.update(t_ms, dt_s)
+        local look_rad, untold_ms = yaw_rad(ahrs), stream.at_ms and stream.yaw_rad and t_ms - stream.at_ms
+        if untold_ms and (untold_ms < 1000 or track.fresh(t_ms)) then
+            local share = max(0, 1 - untold_ms / 2000)
+            local north_mps, east_mps = share * stream.north_mps - own.north_mps, share * stream.east_mps - own.east_mps
+            local far_m = max(1, track.range_m or hold.distance_m())
+            look_rad = stream.at_ms ~= point_ms and stream.yaw_rad
+                or atan(look.east * far_m + east_mps * dt_s, look.north * far_m + north_mps * dt_s)
+            point_ms = stream.at_ms
+            carry_on(t_ms, untold_ms, far_m, north_mps, east_mps)
+        end
+        if is_within(look_rad, 2 * pi) then look.north, look.east = cos(look_rad), sin(look_rad) end
+    end
+end
+
 -- Sonar track --------------------------------------------------------------------------------------------------------
 
 do
+    local SPEEDS = { 'leader_mps', 'seen_mps', 'own_mps', 'spike_own_mps', 'slowest_mps', 'fastest_mps' }
     local TRUST_READINGS = 3 -- so many readings in agreement are a target; two wild ones in a row happen
     -- 0.05 s is the age of a single reading as it is sent, and what the wire takes at the least; no copter brakes
     -- harder than with 4 m/s2.
@@ -398,11 +449,12 @@ do
         return board_ms + track.late_ms
     end
 
-    function track.take(payload, t_ms)
+    function track.take(payload, sender, link, t_ms)
         local board_ms, value, name = ('<I4fc10'):unpack(payload)
         if name ~= 'SNR_RAW\0\0\0' then return end
         if not is_within(value, 20) or value <= 0 then return refuse('implausible reading') end
         track.raw_m, track.raw_ms = value + C.INSET, taken_ms(board_ms, t_ms)
+        track.component, track.link = sender & 0xFF, link
         -- Stuck: readings stay the same to the centimetre while this vehicle changes its speed, and no leader flies so
         -- exactly alike. Of themselves no more than four in a row are the same.
         if track.raw_m ~= track.same_m then
@@ -423,46 +475,37 @@ do
         end
     end
 
-    -- While it backs off the nose is up and the sonar often sees nothing: a leader lost while near is near until the
-    -- sonar shows otherwise, for as long as the track can be carried on.
-    local function fresh(t_ms)
-        if not track.range_m then return false end
-        local near = guard.evading or (hold.active and track.range_m < hold.distance_m())
-        return t_ms - track.seen_ms <= (near and BLIND_MS or 700)
+    -- Whether a leader was heard that is not lost yet.
+    function track.fresh(t_ms)
+        return track.range_m and t_ms - track.seen_ms < C.LOST_T * 1000
     end
 
     function track.trusted(t_ms)
-        return fresh(t_ms) and track.readings >= TRUST_READINGS
+        return track.fresh(t_ms) and track.readings >= TRUST_READINGS
     end
 
-    -- How hard the leader brakes, or speeds up towards this vehicle, by what was seen last: 0 or less. Under 0.8 m/s2
-    -- it is noise of the sonar (1 cm). After 1 s, of radio, the ground tool knows of it; a leader for which the slot
-    -- was not opened is on a mission, or slow, and most likely flies round a corner.
+    -- How hard the leader brakes, or speeds up towards this vehicle: 0 or less. Under 0.8 m/s2 it is noise of the sonar
+    -- (1 cm), and what was seen longer ago than three readings is no more so.
     function track.braking_mps2(t_ms)
-        local unseen_ms = t_ms - track.seen_ms
-        if unseen_ms > (hold.distance_m() > C.DIST and 1000 or 300) or track.leader_mps2 > -0.8 then return 0 end
+        if t_ms - track.seen_ms > 300 or track.leader_mps2 > -0.8 then return 0 end
         return max(-4, track.leader_mps2)
     end
 
-    -- The leader's speed, carried on over dt_s to a moment that long after a reading. Not seen, it speeds up no
-    -- further. One that was near and braking goes on braking until it stands, or to 2 m/s back if it flew back already.
-    -- Braking is more than what a corner takes of the speed along the beam, 1 m/s2 at 2 m/s.
-    local function carried_mps(unseen_ms, t_ms, dt_s)
-        if unseen_ms <= 150 then return track.leader_mps + track.leader_mps2 * dt_s end
-        if unseen_ms > 1000 then return track.seen_mps end
-        local least_mps = track.seen_mps > 0 and 0 or -2
-        local near = track.range_m < hold.distance_m() and track.leader_mps > least_mps
-        if not near or track.braking_mps2(t_ms) > -1.5 then return min(track.leader_mps, track.seen_mps) end
-        return max(least_mps, track.leader_mps + track.braking_mps2(t_ms) * dt_s)
-    end
-
-    -- Carries the range on to now.
+    -- Carries the range on to now. A leader that is not seen speeds up no further.
     function track.carry(t_ms)
         if not track.range_m then return end
         local dt_s = (t_ms - track.at_ms) * 0.001
-        local leader_mps = carried_mps(t_ms - track.seen_ms, t_ms, dt_s)
+        local leader_mps = t_ms - track.seen_ms <= 150 and track.leader_mps + track.leader_mps2 * dt_s
+            or min(track.leader_mps, track.seen_mps)
         track.range_m = track.range_m + 0.5 * (track.leader_mps + leader_mps - track.own_mps - own.mps) * dt_s
         track.leader_mps, track.own_mps, track.at_ms = leader_mps, own.mps, t_ms
+    end
+
+    -- The beam has turned: by so much the speeds along it are others.
+    function track.turn(by_mps)
+        for _, name in ipairs(SPEEDS) do
+            if track[name] then track[name] = track[name] + by_mps end
+        end
     end
 
     -- A reading that was not foreseen waits for another one like it, and takes one of six in agreement off.
@@ -504,7 +547,7 @@ do
     -- line of sight, and its acceleration: a critically damped observer that knows the own speed, so that own braking
     -- is not taken for the leader's.
     function track.update(range_m, read_ms, t_ms)
-        if not fresh(t_ms) then
+        if not track.fresh(t_ms) then
             local second = is_second(range_m, read_ms)
             track.range_m, track.leader_mps, track.own_mps, track.at_ms = range_m, own.mps, own.mps, t_ms
             track.seen_ms, track.readings = read_ms, 1
@@ -573,7 +616,7 @@ do
 
     -- Too close and the track agrees: the state, and backing off.
     local function too_close(near_m, closing_mps, t_ms)
-        guard.too_close, guard.close_ms = true, t_ms
+        guard.too_close = true
         report.state = 3
         -- Half a metre lower than points lead (flight/lowest.py) what is near is most likely the ground.
         local LOWEST_M = 2
@@ -654,7 +697,6 @@ do
         -- From where both will be once this vehicle leans.
         local wanted_m = track.range_m + 0.5 * braking_mps2 * LEAN_S * LEAN_S - hold.distance_m()
         local unseen_ms = t_ms - track.seen_ms
-        if flies_on() and unseen_ms > 900 then track.leader_mps, track.seen_mps = mps, mps end
         if unseen_ms > 300 then
             wanted_m = max(min(wanted_m, ahead_m), ahead_m - 5)
             return min(eased(wanted_m), ahead_m + 1), min(track.leader_mps, mps)
@@ -665,21 +707,12 @@ do
         return wanted_m, min(track.leader_mps, mps + 1)
     end
 
-    -- Towards the leader no faster than keeps it in the beam: a copter leans as it speeds up, and its sonar with it, 8
-    -- degrees at 1.4 m/s2. Away from it at once. Guided closes a gap of 0.4 m with all its acceleration (4.8, 5 m/s2),
-    -- so a target is hardly ahead; what is left of the gap is flown by speed, 1 m/s for each metre.
-    local function gently(t_ms, wanted_m, wanted_mps)
-        local mps = (hold.active and hold.mps or own.mps) + 1.4 * min(t_ms - (hold.at_ms or t_ms), 100) * 0.001
-        hold.mps, hold.at_ms = min(wanted_mps + clamp(wanted_m - 0.2, 0, 1), mps), t_ms
-        return min(wanted_m, 0.2), hold.mps
-    end
-
     -- Sends Guided the streamed point, moved along the beam. False: it was not taken, or there is none.
     local function move(t_ms)
         local here = vehicle:get_likely_flying() and ahrs:get_location()
         local position = here and ahrs:get_relative_position_NED_origin()
         if not position then return false end
-        local ahead_m, mps, north_m, east_m, c, s = stream.ahead(here, t_ms)
+        local ahead_m, mps, north_m, east_m = stream.ahead(here, t_ms)
         if not ahead_m then return false end
         -- A leader that brakes is answered with its own deceleration.
         local braking_mps2 = track.braking_mps2(t_ms)
@@ -688,30 +721,23 @@ do
             -- The ground tool leads it past another vehicle, which the applet does not know: the point as it is, but
             -- towards the leader no faster than it can still stop. Guided flies 1 m/s for each metre to the point, and
             -- its velocity.
-            hold.mps, hold.at_ms = own.mps, t_ms
             wanted_m = ahead_m
             wanted_mps = min(mps, track.leader_mps + guard.stoppable_mps(track.range_m) - ahead_m)
         else
-            wanted_m, wanted_mps = gently(t_ms, along_beam(ahead_m, mps, braking_mps2, t_ms))
+            wanted_m, wanted_mps = along_beam(ahead_m, mps, braking_mps2, t_ms)
         end
         local by_m, by_mps = wanted_m - ahead_m, wanted_mps + braking_mps2 * LEAN_S - mps
-        position:x(position:x() + north_m + by_m * c)
-        position:y(position:y() + east_m + by_m * s)
+        position:x(position:x() + north_m + by_m * look.north)
+        position:y(position:y() + east_m + by_m * look.east)
         position:z(position:z() - stream.up_m - ahrs:get_relative_position_D_home())
         local velocity, acceleration = Vector3f(), Vector3f()
-        velocity:x(stream.north_mps + by_mps * c)
-        velocity:y(stream.east_mps + by_mps * s)
+        velocity:x(stream.north_mps + by_mps * look.north)
+        velocity:y(stream.east_mps + by_mps * look.east)
         -- What it does not yet decelerate by itself: more than the lean can give, and Guided's own plan would wait.
         local missing_mps2 = max(braking_mps2, min(0, braking_mps2 - own.accel_mps2))
-        acceleration:x(missing_mps2 * c)
-        acceleration:y(missing_mps2 * s)
-        -- After a leader that turns a corner with the rate, too: after a yaw alone Guided turns by ATC_INPUT_TC later,
-        -- 0.15 s, 6 of the 20 degrees to the edge of the beam; and ahead by the 0.2 s that the nose is behind its
-        -- attitude's target (SITL 4.6 0.2 s, 4.8 0.25 s). One that flies back is too near for a rate from its estimated
-        -- bearing.
-        local turn_rps = stream.yaw_rad and flies_on() and stream.yaw_rps or 0
-        local look_rad = (stream.yaw_rad or yaw_rad(ahrs)) + turn_rps * ((t_ms - stream.at_ms) * 0.001 + 0.2)
-        return order(nil, position, velocity, acceleration, look_rad, turn_rps)
+        acceleration:x(missing_mps2 * look.north)
+        acceleration:y(missing_mps2 * look.east)
+        return order(nil, position, velocity, acceleration, stream.yaw_rad or yaw_rad(ahrs))
     end
 
     -- A point with no velocity at all is where the ground tool has stopped it: there it stays.
@@ -726,7 +752,6 @@ do
         report.state = 7
         if track.range_m < C.CLOSE then
             report.state = track.leader_mps < own.mps and 6 or 3
-            guard.close_ms = t_ms
         end
         return true
     end
@@ -751,24 +776,17 @@ do
             return refuse('implausible point')
         end
         -- Points count from one sender until it has been silent for a second: two would pull the vehicle to and fro.
-        local dt_s = stream.at_ms and (t_ms - stream.at_ms) * 0.001 or 1
-        if sender ~= stream.sender and dt_s < 1 then return refuse('points of a second sender') end
-        -- How fast the streamed yaw turns: half of what was, for the leader's bearing is estimated. Points nearer in
-        -- time, or further, do not tell; the highest rate is that of ATC_RATE_WPY_MAX, 60 deg/s.
-        local turn_rps = 0
-        if looks and stream.yaw_rad and dt_s > 0.05 and dt_s < 0.4 then
-            local turn_rad = (yaw - stream.yaw_rad + pi) % (2 * pi) - pi
-            turn_rps = clamp(turn_rad / dt_s, -1, 1)
+        if sender ~= stream.sender and stream.at_ms and t_ms - stream.at_ms < 1000 then
+            return refuse('points of a second sender')
         end
-        stream.yaw_rps = 0.5 * (stream.yaw_rps + turn_rps)
         stream.sender, stream.at_ms = sender, t_ms
         stream.lat, stream.lng, stream.up_m, stream.yaw_rad = lat, lng, up_m, looks and yaw or nil
         stream.north_mps, stream.east_mps = north_mps, east_mps
         stream.opens_m, stream.makes_way = min(opens_m, 6), makes_way == 1 -- as the highest ECHO_DIST
     end
 
-    -- The point in force now: metres ahead of here (along the nose) and its speed there; the same north and east in
-    -- metres; cosine and sine of the heading. Nil without one: a point older than a second is not the vehicle's target.
+    -- The point in force now: metres ahead of here (along the beam) and its speed there; the same north and east in
+    -- metres. Nil without one: a point older than a second is not the vehicle's target.
     function stream.ahead(here, t_ms)
         if stream.holding or not here or not stream.at_ms or t_ms - stream.at_ms >= 1000 then return nil end
         local target = here:copy()
@@ -776,9 +794,8 @@ do
         target:lng(stream.lng)
         local offset, dt_s = here:get_distance_NE(target), (t_ms - stream.at_ms) * 0.001
         local north_m, east_m = offset:x() + stream.north_mps * dt_s, offset:y() + stream.east_mps * dt_s
-        local yaw = yaw_rad(ahrs)
-        local c, s = cos(yaw), sin(yaw)
-        return north_m * c + east_m * s, stream.north_mps * c + stream.east_mps * s, north_m, east_m, c, s
+        return north_m * look.north + east_m * look.east,
+            stream.north_mps * look.north + stream.east_mps * look.east, north_m, east_m
     end
 
     -- Holds the vehicle where it is once a stream of guided points has fallen silent.
@@ -861,13 +878,13 @@ do
             return say(3, 'other scripts leave no place to receive')
         end
         for _ = 1, 10 do
-            local message = mavlink:receive_chan()
+            local message, link = mavlink:receive_chan()
             if not message then return end
             local id, system, sender, payload = read(message)
             if id == 86 then
                 stream.take(payload, sender, t_ms)
             elseif id and system == MY_SYSTEM then
-                track.take(payload, t_ms)
+                track.take(payload, sender, link, t_ms)
             end
         end
     end
@@ -1028,8 +1045,8 @@ do
     local function take_control(t_ms)
         speed.take_over()
         control.active = true
-        stream.at_ms, stream.holding, stream.yaw_rps = nil, false, 0
-        guard.evading, guard.close_ms, guard.seen_ms, guard.data_ms = false, t_ms - BLIND_MS, t_ms, t_ms
+        stream.at_ms, stream.holding = nil, false
+        guard.evading, guard.seen_ms, guard.data_ms = false, t_ms, t_ms
         report.announced_ms, report.state, report.announced = {}, 2, 2 -- a target is assumed until it is missed
         track.range_m = nil
         say(6, 'in control')
@@ -1057,7 +1074,7 @@ do
         report.state = 2
         if t_ms - guard.data_ms >= C.NODATA_T * 1000 then
             report.state = 4
-        elseif t_ms - guard.seen_ms >= C.LOST_T * 1000 and t_ms - guard.close_ms >= BLIND_MS then
+        elseif t_ms - guard.seen_ms >= C.LOST_T * 1000 then
             report.state = 1
         end
         -- The limit of the correction towards the points.

@@ -765,6 +765,49 @@ def test_scripting_can_be_off(tmp_path: Path) -> None:
     assert bench.autopilot.script is None
 
 
+SENDS = """
+local function update()
+    local payload = ('<I4fc10'):pack(5, 2.5, 'X')
+    gcs:send_text(6, tostring(mavlink:send_chan(%d, 251, payload)))
+    return update, 1000
+end
+return update, 100
+"""
+
+
+def test_a_scripts_message_goes_by_the_link_that_it_names(tmp_path: Path) -> None:
+    """As the vehicle's own; the co-processor's port is the third."""
+    bench = with_script(SENDS % 2, tmp_path)
+    bench.run(0.5)
+    (message,) = bench.heard("NAMED_VALUE_FLOAT", "coprocessor")
+    assert (message.get_srcSystem(), message.get_srcComponent()) == (SYSTEM_ID, 1)
+    assert (message.time_boot_ms, message.value, message.name) == (5, 2.5, "X")
+    assert bench.heard("NAMED_VALUE_FLOAT") == []
+    assert bench.texts() == ["true"]
+
+
+@pytest.mark.parametrize(("signed", "takes"), [(False, 18 + 12), (True, 18 + 12 + 13)])
+def test_a_scripts_message_needs_room_for_all_of_it(
+    signed: bool, takes: int, tmp_path: Path
+) -> None:
+    """256 bytes may wait for a port; a frame takes 12 beside its payload, a signature 13."""
+    link = with_script("", tmp_path).autopilot.links["coprocessor"]
+    if signed:
+        link.sign(b"k" * 32, 2e9)
+    link.drain()
+    link._outgoing += bytes(256 - takes + 1)
+    assert not link.send_packed(251, bytes(18))
+    del link._outgoing[0]
+    assert link.send_packed(251, b"x" * 18)
+    assert len(link.drain()) == 256
+
+
+def test_a_script_is_told_that_there_is_no_such_link(tmp_path: Path) -> None:
+    bench = with_script(SENDS % 3, tmp_path)
+    bench.run(0.5)
+    assert bench.texts() == ["nil"]
+
+
 def test_frames_for_scripts_are_whole() -> None:
     bench = Bench()
     bench.autopilot.script = object()  # type: ignore[assignment]

@@ -117,6 +117,9 @@ def test_uint32_refuses_what_it_cannot_hold(bench: Bench, expression: str) -> No
             "mavlink:init(5, 1) mavlink:register_rx_msgid(86) mavlink:register_rx_msgid(87)",
             "no reg",
         ),
+        ("mavlink:send_chan(-1, 284, 'x')", "argument out of range"),
+        ("mavlink:send_chan(0, 16777215, 'x')", "Unknown MAVLink message ID (16777215)"),
+        ("mavlink:send_chan(0, 284, ('x'):rep(31))", "31 of 32 bytes of message 284"),
         ("Location().lat = 5", "attempt to treat a userdata as a table"),
         ("for _ in pairs(Location()) do end", "attempt to treat a userdata as a table"),
     ],
@@ -286,6 +289,17 @@ def test_only_registered_messages_arrive_and_the_queue_has_an_end(bench: Bench) 
         "2 4 10",
         "nil nil nil",
     ]
+
+
+def test_messages_are_sent_by_a_link_that_is_there_and_has_room(bench: Bench) -> None:
+    """Any bytes, also those that are no text; of more than the message has, the first."""
+    send = "mavlink:send_chan({}, 251, ('\\xff\\0'):rep(9) .. 'more')"
+    assert bench.value(send.format(1)) == "true"
+    assert bench.vehicle.sent == [(1, 251, b"\xff\0" * 9)]
+    assert bench.value(send.format(2)) == "nil"
+    bench.vehicle.has_room = False
+    assert bench.value(send.format(0)) == "false"
+    assert len(bench.vehicle.sent) == 1
 
 
 # What the vehicle's Lua refuses and a stock one takes

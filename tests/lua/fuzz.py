@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import math
 import re
+import struct
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -36,12 +37,14 @@ from tests.lua.hostile_frames import (
     whole,
 )
 
+from echowing.mavlink.messages import WITHOUT_HEIGHT
 from echowing.paths import lua_folder
 from echowing.sim.desk_vehicle import GOOD, DeskVehicle
 from echowing.sim.luahost import LuaHost
 from echowing.sim.parameters import Generation
 
 GUIDED, LOITER = 4, 5
+SET_ATTITUDE, VEHICLE = 284, 1
 STEP_MS = 10
 POINT_MS, READING_MS = 120, 100
 # What no target of an applet is beyond: the leader is within the sonar's reach and its point within
@@ -388,12 +391,16 @@ class Flight:
         for speed_mps in vehicle.desired_speeds:
             if not FLOOR_MPS - SLACK <= speed_mps <= MOST_MPS + SLACK:
                 raise BrokenError(f"speed limit {speed_mps}")
+        for _, message_id, payload in vehicle.sent:
+            self._check_look(message_id, payload)
         self._check_told()
         self._check_speed()
         if self.case.deaf:
-            self.commands += [*vehicle.targets, *vehicle.desired_speeds, self._mirror()]
-        for record in (vehicle.texts, vehicle.targets, vehicle.desired_speeds, vehicle.log):
+            commanded = *vehicle.targets, *vehicle.desired_speeds, *vehicle.sent
+            self.commands += [*commanded, self._mirror()]
+        for record in (vehicle.texts, vehicle.targets, vehicle.sent, vehicle.log):
             record.clear()
+        vehicle.desired_speeds.clear()
         vehicle.named.clear()
 
     def _check_text(self, text: str) -> None:
@@ -420,6 +427,22 @@ class Flight:
             raise BrokenError(f"fast target: {velocity}")
         if math.hypot(*acceleration) > HARDEST_MPS2 or abs(target[10]) > TURN_RPS:
             raise BrokenError(f"hard target: {acceleration}, {target[10]} rad/s")
+
+    def _check_look(self, message_id: int, payload: bytes) -> None:
+        """Only orders to the own gimbal leave, that look somewhere, no faster than it could."""
+        if message_id != SET_ATTITUDE:
+            raise BrokenError(f"sends message {message_id}")
+        *numbers, flags, system, component = struct.unpack("<7fHBB", payload)
+        quaternion, (unsure_rad, up_rps, turn_rps) = numbers[:4], numbers[4:]
+        told = f"{numbers}, flags {flags}, to {system}/{component}"
+        if not all(map(math.isfinite, numbers)):
+            raise BrokenError(f"look not finite: {told}")
+        if abs(math.hypot(*quaternion) - 1.0) > SLACK or quaternion[1:3] != [0.0, 0.0]:
+            raise BrokenError(f"a look that is no direction: {told}")
+        if not 0.0 <= unsure_rad <= math.pi / 2.0 + SLACK or max(up_rps, abs(turn_rps)) > TURN_RPS:
+            raise BrokenError(f"a look beyond what a gimbal can: {told}")
+        if (flags, system) != (WITHOUT_HEIGHT, VEHICLE):
+            raise BrokenError(f"an order that is not the gimbal's: {told}")
 
     def _check_told(self) -> None:
         told = [value for values in self.vehicle.named.values() for value in values]

@@ -126,8 +126,9 @@ def record_flight(applet: Path, file: Path) -> None:
     for velocity_mps in (2.0, None):
         _fly(rig, 3.0, lambda t: 3.0 + 0.6 * math.sin(t), velocity_mps)
         _fly(rig, 2.0, lambda t: max(0.4, 3.0 - 1.5 * t), velocity_mps)  # the leader comes back
+        rig.run(1.0)  # the ground tool is lost, the leader is heard
         _fly(rig, 2.0, lambda t: 3.0 if t < 0.5 else 8.0, velocity_mps)  # it is lost
-        rig.run(2.0)  # the ground tool is lost
+        rig.run(2.0)  # both are
         _fly(rig, 1.0, lambda t: 3.2, velocity_mps)
         rig.no_data().run(1.5)
         vehicle.mode = LOITER

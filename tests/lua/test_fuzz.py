@@ -38,11 +38,17 @@ end
 return update, 50
 """
 FLY = "vehicle:set_target_posvelaccel_NED(at, {}, Vector3f(), true, 0, false, 0, false)"
+LOOK = "mavlink:send_chan(0, 284, ('<fffffffI2BB'):pack({}, 0, 0, 0, 0, 0, {}, {}, 1, 191))"
 FAULTS = {
     "script error": "error('x')",
     "target not finite": "at:x(0/0) " + FLY.format("Vector3f()"),
     "far target": "at:x(1000) " + FLY.format("Vector3f()"),
     "fast target": "local v = Vector3f() v:y(100) " + FLY.format("v"),
+    "look not finite": LOOK.format("0/0", 0, 92),
+    "a look that is no direction": LOOK.format(2, 0, 92),
+    "a look beyond what a gimbal can": LOOK.format(1, 9, 92),
+    "an order that is not the gimbal's": LOOK.format(1, 0, 0),
+    "sends message": "mavlink:send_chan(0, 0, ('x'):rep(9))",
     "not finite in a text": "gcs:send_text(6, string.format('%.1f m', 0/0))",
     "not finite told": "gcs:send_named_float('ECHO_RNG', 1/0)",
     "speed limit": "vehicle:set_desired_speed(0)",

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import random
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import pytest
@@ -19,7 +18,6 @@ HOLDING, BACKING_OFF, TOO_CLOSE = 7, 6, 3
 SPD_MAX, SPD_LOST = 5.0, 3.0
 FLOOR_MPS = pytest.approx(0.2)
 LEADER_MPS = 2.0
-NEARER_M = 0.2
 REST_MPS = 0.001  # a leader that rests: no velocity at all is a hold
 
 
@@ -86,14 +84,12 @@ def stream(
 def test_a_point_is_moved_to_the_wanted_distance(
     rig: MakeRig, range_m: float, ahead_m: float
 ) -> None:
-    """Towards the leader by 0.2 m, the rest by 1 m/s for each metre; back by four tenths of it."""
+    """At the leader's speed; back by four tenths of what is missing."""
     r = led(rig(), range_m, ahead_m)
 
     missing_m = range_m - 3.0
-    wanted_m = min(NEARER_M, max(missing_m, 0.4 * missing_m))
-    assert newest(r).north_m == pytest.approx(wanted_m, abs=0.03)
-    catch_up_mps = max(0.0, missing_m - NEARER_M)
-    assert newest(r).north_mps == pytest.approx(LEADER_MPS + catch_up_mps, abs=0.05)
+    assert newest(r).north_m == pytest.approx(max(missing_m, 0.4 * missing_m), abs=0.03)
+    assert newest(r).north_mps == pytest.approx(LEADER_MPS, abs=0.05)
     assert r.state == HOLDING
     assert r.speed_mps == SPD_MAX  # the limit caps the correction, and does not hinder it
     assert "holding the distance" in r.texts
@@ -135,27 +131,19 @@ def test_five_metres_back_from_the_point_and_no_more(rig: MakeRig) -> None:
     """The sonar wants it 1.2 m back, the ground tool 5.3 m ahead."""
     r = led(rig(), 1.8, 5.3, mps=1.5)
 
-    beyond_mps = newest(r).north_mps - 1.5  # what a target no nearer than NEARER_M leaves
-    assert newest(r).north_m + beyond_mps == pytest.approx(0.3, abs=0.2)
+    assert newest(r).north_m == pytest.approx(0.3, abs=0.2)
 
 
-def test_towards_the_leader_gently_so_that_it_stays_in_the_beam(rig: MakeRig) -> None:
-    """A leader that flies off at 3.2 m/s: 0.2 m ahead at the most, and 1.4 m/s2 (8 degrees).
-
-    The gap is flown by speed, up to 1 m/s more than the leader's.
-    """
+def test_after_a_leader_that_flies_off_it_goes_at_once(rig: MakeRig) -> None:
+    """From 2 to 3.2 m/s: the gimbal keeps it in the beam, however far the vehicle leans."""
     r = led(rig(), 3.0, 0.0)
-    speeds = [newest(r).north_mps]
-    for number in range(12):
+    for number in range(6):
         r.range(3.0 + 0.12 * (number + 1))  # 1.2 m/s faster than the follower
         r.send_target(0.12 * number, 3.2)
         r.run(0.1)
-        speeds.append(newest(r).north_mps)
-        assert newest(r).north_m <= NEARER_M + 1e-3
 
-    # An update every 50 ms, and the observer's speed between them.
-    assert max(b - a for a, b in pairwise(speeds)) <= 0.14 + 0.05
-    assert 3.2 < speeds[-1] <= 3.2 + 1.0
+    assert newest(r).north_mps == pytest.approx(3.2, abs=0.3)
+    assert newest(r).north_m == pytest.approx(0.72, abs=0.15)
 
 
 def test_away_from_the_leader_at_once(rig: MakeRig) -> None:
@@ -285,35 +273,15 @@ def test_the_yaw_is_the_streams_or_the_one_it_has(rig: MakeRig, yaw_rad: float |
     assert newest(r).yaw_rps == 0.0
 
 
-def turned_after(r: Rig, rates_rps: float, points: int = 12, opens_m: float = 0.0) -> Target:
-    """Behind a leader whose bearing turns at a rate, a point each 0.12 s."""
-    led(r, 3.0, 0.0)
-    for number in range(points):
-        yaw_rad = math.remainder(3.0 + 0.12 * rates_rps * number, 2.0 * math.pi)
-        r.send_target(0.0, LEADER_MPS, yaw_rad=yaw_rad, opens_m=opens_m)
+def test_the_nose_has_no_rate_of_its_own(rig: MakeRig) -> None:
+    """After a leader that turns a corner, too: what it is late the gimbal makes up for."""
+    r = led(rig(), 3.0, 0.0)
+    for number in range(12):
+        yaw_rad = 0.08 * number
+        r.send_target(0.0, LEADER_MPS, yaw_rad=yaw_rad)
         r.run(0.12)
-    return newest(r)
-
-
-@pytest.mark.parametrize("rate_rps", [0.7, -0.7])
-def test_the_nose_turns_after_the_leader_with_a_rate(rig: MakeRig, rate_rps: float) -> None:
-    """Through south too, where the angle jumps; and on from the point's yaw until the next.
-
-    And further by the 0.2 s that the nose is behind: in a turn of 40 degrees a second, 8 degrees.
-    """
-    target = turned_after(rig(), rate_rps)
-    assert target.yaw_rps == pytest.approx(rate_rps, abs=0.01)
-    last_rad = 3.0 + 0.12 * rate_rps * 11
-    late_s = math.remainder(target.yaw_rad - last_rad, 2.0 * math.pi) / rate_rps
-    assert 0.2 + 0.05 <= late_s <= 0.2 + 0.12
-
-
-def test_the_nose_turns_no_faster_than_the_autopilot_would(rig: MakeRig) -> None:
-    assert turned_after(rig(), 4.0).yaw_rps == pytest.approx(1.0, abs=0.01)
-
-
-def test_before_a_leader_that_may_turn_round_the_nose_has_no_rate(rig: MakeRig) -> None:
-    assert turned_after(rig(), 0.7, opens_m=STEERED_M).yaw_rps == 0.0
+        assert newest(r).yaw_rad == pytest.approx(yaw_rad, abs=1e-4)
+        assert newest(r).yaw_rps == 0.0
 
 
 # ---- who is not held -----
@@ -450,42 +418,19 @@ def test_a_sonars_noise_is_no_braking(rig: MakeRig) -> None:
         assert newest(r).north_mps2 == 0.0
 
 
-def test_a_leader_lost_while_it_brakes_is_taken_to_stop(rig: MakeRig) -> None:
-    """It goes on braking until it stands. After a second the ground tool knows better."""
-    r = braked(rig(), 0.4, 2.5, STEERED_M)
+@pytest.mark.parametrize("opens_m", [0.0, STEERED_M])
+def test_a_leader_that_is_not_seen_brakes_no_further(rig: MakeRig, opens_m: float) -> None:
+    """Three readings' time its braking counts, then no more: most likely it turns a corner."""
+    r = braked(rig(), 0.4, 2.5, opens_m)
     track = r.host.local_value("track")
     seen_mps = track.leader_mps
     assert seen_mps == pytest.approx(LEADER_MPS - 0.4 * 2.5, abs=0.45)
     r.range(7.66, HIGH)
-    stream(r, 0.0, 0.36, opens_m=STEERED_M)
-    assert track.leader_mps < seen_mps - 0.4
-    stream(r, 0.0, 0.6, opens_m=STEERED_M)
-    assert track.leader_mps == 0.0
-    stream(r, 0.0, 0.24, opens_m=STEERED_M)
-    assert track.leader_mps == pytest.approx(seen_mps, abs=0.1)
-    assert newest(r).north_mps2 == 0.0
-
-
-def test_a_leader_on_a_mission_that_is_lost_while_it_brakes_flies_round_a_corner(
-    rig: MakeRig,
-) -> None:
-    """Three readings' time its braking counts, then no more: the follower must not fly back.
-
-    From 0.9 s on it is as fast as the ground tool says, and where it was: the vehicle speeds up
-    gently. SITL 4.8, a corner at 2 m/s: taken to stop, and 7 m away when it was heard again.
-    """
-    r = braked(rig(), 0.4, 2.5)
-    track = r.host.local_value("track")
-    seen_mps = track.leader_mps
-    r.range(7.66, HIGH)
-    stream(r, 0.0, 0.36)
-    assert track.leader_mps > seen_mps - 0.5
-    before = newest(r)
-    assert before.north_mps == pytest.approx(track.leader_mps, abs=0.05)
-    stream(r, 0.0, 0.72)
-    assert track.leader_mps == LEADER_MPS
-    assert before.north_mps + 0.1 < newest(r).north_mps < before.north_mps + 0.36
-    assert newest(r).north_m < 0.0
+    stream(r, 0.0, 0.36, opens_m=opens_m)
+    assert seen_mps - 0.5 < track.leader_mps <= seen_mps
+    stream(r, 0.0, 0.6, opens_m=opens_m)
+    assert seen_mps - 0.5 < track.leader_mps <= seen_mps
+    assert newest(r).north_mps == pytest.approx(track.leader_mps, abs=0.05)
     assert newest(r).north_mps2 == 0.0
 
 
@@ -532,10 +477,14 @@ def still_held_s(r: Rig, ahead_m: float) -> float:
     return (r.vehicle.t_ms - start_ms) / 1000.0
 
 
-def test_a_leader_lost_while_near_is_carried_on(rig: MakeRig) -> None:
-    """2.5 s (BLIND_MS); one that is lost at its distance or further for 0.7 s."""
-    assert still_held_s(led(rig(), 2.2, 0.0), 0.0) == pytest.approx(2.5, abs=0.2)
-    assert still_held_s(led(rig(), 3.3, 0.0), 0.0) == pytest.approx(0.7, abs=0.2)
+@pytest.mark.parametrize("range_m", [2.2, 3.3])
+@pytest.mark.parametrize("lost_s", [0.8, 1.3])
+def test_a_leader_that_is_not_heard_is_carried_on_until_it_is_lost(
+    rig: MakeRig, range_m: float, lost_s: float
+) -> None:
+    """For ECHO_LOST_T, near or not."""
+    held_s = still_held_s(led(rig(LOST_T=lost_s), range_m, 0.0), 0.0)
+    assert held_s == pytest.approx(lost_s, abs=0.15)
 
 
 def test_blind_the_more_cautious_of_track_and_point_is_flown(rig: MakeRig) -> None:

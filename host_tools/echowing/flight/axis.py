@@ -13,6 +13,8 @@ Quaternion = tuple[float, float, float, float]
 # A quaternion of a rotation has the length 1; 32-bit floats and a sender's own sums are off by far
 # less than this.
 LENGTH_OFF = 0.1
+# Nearer than this a direction turns faster than anything could follow.
+NEAREST_M = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +46,18 @@ def along(vector: Ned) -> Axis:
     """The axis along a vector of any length, NED."""
     north, east, down = vector
     return Axis(math.atan2(east, north), math.atan2(-down, math.hypot(north, east)))
+
+
+def turns_rps(to_it: Ned, past_mps: Ned) -> tuple[float, float]:
+    """How fast the direction (azimuth, elevation) turns of what moves past at a velocity, NED."""
+    (north, east, _), (north_mps, east_mps, down_mps) = to_it, past_mps
+    level_m = max(NEAREST_M, math.hypot(north, east))
+    return (north * east_mps - east * north_mps) / (level_m * level_m), -down_mps / level_m
+
+
+def spread_rad(across_m: float, to_it: Ned) -> float:
+    """The angle by which something is seen aside that is so far across."""
+    return math.atan2(across_m, max(NEAREST_M, math.hypot(*to_it)))
 
 
 def axis_of(quaternion: Sequence[float]) -> Axis | None:

@@ -9,7 +9,7 @@ direction and as wide as that is unsure.
 import math
 from dataclasses import dataclass, replace
 
-from echowing.flight.axis import Axis, along
+from echowing.flight.axis import Axis, along, spread_rad, turns_rps
 from echowing.flight.estimate import Estimate
 from echowing.flight.state import FollowerState, Known
 from echowing.geo import Ned, ned_between, wrap_angle_rad
@@ -28,8 +28,6 @@ NOSE_RAD, NOSE_LOOKS_S = math.radians(45.0), 8.0
 # to the last reading that could be used, not up to now: with a slow radio that reading is a second
 # old, and nothing is lost.
 LOST_S = 1.0
-# Nearer than this a direction turns faster than anything could follow.
-NEAREST_M = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,19 +65,15 @@ def _rate_rps(
 ) -> tuple[float, float]:
     """How fast the direction of a vehicle turns, by both vehicles' velocities."""
     own_north, own_east = follower.velocity_then(at_s)
-    north_mps, east_mps = its_mps[0] - own_north, its_mps[1] - own_east
-    up_mps = -its_mps[2] - follower.climb_mps
-    north, east, _ = to_it_m
-    level_m = max(NEAREST_M, math.hypot(north, east))
-    turns_rps = (north * east_mps - east * north_mps) / (level_m * level_m)
-    return turns_rps, up_mps / level_m
+    own_down = -follower.climb_mps
+    past_mps = its_mps[0] - own_north, its_mps[1] - own_east, its_mps[2] - own_down
+    return turns_rps(to_it_m, past_mps)
 
 
 def _unsure_rad(estimate: Estimate, axis: Axis, to_it_m: Ned) -> tuple[float, float]:
     """Standard deviation of a direction, across and in height."""
-    far_m = max(NEAREST_M, math.hypot(*to_it_m))
     across_m = estimate.offset.sigma_m(axis.azimuth_rad + math.pi / 2.0)
-    return math.atan2(across_m, far_m), math.atan2(estimate.offset.up_sigma_m, far_m)
+    return spread_rad(across_m, to_it_m), spread_rad(estimate.offset.up_sigma_m, to_it_m)
 
 
 def _coned(look: Look, cone_rad: tuple[float, float], rounds: float) -> Look:

@@ -89,6 +89,8 @@ EARTH_FRAME = (
     | mavlink.GIMBAL_DEVICE_FLAGS_YAW_LOCK
     | mavlink.GIMBAL_DEVICE_FLAGS_YAW_IN_EARTH_FRAME
 )
+# The applet's: it knows no height.
+WITHOUT_HEIGHT = EARTH_FRAME & ~mavlink.GIMBAL_DEVICE_FLAGS_PITCH_LOCK
 
 
 def look_order(

@@ -19,10 +19,8 @@ CARD_SCRIPTS = f"{FIRMWARE_FOLDER}/{SCRIPTS_FOLDER}"
 # On a vehicle's card, and in ArduPilot's SITL, whose card is the folder it runs in.
 CARD_FOLDERS = (CARD_SCRIPTS, SCRIPTS_FOLDER)
 PARAMETER_PREFIX = "ECHO_"
-# A row of an applet's table: name, default, lowest, highest, number.
-_PARAMETER_ROW = re.compile(
-    r"^ *'?([A-Z_]+)'?,? ([\d.]+),? ([\d.]+),? ([\d.]+),? \d+,?$", re.MULTILINE
-)
+# A row of an applet's table: name, default, lowest, highest, and its number for the autopilot.
+_PARAMETER_ROW = re.compile(r"^(\w+) ([\d.]+) ([\d.]+) ([\d.]+) \d+$", re.MULTILINE)
 
 
 def applet_path(applet: Applet = HOLD) -> Path:

@@ -761,3 +761,8 @@ class Autopilot:
     def next_mavlink(self) -> tuple[bytes, int] | None:
         """Oldest frame not yet handed to scripting, and its link's number."""
         return self._inbox.popleft() if self._inbox else None
+
+    def send_mavlink(self, link: int, message_id: int, payload: bytes) -> bool | None:
+        """Send a script's message by a link; False: it has no room, None: no such link."""
+        port = next((one for one in self.links.values() if one.number == link), None)
+        return None if port is None else port.send_packed(message_id, payload)

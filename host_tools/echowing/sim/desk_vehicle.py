@@ -42,12 +42,17 @@ class DeskVehicle:
     """Whether targets with a velocity are accepted."""
     free_auth_ids: int = 3
     inbox: deque[tuple[bytes, int]] = field(default_factory=deque)
+    links: int = 2
+    has_room: bool = True
+    """Whether its links take what scripts send."""
 
     desired_speeds: list[float] = field(default_factory=list)
     targets: list[tuple[str, tuple[float | str | None, ...]]] = field(default_factory=list)
     texts: list[tuple[int, str]] = field(default_factory=list)
     named: dict[str, list[float]] = field(default_factory=dict)
     log: list[tuple[str, tuple[float | int | str, ...]]] = field(default_factory=list)
+    sent: list[tuple[int, int, bytes]] = field(default_factory=list)
+    """MAVLink messages of scripts: link, id, payload."""
     auth: dict[int, str | None] = field(default_factory=dict)
     """Authorisation id -> reason of refusal, None: passed."""
     tables: dict[int, str] = field(default_factory=dict)
@@ -203,6 +208,13 @@ class DeskVehicle:
 
     def next_mavlink(self) -> tuple[bytes, int] | None:
         return self.inbox.popleft() if self.inbox else None
+
+    def send_mavlink(self, link: int, message_id: int, payload: bytes) -> bool | None:
+        if link >= self.links:
+            return None
+        if self.has_room:
+            self.sent.append((link, message_id, payload))
+        return self.has_room
 
 
 def restarted(old: DeskVehicle, parameters: Mapping[str, float]) -> DeskVehicle:

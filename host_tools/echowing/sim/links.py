@@ -8,6 +8,7 @@ from functools import lru_cache
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from pymavlink.generator.mavcrc import x25crc
 
 from echowing.mavlink.signing import NEEDS_NO_SIGNATURE, SIGNING_EPOCH_UNIX_S, SIGNING_TICKS_PER_S
 from echowing.sim.framing import Framer
@@ -18,6 +19,9 @@ _NOT_FORWARDED = {
     mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE,
 }
 _BROADCAST = 0
+# What waits for a serial port at the most (AP_SERIALMANAGER_MAVLINK_BUFSIZE_TX), and what a frame
+# of MAVLink 2 has beside its payload: header and checksum.
+_BUFFER_BYTES, _FRAME_BYTES = 256, 12
 # pymavlink's word for a wrong checksum.
 _BAD_CHECKSUM = "invalid MAVLink CRC"
 _DECODER = mavlink.MAVLink(None)
@@ -100,6 +104,16 @@ class SerialLink:
         self._outgoing += message.pack(mav)
         mav.seq = (mav.seq + 1) & 0xFF
 
+    def send_packed(self, message_id: int, payload: bytes) -> bool:
+        """Send a message by its payload; False: there is no room for the longest of its kind."""
+        kind = mavlink.mavlink_map[message_id]
+        signature = mavlink.MAVLINK_SIGNATURE_BLOCK_LEN if self._mav.signing.sign_outgoing else 0
+        longest = _FRAME_BYTES + signature + kind.unpacker.size
+        if len(self._outgoing) + longest > _BUFFER_BYTES:
+            return False
+        self.send(_unpacked(kind, payload))
+        return True
+
     def forward(self, message: Any) -> None:
         """Queue a message of somebody else unchanged."""
         self._outgoing += message.get_msgbuf()
@@ -111,6 +125,14 @@ class SerialLink:
         data = bytes(self._outgoing)
         self._outgoing.clear()
         return data
+
+
+def _unpacked(kind: Any, payload: bytes) -> Any:
+    """A message by its payload as on the wire."""
+    head = bytes([len(payload), 0, 0, 0, 0, 0]) + kind.id.to_bytes(3, "little")
+    checksum: int = x25crc(head + payload + bytes([kind.crc_extra])).crc
+    frame = b"\xfd" + head + payload + checksum.to_bytes(2, "little")
+    return mavlink.MAVLink(None).decode(bytearray(frame))
 
 
 class Router:

@@ -343,6 +343,13 @@ function mavlink:register_rx_msgid(message_id) end
 ---@return uint32_t_ud|nil # milliseconds when it arrived
 function mavlink:receive_chan() end
 
+-- an error where the message is not in the autopilot's dialect
+---@param link integer 0..15
+---@param message_id integer 0..16777215
+---@param payload string # as on the wire, with the zeros at its end
+---@return boolean|nil # false: no room in the link's buffer; nil: no such link
+function mavlink:send_chan(link, message_id, payload) end
+
 ---@class logger
 logger = {}
 

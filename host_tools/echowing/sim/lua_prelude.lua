@@ -367,6 +367,11 @@ raw.mavlink.receive_chan = function()
     if message == false then fail('RX not initialized') end
     if message then return message, link, u32.new(time_ms) end
 end
+raw.mavlink.send_chan = function(link, message_id, payload)
+    local sent, trouble = py.mavlink_send(link, message_id, payload:byte(1, -1))
+    if trouble then fail(trouble) end
+    return sent
+end
 
 -- logger: the one call with a free number of arguments. `width` by format letter; nil: scripts may not write it.
 local INTEGER_SPAN = { b = { -128, 127 }, h = { -32768, 32767 }, c = { -32768, 32767 }, H = { 0, 65535 },

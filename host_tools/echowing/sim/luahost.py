@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 from lupa import lua53
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.errors import EchowingError
 from echowing.sim import lua_limits
@@ -157,6 +158,9 @@ class VehicleApi(Protocol):
 
     def next_mavlink(self) -> tuple[bytes, int] | None:
         """Oldest frame not yet handed to scripting (bytes as on the wire), its link's number."""
+
+    def send_mavlink(self, link: int, message_id: int, payload: bytes) -> bool | None:
+        """Send a message by a link; False: it has no room, None: no such link."""
 
 
 @dataclass(frozen=True)
@@ -563,6 +567,17 @@ class LuaHost:
                 (n, e, d), (vn, ve, vd), yaw_rad, (an, ae, ad), yaw_rate_rps
             )
 
+        def mavlink_send(
+            link: int, message_id: int, *payload: int
+        ) -> tuple[bool | None, str | None]:
+            kind = mavlink.mavlink_map.get(message_id)
+            if kind is None:
+                return None, f"Unknown MAVLink message ID ({message_id})"
+            whole_bytes = kind.unpacker.size
+            if len(payload) < whole_bytes:  # the vehicle would send what lies behind in its memory
+                return None, f"{len(payload)} of {whole_bytes} bytes of message {message_id}"
+            return vehicle.send_mavlink(link, message_id, bytes(payload[:whole_bytes])), None
+
         def log_write(
             name: str, labels: str, formats: str, units: str, multipliers: str, values: Any
         ) -> None:
@@ -610,6 +625,7 @@ class LuaHost:
             "mavlink_init": inbox.init,
             "mavlink_register": inbox.register,
             "mavlink_receive": inbox.receive,
+            "mavlink_send": mavlink_send,
         }
 
 

@@ -32,6 +32,7 @@ struct Order {
   double azimuth_deg, elevation_deg;
   double deviation_deg = 0;
   double azimuth_rate_dps = 0, elevation_rate_dps = 0;
+  bool has_height = true;
 };
 
 mavlink_gimbal_device_set_attitude_t message(const Order& order) {
@@ -40,7 +41,7 @@ mavlink_gimbal_device_set_attitude_t message(const Order& order) {
   mavlink_gimbal_device_set_attitude_t told = {};
   told.target_system = 1;
   told.target_component = MAV_COMP_ID_ONBOARD_COMPUTER;
-  told.flags = kEarth;
+  told.flags = order.has_height ? kEarth : kEarth & ~GIMBAL_DEVICE_FLAGS_PITCH_LOCK;
   told.q[0] = q.w;
   told.q[1] = q.x;
   told.q[2] = q.y;
@@ -423,6 +424,44 @@ TEST_CASE("a target heard aside keeps its average while the axis comes back, 1/e
   for (const auto& range : vehicle.rig.ranges()) CHECK(range.report.current_distance == 300);
 }
 
+TEST_CASE("an order without a height leaves it at the mean of those that had one") {
+  Vehicle vehicle(false);
+  vehicle.attitude = level;
+  vehicle.order = [](double t) { return Order{30, 10 + 6 * std::cos(kPi * t)}; };  // once in 2 s
+  vehicle.run(10000);
+  vehicle.order = always({-20, 0, 0, 0, 15, false});  // nor a rate of it
+  vehicle.run(1000);
+  CHECK(std::fabs(vehicle.axis().azimuth_deg + 20) < 0.3);
+  // A low pass of 2 s leaves a third of an oscillation of 2 s.
+  CHECK(std::fabs(vehicle.axis().elevation_deg - 10) < 2.1);
+  vehicle.order = always({-20, -10});
+  vehicle.run(200);
+  CHECK(std::fabs(vehicle.axis().elevation_deg + 10) < 0.3);
+}
+
+TEST_CASE("an order without a height comes first: it is level") {
+  Vehicle vehicle(false);
+  vehicle.attitude = level;
+  vehicle.order = always({30, 10, 0, 0, 0, false});
+  vehicle.run(500);
+  CHECK(std::fabs(vehicle.axis().elevation_deg) < 0.3);
+}
+
+TEST_CASE("who orders no height only carries on: a target heard aside stays where it was heard") {
+  Vehicle vehicle;
+  vehicle.attitude = level;
+  vehicle.order = always({0, 0, 9, 0, 0, false});
+  vehicle.run(1000);
+  bool found = false;
+  vehicle.rig.sonar.listen = [&](Microseconds) {
+    found = found || vehicle.axis().elevation_deg > 17;
+    return found ? uint16_t{300} : uint16_t{765};
+  };
+  vehicle.run(5000);
+  REQUIRE(found);
+  CHECK(vehicle.axis().elevation_deg > 17);
+}
+
 TEST_CASE("an order that has learned where the target was heard does not push the axis beyond") {
   Vehicle vehicle;
   vehicle.attitude = level;
@@ -489,10 +528,10 @@ TEST_CASE("pulses for a direction that are found when the orders have just ended
   const Parameters parameters;
   Tracker tracker(parameters, {0, 0});
   tracker.step({1000, 1}, GimbalMode::kLookRound, 0.0f);
-  tracker.steady({2000, 2}, {1600, 1500});
+  tracker.steady({2000, 2}, {1600, 1500}, true);
   CHECK(tracker.aim().pan_us == 1600);
   tracker.step({3000, 3}, GimbalMode::kScan, 0.0f);
-  tracker.steady({4000, 4}, {1700, 1500});
+  tracker.steady({4000, 4}, {1700, 1500}, true);
   CHECK(tracker.aim().pan_us == scan_point(parameters, 0).pan_us);
 }
 

@@ -120,7 +120,7 @@ void Look::proceed(const Instant& now, Tracker& tracker) {
 }
 
 void Look::finish(const Instant& now, Reach found, Tracker& tracker) {
-  if (!for_ping_) return tracker.steady(now, found.aim);
+  if (!for_ping_) return tracker.steady(now, found.aim, order_.has_height());
   ping_axis_.limits = found.limits;
   ping_unfinished_ = false;
 }

@@ -6,6 +6,8 @@ namespace echowing {
 namespace {
 
 constexpr Milliseconds kFresh = 1000;
+// The ground tool's orders go round the expected direction in this time (flight/look.py).
+constexpr float kRound_s = 2.0f;
 // Norm of a quaternion that was meant as one.
 constexpr float kLeastNorm = 0.9f;
 constexpr float kMostNorm = 1.1f;
@@ -42,6 +44,7 @@ void LookOrder::on_message(const Instant& now, const mavlink_message_t& message)
   newest_ = {q,
              {rate(told.angular_velocity_z), rate(told.angular_velocity_y)},
              deviation(told.angular_velocity_x),
+             (told.flags & GIMBAL_DEVICE_FLAGS_PITCH_LOCK) != 0,
              now};
   renewing_ = true;
   system_ = message.sysid;
@@ -60,6 +63,14 @@ bool LookOrder::renew() {
   const Direction before = at(newest_.received.us);
   direction_ = direction(forward(newest_.rotation));
   rates_rps_ = newest_.rates_rps;
+  has_height_ = newest_.has_height;
+  if (has_height_) {
+    const float since_s = 1e-6f * static_cast<float>(newest_.received.us - at_us_);
+    height_rad_ += (direction_.up_rad - height_rad_) * fminf(1.0f, since_s / kRound_s);
+  } else {
+    direction_.up_rad = height_rad_;
+    rates_rps_.up_rad = 0.0f;
+  }
   deviation_rad_ = newest_.deviation_rad;
   at_us_ = newest_.received.us;
   freshness_.start(newest_.received, kFresh);

@@ -25,6 +25,8 @@ class LookOrder {
   Direction at(Microseconds time) const;
   // Standard deviation.
   float deviation_rad() const { return deviation_rad_; }
+  // False: who orders does not know it. The mean of what was ordered stays.
+  bool has_height() const { return has_height_; }
 
  private:
   void end();
@@ -33,6 +35,7 @@ class LookOrder {
     Quaternion rotation;
     Direction rates_rps;
     float deviation_rad;
+    bool has_height;
     Instant received;
   };
 
@@ -41,6 +44,8 @@ class LookOrder {
   Direction direction_ = {};
   Direction rates_rps_ = {};
   float deviation_rad_ = 0.0f;
+  bool has_height_ = true;
+  float height_rad_ = 0.0f;
   Microseconds at_us_ = 0;
   Direction moved_ = {};
   Timeout freshness_;

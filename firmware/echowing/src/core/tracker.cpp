@@ -82,13 +82,14 @@ Direction Tracker::settle_offset() {
   return offset_;
 }
 
-void Tracker::steady(const Instant& now, Aim aim) {
+// Who knows no height only carries on: the ear knows better, and its offset stays.
+void Tracker::steady(const Instant& now, Aim aim, bool has_height) {
   if (!looks()) return;
   if (settling_) arrival_ = now.ms + travel_time(aim);
   if (entering_ && far_apart(aim, aim_)) forget();
   settling_ = entering_ = false;
   aim_ = aim;
-  if (!tracking_) return;
+  if (!tracking_ || !has_height) return;
   offset_.right_rad -= kFade * offset_.right_rad;
   offset_.up_rad -= kFade * offset_.up_rad;
 }

@@ -39,7 +39,7 @@ class Tracker {
   bool urgent() const { return looks() && settling_; }
   // How far off the ordered direction to look.
   Direction settle_offset();
-  void steady(const Instant& now, Aim aim);
+  void steady(const Instant& now, Aim aim, bool has_height);
   // The ordered direction has moved so far at once.
   void on_order(Direction moved);
 
