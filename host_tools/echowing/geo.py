@@ -48,7 +48,7 @@ def load_exact() -> tuple[Any, Any, Any]:
 def ned_between(origin: GlobalPosition, point: GlobalPosition) -> Ned:
     """Local NED metres from `origin` to `point`; works across the antimeridian."""
     here_x_m, here_y_m, here_z_m, sin_lat, cos_lat, sin_lon, cos_lon = _frame(origin)
-    there_x_m, there_y_m, there_z_m, *_ = _frame(point)
+    there_x_m, there_y_m, there_z_m, _, _, _, _ = _frame(point)
     x_m, y_m, z_m = there_x_m - here_x_m, there_y_m - here_y_m, there_z_m - here_z_m
     outward_m = cos_lon * x_m + sin_lon * y_m
     return (
@@ -58,21 +58,11 @@ def ned_between(origin: GlobalPosition, point: GlobalPosition) -> Ned:
     )
 
 
-class _Frame(NamedTuple):
-    """A place in earth-centred metres, and which way up and north are there."""
-
-    x_m: float
-    y_m: float
-    z_m: float
-    sin_lat: float
-    cos_lat: float
-    sin_lon: float
-    cos_lon: float
-
-
 @lru_cache(maxsize=256)
-def _frame(place: GlobalPosition) -> _Frame:
-    """Kept, as home and the other vehicles are asked for again and again.
+def _frame(place: GlobalPosition) -> tuple[float, float, float, float, float, float, float]:
+    """A place in earth-centred metres, and sine and cosine of its latitude and its longitude.
+
+    Kept, as home and the other vehicles are asked for again and again.
 
     As `pymap3d.geodetic2ecef`, which goes through NumPy and takes ten times as long for one place.
     """
@@ -82,7 +72,7 @@ def _frame(place: GlobalPosition) -> _Frame:
     transverse_m = _A_M / math.sqrt(1.0 - _E2 * sin_lat * sin_lat)
     level_m = (transverse_m + place.alt_m) * cos_lat
     z_m = (transverse_m * (1.0 - _E2) + place.alt_m) * sin_lat
-    return _Frame(level_m * cos_lon, level_m * sin_lon, z_m, sin_lat, cos_lat, sin_lon, cos_lon)
+    return level_m * cos_lon, level_m * sin_lon, z_m, sin_lat, cos_lat, sin_lon, cos_lon
 
 
 def displace(origin: GlobalPosition, ned_m: Ned) -> GlobalPosition:

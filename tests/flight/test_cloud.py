@@ -9,7 +9,7 @@ import math
 import pytest
 
 from echowing.flight.axis import Axis
-from echowing.flight.cloud import Between, Cloud, Wandering
+from echowing.flight.cloud import RISK, Between, Cloud, Wandering
 from echowing.flight.guidance import Horizontal
 from echowing.sonar_file import shipped_sonar
 
@@ -230,3 +230,43 @@ class TestHowNearIsCertain:
 
         assert self.nearest_m(cloud, above_m=4.0) == 0.0
         assert self.nearest_m(cloud, to_it_m=(0.5, 0.0)) <= 1.5
+
+
+def nearest_by_definition(cloud: Cloud, to_it_m: Horizontal, above_m: float) -> float:
+    """`Cloud.nearest_m` with a metre of clearance, guess by guess, all of them sorted."""
+    far_m = math.hypot(*to_it_m)
+    north, east = to_it_m[0] / far_m, to_it_m[1] / far_m
+    rooms: list[tuple[float, float]] = []
+    for guess, weight in zip(cloud._off.T, cloud._weight, strict=True):
+        off_n, off_e = guess[0] - cloud.north_m, guess[1] - cloud.east_m
+        nearer, across = off_n * north + off_e * east, off_e * north - off_n * east
+        reach_m2 = 1.0 - across * across - (above_m - guess[2]) ** 2
+        if reach_m2 > 0.0 and nearer < far_m:
+            rooms.append((nearer + math.sqrt(reach_m2), weight))
+    nearest_m, left = 0.0, RISK
+    for room_m, weight in sorted(rooms, reverse=True):
+        nearest_m, left = max(0.0, room_m), left - weight
+        if left < 0.0:
+            return nearest_m
+    return 0.0
+
+
+@pytest.mark.parametrize("rounds", [0, 1, 4])
+@pytest.mark.parametrize(
+    ("to_it_m", "above_m"),
+    [((FAR_M, 0.0), 0.0), ((0.0, -FAR_M), 0.5), ((0.7, 0.7), 0.0), ((-9.0, 4.0), 1.6)],
+)
+def test_the_nearest_place_is_found_among_the_furthest_guesses(
+    rounds: int, to_it_m: Horizontal, above_m: float
+) -> None:
+    cloud = Sonar().looks_round(rounds).cloud
+    wanted_m = nearest_by_definition(cloud, to_it_m, above_m)
+    for _ in range(2):  # the second time it is remembered
+        assert cloud.nearest_m(to_it_m, above_m, 1.0) == pytest.approx(wanted_m, abs=1e-12)
+
+
+def test_the_nearest_place_is_found_anew_as_the_cloud_learns() -> None:
+    sonar = Sonar()
+    asked = (FAR_M, 0.0), 0.0, 1.0
+    unknown_m = sonar.cloud.nearest_m(*asked)
+    assert sonar.looks_round().cloud.nearest_m(*asked) < unknown_m - 0.5

@@ -2,6 +2,8 @@
 
 import math
 import statistics
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -57,17 +59,26 @@ def test_prediction_brings_the_commanded_slot_to_where_it_should_be() -> None:
 
 
 def test_one_seed_gives_the_same_bytes_twice_and_another_gives_others(tmp_path: Path) -> None:
+    def folder(name: str) -> Path:
+        (tmp_path / name).mkdir()
+        return tmp_path / name
+
     def logs(name: str, seed: int) -> dict[str, bytes]:
-        folder = tmp_path / name
-        folder.mkdir()
-        fly(load_scenario("echowing", ["duration_s=30"]), seed, out=folder)
-        return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
+        fly(load_scenario("echowing", ["duration_s=30"]), seed, out=folder(name))
+        return written(name)
+
+    def written(name: str) -> dict[str, bytes]:
+        return {path.name: path.read_bytes() for path in sorted((tmp_path / name).iterdir())}
 
     first = logs("first", 1)
 
     assert set(first) >= {"leader.tlog", "follower-2.tlog", "truth.csv"}
-    assert logs("again", 1) == first
     assert logs("other", 2)["truth.csv"] != first["truth.csv"]
+    # What other flights have left in memory changes nothing, nor does a process of its own.
+    assert logs("again", 1) == first
+    alone = [sys.executable, "-m", "echowing", "sim", "echowing", "--duration", "30", "--json"]
+    subprocess.run([*alone, "--seed", "1", "--out", folder("alone")], check=True)
+    assert written("alone") == first
 
 
 @pytest.mark.parametrize("path", ["circle", "figure-eight", "stop-and-go"])

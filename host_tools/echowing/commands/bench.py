@@ -302,9 +302,9 @@ def _firmware() -> Iterator[Figure]:
 
 
 def _speed() -> Iterator[Figure]:
-    yield _flight_speed("echowing", 60, "one flight, simulated per wall", "at least 50")
+    yield _flight_speed("echowing", 60, "one flight, times real time on a core", "at least 50")
     yield _campaign_speed()
-    yield _flight_speed("many", 22, "50 followers, simulated per wall", "")
+    yield _flight_speed("many", 22, "50 followers, times real time on a core", "")
     yield from _guidance_times()
     yield _help_time()
 
@@ -314,8 +314,9 @@ def _flight_speed(scenario: str, duration_s: int, what: str, goal: str) -> Figur
     from echowing.sim.scenario import load_scenario  # noqa: PLC0415
 
     flight = FormationFlight(load_scenario(scenario, [f"duration_s={duration_s}"]), seed=1)
-    result = flight.run()
-    return Figure(what, result.simulated_s / result.wall_s, "s/s", goal)
+    started_s = time.process_time()  # others on this machine do not count
+    flight.run()
+    return Figure(what, duration_s / (time.process_time() - started_s), "s/s", goal)
 
 
 def _campaign_speed(flights: int = 6) -> Figure:

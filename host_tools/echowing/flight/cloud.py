@@ -113,6 +113,7 @@ class Cloud:
         self._heard_at_s = -math.inf
         self._silent_at_s = -math.inf
         self._unforetold = 0
+        self._asked: tuple[Horizontal, float, float] | None = None
         self._nearest_m = 0.0
         self._summarise()
 
@@ -310,7 +311,7 @@ class Cloud:
 
     def _summarise(self) -> None:
         """Mean and covariance of the guesses."""
-        self._asked: tuple[Horizontal, float, float] | None = None
+        self._asked = None
         self.north_m, self.east_m, self.up_m = map(float, self._off @ self._weight)
         self._around = north, east = self._off[0] - self.north_m, self._off[1] - self.east_m
         up = self._off[2] - self.up_m

@@ -6,7 +6,6 @@ PD11848 and thesis Table 5 unless a line says otherwise.
 
 import math
 import random
-from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -136,7 +135,7 @@ class Servo:
         self.axis_deg = 0.0
         self._gear_deg = 0.0
         self._goal_deg = 0.0
-        self._coming: deque[tuple[float, float]] = deque()  # until it counts, and the goal
+        self._coming: list[tuple[float, float]] = []  # until it counts, and the goal
 
     def step(self, dt_s: float, pulse_deg: float) -> None:
         """Move for `dt_s`, in which the pulses say `pulse_deg`."""
@@ -144,7 +143,7 @@ class Servo:
         if pulse_deg != newest_deg:
             self._coming.append((SERVO_DEAD_TIME_S, pulse_deg))
         while self._coming and self._coming[0][0] <= dt_s:
-            wait_s, goal_deg = self._coming.popleft()
+            wait_s, goal_deg = self._coming.pop(0)
             self._move(wait_s)
             self._goal_deg = goal_deg
             dt_s -= wait_s
@@ -153,8 +152,7 @@ class Servo:
         self._move(dt_s)
 
     def _wait(self, span_s: float) -> None:
-        if self._coming:
-            self._coming = deque((wait_s - span_s, goal) for wait_s, goal in self._coming)
+        self._coming = [(wait_s - span_s, goal_deg) for wait_s, goal_deg in self._coming]
 
     def _move(self, dt_s: float) -> None:
         self._gear_deg = _approach(self._gear_deg, self._goal_deg, SERVO_SLEW_DPS * dt_s)
