@@ -19,11 +19,9 @@ CARD_SCRIPTS = f"{FIRMWARE_FOLDER}/{SCRIPTS_FOLDER}"
 # On a vehicle's card, and in ArduPilot's SITL, whose card is the folder it runs in.
 CARD_FOLDERS = (CARD_SCRIPTS, SCRIPTS_FOLDER)
 PARAMETER_PREFIX = "ECHO_"
-# How an applet writes a constant, and a row of its table: name, default, lowest, highest; and what
-# number it has where that is not its place.
-_CONSTANT = re.compile(r"^local (\w+) = ([\d.]+)", re.MULTILINE)
+# A row of an applet's table: name, default, lowest, highest, number.
 _PARAMETER_ROW = re.compile(
-    r"^    (?:\{ )?'(\w+)', ([\w.]+), ([\w.]+), ([\w.]+)(?:, \d+)?(?: \})?,$", re.MULTILINE
+    r"^ *'?([A-Z_]+)'?,? ([\d.]+),? ([\d.]+),? ([\d.]+),? \d+,?$", re.MULTILINE
 )
 
 
@@ -45,13 +43,8 @@ class AppletParameter:
 def applet_parameters(applet: Applet = HOLD) -> list[AppletParameter]:
     """An applet's parameters, read from its own table, the only place that lists them."""
     text = applet_path(applet).read_text(encoding="utf-8")
-    constants = {name: float(value) for name, value in _CONSTANT.findall(text)}
-
-    def number(word: str) -> float:
-        return constants[word] if word in constants else float(word)
-
     rows = [
-        AppletParameter(f"{PARAMETER_PREFIX}{name}", *map(number, numbers))
+        AppletParameter(f"{PARAMETER_PREFIX}{name}", *map(float, numbers))
         for name, *numbers in _PARAMETER_ROW.findall(text)
     ]
     if not rows:
