@@ -61,9 +61,9 @@ def test_many_means_fifty() -> None:
 
 
 def test_the_applets_distance_is_its_slots_radius_unless_told_otherwise() -> None:
-    slots = "formation.slots=[{radius_m=4.0}, {radius_m=8.0}, {radius_m=12.0, echo_dist_m=3.5}]"
+    slots = "formation.slots=[{radius_m=4.0}, {radius_m=9.0}, {radius_m=14.0, echo_dist_m=3.5}]"
     scenario = load_scenario("echowing", [slots])
-    # 8 m is more than the applet accepts, and beyond the sonar.
+    # 9 m is more than the applet accepts, and beyond the sonar.
     assert [scenario.echo_dist_m(index) for index in range(3)] == [4.0, None, 3.5]
     told = load_scenario("echowing", [slots, "applet.ECHO_DIST=2.0"])
     assert [told.echo_dist_m(index) for index in range(3)] == [None, None, 3.5]

@@ -14,6 +14,7 @@ from echowing.applets import HOLD, SPEED, Applet
 from echowing.errors import EchowingError
 from echowing.flight.belief import SonarBelief
 from echowing.flight.build_up import LEAST_DIST_M, MOST_DIST_M
+from echowing.flight.envelope import LEAST_M
 from echowing.flight.formation import check_formation
 from echowing.flight.guidance import GRAY, GuidanceSettings, Slot
 from echowing.section import NotNegative, Positive, Section, Share, section_of
@@ -524,7 +525,7 @@ def scenario_of(table: Mapping[str, Any], source: str) -> Scenario:
         raise EchowingError("\n".join(f"{source}: {line}" for line in wrong))
     try:
         _ = scenario.sonar_belief  # a file of the user's
-        check_formation(scenario.slots(), scenario.formation.slot_separation_m)
+        check_formation(scenario.slots(), scenario.formation.apart_m(LEAST_M))
     except EchowingError as error:
         raise EchowingError(f"{source}: {error}") from error
     return scenario

@@ -218,17 +218,17 @@ def _places(scenario: Scenario, port: int) -> str:
 
 
 def _demanded_m(formation: FormationSection) -> float:
-    """How far apart `follow` wants these slots: at least as far as without a word from anybody.
+    """How far apart `follow` wants these slots: at least as far as the receivers demand.
 
     What a scenario allows for a simulated flight must not loosen what the field tool demands.
     """
-    return max(formation.slot_separation_m, receivers_demand_m(LEAST_M))
+    return max(formation.apart_m(LEAST_M), receivers_demand_m(LEAST_M))
 
 
 def _as_toml(formation: FormationSection) -> str:
     demanded_m = _demanded_m(formation)
-    told = demanded_m == formation.slot_separation_m
-    lines = [f"slot_separation_m = {demanded_m}"] if told else []
+    stricter = demanded_m > receivers_demand_m(LEAST_M)
+    lines = [f"slot_separation_m = {demanded_m}"] if stricter else []
     for slot in formation.slots:
         lines += [
             "",
