@@ -38,7 +38,7 @@ duration_s = { uniform = [4.0, 6.0] }
 sigma_m = { uniform = [0.2, 0.8] }
 [formation]
 followers = { weighted = { 1 = 3, 2 = 1 } }
-spacing_m = 4.0
+spacing_m = 5.0
 [[fault]]
 share = 0.5
 kind = "outage"
@@ -431,7 +431,7 @@ def test_what_a_find_does_not_need_is_taken_out() -> None:
         "title": "t",
         "duration_s": 80.0,
         "wind": {"speed_mps": 5.0},
-        "formation": {"slots": [{"radius_m": 3.0}, {"radius_m": 7.0}, {"radius_m": 11.0}]},
+        "formation": {"slots": [{"radius_m": 3.0}, {"radius_m": 8.0}, {"radius_m": 13.0}]},
         "radio": {"leader": {"loss": 0.1}, "follower": {"loss": 0.1}},
         "fault": [
             {"kind": "sonar_dead", "vehicle": 2, "at_s": 3.3, "for_s": 8.0},
@@ -454,13 +454,13 @@ def test_a_follower_that_goes_takes_its_number_with_it() -> None:
     table: dict[str, Any] = {
         "title": "t",
         "duration_s": 17.0,
-        "formation": {"slots": [{"radius_m": 3.0}, {"radius_m": 7.0}]},
+        "formation": {"slots": [{"radius_m": 3.0}, {"radius_m": 8.0}]},
         "fault": [{"kind": "sonar_dead", "vehicle": 3, "at_s": 3.0}],
     }
     smallest, _ = shrink(table, needs("sonar_dead"))
 
     assert smallest["fault"][0]["vehicle"] == 2
-    assert smallest["formation"]["slots"] == [{"radius_m": 7.0}]
+    assert smallest["formation"]["slots"] == [{"radius_m": 8.0}]
 
 
 def test_what_does_not_fail_is_not_shrunk() -> None:

@@ -115,7 +115,7 @@ def test_seeds_must_be_one_or_more(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_laws_as_json(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     flights = [one for law in LAWS for one in everywhere(law)]
-    monkeypatch.setattr("echowing.sim.law_table.fly_laws", lambda *_: list(rows(flights)))
+    monkeypatch.setattr("echowing.sim.law_table.fly_laws", lambda *_, **__: list(rows(flights)))
     assert main(["bench", "--only", "laws", "--json"]) == 0
     figures = {one["what"]: one["value"] for one in json.loads(capsys.readouterr().out)}
     assert figures["hold, rectangle: RMSD"] == 0.6
@@ -126,7 +126,7 @@ def test_laws_as_a_table(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     flights = [one for law in LAWS for one in everywhere(law)]
-    monkeypatch.setattr("echowing.sim.law_table.fly_laws", lambda *_: list(rows(flights)))
+    monkeypatch.setattr("echowing.sim.law_table.fly_laws", lambda *_, **__: list(rows(flights)))
     assert main(["bench", "--only", "laws"]) == 0
     printed = capsys.readouterr().out
     assert "stop-and-go" in printed

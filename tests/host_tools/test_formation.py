@@ -16,37 +16,48 @@ from echowing.flight.formation import (
 )
 from echowing.flight.guidance import Slot
 from echowing.flight.spacing import UNRANGED_SIGMA_M
+from echowing.sim.scenario import load_scenario
+
+APART_M = 2.0
 
 
 def test_slots_apart_are_accepted() -> None:
-    check_formation([Slot(3.0), Slot(6.0), Slot(6.0, math.radians(60.0))])
+    check_formation([Slot(3.0), Slot(6.0), Slot(6.0, math.radians(60.0))], APART_M)
 
 
 def test_two_slots_too_near_are_named_with_their_distance() -> None:
     with pytest.raises(EchowingError, match=r"slots 2 and 3 are 1\.00 m apart, less than 2\.00 m"):
-        check_formation([Slot(3.0), Slot(6.0), Slot(7.0)])
+        check_formation([Slot(3.0), Slot(6.0), Slot(7.0)], APART_M)
+
+
+def test_a_simulated_formation_keeps_what_follow_demands() -> None:
+    """The same file, the same demand: what is rehearsed is what is flown."""
+    astern = "formation.slots=[{radius_m=4.0}, {radius_m=8.0}]"
+    with pytest.raises(EchowingError, match=r"4\.00 m apart, less than 4\.83 m"):
+        load_scenario("echowing", [astern])
+    assert load_scenario("echowing", [astern, "formation.slot_separation_m=4"])
 
 
 def test_altitude_steps_count() -> None:
     assert slot_distance_m(Slot(3.0), Slot(3.0, 0.0, 2.5)) == pytest.approx(2.5)
-    check_formation([Slot(3.0), Slot(3.0, 0.0, 2.5)])
+    check_formation([Slot(3.0), Slot(3.0, 0.0, 2.5)], APART_M)
 
 
 @pytest.mark.parametrize("radius_m", [0.9, 0.0, -3.0, math.nan])
 def test_a_slot_inside_the_leaders_clearance_is_refused(radius_m: float) -> None:
     with pytest.raises(EchowingError, match="slot 1 has a radius"):
-        check_formation([Slot(radius_m)])
+        check_formation([Slot(radius_m)], APART_M)
 
 
 @pytest.mark.parametrize("angle_deg", [91.0, -180.0])
 def test_a_slot_ahead_of_the_leader_is_refused(angle_deg: float) -> None:
     with pytest.raises(EchowingError, match="ahead of the leader"):
-        check_formation([Slot(3.0, math.radians(angle_deg))])
+        check_formation([Slot(3.0, math.radians(angle_deg))], APART_M)
 
 
 def test_an_empty_formation_is_refused() -> None:
     with pytest.raises(EchowingError, match="no slots"):
-        check_formation([])
+        check_formation([], APART_M)
 
 
 def test_receivers_demand_what_is_certain_once_both_are_in_their_slots() -> None:

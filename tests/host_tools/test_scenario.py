@@ -61,9 +61,9 @@ def test_many_means_fifty() -> None:
 
 
 def test_the_applets_distance_is_its_slots_radius_unless_told_otherwise() -> None:
-    slots = "formation.slots=[{radius_m=4.0}, {radius_m=8.0}, {radius_m=12.0, echo_dist_m=3.5}]"
+    slots = "formation.slots=[{radius_m=4.0}, {radius_m=9.0}, {radius_m=14.0, echo_dist_m=3.5}]"
     scenario = load_scenario("echowing", [slots])
-    # 8 m is more than the applet accepts, and beyond the sonar.
+    # 9 m is more than the applet accepts, and beyond the sonar.
     assert [scenario.echo_dist_m(index) for index in range(3)] == [4.0, None, 3.5]
     told = load_scenario("echowing", [slots, "applet.ECHO_DIST=2.0"])
     assert [told.echo_dist_m(index) for index in range(3)] == [None, None, 3.5]
@@ -101,7 +101,7 @@ def test_changes_reach_nested_keys() -> None:
         ("gps.sigma=0.5", r"gps\.sigma: no such key; allowed here: .*sigma_m, spread, .*tau_s"),
         ("gps.sigma_m=-1", r"gps\.sigma_m: .*greater than or equal to 0.*got -1"),
         ("gps.sigma_m=wide", r"gps\.sigma_m: .*valid number.*got 'wide'"),
-        ("law=magic", r"law: .*'none', 'thesis', 'bands' or 'hold'.*got 'magic'"),
+        ("law=magic", r"law: give 'none', 'thesis', 'bands', 'hold' or a \.lua file .*got 'magic'"),
         ("guidance.rate_hz=50", r"guidance\.rate_hz: .*less than or equal to 20"),
         ("settle_s=300", r"duration_s \(240\) must be more than settle_s \(300\)"),
         ("leader.path=track", "path 'track' needs `track`"),
@@ -211,14 +211,14 @@ def test_the_page_names_every_key_with_its_default() -> None:
 )
 def test_the_law_picks_the_applet_and_its_points(law: str, file: str, velocity: bool) -> None:
     scenario = load_scenario("echowing", [f"law={law}"])
-    assert scenario.applet_flown is not None
-    assert scenario.applet_flown.file == file
+    assert scenario.applet_file is not None
+    assert scenario.applet_file.name == file
     assert scenario.guidance_settings().feed_forward is velocity
 
 
 def test_without_a_law_there_is_no_applet() -> None:
     scenario = load_scenario("gray")
-    assert scenario.applet_flown is None
+    assert scenario.applet_file is None
     with pytest.raises(EchowingError, match="no applet, and it has no such parameter"):
         load_scenario("gray", ["applet.ECHO_DIST=3"])
 

@@ -13,6 +13,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.commands.follow import options_of
 from echowing.errors import EchowingError
+from echowing.paths import repository_root
 from echowing.sim.autopilot import Autopilot
 from echowing.sim.copter import Copter
 from echowing.sim.scenario import load_scenario
@@ -180,19 +181,40 @@ def test_a_taken_port_is_named() -> None:
     first.close()
 
 
+@pytest.mark.parametrize(
+    ("scenario", "changes", "given"),
+    [
+        ("echowing", [], ""),
+        ("thesis", [], "--position-only "),
+        ("echowing", ["sonar.file={file}", "leader.target=stock"], "--sonar {file} --legs stock "),
+    ],
+)
+def test_the_printed_command_flies_what_the_scenario_is(
+    scenario: str,
+    changes: list[str],
+    given: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Its applet's points, and what is believed of its sonars: else another flight is rehearsed."""
+    file = tmp_path / "mine.toml"
+    shipped = repository_root() / "host_tools" / "echowing" / "sonars" / "mb1202.toml"
+    file.write_bytes(shipped.read_bytes())
+    say_how_to_go_on(load_scenario(scenario, [one.format(file=file) for one in changes]), 5760)
+    said = capsys.readouterr().out
+    assert f"--radius 3 {given.format(file=file)}--engage" in said
+
+
 LINE_ASTERN = "formation.slots=[{radius_m=4.0}, {radius_m=7.9}]"
 FOLLOW_TWO = ["--leader", "udpin:1@1", "--follower", "udpin:1@2", "--follower", "udpin:1@3"]
 
 
-@pytest.mark.parametrize("allowed", [[], ["formation.slot_separation_m=2.0"]])
 def test_a_served_formation_does_not_loosen_what_follow_demands(
-    allowed: list[str],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    say_how_to_go_on(load_scenario("echowing", [LINE_ASTERN, *allowed]), 5760)
+    allowed = "formation.slot_separation_m=2.0"
+    say_how_to_go_on(load_scenario("echowing", [LINE_ASTERN, allowed]), 5760)
     said = capsys.readouterr().out
     assert "follow will refuse it: formation: slots 1 and 2 are 3.90 m apart" in said
     with pytest.raises(EchowingError, match=r"3\.90 m apart, less than 4\.83"):

@@ -594,6 +594,7 @@ with progress_bar() as bar:
     step(1, 2)
     step(2, 2)
     print("[done]")
+    bar("reading back")(1, 2)  # still shown
     print(agreed("Write these too? [y/N] "))
 """
 

@@ -26,6 +26,8 @@ from ..sitl.table import Entry, Figures, agrees, lines
 from ..sitl.vehicle import ORIGIN, State
 
 REPOSITORY = Path(__file__).parents[2]
+# Generous: a busy machine may take its time.
+DEADLINE_S = 60.0
 
 
 # ---- names and versions ------------------------------------------------------------------------
@@ -113,7 +115,7 @@ def ends() -> Iterator[tuple[Link, socket.socket, socket.socket]]:
             accepted, _ = vehicle.accept()
             with accepted:
                 for end in (tool, accepted):
-                    end.settimeout(10.0)
+                    end.settimeout(DEADLINE_S)
                 yield link, tool, accepted
         link.close()
 
@@ -126,30 +128,24 @@ def test_a_link_carries_both_ways(ends: tuple[Link, socket.socket, socket.socket
     assert tool.recv(10) == b"down"
 
 
+def taken(link: Link, count: int) -> None:
+    """Wait until so many bytes have come to the link."""
+    until_s = time.monotonic() + DEADLINE_S
+    while link.taken_bytes < count:
+        assert time.monotonic() < until_s
+        time.sleep(0.005)
+
+
 def test_a_cut_link_loses_what_is_sent_and_stays_connected(
     ends: tuple[Link, socket.socket, socket.socket],
 ) -> None:
     link, tool, vehicle = ends
     link.cut.set()
     tool.sendall(b"lost")
-    vehicle.settimeout(0.3)
-    with pytest.raises(TimeoutError):
-        vehicle.recv(10)
+    taken(link, 4)
     link.cut.clear()
-    vehicle.settimeout(10.0)
     tool.sendall(b"heard")
     assert vehicle.recv(10) == b"heard"
-
-
-def all_of(receiver: socket.socket, least: int) -> bytes:
-    """What arrives until it is quiet, however long a busy machine takes for the first `least`."""
-    arrived, until_s = b"", time.monotonic() + 30.0
-    while True:
-        try:
-            arrived += receiver.recv(4000)
-        except TimeoutError:
-            if len(arrived) > least or time.monotonic() > until_s:
-                return arrived
 
 
 def test_a_lossy_link_loses_packets_both_ways(
@@ -157,13 +153,16 @@ def test_a_lossy_link_loses_packets_both_ways(
 ) -> None:
     link, *both = ends
     for sender, receiver in (both, both[::-1]):
+        before = link.taken_bytes
         link.lose(0.3)
         sender.sendall(bytes(4000))  # 80 packets or so
-        receiver.settimeout(0.3)
-        assert 2000 < len(all_of(receiver, 2000)) < 3600
+        taken(link, before + 4000)
         link.lose(0.0)
         sender.sendall(b"heard")
-        assert receiver.recv(10) == b"heard"
+        arrived = b""
+        while not arrived.endswith(b"heard"):
+            arrived += receiver.recv(4000)
+        assert 2000 < len(arrived) < 3600
 
 
 # ---- truth -------------------------------------------------------------------------------------

@@ -58,6 +58,7 @@ class Link:
         self._listener.setblocking(False)
         self.port = int(self._listener.getsockname()[1])
         self.cut = threading.Event()
+        self.taken_bytes = 0  # so many have come to it, whatever became of them
         self._done = threading.Event()
         self._tool: socket.socket | None = None
         self._vehicle: socket.socket | None = None
@@ -128,6 +129,7 @@ class Link:
             queue.put(
                 time.monotonic(), self._cutters["up" if queue is self._up else "down"].carry(data)
             )
+        self.taken_bytes += len(data)
         return end
 
     def _deliver(self, now_s: float) -> None:

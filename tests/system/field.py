@@ -33,6 +33,7 @@ GROUND_STATION_ID = 255
 WORLD = [
     *("echowing", "--set", "leader.speed_mps=0.5", "--set", "gps.sigma_m=0.2"),
     *("--set", "formation.slots=[{radius_m=3.0},{radius_m=6.0, angle_deg=40.0}]"),
+    *("--set", "formation.slot_separation_m=4.0"),
 ]
 
 

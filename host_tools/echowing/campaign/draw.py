@@ -22,6 +22,8 @@ SHIPPED = ("field", "many", "formations")
 _SHAPES = ("column", "vee", "echelon", "wedge")
 # Rows of a vee, an echelon and a wedge go back by this share of the spacing.
 _ROW_SHARE = 0.7
+# Without a word from the description; nearer than 4.83 m is refused (receivers_demand_m).
+SPACING_M = 6.0
 _FORMATION = {"followers", "shape", "radius_m", "spacing_m", "altitude_step_m", "crossing"}
 _ABSENT = object()
 
@@ -145,7 +147,7 @@ def _formation(wish: Mapping[str, Any], source: str) -> dict[str, Any]:
     if shape not in _SHAPES:
         raise EchowingError(f"{source}: formation.shape: one of {', '.join(_SHAPES)}, not {shape}")
     count = int(wish.get("followers", 1))
-    spacing_m, radius_m = wish.get("spacing_m", 3.0), wish.get("radius_m", 3.0)
+    spacing_m, radius_m = wish.get("spacing_m", SPACING_M), wish.get("radius_m", 3.0)
     slots = []
     for number in range(count):
         back_m, left_m = _place(shape, number, spacing_m)

@@ -26,7 +26,7 @@ examples:
   echowing bench --only field         the follow tool: latency, and 50 followers on one core
   echowing bench --only echoes        what late echoes do to the sonar's readings (half a minute)
   echowing bench --only laws          the speed laws, 20 seeds, about 5 minutes on two cores
-  echowing bench --only laws --seeds 3
+  echowing bench --only laws --seeds 3 --law my_law.lua
   echowing bench --only accuracy      how well the distance is kept, 20 seeds, about 16 minutes
   echowing bench --only robust        the same with other sonars, receivers and heights than
                                       believed, and any two at once: 20 seeds, about an hour
@@ -53,6 +53,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seeds", type=int, default=20, help="flights per law and path, or per row (20)"
     )
+    parser.add_argument(
+        "--law",
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="with the laws: an applet of your own beside them, a .lua file (may be repeated)",
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON list")
 
 
@@ -74,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
     if "echoes" in chosen:
         figures += _echoes(quiet=args.json)
     if "laws" in chosen:
-        table = _fly_laws(args.seeds, quiet=args.json)
+        table = _fly_laws(args.seeds, args.law, quiet=args.json)
         figures += _law_figures(table)
         if not args.json:
             _print_laws(table)
@@ -117,12 +124,16 @@ def _print_definition() -> None:
     Console().print(DEFINITION, highlight=False)
 
 
-def _fly_laws(seeds: int, *, quiet: bool) -> "list[LawRow]":
-    """Fly them on all cores."""
+def _fly_laws(seeds: int, own: list[str], *, quiet: bool) -> "list[LawRow]":
+    """Fly them on all cores, and beside them the user's own."""
     from echowing.sim.law_table import flight_count, fly_laws  # noqa: PLC0415
+    from echowing.sim.scenario import LAWS, load_scenario  # noqa: PLC0415
 
-    with _bar("flying the laws", flight_count(seeds), quiet=quiet) as advance:
-        return fly_laws(seeds, advance)
+    laws = (*LAWS, *own)
+    for law in own:
+        load_scenario("echowing", [f'law="{law}"'])  # what is wrong with it shows at once
+    with _bar("flying the laws", flight_count(seeds, laws), quiet=quiet) as advance:
+        return fly_laws(seeds, advance, laws=laws)
 
 
 def _fly_accuracy(seeds: int, *, quiet: bool) -> "list[Kept]":

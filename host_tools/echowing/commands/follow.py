@@ -425,10 +425,7 @@ def _build_up(args: argparse.Namespace) -> tuple[float, ...]:
 def _slots(args: argparse.Namespace, radii_m: tuple[float, ...]) -> "list[Slot]":
     """A checked slot for each follower; of a build-up at its widest."""
     from echowing.flight.build_up import scaled  # noqa: PLC0415
-    from echowing.flight.formation import (  # noqa: PLC0415
-        DEFAULT_SLOT_SEPARATION_M,
-        check_formation,
-    )
+    from echowing.flight.formation import check_formation  # noqa: PLC0415
     from echowing.flight.guidance import Slot  # noqa: PLC0415
     from echowing.tool.formation_file import load_formation  # noqa: PLC0415
 
@@ -443,8 +440,8 @@ def _slots(args: argparse.Namespace, radii_m: tuple[float, ...]) -> "list[Slot]"
         if followers > 1:
             raise EchowingError(f"{followers} followers need --formation FILE, a slot for each")
         radius_m = RADIUS_M if args.radius is None else args.radius
-        slots, apart_m = [Slot(radius_m, math.radians(args.angle))], DEFAULT_SLOT_SEPARATION_M
-        check_formation(slots)
+        slots, apart_m = [Slot(radius_m, math.radians(args.angle))], 0.0  # nobody else
+        check_formation(slots, apart_m)
     for one_m in radii_m:
         check_formation(scaled(slots, one_m), apart_m)
     nearest_m = min(radii_m, default=min(slot.radius_m for slot in slots))

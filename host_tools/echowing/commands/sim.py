@@ -36,7 +36,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seed", default="1", metavar="N", help="seed of the random numbers, or a range: 1-10"
     )
-    parser.add_argument("--law", choices=["none", *LAWS], help="the applet's speed law")
+    law = parser.add_argument(
+        "--law",
+        metavar="LAW",
+        help=f"what the applet does: none, {', '.join(LAWS)}, or a .lua file of your own",
+    )
+    law.completer = lambda **_: ("none", *LAWS)  # type: ignore[attr-defined]
     parser.add_argument("--duration", type=float, metavar="S", help="simulated seconds to fly")
     parser.add_argument(
         "--set",

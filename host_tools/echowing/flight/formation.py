@@ -9,8 +9,6 @@ from echowing.flight.envelope import SURE_SIGMAS
 from echowing.flight.guidance import Slot, slot_offset_m
 from echowing.flight.spacing import UNRANGED_SIGMA_M
 
-# Two X8s are 0.5 m across (thesis Table 3) and each GPS may be a metre or two out.
-DEFAULT_SLOT_SEPARATION_M = 2.0
 # Each of two followers may be this far off its slot and still be in it.
 IN_SLOT_M = 0.5
 # The guided point is never nearer to the leader than this; a slot inside could not be flown.
@@ -32,7 +30,7 @@ def receivers_demand_m(least_m: float) -> float:
     return least_m + SURE_SIGMAS * UNRANGED_SIGMA_M + 2.0 * IN_SLOT_M
 
 
-def check_formation(slots: Sequence[Slot], separation_m: float = DEFAULT_SLOT_SEPARATION_M) -> None:
+def check_formation(slots: Sequence[Slot], separation_m: float) -> None:
     """Raise EchowingError unless every slot can be flown and all are apart from each other."""
     if not slots:
         raise EchowingError("formation: no slots; give at least one (radius, angle, altitude step)")

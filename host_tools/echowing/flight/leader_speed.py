@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 # At a corner a leader is behind another leg before its follower has answered. Up to 4 m/s the sonar
 # keeps it; faster, it is lost at each corner, and caught up with by GPS. Mean error 0.3 m at 4 m/s,
-# 0.9 at 5, 1.5 at 6, 7 m at 8 (RESULTS.md, Leader's speed). The follower's speed parameter does not
+# 0.7 at 5, 1.4 at 6, 9 m at 8 (RESULTS.md, Leader's speed). The follower's speed parameter does not
 # matter: of points with a velocity it limits the correction alone. Points without one are flown at
 # ECHO_SPD_MAX (5 m/s) at the most, and catching up takes 1 m/s of it: 4 m/s again.
 MOST_LEADER_MPS = 4.0

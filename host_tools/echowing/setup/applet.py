@@ -39,14 +39,25 @@ class AppletParameter:
 
 
 def applet_parameters(applet: Applet = HOLD) -> list[AppletParameter]:
-    """An applet's parameters, read from its own table, the only place that lists them."""
-    text = applet_path(applet).read_text(encoding="utf-8")
+    """An applet's parameters."""
+    return parameters_in(applet_path(applet))
+
+
+def parameters_in(file: Path) -> list[AppletParameter]:
+    """The parameters of an applet's file, read from its own table, the only place that lists them.
+
+    Raises EchowingError for a file without one.
+    """
+    try:
+        text = file.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise EchowingError(f"{file}: cannot read the applet: {error}") from error
     rows = [
         AppletParameter(f"{PARAMETER_PREFIX}{name}", *map(float, numbers))
         for name, *numbers in _PARAMETER_ROW.findall(text)
     ]
     if not rows:
-        raise EchowingError(f"{applet_path(applet)}: no table of parameters in it")
+        raise EchowingError(f"{file}: no table of parameters in it")
     return rows
 
 

@@ -161,7 +161,7 @@ class FormationFlight(FormationWorld):
         self._course_rad = 0.0
         self._commanded_slot_m: list[float] = []
         self.recorders = [
-            Recorder(scenario.name, slot, scenario.law, seed) for slot in scenario.slots()
+            Recorder(scenario.name, slot, scenario.law_name, seed) for slot in scenario.slots()
         ]
 
     def run(

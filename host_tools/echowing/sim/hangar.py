@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from echowing.geo import Ned
-from echowing.setup.applet import applet_path
 from echowing.setup.settings import ACCELERATION_MPS2, JERK_MPS3
 from echowing.sim.autopilot import Autopilot
 from echowing.sim.coprocessor import NativeCoprocessor
@@ -96,8 +95,8 @@ class Hangar:
             wire=self.cutters(f"wire {index}", scenario.wire),
             wind=wind,
         )
-        if scenario.applet_flown is not None:
-            follower.load_applet(applet_path(scenario.applet_flown))
+        if scenario.applet_file is not None:
+            follower.load_applet(scenario.applet_file)
         return follower
 
     def telemetry(self, vehicle: SimVehicle, name: str, radio: RadioSection) -> Telemetry:

@@ -75,7 +75,13 @@ def speed_changes_per_min(time_s: Floats, speed_mps: Floats) -> float:
     return changes * 60.0 / float(time_s[-1] - time_s[0])
 
 
-def fly_laws(seeds: int, advance: Callable[[], None], jobs: int | None = None) -> list[LawRow]:
+def fly_laws(
+    seeds: int,
+    advance: Callable[[], None],
+    jobs: int | None = None,
+    *,
+    laws: Sequence[str] = LAWS,
+) -> list[LawRow]:
     """Fly every law on every path with seeds 1 to `seeds`; `advance` is called after each flight.
 
     Returns a row a law and path, and one of all formation paths together.
@@ -85,7 +91,7 @@ def fly_laws(seeds: int, advance: Callable[[], None], jobs: int | None = None) -
         (law, path, seed)
         for path in (HOSTILE, *PATHS)
         for seed in range(1, seeds + 1)
-        for law in LAWS
+        for law in laws
     ]
     flown: dict[tuple[str, str, int], LawFlight] = {}
     with ProcessPoolExecutor(jobs or os.cpu_count()) as pool:
@@ -96,9 +102,9 @@ def fly_laws(seeds: int, advance: Callable[[], None], jobs: int | None = None) -
     return list(rows([flown[one] for one in plan]))
 
 
-def flight_count(seeds: int) -> int:
+def flight_count(seeds: int, laws: Sequence[str] = LAWS) -> int:
     """How many flights `fly_laws` flies."""
-    return len(LAWS) * (len(PATHS) + 1) * seeds
+    return len(laws) * (len(PATHS) + 1) * seeds
 
 
 def fly_law(law: str, path: str, seed: int) -> LawFlight:
@@ -132,10 +138,11 @@ def law_flight(flown: FlownScenario, path: str) -> LawFlight:
 
 def rows(flights: Sequence[LawFlight]) -> Iterator[LawRow]:
     """A row a path and law; then one a law of all formation paths, safe only if hostile was too."""
+    laws = list(dict.fromkeys(flight.law for flight in flights))
     for path in (*PATHS, HOSTILE):
-        for law in LAWS:
+        for law in laws:
             yield _row(law, path, [f for f in flights if (f.law, f.path) == (law, path)])
-    for law in LAWS:
+    for law in laws:
         formation = [f for f in flights if f.law == law and f.path != HOSTILE]
         everywhere = all(f.safe for f in flights if f.law == law)
         yield _row(law, "all", formation, safe=everywhere)

@@ -6,10 +6,10 @@ would be one with the defaults, and nobody would be told.
 
 import math
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 
-from echowing.applets import Applet
 from echowing.errors import nearest
-from echowing.setup.applet import applet_parameters
+from echowing.setup.applet import parameters_in
 from echowing.sim.parameters import Generation, spans_of
 
 Span = tuple[float, float]
@@ -17,14 +17,17 @@ Span = tuple[float, float]
 
 def objections(
     generation: Generation,
-    flown: Applet | None,
+    flown: Path | None,
     applet: Mapping[str, float],
     vehicle: Mapping[str, float],
 ) -> Iterator[str]:
-    """What is wrong with `[applet]` and with `[follower.parameters]`, one line each."""
-    rows = [] if flown is None else applet_parameters(flown)
+    """What is wrong with `[applet]` and with `[follower.parameters]`, one line each.
+
+    flown: the applet's file.
+    """
+    rows = [] if flown is None else parameters_in(flown)
     of_applet = {row.name: (row.low, row.high) for row in rows}
-    name = "no applet, and it" if flown is None else flown.file
+    name = "no applet, and it" if flown is None else flown.name
     yield from _wrong("applet", applet, of_applet, name)
     known = {**spans_of(generation), **of_applet}
     whose = f"the simulated ArduCopter {generation.value}"

@@ -27,6 +27,7 @@ from echowing.web.options import PageAddress
 WORLD = (
     "leader.speed_mps=1.5",
     "formation.slots=[{radius_m=3.0},{radius_m=3.0, angle_deg=75.0}]",
+    "formation.slot_separation_m=3.5",  # the picture's vehicles are to be seen in one view
     "duration_s=52",  # after the first corner
 )
 # Width, height and pixels per CSS pixel; the phone's picture ends below the first vehicle.

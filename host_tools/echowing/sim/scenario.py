@@ -10,13 +10,15 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from echowing.applets import HOLD, SPEED, Applet
+from echowing.applets import FORMAT, HOLD, SPEED
 from echowing.errors import EchowingError
 from echowing.flight.belief import SonarBelief
 from echowing.flight.build_up import LEAST_DIST_M, MOST_DIST_M
+from echowing.flight.envelope import LEAST_M
 from echowing.flight.formation import check_formation
 from echowing.flight.guidance import GRAY, GuidanceSettings, Slot
 from echowing.section import NotNegative, Positive, Section, Share, section_of
+from echowing.setup.applet import applet_path, parameters_in
 from echowing.sim.cutter import ByteLoss
 from echowing.sim.fault_section import LEADER_FAULTS, FaultSection, objection
 from echowing.sim.named_parameters import objections
@@ -29,10 +31,10 @@ from echowing.tool.formation_file import FormationSection
 # the other one does (lua/echowing.md).
 SPEED_LAWS = {"thesis": 0, "bands": 1}
 LAWS = (*SPEED_LAWS, "hold")
+OWN_LAW = ".lua"  # how the name of a user's applet ends
 LeaderPath = Literal[
     "rectangle", "circle", "figure-eight", "stop-and-go", "script", "walk", "track"
 ]
-LawName = Literal["none", "thesis", "bands", "hold"]
 
 
 class LeaderEvent(Section):
@@ -359,8 +361,9 @@ class Scenario(Section):
     """Simulated seconds."""
     settle_s: NotNegative | None = None
     """Left out of the figures at the beginning; none: until first within 1 m of the slot."""
-    law: LawName = "hold"
-    """Of the applet: `hold` (`echowing.lua`); `thesis`, `bands` (`echowing_speed.lua`); `none`."""
+    law: str = "hold"
+    """Of the applet: `hold` (`echowing.lua`); `thesis`, `bands` (`echowing_speed.lua`); `none`; or
+    your own file, `my_law.lua` ([`LAWS.md`](LAWS.md))."""
     leader: LeaderSection = LeaderSection()
     """The leader."""
     formation: FormationSection = FormationSection()
@@ -390,6 +393,14 @@ class Scenario(Section):
     wall: WallSection = WallSection()
     """Of kind `wall`."""
 
+    @field_validator("law")
+    @classmethod
+    def _is_a_law(cls, law: str) -> str:
+        if law in ("none", *LAWS) or law.endswith(OWN_LAW):
+            return law
+        names = ", ".join(map(repr, ("none", *LAWS)))
+        raise ValueError(f"give {names} or a {OWN_LAW} file")
+
     @model_validator(mode="after")
     def _flyable(self) -> "Scenario":
         if self.settle_s is not None and self.settle_s >= self.duration_s:
@@ -402,12 +413,11 @@ class Scenario(Section):
             raise ValueError(wrong)
         if self.fault and self.kind == "wall":
             raise ValueError("a flight at a wall takes no faults")
-        if self.law == "hold" and (
-            self.kind == "wall" or not self.guidance.settings().feed_forward
-        ):
+        without_velocity = self.kind == "wall" or not self.guidance.settings().feed_forward
+        if self.applet_file is not None and self.takes_velocity and without_velocity:
             raise ValueError(
-                "law: the hold needs points with a velocity, and here they have none: give thesis, "
-                "bands or none"
+                f"law: the {self.law_name} needs points with a velocity, and here they have none: "
+                "give thesis, bands or none"
             )
         carried = self.leader.path in ("walk", "track")
         if carried and any(fault.kind in LEADER_FAULTS for fault in self.fault):
@@ -420,16 +430,29 @@ class Scenario(Section):
         return self
 
     @property
-    def applet_flown(self) -> Applet | None:
+    def law_name(self) -> str:
+        """The law as results name it: of a user's applet its file without the folders."""
+        return Path(self.law).name
+
+    @property
+    def applet_file(self) -> Path | None:
         """The applet that flies this law."""
         if self.law == "none":
             return None
-        return SPEED if self.law in SPEED_LAWS else HOLD
+        if self.law.endswith(OWN_LAW):
+            return Path(self.law)
+        return applet_path(SPEED if self.law in SPEED_LAWS else HOLD)
+
+    @cached_property
+    def takes_velocity(self) -> bool:
+        """Whether points carry a velocity: not those of an applet that knows no format of them."""
+        file = self.applet_file
+        return file is None or any(row.name == FORMAT for row in parameters_in(file))
 
     def guidance_settings(self) -> GuidanceSettings:
-        """How points are made; the speed applet's have no velocity."""
+        """How points are made; those of a speed law have no velocity."""
         settings = self.guidance.settings()
-        return replace(settings, feed_forward=False) if self.law in SPEED_LAWS else settings
+        return settings if self.takes_velocity else replace(settings, feed_forward=False)
 
     @cached_property
     def sonar_file(self) -> SonarFile:
@@ -518,13 +541,13 @@ def scenario_of(table: Mapping[str, Any], source: str) -> Scenario:
     scenario = section_of(Scenario, table, source)
     generation = scenario.follower.autopilot_generation()
     wrong = list(
-        objections(generation, scenario.applet_flown, scenario.applet, scenario.follower.parameters)
+        objections(generation, scenario.applet_file, scenario.applet, scenario.follower.parameters)
     )
     if wrong:
         raise EchowingError("\n".join(f"{source}: {line}" for line in wrong))
     try:
         _ = scenario.sonar_belief  # a file of the user's
-        check_formation(scenario.slots(), scenario.formation.slot_separation_m)
+        check_formation(scenario.slots(), scenario.formation.apart_m(LEAST_M))
     except EchowingError as error:
         raise EchowingError(f"{source}: {error}") from error
     return scenario

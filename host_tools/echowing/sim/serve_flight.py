@@ -1,5 +1,6 @@
 """A scenario's world in real time for other tools: vehicles in the air, nobody on the ground."""
 
+import shlex
 import time
 from contextlib import closing
 from pathlib import Path
@@ -19,6 +20,7 @@ from echowing.sim.parked import ParkedHangar, ParkedWorld, insert_cards
 from echowing.sim.scenario import Scenario
 from echowing.sim.serve import Endpoint, Server
 from echowing.sim.vehicles import LeaderPilot, SimFollower, SimVehicle
+from echowing.sonar_file import SHIPPED
 from echowing.stopping import stop_on_signals
 from echowing.tool.formation_file import FormationSection
 from echowing.tool.run import Page
@@ -184,9 +186,18 @@ def say_how_to_go_on(
     ends = " ".join(f"--follower {follower}" for follower in followers)
     leader = f"--leader tcp:127.0.0.1:{port}"
     print("To fly the formation, in another terminal:")
-    print(f"  echowing follow {leader} {ends} {_places(scenario, port)}{key} --engage")
+    told = f"{_places(scenario, port)}{_beliefs(scenario)}{key}"
+    print(f"  echowing follow {leader} {ends} {told} --engage")
     _warn_of_refusal(scenario)
     print(f"{STARTS} Ctrl-C ends it.", flush=True)
+
+
+def _beliefs(scenario: Scenario) -> str:
+    """The options of `follow` that say which points the applets take, and what the sonars are."""
+    points = "" if scenario.guidance_settings().feed_forward else " --position-only"
+    sonar = "" if scenario.sonar.file == SHIPPED else f" --sonar {shlex.quote(scenario.sonar.file)}"
+    legs = "" if scenario.leader.target == "foil" else f" --legs {scenario.leader.target}"
+    return f"{points}{sonar}{legs}"
 
 
 def _warn_of_refusal(scenario: Scenario) -> None:
@@ -218,17 +229,17 @@ def _places(scenario: Scenario, port: int) -> str:
 
 
 def _demanded_m(formation: FormationSection) -> float:
-    """How far apart `follow` wants these slots: at least as far as without a word from anybody.
+    """How far apart `follow` wants these slots: at least as far as the receivers demand.
 
     What a scenario allows for a simulated flight must not loosen what the field tool demands.
     """
-    return max(formation.slot_separation_m, receivers_demand_m(LEAST_M))
+    return max(formation.apart_m(LEAST_M), receivers_demand_m(LEAST_M))
 
 
 def _as_toml(formation: FormationSection) -> str:
     demanded_m = _demanded_m(formation)
-    told = demanded_m == formation.slot_separation_m
-    lines = [f"slot_separation_m = {demanded_m}"] if told else []
+    stricter = demanded_m > receivers_demand_m(LEAST_M)
+    lines = [f"slot_separation_m = {demanded_m}"] if stricter else []
     for slot in formation.slots:
         lines += [
             "",

@@ -1,6 +1,7 @@
 """Fly a scenario of either kind and sum it up: the one entrance for commands and tests."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -15,8 +16,11 @@ from echowing.sim.coprocessor import SonarBus
 from echowing.sim.flight import FormationFlight, Progress
 from echowing.sim.hangar import board_parameters
 from echowing.sim.scenario import Scenario
-from echowing.sim.vehicles import MakeCoprocessor
+from echowing.sim.vehicles import MakeCoprocessor, SimFollower
 from echowing.sim.wall import fly_at_wall
+
+# How an applet tells of an error that it caught, and ArduPilot of a script that it ended.
+APPLET_FAILED = ("ECHO: error", "Lua: ")
 
 
 @dataclass(frozen=True)
@@ -90,16 +94,18 @@ def fly(
     """Fly `scenario` with `seed`; with `out`, logs and truth are written there.
 
     firmware: "native" (the core built for this machine) or "avr" (the board's binary, emulated).
+    Raises EchowingError if the applet failed: that flight is not one with its law.
     """
     make_coprocessor = _coprocessors(scenario, seed, firmware)
     if scenario.kind == "wall":
         return _wall(scenario, seed, make_coprocessor)
     flight = FormationFlight(scenario, seed, out=out, make_coprocessor=make_coprocessor)
     result = flight.run(progress)
+    _refuse_failed(scenario, flight.followers)
     measured = [metrics(one, _settle_s(one, scenario)) for one in result.flights]
     return FlownScenario(
         scenario=scenario.name,
-        law=scenario.law,
+        law=scenario.law_name,
         seed=seed,
         flights=result.flights,
         metrics=measured,
@@ -126,12 +132,20 @@ def _coprocessors(scenario: Scenario, seed: int, firmware: str) -> MakeCoprocess
     return make
 
 
+def _refuse_failed(scenario: Scenario, followers: Sequence[SimFollower]) -> None:
+    """Name the first error of an applet: its own word, or the scripting engine's."""
+    for follower in followers:
+        for t_s, text in follower.autopilot.texts:
+            if text.startswith(APPLET_FAILED):
+                raise EchowingError(f"{scenario.applet_file}: failed after {t_s:.1f} s: {text}")
+
+
 def _wall(scenario: Scenario, seed: int, make_coprocessor: MakeCoprocessor | None) -> FlownScenario:
     result = fly_at_wall(scenario, seed, make_coprocessor=make_coprocessor)
-    flight = replace(result.flight, name=scenario.name, law=scenario.law, seed=seed)
+    flight = replace(result.flight, name=scenario.name, law=scenario.law_name, seed=seed)
     return FlownScenario(
         scenario=scenario.name,
-        law=scenario.law,
+        law=scenario.law_name,
         seed=seed,
         flights=[flight],
         metrics=[metrics(flight)],

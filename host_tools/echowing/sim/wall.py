@@ -68,7 +68,7 @@ def fly_at_wall(
     follower = hangar.follower(0, (0.0, 0.0, -wall.altitude_m), 0.0, pace_mps, listen)
     link = hangar.telemetry(follower, "follower", scenario.radio.follower)
     send = _target_sender(scenario, link)
-    recorder = Recorder(scenario.name, scenario.slots()[0], scenario.law, seed)
+    recorder = Recorder(scenario.name, scenario.slots()[0], scenario.law_name, seed)
     closest_m = distance_m = math.inf
     with waiting_interrupts() as raise_asked:
         for step in range(1, round(scenario.duration_s / STEP_S) + 1):

@@ -8,11 +8,7 @@ from typing import Annotated
 from pydantic import Field, ValidationError
 
 from echowing.errors import EchowingError
-from echowing.flight.formation import (
-    DEFAULT_SLOT_SEPARATION_M,
-    check_formation,
-    receivers_demand_m,
-)
+from echowing.flight.formation import check_formation, receivers_demand_m
 from echowing.flight.guidance import Slot
 from echowing.section import Positive, Section
 
@@ -42,8 +38,14 @@ class FormationSection(Section):
 
     slots: Annotated[tuple[SlotSection, ...], Field(min_length=1)] = (SlotSection(radius_m=3.0),)
     """One follower each, `[[formation.slots]]`; without any one slot 3 m behind."""
-    slot_separation_m: Positive = DEFAULT_SLOT_SEPARATION_M
-    """Slots nearer to each other than this are refused."""
+    slot_separation_m: Positive | None = None
+    """Slots nearer to each other than this are refused; none: than the followers' receivers demand
+    (4.83 m)."""
+
+    def apart_m(self, least_m: float) -> float:
+        """How far apart the slots have to be; `least_m` is what must remain of it for certain."""
+        told_m = self.slot_separation_m
+        return receivers_demand_m(least_m) if told_m is None else told_m
 
 
 def load_formation(path: Path, least_m: float) -> tuple[list[Slot], float]:
@@ -64,8 +66,7 @@ def load_formation(path: Path, least_m: float) -> tuple[list[Slot], float]:
         key = ".".join(str(part) for part in first["loc"])
         raise EchowingError(f"--formation {path}: {key}: {first['msg']}") from error
     slots = [section.slot() for section in formation.slots]
-    told = "slot_separation_m" in formation.model_fields_set
-    apart_m = formation.slot_separation_m if told else receivers_demand_m(least_m)
+    apart_m = formation.apart_m(least_m)
     try:
         check_formation(slots, apart_m)
     except EchowingError as error:

@@ -35,6 +35,7 @@ FORMATION = (
 WORLD = (
     *("echowing", "--set", "leader.speed_mps=1.5"),
     *("--set", "formation.slots=[{radius_m=3.0},{radius_m=5.0, angle_deg=50.0}]"),
+    *("--set", "formation.slot_separation_m=3.5"),
 )
 
 
