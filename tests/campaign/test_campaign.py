@@ -386,7 +386,9 @@ def test_an_autopilot_that_ends_in_flight_is_a_find(
         end
         return update()
     """)
-    monkeypatch.setattr(SimFollower, "load_applet", lambda one, _: one.autopilot.load_script(script))
+    monkeypatch.setattr(
+        SimFollower, "load_applet", lambda one, _: one.autopilot.load_script(script)
+    )
 
     judged = fly_and_judge(load_scenario("echowing", ["duration_s=10"]), 3)
 
