@@ -28,8 +28,8 @@ from echowing.campaign.workers import WorkersDied, connected, done_by_workers
 from echowing.cli import main
 from echowing.errors import EchowingError
 from echowing.sim.scenario import Scenario, load_scenario, scenario_of
-from echowing.sim.vehicles import SimFollower
 from echowing.sim.summary import fly
+from echowing.sim.vehicles import SimFollower
 
 SHORT = """
 title = "short flights for tests"
