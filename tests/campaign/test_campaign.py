@@ -29,6 +29,7 @@ from echowing.cli import main
 from echowing.errors import EchowingError
 from echowing.sim.scenario import Scenario, load_scenario, scenario_of
 from echowing.sim.summary import fly
+from echowing.sim.vehicles import SimFollower
 
 SHORT = """
 title = "short flights for tests"
@@ -385,7 +386,9 @@ def test_an_autopilot_that_ends_in_flight_is_a_find(
         end
         return update()
     """)
-    monkeypatch.setattr("echowing.sim.hangar.applet_path", lambda applet: script)
+    monkeypatch.setattr(
+        SimFollower, "load_applet", lambda one, _: one.autopilot.load_script(script)
+    )
 
     judged = fly_and_judge(load_scenario("echowing", ["duration_s=10"]), 3)
 
