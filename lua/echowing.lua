@@ -688,11 +688,9 @@ do
 
     -- Where the point belongs along the beam (metres ahead of here), and its speed there: at the wanted distance from
     -- the leader and as fast as the leader. ahead_m, mps: the same of the streamed point. While the sonar sees nothing,
-    -- of the track and the point whichever is the more cautious; from 0.9 s on a leader that goes on with its mission
-    -- is where it was, and as fast as the ground tool says: until then the tool's reports may be older than what was
-    -- seen. A point is moved little towards the leader, 1 m and 1 m/s, for the ground tool may know why it is far from
-    -- it, and further away from the leader, 5 m: a sonar that is stuck then moves the vehicle no further, and no
-    -- faster.
+    -- of the track and the point whichever is the more cautious. A point is moved little towards the leader, 1 m and 1
+    -- m/s, for the ground tool may know why it is far from it, and further away from the leader, 5 m: a sonar that is
+    -- stuck then moves the vehicle no further, and no faster.
     local function along_beam(ahead_m, mps, braking_mps2, t_ms)
         -- From where both will be once this vehicle leans.
         local wanted_m = track.range_m + 0.5 * braking_mps2 * LEAN_S * LEAN_S - hold.distance_m()
