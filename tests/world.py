@@ -1,23 +1,10 @@
-"""The world of the flights in which something else than the world is tested.
+"""The world of the flights in which something else than the world is tested: as it is believed."""
 
-Heights are right, receivers drift by what the product takes for granted, and the sonar hears all
-that is in a cone of 20 degrees: as all flights were before each had a world of its own.
-"""
-
+import tomllib
 from typing import Any
 
-CLEAR: dict[str, dict[str, Any]] = {
-    "gps": {"spread": 0.0, "vertical_sigma_m": 0.0},
-    "sonar": {
-        "spread": 0.0,
-        "heard_share": 1.0,
-        "beam_near_deg": 20.0,
-        "noise_m": 0.01,
-        "wild_share": 0.01,
-        "inset_m": 0.2,
-    },
-}
-# The same for `--set`.
-CLEARLY = tuple(
-    f"{section}.{key}={value}" for section, keys in CLEAR.items() for key, value in keys.items()
-)
+from echowing.sim.accuracy import AS_BELIEVED
+
+# For `--set`, and as sections of a scenario.
+CLEARLY = AS_BELIEVED
+CLEAR: dict[str, dict[str, Any]] = tomllib.loads("\n".join(AS_BELIEVED))

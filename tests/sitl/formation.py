@@ -17,7 +17,7 @@ from echowing.geo import GlobalPosition, Ned, displace
 
 from . import truth
 from .drift import Drift
-from .names import DRIFT_EAST, DRIFT_NORTH, Version
+from .names import DRIFT_EAST, DRIFT_NORTH, DRIFT_UP, Version
 from .relay import LOOPBACK, Link
 from .sonar import Feeder, Scene, silence, vehicles
 from .tools import Tool, port_told, run
@@ -94,11 +94,15 @@ def prepare(binary: Path, folder: Path) -> Preparation:
 
 
 class Follower:
-    """A follower with its co-processor."""
+    """A follower with its co-processor.
 
-    def __init__(self, vehicle: Vehicle, scene: Scene) -> None:
+    sonar: what it truly hears, keys of a scenario's [sonar]; none: all within 20 degrees.
+    """
+
+    def __init__(self, vehicle: Vehicle, scene: Scene, sonar: Sequence[str] = ()) -> None:
         self.vehicle = vehicle
-        self.emulator = emulator_of(vehicle)
+        self._sonar = [word for change in sonar for word in ("--sonar", change)]
+        self.emulator = emulator_of(vehicle, *self._sonar)
         self.feeder = Feeder(vehicle, port_told(self.emulator), scene)
 
     def unplug(self) -> None:
@@ -109,7 +113,7 @@ class Follower:
     def plug_in(self) -> None:
         """Put it back; the board starts anew."""
         scene = self.feeder.scene
-        self.emulator = emulator_of(self.vehicle)
+        self.emulator = emulator_of(self.vehicle, *self._sonar)
         self.feeder = Feeder(self.vehicle, port_told(self.emulator), scene)
 
     def close(self) -> None:
@@ -123,7 +127,8 @@ class Formation:
 
     seed: of the receivers' offsets, those of the built-in simulator. latency_s: of the leader's
     link, each way. drifting: whether the receivers have offsets. wandering: whether these change
-    from the start, or only from `let_wander` on. same_clock: the receivers tell the same time of
+    from the start, or only from `let_wander` on. sonar: see `Follower`. height_sigma_m: by how much
+    each barometer wanders, standard deviation. same_clock: the receivers tell the same time of
     day, which counts where logs are laid side by side. key: all sign with it, by the time of day,
     so they start at its pace.
     """
@@ -138,11 +143,14 @@ class Formation:
         latency_s: float = LEADER_LATENCY_S,
         drifting: bool = True,
         wandering: bool = True,
+        sonar: Sequence[str] = (),
+        height_sigma_m: float = 0.0,
         same_clock: bool = False,
         key: bytes | None = None,
     ) -> None:
         self.kit, self.folder, self._key = kit, folder, key
         self._seed, self._wandering = seed, wandering
+        self._sonar, self._height_sigma_m = sonar, height_sigma_m
         self._stack = contextlib.ExitStack()
         self._tools: list[Tool] = []
         self.armed_s = math.nan
@@ -184,11 +192,15 @@ class Formation:
 
     def _let_drift(self, vehicle: Vehicle, name: str) -> None:
         drift = Drift.of_receiver(SIGMA_M, TAU_S, self._seed, name)
+        height = Drift.of_receiver(self._height_sigma_m, TAU_S, self._seed, f"{name} height")
+        starts_at_m = height.north_m  # a barometer is set to zero where it stands
         north, east = vehicle.name_of(DRIFT_NORTH), vehicle.name_of(DRIFT_EAST)
 
         def wander() -> None:
             if self._wandering:
                 drift.step(DRIFT_PERIOD_S)
+                height.step(DRIFT_PERIOD_S)
+                vehicle.put(DRIFT_UP, height.north_m - starts_at_m)
             north_deg, east_deg = drift.degrees(ORIGIN.lat_deg)
             vehicle.put(north, north_deg)
             vehicle.put(east, east_deg)
@@ -199,7 +211,7 @@ class Formation:
         system_id = FOLLOWER + number
         folder = copied(self.kit.prepared, self.folder / f"follower-{system_id}")
         vehicle = self._vehicle(system_id, folder, at_ned_m, fresh=False)
-        follower = Follower(vehicle, silence)
+        follower = Follower(vehicle, silence, self._sonar)
         self._stack.callback(follower.unplug)
         return follower
 

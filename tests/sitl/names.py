@@ -43,4 +43,5 @@ SPEED: Names = {_NEW.speed: 1.0 / _NEW.speed_scale, _OLD.speed: 1.0 / _OLD.speed
 ACCELERATION: Names = {"WP_ACC": 1.0, "WPNAV_ACCEL": 100.0}
 DRIFT_NORTH: Names = {"SIM_GPS1_GLTCH_X": 1.0, "SIM_GPS_GLITCH_X": 1.0}
 DRIFT_EAST: Names = {"SIM_GPS1_GLTCH_Y": 1.0, "SIM_GPS_GLITCH_Y": 1.0}
+DRIFT_UP = "SIM_BARO_GLITCH"  # in all of them
 SPEEDUP: Names = {"SIM_SPEEDUP": 1.0}

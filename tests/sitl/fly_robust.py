@@ -1,0 +1,56 @@
+"""A sonar that hears worse than believed, and heights that wander, on the real autopilot.
+
+The same rectangle as the demo's, until the leader has flown two legs and a corner on each side.
+"""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import pytest
+
+from .formation import rectangle, rest
+from .plugin import Start
+from .table import Entry, Figures
+
+SEED, SPEED_MPS = 1, 2.0
+BEGIN_S, END_S = 25.0, 145.0
+LEAST_M = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class World:
+    """What differs: keys of a scenario's [sonar], and by how much each barometer wanders."""
+
+    sonar: Sequence[str]
+    height_sigma_m: float = 0.0
+
+
+# As `echowing bench --only robust` has them; each sonar is drawn around what is believed.
+WORLDS = {
+    "as shipped": World(["spread=1"], 0.5),
+    "narrow": World(["beam_near_deg=20", "beam_far_deg=6"], 0.5),
+    "four of ten": World(["heard_share=0.4"], 0.5),
+    "heights": World(["spread=1"], 1.0),
+}
+
+
+@pytest.mark.parametrize("name", WORLDS)
+def test_robust(start: Start, table: list[Entry], name: str) -> None:
+    world = WORLDS[name]
+    formation = start(SEED, wandering=False, sonar=world.sonar, height_sigma_m=world.height_sigma_m)
+    formation.leader.upload(rectangle(formation), 10.0)
+    tool = formation.fly_in_formation()
+    formation.let_wander()
+    rest(5.0)
+    began_s = time.monotonic()
+    formation.leader.fly_mission(SPEED_MPS)
+    while time.monotonic() < began_s + END_S:
+        assert tool.running, tool.lines[-10:]
+        time.sleep(1.0)
+    flown = formation.measured(began_s + BEGIN_S, began_s + END_S)
+    figures = Figures(
+        flown.mean_separation_m, flown.mean_abs_error_m, flown.rmsd_m, flown.min_separation_m
+    )
+    table.append(Entry(formation.kit.version.line, name, figures, note=formation.note(began_s)))
+    assert formation.least_m(began_s, began_s + END_S) >= LEAST_M
