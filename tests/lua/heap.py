@@ -55,6 +55,8 @@ CHANGES = {
 FIRMWARES = LAZY, EAGER = "4.8", "4.6"  # ArduCopter
 TOO_FAR, GUIDED, LOITER = 3, 4, 5  # RangeFinder::Status; Copter's modes
 FARTHEST_M = 7.65  # the sonar's
+WRITTEN = {"ECHO_MIRROR", "ECHO_FORMAT"}  # by the applets themselves
+NO_VALUE = -1.0  # below the range of every parameter of theirs
 NOT_BUILT = {"lua.c", "luac.c", "ltests.c", "lbaselib.c"}  # the last is part of scripting.c
 CC = "arm-none-eabi-gcc -std=gnu11 -Os -mcpu=cortex-m4 -mthumb -mfpu=fpv4-sp-d16 -mfloat-abi=hard"
 QEMU = "qemu-system-arm -M mps2-an386 -display none -serial null -monitor none -icount shift=0"
@@ -139,6 +141,8 @@ def record_flight(applet: Path, file: Path) -> None:
         vehicle.mode = LOITER
         rig.run(0.5)
         vehicle.mode = GUIDED
+    vehicle.parameters |= dict.fromkeys(sorted(vehicle.added - WRITTEN), NO_VALUE)
+    rig.run(5.0)  # each is read, and told
     vehicle.is_armed = False
     rig.run(1.0)
     assert isinstance(rig.host, RecordingHost)
