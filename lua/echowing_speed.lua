@@ -189,6 +189,7 @@ DECEL 2.5 0.5 10 21
 RATE 4 0 20 22
 STREAM_T 1 0 10 23
 INSET 0.2 0 1 27
+MIRROR 0 0 10000 28
 ]]
 
 -- What the applet knows. Times are in ms; distances are between the two vehicles' centres, speeds along the nose. All of it
@@ -203,11 +204,13 @@ local S = {
 }
 -- Values in force: C.DIST, ... Filled here, where there are large holes still.
 local C = {}
+S.pilot_units = param:get('ECHO_MIRROR') -- what a script that died in control left there
 if not param:add_table(95, 'ECHO_', 50) then error('ECHO: parameter table key 95 is taken') end -- ArduPilot's use others
 for name, value, i in PARAMETERS:gmatch('(%S+) (%S+) %S+ %S+ (%S+)') do
     C[name] = value + 0 -- now it is a number
     param:add_param(95, i + 0, name, C[name])
 end
+if S.pilot_units then param:set('ECHO_MIRROR', S.pilot_units) end -- it is not saved: its default was back
 
 -- Uses the new value of the next parameter, in row S.row of the text, if it is in its range (NaN is not); else keeps the
 -- old and tells it once: S.strange has a bit for each.
@@ -479,10 +482,7 @@ end
 
 -- What takes memory once: the vehicle forgets the main function, and then this one, as soon as they have ended.
 local function start()
-    local units = param:get('ECHO_MIRROR') -- what a script that died in control left there
-    param:add_param(95, 28, 'MIRROR', 0) -- it is not saved: its default is back
-    if units then param:set('ECHO_MIRROR', units) end
-    for _ = 1, 20 do read() end
+    for _ = 1, 21 do read() end
     -- SET_POSITION_TARGET_GLOBAL_INT and NAMED_VALUE_FLOAT. An error where other scripts have taken the places.
     S.auth = arming:get_aux_auth_id()
     S.deaf = not pcall(function()
@@ -490,10 +490,11 @@ local function start()
         mavlink:register_rx_msgid(86)
         mavlink:register_rx_msgid(251)
     end) and 'other scripts leave no place to receive'
-    if units and units > 0 then
-        S.units, S.pilot_units = param:get(SPEED_NAME), units
+    if C.MIRROR > 0 then
+        S.units = param:get(SPEED_NAME)
         hand_back('restarted')
     end
+    S.pilot_units = false
     say(S.deaf and 4 or 6, S.deaf or 'ready')
     return run, 100
 end

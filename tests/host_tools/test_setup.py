@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 
+from echowing.applets import APPLETS, Applet
 from echowing.cli import main
 from echowing.commands import setup
 from echowing.errors import EchowingError
@@ -289,9 +290,11 @@ def test_a_sensor_of_the_pilots_is_never_overwritten() -> None:
     assert "another sensor is set up there, left alone" in told
 
 
-def test_the_applets_ranges_are_read_out_of_the_applet() -> None:
-    rows = {row.name: row for row in applet_parameters()}
-    page = (repository_root() / "lua" / "echowing.md").read_text(encoding="utf-8")
+@pytest.mark.parametrize("applet", APPLETS, ids=[applet.name for applet in APPLETS])
+def test_the_applets_ranges_are_read_out_of_the_applet(applet: Applet) -> None:
+    rows = {row.name: row for row in applet_parameters(applet)}
+    script = repository_root() / "lua" / applet.file
+    page = script.with_suffix(".md").read_text(encoding="utf-8")
     assert list(rows) == re.findall(r"^\| `(ECHO_\w+)` \|", page, re.MULTILINE)
     assert (rows["ECHO_DIST"].default, rows["ECHO_DIST"].low, rows["ECHO_DIST"].high) == (3, 1.5, 6)
     assert rows["ECHO_SPD_MIN"].low == 0.2  # there it is a named constant

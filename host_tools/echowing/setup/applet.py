@@ -25,6 +25,8 @@ _CONSTANT = re.compile(r"^local (\w+) = ([\d.]+)", re.MULTILINE)
 _PARAMETER_ROW = re.compile(
     r"^    (?:\{ )?'(\w+)', ([\w.]+), ([\w.]+), ([\w.]+)(?:, \d+)?(?: \})?,$", re.MULTILINE
 )
+# The same where the table is a text, which takes less memory.
+_TEXT_ROW = re.compile(r"^([A-Z_]+) ([\d.]+) ([\d.]+) ([\d.]+) \d+$", re.MULTILINE)
 
 
 def applet_path(applet: Applet = HOLD) -> Path:
@@ -52,7 +54,7 @@ def applet_parameters(applet: Applet = HOLD) -> list[AppletParameter]:
 
     rows = [
         AppletParameter(f"{PARAMETER_PREFIX}{name}", *map(number, numbers))
-        for name, *numbers in _PARAMETER_ROW.findall(text)
+        for name, *numbers in _PARAMETER_ROW.findall(text) or _TEXT_ROW.findall(text)
     ]
     if not rows:
         raise EchowingError(f"{applet_path(applet)}: no table of parameters in it")
