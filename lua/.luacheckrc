@@ -8,15 +8,15 @@ stds.vehicle = {
     globals = { -- an applet may give these back
         'package', 'require',
         math = { other_fields = true }, table = { other_fields = true }, io = { other_fields = true },
-    },
-    read_globals = {
-        'assert', 'error', 'ipairs', 'load', 'next', 'pairs', 'pcall', 'setmetatable', 'tonumber', 'tostring', 'type',
         string = {
             fields = {
                 'byte', 'char', 'find', 'format', 'gmatch', 'gsub', 'len', 'lower', 'match', 'pack', 'packsize', 'rep',
                 'reverse', 'sub', 'unpack', 'upper',
             },
         },
+    },
+    read_globals = {
+        'assert', 'error', 'ipairs', 'load', 'next', 'pairs', 'pcall', 'setmetatable', 'tonumber', 'tostring', 'type',
     },
 }
 

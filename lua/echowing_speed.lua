@@ -15,14 +15,16 @@
 
   How it stays small: each name, function and local takes heap for itself, so one table holds the state, a name stands for
   what is alike, and a number that is used once stands where it is used, with its meaning beside it. What runs once comes
-  last, in a function of its own. The names, texts and numbers are less than 256: the compiler's table of them would double.
+  last, in a function of its own. There are fewer than 256 different names, texts and numbers, as the compiler's table of them
+  would double, and few enough texts among them for the vehicle's table of texts not to double while it loads (1 kB).
 --]]
 
 ---@diagnostic disable: need-check-nil
 
--- Each script gets its own copy of the vehicle's libraries. What this one does not use of them goes: it takes 2 kB.
-local abs, cos, deg, max, min, sin = math.abs, math.cos, math.deg, math.max, math.min, math.sin
-io, math, table = nil, nil, nil
+-- Each script gets its own copy of the vehicle's libraries. What this one does not use of them goes: it takes 4 kB.
+-- Texts have their functions from another copy.
+local abs, cos, max, sin = math.abs, math.cos, math.max, math.sin
+io, math, package, require, string, table = nil, nil, nil, nil, nil, nil
 
 -- States, as ECHO_STATE tells them: 0 off, 1 searching, 2 tracking, 3 too close, 4 no sonar data, 5 stream lost, 6 backing
 -- off. Severities: 2 critical, 4 warning, 5 notice, 6 info. Mode 4 is Guided.
@@ -32,7 +34,7 @@ local function say(severity, text)
 end
 
 local function clamp(value, low, high)
-    return max(low, min(high, value))
+    return value < high and max(low, value) or high -- NaN: high
 end
 
 -- Parameters ---------------------------------------------------------------------------------------------------------
@@ -187,6 +189,7 @@ DECEL 2.5 0.5 10 21
 RATE 4 0 20 22
 STREAM_T 1 0 10 23
 INSET 0.2 0 1 27
+MIRROR 0 0 10000 28
 ]]
 
 -- What the applet knows. Times are in ms; distances are between the two vehicles' centres, speeds along the nose. All of it
@@ -197,21 +200,29 @@ local S = {
     near_m = 10, leader_mps = 0, board_ms = 0, seen_ms = 0, wilds = 0, wild_m = 0,
     auth = false, deaf = false, close = false, holding = false, pilot_units = false, units = false, text = false,
     law_mps = 0, wish_mps = 0, speed_mps = 0, data_ms = 0, range_ms = 0, step_ms = 0,
-    announced = 0, told_ms = 0, named_ms = 0,
+    announced = 0, told_ms = 0, named_ms = 0, strange = 0,
 }
-local C = {} -- values in force: C.DIST, ...
+-- Values in force: C.DIST, ... Filled here, where there are large holes still.
+local C = {}
+S.pilot_units = param:get('ECHO_MIRROR') -- what a script that died in control left there
+if not param:add_table(95, 'ECHO_', 50) then error('ECHO: parameter table key 95 is taken') end -- ArduPilot's use others
+for name, value, i in PARAMETERS:gmatch('(%S+) (%S+) %S+ %S+ (%S+)') do
+    C[name] = value + 0 -- now it is a number
+    param:add_param(95, i + 0, name, C[name])
+end
+if S.pilot_units then param:set('ECHO_MIRROR', S.pilot_units) end -- it is not saved: its default was back
 
 -- Uses the new value of the next parameter, in row S.row of the text, if it is in its range (NaN is not); else keeps the
--- old.
+-- old and tells it once: S.strange has a bit for each.
 local function read()
-    local name, low, high, row = PARAMETERS:match('(%S+) %S+ (%S+) (%S+) %S+()', S.row)
+    local name, low, high, i, row = PARAMETERS:match('(%S+) %S+ (%S+) (%S+) (%S+)()', S.row)
     S.row = row < #PARAMETERS and row or 1
     local value = param:get('ECHO_' .. name)
-    if value and value >= tonumber(low) and value <= tonumber(high) then
-        C[name] = value
-        if C[row] then C[row] = nil end -- no new key for a nil
-    elseif not C[row] then
-        C[row] = name -- told
+    i = 1 << i
+    if value and value >= low + 0 and value <= high + 0 then
+        C[name], S.strange = value, S.strange & ~i
+    elseif S.strange & i == 0 then
+        S.strange = S.strange | i
         say(4, ('ECHO_%s out of range, using %.2f'):format(name, C[name]))
     end
 end
@@ -230,7 +241,7 @@ local function fly_back(off_m)
     position:x(position:x() - off_m * cos(yaw))
     position:y(position:y() - off_m * sin(yaw))
     return position:length() < 10000 and abs(yaw) < 6 -- NaN is not, nor is what an estimator that fails tells
-        and vehicle:set_target_pos_NED(position, true, deg(yaw), false, 0, false, false)
+        and vehicle:set_target_pos_NED(position, true, yaw * 57.29578, false, 0, false, false) -- degrees
 end
 
 -- Sonar --------------------------------------------------------------------------------------------------------------
@@ -307,13 +318,13 @@ local function guard(status, t_ms)
     -- A target lost while too close is taken to be there for 2.5 s: while it backs off the nose is up, and the sonar often
     -- sees nothing.
     local known = t_ms - S.seen_ms <= (S.close and 5 or 1) * 500
-    local near_m, closing_mps = known and S.near_m or 10, known and max(0, S.own_mps - S.leader_mps) or 0
+    local near_m, mps = known and S.near_m or 10, known and max(0, S.own_mps - S.leader_mps) or 0
     S.close = status == 2 or S.close and near_m < C.DIST and (S.leader_mps < -0.5 or near_m < C.CLOSE + 0.3)
-        or near_m - closing_mps * C.DELAY - closing_mps * closing_mps / (2 * C.DECEL) < C.CLOSE
+        or near_m - mps * C.DELAY - mps * mps / (2 * C.DECEL) < C.CLOSE
     if not S.close then return S.law_mps end
     if C.LAW >= 1 then S.wish_mps, S.law_mps = C.SPD_MIN, C.SPD_MIN end
     -- Points lead 2 m up and higher (flight/lowest.py). Half a metre below that what is near is most likely the ground.
-    if known and -ahrs:get_relative_position_D_home() > 2.0 - 0.5 and fly_back(clamp(C.DIST - near_m, 0.5, 5)) then
+    if known and -ahrs:get_relative_position_D_home() > 2 - 0.5 and fly_back(clamp(C.DIST - near_m, 0.5, 5)) then
         S.state = 6
         return C.SPD_MAX
     end
@@ -326,15 +337,15 @@ end
 -- Takes a point for this vehicle, or a single reading. Frames whose checksum is wrong reach scripts too: it is computed.
 -- Points count from one sender until it has been silent for a second.
 local function take_message(message, t_ms)
-    local wide = #message >= 299 and 3 or 0 -- bytes of mavlink_message_t where ids have 32 bits; else 291
-    local old, length, flags = message:byte(3, 5)
-    local point = message:byte(10 + wide) == 86
+    local head = #message >= 299 and 15 or 12 -- bytes before the payload: mavlink_message_t has ids of 32 bits, or 24
+    local old, length = message:byte(3, 4)
+    local point = message:byte(head - 2) == 86
     old = old == 0xFE -- MAVLink 1
-    if length > 53 or not (old or flags < 2) then return end -- 1: signed; more changes the frame
+    if length > 53 or not (old or message:byte(5) < 2) then return end -- 1: signed; more changes the frame
     -- As on the wire from the length on; one or three bytes of message id. The byte that follows is the message's
     -- CRC_EXTRA.
     local bytes = message:sub(4, old and 4 or 6) .. message:sub(7, 8)
-        .. message:sub(9 + wide, (old and 10 or 12) + wide) .. message:sub(13 + wide, 12 + wide + length)
+        .. message:sub(head - 3, old and head - 2 or head) .. message:sub(head + 1, head + length)
         .. (point and '\5' or '\170') .. message:sub(1, 2) .. '\0\0\0'
     local crc = 0xFFFF -- X.25, four bytes at a time; 0 at the end, and zeros that follow change nothing
     for i = 1, #bytes - 3, 4 do
@@ -347,16 +358,16 @@ local function take_message(message, t_ms)
     if crc ~= 0 then return end
     local own, sender = param:get('MAV_SYSID') or param:get('SYSID_THISMAV'), message:byte(8)
     if not point then
-        local board_ms, range_m, name = ('<i4fc7'):unpack(message, 13 + wide)
+        local board_ms, range_m, name = ('<i4fc7'):unpack(message, head + 1)
         if sender == own and name == 'SNR_RAW' and range_m > 0 and range_m < C.DETECT then
             track(range_m + C.INSET, board_ms)
         end
         return
     end
-    local system = length > 50 and message:byte(63 + wide) or 0
-    local late = t_ms - S.point_ms > 1000
-    if system ~= 0 and system ~= own or sender ~= S.sender and not late then return end
-    S.points, S.point_ms, S.sender = late and 1 or S.points + 1, t_ms, sender
+    local system = length > 50 and message:byte(head + 51) or 0
+    if system ~= 0 and system ~= own then return end
+    if t_ms - S.point_ms > 1000 then S.points, S.sender = 0, sender end
+    if sender == S.sender then S.points, S.point_ms = S.points + 1, t_ms end
 end
 
 -- The speed parameter ------------------------------------------------------------------------------------------------
@@ -370,14 +381,14 @@ local function watch_speed()
     end
 end
 
-local function hand_back(reason)
+local function hand_back(text)
     if not S.pilot_units then return end
     watch_speed()
     local value = S.pilot_units
     param:set(SPEED_NAME, value)
     if vehicle:get_mode() == 4 then vehicle:set_desired_speed(value / per_mps) end
     param:set('ECHO_MIRROR', 0)
-    say(5, ('handed back, %s %.2f (%s)'):format(SPEED_NAME, value, reason))
+    say(5, ('handed back, %s %.2f (%s)'):format(SPEED_NAME, value, text))
     S.pilot_units, S.state = false, 0
 end
 
@@ -444,10 +455,10 @@ local function update()
         local message = mavlink:receive_chan()
         if message then take_message(message, t_ms) end
     end
-    local reason = (C.ENABLE < 1 or S.deaf) and 'disabled' or not arming:is_armed() and 'disarmed'
+    local text = (C.ENABLE < 1 or S.deaf) and 'disabled' or not arming:is_armed() and 'disarmed'
         or vehicle:get_mode() ~= 4 and 'mode'
-    if not reason then return act(t_ms) end
-    hand_back(reason)
+    if not text then return act(t_ms) end
+    hand_back(text)
     if S.auth and C.ENABLE >= 1 and (S.deaf or not rangefinder:has_orientation(0)) then
         arming:set_aux_auth_failed(S.auth, 'ECHO: ' .. (S.deaf or 'no forward rangefinder'))
     elseif S.auth then
@@ -471,16 +482,7 @@ end
 
 -- What takes memory once: the vehicle forgets the main function, and then this one, as soon as they have ended.
 local function start()
-    if not param:add_table(95, 'ECHO_', 50) then error('ECHO: parameter table key 95 is taken') end -- ArduPilot's use others
-    local units = param:get('ECHO_MIRROR') -- what a script that died in control left there
-    param:add_param(95, 28, 'MIRROR', 0) -- it is not saved: its default is back
-    if units then param:set('ECHO_MIRROR', units) end
-    for _ = 1, 20 do
-        local name, value, i = PARAMETERS:match('(%S+) (%S+) %S+ %S+ (%S+)', S.row)
-        C[name] = tonumber(value)
-        param:add_param(95, tonumber(i), name, C[name])
-        read()
-    end
+    for _ = 1, 21 do read() end
     -- SET_POSITION_TARGET_GLOBAL_INT and NAMED_VALUE_FLOAT. An error where other scripts have taken the places.
     S.auth = arming:get_aux_auth_id()
     S.deaf = not pcall(function()
@@ -488,10 +490,11 @@ local function start()
         mavlink:register_rx_msgid(86)
         mavlink:register_rx_msgid(251)
     end) and 'other scripts leave no place to receive'
-    if units and units > 0 then
-        S.units, S.pilot_units = param:get(SPEED_NAME), units
+    if C.MIRROR > 0 then
+        S.units = param:get(SPEED_NAME)
         hand_back('restarted')
     end
+    S.pilot_units = false
     say(S.deaf and 4 or 6, S.deaf or 'ready')
     return run, 100
 end

@@ -14,11 +14,18 @@ class Applet:
     heap_bytes: int
     """It loads and flies in so much of scripting's memory (`SCR_HEAP_SIZE`), and may take no more:
     tests/lua/test_heap.py runs it there."""
+    old_heap_bytes: int
+    """The same up to ArduCopter 4.6, which fills 6 kB of it by itself."""
+
+    def needs_bytes(self, version: tuple[int, int] | None) -> int:
+        """Of scripting's memory; None: a version that is not known counts as a new one."""
+        is_old = version is not None and version < (4, 7)
+        return self.old_heap_bytes if is_old else self.heap_bytes
 
 
-# With a margin to the 100 KiB of an F765, and to the 43 KiB of an F427.
-HOLD = Applet("hold", "echowing.lua", 90 * 1024)
-SPEED = Applet("speed", "echowing_speed.lua", 40 * 1024)
+# With a margin to the 100 KiB of an F765, and from 4.7 on to the 43 KiB of an F427.
+HOLD = Applet("hold", "echowing.lua", 90 * 1024, 90 * 1024)
+SPEED = Applet("speed", "echowing_speed.lua", 40 * 1024, 47 * 1024)
 APPLETS = (HOLD, SPEED)
 
 # The parameters that tell which applet runs. Before there were two, one

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from echowing.applets import HOLD, SPEED, applets_among, identify, is_outdated
+from echowing.applets import HOLD, SPEED, Applet, applets_among, identify, is_outdated
 from echowing.mavlink.messages import POINT_FORMAT
 from echowing.setup.apply import changes_for, hidden_for
 from echowing.setup.boards import board_of
@@ -102,6 +102,41 @@ def test_a_board_that_is_too_small_is_refused(
     assert finding in examine(readout)
     assert written(readout) is None
     assert HEAP not in hidden_for(readout)
+
+
+@pytest.mark.parametrize("version", [(4, 5), (4, 6)])
+@pytest.mark.parametrize(
+    ("applet", "needs"),
+    [(SMALL, "echowing_speed.lua needs 47 KiB"), (LARGE, "echowing.lua needs 90 KiB")],
+)
+def test_up_to_4_6_an_f427_carries_no_applet(
+    version: tuple[int, int], applet: Applet, needs: str
+) -> None:
+    """ArduCopter fills 6 kB of the scripts' memory by itself there."""
+    readout = new_vehicle(CUBE_BLACK, F4_BYTES, applet=applet, version=version)
+    finding = memory(readout)
+    assert (finding.verdict, finding.why) == (Verdict.WRONG, f"{needs}: it does not load")
+    assert finding.fix == "--applet speed fits there with ArduCopter 4.7 or later"
+    assert written(readout) is None
+
+
+def test_a_pilot_has_found_the_room_that_4_6_needs() -> None:
+    readout = new_vehicle(CUBE_BLACK, 48 * 1024, applet=SMALL, version=(4, 6))
+    assert memory(readout).verdict is Verdict.FINE
+
+
+@pytest.mark.parametrize("version", [(4, 7), (4, 8), None])
+def test_from_4_7_on_an_f427_carries_the_small_applet(version: tuple[int, int] | None) -> None:
+    readout = new_vehicle(CUBE_BLACK, F4_BYTES, applet=SMALL, version=version)
+    assert memory(readout).verdict is Verdict.FINE
+
+
+@pytest.mark.parametrize(("version", "tries"), [((4, 6), 48_128), ((4, 8), 40_960)])
+def test_of_an_unknown_board_it_is_told_what_its_version_needs(
+    version: tuple[int, int], tries: int
+) -> None:
+    finding = memory(new_vehicle(NEW_BOARD, 20_000, applet=SMALL, version=version))
+    assert f"try SCR_HEAP_SIZE {tries} " in finding.fix
 
 
 def test_an_applet_that_runs_has_memory_enough() -> None:

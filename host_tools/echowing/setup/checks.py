@@ -13,6 +13,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from echowing.applets import SPEED, identify, is_outdated
 from echowing.flight.leader_speed import MOST_LEADER_MPS
 from echowing.mavlink.messages import TOOL_SYSTEM_ID
+from echowing.setup.boards import Board
 from echowing.setup.readout import CardApplet, Readout, Role
 from echowing.setup.settings import (
     BAUD_115200,
@@ -362,7 +363,7 @@ def _applet_file(readout: Readout) -> Iterator[Finding]:
 
 def memory(readout: Readout) -> Finding:
     """Whether the board has memory enough for the applet."""
-    board, need = readout.board, readout.applet.heap_bytes
+    board, need = readout.board, readout.applet.needs_bytes(readout.version)
     runs = identify(readout.parameters) == readout.applet
     needs = f"{readout.applet.file} needs {_kib(need)}"
     value = readout.parameters.get(HEAP)
@@ -379,20 +380,28 @@ def memory(readout: Readout) -> Finding:
         Verdict.WRONG,
         f"{board.name} ({board.processor}) has {gives}",
         f"{needs}: it does not load",
-        "--applet speed fits there" if board.heap_bytes >= SPEED.heap_bytes else OTHER_AUTOPILOT,
+        _what_fits(board, readout.version),
     )
+
+
+def _what_fits(board: Board, version: tuple[int, int] | None) -> str:
+    if board.heap_bytes >= SPEED.needs_bytes(version):
+        return "--applet speed fits there"
+    if board.heap_bytes >= SPEED.heap_bytes:
+        return "--applet speed fits there with ArduCopter 4.7 or later"
+    return OTHER_AUTOPILOT
 
 
 def _memory_of_unknown(readout: Readout, *, runs: bool, needs: str) -> Finding:
     which = "its board" if readout.board_id is None else f"board {readout.board_id}"
-    value = readout.parameters.get(HEAP)
+    value, need = readout.parameters.get(HEAP), readout.applet.needs_bytes(readout.version)
     if runs:
         return Finding(MEMORY, Verdict.FINE, f"{which} is not known; {readout.applet.file} runs")
     why = f"{needs}; {which} is not known, so how much it can give is not known either"
     if value is None:
         return Finding(MEMORY, Verdict.UNKNOWN, f"{HEAP} not reported", why, MEASURE)
-    if value < readout.applet.heap_bytes:
-        fix = f"try {HEAP} {readout.applet.heap_bytes} and restart; {MEASURE}"
+    if value < need:
+        fix = f"try {HEAP} {need} and restart; {MEASURE}"
         return Finding(MEMORY, Verdict.WRONG, f"{HEAP} {value:g}", why, fix)
     return Finding(MEMORY, Verdict.UNKNOWN, f"{HEAP} {value:g}", why, MEASURE)
 

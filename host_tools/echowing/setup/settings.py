@@ -181,14 +181,15 @@ def _scripting(readout: Readout) -> Iterator[Setting]:
 def _heap(readout: Readout) -> Iterator[Setting]:
     """Where the board is known and can carry the applet; `checks` says so of the others."""
     board, applet = readout.board, readout.applet
-    if board is None or board.heap_bytes < applet.heap_bytes:
+    need = applet.needs_bytes(readout.version)
+    if board is None or board.heap_bytes < need:
         return
     most = board.most_heap_bytes
     yield Setting(
         HEAP,
-        lambda v: applet.heap_bytes <= v <= most,
+        lambda v: need <= v <= most,
         lambda v: float(board.heap_bytes),
-        f"{applet.file} needs {applet.heap_bytes}, and {board.name} has no more than {most}",
+        f"{applet.file} needs {need}, and {board.name} has no more than {most}",
         restart=True,
     )
 

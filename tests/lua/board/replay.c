@@ -9,13 +9,40 @@
 #define MOST_BINDINGS 128
 
 /* The userdata of ArduPilot's bindings and what they hold, at 32 bits: lua_generated_bindings.cpp,
-   AP_Scripting_helpers.h, Location.h. An RC_Channel is a pointer. */
+   AP_Scripting_helpers.h, Location.h. An RC_Channel is a pointer. Behind those that applets use the
+   others of a Copter 4.6, but for the network's. */
 static const struct {
   const char* name;
   unsigned size;
-} classes[] = {{"uint32_t", 4},  {"Vector3f", 12}, {"Vector2f", 8},
-               {"Location", 16}, {"Parameter", 8}, {"RC_Channel", 4}};
-enum { UINT32 = 0, CLASSES = sizeof classes / sizeof *classes };
+} classes[] = {{"uint32_t", 4},
+               {"Vector3f", 12},
+               {"Vector2f", 8},
+               {"Location", 16},
+               {"Parameter", 8},
+               {"RC_Channel", 4},
+               {"uint64_t", 8},
+               {"Quaternion", 16},
+               {"stat_t", 0},
+               {"EFI_State", 0},
+               {"Cylinder_Status", 0},
+               {"AP_Camera::camera_state_t", 0},
+               {"mavlink_video_stream_information_t", 0},
+               {"mavlink_camera_information_t", 0},
+               {"CANFrame", 0},
+               {"motor_factor_table", 0},
+               {"mavlink_mission_item_int_t", 0},
+               {"ESCTelemetryData", 0},
+               {"AP_Scripting_SerialAccess", 0},
+               {"RangeFinder_State", 0},
+               {"BattMonitorScript_State", 0},
+               {"AP_EFI_Backend", 0},
+               {"ScriptingCANBuffer", 0},
+               {"AP_HAL::PWMSource", 0},
+               {"AP_HAL::AnalogSource", 0},
+               {"AP_HAL::I2CDevice", 0},
+               {"AP_RangeFinder_Backend", 0},
+               {"AP_Proximity_Backend", 0}};
+enum { UINT32, VECTOR3F, VECTOR2F, UINT64 = 6, QUATERNION, CLASSES = sizeof classes / sizeof *classes };
 
 static struct {
   const char *owner, *name;
@@ -114,6 +141,19 @@ static const luaL_Reg uint32_operators[] = {
     {"__bxor", differ}, {"__shl", left},         {"__shr", right},    {"__eq", equal},
     {"__lt", less},     {"__le", less_or_equal}, {"__bnot", invert},  {"__tostring", write_out},
     {NULL, NULL}};
+static const luaL_Reg vector_operators[] = {{"__add", add}, {"__sub", subtract}, {NULL, NULL}};
+static const luaL_Reg quaternion_operators[] = {{"__mul", multiply}, {NULL, NULL}};
+
+static const luaL_Reg* operators_of(unsigned class) {
+  switch (class) {
+    case UINT32:
+    case UINT64: return uint32_operators; /* all but __idiv */
+    case VECTOR2F:
+    case VECTOR3F: return vector_operators;
+    case QUATERNION: return quaternion_operators;
+    default: return NULL;
+  }
+}
 
 /* --- Bindings: each answers as it did when the flight was recorded -------------------------------
  */
@@ -195,19 +235,26 @@ static int method_index(lua_State* L) {
   return push_function(L, lua_tostring(L, -1), luaL_checkstring(L, 2));
 }
 
-static void set_metatable(lua_State* L, const char* name, const luaL_Reg* operators) {
+static void define(lua_State* L, const char* name, const luaL_Reg* operators) {
   if (luaL_newmetatable(L, name)) {
     lua_pushcfunction(L, method_index);
     lua_setfield(L, -2, "__index");
     if (operators != NULL) luaL_setfuncs(L, operators, 0);
   }
-  lua_setmetatable(L, -2);
 }
 
 static void push_object(lua_State* L, unsigned class) {
   if (class >= CLASSES) luaL_error(L, "bad record");
   memset(lua_newuserdata(L, classes[class].size), 0, classes[class].size);
-  set_metatable(L, classes[class].name, class == UINT32 ? uint32_operators : NULL);
+  define(L, classes[class].name, operators_of(class));
+  lua_setmetatable(L, -2);
+}
+
+void replay_define_classes(lua_State* L) {
+  for (unsigned class = 0; class < CLASSES; class++) {
+    define(L, classes[class].name, operators_of(class));
+    lua_pop(L, 1);
+  }
 }
 
 /* generated_cpp_loader.h: what a script names first is made then, and kept among its globals. */
@@ -216,7 +263,8 @@ static int global_index(lua_State* L) {
   if (!push_function(L, "", name)) {
     if (!is_owner(name)) return 0;
     lua_newuserdata(L, 0);
-    set_metatable(L, name, NULL);
+    define(L, name, NULL);
+    lua_setmetatable(L, -2);
   }
   lua_pushvalue(L, -2);
   lua_pushvalue(L, -2);

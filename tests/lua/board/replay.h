@@ -12,5 +12,8 @@ int replay_next_update(void);
 /* What the script did that the record has not; NULL: nothing. */
 const char* replay_trouble(void);
 
+/* load_generated_bindings() as until 4.7: all classes from the start, used or not. */
+void replay_define_classes(lua_State* L);
+
 /* Where the bindings' globals come from: the sandbox, on the stack, gets its metatable. */
 void replay_open(lua_State* L);

@@ -2,9 +2,10 @@
    a given size and flies a recorded flight, as lua_scripts.cpp does.
 
      qemu-system-arm -M mps2-an386 -semihosting-config enable=on,target=native,arg=scripting,
-       arg=APPLET,arg=RECORD,arg=RESULT,arg=HEAP -kernel scripting.elf
+       arg=APPLET,arg=RECORD,arg=RESULT,arg=HEAP,arg=FIRMWARE -kernel scripting.elf
 
-   With a HEAP of 0 it looks for the least heap. RESULT gets one line of JSON. */
+   With a HEAP of 0 it looks for the least heap. FIRMWARE: ArduCopter, 4.6 or 4.8, see heap.py.
+   RESULT gets one line of JSON. */
 
 #include <stdint.h>
 #include <stdio.h>
@@ -31,6 +32,8 @@
 static const char* const base_names[] = {"assert",   "error",    "ipairs", "load",
                                          "next",     "pairs",    "pcall",  "setmetatable",
                                          "tonumber", "tostring", "type"};
+
+static int is_4_6; /* FIRMWARE */
 
 struct file {
   unsigned char* bytes;
@@ -146,6 +149,7 @@ static int fly(lua_State* L) {
   const struct job* job = lua_touserdata(L, 1);
   struct flight* flight = job->flight;
   lua_pop(L, 1);
+  if (is_4_6) replay_define_classes(L);
   lua_pushliteral(L, "");
   lua_createtable(L, 0, 1);
   luaopen_string(L);
@@ -227,27 +231,19 @@ static struct file read_file(const char* name, unsigned char* to) {
   return (struct file){to, host_read(name, to, FILE_BYTES)};
 }
 
-/* From `fails` on: the least heap in which the flight with the present seed comes to its end. */
-static uint32_t least_of_seed(struct file script, struct file record, uint32_t fails) {
-  uint32_t flies = MOST_BYTES / STEP_BYTES;
-  while (flies - fails > 1) {
-    const uint32_t middle = (fails + flies) / 2;
-    if (try_seed(script, record, middle * STEP_BYTES).trouble == NULL) {
-      flies = middle;
-    } else {
-      fails = middle;
-    }
-  }
-  return flies;
+static int flies_in(struct file script, struct file record, uint32_t heap_bytes) {
+  hash_seed = heap_bytes / STEP_BYTES % SEEDS; /* one at a time: it takes long enough */
+  return try_seed(script, record, heap_bytes).trouble == NULL;
 }
 
-static uint32_t least_heap(struct file script, struct file record) {
-  uint32_t least = 0;
-  for (hash_seed = 0; hash_seed < SEEDS; hash_seed++) {
-    if (least > 0 && try_seed(script, record, least * STEP_BYTES).trouble == NULL) continue;
-    least = least_of_seed(script, record, least);
-  }
-  return least * STEP_BYTES;
+/* The heap from which on it flies in every larger one, up to a little more than all it ever uses. Step
+   by step: what flies in one heap may find no hole in a somewhat larger one, where blocks lie
+   elsewhere. */
+static uint32_t least_heap(struct file script, struct file record, uint32_t peak) {
+  uint32_t flies = (peak + peak / 16) / STEP_BYTES * STEP_BYTES;
+  while (!flies_in(script, record, flies)) flies += STEP_BYTES;
+  while (flies_in(script, record, flies - STEP_BYTES)) flies -= STEP_BYTES;
+  return flies;
 }
 
 /* A text as JSON wants it. */
@@ -277,14 +273,15 @@ static void tell(const char* name, const struct flight* flight, uint32_t least_b
 
 static void run(void) {
   static unsigned char script_bytes[FILE_BYTES], record_bytes[FILE_BYTES];
-  char* words[5];
-  if (host_arguments(words, 5) != 5) host_exit(1);
+  char* words[6];
+  if (host_arguments(words, 6) != 6) host_exit(1);
   const struct file script = read_file(words[1], script_bytes);
   const struct file record = read_file(words[2], record_bytes);
   const uint32_t heap_bytes = strtoul(words[4], NULL, 10);
+  is_4_6 = strcmp(words[5], "4.6") == 0;
   const struct flight flight = try_heap(script, record, heap_bytes > 0 ? heap_bytes : MOST_BYTES);
   const int look = heap_bytes == 0 && flight.trouble == NULL;
-  tell(words[3], &flight, look ? least_heap(script, record) : 0);
+  tell(words[3], &flight, look ? least_heap(script, record, flight.peak) : 0);
   host_exit(0);
 }
 
