@@ -146,13 +146,14 @@ def test_a_scenario_with_a_wrong_sonar_is_refused_before_it_flies(
 
 
 @given(
-    points=st.lists(st.tuples(st.floats(0.0, 8.0), st.floats(0.0, 1.0)), min_size=1, max_size=6),
+    points_mm=st.dictionaries(st.integers(0, 8000), st.floats(0.0, 1.0), min_size=1, max_size=6),
     range_m=st.floats(-1.0, 9.0),
 )
 def test_a_curve_is_at_one_range_what_it_is_at_many(
-    points: list[tuple[float, float]], range_m: float
+    points_mm: dict[int, float], range_m: float
 ) -> None:
-    at_m, values = zip(*sorted(dict(points).items()), strict=True)
-    curve = Curve(at_m, values)
-    asked_m = [range_m, *at_m]
+    """Its points are ranges that somebody has measured: no two within a millimetre."""
+    at_mm, values = zip(*sorted(points_mm.items()), strict=True)
+    curve = Curve(tuple(one_mm / 1e3 for one_mm in at_mm), values)
+    asked_m = [range_m, *curve.at_m]
     assert [curve.at(one_m) for one_m in asked_m] == curve.at(np.array(asked_m)).tolist()
