@@ -24,7 +24,7 @@ class Applet:
 
 
 # With a margin to the 100 KiB of an F765, and from 4.7 on to the 43 KiB of an F427.
-HOLD = Applet("hold", "echowing.lua", 90 * 1024, 90 * 1024)
+HOLD = Applet("hold", "echowing.lua", 90 * 1024, 94 * 1024)
 SPEED = Applet("speed", "echowing_speed.lua", 40 * 1024, 47 * 1024)
 APPLETS = (HOLD, SPEED)
 
