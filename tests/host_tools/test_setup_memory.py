@@ -107,7 +107,7 @@ def test_a_board_that_is_too_small_is_refused(
 @pytest.mark.parametrize("version", [(4, 5), (4, 6)])
 @pytest.mark.parametrize(
     ("applet", "needs"),
-    [(SMALL, "echowing_speed.lua needs 47 KiB"), (LARGE, "echowing.lua needs 90 KiB")],
+    [(SMALL, "echowing_speed.lua needs 47 KiB"), (LARGE, "echowing.lua needs 94 KiB")],
 )
 def test_up_to_4_6_an_f427_carries_no_applet(
     version: tuple[int, int], applet: Applet, needs: str
