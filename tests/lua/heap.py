@@ -214,9 +214,7 @@ def need(applet: Path, heap_bytes: int = 0, firmware: str = LAZY) -> Need:
         return fly_recorded(applet, record, heap_bytes, firmware)
 
 
-def fly_recorded(
-    applet: Path, record: Path, heap_bytes: int = 0, firmware: str = LAZY
-) -> Need:
+def fly_recorded(applet: Path, record: Path, heap_bytes: int = 0, firmware: str = LAZY) -> Need:
     """Run an applet on the 32-bit processor, with the answers of a recorded flight."""
     with tempfile.TemporaryDirectory() as folder:
         result = Path(folder, "result")
