@@ -246,7 +246,7 @@ def test_too_fast_to_stop_it_backs_off(rig: MakeRig, law: int) -> None:
 
 
 def test_too_near_it_backs_off_until_it_is_not(rig: MakeRig) -> None:
-    """Its target is at the wanted distance; 0.3 m past "too close" it is left to the law."""
+    """Its target is at the wanted distance; 0.3 m clear of "too close" the law has it again."""
     r = rig(LAW=1).range(2.0).run(2.0)
     assert r.vehicle.targets == []
     r.range(1.3).run(2.0)

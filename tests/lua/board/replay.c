@@ -42,7 +42,8 @@ static const struct {
                {"AP_HAL::I2CDevice", 0},
                {"AP_RangeFinder_Backend", 0},
                {"AP_Proximity_Backend", 0}};
-enum { UINT32, VECTOR3F, VECTOR2F, UINT64 = 6, QUATERNION, CLASSES = sizeof classes / sizeof *classes };
+enum { UINT32, VECTOR3F, VECTOR2F, UINT64 = 6, QUATERNION };
+enum { CLASSES = sizeof classes / sizeof *classes };
 
 static struct {
   const char *owner, *name;

@@ -236,8 +236,8 @@ static int flies_in(struct file script, struct file record, uint32_t heap_bytes)
   return try_seed(script, record, heap_bytes).trouble == NULL;
 }
 
-/* The heap from which on it flies in every larger one, up to a little more than all it ever uses. Step
-   by step: what flies in one heap may find no hole in a somewhat larger one, where blocks lie
+/* The heap from which on it flies in every larger one, up to a little more than all it ever uses.
+   Step by step: what flies in one heap may find no hole in a somewhat larger one, where blocks lie
    elsewhere. */
 static uint32_t least_heap(struct file script, struct file record, uint32_t peak) {
   uint32_t flies = (peak + peak / 16) / STEP_BYTES * STEP_BYTES;
