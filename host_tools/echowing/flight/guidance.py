@@ -66,8 +66,8 @@ class GuidanceSettings:
     predict: carry the leader on, at its velocity and acceleration, over the age of the report.
     face_leader: send the bearing of the leader as yaw, so that the sonar looks at it.
     learn_offset: learn from the sonar how far the two receivers disagree (`flight`), move the
-        leader by it, and stand off by `standoff_sigmas` of its uncertainty, so that even then
-        `clearance_m` is left.
+        leader by it, and stand off so far that `clearance_m` is left for certain
+        (`cloud.Cloud.nearest_m`).
     fresh_age_s, stale_age_s: the lead shrinks to nothing between these ages of the report;
         beyond the second the follower is stopped.
     """
@@ -81,7 +81,6 @@ class GuidanceSettings:
     clearance_m: float = 1.0
     face_leader: bool = True
     learn_offset: bool = True
-    standoff_sigmas: float = 2.5
     # Reports by telemetry radio are 0.46 to 0.71 s old. What fades is room for a leader that turns
     # round where the sonar loses it: on SITL 4.8 1.3 m were left, and 0.5 m with 0.75 s here.
     fresh_age_s: float | None = 0.5

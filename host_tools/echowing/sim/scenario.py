@@ -120,8 +120,6 @@ class GuidanceSection(Section):
     """The follower's nose points at the leader."""
     learn_offset: bool = _OURS.learn_offset
     """Learn from the sonar how far the receivers disagree."""
-    standoff_sigmas: NotNegative = _OURS.standoff_sigmas
-    """Standard deviations of what is not known of it, kept as a distance."""
     feed_forward: bool = _OURS.feed_forward
     """Points carry the slot's velocity, and no lead."""
     fresh_age_s: Positive | None = _OURS.fresh_age_s
@@ -141,7 +139,6 @@ class GuidanceSection(Section):
             clearance_m=self.clearance_m,
             face_leader=self.face_leader,
             learn_offset=self.learn_offset,
-            standoff_sigmas=self.standoff_sigmas,
             feed_forward=self.feed_forward,
             fresh_age_s=self.fresh_age_s,
             stale_age_s=self.stale_age_s,
