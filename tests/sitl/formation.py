@@ -42,6 +42,7 @@ REAL_TIME = 0.98
 NEAR_SLOT_M = 1.5  # two receivers disagree by so much, and sonar comes into it only later
 SERIAL = "2"  # the co-processor's
 APART_M = 6.0  # on the ground
+WAITS_S = 5.0  # in its slot, before the leader starts
 
 
 @dataclass(frozen=True, slots=True)
@@ -310,6 +311,17 @@ class Formation:
         """Leader to follower, in truth, now."""
         states = [self.leader.state, follower.state]
         return float(np.linalg.norm(np.subtract(*truth.track_ned_m(states))))
+
+    def fly_mission(self, tool: Tool, speed_mps: float, for_s: float) -> float:
+        """Let the receivers wander, and the leader fly its mission; when it began."""
+        self.let_wander()
+        rest(WAITS_S)
+        began_s = time.monotonic()
+        self.leader.fly_mission(speed_mps)
+        while time.monotonic() < began_s + for_s:
+            assert tool.running, tool.lines[-10:]
+            time.sleep(1.0)
+        return began_s
 
     def place(self, north_m: float, east_m: float) -> GlobalPosition:
         """A point about the origin."""
