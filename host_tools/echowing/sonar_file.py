@@ -20,6 +20,8 @@ from echowing.flight.belief import Curve, SonarBelief
 from echowing.section import NotNegative, Positive, Section, Share, section_of
 
 SHIPPED = "mb1202"
+# Nine of ten of a normal distribution are within so many standard deviations of its mean.
+NINE_OF_TEN_SIGMAS = 1.645
 Legs = Literal["foil", "stock"]
 
 

@@ -12,8 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-# Half of the 90 % point of chi-squared with one degree of freedom.
-PROFILE_DROP = 0.5 * 2.706
+# The 90 % point of chi-squared with one degree of freedom; a profile falls by half of it.
+NINE_OF_TEN = 2.706
+PROFILE_DROP = 0.5 * NINE_OF_TEN
 # A reading of something else is near the target by chance: this share is heard anywhere.
 BY_CHANCE = 0.003
 # With less heard on the axis, an angle cannot be told.
@@ -129,7 +130,7 @@ def share_between(count: int, of: int, dependence: float = 1.0) -> Between:
     """The 90 % interval of a share (Wilson's); nothing is known of none."""
     if of == 0:
         return 0.0, 1.0
-    n, share, z2 = of / dependence, count / of, 2.706
+    n, share, z2 = of / dependence, count / of, NINE_OF_TEN
     middle = (share + z2 / (2.0 * n)) / (1.0 + z2 / n)
     half = math.sqrt(z2 * (share * (1.0 - share) + z2 / (4.0 * n)) / n) / (1.0 + z2 / n)
     return max(0.0, middle - half), min(1.0, middle + half)

@@ -17,7 +17,7 @@ from echowing.analysis.sonar_fit import (
     share_between,
 )
 from echowing.errors import EchowingError
-from echowing.sonar_file import Legs, SonarFile
+from echowing.sonar_file import NINE_OF_TEN_SIGMAS, Legs, SonarFile
 
 # Nearer to where the leader is than this a reading is of the leader.
 GATE_M = 0.5
@@ -25,7 +25,6 @@ GATE_M = 0.5
 ALIKE_M = 0.1
 # As far as half of what is heard near by is heard, the leader counts as heard.
 HALF_AS_MUCH = 0.5
-NINE_OF_TEN_SIGMAS = 1.645
 # Readings come in whole centimetres. Two thirds of a normal distribution are within the second, in
 # standard deviations.
 LEAST_NOISE_M, SIXTH_SIGMAS = 0.003, 0.967

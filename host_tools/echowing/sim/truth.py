@@ -13,13 +13,11 @@ from typing import TYPE_CHECKING
 from echowing.flight.belief import Curve
 from echowing.sim.gps import Errors
 from echowing.sim.sonar import LEVER_ARM_M, TrueSonar
-from echowing.sonar_file import SonarFile
+from echowing.sonar_file import NINE_OF_TEN_SIGMAS, SonarFile
 
 if TYPE_CHECKING:
     from echowing.sim.scenario import GpsSection, SonarSection
 
-# Nine of ten of a normal distribution are within so many standard deviations of its mean.
-NINE_OF_TEN_SIGMAS = 1.645
 # Of a beam whose two ends a scenario gives: from here on it narrows, and here it is at its far end.
 NEAR_M, FAR_M = 2.0, 4.6
 # No beam, and no edge of one, is narrower.
