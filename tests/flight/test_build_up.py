@@ -45,7 +45,7 @@ class Field(Yard):
 
     def _flown_to_slots(self) -> None:
         for system_id, follower in self.session.followers.items():
-            if follower.guided is not None and follower.held_at is None:
+            if follower.guided is not None and follower.hold is None:
                 north_m, east_m, _ = ned_between(HERE, follower.guided.slot)
                 self.vehicles[system_id].at_m = north_m, east_m
 
@@ -305,7 +305,9 @@ def test_a_hold_outlasts_the_pilots_change_of_mode() -> None:
 def test_a_hold_that_ends_frees_nobody_who_is_held_for_another_reason() -> None:
     field = Field()
     field.fly(3.0)
-    field.session.followers[FOLLOWER].latched = "leader jumped by 12.0 m, until it leaves Guided"
+    field.session.followers[
+        FOLLOWER
+    ].turn.latched = "leader jumped by 12.0 m, until it leaves Guided"
     field.orders.hold(field.now_s)
     field.fly(1.0)
     field.orders.engage(field.now_s)

@@ -88,7 +88,7 @@ class Fuzz:
                 self._hear(data)
             if self.now_s >= self.ends_at_s:
                 self.session.stop("the tool ends")
-                self.session.stopped(self.now_s)
+                self.session.stopped()
             if step % COUNTED_EVERY == 0:
                 with_limit = Counted()
                 sent = with_limit.run(self.session, self.now_s)

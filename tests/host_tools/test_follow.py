@@ -14,6 +14,7 @@ from echowing.flight.plan import CLOSES_MPS
 from echowing.flight.session import FollowSession
 from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.flight.state import FollowerPlan
+from echowing.flight.steps import Phase, Standing
 from echowing.geo import GlobalPosition, displace, ned_between
 from echowing.mavlink.messages import FORWARD, TOOL_SYSTEM_ID, sonar_range_m
 from echowing.sonar_file import shipped_sonar
@@ -214,7 +215,7 @@ def test_a_stop_counts_with_the_braking_that_is_under_way(
     follow.receive(from_vehicle(FOLLOWER, position(2.1, at, (2.0, 0.0))), 2.1)
 
     (target,) = targets(follow, 2.2)  # the leader is stale
-    assert follow.followers[FOLLOWER].hold_reason == "leader is stale"
+    assert follow.followers[FOLLOWER].standing == Standing(Phase.HELD, "leader is stale")
     assert metres_from_here(target)[0] + 9.0 == pytest.approx(stops_m, abs=0.03)
 
 
@@ -320,7 +321,7 @@ def test_a_hold_is_flown_in_the_same_way_as_what_it_stops(settings: GuidanceSett
 
     (flown,), (held,) = targets(follow, 1.9), targets(follow, 2.1)
 
-    assert follow.followers[FOLLOWER].held_at is not None
+    assert follow.followers[FOLLOWER].hold is not None
     assert held.type_mask == flown.type_mask
     assert (held.vx, held.vy) == (0.0, 0.0)
 
@@ -732,7 +733,7 @@ def test_a_follower_that_is_stopped_by_a_stale_leader_stands_still() -> None:
         t_s = 0.1 * number
         follow.receive(from_vehicle(FOLLOWER, position(t_s, here)), t_s)
         sent = targets(follow, t_s)
-        if follow.followers[FOLLOWER].held_at is not None:
+        if follow.followers[FOLLOWER].hold is not None:
             stands.append(metres_from_here(sent[-1])[:2])
     assert len(stands) > 20
     assert set(stands) == {stands[0]}  # a place for good

@@ -10,7 +10,6 @@ from echowing.errors import EchowingError
 from echowing.flight.axis import Axis
 from echowing.flight.closing import Closing
 from echowing.flight.envelope import OTHERS_MPS2, closing_limit_mps
-from echowing.flight.estimate import Estimate
 from echowing.flight.guard import (
     FIELD_LIMITS,
     REFUSED_FOR_S,
@@ -29,9 +28,8 @@ from echowing.flight.guidance import GuidanceSettings, Slot
 from echowing.flight.plan import planned
 from echowing.flight.requests import RATE_WINDOW_S, RateWatch
 from echowing.flight.session import FollowSession
-from echowing.flight.state import FollowerPlan, FollowerState
+from echowing.flight.state import FollowerPlan, Known
 from echowing.flight.switch import StopSwitch, parse_stop_switch
-from echowing.flight.tow_bar import TowBar
 from echowing.flight.vehicle_limits import usual_parameters
 from echowing.geo import GlobalPosition, displace, ned_between
 from echowing.mavlink.plausible import Door
@@ -142,7 +140,7 @@ class Field:
 
     @property
     def state(self) -> str:
-        return state_of(self.session, self.session.followers[FOLLOWER], self.now_s)
+        return state_of(self.session.followers[FOLLOWER])
 
 
 def north_of(point: Any) -> float:
@@ -579,13 +577,12 @@ def test_homes_too_far_apart_stop_it(level: bool) -> None:
 
 def test_homes_that_are_not_known_stop_it() -> None:
     limits = Limits(home_difference_m=5.0, leader_flies=False)
-    guard = Guard(limits, LEADER, [FOLLOWER], lambda now_s, text: None)
-    slot = Slot(3.0)
-    plan = FollowerPlan(FOLLOWER, slot, sonar=shipped_sonar())
-    follower = FollowerState(plan, TowBar(slot), Estimate(plan.sonar))
+    plan = FollowerPlan(FOLLOWER, Slot(3.0), sonar=shipped_sonar())
+    known = Known(LEADER, [plan], GuidanceSettings())
+    guard = Guard(limits, known, lambda now_s, text: None)
+    follower = known.followers[FOLLOWER]
     follower.position = displace(HERE, (-3.0, 0.0, 0.0))
-    followers = {FOLLOWER: follower}
-    assert guard.reason_to_stop(follower, HERE, followers, 0.0) == "homes are not known"
+    assert guard.reason_to_stop(follower, HERE, 0.0) == "homes are not known"
 
 
 def test_a_correction_never_leads_it_to_the_ground() -> None:
@@ -708,7 +705,7 @@ def test_no_point_leaves_that_is_far_or_not_finite_whatever_was_reckoned_with(
         far = displace(guided.point, (*off_m, 0.0))
         return replace(guided, point=far, velocity_mps=velocity_mps)
 
-    monkeypatch.setattr("echowing.flight.session.planned", wrong)
+    monkeypatch.setattr("echowing.flight.plan.planned", wrong)
     points = yard.fly(2.0)
     assert len(points) == 16
     assert all((one.vx, one.vy) == (0.0, 0.0) for one in points)
@@ -1029,7 +1026,7 @@ def test_the_end_stops_only_what_was_moved() -> None:
     there.tell(SECOND, heartbeat(GUIDED))
     sent = there.points(STILL_FOR_S + 3 * TICK_S)
     assert {message.target_system for message in sent} == {FOLLOWER}
-    assert there.session.stopped(there.now_s)
+    assert there.session.stopped()
     first, second = (
         left_as(there.session, follower, there.now_s)
         for follower in there.session.followers.values()

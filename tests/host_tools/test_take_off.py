@@ -101,10 +101,10 @@ class Field:
         return [system_id for system_id, m in self.sent if m.get_type() == POINT]
 
     def lift(self, system_id: int) -> Lift | None:
-        return self.session.lift_of(self.session.followers[system_id])
+        return None if self.session.take_offs is None else self.session.take_offs.lift(system_id)
 
     def state(self, system_id: int) -> str:
-        return state_of(self.session, self.session.followers[system_id], self.t_s)
+        return state_of(self.session.followers[system_id])
 
 
 def keep_on_the_ground(autopilot: Autopilot) -> None:
@@ -243,8 +243,8 @@ def test_the_end_stops_the_climb_and_says_how_it_was_left() -> None:
         field.run(TICK_S)
     field.session.stop("the tool ends")
     field.run(TICK_S)
-    assert not field.session.stopped(field.t_s)
-    while not field.session.stopped(field.t_s):
+    assert not field.session.stopped()
+    while not field.session.stopped():
         field.run(TICK_S)
     text, well = left_as(field.session, field.session.followers[FIRST], field.t_s)
     assert well
@@ -260,7 +260,7 @@ def test_the_end_after_take_offs_sees_that_all_stand() -> None:
     field.session.stop("the tool ends")
     field.until("follower 2: has stopped")
     field.until("follower 3: has stopped")
-    assert field.session.stopped(field.t_s)
+    assert field.session.stopped()
     for follower in field.session.followers.values():
         text, well = left_as(field.session, follower, field.t_s)
         assert well
@@ -276,7 +276,7 @@ def test_the_end_on_the_ground_keeps_what_was_told_to_take_off_there() -> None:
     field.session.stop("the tool ends")
     field.run(2.0)
     assert set(field.points()) == {FIRST}
-    assert field.session.stopped(field.t_s)
+    assert field.session.stopped()
     assert field.height_m(FIRST) == 0.0
 
 

@@ -196,4 +196,4 @@ class Yard:
         return any(text in event for event in self.events())
 
     def state(self, system_id: int = FOLLOWER) -> str:
-        return state_of(self.session, self.session.followers[system_id], self.now_s)
+        return state_of(self.session.followers[system_id])

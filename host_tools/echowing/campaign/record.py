@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.analysis.flight import Flight, Floats
+from echowing.flight.steps import Standing
 from echowing.sim.fault_section import LEADER, FaultSection
 from echowing.sim.flight import (
     STEPS_PER_SAMPLE,
@@ -198,7 +199,7 @@ class Observer:
         row("switched", self._note_switches(ids))
         row("tool", flight.ground.running)
         session = flight.ground.session
-        row("hold", [session.followers[one].hold_reason or "" for one in ids])
+        row("hold", [_why_held(session.followers[one].standing) for one in ids])
         heard = [follower.sensor.last_range_m for follower in followers]
         row("sonar", [math.nan if range_m is None else range_m for range_m in heard])
         row("in_force", flight.faults.in_force)
@@ -255,6 +256,10 @@ class Observer:
             flights=result.flights,
             pilot_speed_mps=result.scenario.follower.speed_mps,
         )
+
+
+def _why_held(standing: Standing) -> str:
+    return standing.why if standing.held else ""
 
 
 def fly_recorded(scenario: Scenario, seed: int) -> FlightRecord:

@@ -171,8 +171,8 @@ class BuildUp:
         if not led:
             return "nobody is led yet"
         for follower in led:
-            if follower.held_at is not None:
-                return f"follower {follower.plan.system_id} holds: {follower.hold_reason}"
+            if follower.standing.held:
+                return f"follower {follower.plan.system_id} holds: {follower.standing.why}"
         slots = scaled(self._slots, self.nearer_m)
         for follower, slot in zip(followers.values(), slots, strict=True):
             text = objection_to_radius(follower, slot.radius_m)

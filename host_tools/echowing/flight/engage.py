@@ -215,14 +215,13 @@ def _has_position(flags: int) -> bool:
 
 
 @dataclass(slots=True)
-class _Turn:
+class _Checks:
     """How far a follower is from being engaged, since it was put in Guided.
 
     told: the texts said of it, without numbers, and when; level: it was said that the leader would
     return at its height.
     """
 
-    cleared: bool = False
     level: bool = False
     told: dict[str, float] = field(default_factory=dict)
     wrong: list[Finding] = field(default_factory=list)
@@ -246,8 +245,8 @@ class Engagement:
         self.readiness = readiness
         self._known, self._guard, self._heights = known, guard, heights
         self._leader_id = known.leader_id
-        self._turns = {system_id: _Turn() for system_id in known.followers}
-        self._vehicles = {system_id: Vehicle() for system_id in (known.leader_id, *self._turns)}
+        self._checks = {system_id: _Checks() for system_id in known.followers}
+        self._vehicles = {system_id: Vehicle() for system_id in (known.leader_id, *self._checks)}
         self._say, self._alert = say, alert
         self._since_s: float | None = None
         self._table_shown = False
@@ -289,10 +288,10 @@ class Engagement:
 
     def _questions_to_applets(self, now_s: float) -> list[tuple[int, Any]]:
         asked = []
-        for system_id, turn in self._turns.items():
+        for system_id, checks in self._checks.items():
             vehicle = self._vehicles[system_id]
             missing = vehicle.unknown_of_applet
-            doubted = {finding.name for finding in turn.wrong} & {"applet", "distance"}
+            doubted = {finding.name for finding in checks.wrong} & {"applet", "distance"}
             period_s = ASK_PERIOD_S if missing else READ_AGAIN_S
             if not (missing or doubted) or now_s - vehicle.asked_at_s < period_s:
                 continue
@@ -315,7 +314,7 @@ class Engagement:
 
     def entered_guided(self, system_id: int) -> None:
         """The pilot has put a follower in Guided: check it again."""
-        self._turns[system_id] = _Turn()
+        self._checks[system_id] = _Checks()
 
     # ---- results --------------------------------------------------------------------------------
 
@@ -333,32 +332,28 @@ class Engagement:
             self._show_table(now_s)
         self._warn_of_speed(now_s)
         for system_id, follower in self._known.followers.items():
-            turn = self._turns[system_id]
-            self._warn_of_return(follower, turn, now_s)
-            if turn.cleared:
+            checks = self._checks[system_id]
+            self._warn_of_return(follower, checks, now_s)
+            if follower.turn.cleared:
                 continue
             self._heights.take_leaders(follower)
             up = system_id not in self._rising_m
             if self._table_shown and engaged and follower.in_guided and up:
-                self._judge(follower, turn, now_s)
-
-    def cleared(self, system_id: int) -> bool:
-        """Whether points may go to a follower; once they may, this stays until it leaves Guided."""
-        return self._turns[system_id].cleared
+                self._judge(follower, checks, now_s)
 
     def objection(self, system_id: int) -> str | None:
         """What keeps a follower from being engaged, in a few words; None: nothing."""
-        turn = self._turns[system_id]
-        return None if turn.cleared or not turn.wrong else turn.wrong[0].wrong.partition(":")[0]
+        wrong = self._checks[system_id].wrong
+        return wrong[0].wrong.partition(":")[0] if wrong else None
 
-    def _judge(self, follower: FollowerState, turn: _Turn, now_s: float) -> None:
+    def _judge(self, follower: FollowerState, checks: _Checks, now_s: float) -> None:
         system_id = follower.plan.system_id
-        turn.wrong = [one for one in self.findings(follower, now_s) if one.wrong]
-        if turn.wrong:
-            for text in self._tell(system_id, turn, now_s):
+        checks.wrong = [one for one in self.findings(follower, now_s) if one.wrong]
+        if checks.wrong:
+            for text in self._tell(system_id, checks, now_s):
                 self._alert(system_id, f"not engaged, {text}")
             return
-        turn.cleared = True
+        follower.turn.cleared = True
         if self._heights.leaders:
             self._say(
                 now_s,
@@ -412,14 +407,14 @@ class Engagement:
                 if one.wrong:
                     self._say(now_s, f"{name}: {one.wrong}")
 
-    def _warn_of_return(self, follower: FollowerState, turn: _Turn, now_s: float) -> None:
+    def _warn_of_return(self, follower: FollowerState, checks: _Checks, now_s: float) -> None:
         """Warn when the leader would return at this follower's height."""
         note = "".join(one.note for one in self._return(follower))
-        if note and not turn.level and self._table_shown:
+        if note and not checks.level and self._table_shown:
             system_id = follower.plan.system_id
             self._say(now_s, f"follower {system_id}: {note}")
             self._alert(system_id, note)
-        turn.level = bool(note) and self._table_shown
+        checks.level = bool(note) and self._table_shown
 
     def _warn_of_speed(self, now_s: float) -> None:
         """Warn of a leader that its followers will lose at the next corner."""
@@ -437,17 +432,17 @@ class Engagement:
     def _waited(self, now_s: float) -> bool:
         return self._since_s is not None and now_s - self._since_s >= PATIENCE_S
 
-    def _tell(self, system_id: int, turn: _Turn, now_s: float) -> list[str]:
+    def _tell(self, system_id: int, checks: _Checks, now_s: float) -> list[str]:
         """Say what is wrong, without early repeats; wait for what is not known yet.
 
         Returns what was said, in short.
         """
         said = []
-        for one in turn.wrong:
+        for one in checks.wrong:
             text = _NUMBERS.sub("", one.wrong)
-            again = now_s - turn.told.get(text, -math.inf) >= SAY_AGAIN_S
+            again = now_s - checks.told.get(text, -math.inf) >= SAY_AGAIN_S
             if again and (self._waited(now_s) or one.shown != "?"):
-                turn.told[text] = now_s
+                checks.told[text] = now_s
                 self._say(now_s, f"follower {system_id}: not engaged, {one.wrong}")
                 said.append(one.wrong.partition(":")[0])
         return said
@@ -555,7 +550,7 @@ class Engagement:
     def _homes(self, follower: FollowerState) -> list[Finding]:
         if self._guard.limits.home_difference_m is None:
             return []
-        higher_m = self._guard.home_above_leaders_m(follower.plan.system_id)
+        higher_m = self._known.homes.above_leaders_m(follower.plan.system_id)
         if higher_m is None:
             return [Finding("home", "?", "homes are not known: no positions yet")]
         wrong = ""
@@ -593,8 +588,8 @@ class Engagement:
             return []
         rtl_m = self._vehicles[self._leader_id].rtl_m
         fix = self._known.leader.fix
-        higher_m = self._guard.home_above_leaders_m(follower.plan.system_id)
-        home_m = self._guard.home_m(self._leader_id)
+        higher_m = self._known.homes.above_leaders_m(follower.plan.system_id)
+        home_m = self._known.homes.above_sea_m(self._leader_id)
         wanted_m = self._heights.wanted_m(follower)
         if rtl_m is None:
             note = f"how high the leader comes back is not known ({RTL_M} does not answer)"

@@ -7,7 +7,7 @@ stopped until the pilot has left Guided and come back.
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,7 +16,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from echowing.flight.envelope import LEAST_M
 from echowing.flight.lowest import LOWEST_M
 from echowing.flight.readiness import Readiness
-from echowing.flight.state import FollowerState, Say
+from echowing.flight.state import FollowerState, Known, Say
+from echowing.flight.steps import Command
 from echowing.flight.switch import StopSwitch, Switches
 from echowing.geo import GlobalPosition, displace, distance_m, nearer_than, ned_between
 from echowing.mavlink.messages import read_parameter
@@ -113,10 +114,8 @@ class _Watch:
     sent: deque[tuple[float, GlobalPosition]] = field(default_factory=deque)
     off_since_s: float | None = None
     stuck_since_s: float | None = None
-    refused: bool = False
     applet_state: int = 0
     backed_off: bool = False
-    released: bool = False
     unheard: bool = False
     back_at_s: float = -math.inf
     low_told: bool = False
@@ -142,19 +141,17 @@ class Guard:
     def __init__(
         self,
         limits: Limits,
-        leader_id: int,
-        follower_ids: Iterable[int],
+        known: Known,
         say: Say,
         alert: Callable[[int, str], None] = lambda system_id, text: None,
     ) -> None:
         self.limits = limits
-        self._leader_id = leader_id
-        self._watches = {system_id: _Watch() for system_id in follower_ids}
+        self._known, self._leader_id = known, known.leader_id
+        self._watches = {system_id: _Watch() for system_id in known.followers}
         self._say, self._alert = say, alert
         self._leader_flies: bool | None = None
-        self._homes_m: dict[int, float] = {}
         self._shifts_told_m: dict[int, float] = {}
-        self.switches = Switches(limits.switch, leader_id, self._watches)
+        self.switches = Switches(limits.switch, known.leader_id, self._watches)
 
     # ---- what comes in --------------------------------------------------------------------------
 
@@ -162,12 +159,10 @@ class Guard:
         """Take a message of the leader or of a follower."""
         if kind == "RC_CHANNELS":
             self.switches.receive(system_id, message, now_s)
-        elif kind == "GLOBAL_POSITION_INT":
-            self._homes_m[system_id] = (message.alt - message.relative_alt) / 1e3
-            if system_id != self._leader_id:
-                self._watches[system_id].place = message
         elif system_id == self._leader_id:
             self._leader_message(kind, message)
+        elif kind == "GLOBAL_POSITION_INT":
+            self._watches[system_id].place = message
         elif kind == "POSITION_TARGET_GLOBAL_INT":
             target = GlobalPosition(message.lat_int / 1e7, message.lon_int / 1e7, 0.0)
             self._read_back(system_id, target, now_s)
@@ -228,7 +223,7 @@ class Guard:
         elif watch.off_since_s is None:
             watch.off_since_s = now_s
         elif now_s - watch.off_since_s >= REFUSED_FOR_S:
-            self._refuse(system_id, watch, now_s)
+            self._refuse(system_id, now_s)
 
     def entered_guided(self, system_id: int, now_s: float) -> None:
         """The pilot has put a follower in Guided: drop the earlier reasons to stop it."""
@@ -243,20 +238,15 @@ class Guard:
     # ---- what is to be done ---------------------------------------------------------------------
 
     def reason_to_stop(
-        self,
-        follower: FollowerState,
-        leader: GlobalPosition,
-        followers: Mapping[int, FollowerState],
-        now_s: float,
+        self, follower: FollowerState, leader: GlobalPosition, now_s: float
     ) -> str | None:
         """Why this follower may not move now; None: it may. `leader`: where it is believed."""
         watch = self._watches[follower.plan.system_id]
         if self.switched(follower.plan.system_id):
             return "stop switch"
-        if watch.refused:
+        if follower.turn.refused:
             return "its points are refused"
-        comes_back = watch.unheard and now_s - follower.position_at_s <= UNHEARD_S
-        if follower.flown and (comes_back or now_s - watch.back_at_s < STEADY_S):
+        if follower.turn.flown and now_s - watch.back_at_s < STEADY_S:
             return "its link was lost"
         if self.limits.leader_flies and self._leader_flies is not True:
             return "leader is not known to fly"
@@ -264,42 +254,25 @@ class Guard:
             return None
         return self._other_datum(follower, now_s) or self._too_far(follower, leader)
 
-    def home_m(self, system_id: int) -> float | None:
-        """Altitude of a vehicle's home above sea level, by its receiver; None: not known."""
-        return self._homes_m.get(system_id)
-
-    def home_above_leaders_m(self, system_id: int) -> float | None:
-        """How much higher than the leader's home a follower's is, by their receivers."""
-        own_m, leaders_m = self.home_m(system_id), self.home_m(self._leader_id)
-        return None if own_m is None or leaders_m is None else own_m - leaders_m
-
-    def altitude_shift_m(self, system_id: int) -> float:
-        """How much lower than the leader's home a follower's own is: added to its altitude."""
-        homes = self._homes_m.get(system_id), self._homes_m.get(self._leader_id)
-        limits = self.limits
-        if limits.home_difference_m is None or limits.level_homes or None in homes:
-            return 0.0
-        return self._homes_m[self._leader_id] - self._homes_m[system_id]
-
     def _other_datum(self, follower: FollowerState, now_s: float) -> str | None:
         """A home so much higher or lower that the altitude cannot be corrected."""
         system_id = follower.plan.system_id
         most_m = self.limits.home_difference_m
         if most_m is None:
             return None
-        if system_id not in self._homes_m or self._leader_id not in self._homes_m:
+        higher_m = self._known.homes.above_leaders_m(system_id)
+        if higher_m is None:
             return "homes are not known"
-        higher_m = self._homes_m[system_id] - self._homes_m[self._leader_id]
         if abs(higher_m) > most_m:
             return f"its home is {higher_m:+.1f} m from the leader's"
-        wanted_m = follower.plan.wanted_m + self.altitude_shift_m(system_id)
+        wanted_m = follower.plan.wanted_m + self._known.homes.shift_m(system_id)
         if wanted_m < LOWEST_M:
             return f"the leader's altitude is only {wanted_m:.1f} m above its own home"
         self._tell_shift(system_id, wanted_m, now_s)
         return None
 
     def _tell_shift(self, system_id: int, wanted_m: float, now_s: float) -> None:
-        shift_m = self.altitude_shift_m(system_id)
+        shift_m = self._known.homes.shift_m(system_id)
         if abs(shift_m - self._shifts_told_m.get(system_id, 0.0)) <= DATUM_TOLD_M:
             return
         self._shifts_told_m[system_id] = shift_m
@@ -313,7 +286,7 @@ class Guard:
         most_m = self.limits.max_distance_m
         if most_m is None or follower.position is None:
             return None
-        if follower.hold_reason is not None:
+        if follower.hold is not None:
             most_m *= CLEAR_SHARE
         apart_m = distance_m(follower.position, leader)
         return f"leader is beyond {most_m:.0f} m" if apart_m > most_m else None
@@ -330,39 +303,30 @@ class Guard:
         self,
         follower: FollowerState,
         leader: GlobalPosition | None,
-        followers: Mapping[int, FollowerState],
         now_s: float,
     ) -> str | None:
         """Which other vehicle is too near, in words; None: none is."""
         least_m = self.limits.min_separation_m
         if least_m is None or follower.position is None:
             return None
-        if follower.hold_reason is not None:
+        if follower.hold is not None:
             least_m += CLEAR_M
-        here = self.in_height(follower.plan.system_id, follower.position)
+        here = self._known.in_height(follower.plan.system_id, follower.position)
         if leader is not None and nearer_than(
-            here, self.in_height(self._leader_id, leader), least_m
+            here, self._known.in_height(self._leader_id, leader), least_m
         ):
             return f"nearer to the leader than {least_m:g} m"
-        for system_id, other in followers.items():
+        for system_id, other in self._known.followers.items():
             if other is follower or other.position is None:
                 continue
             fresh = now_s - other.position_at_s < UNHEARD_S
-            if fresh and nearer_than(here, self.in_height(system_id, other.position), least_m):
+            there = self._known.in_height(system_id, other.position)
+            if fresh and nearer_than(here, there, least_m):
                 return f"nearer to follower {system_id} than {least_m:g} m"
         return None
 
-    def in_height(self, system_id: int, place: GlobalPosition) -> GlobalPosition:
-        """A place to compare with others': its altitude above its home where homes are level.
-
-        The receivers' difference between such homes is error, and would hide who is beside whom.
-        """
-        if not self.limits.level_homes:
-            return place
-        return place._replace(alt_m=place.alt_m - self._homes_m.get(system_id, 0.0))
-
-    def lets(self, follower: FollowerState, now_s: float) -> bool:
-        """Whether points may go to this follower at all: it reports, and is not handed back."""
+    def reason_to_leave(self, follower: FollowerState, now_s: float) -> str | None:
+        """Why no points may go to this follower at all; None: they may."""
         system_id = follower.plan.system_id
         watch = self._watches[system_id]
         unheard = now_s - follower.position_at_s > UNHEARD_S
@@ -370,33 +334,33 @@ class Guard:
             watch.unheard = unheard
             text = f"no report for {UNHEARD_S:g} s, no points sent" if unheard else "reports again"
             self._say(now_s, f"follower {system_id}: {text}")
-            if not unheard and follower.flown:
+            if not unheard and follower.turn.flown:
                 watch.back_at_s = now_s
                 self._alert(system_id, "link was lost, holding")
-        handed_back = watch.released or (self.switched(system_id) and not follower.flown)
-        return not unheard and not handed_back and not self._too_low(follower, watch, now_s)
+        if unheard:
+            return "does not report"
+        if follower.turn.released or (self.switched(system_id) and not follower.turn.flown):
+            return "its pilot's, by the stop switch"
+        return self._too_low(follower, watch, now_s)
 
-    def _too_low(self, follower: FollowerState, watch: _Watch, now_s: float) -> bool:
+    def _too_low(self, follower: FollowerState, watch: _Watch, now_s: float) -> str | None:
         """Whether it has just left the ground: a point would end its pilot's take-off there."""
         least_m = min(LOWEST_M, follower.plan.wanted_m / 2.0)
         low = follower.altitude_m is not None and follower.altitude_m < least_m
-        if follower.flown or not low:
-            return False
+        if follower.turn.flown or not low:
+            return None
+        too_low = f"too low to be led, until it is {least_m:g} m up"
         if not watch.low_told:
             watch.low_told = True
-            self._say(
-                now_s,
-                f"follower {follower.plan.system_id}: too low to be led, until it is {least_m:g} m "
-                "up",
-            )
-        return True
+            self._say(now_s, f"follower {follower.plan.system_id}: {too_low}")
+        return too_low
 
-    def sent(self, follower: FollowerState, point: GlobalPosition, now_s: float) -> None:
+    def sent(self, follower: FollowerState, command: Command, now_s: float) -> None:
         """Note that a point has gone to a follower."""
         system_id = follower.plan.system_id
         watch = self._watches[system_id]
-        watch.sent.append((now_s, point))
-        self._note_stuck(follower, watch, point, now_s)
+        watch.sent.append((now_s, command.place))
+        self._note_stuck(follower, watch, command, now_s)
         if watch.led_since_s is None:
             watch.led_since_s = now_s
         if watch.read_back or watch.unread_told or now_s - watch.led_since_s < READ_BACK_S:
@@ -409,23 +373,24 @@ class Guard:
         )
 
     def _note_stuck(
-        self, follower: FollowerState, watch: _Watch, point: GlobalPosition, now_s: float
+        self, follower: FollowerState, watch: _Watch, command: Command, now_s: float
     ) -> None:
         """Detect a fence that accepts a point at the vehicle's place but blocks its way on."""
-        sent_mps = 0.0 if follower.feed_mps is None else math.hypot(*follower.feed_mps)
-        own = follower.position is not None and _apart_m(point, follower.position) < REFUSED_M
-        sent_on = own and sent_mps > SENT_ON_MPS and follower.held_at is None
+        here, sent_mps = follower.position, math.hypot(*(command.velocity_mps or (0.0, 0.0)))
+        own = here is not None and _apart_m(command.place, here) < REFUSED_M
+        sent_on = own and sent_mps > SENT_ON_MPS and not follower.standing.held
         moves = follower.ground_speed_mps > STILL_MPS or watch.applet_state in APPLET_FLIES
         if moves or not sent_on:
             watch.stuck_since_s = None
         elif watch.stuck_since_s is None:
             watch.stuck_since_s = now_s
         elif now_s - watch.stuck_since_s >= STUCK_FOR_S:
-            self._refuse(follower.plan.system_id, watch, now_s)
+            self._refuse(follower.plan.system_id, now_s)
 
-    def _refuse(self, system_id: int, watch: _Watch, now_s: float) -> None:
-        if not watch.refused:
-            watch.refused = True
+    def _refuse(self, system_id: int, now_s: float) -> None:
+        turn = self._known.followers[system_id].turn
+        if not turn.refused:
+            turn.refused = True
             self._say(
                 now_s,
                 f"follower {system_id}: its autopilot did not take the points sent "
@@ -454,7 +419,7 @@ class Guard:
             watch.verified = True
             self._say(now_s, f"follower {system_id}: has stopped")
             if self.switched(system_id):
-                watch.released = True
+                follower.turn.released = True
                 self._say(now_s, f"follower {system_id}: pilot has control, by the stop switch")
 
     def _remind(self, system_id: int, watch: _Watch, speed_mps: float, now_s: float) -> None:
@@ -487,14 +452,12 @@ class Guard:
 
     # ---- what it asks of the vehicles -----------------------------------------------------------
 
-    def messages(
-        self, followers: Mapping[int, FollowerState], now_s: float
-    ) -> list[tuple[int, Any]]:
+    def messages(self, now_s: float) -> list[tuple[int, Any]]:
         """Mode changes that the pilot's switch asks for, and requests for the watchdog."""
         messages: list[tuple[int, Any]] = []
-        for system_id, follower in followers.items():
+        for system_id, follower in self._known.followers.items():
             watch = self._watches[system_id]
-            if follower.in_guided and follower.flown:
+            if follower.in_guided and follower.turn.flown:
                 round_trip_s = follower.clock.round_trip_s
                 asked = self.switches.message(system_id, follower.mode_at_s, round_trip_s, now_s)
                 messages.extend([] if asked is None else [(system_id, asked)])

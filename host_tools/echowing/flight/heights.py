@@ -2,7 +2,6 @@
 
 import math
 
-from echowing.flight.guard import Guard
 from echowing.flight.lowest import LOWEST_M
 from echowing.flight.state import FollowerState, Known
 
@@ -19,15 +18,13 @@ SAME_ALTITUDE_M = 1.0
 class Heights:
     """leaders: where no altitude was asked for, a follower flies as high as the leader does."""
 
-    def __init__(self, known: Known, guard: Guard | None, *, leaders: bool) -> None:
-        self.leaders = leaders
-        self._known, self._guard = known, guard
+    def __init__(self, known: Known, *, leaders: bool) -> None:
+        self._known, self.leaders = known, leaders
 
     def commanded_m(self, follower: FollowerState) -> float:
         """The same height above its home as the leader's altitude above the leader's."""
         plan = follower.plan
-        shift_m = 0.0 if self._guard is None else self._guard.altitude_shift_m(plan.system_id)
-        return plan.wanted_m + shift_m
+        return plan.wanted_m + self._known.homes.shift_m(plan.system_id)
 
     def level_m(self, follower: FollowerState, now_s: float) -> float:
         """As `commanded_m`, and as high as the leader truly is, as far as the sonar shows it.
@@ -64,6 +61,5 @@ class Heights:
 
     def _leaders_m(self) -> float | None:
         """The leader's altitude above its home."""
-        guard, fix = self._guard, self._known.leader.fix
-        home_m = None if guard is None else guard.home_m(self._known.leader_id)
+        fix, home_m = self._known.leader.fix, self._known.homes.above_sea_m(self._known.leader_id)
         return None if home_m is None or fix is None else fix.position.alt_m - home_m

@@ -1,12 +1,14 @@
 """A follower that is stopped: where it stands, until there is no reason left. Pure."""
 
 import math
+from dataclasses import replace
 
 from echowing.flight.guard import Guard
 from echowing.flight.guidance import Horizontal
 from echowing.flight.heights import Heights
 from echowing.flight.own_motion import NOT_YET_S
 from echowing.flight.state import FollowerState
+from echowing.flight.steps import Allowed, Hold
 from echowing.geo import GlobalPosition, displace, distance_m
 
 # A stop begins once it leans against its motion; a follower that hardly moves stops where it is.
@@ -21,21 +23,13 @@ class Holds:
     def __init__(self, heights: Heights, guard: Guard | None) -> None:
         self._heights, self._guard = heights, guard
 
-    def hold(self, follower: FollowerState, reason: str, now_s: float) -> bool:
-        """Hold it; True: it was not held before."""
-        begins = follower.held_at is None and follower.position is not None
-        if begins:
+    def keep(self, follower: FollowerState, now_s: float) -> None:
+        """Hold it where it comes to a stop, or where it was held before."""
+        if follower.hold is None:
             self._here(follower, now_s)
-        follower.hold_reason = reason
-        return begins
+        self._go_along(follower, now_s)
 
-    def hold_anew(self, follower: FollowerState, now_s: float) -> None:
-        """Hold it where it is now: it was held while nothing went to it, and has moved since."""
-        self._here(follower, now_s)
-        if self._guard is not None:
-            self._guard.moving(follower.plan.system_id)
-
-    def go_along(self, follower: FollowerState, now_s: float) -> None:
+    def _go_along(self, follower: FollowerState, now_s: float) -> None:
         """Hold one that its applet has flown back where it gets to, not where it was.
 
         Back there it would meet the leader again, and move although it is stopped.
@@ -50,20 +44,30 @@ class Holds:
 
     def release(self, follower: FollowerState) -> None:
         """Hold it no longer."""
-        follower.held_at = follower.hold_reason = follower.held_altitude_m = None
+        if follower.hold is None:
+            return
+        follower.hold = None
         if self._guard is not None:
             self._guard.moving(follower.plan.system_id)
 
+    def pushed(self, follower: FollowerState, allowed: Allowed) -> None:
+        """Hold one that gives way where it has been moved to."""
+        if follower.hold is None or follower.position is None or allowed.gives_way_to is None:
+            return
+        if moved_off(follower):
+            follower.hold = replace(follower.hold, place=follower.position)
+
     def _here(self, follower: FollowerState, now_s: float) -> None:
-        follower.held_at = _stopping_place(follower, now_s)
-        follower.held_altitude_m = self._heights.to_keep_m(follower)
+        place = _stopping_place(follower, now_s)
+        if place is not None:
+            follower.hold = Hold(place, self._heights.to_keep_m(follower))
 
 
 def moved_off(follower: FollowerState) -> bool:
     """Whether one that is held has been moved away from its place."""
-    if follower.held_at is None or follower.position is None:
+    if follower.hold is None or follower.position is None:
         return False
-    return distance_m(follower.held_at, follower.position) > MOVED_M
+    return distance_m(follower.hold.place, follower.position) > MOVED_M
 
 
 def _stopping_place(follower: FollowerState, now_s: float) -> GlobalPosition | None:

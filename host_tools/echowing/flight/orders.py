@@ -33,8 +33,8 @@ class Orders:
         """Once before each tick: apply what was ordered; returns what to send."""
         for follower in self._session.followers.values():
             # The hold also applies to a follower whose pilot comes back to Guided meanwhile.
-            if self.held and follower.latched is None:
-                follower.latched = HELD
+            if self.held and follower.turn.latched is None:
+                follower.turn.latched = HELD
         if self.build_up is None:
             return []
         return self.build_up.advance(self._session.followers, self._say, now_s)
@@ -55,11 +55,11 @@ class Orders:
         elif self.held:
             self.held = False
             for follower in session.followers.values():
-                if follower.latched == HELD:
-                    follower.latched = None
+                if follower.turn.latched == HELD:
+                    follower.turn.latched = None
             self._say(now_s, "hold ended by key")
         else:
-            session.engaged = True
+            session.engage()
             self._say(now_s, "engaged by key: points go to followers that fly in Guided")
             self._show_pilots("engaged by its operator")
 
@@ -102,7 +102,7 @@ class Orders:
         if self.stopped or self.held or not self._session.engaged:
             return "not engaged"
         session = self._session
-        led = [one for one in session.followers.values() if session.sends_to(one, now_s)]
+        led = [one for one in session.followers.values() if one.standing.sent_to]
         return self.build_up.objection(session.followers, led, self._objection_to_radius)
 
     def _objection_to_radius(self, follower: FollowerState, radius_m: float) -> str | None:

@@ -1,7 +1,10 @@
 """The plan: where a follower is to be, how fast, and where it looks. Pure."""
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.flight.guidance import (
     GuidanceSettings,
@@ -11,7 +14,9 @@ from echowing.flight.guidance import (
     lead_share,
 )
 from echowing.flight.handling import least_slot_m
-from echowing.flight.state import FollowerState, Known
+from echowing.flight.look import Look
+from echowing.flight.state import FollowerState, Known, Say
+from echowing.flight.steps import Plan
 from echowing.geo import displace, distance_m, ned_between
 
 # A leader that the sonar does not hear is approached no faster than this. A copter stops from it
@@ -34,6 +39,103 @@ WITHIN_REACH_M = 0.7
 CLOSES_MPS = 0.6
 # Nearer to its slot, a follower has arrived.
 AT_SLOT_M = 0.05
+
+
+# The speed sent for a slot that stands: the applet takes a point without any velocity for a hold.
+LEAST_MPS = 0.001
+# A slot that opened for a fast leader counts as closed when it needs less than its radius by this.
+SLACK_M = 0.3
+# A sonar that hears worse than believed is told of once it has for so long, then after so long.
+WORSE_LASTS_S, WORSE_AGAIN_S = 5.0, 120.0
+
+
+class Planner:
+    """Plans for the followers of one session.
+
+    reverses: slots leave room for a leader that turns round. say(now_s, text) is for the operator,
+    alert(system_id, text, severity) for a follower's pilot.
+    """
+
+    def __init__(
+        self, known: Known, say: Say, alert: Callable[..., None], *, reverses: bool
+    ) -> None:
+        self._known, self._say, self._alert = known, say, alert
+        self._reverses = reverses
+
+    def plan(self, follower: FollowerState, look: Look | None, now_s: float) -> Plan | None:
+        """Where a follower is to be, also one that is only watched; None: that is not known."""
+        if follower.standing.held:
+            return self._staying(follower, now_s)
+        fix = self._known.leader.fix
+        if fix is None or self._known.leader_is_stale(now_s):
+            return None
+        # Until it is cleared, its limits may be on their way, and what is not known is the worst.
+        if self._reverses and follower.turn.cleared:
+            self._allow_for_reversal(follower, fix, now_s)
+        guided = follower.guided = planned(self._known, follower, fix, now_s)
+        self._tell_of_hearing(follower, now_s)
+        yaw_rad = guided.yaw_rad
+        if yaw_rad is not None and look and not follower.estimate.points(now_s):
+            # A sonar without a gimbal looks with its vehicle.
+            yaw_rad = look.axis.azimuth_rad
+        north_mps, east_mps = guided.velocity_mps
+        velocity = (north_mps or LEAST_MPS, east_mps) if self._feeds else None
+        return Plan(guided.point, velocity, yaw_rad, follower.opens_m)
+
+    @property
+    def _feeds(self) -> bool:
+        return self._known.settings.feed_forward
+
+    def _staying(self, follower: FollowerState, now_s: float) -> Plan | None:
+        """The plan of one that is held.
+
+        It has a velocity too: for another kind of target Guided restarts, with the present lean for
+        its steady part (init_xy_controller); one that brakes would swing for seconds.
+        """
+        if follower.hold is None:
+            return None
+        yaw_rad = None if follower.command is None else follower.command.yaw_rad
+        if self._known.settings.face_leader:
+            bearing_rad = self._known.bearing_of_leader(follower, now_s)
+            yaw_rad = yaw_rad if bearing_rad is None else bearing_rad
+        velocity = (0.0, 0.0) if self._feeds else None
+        return Plan(follower.hold.place, velocity, yaw_rad, follower.opens_m)
+
+    def _allow_for_reversal(self, follower: FollowerState, fix: LeaderFix, now_s: float) -> None:
+        """Open the slot so far that it gets away if the leader turns round at its speed."""
+        speed_mps, handling = round(fix.speed_mps, 1), follower.handling
+        radius_m, brakes_mps2 = follower.plan.slot.radius_m, self._known.leader_brakes_mps2
+        needs_m, calm_m = (
+            least_slot_m(speed_mps, answer, brakes_mps2=brakes_mps2)
+            for answer in (handling.answer, handling.answer_in_calm)
+        )
+        follower.reversal_m = needs_m
+        opens = follower.opens_m > 0.0
+        if opens and not follower.opens:
+            why = f"leader at {speed_mps:.1f} m/s"
+            if calm_m <= radius_m:
+                why = f"wind leaves {handling.wind_leaves_mps2:.1f} m/s2 to brake"
+            system_id, text = follower.plan.system_id, f"slot opens to {needs_m:.1f} m, {why}"
+            self._alert(system_id, text, mavlink.MAV_SEVERITY_NOTICE)
+            self._say(
+                now_s,
+                f"follower {system_id}: {text}: the least from which it gets away should the "
+                "leader turn round",
+            )
+        follower.opens = opens or (follower.opens and needs_m > radius_m - SLACK_M)
+
+    def _tell_of_hearing(self, follower: FollowerState, now_s: float) -> None:
+        """Say that its sonar hears worse than its file says: its pilots decide whether it may."""
+        worse = follower.estimate.hearing.heard().worse
+        if worse is None:
+            follower.worse_since_s = math.inf
+            return
+        follower.worse_since_s = min(follower.worse_since_s, now_s)
+        lasts, again = now_s - follower.worse_since_s, now_s - follower.worse_said_s
+        if lasts >= WORSE_LASTS_S and again >= WORSE_AGAIN_S and follower.standing.sent_to:
+            follower.worse_said_s = now_s
+            self._alert(follower.plan.system_id, worse, mavlink.MAV_SEVERITY_NOTICE)
+            self._say(now_s, f"follower {follower.plan.system_id}: {worse}")
 
 
 def planned(known: Known, follower: FollowerState, fix: LeaderFix, now_s: float) -> GuidedPoint:

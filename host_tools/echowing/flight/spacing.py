@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 from echowing.flight.closing import MOST_MPS, Closing
 from echowing.flight.cloud import Wandering
@@ -15,9 +16,9 @@ from echowing.flight.envelope import (
 )
 from echowing.flight.guard import Guard
 from echowing.flight.guidance import Horizontal
-from echowing.flight.holds import moved_off
 from echowing.flight.jumps import SAME_RANGE_M
-from echowing.flight.state import LEADER, FollowerState, Known
+from echowing.flight.state import FollowerState, Known
+from echowing.flight.steps import LEADER, Allowed, Plan
 from echowing.geo import GlobalPosition, Ned, displace, ned_between
 
 # The same text is not repeated sooner, however often the state comes and goes.
@@ -40,40 +41,37 @@ class Spacing:
     ) -> None:
         self._known, self._guard, self._gives_way = known, guard, gives_way
         self._least_m = None if guard is None else guard.limits.min_separation_m
+        self._said_s: dict[int, float] = {}
 
-    def kept_apart(
-        self, follower: FollowerState, point: GlobalPosition, now_s: float
-    ) -> GlobalPosition:
-        """The point that leaves everybody room (see `flight.envelope`), its velocity with it."""
-        here = follower.on_arrival(now_s)
+    def allowed(self, follower: FollowerState, plan: Plan, now_s: float) -> Allowed:
+        """The place and velocity nearest to the plan's that leave everybody room (`envelope`)."""
+        unchanged, here = Allowed(plan.place, plan.velocity_mps), follower.on_arrival(now_s)
         if self._least_m is None or here is None or self._switched(follower):
-            follower.gives_way_to = None
-            return point
-        wanted = _wanted_mps(follower, here, point, now_s)
+            return unchanged
+        wanted = _wanted_mps(follower, here, plan, now_s)
         others = self._others(follower, here, now_s)
         own_mps = (*follower.velocity_then(now_s + follower.way_s), -follower.climb_mps)
         answer = follower.handling.answer
         flown, other = keep_apart(wanted, others, answer, self._least_m, own_mps)
-        self._give_way(follower, other, now_s)
         if other is None:
-            return point
-        if moved_off(follower):
-            follower.held_at = follower.position
+            return unchanged
+        self._remark(follower, other.name, now_s)
         urgent = straight_out(flown, other, others, answer, self._least_m, own_mps)
-        return _redirected(follower, here, point, (wanted, flown), urgent)
+        flies = _redirected(follower, here, plan, (wanted, flown), urgent)
+        return replace(flies, gives_way_to=other.name)
 
     def _switched(self, follower: FollowerState) -> bool:
         """Whether its pilot's stop switch has stopped it: then nothing of ours moves it."""
         return self._guard is not None and self._guard.switched(follower.plan.system_id)
 
-    def _give_way(self, follower: FollowerState, other: Other | None, now_s: float) -> None:
-        """Note, and say, for which vehicle a follower leaves its plan."""
-        name = None if other is None else other.name
-        long_ago = now_s - follower.gave_way_at_s >= REMARK_GAP_S
-        if name is not None and name != follower.gives_way_to and long_ago:
-            follower.gave_way_at_s = now_s
-            self._gives_way(follower.plan.system_id, name, now_s)
-        follower.gives_way_to = name
+    def _remark(self, follower: FollowerState, name: str, now_s: float) -> None:
+        """Say for which vehicle a follower leaves its plan."""
+        system_id, before = follower.plan.system_id, follower.allowed
+        again = before is not None and before.gives_way_to == name
+        if again or now_s - self._said_s.get(system_id, -math.inf) < REMARK_GAP_S:
+            return
+        self._said_s[system_id] = now_s
+        self._gives_way(system_id, name, now_s)
 
     def _others(self, follower: FollowerState, here: GlobalPosition, now_s: float) -> list[Other]:
         """The vehicles around a follower that is `here` when the order reaches it."""
@@ -81,8 +79,8 @@ class Spacing:
         others = list(self._leaders(follower, here, now_s, arrives_s))
         for other in self._known.followers.values():
             # A held follower stands; those led past it give way.
-            led = follower.held_at is not None and other.sent_to
-            if other is not follower and not led:
+            led_past = follower.standing.held and other.standing.sent_to
+            if other is not follower and not led_past:
                 others.extend(self._other(follower, here, other, arrives_s))
         return others
 
@@ -156,7 +154,7 @@ class Spacing:
                 age_s,
                 is_in_the_way(ned_between(here, place), ned_between(here, goal)),
                 # Its applet flies it, and knows of nobody beside it.
-                led=other.sent_to and not by_itself,
+                led=other.standing.sent_to and not by_itself,
             )
 
     def _between_m(
@@ -173,40 +171,36 @@ def _if_erred(there: GlobalPosition, shift_m: Horizontal) -> Iterator[GlobalPosi
         yield displace(there, (*shift_m, 0.0))
 
 
-def _wanted_mps(
-    follower: FollowerState, here: GlobalPosition, point: GlobalPosition, now_s: float
-) -> Ned:
-    """The velocity with which a follower that is here answers a point that has a velocity."""
-    north, east, _ = ned_between(here, point)
+def _wanted_mps(follower: FollowerState, here: GlobalPosition, plan: Plan, now_s: float) -> Ned:
+    """The velocity with which a follower that is here answers its plan."""
+    north, east, _ = ned_between(here, plan.place)
     far_m = math.hypot(north, east)
-    if follower.feed_mps is not None and follower.estimate.hears(now_s):
+    if plan.velocity_mps is not None and follower.estimate.hears(now_s):
         pace = min(HOLD_PER_S, MOST_MPS / max(far_m, 1e-9))
     else:
         pace = follower.handling.closing.pace_per_s(far_m)
-    feed_north, feed_east = follower.feed_mps or (0.0, 0.0)
+    feed_north, feed_east = plan.velocity_mps or (0.0, 0.0)
     return feed_north + pace * north, feed_east + pace * east, 0.0
 
 
 def _redirected(
     follower: FollowerState,
     here: GlobalPosition,
-    point: GlobalPosition,
+    plan: Plan,
     wanted_flown_mps: tuple[Ned, Ned],
     urgent_mps: Ned | None,
-) -> GlobalPosition:
-    """The point, with its velocity, whose answer is what the envelope wants to be flown."""
+) -> Allowed:
+    """The place and velocity whose answer is what the envelope wants to be flown."""
     wanted, flown = wanted_flown_mps
-    up_m = here.alt_m - point.alt_m
-    if follower.feed_mps is None:
+    up_m = here.alt_m - plan.place.alt_m
+    if plan.velocity_mps is None:
         north, east = _point_m(flown[:2], follower.handling.closing)
-        return displace(here, (north, east, up_m))
+        return Allowed(displace(here, (north, east, up_m)), None)
     if urgent_mps is not None:
-        # The point is where the vehicle is, so that it corrects nothing across the way out.
-        follower.feed_mps = urgent_mps[:2]
-        return displace(here, (0.0, 0.0, up_m))
-    north, east = follower.feed_mps
-    follower.feed_mps = north + flown[0] - wanted[0], east + flown[1] - wanted[1]
-    return point
+        # The place is where the vehicle is, so that it corrects nothing across the way out.
+        return Allowed(displace(here, (0.0, 0.0, up_m)), urgent_mps[:2])
+    north, east = plan.velocity_mps
+    return Allowed(plan.place, (north + flown[0] - wanted[0], east + flown[1] - wanted[1]))
 
 
 def _point_m(velocity_mps: Horizontal, closing: Closing) -> Horizontal:

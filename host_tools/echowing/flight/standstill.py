@@ -28,7 +28,7 @@ class Standstill:
         messages = []
         for system_id, follower in self._known.followers.items():
             heard = now_s - follower.position_at_s <= UNHEARD_S
-            if not (follower.in_guided and follower.flown and heard):
+            if not (follower.in_guided and follower.turn.flown and heard):
                 self._places.pop(system_id, None)
                 continue
             place = self._places.get(system_id) or _place(follower)
@@ -47,10 +47,11 @@ class Standstill:
 
 def _place(follower: FollowerState) -> Place | None:
     """Where it was to hold already, or where it comes to a stop."""
-    for at, height_m in (
-        (follower.held_at, follower.held_altitude_m),
-        (follower.left_at, follower.altitude_m),
+    hold, here, height_m = follower.hold, follower.left_at, follower.altitude_m
+    for at in (
+        None if hold is None else (hold.place, hold.altitude_m),
+        None if here is None or height_m is None else (here, height_m),
     ):
-        if at is not None and height_m is not None and all(map(math.isfinite, (*at, height_m))):
-            return at, height_m
+        if at is not None and all(map(math.isfinite, (*at[0], at[1]))):
+            return at
     return None

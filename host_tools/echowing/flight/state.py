@@ -8,6 +8,8 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
 from echowing.flight.alignment import History, Report
 from echowing.flight.belief import SonarBelief
 from echowing.flight.estimate import LONGEST_CARRY_S, Estimate, carried_on
@@ -22,9 +24,11 @@ from echowing.flight.guidance import (
     predicted,
 )
 from echowing.flight.handling import Handling, leader_brakes_mps2
+from echowing.flight.homes import Homes
 from echowing.flight.jumps import OwnJump, RangeMemory
 from echowing.flight.leader_track import LeaderTrack, VehicleClock, changes_mps2, is_late
 from echowing.flight.own_motion import OwnMotion
+from echowing.flight.steps import Allowed, Command, Hold, Phase, Plan, Standing, Turn
 from echowing.flight.tail import TailSlot
 from echowing.flight.tow_bar import TowBar
 from echowing.flight.wind import Wind
@@ -32,8 +36,7 @@ from echowing.geo import GlobalPosition, displace
 from echowing.mavlink.messages import FORWARD, axis_seen, heading_of, sonar_range_m
 
 GUIDED_MODE = 4
-# What messages call the leader.
-LEADER = "the leader"
+NOT_SEEN = Standing(Phase.WATCHED, "no report yet")
 
 # The co-processor's newest single reading (firmware/README.md). If none has come for so long (a
 # signed link refuses it, as no autopilot signs it), DISTANCE_SENSOR is used.
@@ -50,7 +53,6 @@ STOPS_AFTER_S = 1.5
 LONGEST_WAY_S = 1.0
 
 Say = Callable[[float, str], None]
-InHeight = Callable[[int, GlobalPosition], GlobalPosition]
 
 
 @dataclass(slots=True)
@@ -88,20 +90,17 @@ class Guide(Protocol):
 class FollowerState:
     """What is known and wanted of one follower.
 
-    held_at, held_altitude_m, hold_reason: where, how high above its home and why it was stopped;
-    in_guided: flies in Guided; flown: since it was put in Guided, the tool has made it take off, or
-    sent it a point; sent_to: points could go to it at the last tick; position_at_s: when it was
-    there by TIMESYNC, else when the report came; feed_mps: the velocity sent with the point (north,
-    east), None: none; yaw_rad: where it was last told to look; gives_way_to: the vehicle for which
-    it leaves its plan; latched: why it is held until it leaves Guided; proven_m: the part of
-    `Known.doubted_m` that the sonar has settled; reversal_m: the nearest slot from which it
-    gets away if the leader turns round now; least_m, least_at_s: the nearest slot it was given
-    last, and when; opens: it was said that the slot opens for a reversal; unsure: its newest report
-    may be another vehicle's, with its id; away_beats: heartbeats in a row that were not of one that
-    flies in Guided; level_m, levelled_at_s: by how much it flies higher than planned, to be level
-    with its leader, and when that was set; sonar_id: the component that sends its sonar's readings;
-    worse_since_s, worse_said_s: since when its sonar hears worse than believed, and when that was
-    said.
+    standing, planned, allowed, command: what the last tick made of it (see `steps`); turn: what
+    lasts until its pilot has left Guided; hold: where it is held; guided: where it was led last;
+    in_guided: flies in Guided; position_at_s: when it was there by TIMESYNC, else when the report
+    came; proven_m: the part of `Known.doubted_m` that the sonar has settled; reversal_m: the
+    nearest slot from which it gets away if the leader turns round now; least_m, least_at_s: the
+    nearest slot it was given last, and when; opens: it was said that the slot opens for a reversal;
+    unsure: its newest report may be another vehicle's, with its id; away_beats: heartbeats in a row
+    that were not of one that flies in Guided; level_m, levelled_at_s: by how much it flies higher
+    than planned, to be level with its leader, and when that was set; sonar_id: the component that
+    sends its sonar's readings; worse_since_s, worse_said_s: since when its sonar hears worse than
+    believed, and when that was said.
     """
 
     plan: FollowerPlan
@@ -113,7 +112,12 @@ class FollowerState:
     handling: Handling = field(default_factory=Handling)
     motion: OwnMotion = field(default_factory=OwnMotion)
     wind: Wind = field(default_factory=Wind)
-    latched: str | None = None
+    turn: Turn = field(default_factory=Turn)
+    standing: Standing = NOT_SEEN
+    planned: Plan | None = None
+    allowed: Allowed | None = None
+    command: Command | None = None
+    hold: Hold | None = None
     unsure: bool = False
     proven_m: Horizontal = (0.0, 0.0)
     reversal_m: float = 0.0
@@ -124,10 +128,6 @@ class FollowerState:
     levelled_at_s: float = -math.inf
     raw_at_s: float = -math.inf
     sonar_id: int | None = None
-    feed_mps: Horizontal | None = None
-    yaw_rad: float | None = None
-    gives_way_to: str | None = None
-    gave_way_at_s: float = -math.inf
     position: GlobalPosition | None = None
     newest_boot_ms: int = -1
     position_at_s: float = -math.inf
@@ -145,11 +145,6 @@ class FollowerState:
     away_beats: int = 2
     worse_since_s: float = math.inf
     worse_said_s: float = -math.inf
-    flown: bool = False
-    sent_to: bool = False
-    held_at: GlobalPosition | None = None
-    held_altitude_m: float | None = None
-    hold_reason: str | None = None
     guided: GuidedPoint | None = None
     _motions: dict[float, tuple[GlobalPosition, Horizontal]] = field(default_factory=dict)
 
@@ -157,11 +152,6 @@ class FollowerState:
     def opens_m(self) -> float:
         """The distance its slot has opened to, for a leader that may turn round; 0: it has not."""
         return self.reversal_m if self.reversal_m > self.plan.slot.radius_m else 0.0
-
-    @property
-    def makes_way(self) -> bool:
-        """Whether it leaves its plan for another vehicle than the leader."""
-        return self.gives_way_to not in (None, LEADER)
 
     @property
     def guided_mode(self) -> bool:
@@ -220,10 +210,15 @@ class FollowerState:
         place = displace(self.position, (north_m, east_m, -self.climb_mps * since_s))
         return place, velocity_mps
 
-    def ordered(self, place: GlobalPosition, now_s: float) -> None:
-        """Note that it is sent to a place now, at the velocity `feed_mps`."""
-        velocity_mps = self.feed_mps or (0.0, 0.0)
-        self.motion.ordered(now_s + self.way_s, place, velocity_mps, self.handling.closing)
+    def beat(self, heartbeat: Any, now_s: float, *, flying: bool) -> None:
+        """Take a HEARTBEAT of its autopilot."""
+        self.mode, self.mode_at_s, self.flying = heartbeat.custom_mode, now_s, flying
+        self.armed = bool(heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+
+    def ordered(self, allowed: Allowed, now_s: float) -> None:
+        """Note that it is sent to a place now, at a velocity."""
+        velocity_mps, arrives_s = allowed.velocity_mps or (0.0, 0.0), now_s + self.way_s
+        self.motion.ordered(arrives_s, allowed.place, velocity_mps, self.handling.closing)
         self._motions.clear()
 
     def not_ordered(self) -> None:
@@ -296,7 +291,11 @@ class Known:
     """The leader and its followers as they are known now."""
 
     def __init__(
-        self, leader_id: int, plans: Iterable[FollowerPlan], settings: GuidanceSettings
+        self,
+        leader_id: int,
+        plans: Iterable[FollowerPlan],
+        settings: GuidanceSettings,
+        homes: Homes | None = None,
     ) -> None:
         plans = list(plans)
         longest_m = max((plan.slot.radius_m for plan in plans), default=0.0)
@@ -305,8 +304,8 @@ class Known:
         self.leader = LeaderTrack()
         self.leader_history = History()
         self.leader_mode: int | None = None
-        self.in_height: InHeight = lambda system_id, place: place
-        """A vehicle's place with the altitude to compare with others' (`Guard.in_height`)."""
+        self.homes = homes or Homes(leader_id)
+        self.in_height = self.homes.in_height
         self.followers = {
             plan.system_id: FollowerState(
                 plan,

@@ -81,9 +81,10 @@ class Trust:
         moved_m = None if self._doubt is None else follower.own_jump.reported(report)
         if moved_m is not None:
             follower.estimate.history.clear()
-            if follower.held_at is not None:
+            if follower.hold is not None:
                 # It stands where it stood; only its coordinates have changed.
-                follower.held_at = displace(follower.held_at, (*moved_m, 0.0))
+                place = displace(follower.hold.place, (*moved_m, 0.0))
+                follower.hold = replace(follower.hold, place=place)
         place = self._known.in_height(follower.plan.system_id, report.position)
         follower.estimate.reported(replace(report, position=place))
 
@@ -106,7 +107,7 @@ class Trust:
             follower.estimate.jumped((-moved_m[0], -moved_m[1]))
             text = "the sonar's range did not change, allowed for"
         else:
-            follower.latched = f"its position jumped by {far_m:.1f} m, until it leaves Guided"
+            follower.turn.latched = f"its position jumped by {far_m:.1f} m, until it leaves Guided"
             text = "held until its pilot has left Guided and come back"
         self._say(
             now_s,
@@ -169,8 +170,8 @@ class Trust:
             return
         jump_m = math.hypot(*self._known.leader.jump_m)
         for system_id, follower in self._known.followers.items():
-            follower.latched = f"leader jumped by {jump_m:.1f} m, until it leaves Guided"
-            if follower.flown:
+            follower.turn.latched = f"leader jumped by {jump_m:.1f} m, until it leaves Guided"
+            if follower.turn.flown:
                 self._alert(system_id, f"holding, leader jumped by {jump_m:.1f} m")
         self._say(
             now_s,
@@ -192,10 +193,10 @@ class Trust:
         followers = self._known.followers
         is_leader = system_id == self._known.leader_id
         for one, follower in followers.items() if is_leader else ():
-            follower.latched = "two vehicles with the leader's id, until it leaves Guided"
-            if follower.flown:
+            follower.turn.latched = "two vehicles with the leader's id, until it leaves Guided"
+            if follower.turn.flown:
                 self._alert(one, "holding, two vehicles with the leader's id")
-        if not is_leader and followers[system_id].flown:
+        if not is_leader and followers[system_id].turn.flown:
             self._alert(system_id, f"no points, two vehicles with id {system_id}")
         whose = "the leader's id" if is_leader else f"id {system_id}"
         if self._doubt is not None:

@@ -187,7 +187,7 @@ class GroundStation:
         self._door.news.clear()
 
     def _end_once_all_stand(self, t_s: float) -> None:
-        if self._ends_s is not None and (self.session.stopped(t_s) or t_s >= self._ends_s):
+        if self._ends_s is not None and (self.session.stopped() or t_s >= self._ends_s):
             self.running = False
 
     def _send(self, t_s: float) -> None:

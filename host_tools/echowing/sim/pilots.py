@@ -48,7 +48,7 @@ class Pilot:
             if t_s - self._away_since_s >= AWAY_S:
                 self._autopilot.set_mode("GUIDED")
                 self._away_since_s = self._since_s = None
-        elif self._state().latched is None and not self._engages:
+        elif self._state().turn.latched is None and not self._engages:
             self._since_s = None
         elif self._since_s is None:
             self._since_s = t_s

@@ -12,15 +12,10 @@ from echowing.flight.guidance import is_stale
 from echowing.flight.leader_track import VehicleClock
 from echowing.flight.session import FollowSession
 from echowing.flight.state import FollowerState
-from echowing.flight.take_off import Lift
+from echowing.flight.steps import Phase
 from echowing.geo import distance_m, ned_between
 from echowing.mavlink.messages import FORWARD, sonar_range_m
 
-LIFT_STATES: dict[Lift | None, str] = {
-    Lift.WAITING: "waiting to take off",
-    Lift.WARNED: "about to take off",
-    Lift.CLIMBING: "taking off",
-}
 # The applet's and the co-processor's named floats (lua/echowing.md, firmware's DeviceState).
 SPEED_LIMIT, GIMBAL_STATE = "ECHO_SPD", "SNR_STATE"
 FIXES = {0: "none", 1: "none", 2: "2D"}  # of GPS_FIX_TYPE; all others are 3D and better
@@ -217,7 +212,7 @@ class Panel:
         return Row(
             time_s=now_s,
             system_id=follower.plan.system_id,
-            state=state_of(session, follower, now_s),
+            state=state_of(follower),
             separation_m=separation_m,
             error_m=None if separation_m is None or radius_m == 0.0 else separation_m - radius_m,
             slot_error_m=_slot_error_m(follower),
@@ -278,35 +273,17 @@ class Panel:
             )
 
 
-def state_of(session: FollowSession, follower: FollowerState, now_s: float) -> str:
+def state_of(follower: FollowerState) -> str:
     """What is being done with a follower, in a few words."""
-    lift = session.lift_of(follower)
-    if lift in LIFT_STATES:
-        return LIFT_STATES[lift]
-    if not session.engaged and follower.held_at is None:
-        return "only watched"
-    if not follower.in_guided:
-        return "no report yet" if follower.mode is None else "pilot has control"
-    objection = (
-        None
-        if session.engagement is None
-        else session.engagement.objection(follower.plan.system_id)
-    )
-    if objection is not None:
-        return f"not engaged: {objection}"
-    if not session.sends_to(follower, now_s):
-        return "no points sent"
-    return _led_state(session, follower)
-
-
-def _led_state(session: FollowSession, follower: FollowerState) -> str:
-    """The state of a follower that receives points."""
-    if follower.held_at is not None:
-        return f"holding: {follower.hold_reason}"
-    if not follower.flown:
-        return "waiting for the leader"
-    name = follower.gives_way_to
-    return "following" if name is None else f"gives way to {name}"
+    phase, why = follower.standing.phase, follower.standing.why
+    if phase is Phase.LED:
+        name = None if follower.allowed is None else follower.allowed.gives_way_to
+        return why or ("following" if name is None else f"gives way to {name}")
+    if phase is Phase.HELD:
+        return f"holding: {why}"
+    if phase is Phase.CHECKED and why:
+        return f"not engaged: {why}"
+    return why if phase in (Phase.WATCHED, Phase.LIFTED) else "no points sent"
 
 
 def _heard(follower: FollowerState) -> dict[str, Any]:
@@ -332,13 +309,13 @@ def _separation_m(session: FollowSession, follower: FollowerState, now_s: float)
     leader = session.leader_for(follower, fix, now_s)
     if session.guard is None:
         return distance_m(follower.position, leader)
-    here = session.guard.in_height(follower.plan.system_id, follower.position)
-    return distance_m(here, session.guard.in_height(session.leader_id, leader))
+    here = session.known.in_height(follower.plan.system_id, follower.position)
+    return distance_m(here, session.known.in_height(session.leader_id, leader))
 
 
 def _slot_error_m(follower: FollowerState) -> float | None:
     """Horizontal distance to the slot, while it receives points."""
-    if follower.position is None or follower.guided is None or follower.held_at is not None:
+    if follower.position is None or follower.guided is None or follower.standing.held:
         return None
     north_m, east_m, _ = ned_between(follower.position, follower.guided.slot)
     return math.hypot(north_m, east_m)
@@ -369,7 +346,7 @@ def left_as(session: FollowSession, follower: FollowerState, now_s: float) -> tu
     mode = "mode unknown" if follower.mode is None else mode_name(follower.mode)
     if not follower.in_guided:
         return f"left to its pilot ({mode}{height})", True
-    if not follower.flown:
+    if not follower.turn.flown:
         return f"was not moved ({mode}{height})", True
     silent_s = now_s - follower.position_at_s
     if silent_s > UNHEARD_S:

@@ -416,7 +416,7 @@ class FollowTool:
 
     def _stopped(self) -> bool:
         try:
-            return self._session.stopped(self._now_s())
+            return self._session.stopped()
         except Exception:
             return False
 

@@ -80,7 +80,7 @@ def track(session: FollowSession, follower: FollowerState, panel: Panel, now_s: 
         None if leader is None else leader.position
     )
     lat_deg, lon_deg, alt_m = _place(follower.position)
-    guided = follower.guided if follower.held_at is None else None
+    guided = None if follower.standing.held else follower.guided
     slot_lat_deg, slot_lon_deg, _ = _place(None if guided is None else guided.slot)
     point_lat_deg, point_lon_deg, _ = _place(None if guided is None else guided.point)
     return Track(
@@ -115,7 +115,7 @@ def track(session: FollowSession, follower: FollowerState, panel: Panel, now_s: 
 def _of_leader(session: FollowSession, panel: Panel) -> dict[str, Any]:
     """The leader's own report."""
     fix = session.leader.fix
-    home_m = None if session.guard is None else session.guard.home_m(session.leader_id)
+    home_m = session.known.homes.above_sea_m(session.leader_id)
     return {
         "leader_id": session.leader_id,
         "leader_link_percent": panel.link_percent(session.leader_id),

@@ -1,0 +1,126 @@
+"""The values that one tick hands from step to step, for one follower. Frozen: no step writes back.
+
+standing   may it be flown now, and why not (`supervisor`)
+plan       where it is to be, as if it flew alone (`planner`)
+allowed    the same with room for everybody (`spacing`)
+command    what is sent (`session`)
+"""
+
+from dataclasses import dataclass
+from enum import StrEnum, auto
+
+from echowing.flight.guidance import Horizontal
+from echowing.geo import GlobalPosition
+
+# What messages call the leader.
+LEADER = "the leader"
+
+
+class Phase(StrEnum):
+    """What is done with a follower.
+
+    WATCHED: its pilot flies it, or nobody is engaged; LIFTED: the tool makes it take off, or is
+    about to; CHECKED: in Guided, and not yet fit to be led; LEFT: in Guided, and nothing may be
+    sent, as it does not report or its pilot has stopped it; HELD: told to stay at one place; LED.
+    """
+
+    WATCHED = auto()
+    LIFTED = auto()
+    CHECKED = auto()
+    LEFT = auto()
+    HELD = auto()
+    LED = auto()
+
+
+# What may follow what, in one tick or over some. It comes from HELD and LED to CHECKED, and from
+# WATCHED on, only by its pilot's mode switch; LIFTED only follows where a take-off is asked for.
+NEXT: dict[Phase, frozenset[Phase]] = {
+    Phase.WATCHED: frozenset(Phase),
+    Phase.LIFTED: frozenset(Phase),
+    Phase.CHECKED: frozenset(Phase) - {Phase.LIFTED},
+    Phase.LEFT: frozenset(Phase) - {Phase.LIFTED},
+    Phase.HELD: frozenset(Phase) - {Phase.LIFTED, Phase.CHECKED},
+    Phase.LED: frozenset(Phase) - {Phase.LIFTED, Phase.CHECKED},
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """What is done with a follower, and why, in words that can be shown."""
+
+    phase: Phase
+    why: str = ""
+
+    @property
+    def sent_to(self) -> bool:
+        """Whether points go to it."""
+        return self.phase in (Phase.HELD, Phase.LED)
+
+    @property
+    def held(self) -> bool:
+        """Whether it is told to stay at one place."""
+        return self.phase is Phase.HELD
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """A place, and the velocity that the follower flies with it, (north, east); None: no velocity.
+
+    yaw_rad: bearing to look at, None: its autopilot's choice; opens_m: the distance its slot has
+    opened to for a leader that may turn round, 0: it has not.
+    """
+
+    place: GlobalPosition
+    velocity_mps: Horizontal | None
+    yaw_rad: float | None = None
+    opens_m: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Allowed:
+    """As `Plan`, with the name of the vehicle for which it differs from that; None: it does not."""
+
+    place: GlobalPosition
+    velocity_mps: Horizontal | None
+    gives_way_to: str | None = None
+
+    @property
+    def makes_way(self) -> bool:
+        """Whether it leaves its plan for another vehicle than the leader."""
+        return self.gives_way_to not in (None, LEADER)
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """What is sent to a follower; altitude_m: above its home."""
+
+    place: GlobalPosition
+    velocity_mps: Horizontal | None
+    altitude_m: float
+    yaw_rad: float | None
+    opens_m: float
+    makes_way: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Hold:
+    """Where a follower is told to stay; altitude_m: above its home."""
+
+    place: GlobalPosition
+    altitude_m: float
+
+
+@dataclass(slots=True)
+class Turn:
+    """What lasts until its pilot has left Guided and come back: then all of it is new.
+
+    cleared: it has passed the checks before its first point; flown: the tool has moved it;
+    latched: why it is held; refused: its autopilot did not take points; released: its stop switch
+    has stopped it, and it stands.
+    """
+
+    cleared: bool = False
+    flown: bool = False
+    latched: str | None = None
+    refused: bool = False
+    released: bool = False
