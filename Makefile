@@ -41,11 +41,11 @@ lint: setup-test ## run formatters and linters; changes nothing
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
-	luacheck -q --config lua/.luacheckrc lua host_tools/echowing/sim/lua_prelude.lua
+	luacheck -q --config lua/.luacheckrc lua host_tools/echowing/sim/vehicle/lua_prelude.lua
 	$(BIN)/clang-format --dry-run --Werror $$(git ls-files 'firmware/*.cpp' 'firmware/*.hpp' 'firmware/*.h' 'firmware/*.c' 'firmware/*.ino')
 
 pages: setup ## write the pages that are made from the code
-	$(BIN)/python -m echowing.sim.key_pages host_tools
+	$(BIN)/python -m echowing.docs.keys host_tools
 
 format: setup-test ## apply the formatters
 	$(BIN)/ruff format .

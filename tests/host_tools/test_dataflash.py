@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 from pymavlink import DFReader
 
-from echowing.sim.autopilot import ORIGIN
-from echowing.sim.dataflash import DataflashLog
+from echowing.sim.vehicle.autopilot import ORIGIN
+from echowing.sim.vehicle.dataflash import DataflashLog
 
 from .autopilot_bench import FORWARD_SONAR, Bench
 

@@ -10,7 +10,7 @@ from echowing.flight.plan import planned
 from echowing.flight.relay import RELAY_SETTINGS, RelayGuide, parse_ground
 from echowing.flight.state import FollowerPlan, Known
 from echowing.geo import GlobalPosition, Ned, displace, ned_between
-from echowing.sim.copter import Copter
+from echowing.sim.vehicle.copter import Copter
 from echowing.sonar_file import shipped_sonar
 
 from ..flight.relay_field import RELAY, REMOTE, RelayField

@@ -13,8 +13,8 @@ from echowing.flight.state import FollowerPlan
 from echowing.flight.switch import StopSwitch
 from echowing.flight.take_off import STALE_S, WARNING_S, Lift, TakeOff
 from echowing.geo import ned_between
-from echowing.sim.autopilot import ORIGIN, Autopilot
-from echowing.sim.copter import Copter
+from echowing.sim.vehicle.autopilot import ORIGIN, Autopilot
+from echowing.sim.vehicle.copter import Copter
 from echowing.sonar_file import shipped_sonar
 from echowing.tool.panel import left_as, state_of
 
