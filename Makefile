@@ -35,7 +35,7 @@ monitor: setup ## watch the co-processor live: PORT=/dev/ttyACM0
 fuzz: setup-test ## fuzz the firmware's byte entry and memory, the applets, then follow's session: SECONDS=600 for each, SEED=1
 	$(BIN)/python tests/firmware/fuzz/run.py $(or $(SECONDS),600) $(or $(SEED),1)
 	$(BIN)/python -m tests.lua.fuzz --seconds $(or $(SECONDS),600) --seed $(or $(SEED),1)
-	$(BIN)/python -m tests.host_tools.session_fuzz --seconds $(or $(SECONDS),600) --seed $(or $(SEED),1)
+	$(BIN)/python -m tests.flight.session_fuzz --seconds $(or $(SECONDS),600) --seed $(or $(SEED),1)
 
 lint: setup-test ## run formatters and linters; changes nothing
 	$(BIN)/ruff format --check .

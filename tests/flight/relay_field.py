@@ -17,7 +17,7 @@ from echowing.geo import GlobalPosition, Ned, displace, ned_between
 from echowing.sim.vehicle.copter import Copter
 from echowing.sonar_file import shipped_sonar
 
-from ..host_tools.yard import HERE, Vehicle
+from .yard import HERE, Vehicle
 
 REMOTE, RELAY = 1, 2
 STEP_S = 0.02

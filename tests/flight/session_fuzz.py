@@ -1,4 +1,4 @@
-"""Fuzz the follow session:  python -m tests.host_tools.session_fuzz [--seconds S] [--seed N].
+"""Fuzz the follow session:  python -m tests.flight.session_fuzz [--seconds S] [--seed N].
 
 A leader flies, two followers are led after it, and their messages are mutated, sent twice, held
 back, cut, and invented under their ids. All go as bytes through the parser and the door into a
@@ -21,7 +21,7 @@ from types import FrameType
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
-from tests.host_tools.yard import FOLLOWER, HERE, LEADER, POINT, SECOND, TICK_S, Vehicle
+from tests.flight.yard import FOLLOWER, HERE, LEADER, POINT, SECOND, TICK_S, Vehicle
 
 from echowing.flight.guard import FIELD_LIMITS
 from echowing.flight.guidance import GuidanceSettings, Slot
@@ -275,7 +275,7 @@ def main() -> int:
             flight.fly()
         except Exception:
             traceback.print_exc()
-            print(f"again: python -m tests.host_tools.session_fuzz --one --seed {seed}")
+            print(f"again: python -m tests.flight.session_fuzz --one --seed {seed}")
             return 1
         points += flight.points
         seed += 1

@@ -13,7 +13,7 @@ from echowing.geo import GlobalPosition, Ned, displace, ned_between
 from echowing.sim.vehicle.copter import Copter
 from echowing.sonar_file import shipped_sonar
 
-from ..flight.relay_field import RELAY, REMOTE, RelayField
+from .relay_field import RELAY, REMOTE, RelayField
 
 GROUND = GlobalPosition(39.34, -86.03, 250.0)
 

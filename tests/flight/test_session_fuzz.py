@@ -4,8 +4,8 @@ import math
 from typing import Any
 
 import pytest
-from tests.host_tools.session_fuzz import FLIGHT_S, FindError, Fuzz
-from tests.host_tools.yard import POINT, TICK_S
+from tests.flight.session_fuzz import FLIGHT_S, FindError, Fuzz
+from tests.flight.yard import POINT, TICK_S
 
 from echowing.flight.session import FollowSession
 
@@ -66,6 +66,6 @@ def hang(session: FollowSession, message: Any) -> None:
 )
 def test_it_finds(change: Any, found: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(FollowSession, "tick", fails_at(change))
-    monkeypatch.setattr("tests.host_tools.session_fuzz.COUNTED_EVERY", 1)
+    monkeypatch.setattr("tests.flight.session_fuzz.COUNTED_EVERY", 1)
     with pytest.raises(FindError, match=found):
         Fuzz(0).fly()

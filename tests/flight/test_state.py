@@ -1,4 +1,4 @@
-"""Reports that come twice, late or after a reboot: the follow session takes only newer ones."""
+"""What is known of a vehicle: reports that come twice, late or after a reboot."""
 
 from typing import Any
 
