@@ -17,7 +17,7 @@ from echowing.applets import APPLETS
 from echowing.errors import EchowingError
 from echowing.geo import Ned
 from echowing.sim.vehicle.commands import ACCEPTED, FAILED, Commands, command_of
-from echowing.sim.vehicle.dataflash import DataflashLog
+from echowing.sim.vehicle.dataflash import DataflashLog, ScriptMessage
 from echowing.sim.vehicle.flightlog import FlightLog
 from echowing.sim.vehicle.ftp import FtpServer
 from echowing.sim.vehicle.guided import Body, SubMode
@@ -731,20 +731,10 @@ class Autopilot:
             if link.active:
                 link.send(message)
 
-    def log_write(
-        self,
-        name: str,
-        labels: str,
-        formats: str,
-        units: str,
-        multipliers: str,
-        values: Sequence[float | int | str],
-    ) -> None:
+    def log_write(self, message: ScriptMessage) -> None:
         """One message of a script in the dataflash log, if one is written."""
         if self.dataflash is not None:
-            self.dataflash.write_script(
-                name, self._t_s, labels, formats, units, multipliers, values
-            )
+            self.dataflash.write_script(message, self._t_s)
 
     def aux_auth_id(self) -> int | None:
         """Reserve one of the three pre-arm authorisation ids."""

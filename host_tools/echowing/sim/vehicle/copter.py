@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from math import atan2, cos, exp, inf, pi, sin, sqrt, tan
 
 from echowing.flight.closing import inverse_sqrt_controller, sqrt_controller
+from echowing.geo import GRAVITY_MPS2
 from echowing.sim.vehicle.estimate import EstimatedPosition
 from echowing.sim.vehicle.parameters import Generation
 from echowing.sim.vehicle.shaping import (
@@ -25,7 +26,6 @@ from echowing.sim.vehicle.shaping import (
 )
 from echowing.sim.vehicle.wpnav import Ned, TrackLimits, WaypointNavigator, along_limit
 
-GRAVITY_MPS2 = 9.80665  # standard gravity, as AP_Math's GRAVITY_MSS
 LONGEST_STEP_S = 0.02  # the airframe's constants are fitted at this step: the simulator's
 # Below this share of the speed limit the heading is kept (AC_PosControl.cpp, yaw of the path).
 LOOK_SHARE = 0.05

@@ -6,7 +6,7 @@ Layout: libraries/AP_Logger (LogStructure.h); numbers and columns are ArduCopter
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 
 MAGIC = b"\xa3\x95"
 _FMT_ID = 128
@@ -18,6 +18,18 @@ GPS_LEAP_S = 18  # since 2017
 _WEEK_S = 604_800
 
 Value = float | int | str
+
+
+class ScriptMessage(NamedTuple):
+    """A script's own message, without its time stamp; `units` and `multipliers` may be empty."""
+
+    name: str
+    labels: str
+    letters: str
+    units: str
+    multipliers: str
+    values: Sequence[Value]
+
 
 # Format letter -> struct letter and the factor the value is stored with (LogStructure.h).
 _LETTERS: dict[str, tuple[str, float]] = {
@@ -203,17 +215,9 @@ class DataflashLog:
             in_use,
         )
 
-    def write_script(
-        self,
-        name: str,
-        t_s: float,
-        labels: str,
-        letters: str,
-        units: str,
-        multipliers: str,
-        values: Sequence[Value],
-    ) -> None:
+    def write_script(self, message: ScriptMessage, t_s: float) -> None:
         """A script's own message (`logger:write`); described at its first use."""
+        name, labels, letters, units, multipliers, values = message
         if name not in self._kinds:
             kind = _Kind(
                 self._next_id,

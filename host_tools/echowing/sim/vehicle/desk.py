@@ -11,6 +11,7 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+from echowing.sim.vehicle.dataflash import ScriptMessage
 from echowing.sim.vehicle.luahost import AltitudeFrame, Ned, Position
 
 NO_DATA = 1
@@ -183,16 +184,8 @@ class DeskVehicle:
     def send_named_float(self, name: str, value: float) -> None:
         self.named.setdefault(name, []).append(value)
 
-    def log_write(
-        self,
-        name: str,
-        labels: str,
-        formats: str,
-        units: str,
-        multipliers: str,
-        values: Sequence[float | int | str],
-    ) -> None:
-        self.log.append((name, tuple(values)))
+    def log_write(self, message: ScriptMessage) -> None:
+        self.log.append((message.name, tuple(message.values)))
 
     def aux_auth_id(self) -> int | None:
         if not self.free_auth_ids:

@@ -26,6 +26,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.errors import EchowingError
 from echowing.sim.vehicle import lua_limits
+from echowing.sim.vehicle.dataflash import ScriptMessage
 
 if TYPE_CHECKING:
     from echowing.sim.vehicle.parameters import Generation
@@ -136,16 +137,8 @@ class VehicleApi(Protocol):
     def send_named_float(self, name: str, value: float) -> None:
         """NAMED_VALUE_FLOAT to the ground."""
 
-    def log_write(
-        self,
-        name: str,
-        labels: str,
-        formats: str,
-        units: str,
-        multipliers: str,
-        values: Sequence[float | int | str],
-    ) -> None:
-        """One dataflash message, without its time stamp; `units` and `multipliers` may be empty."""
+    def log_write(self, message: ScriptMessage) -> None:
+        """One message in the dataflash log."""
 
     def aux_auth_id(self) -> int | None:
         """Reserve one of the three pre-arm authorisation ids; None: all taken."""
@@ -578,10 +571,9 @@ class LuaHost:
                 return None, f"{len(payload)} of {whole_bytes} bytes of message {message_id}"
             return vehicle.send_mavlink(link, message_id, bytes(payload[:whole_bytes])), None
 
-        def log_write(
-            name: str, labels: str, formats: str, units: str, multipliers: str, values: Any
-        ) -> None:
-            vehicle.log_write(name, labels, formats, units, multipliers, list(values.values()))
+        def log_write(*described: Any) -> None:
+            *texts, values = described
+            vehicle.log_write(ScriptMessage._make((*texts, list(values.values()))))
 
         return {
             "millis": lambda: _signed(vehicle.millis()),
