@@ -35,17 +35,17 @@ monitor: setup ## watch the co-processor live: PORT=/dev/ttyACM0
 fuzz: setup-test ## fuzz the firmware's byte entry and memory, the applets, then follow's session: SECONDS=600 for each, SEED=1
 	$(BIN)/python tests/firmware/fuzz/run.py $(or $(SECONDS),600) $(or $(SEED),1)
 	$(BIN)/python -m tests.lua.fuzz --seconds $(or $(SECONDS),600) --seed $(or $(SEED),1)
-	$(BIN)/python -m tests.host_tools.session_fuzz --seconds $(or $(SECONDS),600) --seed $(or $(SEED),1)
+	$(BIN)/python -m tests.flight.session_fuzz --seconds $(or $(SECONDS),600) --seed $(or $(SEED),1)
 
 lint: setup-test ## run formatters and linters; changes nothing
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
-	luacheck -q --config lua/.luacheckrc lua host_tools/echowing/sim/lua_prelude.lua
+	luacheck -q --config lua/.luacheckrc lua host_tools/echowing/sim/vehicle/lua_prelude.lua
 	$(BIN)/clang-format --dry-run --Werror $$(git ls-files 'firmware/*.cpp' 'firmware/*.hpp' 'firmware/*.h' 'firmware/*.c' 'firmware/*.ino')
 
 pages: setup ## write the pages that are made from the code
-	$(BIN)/python -m echowing.sim.key_pages host_tools
+	$(BIN)/python -m echowing.docs.keys host_tools
 
 format: setup-test ## apply the formatters
 	$(BIN)/ruff format .

@@ -7,7 +7,7 @@ EMULATORS := build/emulator/libechowing_avr.so build/emulator/libechowing_stm32.
 MAVLINK_HEADERS := firmware/echowing/src/mavlink/echowing/mavlink.h
 STM32_BOARDS := blackpill_f411 bluepill_f103 nucleo_f446
 FIRMWARE_SOURCES := $(shell find firmware/echowing -type f -not -path '*/src/mavlink/*')
-BUILD_TOOLS := firmware/tools/build.py host_tools/echowing/sim/firmware.py
+BUILD_TOOLS := firmware/tools/build.py host_tools/echowing/sim/boards/firmware.py
 
 # The official STM32 core and its CMSIS, where they are installed somewhere else than arduino-cli and
 # the Arduino IDE install them (firmware/tools/stm32_home.sh).
@@ -19,10 +19,10 @@ STM32_TESTS := $(addprefix tests/firmware/,on_stm32.py test_emulator_faults.py t
 .PHONY: arduino-cli firmware firmware-stm32 flash emulator emulated git-hash stm32-core test-stm32
 
 firmware: build/firmware/$(BOARD)/echowing.elf ## compile the sketch: BOARD=mega, blackpill_f411, bluepill_f103, nucleo_f446
-	@$(BIN)/python -m echowing.sim.firmware $(BOARD)
+	@$(BIN)/python -m echowing.sim.boards.firmware $(BOARD)
 
 firmware-stm32: $(STM32_BOARDS:%=build/firmware/%/echowing.elf) ## compile it for all STM32 boards (fetches their core)
-	@for board in $(STM32_BOARDS); do $(BIN)/python -m echowing.sim.firmware $$board || exit 1; done
+	@for board in $(STM32_BOARDS); do $(BIN)/python -m echowing.sim.boards.firmware $$board || exit 1; done
 
 flash: build/firmware/$(BOARD)/echowing.elf ## flash a board: BOARD=mega PORT=/dev/ttyACM0, METHOD=dfu, serial, stlink
 	@$(BIN)/python firmware/tools/flash.py $(BOARD) $(if $(PORT),--port $(PORT)) $(if $(METHOD),--method $(METHOD))

@@ -8,7 +8,7 @@ import re
 import sys
 from pathlib import Path
 
-from echowing.sim import firmware
+from echowing.sim.boards import firmware
 
 FIRMWARE = Path(__file__).resolve().parent
 README = FIRMWARE / "README.md"

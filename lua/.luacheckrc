@@ -3,7 +3,7 @@ std = "vehicle"
 max_line_length = 120
 max_comment_line_length = false -- a parameter's description is one line, as ArduPilot's tools read it
 
--- What ArduPilot's Lua has of a stock one (host_tools/echowing/sim/lua_prelude.lua, `sandbox`).
+-- What ArduPilot's Lua has of a stock one (host_tools/echowing/sim/vehicle/lua_prelude.lua, `sandbox`).
 stds.vehicle = {
     globals = { -- an applet may give these back
         'package', 'require',
@@ -20,7 +20,7 @@ stds.vehicle = {
     },
 }
 
--- ArduPilot's bindings in use; their arguments and results: host_tools/echowing/sim/lua_bindings.lua
+-- ArduPilot's bindings in use; their arguments and results: host_tools/echowing/sim/vehicle/lua_bindings.lua
 read_globals = {
     "ahrs", "arming", "gcs", "logger", "mavlink", "millis", "param", "Parameter", "rangefinder", "rc", "vehicle",
     "Vector3f",

@@ -3,7 +3,7 @@
 import tomllib
 from typing import Any
 
-from echowing.sim.accuracy import AS_BELIEVED
+from echowing.bench.accuracy import AS_BELIEVED
 
 # For `--set`, and as sections of a scenario.
 CLEARLY = AS_BELIEVED

@@ -15,7 +15,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from echowing.errors import EchowingError
-from echowing.sim import firmware
+from echowing.sim.boards import firmware
 
 ARDUINO_CLI = firmware.REPOSITORY / "build" / "tools" / "arduino-cli"
 ARDUINO_HOME = firmware.REPOSITORY / "build" / "arduino-home"

@@ -21,7 +21,7 @@ from pathlib import Path
 from serial.tools import list_ports
 
 from echowing.errors import EchowingError
-from echowing.sim import firmware
+from echowing.sim.boards import firmware
 
 FLASH_START = 0x08000000  # of every STM32
 

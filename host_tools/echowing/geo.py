@@ -23,6 +23,8 @@ POLAR_LATITUDE_DEG = 80.0
 # there 111 320 m, times the cosine of the latitude. Beyond the second margin no rounding counts.
 LEAST_M_PER_DEGREE = 110_000.0
 SURE_M = 1.0
+# Standard gravity, by definition (CGPM 1901); what ArduPilot flies by too (AP_Math, GRAVITY_MSS).
+GRAVITY_MPS2 = 9.80665
 
 
 class GlobalPosition(NamedTuple):

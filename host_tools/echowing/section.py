@@ -15,7 +15,7 @@ NotNegative = Annotated[float, Field(ge=0.0)]
 class Section(BaseModel):
     """A section of a scenario, of a formation file or of a sonar file."""
 
-    # What stands under a field describes it, also on the page of keys (sim/key_pages.py).
+    # What stands under a field describes it, also on the page of keys (docs/keys.py).
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
 
 

@@ -9,7 +9,8 @@ from typing import Any
 from echowing.flight.sonar import SERVO_US_PER_DEG
 from echowing.rig import search
 from echowing.rig.search import Aim
-from echowing.sim import firmware, sonar
+from echowing.sim.boards import firmware
+from echowing.sim.world import sonar
 
 HW = Path(__file__).resolve().parents[1]
 ROOT = HW.parent

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import trimesh
 
+from echowing.geo import GRAVITY_MPS2
 from echowing.rig import search
 from hwtools import bom, mount, servos, sweep
 from hwtools.budget import Check, check_table
@@ -39,7 +40,7 @@ class Load:
     def torque_nm(self, duty: dict[str, Any]) -> float:
         """The most torque: taking up speed, a manoeuvre's pull and the leads, all against it."""
         start = self.inertia_kg_m2 * servos.radians_per_s2(duty)
-        pull = self.unbalance_kg_m * duty["most_g"] * servos.GRAVITY_MPS2
+        pull = self.unbalance_kg_m * duty["most_g"] * GRAVITY_MPS2
         return float(start + pull + self.lead_nm)
 
 
@@ -177,7 +178,7 @@ def _tube_second_moment_m4() -> float:
 def hover_turns_hz(f: Figures) -> float:
     """Return how often a propeller turns in a second where eight carry the X8."""
     disc_m = mount.number("frame_propeller_diameter_mm") / 1e3
-    thrust_n = f.vehicle_mass * servos.GRAVITY_MPS2 / 8
+    thrust_n = f.vehicle_mass * GRAVITY_MPS2 / 8
     return math.sqrt(thrust_n / (f.thrust_coefficient * f.air_density * disc_m**4))
 
 

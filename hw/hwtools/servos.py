@@ -3,10 +3,10 @@
 import math
 from typing import Any
 
+from echowing.geo import GRAVITY_MPS2
 from hwtools.facts import HW, load
 
 SOURCE = HW / "servos.toml"
-GRAVITY_MPS2 = 9.80665
 KGF_CM = GRAVITY_MPS2 * 0.01  # newton metres
 
 

@@ -27,9 +27,9 @@ from echowing.campaign.shrink import shrink, table_of
 from echowing.campaign.workers import WorkersDied, connected, done_by_workers
 from echowing.cli import main
 from echowing.errors import EchowingError
+from echowing.sim.aircraft import SimFollower
 from echowing.sim.scenario import Scenario, load_scenario, scenario_of
 from echowing.sim.summary import fly
-from echowing.sim.vehicles import SimFollower
 
 SHORT = """
 title = "short flights for tests"

@@ -15,8 +15,8 @@ from echowing.flight.guidance import LeaderFix
 from echowing.geo import GlobalPosition, displace, ned_between
 from echowing.mavlink.messages import position_target
 from echowing.sim.faults import _BEGIN
-from echowing.sim.modes import GUIDED, LAND, LOITER, STABILIZE
 from echowing.sim.scenario import Scenario, scenario_of
+from echowing.sim.vehicle.modes import GUIDED, LAND, LOITER, STABILIZE
 
 from ..world import CLEAR
 
@@ -185,7 +185,7 @@ def test_a_board_that_starts_anew_ranges_again_within_seconds() -> None:
 
 
 def test_a_jammed_gimbal_loses_a_leader_in_a_corner_sooner_than_a_free_one() -> None:
-    from echowing.sim.sonar import Gimbal  # noqa: PLC0415
+    from echowing.sim.world.sonar import Gimbal  # noqa: PLC0415
 
     gimbal = Gimbal()
     gimbal.jammed = True

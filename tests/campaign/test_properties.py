@@ -22,8 +22,8 @@ from echowing.campaign.properties import (
 )
 from echowing.campaign.record import FlightRecord, Point, fly_recorded
 from echowing.sim.fault_section import FaultSection
-from echowing.sim.modes import GUIDED, LOITER
 from echowing.sim.scenario import Scenario, scenario_of
+from echowing.sim.vehicle.modes import GUIDED, LOITER
 
 from ..world import CLEAR
 

@@ -11,11 +11,11 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from echowing.sim import firmware
-from echowing.sim.boards import emulated_board
-from echowing.sim.coprocessor import AUTOPILOT_PORT, USB_PORT
-from echowing.sim.emulated import Pin
-from echowing.sim.sonar import MaxSonar
+from echowing.sim.boards import firmware
+from echowing.sim.boards.by_name import emulated_board
+from echowing.sim.boards.coprocessor import AUTOPILOT_PORT, USB_PORT
+from echowing.sim.boards.emulated import Pin
+from echowing.sim.world.sonar import MaxSonar
 
 STEP_US = 5_000
 VEHICLE_ID = 7

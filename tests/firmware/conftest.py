@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from echowing.sim import firmware
+from echowing.sim.boards import firmware
 
 from .bench import BOARD
 from .emulator_process import Emulator

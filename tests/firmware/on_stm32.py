@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from echowing.sim.coprocessor import AUTOPILOT_PORT
-from echowing.sim.stm32 import Stm32Board
+from echowing.sim.boards.coprocessor import AUTOPILOT_PORT
+from echowing.sim.boards.stm32 import Stm32Board
 
 from .bench import BOARD, CONSOLE_PORT, Bench, BenchSonar
 

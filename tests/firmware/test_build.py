@@ -13,7 +13,7 @@ from types import ModuleType
 import pytest
 
 from echowing.errors import EchowingError
-from echowing.sim import firmware
+from echowing.sim.boards import firmware
 
 from .fake_programmer import FakeProgrammer
 from .fake_rom_loader import FLASH_START, PAGE, FakeRomLoader

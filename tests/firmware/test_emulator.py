@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from echowing.errors import EchowingError
-from echowing.sim import firmware
-from echowing.sim.avr import AvrBoard
-from echowing.sim.sonar import MaxSonar
+from echowing.sim.boards import firmware
+from echowing.sim.boards.avr import AvrBoard
+from echowing.sim.world.sonar import MaxSonar
 
 LINK, USB = 0, 1
 BOOTED_US = 20_000

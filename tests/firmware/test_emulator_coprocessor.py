@@ -11,8 +11,8 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from echowing.errors import EchowingError
 from echowing.flight.sonar import PAN_CENTRE_US, TILT_CENTRE_US
-from echowing.sim.avr import AvrCoprocessor
-from echowing.sim.coprocessor import AUTOPILOT_PORT, Coprocessor, NativeCoprocessor
+from echowing.sim.boards.avr import AvrCoprocessor
+from echowing.sim.boards.coprocessor import AUTOPILOT_PORT, Coprocessor, NativeCoprocessor
 
 from .bench import BenchSonar
 

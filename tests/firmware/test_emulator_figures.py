@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from echowing.sim.firmware_figures import FirmwareFigure, firmware_figures
+from echowing.bench.firmware import FirmwareFigure, firmware_figures
 
 from .bench import BOARD
 

@@ -9,7 +9,7 @@ import pytest
 from pymavlink.dialects.v10 import common as mavlink1
 from pymavlink.dialects.v20 import common as mavlink
 
-from echowing.sim.coprocessor import AUTOPILOT_PORT
+from echowing.sim.boards.coprocessor import AUTOPILOT_PORT
 
 from .bench import (
     CONSOLE_PORT,

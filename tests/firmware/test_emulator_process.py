@@ -13,16 +13,16 @@ from pymavlink import mavutil
 from echowing.errors import EchowingError
 from echowing.flight.belief import Curve
 from echowing.flight.sonar import PAN_CENTRE_US, TILT_CENTRE_US
-from echowing.sim.avr import AvrBoard
-from echowing.sim.desk import Desk, Scene, leader_from
-from echowing.sim.sonar import (
+from echowing.sim.boards.avr import AvrBoard
+from echowing.sim.boards.desk import Desk, Scene, leader_from
+from echowing.sim.boards.wires import PtyWire, TcpServerWire, open_udp, open_wire
+from echowing.sim.world.sonar import (
     COMMAND_RANGE,
     DEFAULT_ADDRESS,
     LEVER_ARM_M,
     ON_A_DESK,
     TrueSonar,
 )
-from echowing.sim.wires import PtyWire, TcpServerWire, open_udp, open_wire
 
 from .bench import BenchSonar
 from .emulator_process import PATIENCE_S, Emulator

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from echowing.flight.sonar import SERVO_US_PER_DEG
-from echowing.sim.sonar import SERVO_SLEW_DPS
+from echowing.sim.world.sonar import SERVO_SLEW_DPS
 
 from .bench import CONSOLE_PORT, IS_STM32, Bench, BenchSonar
 

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from echowing.errors import EchowingError
-from echowing.sim import firmware
-from echowing.sim.boards import emulated_board
-from echowing.sim.sonar import MaxSonar
-from echowing.sim.stm32 import Stm32Board
+from echowing.sim.boards import firmware
+from echowing.sim.boards.by_name import emulated_board
+from echowing.sim.boards.stm32 import Stm32Board
+from echowing.sim.world.sonar import MaxSonar
 
 from .emulator_process import PATIENCE_S, Emulator
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from echowing.errors import EchowingError
-from echowing.sim.coprocessor import parameter_table
-from echowing.sim.firmware import BOARD_FILES, BOARDS, read_board
+from echowing.sim.boards.coprocessor import parameter_table
+from echowing.sim.boards.firmware import BOARD_FILES, BOARDS, read_board
 
 FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
 

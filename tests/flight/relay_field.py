@@ -14,10 +14,10 @@ from echowing.flight.relay import BESIDE_M, RELAY_SETTINGS, RelayGuide
 from echowing.flight.session import FollowSession
 from echowing.flight.state import FollowerPlan
 from echowing.geo import GlobalPosition, Ned, displace, ned_between
-from echowing.sim.copter import Copter
+from echowing.sim.vehicle.copter import Copter
 from echowing.sonar_file import shipped_sonar
 
-from ..host_tools.yard import HERE, Vehicle
+from .yard import HERE, Vehicle
 
 REMOTE, RELAY = 1, 2
 STEP_S = 0.02

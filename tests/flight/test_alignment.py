@@ -3,7 +3,6 @@ import math
 import pytest
 
 from echowing.flight.alignment import (
-    GRAVITY_MPS2,
     LONGEST_GAP_S,
     LONGEST_WAIT_S,
     Alignment,
@@ -11,7 +10,7 @@ from echowing.flight.alignment import (
     Report,
 )
 from echowing.flight.guidance import Horizontal
-from echowing.geo import GlobalPosition, displace
+from echowing.geo import GRAVITY_MPS2, GlobalPosition, displace
 
 START = GlobalPosition(39.34, -86.03, 260.0)
 

@@ -12,7 +12,7 @@ from echowing.flight.guidance import GuidanceSettings, Slot
 from echowing.flight.orders import HELD, Orders
 from echowing.geo import ned_between
 
-from ..host_tools.yard import FOLLOWER, GUIDED, HERE, LEADER, LOITER, SECOND, TICK_S, Vehicle, Yard
+from .yard import FOLLOWER, GUIDED, HERE, LEADER, LOITER, SECOND, TICK_S, Vehicle, Yard
 
 RADII_M = (8.0, 5.0, 4.0, 3.0)
 

@@ -4,7 +4,7 @@ import pytest
 
 from echowing.flight.closing import MOST_MPS, Closing
 from echowing.flight.handling import Handling
-from echowing.sim.shaping import PREDICTIVE, STEPPED, ShapingLaw
+from echowing.sim.vehicle.shaping import PREDICTIVE, STEPPED, ShapingLaw
 
 RECOMMENDED = Closing(5.0, 15.3)
 STEP_S = 0.01

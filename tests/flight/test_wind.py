@@ -4,7 +4,8 @@ import math
 
 import pytest
 
-from echowing.flight.wind import GRAVITY_MPS2, GUST_SHARE, LEAST_MPS2, Wind
+from echowing.flight.wind import GUST_SHARE, LEAST_MPS2, Wind
+from echowing.geo import GRAVITY_MPS2
 
 LEAN_MAX_RAD = math.radians(30.0)
 ALL_MPS2 = GRAVITY_MPS2 * math.tan(LEAN_MAX_RAD)

@@ -7,9 +7,9 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.geo import GlobalPosition, displace
-from echowing.sim.autopilot import ORIGIN, Autopilot
-from echowing.sim.copter import Copter
-from echowing.sim.parameters import Generation
+from echowing.sim.vehicle.autopilot import ORIGIN, Autopilot
+from echowing.sim.vehicle.copter import Copter
+from echowing.sim.vehicle.parameters import Generation
 
 STEP_S = 0.02
 SYSTEM_ID = 7

@@ -8,10 +8,10 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from echowing.mavlink.signing import Parser
 from echowing.rig.board import Board, await_board
 from echowing.rig.ports import PortLostError
-from echowing.sim.autopilot import Autopilot
-from echowing.sim.coprocessor import AUTOPILOT_PORT, USB_PORT, NativeCoprocessor
-from echowing.sim.copter import Copter
-from echowing.sim.sonar import MaxSonar
+from echowing.sim.boards.coprocessor import AUTOPILOT_PORT, USB_PORT, NativeCoprocessor
+from echowing.sim.vehicle.autopilot import Autopilot
+from echowing.sim.vehicle.copter import Copter
+from echowing.sim.world.sonar import MaxSonar
 
 SLICE_S = 0.001
 STEP_S = 0.02  # of the simulated autopilot

@@ -10,8 +10,8 @@ from echowing.analysis.answer import read_answers
 from echowing.cli import main
 from echowing.errors import EchowingError
 from echowing.flight.vehicle_limits import usual_parameters
-from echowing.sim.dataflash import DataflashLog
-from echowing.sim.parameters import Generation
+from echowing.sim.vehicle.dataflash import DataflashLog
+from echowing.sim.vehicle.parameters import Generation
 
 from .autopilot_bench import VELOCITY_ONLY, Bench
 

@@ -6,11 +6,11 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.sim.autopilot import Autopilot
-from echowing.sim.copter import Copter
-from echowing.sim.leader import TrackedBody
-from echowing.sim.modes import AUTO, BRAKE, GUIDED, LAND, LOITER, RTL
-from echowing.sim.parameters import Generation
+from echowing.sim.vehicle.autopilot import Autopilot
+from echowing.sim.vehicle.copter import Copter
+from echowing.sim.vehicle.modes import AUTO, BRAKE, GUIDED, LAND, LOITER, RTL
+from echowing.sim.vehicle.parameters import Generation
+from echowing.sim.world.leader import TrackedBody
 
 from .autopilot_bench import (
     FORWARD_SONAR,

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.sim.autopilot import AutopilotEndedError
-from echowing.sim.parameters import Generation, dialect_of, float32
+from echowing.sim.vehicle.autopilot import AutopilotEndedError
+from echowing.sim.vehicle.parameters import Generation, dialect_of, float32
 
 from .autopilot_bench import FORWARD_SONAR, POSITION_VELOCITY, SYSTEM_ID, TOOL, Bench
 

@@ -6,8 +6,8 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.geo import displace
-from echowing.sim.autopilot import ORIGIN
-from echowing.sim.modes import AUTO
+from echowing.sim.vehicle.autopilot import ORIGIN
+from echowing.sim.vehicle.modes import AUTO
 
 from .autopilot_bench import RELATIVE, SYSTEM_ID, Bench
 

@@ -10,9 +10,8 @@ import pytest
 
 from echowing.analysis.flight import Flight
 from echowing.analysis.metrics import found_s, within_s
-from echowing.cli import main
-from echowing.sim import robust
-from echowing.sim.accuracy import (
+from echowing.bench import robust
+from echowing.bench.accuracy import (
     AS_BELIEVED,
     FIRST_SEED,
     FOUND_WITHIN_S,
@@ -24,7 +23,7 @@ from echowing.sim.accuracy import (
     fly_row,
     fly_rows,
 )
-from echowing.sim.law_table import (
+from echowing.bench.laws import (
     HOSTILE,
     PATHS,
     LawFlight,
@@ -33,6 +32,7 @@ from echowing.sim.law_table import (
     rows,
     speed_changes_per_min,
 )
+from echowing.cli import main
 from echowing.sim.scenario import LAWS, load_scenario
 
 from ..world import CLEARLY
@@ -117,7 +117,7 @@ def test_seeds_must_be_one_or_more(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_laws_as_json(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     flights = [one for law in LAWS for one in everywhere(law)]
-    monkeypatch.setattr("echowing.sim.law_table.fly_laws", lambda *_, **__: list(rows(flights)))
+    monkeypatch.setattr("echowing.bench.laws.fly_laws", lambda *_, **__: list(rows(flights)))
     assert main(["bench", "--only", "laws", "--json"]) == 0
     figures = {one["what"]: one["value"] for one in json.loads(capsys.readouterr().out)}
     assert figures["hold, rectangle: RMSD"] == 0.6
@@ -128,7 +128,7 @@ def test_laws_as_a_table(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     flights = [one for law in LAWS for one in everywhere(law)]
-    monkeypatch.setattr("echowing.sim.law_table.fly_laws", lambda *_, **__: list(rows(flights)))
+    monkeypatch.setattr("echowing.bench.laws.fly_laws", lambda *_, **__: list(rows(flights)))
     assert main(["bench", "--only", "laws"]) == 0
     printed = capsys.readouterr().out
     assert "stop-and-go" in printed
@@ -234,7 +234,7 @@ def test_accuracy_as_json_and_as_a_table(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(
-        "echowing.sim.accuracy.fly_accuracy", lambda *_: [kept(), kept(least_m=0.9)]
+        "echowing.bench.accuracy.fly_accuracy", lambda *_: [kept(), kept(least_m=0.9)]
     )
     assert main(["bench", "--only", "accuracy", "--json"]) == 0
     figures = json.loads(capsys.readouterr().out)
@@ -288,7 +288,7 @@ def test_robust_as_json_and_as_a_table(
         [Kept(robust.ROWS[0], (well, well))],
         [Kept(robust.PAIRS[0], (well, well)), Kept(robust.PAIRS[1], (well, badly))],
     )
-    monkeypatch.setattr("echowing.sim.robust.fly_robust", lambda *_: flown)
+    monkeypatch.setattr("echowing.bench.robust.fly_robust", lambda *_: flown)
     assert main(["bench", "--only", "robust", "--json"]) == 0
     figures = json.loads(capsys.readouterr().out)
     said = {one["what"]: one for one in figures}

@@ -6,16 +6,16 @@ from pathlib import Path
 
 import pytest
 
-from echowing.errors import EchowingError
-from echowing.sim.calibrate import (
+from echowing.bench.calibrate import (
     STATE_COLUMNS,
     estimate_mission,
     read_recording,
     replay,
     replay_directory,
 )
-from echowing.sim.copter import Copter
-from echowing.sim.parameters import Generation
+from echowing.errors import EchowingError
+from echowing.sim.vehicle.copter import Copter
+from echowing.sim.vehicle.parameters import Generation
 
 RECORDINGS = Path(__file__).parent / "data" / "sitl"
 # The wish is 0.10 m for each recording without wind; this is what each reaches and about a third

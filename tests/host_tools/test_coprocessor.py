@@ -7,8 +7,8 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.errors import EchowingError
-from echowing.sim import coprocessor
-from echowing.sim.coprocessor import AUTOPILOT_PORT, USB_PORT, NativeCoprocessor
+from echowing.sim.boards import coprocessor
+from echowing.sim.boards.coprocessor import AUTOPILOT_PORT, USB_PORT, NativeCoprocessor
 
 STEP_US = 20_000  # the simulator's step
 US = 191  # our component id

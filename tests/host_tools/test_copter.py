@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import pytest
 
-from echowing.sim.copter import Copter, tuning_of, wrap_pi
-from echowing.sim.guided import Guided
-from echowing.sim.parameters import Generation, Parameters
-from echowing.sim.wpnav import LeanLimits, TrackLimits
+from echowing.sim.vehicle.copter import Copter, tuning_of, wrap_pi
+from echowing.sim.vehicle.guided import Guided
+from echowing.sim.vehicle.parameters import Generation, Parameters
+from echowing.sim.vehicle.wpnav import LeanLimits, TrackLimits
 
 STEP_S = 0.02
 START = (0.0, 0.0, -10.0)

@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-from echowing.sim.cutter import ByteLoss, PacketCutter
+from echowing.sim.world.cutter import ByteLoss, PacketCutter
 
 # Any eight bytes of it are found in one place only.
 BYTES = random.Random(0).randbytes(200_000)

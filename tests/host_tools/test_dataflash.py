@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 from pymavlink import DFReader
 
-from echowing.sim.autopilot import ORIGIN
-from echowing.sim.dataflash import DataflashLog
+from echowing.sim.vehicle.autopilot import ORIGIN
+from echowing.sim.vehicle.dataflash import DataflashLog, ScriptMessage
 
 from .autopilot_bench import FORWARD_SONAR, Bench
 
@@ -32,9 +32,8 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, dict[str, list
     def each() -> None:
         bench.sonar(321)
         if bench.steps % 10 == 0:
-            bench.autopilot.log_write(
-                "ECHO", "Rng,Law,St,Txt", "ffBn", "mn--", "00--", [3.21, 1.5, 2, "abcd"]
-            )
+            told = ("Rng,Law,St,Txt", "ffBn", "mn--", "00--", (3.21, 1.5, 2, "abcd"))
+            bench.autopilot.log_write(ScriptMessage("ECHO", *told))
 
     bench.run(10.0, each)
     bench.autopilot.send_text(5, "echo: tracking")

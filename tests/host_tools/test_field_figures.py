@@ -6,13 +6,13 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.bench import field
+from echowing.bench.field import FieldFigure, Flown, fly
+from echowing.bench.fleet import HERE, RATES_HZ, STEP_S, Point, make_fleet
 from echowing.cli import main
 from echowing.flight.guidance import Slot
 from echowing.geo import displace
 from echowing.mavlink.messages import position_target
-from echowing.sim import field_figures
-from echowing.sim.field_figures import FieldFigure, Flown, fly
-from echowing.sim.fleet import HERE, RATES_HZ, STEP_S, Point, make_fleet
 
 TOOL = 245
 
@@ -83,7 +83,7 @@ def test_times_are_a_points_share_of_its_turn_and_the_whole_turn() -> None:
 def test_a_fleet_is_followed_and_every_turn_with_points_is_timed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(field_figures, "SETTLE_S", 0.0)
+    monkeypatch.setattr(field, "SETTLE_S", 0.0)
     flown = fly(3, 10.0, 1.0)
     assert {points for _, points in flown.turns} == {3}
     assert all(spent_s > 0.0 for spent_s, _ in flown.turns)
@@ -92,7 +92,7 @@ def test_a_fleet_is_followed_and_every_turn_with_points_is_timed(
 
 def test_a_watched_fleet_is_seen_at_the_rate_of_its_rows(monkeypatch: pytest.MonkeyPatch) -> None:
     """One browser reads; another one, that reads nothing, is there all the time."""
-    monkeypatch.setattr(field_figures, "SETTLE_S", 0.0)
+    monkeypatch.setattr(field, "SETTLE_S", 0.0)
     flown = fly(2, 10.0, 1.0, watched=True)
     assert {points for _, points in flown.turns} == {2}
     assert 0.0 < flown.frames_hz < 11.0
@@ -102,7 +102,7 @@ def test_the_section_prints_figures_with_what_they_mean(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     figure = FieldFigure("telemetry to wire", 0.5, "ms", "under 1")
-    monkeypatch.setattr("echowing.sim.field_figures.field_figures", lambda: iter([figure]))
+    monkeypatch.setattr("echowing.bench.field.field_figures", lambda: iter([figure]))
     assert main(["bench", "--only", "field"]) == 0
     printed = " ".join(capsys.readouterr().out.split())
     assert "telemetry to wire" in printed

@@ -20,8 +20,8 @@ from echowing.mavlink.links import Address, Link
 from echowing.mavlink.messages import TOOL_SYSTEM_ID
 from echowing.mavlink.seats import parse_seat
 from echowing.mavlink.signing import LinkSigning
-from echowing.sim.autopilot import ORIGIN, Autopilot
-from echowing.sim.copter import Copter
+from echowing.sim.vehicle.autopilot import ORIGIN, Autopilot
+from echowing.sim.vehicle.copter import Copter
 from echowing.sonar_file import shipped_sonar
 from echowing.stopping import NotHeededError, StopRequest, stop_on_signals
 from echowing.tool.again import fly_again

@@ -12,6 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from rich.console import Console
 
 from echowing.commands.follow import options_of
+from echowing.docs.live_table import SETTLED_S, Photographer, drawn
 from echowing.errors import EchowingError
 from echowing.flight.guidance import GuidanceSettings, Slot
 from echowing.flight.session import FollowSession
@@ -22,7 +23,6 @@ from echowing.stopping import StopRequest
 from echowing.tool.health import health
 from echowing.tool.log import FollowLog
 from echowing.tool.panel import LINK_WINDOW_S, SONAR_FRESH_S, Panel, Row, VehicleHealth
-from echowing.tool.picture import SETTLED_S, Photographer, drawn
 from echowing.tool.track import Track
 from echowing.tool.view import (
     PLAIN_PERIOD_S,

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.sim.cutter import ByteLoss, PacketCutter
-from echowing.sim.framing import Framer
+from echowing.sim.vehicle.framing import Framer
+from echowing.sim.world.cutter import ByteLoss, PacketCutter
 
 pytestmark = pytest.mark.seconds(15)
 ROOT = Path(__file__).resolve().parents[2]

@@ -13,7 +13,7 @@ from echowing.setup import applet, ftp
 from echowing.setup.applet import applet_path, install_over_link
 from echowing.setup.ftp import Entry, FtpClient, FtpRefusedError, NoAnswerError
 from echowing.setup.ftp_format import DATA_BYTES, Fault, Op, Packet, ardupilot_crc32
-from echowing.sim.ftp import SESSION_KILL_S, FtpServer
+from echowing.sim.vehicle.ftp import SESSION_KILL_S, FtpServer
 
 SENDER = ("telemetry", 245, 190)
 OTHER = ("telemetry", 255, 190)

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from echowing.sim.gps import Drift, Errors
+from echowing.sim.world.gps import Drift, Errors
 
 DT_S = 0.5
 WANDERS = Errors(sigma_m=0.8, tau_s=60.0)

@@ -13,7 +13,7 @@ from echowing.tool.health import in_words, leaders_words
 from echowing.tool.panel import HEALTH_FRESH_S, Panel, Row, VehicleHealth
 from echowing.tool.view import LiveView
 
-from .yard import FOLLOWER, LEADER, LOITER, Vehicle, Yard
+from ..flight.yard import FOLLOWER, LEADER, LOITER, Vehicle, Yard
 
 
 class Watched(Yard):

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from echowing.sim import late_echoes
-from echowing.sim.coprocessor import parameter_table
-from echowing.sim.late_echoes import listen_to
+from echowing.bench import late_echoes
+from echowing.bench.late_echoes import listen_to
+from echowing.sim.boards.coprocessor import parameter_table
 
 README = Path(__file__).resolve().parents[2] / "firmware" / "README.md"
 DEFAULTS = {row.name: int(row.default) for row in parameter_table()}

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from echowing.errors import EchowingError
-from echowing.sim.leader import TrackedBody, load_track, mission, walk
 from echowing.sim.scenario import LeaderSection
+from echowing.sim.world.leader import TrackedBody, load_track, mission, walk
 
 
 def length_m(points: list[tuple[float, float, float]]) -> float:

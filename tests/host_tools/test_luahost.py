@@ -10,10 +10,10 @@ import pytest
 from lupa import lua53
 
 from echowing.errors import EchowingError
-from echowing.sim import luahost
-from echowing.sim.desk_vehicle import GOOD, DeskVehicle
-from echowing.sim.luahost import LuaHost, mavlink_structure, read_bindings
-from echowing.sim.parameters import Generation
+from echowing.sim.vehicle import luahost
+from echowing.sim.vehicle.desk import GOOD, DeskVehicle
+from echowing.sim.vehicle.luahost import LuaHost, mavlink_structure, read_bindings
+from echowing.sim.vehicle.parameters import Generation
 
 
 class Bench:

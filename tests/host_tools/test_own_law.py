@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 
 from echowing.applets import HOLD, SPEED, Applet
+from echowing.bench.laws import fly_law, rows
 from echowing.cli import main
 from echowing.errors import EchowingError
 from echowing.setup.applet import applet_path
-from echowing.sim.law_table import fly_law, rows
 from echowing.sim.scenario import load_scenario
 
 # What the page tells to change in a copy of the speed applet.

@@ -7,7 +7,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.mavlink.signing import LinkSigning, Parser, is_refused
-from echowing.sim.cutter import ByteLoss, PacketCutter
+from echowing.sim.world.cutter import ByteLoss, PacketCutter
 
 LONGEST = 280  # bytes of a MAVLink 2 frame
 

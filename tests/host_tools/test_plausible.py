@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from tests.flight.yard import FOLLOWER, Vehicle, Yard
 from tests.host_tools.rig_desk import ScriptedWire, Speaker
-from tests.host_tools.yard import FOLLOWER, Vehicle, Yard
 
 import echowing
 from echowing.flight.engage import APPLET, RTL

@@ -2,8 +2,8 @@ import random
 
 import pytest
 
-from echowing.sim.cutter import ByteLoss, PacketCutter
-from echowing.sim.radio import Radio, RadioSettings
+from echowing.sim.world.cutter import ByteLoss, PacketCutter
+from echowing.sim.world.radio import Radio, RadioSettings
 
 
 def radio(**settings: float) -> Radio:

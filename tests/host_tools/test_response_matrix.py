@@ -25,7 +25,7 @@ from echowing.rig.response_matrix import (
     run,
 )
 from echowing.rig.result import Result
-from echowing.sim.sonar import ON_A_DESK, TrueSonar
+from echowing.sim.world.sonar import ON_A_DESK, TrueSonar
 from echowing.sonar_file import load_sonar, shipped_sonar
 
 from .test_rig_procedures import FakeBoard, bench_of, done, value

@@ -8,7 +8,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from echowing.errors import EchowingError
 from echowing.rig.board import COMMAND_SELF_TEST, ScanMode, await_board
 from echowing.rig.ports import PortLostError
-from echowing.sim.coprocessor import parameter_table
+from echowing.sim.boards.coprocessor import parameter_table
 
 from .rig_desk import (
     CoreWire,

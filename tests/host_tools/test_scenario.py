@@ -3,12 +3,12 @@ from pathlib import Path
 import pytest
 
 from echowing.cli import main
+from echowing.docs.keys import PAGES, page
 from echowing.errors import EchowingError
 from echowing.flight.guidance import GuidanceSettings
 from echowing.paths import repository_root
 from echowing.sim.flight import FormationWorld
 from echowing.sim.hangar import Hangar
-from echowing.sim.key_pages import PAGES, page
 from echowing.sim.scenario import load_scenario, scenario_names
 
 

@@ -14,11 +14,11 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from echowing.commands.follow import options_of
 from echowing.errors import EchowingError
 from echowing.paths import repository_root
-from echowing.sim.autopilot import Autopilot
-from echowing.sim.copter import Copter
 from echowing.sim.scenario import load_scenario
 from echowing.sim.serve import HOPELESS_S, STEP_S, Server, open_port
 from echowing.sim.serve_flight import say_how_to_go_on
+from echowing.sim.vehicle.autopilot import Autopilot
+from echowing.sim.vehicle.copter import Copter
 
 SYSTEM_ID = 3
 PATIENCE_S = 60.0  # what is heard ends it early

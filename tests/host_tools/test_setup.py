@@ -37,7 +37,7 @@ from echowing.setup.job import Work
 from echowing.setup.readout import CardApplet, Readout, Reports, Role
 from echowing.setup.settings import settings_for
 from echowing.setup.view import as_json, as_lines, differences, tuning_note
-from echowing.sim.parameters import Generation, Parameters
+from echowing.sim.vehicle.parameters import Generation, Parameters
 
 from .test_background import DEADLINE_S, read_until
 

@@ -28,11 +28,11 @@ from echowing.setup.reading import names_to_read, of_messages, read_out, read_pa
 from echowing.setup.readout import CardApplet
 from echowing.setup.restart import restart_autopilot
 from echowing.setup.vehicle import AUTOPILOT, SILENCE_S, Heard, Vehicle
-from echowing.sim import streams
 from echowing.sim.ground import TELEMETRY
-from echowing.sim.parameters import Generation
 from echowing.sim.parked import ParkedHangar, ParkedWorld, insert_cards
 from echowing.sim.scenario import load_scenario
+from echowing.sim.vehicle import streams
+from echowing.sim.vehicle.parameters import Generation
 
 FOLLOWER = 2
 

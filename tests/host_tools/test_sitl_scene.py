@@ -8,7 +8,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.errors import EchowingError
 from echowing.geo import GlobalPosition, Ned, displace
-from echowing.sim.sitl_scene import STALE_S, SitlScene, TrueState, in_body_frame
+from echowing.sim.boards.sitl_scene import STALE_S, SitlScene, TrueState, in_body_frame
 
 HERE = GlobalPosition(47.0, 8.0, 460.0)
 STILL = (0.0, 0.0, 0.0)

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from echowing.sim import flight
-from echowing.sim.gps import ESTIMATE_LAG_S
 from echowing.sim.hangar import Hangar
 from echowing.sim.scenario import load_scenario
+from echowing.sim.world.gps import ESTIMATE_LAG_S
 
 from ..sitl import loopback, truth
 from ..sitl.drift import METRES_PER_DEGREE, STEP_S, Drift

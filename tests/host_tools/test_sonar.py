@@ -10,8 +10,8 @@ import pytest
 
 from echowing.flight.belief import Curve
 from echowing.flight.sonar import PAN_CENTRE_US, TILT_CENTRE_US
-from echowing.sim import sonar
-from echowing.sim.sonar import (
+from echowing.sim.world import sonar
+from echowing.sim.world.sonar import (
     GROUND,
     LEVER_ARM_M,
     ON_A_DESK,

@@ -6,10 +6,10 @@ import sys
 
 import pytest
 
-from echowing.sim.autopilot import Autopilot
 from echowing.sim.flight import FormationFlight
-from echowing.sim.luahost import LuaHost
 from echowing.sim.scenario import load_scenario
+from echowing.sim.vehicle.autopilot import Autopilot
+from echowing.sim.vehicle.luahost import LuaHost
 
 SECOND = """
 import atexit, os, signal

@@ -7,12 +7,12 @@ from typing import Any
 
 import pytest
 
-from echowing.sim.gps import Errors
+from echowing.sim.aircraft import SimFollower, SimVehicle
 from echowing.sim.hangar import Hangar
 from echowing.sim.scenario import load_scenario
-from echowing.sim.sonar import TrueSonar
-from echowing.sim.truth import true_errors, true_sonar
-from echowing.sim.vehicles import SimFollower, SimVehicle
+from echowing.sim.world.gps import Errors
+from echowing.sim.world.sonar import TrueSonar
+from echowing.sim.world.truth import true_errors, true_sonar
 from echowing.sonar_file import load_sonar
 
 SHIPPED = load_sonar("mb1202")

@@ -13,11 +13,11 @@ import pytest
 
 from echowing.cli import main
 from echowing.flight.sonar import DETECTION_LIMIT_M
-from echowing.sim.autopilot import ORIGIN
 from echowing.sim.flight import FormationWorld
 from echowing.sim.hangar import Hangar
 from echowing.sim.page import SHOWN_EVERY, WorldOnPage, moment_of
 from echowing.sim.scenario import load_scenario
+from echowing.sim.vehicle.autopilot import ORIGIN
 from echowing.tool.moment import Moment
 from echowing.web.snapshot import snapshot
 

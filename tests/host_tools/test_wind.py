@@ -8,10 +8,10 @@ import statistics
 import numpy as np
 import pytest
 
-from echowing.sim.copter import Copter
 from echowing.sim.hangar import Hangar
 from echowing.sim.scenario import load_scenario
-from echowing.sim.wind import Wind
+from echowing.sim.vehicle.copter import Copter
+from echowing.sim.world.wind import Wind
 
 STEP_S = 0.02
 START = (0.0, 0.0, -10.0)

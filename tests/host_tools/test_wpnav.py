@@ -5,8 +5,8 @@ from itertools import pairwise
 
 import pytest
 
-from echowing.sim.copter import Copter
-from echowing.sim.wpnav import Leg, Ned, TrackLimits, WaypointNavigator, along_limit
+from echowing.sim.vehicle.copter import Copter
+from echowing.sim.vehicle.wpnav import Leg, Ned, TrackLimits, WaypointNavigator, along_limit
 
 LIMITS = TrackLimits()
 ORIGIN = (0.0, 0.0, -10.0)

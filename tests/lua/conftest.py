@@ -14,9 +14,9 @@ from pymavlink.generator.mavcrc import x25crc
 
 from echowing.mavlink.messages import POINT_FORMAT
 from echowing.paths import lua_folder
-from echowing.sim.desk_vehicle import GOOD, NO_DATA, DeskVehicle, restarted
-from echowing.sim.luahost import LuaHost
-from echowing.sim.parameters import Generation
+from echowing.sim.vehicle.desk import GOOD, NO_DATA, DeskVehicle, restarted
+from echowing.sim.vehicle.luahost import LuaHost
+from echowing.sim.vehicle.parameters import Generation
 
 PILOT_MPS = 10.0
 STEP_MS = 10

@@ -39,9 +39,9 @@ from tests.lua.hostile_frames import (
 
 from echowing.mavlink.messages import WITHOUT_HEIGHT
 from echowing.paths import lua_folder
-from echowing.sim.desk_vehicle import GOOD, DeskVehicle
-from echowing.sim.luahost import LuaHost
-from echowing.sim.parameters import Generation
+from echowing.sim.vehicle.desk import GOOD, DeskVehicle
+from echowing.sim.vehicle.luahost import LuaHost
+from echowing.sim.vehicle.parameters import Generation
 
 GUIDED, LOITER = 4, 5
 SET_ATTITUDE, VEHICLE = 284, 1

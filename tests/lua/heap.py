@@ -30,9 +30,9 @@ from typing import Any
 from tests.lua.conftest import NEW, Rig
 
 from echowing.paths import lua_folder
-from echowing.sim.desk_vehicle import GOOD
-from echowing.sim.luahost import BINDINGS as ANNOTATIONS
-from echowing.sim.luahost import LuaHost, read_bindings
+from echowing.sim.vehicle.desk import GOOD
+from echowing.sim.vehicle.luahost import BINDINGS as ANNOTATIONS
+from echowing.sim.vehicle.luahost import LuaHost, read_bindings
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCES = Path(__file__).with_name("board")

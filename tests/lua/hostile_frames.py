@@ -10,8 +10,8 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from pymavlink.generator.mavcrc import x25crc
 
-from echowing.sim.cutter import ByteLoss, PacketCutter
-from echowing.sim.framing import Framer
+from echowing.sim.vehicle.framing import Framer
+from echowing.sim.world.cutter import ByteLoss, PacketCutter
 
 V1, V2 = 0xFE, 0xFD
 HEAD_BYTES = {V1: 6, V2: 10}

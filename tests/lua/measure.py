@@ -15,9 +15,9 @@ from tests.lua.conftest import mavlink_frame
 
 from echowing.mavlink.messages import POINT_FORMAT
 from echowing.paths import lua_folder
-from echowing.sim.desk_vehicle import GOOD, DeskVehicle
-from echowing.sim.luahost import LuaHost
-from echowing.sim.parameters import Generation
+from echowing.sim.vehicle.desk import GOOD, DeskVehicle
+from echowing.sim.vehicle.luahost import LuaHost
+from echowing.sim.vehicle.parameters import Generation
 
 STEP_MS = 10
 POSITION_VELOCITY = 0x0DC0  # type mask of the tool's points without a yaw

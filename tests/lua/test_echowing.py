@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from echowing.paths import lua_folder
-from echowing.sim.luahost import BINDINGS, LuaHost
+from echowing.sim.vehicle.luahost import BINDINGS, LuaHost
 
 if TYPE_CHECKING:
     from tests.lua.conftest import MakeRig, Names, Rig

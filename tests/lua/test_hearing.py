@@ -11,8 +11,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from tests.lua.conftest import CO_PROCESSOR, GROUND_TOOL, HERE, mavlink_frame
 
 from echowing.mavlink.messages import POINT_FORMAT
-from echowing.sim.desk_vehicle import GOOD
-from echowing.sim.luahost import LuaHost
+from echowing.sim.vehicle.desk import GOOD
+from echowing.sim.vehicle.luahost import LuaHost
 
 if TYPE_CHECKING:
     from tests.lua.conftest import MakeRig, Rig

@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 
 from echowing.paths import lua_folder
-from echowing.sim.lua_limits import functions_of
+from echowing.sim.vehicle.lua_limits import functions_of
 
-# The vehicle allows 100 locals and 127 upvalues (echowing.sim.lua_limits): room to grow.
+# The vehicle allows 100 locals and 127 upvalues (echowing.sim.vehicle.lua_limits): room to grow.
 MOST_LOCALS = 80
 MOST_UPVALUES = 60
 

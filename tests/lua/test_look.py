@@ -15,7 +15,7 @@ from tests.lua.test_hold import HIGH, HOLDING, LEADER_MPS, newest
 
 from echowing.flight.axis import axis_of
 from echowing.mavlink.messages import WITHOUT_HEIGHT
-from echowing.sim import luahost
+from echowing.sim.vehicle import luahost
 
 if TYPE_CHECKING:
     from tests.lua.conftest import MakeRig, Rig

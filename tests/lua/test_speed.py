@@ -11,7 +11,7 @@ import pytest
 from tests.lua.conftest import GROUND_TOOL, HERE, POSITION_ONLY, STEP_MS, Rig, mavlink_frame
 
 from echowing.paths import lua_folder
-from echowing.sim.luahost import LuaHost
+from echowing.sim.vehicle.luahost import LuaHost
 
 if TYPE_CHECKING:
     from collections.abc import Callable

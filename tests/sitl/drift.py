@@ -1,7 +1,8 @@
 """How a GPS receiver wanders: a first-order Gauss-Markov offset on each horizontal axis.
 
-With the same seed it is the offset of the built-in simulator's receiver (echowing/sim/gps.py),
-so that both fly the same flight. The autopilot's own filter smooths it: here it has no lag.
+With the same seed it is the offset of the built-in simulator's receiver
+(echowing/sim/world/gps.py), so that both fly the same flight. The autopilot's own filter smooths
+it: here it has no lag.
 """
 
 import math

@@ -5,7 +5,7 @@ A seed is the same in both: the receivers wander alike.
 
 import pytest
 
-from echowing.sim.accuracy import AS_BELIEVED
+from echowing.bench.accuracy import AS_BELIEVED
 
 from .formation import rectangle
 from .plugin import Start

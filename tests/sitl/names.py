@@ -6,7 +6,7 @@ between two releases.
 
 from dataclasses import dataclass
 
-from echowing.sim.parameters import Generation, dialect_of
+from echowing.sim.vehicle.parameters import Generation, dialect_of
 
 
 @dataclass(frozen=True, slots=True)

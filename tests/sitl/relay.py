@@ -8,7 +8,7 @@ import socket
 import threading
 import time
 
-from echowing.sim.cutter import ByteLoss, PacketCutter
+from echowing.sim.world.cutter import ByteLoss, PacketCutter
 
 LOOPBACK = "127.0.0.1"
 CHUNK_BYTES = 65_536

@@ -21,7 +21,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.mavlink.links import Link, parse_address
-from echowing.sim.cutter import ByteLoss, PacketCutter
+from echowing.sim.world.cutter import ByteLoss, PacketCutter
 
 # Generous: who keeps up is not waited for, and a busy machine takes its time to start a process.
 DEADLINE_S = 120.0

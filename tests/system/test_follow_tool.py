@@ -15,7 +15,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from echowing.analysis.vehicle_log import read_vehicles
 from echowing.cli import main
 from echowing.geo import displace
-from echowing.sim.autopilot import ORIGIN
+from echowing.sim.vehicle.autopilot import ORIGIN
 
 from .field import (
     DEADLINE_S,

@@ -16,9 +16,9 @@ from tests.firmware.bench import BOARD, OUR_COMPONENT, VEHICLE_ID, Bench, BenchS
 
 from echowing.flight.sonar import PAN_CENTRE_US, TILT_CENTRE_US
 from echowing.geo import Ned
-from echowing.sim import firmware
-from echowing.sim.coprocessor import AUTOPILOT_PORT
-from echowing.sim.sonar import Gimbal, Pose, Target, body_to_ned, target_range_m
+from echowing.sim.boards import firmware
+from echowing.sim.boards.coprocessor import AUTOPILOT_PORT
+from echowing.sim.world.sonar import Gimbal, Pose, Target, body_to_ned, target_range_m
 
 pytestmark = pytest.mark.seconds(60)
 

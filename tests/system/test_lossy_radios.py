@@ -7,10 +7,10 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.mavlink.messages import position_target
-from echowing.sim.autopilot import ORIGIN
 from echowing.sim.flight import FlightResult, FormationFlight
 from echowing.sim.ground import TELEMETRY
 from echowing.sim.scenario import load_scenario
+from echowing.sim.vehicle.autopilot import ORIGIN
 
 from ..world import CLEARLY
 

@@ -11,8 +11,8 @@ import pytest
 
 from echowing.geo import displace
 from echowing.setup.applet import applet_path
-from echowing.sim.autopilot import ORIGIN
-from echowing.sim.cutter import ByteLoss
+from echowing.sim.vehicle.autopilot import ORIGIN
+from echowing.sim.world.cutter import ByteLoss
 
 from .field import FOLLOWER, LEADER, Bridge, Process, World, free_ports, in_slot, is_followed
 

@@ -23,15 +23,15 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from echowing.paths import lua_folder
 from echowing.rig.board import Board, open_board
-from echowing.sim.autopilot import Autopilot
-from echowing.sim.copter import Copter
 from echowing.sim.serve import Server
+from echowing.sim.vehicle.autopilot import Autopilot
+from echowing.sim.vehicle.copter import Copter
 from echowing.sonar_file import load_sonar
 
 pytestmark = pytest.mark.seconds(90)
 PATIENCE_S = 120.0
 # The sonar's face is 0.1 m ahead of the follower's centre, the leader's legs 0.1 m nearer than its
-# own: told at 3.2 m, it is heard at 3.0 m (sim/sonar.py).
+# own: told at 3.2 m, it is heard at 3.0 m (sim/world/sonar.py).
 NEARER_M = 0.2
 AWAY_M = 50.0
 # A busy machine holds bytes back far longer than a USB chip does.

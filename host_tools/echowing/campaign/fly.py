@@ -20,10 +20,10 @@ from echowing.campaign.properties import Broken, judge, nothing_wrong
 from echowing.campaign.record import FlightRecord, Observer
 from echowing.campaign.swarm import Swarm, swarm
 from echowing.errors import EchowingError
-from echowing.sim.autopilot import AutopilotEndedError
 from echowing.sim.fault_section import LEADER
 from echowing.sim.flight import SAMPLE_S, FormationFlight
 from echowing.sim.scenario import Scenario
+from echowing.sim.vehicle.autopilot import AutopilotEndedError
 
 Row = dict[str, Any]
 # The logs of one flight in so many are written and read: that takes as long as the flight.

@@ -27,8 +27,8 @@ from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.flight.spacing import UNRANGED_SIGMA_M
 from echowing.flight.vehicle_limits import INPUT_TIME
 from echowing.sim.flight import SAMPLE_S
-from echowing.sim.modes import GUIDED
 from echowing.sim.scenario import Scenario
+from echowing.sim.vehicle.modes import GUIDED
 
 # README's promise between any two vehicles.
 LEAST_M = 1.0

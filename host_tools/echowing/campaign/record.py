@@ -23,8 +23,8 @@ from echowing.sim.flight import (
     speed_parameter_mps,
 )
 from echowing.sim.ground import message_id
-from echowing.sim.modes import GUIDED
 from echowing.sim.scenario import Scenario
+from echowing.sim.vehicle.modes import GUIDED
 
 _PAYLOAD = 10  # where it begins in a MAVLink 2 frame
 _POINT = mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT

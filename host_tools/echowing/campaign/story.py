@@ -10,7 +10,7 @@ from echowing.analysis import plots
 from echowing.analysis.page import box, page, write_page
 from echowing.campaign.properties import LEAST_M, Broken
 from echowing.campaign.record import FlightRecord
-from echowing.sim.modes import MODES
+from echowing.sim.vehicle.modes import MODES
 
 _MODES = {number: name for name, number in MODES.items()}
 _COLOURS = (plots.FOLLOWER_COLOUR, plots.SECOND_COLOUR, plots.GOOD_COLOUR, plots.QUIET_COLOUR)

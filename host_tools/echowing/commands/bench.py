@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 from echowing.errors import EchowingError
 
 if TYPE_CHECKING:
-    from echowing.sim.accuracy import Kept
-    from echowing.sim.law_table import LawRow
-    from echowing.sim.robust import Robust
+    from echowing.bench.accuracy import Kept
+    from echowing.bench.laws import LawRow
+    from echowing.bench.robust import Robust
 
 EXAMPLES = """\
 examples:
@@ -119,14 +119,14 @@ def _print(figures: list[Figure]) -> None:
 def _print_definition() -> None:
     from rich.console import Console  # noqa: PLC0415 (imported when it is used)
 
-    from echowing.sim.field_figures import DEFINITION  # noqa: PLC0415
+    from echowing.bench.field import DEFINITION  # noqa: PLC0415
 
     Console().print(DEFINITION, highlight=False)
 
 
 def _fly_laws(seeds: int, own: list[str], *, quiet: bool) -> "list[LawRow]":
     """Fly them on all cores, and beside them the user's own."""
-    from echowing.sim.law_table import flight_count, fly_laws  # noqa: PLC0415
+    from echowing.bench.laws import flight_count, fly_laws  # noqa: PLC0415
     from echowing.sim.scenario import LAWS, load_scenario  # noqa: PLC0415
 
     laws = (*LAWS, *own)
@@ -138,7 +138,7 @@ def _fly_laws(seeds: int, own: list[str], *, quiet: bool) -> "list[LawRow]":
 
 def _fly_accuracy(seeds: int, *, quiet: bool) -> "list[Kept]":
     """Fly them on all cores."""
-    from echowing.sim.accuracy import flight_count, fly_accuracy  # noqa: PLC0415
+    from echowing.bench.accuracy import flight_count, fly_accuracy  # noqa: PLC0415
 
     with _bar("flying for accuracy", flight_count(seeds), quiet=quiet) as advance:
         return fly_accuracy(seeds, advance)
@@ -146,7 +146,7 @@ def _fly_accuracy(seeds: int, *, quiet: bool) -> "list[Kept]":
 
 def _fly_robust(seeds: int, *, quiet: bool) -> "Robust":
     """Fly them on all cores."""
-    from echowing.sim.robust import flight_count, fly_robust  # noqa: PLC0415
+    from echowing.bench.robust import flight_count, fly_robust  # noqa: PLC0415
 
     with _bar("flying in other worlds", flight_count(seeds), quiet=quiet) as advance:
         return fly_robust(seeds, advance)
@@ -256,7 +256,7 @@ def _print_laws(table: "list[LawRow]") -> None:
     from rich.console import Console  # noqa: PLC0415 (imported when it is used)
     from rich.table import Column, Table  # noqa: PLC0415
 
-    from echowing.sim.law_table import DURATION_S, best_law  # noqa: PLC0415
+    from echowing.bench.laws import DURATION_S, best_law  # noqa: PLC0415
 
     head = ("leader", "law", "n", "mean |e|", "RMSD", "least", "attacked", "changes/min")
     shown = Table(*(Column(one, no_wrap=True) for one in (*head, "dead-locked", "safe")))
@@ -288,7 +288,7 @@ def _law_figures(table: "list[LawRow]") -> Iterator[Figure]:
 
 def _echoes(*, quiet: bool) -> list[Figure]:
     """The table in Markdown, as firmware/README.md has it."""
-    from echowing.sim.late_echoes import late_echoes, markdown  # noqa: PLC0415
+    from echowing.bench.late_echoes import late_echoes, markdown  # noqa: PLC0415
 
     rows = list(late_echoes())
     if not quiet:
@@ -301,13 +301,13 @@ def _echoes(*, quiet: bool) -> list[Figure]:
 
 
 def _field() -> Iterator[Figure]:
-    from echowing.sim.field_figures import field_figures  # noqa: PLC0415
+    from echowing.bench.field import field_figures  # noqa: PLC0415
 
     return (Figure(*figure) for figure in field_figures())
 
 
 def _firmware() -> Iterator[Figure]:
-    from echowing.sim.firmware_figures import firmware_figures  # noqa: PLC0415
+    from echowing.bench.firmware import firmware_figures  # noqa: PLC0415
 
     return (Figure(*figure) for figure in firmware_figures())
 

@@ -41,8 +41,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Replay and print."""
-    from echowing.sim.calibrate import replay_directory  # noqa: PLC0415 (imported when used)
-    from echowing.sim.parameters import Generation  # noqa: PLC0415
+    from echowing.bench.calibrate import replay_directory  # noqa: PLC0415 (imported when used)
+    from echowing.sim.vehicle.parameters import Generation  # noqa: PLC0415
 
     generation = Generation(args.generation) if args.generation else None
     results = replay_directory(args.folder, generation, _air_ned_mps(*args.wind))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from echowing.errors import EchowingError
 
 if TYPE_CHECKING:
-    from echowing.sim.sonar import TrueSonar
+    from echowing.sim.world.sonar import TrueSonar
 
 EXAMPLES = """\
 examples:
@@ -80,11 +80,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run until stopped."""
-    from echowing.sim.boards import emulated_board  # noqa: PLC0415
-    from echowing.sim.coprocessor import AUTOPILOT_PORT, USB_PORT  # noqa: PLC0415
-    from echowing.sim.desk import Desk, Scene  # noqa: PLC0415
-    from echowing.sim.sitl_scene import SitlScene  # noqa: PLC0415
-    from echowing.sim.wires import open_wire  # noqa: PLC0415
+    from echowing.sim.boards.by_name import emulated_board  # noqa: PLC0415
+    from echowing.sim.boards.coprocessor import AUTOPILOT_PORT, USB_PORT  # noqa: PLC0415
+    from echowing.sim.boards.desk import Desk, Scene  # noqa: PLC0415
+    from echowing.sim.boards.sitl_scene import SitlScene  # noqa: PLC0415
+    from echowing.sim.boards.wires import open_wire  # noqa: PLC0415
 
     if args.elf is not None and not args.elf.is_file():
         raise EchowingError(f"--elf {args.elf}: no such file")
@@ -127,7 +127,7 @@ def _sonar(changes: list[str]) -> "TrueSonar":
     """The sonar that a scenario with these keys would give its first follower."""
     from echowing.sim.hangar import Hangar  # noqa: PLC0415
     from echowing.sim.scenario import load_scenario  # noqa: PLC0415
-    from echowing.sim.sonar import ON_A_DESK  # noqa: PLC0415
+    from echowing.sim.world.sonar import ON_A_DESK  # noqa: PLC0415
 
     if not changes:
         return ON_A_DESK

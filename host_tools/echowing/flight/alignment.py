@@ -13,13 +13,12 @@ from itertools import pairwise
 
 from echowing.flight.axis import Axis
 from echowing.flight.guidance import Horizontal
-from echowing.geo import GlobalPosition, ned_between, wrap_angle_rad
+from echowing.geo import GRAVITY_MPS2, GlobalPosition, ned_between, wrap_angle_rad
 
 # A reading that waits longer than this for later reports of both vehicles is dropped.
 LONGEST_WAIT_S = 3.0
 # No interpolation over a longer gap between reports: 5 reports of a 4 Hz stream are lost.
 LONGEST_GAP_S = 1.5
-GRAVITY_MPS2 = 9.80665
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,7 +25,7 @@ from echowing.flight.vehicle_limits import (
     ROLL_RATE,
     VehicleLimit,
 )
-from echowing.flight.wind import GRAVITY_MPS2
+from echowing.geo import GRAVITY_MPS2
 
 # Once a second at first, then seldom: a noisy radio loses both request and answer.
 ASK_PERIOD_S, SELDOM_S = 1.0, 5.0

@@ -7,8 +7,8 @@ is not there to brake with: blown at its leader with all of its lean in use, it 
 import math
 
 from echowing.flight.guidance import Horizontal
+from echowing.geo import GRAVITY_MPS2
 
-GRAVITY_MPS2 = 9.80665
 # The mean lean and the mean velocity of this time tell the wind, without the follower's own
 # manoeuvres; gusts are shorter.
 MEAN_S = 4.0

@@ -493,7 +493,7 @@ def as_float32(value: float) -> float:
 
 def _allowed(name: str) -> str:
     """The values that the firmware accepts, if its table is available."""
-    from echowing.sim.coprocessor import parameter_table  # noqa: PLC0415 (needs the built core)
+    from echowing.sim.boards.coprocessor import parameter_table  # noqa: PLC0415 (needs the built core)
 
     try:
         row = next((row for row in parameter_table() if row.name == name), None)

@@ -80,8 +80,8 @@ class BuiltInVehicle:
     BEGIN_S = 0.4  # the applet is in control by then, and does not yet miss its sonar
 
     def __init__(self, system_id: int) -> None:
-        from echowing.sim.autopilot import Autopilot  # noqa: PLC0415 (large)
-        from echowing.sim.copter import Copter  # noqa: PLC0415
+        from echowing.sim.vehicle.autopilot import Autopilot  # noqa: PLC0415 (large)
+        from echowing.sim.vehicle.copter import Copter  # noqa: PLC0415
 
         self._copter = Copter((0.0, 0.0, -10.0), 0.0, flying=True)
         parameters = {
@@ -132,7 +132,7 @@ class BuiltInVehicle:
             raise EchowingError(f"the applet has stopped: {script.error if script else 'not run'}")
 
     def _sample(self, t_s: float) -> Sample:
-        from echowing.sim.rangefinder import GOOD, OUT_OF_RANGE_LOW  # noqa: PLC0415
+        from echowing.sim.vehicle.rangefinder import GOOD, OUT_OF_RANGE_LOW  # noqa: PLC0415
 
         seen = self._autopilot.rangefinder_status(0) in (GOOD, OUT_OF_RANGE_LOW)
         range_m = round(self._autopilot.rangefinder_distance_m(0), 4) if seen else None

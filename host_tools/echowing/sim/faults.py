@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Any
 
 from echowing.geo import GlobalPosition, Ned, displace, ned_between
 from echowing.sim.fault_section import LEADER, FaultSection
-from echowing.sim.modes import POSITIONED
 from echowing.sim.scenario import LeaderEvent
-from echowing.sim.sonar import LONGEST_M, SHORTEST_M
+from echowing.sim.vehicle.modes import POSITIONED
+from echowing.sim.world.sonar import LONGEST_M, SHORTEST_M
 
 if TYPE_CHECKING:
+    from echowing.sim.aircraft import SimFollower, SimVehicle
     from echowing.sim.flight import FormationFlight
-    from echowing.sim.vehicles import SimFollower, SimVehicle
 
 Step = Callable[[float], None]
 Running = AbstractContextManager[Step]

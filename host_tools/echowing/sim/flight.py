@@ -21,20 +21,20 @@ from echowing.flight.session import FollowSession
 from echowing.flight.state import FollowerPlan, FollowerState
 from echowing.flight.switch import StopSwitch
 from echowing.geo import Ned, ned_between
-from echowing.sim.autopilot import ORIGIN, Autopilot
+from echowing.sim.aircraft import LeaderPilot, MakeCoprocessor, SimFollower
 from echowing.sim.faults import SWITCH_CHANNEL, Faults
 from echowing.sim.ground import GroundStation
 from echowing.sim.hangar import FIRST_FOLLOWER_ID, LEADER_ID, Hangar
-from echowing.sim.pilots import Pilot
 from echowing.sim.recorder import Recorder, Sample, write_truth
 from echowing.sim.scenario import Scenario
-from echowing.sim.sonar import (
+from echowing.sim.vehicle.autopilot import ORIGIN, Autopilot
+from echowing.sim.world.pilots import Pilot
+from echowing.sim.world.sonar import (
     GROUND,
     LEVER_ARM_M,
     Pose,
     Target,
 )
-from echowing.sim.vehicles import LeaderPilot, MakeCoprocessor, SimFollower
 from echowing.stopping import waiting_interrupts
 
 STEP_S = 0.02

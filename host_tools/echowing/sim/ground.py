@@ -11,10 +11,10 @@ from echowing.flight.session import FollowSession
 from echowing.mavlink.messages import TOOL_COMPONENT_ID, TOOL_SYSTEM_ID
 from echowing.mavlink.plausible import Door
 from echowing.mavlink.signing import Parser
-from echowing.sim.autopilot import Autopilot
-from echowing.sim.links import decoded
-from echowing.sim.radio import Radio
-from echowing.sim.streams import START_UNIX_S
+from echowing.sim.vehicle.autopilot import Autopilot
+from echowing.sim.vehicle.links import decoded
+from echowing.sim.vehicle.streams import START_UNIX_S
+from echowing.sim.world.radio import Radio
 
 TELEMETRY = "telemetry"
 

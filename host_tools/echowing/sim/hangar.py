@@ -9,20 +9,20 @@ from typing import Any
 
 from echowing.geo import Ned
 from echowing.setup.settings import ACCELERATION_MPS2, JERK_MPS3
-from echowing.sim.autopilot import Autopilot
-from echowing.sim.coprocessor import NativeCoprocessor
-from echowing.sim.copter import Copter, Tuning, tuning_of
-from echowing.sim.cutter import PacketCutter
-from echowing.sim.gps import Drift
+from echowing.sim.aircraft import Body, MakeCoprocessor, SimFollower, SimVehicle
+from echowing.sim.boards.coprocessor import NativeCoprocessor
 from echowing.sim.ground import Telemetry, open_log
-from echowing.sim.leader import TrackedBody, load_track, walk
-from echowing.sim.parameters import Generation
-from echowing.sim.radio import Radio
 from echowing.sim.scenario import SPEED_LAWS, LossySection, RadioSection, Scenario
-from echowing.sim.sonar import Ear
-from echowing.sim.truth import true_errors, true_sonar
-from echowing.sim.vehicles import Body, MakeCoprocessor, SimFollower, SimVehicle
-from echowing.sim.wind import Wind
+from echowing.sim.vehicle.autopilot import Autopilot
+from echowing.sim.vehicle.copter import Copter, Tuning, tuning_of
+from echowing.sim.vehicle.parameters import Generation
+from echowing.sim.world.cutter import PacketCutter
+from echowing.sim.world.gps import Drift
+from echowing.sim.world.leader import TrackedBody, load_track, walk
+from echowing.sim.world.radio import Radio
+from echowing.sim.world.sonar import Ear
+from echowing.sim.world.truth import true_errors, true_sonar
+from echowing.sim.world.wind import Wind
 
 LEADER_ID = 1
 FIRST_FOLLOWER_ID = 2

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from echowing.errors import nearest
 from echowing.setup.applet import parameters_in
-from echowing.sim.parameters import Generation, spans_of
+from echowing.sim.vehicle.parameters import Generation, spans_of
 
 Span = tuple[float, float]
 

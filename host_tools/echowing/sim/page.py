@@ -7,9 +7,9 @@ from echowing.flight.guard import mode_name
 from echowing.flight.guidance import MOVING_MPS, slot_offset_m
 from echowing.flight.health import Cohesion
 from echowing.geo import GlobalPosition, Ned, displace
-from echowing.sim.autopilot import ORIGIN
+from echowing.sim.aircraft import SimFollower, SimVehicle
 from echowing.sim.flight import FormationWorld, speed_parameter_mps
-from echowing.sim.vehicles import SimFollower, SimVehicle
+from echowing.sim.vehicle.autopilot import ORIGIN
 from echowing.tool.moment import Moment, members, places
 from echowing.tool.panel import Row, VehicleHealth
 from echowing.tool.run import Page

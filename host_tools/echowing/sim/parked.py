@@ -9,18 +9,18 @@ from pathlib import Path
 
 from echowing.errors import EchowingError
 from echowing.geo import Ned
-from echowing.sim.copter import Copter
-from echowing.sim.flight import FormationWorld
-from echowing.sim.hangar import FIRST_FOLLOWER_ID, LEADER_ID, Hangar, Listen
-from echowing.sim.parameters import Parameters
-from echowing.sim.scenario import Scenario
-from echowing.sim.vehicles import (
+from echowing.sim.aircraft import (
     AUTOPILOT_PORT,
     COPROCESSOR,
     LeaderPilot,
     SimFollower,
     SimVehicle,
 )
+from echowing.sim.flight import FormationWorld
+from echowing.sim.hangar import FIRST_FOLLOWER_ID, LEADER_ID, Hangar, Listen
+from echowing.sim.scenario import Scenario
+from echowing.sim.vehicle.copter import Copter
+from echowing.sim.vehicle.parameters import Parameters
 
 COPROCESSOR_BAUD = (115.0, 115_200.0)  # SERIAL2_BAUD, either way of writing 115200
 MAVLINK_PROTOCOLS = (1.0, 2.0)  # SERIAL2_PROTOCOL

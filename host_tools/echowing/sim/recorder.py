@@ -11,7 +11,7 @@ import numpy as np
 from echowing.analysis.flight import Flight, Floats
 from echowing.flight.guidance import Slot, slot_offset_m
 from echowing.geo import Ned
-from echowing.sim.streams import START_UNIX_S
+from echowing.sim.vehicle.streams import START_UNIX_S
 
 TRUTH_COLUMNS = (
     "unix_time_s",

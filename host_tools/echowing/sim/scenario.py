@@ -19,11 +19,11 @@ from echowing.flight.formation import check_formation
 from echowing.flight.guidance import GRAY, GuidanceSettings, Slot
 from echowing.section import NotNegative, Positive, Section, Share, section_of
 from echowing.setup.applet import applet_path, parameters_in
-from echowing.sim.cutter import ByteLoss
 from echowing.sim.fault_section import LEADER_FAULTS, FaultSection, objection
 from echowing.sim.named_parameters import objections
-from echowing.sim.parameters import Generation
-from echowing.sim.radio import RadioSettings
+from echowing.sim.vehicle.parameters import Generation
+from echowing.sim.world.cutter import ByteLoss
+from echowing.sim.world.radio import RadioSettings
 from echowing.sonar_file import SHIPPED, HalfAngle, SonarFile, load_sonar
 from echowing.tool.formation_file import FormationSection
 
@@ -210,7 +210,7 @@ class GpsSection(Section):
 
 
 class WindSection(Section):
-    """Wind that copters fly in; see `echowing.sim.wind.Wind`.
+    """Wind that copters fly in; see `echowing.sim.world.wind.Wind`.
 
     `direction_deg` is where it comes from, as SIM_WIND_DIR. The default turbulence is what
     MIL-F-8785C has at 10 m for the mean wind, whatever that is.
@@ -228,7 +228,7 @@ PacketBytes = Annotated[int, Field(ge=1, le=1000)]
 
 
 class LossySection(Section):
-    """What a link does to the bytes on it, both ways alike (see `echowing.sim.cutter`)."""
+    """What a link does to the bytes on it, both ways alike (see `echowing.sim.world.cutter`)."""
 
     byte_loss: Share = 0.0
     """Share of the packets lost, which are cut from the bytes anywhere; with `--serve`, too."""

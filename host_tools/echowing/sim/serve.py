@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 from echowing.errors import EchowingError
-from echowing.sim.wires import Wire, open_wire
+from echowing.sim.boards.wires import Wire, open_wire
 
 STEP_S = 0.02
 # This far behind, the machine cannot keep up: the time is let go rather than caught up.

@@ -9,17 +9,17 @@ from echowing.errors import EchowingError
 from echowing.flight.envelope import LEAST_M
 from echowing.flight.formation import check_formation, receivers_demand_m
 from echowing.geo import Ned
-from echowing.sim.cutter import PacketCutter
+from echowing.sim.aircraft import LeaderPilot, SimFollower, SimVehicle
 from echowing.sim.flight import FormationWorld
 from echowing.sim.ground import TELEMETRY
-from echowing.sim.guided import SubMode
 from echowing.sim.hangar import Hangar
-from echowing.sim.modes import GUIDED
 from echowing.sim.page import WorldOnPage
 from echowing.sim.parked import ParkedHangar, ParkedWorld, insert_cards
 from echowing.sim.scenario import Scenario
 from echowing.sim.serve import Endpoint, Server
-from echowing.sim.vehicles import LeaderPilot, SimFollower, SimVehicle
+from echowing.sim.vehicle.guided import SubMode
+from echowing.sim.vehicle.modes import GUIDED
+from echowing.sim.world.cutter import PacketCutter
 from echowing.sonar_file import SHIPPED
 from echowing.stopping import stop_on_signals
 from echowing.tool.formation_file import FormationSection

@@ -12,11 +12,11 @@ from echowing.analysis.flight import Flight
 from echowing.analysis.metrics import Metrics, approach_s, dead_locked, metrics
 from echowing.analysis.tables import Result
 from echowing.errors import EchowingError
-from echowing.sim.coprocessor import SonarBus
+from echowing.sim.aircraft import MakeCoprocessor, SimFollower
+from echowing.sim.boards.coprocessor import SonarBus
 from echowing.sim.flight import FormationFlight, Progress
 from echowing.sim.hangar import board_parameters
 from echowing.sim.scenario import Scenario
-from echowing.sim.vehicles import MakeCoprocessor, SimFollower
 from echowing.sim.wall import fly_at_wall
 
 # How an applet tells of an error that it caught, and ArduPilot of a script that it ended.
@@ -124,7 +124,7 @@ def _coprocessors(scenario: Scenario, seed: int, firmware: str) -> MakeCoprocess
         return None
     if firmware != "avr":
         raise EchowingError(f"--firmware {firmware!r}: native or avr")
-    from echowing.sim.avr import AvrCoprocessor  # noqa: PLC0415 (needs the emulator built)
+    from echowing.sim.boards.avr import AvrCoprocessor  # noqa: PLC0415 (needs the emulator built)
 
     def make(bus: SonarBus, system_id: int) -> AvrCoprocessor:
         return AvrCoprocessor(bus, seed=seed, parameters=board_parameters(system_id, scenario))

@@ -10,14 +10,14 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from echowing.analysis.flight import Flight
 from echowing.geo import displace
 from echowing.mavlink.messages import TOOL_COMPONENT_ID, TOOL_SYSTEM_ID, position_target
-from echowing.sim.autopilot import ORIGIN
+from echowing.sim.aircraft import MakeCoprocessor, SimFollower
 from echowing.sim.flight import STEP_S, STEP_US, STEPS_PER_SAMPLE, speed_parameter_mps
 from echowing.sim.ground import Telemetry
 from echowing.sim.hangar import FIRST_FOLLOWER_ID, Hangar
 from echowing.sim.recorder import Recorder, Sample
 from echowing.sim.scenario import Scenario
-from echowing.sim.sonar import GROUND, Surface
-from echowing.sim.vehicles import MakeCoprocessor, SimFollower
+from echowing.sim.vehicle.autopilot import ORIGIN
+from echowing.sim.world.sonar import GROUND, Surface
 from echowing.stopping import waiting_interrupts
 
 # Half of an X8 (thesis Table 3: 0.5 m across): nearer than this it has touched the wall.

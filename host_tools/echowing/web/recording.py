@@ -21,7 +21,7 @@ from echowing.tool.moment import Moment, members, places
 from echowing.tool.panel import PREFIXES, Row, VehicleHealth
 from echowing.tool.track import Track
 
-# As sim/sonar.py: a sonar reads this much less than the distance between two centres.
+# As sim/world/sonar.py: a sonar reads this much less than the distance between two centres.
 INSET_M = 0.2
 # Place on the globe for logs in metres; nothing that is shown depends on it.
 NOWHERE = GlobalPosition(0.0, 0.0, 0.0)

@@ -1,0 +1,156 @@
+"""The emulated board on a desk: real time, ports wired to other programs, a leader to hear."""
+
+import json
+import math
+import random
+import time
+from collections.abc import Callable, Mapping
+
+from echowing.errors import EchowingError
+from echowing.flight.sonar import PAN_CENTRE_US, TILT_CENTRE_US
+from echowing.geo import Ned
+from echowing.sim.boards.emulated import EmulatedBoard
+from echowing.sim.boards.wires import Wire, open_udp
+from echowing.sim.world.sonar import (
+    LEVER_ARM_M,
+    ON_A_DESK,
+    Ear,
+    Gimbal,
+    MaxSonar,
+    Pose,
+    Target,
+    TrueSonar,
+)
+
+# Eleven bytes at 115200 baud: finer matters to nobody, coarser would be heard as jitter.
+SLICE_S = 0.001
+# A machine this far behind cannot keep up: the time is let go rather than caught up.
+HOPELESS_S = 0.5
+LONGEST_RANGE_CM = 10_000
+_DATAGRAM_BYTES = 2048
+
+
+class Scene:
+    """What the sonar hears: a fixed range, a leader told of in datagrams or watched, or nothing.
+
+    A leader stays where it was told to be until the next datagram. watched: where it is in the
+    follower's body frame, asked for at every step. sonar: what it truly hears of a leader.
+    """
+
+    def __init__(
+        self,
+        range_cm: int | None = None,
+        target: str | None = None,
+        watched: Callable[[], Ned | None] | None = None,
+        sonar: TrueSonar = ON_A_DESK,
+    ) -> None:
+        if range_cm is not None and not 0 <= range_cm <= LONGEST_RANGE_CM:
+            raise EchowingError(f"a range of {range_cm} cm: give 0 to {LONGEST_RANGE_CM}")
+        self.sensor = MaxSonar(self._listen)
+        self._range_m = None if range_cm is None else range_cm / 100.0
+        self._datagrams = open_udp(target) if target else None
+        self._leader_body_m: Ned | None = None
+        self._watched = watched
+        self._gimbal = Gimbal()
+        self._ear = Ear(lambda name: random.Random(f"0 {name}"), sonar)
+
+    @property
+    def udp_port(self) -> int | None:
+        """Where datagrams are taken."""
+        return int(self._datagrams.getsockname()[1]) if self._datagrams else None
+
+    def _listen(self, t_s: float) -> float | None:
+        if self._datagrams is None and self._watched is None:
+            return self._range_m
+        pose = Pose((0.0, 0.0, 0.0), self._gimbal.axis_body())
+        sonar, at_m = self._ear.sonar, self._leader_body_m
+        legs_m = sonar.inset_m - LEVER_ARM_M
+        targets = [] if at_m is None else [Target(at_m, sonar.foil_m, legs_m)]
+        return self._ear.ping(t_s, pose, targets, surfaces=())
+
+    def step(self, dt_s: float, pan_us: float, tilt_us: float) -> None:
+        """Turn the gimbal, and take the newest datagram; a senseless one is reported and left."""
+        self._gimbal.step(dt_s, pan_us or PAN_CENTRE_US, tilt_us or TILT_CENTRE_US)
+        if self._watched is not None:
+            self._leader_body_m = self._watched()
+        while self._datagrams is not None:
+            try:
+                datagram = self._datagrams.recv(_DATAGRAM_BYTES)
+            except BlockingIOError:
+                return
+            try:
+                self._leader_body_m = leader_from(datagram)
+            except EchowingError as error:
+                print(f"echowing emulator: {error}", flush=True)
+
+    def close(self) -> None:
+        """Stop listening."""
+        if self._datagrams is not None:
+            self._datagrams.close()
+
+
+def leader_from(datagram: bytes) -> Ned:
+    """The leader's place in the follower's body frame (forward, right, down), metres, from JSON."""
+    try:
+        told = json.loads(datagram)
+        place = float(told["forward_m"]), float(told["right_m"]), float(told["down_m"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise EchowingError(f"{_WANTED}; this came: {datagram[:80]!r}") from error
+    if not all(map(math.isfinite, place)):
+        raise EchowingError(f"{_WANTED}; this came: {datagram[:80]!r}")
+    return place
+
+
+_WANTED = 'a datagram has to be {"forward_m": number, "right_m": number, "down_m": number}'
+
+
+class Desk:
+    """Runs a board at the pace of a clock and carries bytes between its ports and their wires."""
+
+    def __init__(
+        self,
+        board: EmulatedBoard,
+        wires: Mapping[int, Wire],
+        scene: Scene,
+        *,
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        self._board, self._wires, self._scene = board, wires, scene
+        self._clock, self._sleep = clock, sleep
+        self._told_slow = False
+        self._restarts = 0
+
+    def run(self, duration_s: float | None = None) -> None:
+        """Run for that long, or for ever."""
+        started_s = self._clock()
+        t_s = 0.0
+        while duration_s is None or t_s < duration_s:
+            behind_s = self._clock() - started_s - t_s
+            if behind_s > HOPELESS_S:
+                started_s += behind_s
+                self._tell_slow()
+            elif behind_s < SLICE_S:
+                self._sleep(SLICE_S - behind_s)
+            t_s += SLICE_S
+            self._slice(t_s)
+
+    def _slice(self, t_s: float) -> None:
+        board = self._board
+        board.run_until(t_s * 1e6)
+        self._scene.step(
+            SLICE_S, board.pin(board.type.pan).width_us, board.pin(board.type.tilt).width_us
+        )
+        for port, wire in self._wires.items():
+            arrived = wire.exchange(board.take(port), t_s)
+            if arrived:
+                board.feed(port, arrived)
+        restarts = board.meters().restarts
+        if restarts != self._restarts:
+            self._restarts = restarts
+            print("the board has restarted", flush=True)
+
+    def _tell_slow(self) -> None:
+        if not self._told_slow:
+            print("this machine is too slow for real time: the board's time lags", flush=True)
+        self._told_slow = True

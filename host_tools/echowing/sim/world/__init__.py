@@ -1,0 +1,1 @@
+"""What a simulated flight happens in: wind, receivers, radios, sonars, leaders and pilots."""
