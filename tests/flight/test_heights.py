@@ -28,7 +28,7 @@ def told(
 
 
 def heights(of: Told, *, leaders: bool = False) -> Heights:
-    return Heights(of.known, of.guard, leaders=leaders)
+    return Heights(of.known, leaders=leaders)
 
 
 @pytest.mark.parametrize(("home_m", "commanded_m"), [(250.0, 10.0), (248.0, 12.0), (253.0, 7.0)])

@@ -4,8 +4,8 @@ import pytest
 
 from echowing.flight.guard import Limits
 from echowing.flight.spacing import REMARK_GAP_S, Spacing
-from echowing.flight.state import LEADER as THE_LEADER
-from echowing.geo import GlobalPosition
+from echowing.flight.steps import LEADER as THE_LEADER
+from echowing.flight.steps import Allowed, Phase, Plan, Standing
 
 from .told import Told, at, from_here_m
 from .yard import FOLLOWER, LEADER, SECOND, Vehicle
@@ -33,64 +33,66 @@ def beside_a_second() -> Told:
 
 def test_a_plan_that_leaves_room_is_sent_as_it_is() -> None:
     told = led(-20.0)
-    assert spacing(told).kept_apart(told.follower, at(-18.0), 0.0) == at(-18.0)
-    assert told.follower.gives_way_to is None
+    allowed = spacing(told).allowed(told.follower, Plan(at(-18.0), None), 0.0)
+    assert allowed == Allowed(at(-18.0), None)
     assert told.said == []
 
 
 @pytest.mark.parametrize("limits", [None, Limits(leader_flies=False)])
 def test_without_a_least_separation_the_plan_is_sent_as_it_is(limits: Limits | None) -> None:
     told = led(-6.0, limits)
-    assert spacing(told).kept_apart(told.follower, INTO_THE_LEADER, 0.0) == INTO_THE_LEADER
+    allowed = spacing(told).allowed(told.follower, Plan(INTO_THE_LEADER, None), 0.0)
+    assert allowed.place == INTO_THE_LEADER
 
 
 def test_a_plan_into_the_leader_is_cut_short_and_said() -> None:
     told = led(-6.0)
-    point = spacing(told).kept_apart(told.follower, INTO_THE_LEADER, 0.0)
-    north_m, east_m = from_here_m(point)
+    allowed = spacing(told).allowed(told.follower, Plan(INTO_THE_LEADER, None), 0.0)
+    north_m, east_m = from_here_m(allowed.place)
     assert -6.0 < north_m < -2.0
     assert east_m == pytest.approx(0.0, abs=0.5)
-    assert told.follower.gives_way_to == THE_LEADER
+    assert allowed.gives_way_to == THE_LEADER
+    assert not allowed.makes_way
     assert told.said == [(FOLLOWER, THE_LEADER, 0.0)]
 
 
 def test_a_plan_with_a_velocity_keeps_its_place_and_closes_more_slowly() -> None:
     told = led(-6.0)
-    told.follower.feed_mps = (4.0, 0.0)
-    point = spacing(told).kept_apart(told.follower, at(-5.0), 0.0)
-    assert point == at(-5.0)
-    assert told.follower.feed_mps[0] < 3.0
+    allowed = spacing(told).allowed(told.follower, Plan(at(-5.0), (4.0, 0.0)), 0.0)
+    assert allowed.place == at(-5.0)
+    assert allowed.velocity_mps is not None
+    assert allowed.velocity_mps[0] < 3.0
 
 
 def test_too_near_and_still_closing_the_whole_lean_goes_into_the_way_out() -> None:
     """The point is where it is, so that nothing but the velocity out is flown."""
     told = Told({LEADER: Vehicle((0.0, 0.0)), FOLLOWER: Vehicle((-1.5, 0.0), (3.0, 0.0))}, KEPT)
-    told.follower.feed_mps = (3.0, 0.0)
-    point = spacing(told).kept_apart(told.follower, at(-1.0), 0.0)
-    assert from_here_m(point) == pytest.approx((-1.5, 0.0), abs=0.01)
-    assert told.follower.feed_mps[0] < -1.0
+    allowed = spacing(told).allowed(told.follower, Plan(at(-1.0), (3.0, 0.0)), 0.0)
+    assert from_here_m(allowed.place) == pytest.approx((-1.5, 0.0), abs=0.01)
+    assert allowed.velocity_mps is not None
+    assert allowed.velocity_mps[0] < -1.0
 
 
-def into_the_second(told: Told, step: Spacing, now_s: float) -> GlobalPosition:
+def into_the_second(told: Told, step: Spacing, now_s: float) -> Allowed:
     told.now_s = now_s
     for system_id in told.vehicles:
         told.report(system_id)
-    return step.kept_apart(told.follower, INTO_THE_SECOND, now_s)
+    return step.allowed(told.follower, Plan(INTO_THE_SECOND, None), now_s)
 
 
 def test_another_follower_is_kept_away_from_by_its_id() -> None:
     told = beside_a_second()
-    point = into_the_second(told, spacing(told), 0.2)
-    assert point != INTO_THE_SECOND
-    assert told.follower.gives_way_to == "follower 3"
-    assert told.follower.makes_way
+    allowed = into_the_second(told, spacing(told), 0.2)
+    assert allowed.place != INTO_THE_SECOND
+    assert allowed.gives_way_to == "follower 3"
+    assert allowed.makes_way
 
 
 def test_who_is_held_gives_way_to_nobody_that_is_led_past() -> None:
     told = beside_a_second()
-    told.follower.held_at = told.follower.position
-    told.known.followers[SECOND].sent_to = True
-    assert into_the_second(told, spacing(told), 0.2) == INTO_THE_SECOND
+    told.follower.standing = Standing(Phase.HELD)
+    told.known.followers[SECOND].standing = Standing(Phase.LED)
+    assert into_the_second(told, spacing(told), 0.2).place == INTO_THE_SECOND
 
 
 def test_a_way_that_is_given_again_and_again_is_said_once_in_a_while() -> None:
@@ -98,15 +100,8 @@ def test_a_way_that_is_given_again_and_again_is_said_once_in_a_while() -> None:
     step = spacing(told)
     for now_s in (0.2, 1.0, 2.0, REMARK_GAP_S, REMARK_GAP_S + 1.0):
         into_the_second(told, step, now_s)
-        told.follower.gives_way_to = None
+        told.follower.allowed = None
     assert told.said == [
         (FOLLOWER, "follower 3", 0.2),
         (FOLLOWER, "follower 3", REMARK_GAP_S + 1.0),
     ]
-
-
-def test_a_hold_that_had_to_give_way_is_held_where_it_has_got_to() -> None:
-    told = led(-2.0)
-    told.follower.held_at = at(-1.0)
-    spacing(told).kept_apart(told.follower, at(-1.0), 0.0)
-    assert told.follower.held_at == told.follower.position

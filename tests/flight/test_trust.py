@@ -4,9 +4,10 @@ import pytest
 
 from echowing.flight.guidance import GuidanceSettings
 from echowing.flight.jumps import AGREEING_REPORTS, SAME_RANGE_M, UNCONFIRMED_S
+from echowing.flight.steps import Hold
 from echowing.flight.trust import Trust
 
-from .told import Told, at
+from .told import HEIGHT_M, Told, at
 from .yard import FOLLOWER, LEADER, TICK_S, Vehicle
 
 FAR_M = 5.0
@@ -51,16 +52,16 @@ def test_vehicles_that_hover_are_believed_and_nothing_is_said() -> None:
     there = Trusted()
     there.fly(5.0)
     assert there.said == []
-    assert there.follower.latched is None
+    assert there.follower.turn.latched is None
 
 
 def test_its_own_jump_holds_it_once_the_sonar_has_had_time_to_deny_it() -> None:
     there = Trusted()
     there.jump(FOLLOWER)
     there.fly(UNCONFIRMED_S - 2.0 * TICK_S)
-    assert there.follower.latched is None
+    assert there.follower.turn.latched is None
     there.fly(3.0 * TICK_S)
-    assert there.follower.latched == "its position jumped by 5.0 m, until it leaves Guided"
+    assert there.follower.turn.latched == "its position jumped by 5.0 m, until it leaves Guided"
     assert there.was_said("follower 2: its receiver jumped by 5.0 m") == 1
 
 
@@ -69,7 +70,7 @@ def test_a_jump_of_one_that_its_pilot_flies_latches_nothing() -> None:
     there.follower.in_guided = False
     there.jump(FOLLOWER)
     there.fly(UNCONFIRMED_S + 1.0)
-    assert there.follower.latched is None
+    assert there.follower.turn.latched is None
     assert there.said == []
 
 
@@ -79,17 +80,17 @@ def test_a_jump_and_back_is_none() -> None:
     there.fly(0.5)
     there.jump(FOLLOWER, -FAR_M)
     there.fly(UNCONFIRMED_S + 1.0)
-    assert there.follower.latched is None
+    assert there.follower.turn.latched is None
 
 
 def test_a_hold_stands_where_it_stood_when_its_receiver_jumps() -> None:
     there = Trusted()
-    there.follower.held_at = at(-3.0)
+    there.follower.hold = Hold(at(-3.0), HEIGHT_M)
     there.jump(FOLLOWER)
     there.fly(1.0)
-    held = there.follower.held_at
+    held = there.follower.hold
     assert held is not None
-    assert held.lat_deg == pytest.approx(at(-3.0 + FAR_M).lat_deg, abs=1e-6)
+    assert held.place.lat_deg == pytest.approx(at(-3.0 + FAR_M).lat_deg, abs=1e-6)
 
 
 def test_a_leader_that_jumps_is_said_at_once_and_holds_all_once_it_is_believed_there() -> None:
@@ -99,9 +100,9 @@ def test_a_leader_that_jumps_is_said_at_once_and_holds_all_once_it_is_believed_t
     assert there.was_said("leader jumps: not believed") == 1
     assert there.known.leader.fix is not None
     assert there.known.leader.fix.position.lat_deg == pytest.approx(at(0.0).lat_deg, abs=1e-6)
-    assert there.follower.latched is None
+    assert there.follower.turn.latched is None
     there.fly((AGREEING_REPORTS + 1) * TICK_S)
-    assert there.follower.latched == "leader jumped by 5.0 m, until it leaves Guided"
+    assert there.follower.turn.latched == "leader jumped by 5.0 m, until it leaves Guided"
     assert there.was_said("leader jumps: not believed") == 1
     assert there.was_said("agree 5.0 m away") == 1
 
@@ -110,7 +111,7 @@ def test_without_limits_a_leader_is_followed_to_its_new_place() -> None:
     there = Trusted(strict=False, refuses=False)
     there.jump(LEADER)
     there.fly((AGREEING_REPORTS + 2) * TICK_S)
-    assert there.follower.latched is None
+    assert there.follower.turn.latched is None
     assert there.said == []
     assert there.known.leader.fix is not None
     assert there.known.leader.fix.position.lat_deg == pytest.approx(at(FAR_M).lat_deg, abs=1e-6)
@@ -125,7 +126,7 @@ def test_reports_that_come_in_turn_from_two_places_are_of_two_vehicles(twice: in
         there.trust.is_sure(twice, there.position(twice), there.now_s)
     assert there.refused == [twice]
     assert there.was_said(f"two vehicles with id {twice}") == 1
-    assert (there.follower.latched is not None) is (twice == LEADER)
+    assert (there.follower.turn.latched is not None) is (twice == LEADER)
 
 
 def test_a_small_jump_is_said_and_latches_nothing() -> None:
@@ -134,4 +135,4 @@ def test_a_small_jump_is_said_and_latches_nothing() -> None:
     there.follower.own_jump.since_s = there.now_s
     there.follower.own_jump.moved_m = (0.9 * SAME_RANGE_M, 0.0)
     there.fly(UNCONFIRMED_S + 1.0)
-    assert there.follower.latched is None
+    assert there.follower.turn.latched is None

@@ -34,10 +34,9 @@ class Told:
             for one in self.vehicles
             if one != LEADER
         ]
-        self.known = Known(LEADER, plans, self.settings)
-        self.guard = None
-        if self.limits is not None:
-            self.guard = Guard(self.limits, LEADER, self.known.followers, self.tell)
+        homes = None if self.limits is None else self.limits.homes(LEADER)
+        self.known = Known(LEADER, plans, self.settings, homes)
+        self.guard = None if self.limits is None else Guard(self.limits, self.known, self.tell)
         for system_id, vehicle in self.vehicles.items():
             clock = self.known.clock(system_id)
             assert clock is not None
@@ -55,6 +54,7 @@ class Told:
     def report(self, system_id: int) -> None:
         """Let a vehicle report where it is."""
         message = self.position(system_id)
+        self.known.homes.reported(system_id, message)
         if self.guard is not None:
             self.guard.receive(system_id, "GLOBAL_POSITION_INT", message, self.now_s)
         if system_id == LEADER:

@@ -16,7 +16,7 @@ from rich.console import Console
 
 from echowing.commands import follow as verb
 from echowing.stopping import StopRequest
-from echowing.tool.panel import Row
+from echowing.tool.panel import FOLLOWING, Row
 from echowing.tool.run import FollowTool
 from echowing.tool.view import scene
 
@@ -72,7 +72,7 @@ class Photographer:
 
 def _in_place(row: Row) -> bool:
     near = row.error_m is not None and abs(row.error_m) < IN_PLACE_M
-    return near and row.state == "following" and row.command_mps is not None
+    return near and row.state.startswith(FOLLOWING) and row.command_mps is not None
 
 
 def photograph(formation: Path) -> Photographer:

@@ -14,6 +14,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.flight.envelope import LEAST_M
+from echowing.flight.homes import Homes
 from echowing.flight.lowest import LOWEST_M
 from echowing.flight.readiness import Readiness
 from echowing.flight.state import FollowerState, Known, Say
@@ -57,7 +58,7 @@ REMEMBERED_S = 1.5  # longer than any link takes there and back
 # The applet's own targets (lua/echowing.md): too close, stream lost, backing off, holding.
 APPLET_STATE = "ECHO_STATE"
 APPLET_FLIES = (3, 5, 6, 7)
-APPLET_BACKS_OFF = 6
+APPLET_BACKS_OFF, APPLET_HOLDS = 6, 7
 # In these states it flies targets of its own, whatever points the vehicle is sent.
 APPLET_IGNORES_POINTS = (5, 6)
 WATCHDOG = "ECHO_STREAM_T"
@@ -97,6 +98,11 @@ class Limits:
     switch: StopSwitch | None = None
     ready: Readiness | None = None
 
+    def homes(self, leader_id: int) -> Homes:
+        """The homes of a session with these limits."""
+        corrects = self.home_difference_m is not None and not self.level_homes
+        return Homes(leader_id, level=self.level_homes, corrects=corrects)
+
 
 # The defaults of `echowing follow`, flown by the simulator too.
 FIELD_LIMITS = Limits(
@@ -115,6 +121,7 @@ class _Watch:
     off_since_s: float | None = None
     stuck_since_s: float | None = None
     applet_state: int = 0
+    applet_at_s: float = -math.inf
     backed_off: bool = False
     unheard: bool = False
     back_at_s: float = -math.inf
@@ -171,12 +178,12 @@ class Guard:
         elif kind == "POSITION_TARGET_LOCAL_NED":
             self._read_back_local(system_id, message, now_s)
         elif kind == "NAMED_VALUE_FLOAT" and message.name == APPLET_STATE:
-            self._applet_said(self._watches[system_id], round(message.value))
+            self._applet_said(self._watches[system_id], round(message.value), now_s)
         elif kind == "PARAM_VALUE" and message.param_id == WATCHDOG and self.limits.ready is None:
             self._find_watchdog(system_id, message.param_value, now_s)
 
-    def _applet_said(self, watch: _Watch, state: int) -> None:
-        watch.applet_state = state
+    def _applet_said(self, watch: _Watch, state: int, now_s: float) -> None:
+        watch.applet_state, watch.applet_at_s = state, now_s
         watch.backed_off = watch.backed_off or state == APPLET_BACKS_OFF
 
     def _find_watchdog(self, system_id: int, silence_s: float, now_s: float) -> None:
@@ -438,6 +445,11 @@ class Guard:
     def ignores_points(self, system_id: int) -> bool:
         """Whether its applet flies it: back from its leader, or to a stop as no points reach it."""
         return self._watches[system_id].applet_state in APPLET_IGNORES_POINTS
+
+    def holds_the_distance(self, system_id: int, now_s: float) -> bool:
+        """Whether its applet says now that it holds the distance to its leader, by the sonar."""
+        watch = self._watches[system_id]
+        return watch.applet_state == APPLET_HOLDS and now_s - watch.applet_at_s < UNHEARD_S
 
     def has_backed_off(self, system_id: int, *, stands: bool) -> bool:
         """Whether its applet has flown it back; until that has ended, and it `stands`."""

@@ -25,7 +25,6 @@ from echowing.flight.guard import Guard, Limits
 from echowing.flight.guidance import GuidanceSettings, LeaderFix
 from echowing.flight.heights import Heights
 from echowing.flight.holds import Holds
-from echowing.flight.homes import Homes
 from echowing.flight.leader_track import LeaderTrack
 from echowing.flight.look import Look, look_at
 from echowing.flight.plan import Planner
@@ -70,7 +69,8 @@ class FollowSession:
     ) -> None:
         self.leader_id = leader_id
         self.settings = settings
-        self.known = Known(leader_id, plans, settings, _homes(leader_id, limits))
+        homes = None if limits is None else limits.homes(leader_id)
+        self.known = Known(leader_id, plans, settings, homes)
         self.followers = self.known.followers
         self.events: list[tuple[float, str]] = []
         self.guard = None if limits is None else Guard(limits, self.known, self._say, self.alert)
@@ -344,13 +344,6 @@ class FollowSession:
         attitude = mavlink.MAVLINK_MSG_ID_ATTITUDE
         wanted += [(system_id, attitude, ATTITUDE_HZ) for system_id in self.followers]
         return wanted
-
-
-def _homes(leader_id: int, limits: Limits | None) -> Homes:
-    if limits is None:
-        return Homes(leader_id)
-    corrects = limits.home_difference_m is not None and not limits.level_homes
-    return Homes(leader_id, level=limits.level_homes, corrects=corrects)
 
 
 def _message(follower: FollowerState, command: Command, now_s: float) -> Any:

@@ -32,15 +32,16 @@ class Phase(StrEnum):
     LED = auto()
 
 
-# What may follow what, in one tick or over some. It comes from HELD and LED to CHECKED, and from
-# WATCHED on, only by its pilot's mode switch; LIFTED only follows where a take-off is asked for.
+# What may follow what from one tick to the next. Who has passed the checks is not checked again,
+# and who flies does not take off: both only after its pilot has left Guided, which is WATCHED.
+_FLOWN = frozenset({Phase.WATCHED, Phase.LEFT, Phase.HELD, Phase.LED})
 NEXT: dict[Phase, frozenset[Phase]] = {
     Phase.WATCHED: frozenset(Phase),
     Phase.LIFTED: frozenset(Phase),
-    Phase.CHECKED: frozenset(Phase) - {Phase.LIFTED},
-    Phase.LEFT: frozenset(Phase) - {Phase.LIFTED},
-    Phase.HELD: frozenset(Phase) - {Phase.LIFTED, Phase.CHECKED},
-    Phase.LED: frozenset(Phase) - {Phase.LIFTED, Phase.CHECKED},
+    Phase.CHECKED: _FLOWN | {Phase.CHECKED},
+    Phase.LEFT: _FLOWN,
+    Phase.HELD: _FLOWN,
+    Phase.LED: _FLOWN,
 }
 
 

@@ -17,6 +17,7 @@ from echowing.flight.steps import Phase, Standing, Turn
 from echowing.flight.take_off import Lift, TakeOffs
 
 STALE = "leader is stale"
+HOLDS, WAITS = "holding the distance", "waiting for the leader"
 # After so many heartbeats in a row that do not say Guided, or not in flight, its pilot counts as
 # having left Guided, which ends every hold. One alone may be another vehicle's, or false.
 AWAY_BEATS = 2
@@ -71,8 +72,13 @@ class Supervisor:
             why = rule(self, follower, now_s)
             if why is not None:
                 return Standing(phase, why)
-        waits = self._known.leader.fix is None and not follower.turn.flown
-        return Standing(Phase.LED, "waiting for the leader" if waits else "")
+        return Standing(Phase.LED, self._how_led(follower, now_s))
+
+    def _how_led(self, follower: FollowerState, now_s: float) -> str:
+        if self._known.leader.fix is None and not follower.turn.flown:
+            return WAITS
+        guard, system_id = self._guard, follower.plan.system_id
+        return HOLDS if guard and guard.holds_the_distance(system_id, now_s) else ""
 
     def _changed(self, follower: FollowerState, before: Standing, now_s: float) -> None:
         """Say that it is held, or led again."""

@@ -13,9 +13,11 @@ from echowing.flight.leader_track import VehicleClock
 from echowing.flight.session import FollowSession
 from echowing.flight.state import FollowerState
 from echowing.flight.steps import Phase
+from echowing.flight.supervisor import WAITS
 from echowing.geo import distance_m, ned_between
 from echowing.mavlink.messages import FORWARD, sonar_range_m
 
+FOLLOWING = "following"
 # The applet's and the co-processor's named floats (lua/echowing.md, firmware's DeviceState).
 SPEED_LIMIT, GIMBAL_STATE = "ECHO_SPD", "SNR_STATE"
 FIXES = {0: "none", 1: "none", 2: "2D"}  # of GPS_FIX_TYPE; all others are 3D and better
@@ -278,7 +280,9 @@ def state_of(follower: FollowerState) -> str:
     phase, why = follower.standing.phase, follower.standing.why
     if phase is Phase.LED:
         name = None if follower.allowed is None else follower.allowed.gives_way_to
-        return why or ("following" if name is None else f"gives way to {name}")
+        if name is not None:
+            return f"gives way to {name}"
+        return why if why == WAITS else ": ".join(filter(None, (FOLLOWING, why)))
     if phase is Phase.HELD:
         return f"holding: {why}"
     if phase is Phase.CHECKED and why:

@@ -12,7 +12,7 @@ from rich.console import Console, ConsoleOptions, RenderResult
 from rich.table import Table
 from rich.text import Text
 
-from echowing.tool.panel import Row
+from echowing.tool.panel import FOLLOWING, Row
 
 # Least width of the terminal for each layout; below the second, two lines per vehicle.
 ROOMY, TIGHT = 118, 80
@@ -146,7 +146,7 @@ def _mode(row: Row) -> str:
 
 def _style(state: str) -> str:
     """Green: following; yellow: stopped or on its way; red: receives no points."""
-    if state == "following":
+    if state.startswith(FOLLOWING):
         return "green"
     return "red" if state.startswith(("no points sent", "not engaged")) else "yellow"
 

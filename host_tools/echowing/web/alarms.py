@@ -9,7 +9,7 @@ from echowing.flight.guard import UNHEARD_S
 from echowing.flight.guidance import GuidanceSettings
 from echowing.flight.health import Health
 from echowing.tool.moment import Moment
-from echowing.tool.panel import GIMBAL, Row
+from echowing.tool.panel import FOLLOWING, GIMBAL, Row
 from echowing.tool.track import Track
 
 # README, flight day: abort at a separation under half of the wanted one.
@@ -47,7 +47,7 @@ def headline(moment: Moment) -> str:
     followers = len(moment.rows)
     if not any(row.state for row in moment.rows):  # nobody leads them, or it is not known
         return f"{followers} follower" + ("" if followers == 1 else "s")
-    following = sum(row.state == "following" for row in moment.rows)
+    following = sum(row.state.startswith(FOLLOWING) for row in moment.rows)
     watched = sum(row.state == "only watched" for row in moment.rows)
     if watched == followers:
         return "Only watching"

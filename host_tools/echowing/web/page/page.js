@@ -201,7 +201,7 @@ function showVehicle(one, leads) {
     return;
   }
   say("state", one.state);
-  const idle = one.level === 0 && one.state !== "following";
+  const idle = one.level === 0 && !one.state.startsWith("following");
   card.querySelector('[data-field="state"]').className = idle ? "idle" : LEVELS[one.level];
   say("separation", number(one.separation, 2, " m"));
   const error = one.error === null ? "" : `${signed(one.error, 2)} m of ${number(one.wanted, 2)} m`;
