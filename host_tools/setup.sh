@@ -31,10 +31,10 @@ say() { printf 'setup: %s\n' "$*"; }
 fail() { say "$*" >&2; exit 1; }
 
 packages=("${run_packages[@]}")
-extras=build
+extras=all,build
 if [ "$group" = test ]; then
   packages+=("${test_packages[@]}")
-  extras=build,test,hw
+  extras=all,build,test,hw
 fi
 
 stamp=.venv/.setup-$group

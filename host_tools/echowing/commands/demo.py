@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from echowing.errors import EchowingError
+from echowing.extras import require
 
 if TYPE_CHECKING:
     from echowing.sim.summary import FlownScenario
@@ -75,6 +76,7 @@ def run(args: argparse.Namespace) -> int:
     """Fly, print the table, write the report."""
     if args.seeds < 1 or args.jobs < 1:
         raise EchowingError("--seeds and --jobs: give 1 or more")
+    require("sim")
     folder = _folder(args.out)
     tasks = plan(args.seeds)
     flown = _fly_all(tasks, args)
