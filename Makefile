@@ -59,6 +59,7 @@ setup-test: ## install the requirements of the tests
 	@host_tools/setup.sh test
 
 core: setup ## the co-processor's core for this machine
+	@test -f build/host/build.ninja || echo "building the co-processor's core for this machine"
 	@test -f build/host/build.ninja || $(BIN)/cmake -S firmware/host -B build/host -G Ninja \
 		-DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(BIN)/ninja >/dev/null
 	@$(BIN)/ninja -C build/host --quiet

@@ -41,7 +41,7 @@ arduino-cli: $(ARDUINO_CLI) ## arduino-cli from its Go sources (once)
 
 build/firmware/%/echowing.elf: $(FIRMWARE_SOURCES) $(MAVLINK_HEADERS) $(BUILD_TOOLS) build/firmware/git-hash \
 		| setup $(ARDUINO_CLI) $(ARDUINO_HOME) $(if $(ECHOWING_STM32_CORE),stm32-core)
-	@$(BIN)/python firmware/tools/build.py $*
+	@host_tools/patiently.sh 10 "compiling the firmware for $*" $(BIN)/python firmware/tools/build.py $*
 
 stm32-core: | setup
 	@firmware/tools/stm32_home.sh build/arduino-home-stm32
@@ -73,4 +73,5 @@ build/emulator/libechowing_stm32.so: LIBRARIES = -lunicorn
 
 $(EMULATORS): $(EMULATOR_HEADERS) | setup
 	@mkdir -p $(@D)
+	@echo "building $(@F), which runs the firmware's binary"
 	@$(CC) -std=c11 -O2 -g -Wall -Wextra -Werror -fPIC -shared -fvisibility=hidden $(filter %.c,$^) -o $@ $(LIBRARIES)
