@@ -24,8 +24,9 @@ firmware: build/firmware/$(BOARD)/echowing.elf ## compile the sketch: BOARD=mega
 firmware-stm32: $(STM32_BOARDS:%=build/firmware/%/echowing.elf) ## compile it for all STM32 boards (fetches their core)
 	@for board in $(STM32_BOARDS); do $(BIN)/python -m echowing.sim.firmware $$board || exit 1; done
 
-flash: build/firmware/$(BOARD)/echowing.elf ## flash a board: BOARD=mega PORT=/dev/ttyACM0, METHOD=dfu, serial, stlink
-	@$(BIN)/python firmware/tools/flash.py $(BOARD) $(if $(PORT),--port $(PORT)) $(if $(METHOD),--method $(METHOD))
+flash: $(if $(RELEASE),setup,build/firmware/$(BOARD)/echowing.elf) ## flash a board: BOARD=mega PORT=/dev/ttyACM0, METHOD=dfu, serial, stlink, RELEASE=DIR
+	@$(BIN)/python firmware/tools/flash.py $(BOARD) $(if $(PORT),--port $(PORT)) \
+		$(if $(METHOD),--method $(METHOD)) $(if $(RELEASE),--release "$(RELEASE)")
 
 test-stm32: setup-test emulator stm32-core ## build for the STM32 boards with an installed core, and test these binaries
 	@for board in $(STM32_BOARDS); do \

@@ -11,11 +11,11 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
+import make_release
 from echowing.cli import VERBS
 from echowing.extras import LIBRARIES
 from echowing.paths import repository_root
 
-BUILD = "import sys; from setuptools import build_meta; build_meta.build_wheel(sys.argv[1])"
 DATA = repository_root() / "tests" / "host_tools" / "data"
 FLIGHT = (str(DATA / "leader.BIN"), str(DATA / "follower.BIN"))
 
@@ -74,24 +74,7 @@ def link(library: metadata.Distribution, site: Path) -> None:
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Installed:
     folder = tmp_path_factory.mktemp("wheel")
-    # From a copy, so that building leaves nothing in the checkout.
-    source = folder / "source"
-    root = repository_root()
-    listed = subprocess.run(
-        ["git", "ls-files", "-z", "host_tools", "pyproject.toml", "README.md", "LICENSE"],
-        cwd=root,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    for name in filter(None, listed.stdout.split("\0")):
-        target = source / name
-        target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_bytes((root / name).read_bytes())
-    build = [sys.executable, "-c", BUILD, str(folder)]
-    subprocess.run(build, cwd=source, check=True, capture_output=True)
-    (wheel,) = folder.glob("*.whl")
-    made = Installed(folder, wheel)
+    made = Installed(folder, make_release.build_wheel(folder))
     where = made.python("-c", "import echowing; print(echowing.__file__)").stdout
     assert where.startswith(str(folder))  # and not the checkout's
     return made
