@@ -8,7 +8,7 @@ export PATH := $(CURDIR)/$(BIN):$(PATH)
 # of processes in real time mostly wait.
 WORKERS := -n 3 --dist loadfile --no-loadscope-reorder
 
-.PHONY: help demo campaign test test-sitl bench monitor fuzz lint format pages setup setup-test core clean
+.PHONY: help demo campaign test test-sitl bench release monitor fuzz lint format pages setup setup-test core clean
 
 help: ## list the targets
 	@grep -hE '^[a-z0-9-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z0-9-]+):.*## /\1\t/' | expand -t 16
@@ -28,6 +28,9 @@ test-sitl: setup-test core emulated ## fly it on ArduCopter SITL: ARDUCOPTER="PA
 
 bench: setup-test core emulated ## measure speeds and sizes
 	@$(BIN)/echowing bench
+
+release: setup ## write wheel, firmware of all boards, applets, notes and checksums: dist/VERSION
+	@$(BIN)/python host_tools/make_release.py dist
 
 monitor: setup ## watch the co-processor live: PORT=/dev/ttyACM0
 	@$(BIN)/echowing rig $(if $(PORT),--port $(PORT)) watch
@@ -59,6 +62,7 @@ setup-test: ## install the requirements of the tests
 	@host_tools/setup.sh test
 
 core: setup ## the co-processor's core for this machine
+	@test -f build/host/build.ninja || echo "building the co-processor's core for this machine"
 	@test -f build/host/build.ninja || $(BIN)/cmake -S firmware/host -B build/host -G Ninja \
 		-DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(BIN)/ninja >/dev/null
 	@$(BIN)/ninja -C build/host --quiet

@@ -24,8 +24,9 @@ firmware: build/firmware/$(BOARD)/echowing.elf ## compile the sketch: BOARD=mega
 firmware-stm32: $(STM32_BOARDS:%=build/firmware/%/echowing.elf) ## compile it for all STM32 boards (fetches their core)
 	@for board in $(STM32_BOARDS); do $(BIN)/python -m echowing.sim.boards.firmware $$board || exit 1; done
 
-flash: build/firmware/$(BOARD)/echowing.elf ## flash a board: BOARD=mega PORT=/dev/ttyACM0, METHOD=dfu, serial, stlink
-	@$(BIN)/python firmware/tools/flash.py $(BOARD) $(if $(PORT),--port $(PORT)) $(if $(METHOD),--method $(METHOD))
+flash: $(if $(RELEASE),setup,build/firmware/$(BOARD)/echowing.elf) ## flash a board: BOARD=mega PORT=/dev/ttyACM0, METHOD=dfu, serial, stlink, RELEASE=DIR
+	@$(BIN)/python firmware/tools/flash.py $(BOARD) $(if $(PORT),--port $(PORT)) \
+		$(if $(METHOD),--method $(METHOD)) $(if $(RELEASE),--release "$(RELEASE)")
 
 test-stm32: setup-test emulator stm32-core ## build for the STM32 boards with an installed core, and test these binaries
 	@for board in $(STM32_BOARDS); do \
@@ -41,7 +42,7 @@ arduino-cli: $(ARDUINO_CLI) ## arduino-cli from its Go sources (once)
 
 build/firmware/%/echowing.elf: $(FIRMWARE_SOURCES) $(MAVLINK_HEADERS) $(BUILD_TOOLS) build/firmware/git-hash \
 		| setup $(ARDUINO_CLI) $(ARDUINO_HOME) $(if $(ECHOWING_STM32_CORE),stm32-core)
-	@$(BIN)/python firmware/tools/build.py $*
+	@host_tools/patiently.sh 10 "compiling the firmware for $*" $(BIN)/python firmware/tools/build.py $*
 
 stm32-core: | setup
 	@firmware/tools/stm32_home.sh build/arduino-home-stm32
@@ -73,4 +74,5 @@ build/emulator/libechowing_stm32.so: LIBRARIES = -lunicorn
 
 $(EMULATORS): $(EMULATOR_HEADERS) | setup
 	@mkdir -p $(@D)
+	@echo "building $(@F), which runs the firmware's binary"
 	@$(CC) -std=c11 -O2 -g -Wall -Wextra -Werror -fPIC -shared -fvisibility=hidden $(filter %.c,$^) -o $@ $(LIBRARIES)

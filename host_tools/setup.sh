@@ -29,12 +29,14 @@ id_of_system=$(. /etc/os-release 2>/dev/null && printf '%s' "$ID" || true)
 
 say() { printf 'setup: %s\n' "$*"; }
 fail() { say "$*" >&2; exit 1; }
+# For what says nothing itself: a line now and then, with or without a terminal.
+patiently() { host_tools/patiently.sh 10 "setup: $1" "${@:2}"; }
 
 packages=("${run_packages[@]}")
-extras=build
+extras=all,build
 if [ "$group" = test ]; then
   packages+=("${test_packages[@]}")
-  extras=build,test,hw
+  extras=all,build,test,hw
 fi
 
 stamp=.venv/.setup-$group
@@ -63,10 +65,10 @@ if [ ${#missing[@]} -gt 0 ]; then
     sudo -n true 2>/dev/null || fail "missing system packages; run: sudo apt-get install ${missing[*]}"
     as_root=(sudo -n)
   fi
-  say "installing system packages: ${missing[*]}"
-  "${as_root[@]}" apt-get update -qq
-  "${as_root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends \
-    "${missing[@]}" >/dev/null
+  patiently "reading the lists of system packages" "${as_root[@]}" apt-get update -qq
+  patiently "installing system packages: ${missing[*]}" \
+    "${as_root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq \
+    --no-install-recommends "${missing[@]}"
 fi
 
 python3 -c 'import sys; sys.exit(sys.version_info < (3, 11))' ||
@@ -91,11 +93,11 @@ if [ -n "$lua_source_missing" ] || ! lua_is_ours; then
   tar -xzf "$lupa"/lupa-*.tar.gz -C "$lupa" --strip-components=1
 fi
 if ! lua_is_ours; then
-  say "building lupa (Lua 5.3 with the autopilot's 32-bit numbers; under half a minute)"
   for other in "$lupa"/third-party/lua*; do  # each would be built, too
     [ "$other" = "$lupa/third-party/lua53" ] || rm -rf "$other"
   done
-  CFLAGS=$lua_flags .venv/bin/pip install -q --disable-pip-version-check --force-reinstall \
+  CFLAGS=$lua_flags patiently "building lupa (Lua 5.3 with the autopilot's 32-bit numbers)" \
+    .venv/bin/pip install -q --disable-pip-version-check --force-reinstall \
     --no-cache-dir --no-deps "$lupa"
   printf '%s' "$lua_flags" >"$lua_built"
 fi
@@ -103,16 +105,14 @@ if [ -n "$lua_source_missing" ]; then
   mkdir -p "$lua_source"
   cp "$lupa"/third-party/lua53/*.[ch] "$lua_source"
 fi
-say "installing Python packages into .venv ($extras)"
-.venv/bin/pip install -q --disable-pip-version-check -e ".[$extras]"
+patiently "installing Python packages into .venv ($extras)" \
+  .venv/bin/pip install -q --disable-pip-version-check -e ".[$extras]"
 lua_is_32_bit || fail "lupa was not built with 32-bit Lua numbers; remove .venv and run again"
 if [ "$group" = test ] && [ "$id_of_system" = ubuntu ]; then
-  say "installing Chromium for the live page's tests"
-  if [ "$(id -u)" = 0 ] || sudo -n true 2>/dev/null; then
-    .venv/bin/playwright install --with-deps chromium >/dev/null
-  else
-    .venv/bin/playwright install chromium >/dev/null
-  fi
+  with_deps=()
+  if [ "$(id -u)" = 0 ] || sudo -n true 2>/dev/null; then with_deps=(--with-deps); fi
+  patiently "installing Chromium for the live page's tests" \
+    .venv/bin/playwright install "${with_deps[@]}" chromium
 fi
 printf '%s' "$wanted" >"$stamp"
 say "done"

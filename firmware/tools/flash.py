@@ -1,4 +1,6 @@
-"""Put the built firmware on a board: flash.py BOARD [--method METHOD] [--port PORT].
+"""Put the firmware on a board: flash.py BOARD [--method METHOD] [--port PORT] [--release DIR].
+
+It is the one that was built here, or of a release that `make release` has written.
 
 A method is a tool and a way to the chip; the board's file says which it has, the usual one first:
 
@@ -21,6 +23,7 @@ from pathlib import Path
 from serial.tools import list_ports
 
 from echowing.errors import EchowingError
+from echowing.release import IMAGE_KINDS, Release, firmware_file
 from echowing.sim.boards import firmware
 
 FLASH_START = 0x08000000  # of every STM32
@@ -29,37 +32,41 @@ FLASH_START = 0x08000000  # of every STM32
 AVRDUDE_OPTIONS = ("-c", "wiring", "-b", "115200", "-D")
 
 
-def avrdude(board: firmware.Board, elf: Path, port: str) -> list[str]:
+def avrdude(board: firmware.Board, image: Path, port: str) -> list[str]:
     """The avrdude call."""
-    image = f"flash:w:{elf.with_suffix('.hex')}:i"
-    return ["avrdude", "-q", "-p", board.chip, *AVRDUDE_OPTIONS, "-P", port, "-U", image]
+    write = f"flash:w:{image}:i"
+    return ["avrdude", "-q", "-p", board.chip, *AVRDUDE_OPTIONS, "-P", port, "-U", write]
 
 
-def dfu(board: firmware.Board, elf: Path, port: str) -> list[str]:
+def dfu(board: firmware.Board, image: Path, port: str) -> list[str]:
     """The dfu-util call: 0483:df11 is ST's boot loader. It erases only the sectors it writes."""
     del board, port
     place = f"{FLASH_START:#010x}:leave"
-    return ["dfu-util", "-d", "0483:df11", "-a", "0", "-s", place, "-D", str(image_of(elf))]
+    return ["dfu-util", "-d", "0483:df11", "-a", "0", "-s", place, "-D", str(image)]
 
 
-def serial(board: firmware.Board, elf: Path, port: str) -> list[str]:
+def serial(board: firmware.Board, image: Path, port: str) -> list[str]:
     """The stm32flash call: without a length it would erase the parameters too."""
     del board
-    image = image_of(elf)
     place = f"{FLASH_START:#010x}:{image.stat().st_size}"
     start = f"{FLASH_START:#010x}"
     return ["stm32flash", "-b", "115200", "-S", place, "-v", "-w", str(image), "-g", start, port]
 
 
-def stlink(board: firmware.Board, elf: Path, port: str) -> list[str]:
+def stlink(board: firmware.Board, image: Path, port: str) -> list[str]:
     """The st-flash call: it erases only the sectors it writes."""
     del board, port
-    return ["st-flash", "--reset", "write", str(image_of(elf)), f"{FLASH_START:#010x}"]
+    return ["st-flash", "--reset", "write", str(image), f"{FLASH_START:#010x}"]
 
 
-def image_of(elf: Path) -> Path:
-    """The binary as the flash holds it."""
-    image = elf.with_suffix(".bin")
+def image_of(board: firmware.Board, release: Path | None) -> Path:
+    """What its tool writes: as it was built here, or of a release, by its checksum."""
+    kind = IMAGE_KINDS[board.family]
+    if release is not None:
+        return Release(release).verified(firmware_file(board.name, kind))
+    elf = firmware.elf_path(board.name)
+    firmware.check_elf(elf, board.name)
+    image = elf.with_suffix(f".{kind}")
     if not image.is_file():
         raise EchowingError(f"{image} is missing: build it again with `make firmware`")
     return image
@@ -143,13 +150,14 @@ def method_of(board: firmware.Board, name: str | None) -> Method:
     return METHODS[name]
 
 
-def flash(board: str, port: str | None, method: str | None = None) -> None:
+def flash(
+    board: str, port: str | None, method: str | None = None, release: Path | None = None
+) -> None:
     """Flash one board."""
     kind = firmware.board(board)
     how = method_of(kind, method)
-    elf = firmware.elf_path(board)
-    firmware.check_elf(elf, board)
-    command = how.command(kind, elf, check_port(port) if how.needs_port else "")
+    image = image_of(kind, release)
+    command = how.command(kind, image, check_port(port) if how.needs_port else "")
     tool = shutil.which(command[0])
     if tool is None:
         raise EchowingError(f"{command[0]} is missing: sudo apt install {how.package}")
@@ -178,13 +186,14 @@ def is_worth_showing(line: str, how: Method, *, done: bool) -> bool:
 
 def main() -> int:
     """Flash; 2 when it cannot be done."""
-    parser = argparse.ArgumentParser(description="put the built firmware on a board")
+    parser = argparse.ArgumentParser(description="put the firmware on a board")
     parser.add_argument("board")
     parser.add_argument("--port")
     parser.add_argument("--method")
+    parser.add_argument("--release", type=Path, metavar="DIR")
     arguments = parser.parse_args()
     try:
-        flash(arguments.board, arguments.port, arguments.method)
+        flash(arguments.board, arguments.port, arguments.method, arguments.release)
     except EchowingError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

@@ -1,7 +1,8 @@
 """The applets for the SD card, what each needs of an autopilot, and which one a vehicle runs."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,6 +17,8 @@ class Applet:
     tests/lua/test_heap.py runs it there."""
     old_heap_bytes: int
     """The same up to ArduCopter 4.6, which fills 6 kB of it by itself."""
+    source: Path | None = field(default=None, compare=False)
+    """Its file in a release; none: the one that comes with this package."""
 
     def needs_bytes(self, version: tuple[int, int] | None) -> int:
         """Of scripting's memory; None: a version that is not known counts as a new one."""

@@ -10,6 +10,7 @@ from types import ModuleType
 
 from echowing import __version__
 from echowing.errors import EchowingError
+from echowing.extras import needed_for
 from echowing.stopping import ignore_signals
 
 # Verb, and what it does in a line. Its module in `echowing.commands` has
@@ -48,6 +49,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         return code
     except EchowingError as error:
         print(f"echowing {verb}: {error}", file=sys.stderr)
+        return EXIT_USER_ERROR
+    except ModuleNotFoundError as error:
+        needed = needed_for((error.name or "").partition(".")[0])
+        if needed is None:
+            raise
+        print(f"echowing {verb}: {needed}", file=sys.stderr)
         return EXIT_USER_ERROR
     except KeyboardInterrupt:
         print(f"echowing {verb}: interrupted", file=sys.stderr)

@@ -4,6 +4,7 @@ import dataclasses
 import importlib
 import os
 import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -12,6 +13,8 @@ from types import ModuleType
 
 import pytest
 
+import make_release
+from echowing import __version__
 from echowing.errors import EchowingError
 from echowing.sim.boards import firmware
 
@@ -218,6 +221,22 @@ class TestFlash:
         assert set(programmer.image()[len(wanted) :]) <= {0xFF}  # the last page's rest
         assert programmer.left
 
+    def test_every_byte_of_a_release_arrives(
+        self, mega_elf: Path, programmer: FakeProgrammer, tmp_path: Path
+    ) -> None:
+        """And none of an image that is another one than the release's."""
+        folder = release_of("mega", mega_elf.with_suffix(".hex"), tmp_path)
+        order = ("make", "-s", "flash", "BOARD=mega", f"PORT={programmer.port}")
+        flashed = run(*order, f"RELEASE={folder}")
+        assert flashed.returncode == 0, flashed.stderr
+        assert len(programmer.image()) > 40_000
+        assert programmer.left
+        programmer.flash.clear()
+        (folder / "echowing-mega.hex").write_text(":00000001FF\n")
+        refused = run(*order, f"RELEASE={folder}")
+        assert refused.returncode != 0 and "its checksum differs" in refused.stderr
+        assert programmer.flash == {}
+
     def test_another_chip_is_refused(
         self, mega_elf: Path, flash: ModuleType, programmer: FakeProgrammer
     ) -> None:
@@ -268,6 +287,16 @@ class TestFlash:
             flash.flash("mega", "/dev/null")
 
 
+def release_of(board: str, image: Path, folder: Path) -> Path:
+    """A release with nothing but a wheel's name and one board's firmware."""
+    release = folder / "release"
+    release.mkdir()
+    (release / f"echowing-{__version__}-py3-none-any.whl").touch()
+    shutil.copyfile(image, release / f"echowing-{board}{image.suffix}")
+    make_release.write_sums(release)
+    return release
+
+
 IMAGE = bytes(range(256)) * 21 + b"not a whole page"
 
 
@@ -313,6 +342,23 @@ dfu-util: Error during download get_status
 
 
 class TestFlashStm32:
+    def test_an_image_of_a_release(
+        self, stm32_image: Path, flash: ModuleType, tmp_path: Path
+    ) -> None:
+        """Nothing is built here: what is flashed is the release's, if its checksum is right."""
+        notes = fake_tool(stm32_image, "dfu-util", DFU_UTIL_SAYS)
+        elf = firmware.elf_path("blackpill_f411")
+        release = release_of("blackpill_f411", elf.with_suffix(".bin"), tmp_path)
+        elf.unlink()
+        flash.flash("blackpill_f411", None, release=release)
+        image = release / "echowing-blackpill_f411.bin"
+        assert notes.read_text().endswith(f"-D {image}\n")
+        notes.unlink()
+        image.write_bytes(b"another")
+        with pytest.raises(EchowingError, match="nothing is written"):
+            flash.flash("blackpill_f411", None, release=release)
+        assert not notes.exists()
+
     def test_black_pill_by_dfu_needs_no_port(
         self, stm32_image: Path, flash: ModuleType, capfd: pytest.CaptureFixture[str]
     ) -> None:

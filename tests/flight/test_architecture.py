@@ -1,13 +1,20 @@
-"""The flight core is one pipeline: each module reads only from those before it."""
+"""The flight core is one pipeline: each module reads only from those before it.
+
+And each room of the package imports from the rooms below it alone.
+"""
 
 import ast
+from pathlib import Path
 
 import pytest
 
 from echowing.paths import repository_root
 
-FLIGHT = repository_root() / "host_tools" / "echowing" / "flight"
+PACKAGE = repository_root() / "host_tools" / "echowing"
+FLIGHT = PACKAGE / "flight"
 MODULES = sorted(path.stem for path in FLIGHT.glob("*.py") if path.stem != "__init__")
+# What flies with real vehicles, or reads their logs: installed without the simulator.
+IN_THE_FIELD = ("analyze", "follow", "leader", "relay", "replay", "setup")
 # Rooms that the core may read from: pure, and below it.
 BELOW = {"applets", "errors", "geo", "mavlink"}
 # What drives the session, and so may know it.
@@ -72,3 +79,56 @@ def _all_within(module: str) -> set[str]:
         ahead = {name for one in ahead for name in within(one)} - found
         found |= ahead
     return found
+
+
+# ---- the rooms -----------------------------------------------------------------------------------
+
+
+def imported(file: Path) -> set[str]:
+    """All that a file imports of this package, in functions and for its types too."""
+    nodes = list(ast.walk(ast.parse(file.read_text(encoding="utf-8"))))
+    found = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
+    for node in nodes:
+        if isinstance(node, ast.ImportFrom) and node.module:
+            # What is named may be a module itself.
+            found |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+    return {name for name in found if name.startswith("echowing.")}
+
+
+def rooms_of(room: str) -> set[str]:
+    """The rooms that the modules of one import from."""
+    files = (PACKAGE / room).rglob("*.py")
+    return {name.split(".")[1] for file in files for name in imported(file)}
+
+
+def reached_from(module: str) -> set[str]:
+    """The modules that one imports, over however many others."""
+    found: set[str] = set()
+    ahead = {module}
+    while ahead:
+        found |= ahead
+        ahead = {name for one in ahead for file in files_of(one) for name in imported(file)} - found
+    return found
+
+
+def files_of(module: str) -> list[Path]:
+    """None where a name that is imported is no module."""
+    place = PACKAGE.parent / Path(*module.split("."))
+    return [file for file in (place.with_suffix(".py"), place / "__init__.py") if file.is_file()]
+
+
+def test_mavlink_knows_no_flight() -> None:
+    """Messages and links are below the core, which reads them."""
+    assert rooms_of("mavlink") <= {"errors", "geo", "mavlink"}
+
+
+def test_the_tool_knows_no_command() -> None:
+    """A verb drives the tool, and the tool knows of none."""
+    assert "commands" not in rooms_of("tool")
+
+
+@pytest.mark.parametrize("verb", IN_THE_FIELD)
+def test_no_verb_of_the_field_reaches_the_simulator(verb: str) -> None:
+    reached = reached_from(f"echowing.commands.{verb}")
+    assert "echowing.errors" in reached  # it was followed
+    assert not {name for name in reached if name.split(".")[1] in ("sim", "campaign")}

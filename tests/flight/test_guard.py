@@ -30,9 +30,9 @@ from echowing.flight.requests import RATE_WINDOW_S, RateWatch
 from echowing.flight.session import FollowSession
 from echowing.flight.state import FollowerPlan, Known
 from echowing.flight.switch import StopSwitch, parse_stop_switch
-from echowing.flight.vehicle_limits import usual_parameters
 from echowing.geo import GlobalPosition, displace, ned_between
 from echowing.mavlink.plausible import Door
+from echowing.mavlink.vehicle_limits import usual_parameters
 from echowing.sonar_file import shipped_sonar
 from echowing.tool.panel import Panel, left_as, state_of
 

@@ -14,7 +14,7 @@ from echowing.flight.handling import (
     leader_brakes_mps2,
     least_slot_m,
 )
-from echowing.flight.vehicle_limits import LIMITS, is_plausible, usual_parameters
+from echowing.mavlink.vehicle_limits import LIMITS, is_plausible, usual_parameters
 
 
 def reported(**parameters: float) -> Handling:

@@ -570,11 +570,11 @@ def test_an_average_of_nothing_is_silence_where_single_readings_do_not_come() ->
 
 
 def test_a_distance_sensor_without_a_target_has_no_range() -> None:
-    assert sonar_range_m(average(2.85)) == pytest.approx(2.85)
-    assert sonar_range_m(average(4.5)) is None
-    assert sonar_range_m(average(7.65)) is None
+    assert sonar_range_m(average(2.85), DETECTION_LIMIT_M) == pytest.approx(2.85)
+    assert sonar_range_m(average(4.5), DETECTION_LIMIT_M) is None
+    assert sonar_range_m(average(7.65), DETECTION_LIMIT_M) is None
     short = mavlink.MAVLink_distance_sensor_message(0, 20, 300, 300, 0, 0, FORWARD, 0)
-    assert sonar_range_m(short) is None  # its own end
+    assert sonar_range_m(short, DETECTION_LIMIT_M) is None  # its own end
     assert sonar_range_m(average(5.0), reach_m=6.0) == pytest.approx(5.0)
 
 

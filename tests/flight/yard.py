@@ -12,9 +12,9 @@ from echowing.flight.guidance import GuidanceSettings, Slot
 from echowing.flight.readiness import Readiness
 from echowing.flight.session import FollowSession
 from echowing.flight.state import FollowerPlan
-from echowing.flight.vehicle_limits import usual_parameters
 from echowing.geo import GlobalPosition, displace
 from echowing.mavlink.plausible import Door
+from echowing.mavlink.vehicle_limits import usual_parameters
 from echowing.sonar_file import shipped_sonar
 from echowing.tool.panel import state_of
 

@@ -9,7 +9,7 @@ import pytest
 from echowing.analysis.answer import read_answers
 from echowing.cli import main
 from echowing.errors import EchowingError
-from echowing.flight.vehicle_limits import usual_parameters
+from echowing.mavlink.vehicle_limits import usual_parameters
 from echowing.sim.vehicle.dataflash import DataflashLog
 from echowing.sim.vehicle.parameters import Generation
 

@@ -13,10 +13,10 @@ from tests.host_tools.rig_desk import ScriptedWire, Speaker
 
 import echowing
 from echowing.flight.engage import APPLET, RTL
-from echowing.flight.vehicle_limits import BY_NAME, is_plausible
 from echowing.mavlink.links import Link, parse_address
 from echowing.mavlink.plausible import FIELDS, MOST_TOLD, PARAMETERS, Door, fault_of, printable
 from echowing.mavlink.seats import OpenLink
+from echowing.mavlink.vehicle_limits import BY_NAME, is_plausible
 from echowing.rig.board import Board
 from echowing.rig.view import wire_of
 from echowing.setup.ftp import _entry

@@ -11,6 +11,7 @@ from pathlib import Path
 from echowing.analysis.plots import Figure
 from echowing.analysis.tables import Grid, Row
 from echowing.errors import EchowingError
+from echowing.extras import lacks_plots
 
 STYLE = """
 :root { color-scheme: light; --ink: #253046; --quiet: #667085; --rule: #e0e4eb; --accent: #1f6feb; }
@@ -96,15 +97,33 @@ unpacked().then(start).catch(error => boxes.forEach(box => {
 
 
 def page(title: str, body: str, figures: Mapping[str, Figure]) -> str:
-    """The page: `body` is HTML that holds a `box` for each figure, by name."""
-    data = json.dumps(figures, separators=(",", ":"), allow_nan=False).replace("</", "<\\/")
+    """The page: `body` is HTML that holds a `box` for each figure, by name.
+
+    Without the extra [plots] a line at the top takes their place.
+    """
+    lacks = lacks_plots()
+    note = _without_plots(lacks) if lacks else ""
+    plots = "" if lacks else _plots(figures)
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         f"<title>{html.escape(title)}</title><style>{STYLE}</style>"
-        f"</head>\n<body><main>\n{body}\n</main>\n"
+        f"</head>\n<body><main>\n{note}{body}\n</main>\n{plots}</body></html>\n"
+    )
+
+
+def _without_plots(why: str) -> str:
+    return (
+        "<style>figure:has([data-figure]) { display: none; }</style>\n"
+        f'<p class="warning">{html.escape(why)}</p>\n'
+    )
+
+
+def _plots(figures: Mapping[str, Figure]) -> str:
+    data = json.dumps(figures, separators=(",", ":"), allow_nan=False).replace("</", "<\\/")
+    return (
         f'<script type="text/plain" data-plot-code>{_plot_code()}</script>\n'
-        f"<script>const FIGURES = {data};\n{SCRIPT}</script></body></html>\n"
+        f"<script>const FIGURES = {data};\n{SCRIPT}</script>"
     )
 
 
@@ -136,6 +155,11 @@ def table(grid: Grid) -> str:
 def _row(row: Row) -> str:
     cells = "".join(f"<td>{html.escape(cell.strip())}</td>" for cell in row.cells)
     return f'<tr class="printed">{cells}</tr>' if row.printed else f"<tr>{cells}</tr>"
+
+
+def told(path: Path) -> str:
+    """A written page, for the terminal: where it is, and whether it lacks its plots."""
+    return "; ".join(filter(None, (str(path), lacks_plots())))
 
 
 def write_page(path: Path, text: str, what: str) -> None:

@@ -16,8 +16,8 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.flight.guidance import Slot, slot_offset_m
-from echowing.flight.vehicle_limits import usual_parameters
 from echowing.geo import GlobalPosition, Ned, displace, ned_between
+from echowing.mavlink.vehicle_limits import usual_parameters
 
 LEADER_ID = 1
 FIRST_FOLLOWER_ID = 2

@@ -332,6 +332,7 @@ def _print(measured: list[Measured]) -> None:
 
 
 def _write(out: Path, measured: list[Measured]) -> None:
+    from echowing.analysis.page import told  # noqa: PLC0415
     from echowing.analysis.report import write_report  # noqa: PLC0415
     from echowing.errors import EchowingError  # noqa: PLC0415
 
@@ -344,4 +345,4 @@ def _write(out: Path, measured: list[Measured]) -> None:
     settled_s = [one.settle_s for one in measured]
     notes = [*(f"{one.flight.name}: {one.headline()}" for one in measured), WITNESSES]
     write_report(out / "report.html", flights, results, notes, settle_s=settled_s)
-    print(f"report: {out / 'report.html'}")
+    print(f"report: {told(out / 'report.html')}")

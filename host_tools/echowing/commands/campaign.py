@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from echowing.errors import EchowingError
+from echowing.extras import require
 
 if TYPE_CHECKING:
     from echowing.campaign.fly import Row
@@ -62,6 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Fly, shrink, report."""
+    require("campaign")
     from echowing.campaign.draw import load_description  # noqa: PLC0415 (imported when used)
     from echowing.campaign.run import Order  # noqa: PLC0415
 

@@ -4,15 +4,20 @@ import argparse
 import json
 import os
 import sys
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from echowing.errors import EchowingError
+from echowing.extras import require
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from echowing.sim.summary import FlownScenario
 
 EXAMPLES = """\
@@ -35,6 +40,14 @@ class Task:
 
 # The scenarios of the table, in its order; walls and walks get one sentence each.
 TABLED = ("gray", "thesis", "echowing", "thesis-4m", "thesis-initial", "hostile", "many")
+# Flown first, and each told as it ends: the comparison that README leads with.
+COMPARED = {
+    Task("gray"): "GPS alone",
+    Task("echowing"): "Echowing",
+    Task("thesis"): "GPS and the thesis's speed law",
+}
+# Where nobody sees a bar.
+LINE_PERIOD_S = 10.0
 # The leader carried by hand, the slot commanded with and without prediction (thesis 4.2.3).
 WALKS = {
     "as reported": Task("walked-leader", 1, ("guidance.predict=false",)),
@@ -75,6 +88,7 @@ def run(args: argparse.Namespace) -> int:
     """Fly, print the table, write the report."""
     if args.seeds < 1 or args.jobs < 1:
         raise EchowingError("--seeds and --jobs: give 1 or more")
+    require("sim")
     folder = _folder(args.out)
     tasks = plan(args.seeds)
     flown = _fly_all(tasks, args)
@@ -84,12 +98,13 @@ def run(args: argparse.Namespace) -> int:
 
 
 def plan(seeds: int) -> list[Task]:
-    """The flights of the demo, the longest first so that the cores end together."""
+    """The flights of the demo: the comparison, then the longest so that the cores end together."""
     schemes = ("gray", "thesis", "echowing")
     return [
+        *COMPARED,
         *(Task(name, 1, ("duration_s=130",), shown=True) for name in schemes),
         Task("many"),
-        *(Task(name, seed) for name in schemes for seed in range(1, seeds + 1)),
+        *(Task(name, seed) for name in schemes for seed in range(2, seeds + 1)),
         *(Task(name, seed) for name in ("thesis-4m", "thesis-initial") for seed in (1, 2, 3)),
         *(Task("hostile", seed, (), shown=seed == 1) for seed in (1, 2, 3, 4, 5)),
         Task("wall", shown=True),
@@ -99,28 +114,72 @@ def plan(seeds: int) -> list[Task]:
 
 
 def _fly_all(tasks: Sequence[Task], args: argparse.Namespace) -> "list[FlownScenario]":
-    """Fly on all cores, a bar on the terminal; in the order of the tasks."""
-    from rich.console import Console  # noqa: PLC0415 (imported when the verb is used)
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn  # noqa: PLC0415
-
-    columns = (
-        TextColumn("flying {task.description:<16}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-    )
-    with (
-        ProcessPoolExecutor(args.jobs) as pool,
-        Progress(*columns, console=Console(stderr=True)) as bar,
-    ):
-        shown = bar.add_task("", total=len(tasks))
+    """Fly on all cores, and tell how far it is; in the order of the tasks."""
+    with ProcessPoolExecutor(args.jobs) as pool, _progress(len(tasks)) as told:
         futures = {pool.submit(_fly, task, args.out, args.firmware): task for task in tasks}
         flown: dict[Task, FlownScenario] = {}
         for future in as_completed(futures):
             task = futures[future]
             flown[task] = future.result()
-            bar.update(shown, advance=1, description=task.scenario)
+            told(task, flown[task])
     return [flown[task] for task in tasks]
+
+
+Told = Callable[[Task, "FlownScenario"], None]
+
+
+@contextmanager
+def _progress(total: int) -> Iterator[Told]:
+    """Takes each flight as it ends: shows the compared ones, and a bar, or a line now and then."""
+    from rich.console import Console  # noqa: PLC0415 (imported when the verb is used)
+
+    console = Console(stderr=True)
+    with _bar(console, total) if console.is_terminal else _lines(console, total) as advance:
+
+        def told(task: Task, flown: "FlownScenario") -> None:
+            if task in COMPARED:
+                console.print(compared(COMPARED[task], flown), highlight=False, soft_wrap=True)
+            advance(task)
+
+        yield told
+
+
+def compared(name: str, flown: "FlownScenario") -> str:
+    """The figures of one of the compared flights."""
+    (figures,) = flown.metrics
+    lost = ", lost its leader for good" if flown.dead_locked else ""
+    return (
+        f"one flight by {name}: mean error {figures.mean_abs_error_m:.2f} m, "
+        f"RMSD {figures.rmsd_m:.2f} m, least separation {figures.min_separation_m:.2f} m{lost}"
+    )
+
+
+@contextmanager
+def _bar(console: "Console", total: int) -> Iterator[Callable[[Task], None]]:
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn  # noqa: PLC0415
+
+    text = TextColumn("flying {task.description:<16}")
+    columns = (text, BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console) as bar:
+        shown = bar.add_task("", total=total)
+        yield lambda task: bar.update(shown, advance=1, description=task.scenario)
+
+
+@contextmanager
+def _lines(console: "Console", total: int) -> Iterator[Callable[[Task], None]]:
+    console.print(f"flying {total} flights")
+    started_s = told_s = time.monotonic()
+    flown = 0
+
+    def advance(task: Task) -> None:
+        nonlocal flown, told_s
+        flown += 1
+        now_s = time.monotonic()
+        if flown == total or now_s - told_s >= LINE_PERIOD_S:
+            told_s = now_s
+            console.print(f"{flown} of {total} flown, {now_s - started_s:.0f} s", highlight=False)
+
+    yield advance
 
 
 def _fly(task: Task, out: Path, firmware: str) -> "FlownScenario":

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from echowing.errors import EchowingError
 
 if TYPE_CHECKING:
+    from echowing.applets import Applet
     from echowing.setup.ftp import Progress
     from echowing.setup.job import Work
     from echowing.setup.vehicle import Vehicle
@@ -31,6 +32,7 @@ examples:
   echowing setup lua --vehicle udpin:14550@2             over a radio; lost packets are sent again
   echowing setup lua --vehicle tcp:127.0.0.1:5760 --folder scripts     ArduPilot's SITL
   echowing setup lua --mount /media/$USER/PIXHAWK        the card in this computer
+  echowing setup lua --vehicle /dev/ttyACM0 --release dist/0.2.0      from a release
 """
 CHECK_EXAMPLES = """\
 examples:
@@ -133,6 +135,12 @@ def _add_applet(parser: argparse.ArgumentParser, *, replaces: bool = True) -> No
         parser.add_argument(
             "--replace", action="store_true", help="take the other applet off the card"
         )
+        parser.add_argument(
+            "--release",
+            type=Path,
+            metavar="DIR",
+            help="take the applet from this folder, which `make release` has written",
+        )
 
 
 def _add_check(parser: argparse.ArgumentParser) -> None:
@@ -215,6 +223,19 @@ def _tell(text: str) -> None:
     print(text, file=sys.stderr)
 
 
+def _applet(args: argparse.Namespace) -> "Applet":
+    """The applet that was asked for; of a release its file is checked now."""
+    from dataclasses import replace  # noqa: PLC0415
+
+    from echowing.applets import applet_named  # noqa: PLC0415
+    from echowing.release import Release  # noqa: PLC0415
+
+    applet = applet_named(args.applet)
+    if args.release is None:
+        return applet
+    return replace(applet, source=Release(args.release).verified(applet.file))
+
+
 @contextmanager
 def _vehicle(where: str, args: argparse.Namespace) -> "Iterator[Vehicle]":
     from echowing.setup.vehicle import open_vehicle  # noqa: PLC0415
@@ -254,10 +275,10 @@ def _check(args: argparse.Namespace) -> int:
 def _apply(args: argparse.Namespace) -> int:
     from datetime import datetime  # noqa: PLC0415
 
-    from echowing.applets import applet_named  # noqa: PLC0415
     from echowing.setup.apply import default_file  # noqa: PLC0415
     from echowing.setup.job import Apply  # noqa: PLC0415
 
+    applet = _applet(args)
     with _vehicle(args.vehicle, args) as vehicle, progress_bar() as bar:
         _tell(f"{vehicle.name}: reading parameters …")
         job = Apply(
@@ -268,7 +289,7 @@ def _apply(args: argparse.Namespace) -> int:
             serial_port=args.serial,
             rangefinder=args.rangefinder,
             folder=None if args.folder is None else args.folder.strip("/"),
-            applet=applet_named(args.applet),
+            applet=applet,
             replace=args.replace,
         )
         return job.run()
@@ -307,10 +328,9 @@ def _lua(args: argparse.Namespace) -> int:
 
 def _lua_on_card(args: argparse.Namespace) -> int:
     """Copy, verify, and say what is left to do."""
-    from echowing.applets import applet_named  # noqa: PLC0415
     from echowing.setup.applet import applet_path, checksum, install_on_card  # noqa: PLC0415
 
-    applet = applet_named(args.applet)
+    applet = _applet(args)
     target = install_on_card(args.mount, applet, replace=args.replace)
     crc = checksum(applet_path(applet).read_bytes())
     print(f"{target}: written and verified, checksum {crc:08x}")
@@ -319,12 +339,11 @@ def _lua_on_card(args: argparse.Namespace) -> int:
 
 
 def _lua_over_link(args: argparse.Namespace) -> int:
-    from echowing.applets import applet_named  # noqa: PLC0415
     from echowing.setup.applet import applet_path, install_over_link  # noqa: PLC0415
     from echowing.setup.ftp import FtpClient  # noqa: PLC0415
     from echowing.setup.ftp_format import ardupilot_crc32  # noqa: PLC0415
 
-    applet = applet_named(args.applet)
+    applet = _applet(args)
     with _vehicle(args.vehicle, args) as vehicle:
         vehicle.refuse_armed("scripts are replaced")
         folder = args.folder.strip("/")

@@ -192,6 +192,7 @@ def _print_table(flown: "list[FlownScenario]") -> None:
 
 
 def _write_report(out: Path, flown: "list[FlownScenario]") -> None:
+    from echowing.analysis.page import told  # noqa: PLC0415
     from echowing.analysis.report import write_report  # noqa: PLC0415
 
     path = out / "report.html"
@@ -199,4 +200,4 @@ def _write_report(out: Path, flown: "list[FlownScenario]") -> None:
     flights = [flight for one in flown for flight in one.flights]
     left_out = [one_metrics.settle_s for one in flown for one_metrics in one.metrics]
     write_report(path, flights, results, settle_s=left_out)
-    print(f"report: {path}")
+    print(f"report: {told(path)}")

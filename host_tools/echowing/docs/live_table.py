@@ -6,6 +6,7 @@ view shows once both are in their slots.
 
 import contextlib
 import io
+import math
 import re
 import subprocess
 import sys
@@ -14,10 +15,14 @@ from pathlib import Path
 
 from rich.console import Console
 
-from echowing.commands import follow as verb
+from echowing.flight.guard import FIELD_LIMITS
+from echowing.flight.guidance import GuidanceSettings, Slot
+from echowing.mavlink.links import parse_address
+from echowing.mavlink.seats import Seat
+from echowing.sonar_file import shipped_sonar
 from echowing.stopping import StopRequest
 from echowing.tool.panel import FOLLOWING, Row
-from echowing.tool.run import FollowTool
+from echowing.tool.run import FollowOptions, FollowTool
 from echowing.tool.view import scene
 
 PORT = 5760  # as in the README
@@ -28,10 +33,7 @@ IN_PLACE_M = 0.6
 SETTLED_S = 8.0
 LONGEST_S = 120.0
 # Nearer than receivers demand: the built-in simulator's are good enough for a picture.
-FORMATION = (
-    "slot_separation_m = 3.5\n"
-    "[[slots]]\nradius_m = 3.0\n[[slots]]\nradius_m = 5.0\nangle_deg = 50.0\n"
-)
+SLOTS = [Slot(3.0), Slot(5.0, math.radians(50.0))]
 WORLD = (
     *("echowing", "--set", "leader.speed_mps=1.5"),
     *("--set", "formation.slots=[{radius_m=3.0},{radius_m=5.0, angle_deg=50.0}]"),
@@ -75,24 +77,32 @@ def _in_place(row: Row) -> bool:
     return near and row.state.startswith(FOLLOWING) and row.command_mps is not None
 
 
-def photograph(formation: Path) -> Photographer:
+def photograph() -> Photographer:
     """Fly, and return what was seen. Raises TimeoutError if they never were in place."""
     stop = StopRequest()
     photographer = Photographer(stop)
     with _served():
-        options = verb.options_of(
-            [
-                *("--leader", f"tcp:127.0.0.1:{PORT}@1"),
-                *("--follower", f"tcp:127.0.0.1:{PORT + 10}@2"),
-                *("--follower", f"tcp:127.0.0.1:{PORT + 20}@3"),
-                *("--formation", str(formation), "--engage", "--no-log"),
-                *("--duration", str(LONGEST_S)),
-            ]
-        )
-        FollowTool(options, photographer, stop).run()
+        FollowTool(_options(), photographer, stop).run()
     if not photographer.taken:
         raise TimeoutError(f"not in place within {LONGEST_S:g} s; it said: {photographer.events}")
     return photographer
+
+
+def _options() -> FollowOptions:
+    roles = ("leader", "follower", "follower")
+    return FollowOptions(
+        seats=[
+            Seat(role, parse_address(f"tcp:127.0.0.1:{PORT + 10 * number}"), number + 1)
+            for number, role in enumerate(roles)
+        ],
+        slots=SLOTS,
+        settings=GuidanceSettings(),
+        sonar=shipped_sonar(),
+        altitude_m=None,
+        limits=FIELD_LIMITS,
+        engage=True,
+        duration_s=LONGEST_S,
+    )
 
 
 @contextlib.contextmanager
@@ -126,12 +136,7 @@ def drawn(rows: Sequence[Row], events: Sequence[str]) -> str:
 
 def main(path: Path) -> None:
     """Fly and write the picture."""
-    formation = path.with_suffix(".toml")
-    formation.write_text(FORMATION, encoding="utf-8")
-    try:
-        seen = photograph(formation)
-    finally:
-        formation.unlink()
+    seen = photograph()
     path.write_text(drawn(seen.taken, seen.events), encoding="utf-8")
 
 

@@ -11,7 +11,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.flight.closing import Closing
 from echowing.flight.envelope import LEAST_M, OTHERS_MPS2, Answer
-from echowing.flight.vehicle_limits import (
+from echowing.geo import GRAVITY_MPS2
+from echowing.mavlink.vehicle_limits import (
     ACCELERATION,
     BY_NAME,
     GUIDED_LEAN,
@@ -25,7 +26,6 @@ from echowing.flight.vehicle_limits import (
     ROLL_RATE,
     VehicleLimit,
 )
-from echowing.geo import GRAVITY_MPS2
 
 # Once a second at first, then seldom: a noisy radio loses both request and answer.
 ASK_PERIOD_S, SELDOM_S = 1.0, 5.0

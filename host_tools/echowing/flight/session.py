@@ -240,7 +240,7 @@ class FollowSession:
         if look is None or follower.sonar_id is None:
             return []
         system_id, sonar_id = follower.plan.system_id, follower.sonar_id
-        order = look_order(system_id, sonar_id, look.axis, look.rate_rps, look.sigma_rad)
+        order = look_order(system_id, sonar_id, look.axis.quaternion, look.rate_rps, look.sigma_rad)
         return [(system_id, order)]
 
     def _may_leave(self, follower: FollowerState, allowed: Allowed) -> bool:

@@ -11,6 +11,7 @@ from typing import Any, Protocol
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.flight.alignment import History, Report
+from echowing.flight.axis import axis_of
 from echowing.flight.belief import SonarBelief
 from echowing.flight.estimate import LONGEST_CARRY_S, Estimate, carried_on
 from echowing.flight.guidance import (
@@ -33,7 +34,7 @@ from echowing.flight.tail import TailSlot
 from echowing.flight.tow_bar import TowBar
 from echowing.flight.wind import Wind
 from echowing.geo import GlobalPosition, displace
-from echowing.mavlink.messages import FORWARD, axis_seen, heading_of, sonar_range_m
+from echowing.mavlink.messages import FORWARD, gimbal_attitude, heading_of, sonar_range_m
 
 GUIDED_MODE = 4
 NOT_SEEN = Standing(Phase.WATCHED, "no report yet")
@@ -269,7 +270,8 @@ class FollowerState:
             self.sonar_id = message.get_srcComponent()
             self._take_range(time_s, message.value, message.time_boot_ms)
         elif kind == "GIMBAL_DEVICE_ATTITUDE_STATUS":
-            axis = axis_seen(message)
+            quaternion = gimbal_attitude(message)
+            axis = None if quaternion is None else axis_of(quaternion)
             if axis is not None and message.get_srcComponent() == self.sonar_id:
                 self.estimate.pointed(message.time_boot_ms, axis, now_s)
         elif (

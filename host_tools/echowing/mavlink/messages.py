@@ -5,11 +5,9 @@ from typing import TYPE_CHECKING, Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.flight.axis import Axis, axis_of
-from echowing.flight.sonar import DETECTION_LIMIT_M
-
 if TYPE_CHECKING:
-    from echowing.flight.guidance import Horizontal
+    from collections.abc import Sequence
+
     from echowing.geo import GlobalPosition
 
 # Not 255: heartbeats with the id of the pilot's ground station would mask its fail-safe.
@@ -48,7 +46,7 @@ def position_target(
     altitude_m: float,
     yaw_rad: float | None,
     now_s: float,
-    velocity_mps: "Horizontal | None" = None,
+    velocity_mps: tuple[float, float] | None = None,
     opens_m: float = 0.0,
     *,
     makes_way: bool = False,
@@ -94,10 +92,15 @@ WITHOUT_HEIGHT = EARTH_FRAME & ~mavlink.GIMBAL_DEVICE_FLAGS_PITCH_LOCK
 
 
 def look_order(
-    system_id: int, component_id: int, axis: Axis, rate_rps: tuple[float, float], sigma_rad: float
+    system_id: int,
+    component_id: int,
+    quaternion: "Sequence[float]",
+    rate_rps: tuple[float, float],
+    sigma_rad: float,
 ) -> Any:
     """GIMBAL_DEVICE_SET_ATTITUDE for the co-processor: look along an axis.
 
+    quaternion: the rotation from north to it (w, x, y, z);
     rate_rps: by which its azimuth and elevation change; sigma_rad: standard deviation of the
     leader's direction, in the field of the roll's rate, as a beam has no roll.
     """
@@ -105,17 +108,17 @@ def look_order(
         system_id,
         component_id,
         EARTH_FRAME,
-        list(axis.quaternion),
+        list(quaternion),
         sigma_rad,
         rate_rps[1],
         rate_rps[0],
     )
 
 
-def axis_seen(message: Any) -> Axis | None:
-    """The axis in a GIMBAL_DEVICE_ATTITUDE_STATUS; None: not in the earth frame, or none at all."""
+def gimbal_attitude(message: Any) -> "Sequence[float] | None":
+    """The quaternion in a GIMBAL_DEVICE_ATTITUDE_STATUS; None: it is not in the earth frame."""
     in_earth_frame = message.flags & EARTH_FRAME == EARTH_FRAME
-    return axis_of(message.q) if in_earth_frame else None
+    return message.q if in_earth_frame else None
 
 
 def heading_of(message: Any, before_rad: float) -> float:
@@ -123,7 +126,7 @@ def heading_of(message: Any, before_rad: float) -> float:
     return before_rad if message.hdg == UNKNOWN_HEADING else math.radians(message.hdg / 100.0)
 
 
-def sonar_range_m(message: Any, reach_m: float = DETECTION_LIMIT_M) -> float | None:
+def sonar_range_m(message: Any, reach_m: float) -> float | None:
     """The range in a DISTANCE_SENSOR; None: the sonar detects no target within its reach."""
     range_m = float(message.current_distance) / 100.0
     nothing = range_m >= min(reach_m, message.max_distance / 100.0)

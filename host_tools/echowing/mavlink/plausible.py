@@ -16,7 +16,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.flight.vehicle_limits import LIMITS
+from echowing.mavlink.vehicle_limits import LIMITS
 
 Span = tuple[float, float]
 """The least and the greatest value; a value that is not a number is in no span."""

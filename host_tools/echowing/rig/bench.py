@@ -17,6 +17,7 @@ from typing import Any, Protocol, TextIO
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
+from echowing.analysis.page import told
 from echowing.errors import EchowingError
 from echowing.rig.board import Board, ScanMode, open_board
 from echowing.rig.result import EXIT_CODES, Result, prepare_folder, write_result
@@ -225,7 +226,7 @@ def perform(procedure: Procedure, args: Namespace) -> int:
         bench.board.close()  # another one than before where it was unplugged
     document, shown = write_result(result, args.out)
     result.show(console)
-    console.print(f"{document}, {shown}", style="dim", highlight=False, markup=False)
+    console.print(f"{document}, {told(shown)}", style="dim", highlight=False, markup=False)
     if args.json:
         print(json.dumps(result.document(), allow_nan=False))
     return code

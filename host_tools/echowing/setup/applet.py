@@ -24,8 +24,8 @@ _PARAMETER_ROW = re.compile(r"^(\w+) ([\d.]+) ([\d.]+) ([\d.]+) \d+$", re.MULTIL
 
 
 def applet_path(applet: Applet = HOLD) -> Path:
-    """An applet that comes with this package."""
-    return shipped(applet.file)
+    """An applet's file: of the release that was chosen, or as it comes with this package."""
+    return applet.source or shipped(applet.file)
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,8 +10,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from echowing.applets import HOLD, IDENTIFYING, Applet, applets_among, identify
 from echowing.errors import EchowingError
 from echowing.flight.state import GUIDED_MODE
-from echowing.flight.vehicle_limits import ACCELERATION, JERK
 from echowing.mavlink.messages import FORWARD, command_long
+from echowing.mavlink.vehicle_limits import ACCELERATION, JERK
 from echowing.setup.applet import CARD_FOLDERS, applet_parameters, applet_path, files_in
 from echowing.setup.checks import RC_CHANNELS, SERIAL_PORTS, ports_at_115200, signing_option
 from echowing.setup.ftp import FtpClient, FtpRefusedError, NoAnswerError

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from echowing.applets import FORMAT, identify
-from echowing.flight.vehicle_limits import ACCELERATION, JERK, VehicleLimit
+from echowing.mavlink.vehicle_limits import ACCELERATION, JERK, VehicleLimit
 from echowing.setup.applet import applet_parameters
 from echowing.setup.readout import Readout
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from echowing.flight.vehicle_limits import ACCELERATION, BY_NAME, JERK
+from echowing.mavlink.vehicle_limits import ACCELERATION, BY_NAME, JERK
 from echowing.setup.applet import PARAMETER_PREFIX
 from echowing.setup.apply import Change
 from echowing.setup.checks import Finding, Verdict, examine, exit_code, judge, memory

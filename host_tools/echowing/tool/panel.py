@@ -11,6 +11,7 @@ from echowing.flight.guard import UNHEARD_S, is_flying, mode_name
 from echowing.flight.guidance import is_stale
 from echowing.flight.leader_track import VehicleClock
 from echowing.flight.session import FollowSession
+from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.flight.state import FollowerState
 from echowing.flight.steps import Phase
 from echowing.flight.supervisor import WAITS
@@ -178,7 +179,7 @@ class Panel:
             self._autopilot_says(readings, kind, message)
             _note_health(readings, kind, message, now_s)
         if kind == "DISTANCE_SENSOR" and message.orientation == FORWARD:
-            readings.sonar_m = sonar_range_m(message)
+            readings.sonar_m = sonar_range_m(message, DETECTION_LIMIT_M)
             readings.sonar_at_s = now_s
         elif kind == "NAMED_VALUE_FLOAT":
             readings.named[message.name] = (now_s, message.value)
