@@ -57,6 +57,10 @@ STREAM_LATE_S = 2.0
 # by what is set here; battery, motors and yaw have the values of ArduPilot's own test vehicle.
 FACTORY = {
     "FRAME_CLASS": 1.0,
+    # SITL's quad is a plus (SIM_Frame.cpp); the default mixes for an X, whose torques are turned by
+    # 45 degrees against it. It flies so, but roll and pitch swing at 15 Hz by 94 degrees a second
+    # (RATE.P, standard deviation in a hover), with motors that are full or idle; as a plus by 0.1.
+    "FRAME_TYPE": 0.0,
     "BATT_MONITOR": 4.0,
     "MOT_BAT_VOLT_MIN": 9.6,
     "MOT_BAT_VOLT_MAX": 12.8,

@@ -7,7 +7,7 @@ times a simulated second and vehicle.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import sqrt
+from math import radians, sqrt
 
 from echowing.flight.closing import sqrt_controller
 
@@ -17,6 +17,11 @@ CORNER_PRE_LIMIT = 2.0
 # Up to 4.7 this share of the acceleration stays free for what lies across the wanted velocity
 # (CORNER_ACCELERATION_RATIO, control.h).
 CORNER_SHARE = 1.0 / sqrt(2.0)
+# AC_AttitudeControl.cpp: the least time constants of input_shaping_angle, up to 4.7, and of 4.8's
+# attitude_command_model (ten loops at 400 Hz), and that one's acceleration where none is set.
+LEAST_INPUT_S = 0.01
+LEAST_COMMAND_S = 0.025
+FASTEST_TURN_RPS2 = radians(1800.0)
 # Up to 4.7 a position is approached with half the gain and half the acceleration (control.cpp).
 APPROACH_SHARE = 0.5
 
@@ -106,6 +111,7 @@ def limit_input(
 Approach = Callable[[float, float, float, float, float, float, float], tuple[float, float]]
 Demand = Callable[[float, float, float, float, float, float], tuple[float, float]]
 Axis = Callable[[float, float, float, float, float, float, float], float]
+Turn = Callable[[float, float, float, float, float, float, float, float], tuple[float, float]]
 
 
 def predictive_approach(
@@ -227,6 +233,46 @@ def axis_speed(error: float, limit: float, jerk: float) -> float:
     return clamp(sqrt_controller(error, jerk / limit, jerk), -limit, limit)
 
 
+def stepped_turn(
+    error: float,
+    rate: float,
+    acceleration: float,
+    feed_forward: float,
+    fastest: float,
+    limit: float,
+    input_s: float,
+    dt: float,
+) -> tuple[float, float]:
+    """Rate of an attitude target (rad/s) and its acceleration, a step on: up to 4.7.
+
+    `error`: its way to the angle wanted, which turns at `feed_forward`; `rate`, `acceleration`: its
+    own so far, within `fastest` and `limit`; `input_s`: time constant. input_shaping_angle.
+    """
+    gain = 1.0 / max(input_s, LEAST_INPUT_S)
+    wanted = clamp(feed_forward + sqrt_controller(error, gain, limit), -fastest, fastest)
+    return rate + clamp(wanted - rate, -limit * dt, limit * dt), 0.0
+
+
+def predictive_turn(
+    error: float,
+    rate: float,
+    acceleration: float,
+    feed_forward: float,
+    fastest: float,
+    limit: float,
+    input_s: float,
+    dt: float,
+) -> tuple[float, float]:
+    """The same of 4.8 (attitude_command_model): its jerk is limited, too."""
+    limit = min(limit, FASTEST_TURN_RPS2)
+    gain = 1.0 / max(input_s, LEAST_COMMAND_S)
+    correction = closing_rate(error, rate - feed_forward, gain, limit)
+    wanted = clamp(feed_forward + clamp(correction, -fastest, fastest), -fastest, fastest)
+    most = limit * gain * dt
+    acceleration += clamp(clamp((wanted - rate) * gain, -limit, limit) - acceleration, -most, most)
+    return rate + acceleration * dt, acceleration
+
+
 def _speed_correction(north: float, east: float, limit: float, jerk: float) -> tuple[float, float]:
     error = sqrt(north * north + east * east)
     if error <= 0.0:
@@ -243,7 +289,10 @@ class ShapingLaw:
     demand: Demand  # towards the velocity of an approach
     speed: Demand  # towards a commanded velocity
     axis: Axis
+    turn: Turn  # of lean and heading
 
 
-STEPPED = ShapingLaw(stepped_approach, stepped_speed, stepped_speed, stepped_axis)
-PREDICTIVE = ShapingLaw(predictive_approach, predictive_demand, predictive_speed, predictive_axis)
+STEPPED = ShapingLaw(stepped_approach, stepped_speed, stepped_speed, stepped_axis, stepped_turn)
+PREDICTIVE = ShapingLaw(
+    predictive_approach, predictive_demand, predictive_speed, predictive_axis, predictive_turn
+)
