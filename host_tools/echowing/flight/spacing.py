@@ -3,9 +3,10 @@
 import math
 from collections.abc import Callable, Iterator
 
-from echowing.flight.closing import MOST_MPS, Closing
+from echowing.flight.closing import Closing
 from echowing.flight.cloud import Wandering
 from echowing.flight.envelope import (
+    FASTEST_MPS,
     OTHERS_MPS2,
     SURE_SIGMAS,
     Other,
@@ -180,7 +181,7 @@ def _wanted_mps(
     north, east, _ = ned_between(here, point)
     far_m = math.hypot(north, east)
     if follower.feed_mps is not None and follower.estimate.hears(now_s):
-        pace = min(HOLD_PER_S, MOST_MPS / max(far_m, 1e-9))
+        pace = min(HOLD_PER_S, FASTEST_MPS / max(far_m, 1e-9))
     else:
         pace = follower.handling.closing.pace_per_s(far_m)
     feed_north, feed_east = follower.feed_mps or (0.0, 0.0)
