@@ -173,7 +173,7 @@ def straight_out(
 
 
 def _wall(other: Other, answer: Answer, least_m: float, own_mps: Ned | None) -> Wall:
-    """The least speed away from another."""
+    """The least speed away from another, less what rounding may take off it."""
     north, east, _ = other.from_it_m
     level_m = math.hypot(north, east)
     # Straight above or below each other: any direction leads away.
@@ -181,11 +181,12 @@ def _wall(other: Other, answer: Answer, least_m: float, own_mps: Ned | None) -> 
     its_mps = other.velocity_mps[0] * north + other.velocity_mps[1] * east
     certain_m = certain_distance_m(other)
     limit_mps = closing_limit_mps(certain_m, answer, least_m, other.brakes_mps2)
+    least_mps = its_mps - limit_mps - SAME_MPS
     if own_mps is None:
-        return north, east, its_mps - limit_mps
+        return north, east, least_mps
     closing_mps = its_mps - own_mps[0] * north - own_mps[1] * east
     too_fast_mps = max(0.0, closing_mps - max(0.0, limit_mps))
-    return north, east, its_mps - limit_mps + min(RETREAT_MOST_MPS, too_fast_mps)
+    return north, east, least_mps + min(RETREAT_MOST_MPS, too_fast_mps)
 
 
 def _turned_right(velocity: Level, wall: Wall) -> Level:

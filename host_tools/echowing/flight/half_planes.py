@@ -20,7 +20,7 @@ SAME_MPS, PARALLEL, FAR_MPS = 1e-6, 1e-9, 1e6
 
 def short_of_mps(velocity: Sequence[float], wall: Wall) -> float:
     """By how much a velocity (north, east, ...) falls short of a wall; up to 0: it does not."""
-    return wall[2] - velocity[0] * wall[0] - velocity[1] * wall[1] - SAME_MPS
+    return wall[2] - velocity[0] * wall[0] - velocity[1] * wall[1]
 
 
 def nearest(aim: Level, walls: Sequence[Wall], fastest_mps: float) -> Level | None:
@@ -68,8 +68,8 @@ def breaking_least(walls: Sequence[Wall], fastest_mps: float, worst: Wall) -> Le
             # Now this one is broken most: as far along it as the others are broken no more.
             no_more = [_broken_no_more(each, wall) for each in walls[:number]]
             flown = nearest(_far(wall[0], wall[1]), no_more, fastest_mps) or flown
-            breach_mps = short_of_mps(flown, wall) + SAME_MPS
-    lowered = [(north, east, least_mps - breach_mps) for north, east, least_mps in walls]
+            breach_mps = short_of_mps(flown, wall)
+    lowered = [(north, east, least_mps - breach_mps - SAME_MPS) for north, east, least_mps in walls]
     return nearest(_far(worst[1], -worst[0]), lowered, fastest_mps) or flown
 
 
