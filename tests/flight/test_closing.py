@@ -2,7 +2,8 @@
 
 import pytest
 
-from echowing.flight.closing import MOST_MPS, Closing
+from echowing.flight.closing import Closing
+from echowing.flight.envelope import FASTEST_MPS
 from echowing.flight.handling import Handling
 from echowing.sim.vehicle.shaping import PREDICTIVE, STEPPED, ShapingLaw
 
@@ -48,7 +49,7 @@ def test_a_quick_vehicle_closes_faster_than_arducopters_default() -> None:
     assert Closing().speed_mps(0.5) == pytest.approx(0.5)
     assert RECOMMENDED.speed_mps(0.5) == pytest.approx(0.765)
     assert RECOMMENDED.speed_mps(3.0) == pytest.approx(3.5, abs=0.05)
-    assert RECOMMENDED.speed_mps(100.0) == MOST_MPS
+    assert RECOMMENDED.speed_mps(100.0) == FASTEST_MPS
 
 
 @pytest.mark.parametrize("mps", [0.0, 0.3, 1.0, 3.0])

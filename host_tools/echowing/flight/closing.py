@@ -9,10 +9,7 @@ what the closing speed is about to use up, which leaves the same half in steady 
 import math
 from dataclasses import dataclass
 
-from echowing.flight.envelope import OTHERS_MPS2
-
-# The fastest correction that is reckoned with: WPNAV_SPEED's default up to 4.7.
-MOST_MPS = 5.0
+from echowing.flight.envelope import FASTEST_MPS, OTHERS_MPS2
 
 
 def sqrt_controller(error: float, gain: float, slope_limit: float) -> float:
@@ -58,7 +55,7 @@ class Closing:
 
     def speed_mps(self, far_m: float) -> float:
         """How fast it flies towards a point at this distance, on top of the point's velocity."""
-        return min(MOST_MPS, sqrt_controller(far_m, self.per_s, 0.5 * self.accel_mps2))
+        return min(FASTEST_MPS, sqrt_controller(far_m, self.per_s, 0.5 * self.accel_mps2))
 
     def distance_m(self, speed_mps: float) -> float:
         """The distance at which it flies so fast."""

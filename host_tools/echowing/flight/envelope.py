@@ -2,11 +2,19 @@
 
 For each other vehicle near by the envelope works out the distance that is certain, whatever the
 errors of receivers and radios and whatever that vehicle does meanwhile, and the closing speed from
-which this vehicle still stops in time. It flies the velocity nearest to the plan's that closes on
-nobody faster; if there is none, the one that leaves most room during the next second. So it bends a
-plan that leads past a vehicle, slows one that leads at it, and backs away from a vehicle that comes
-too near: it never stands still while another comes nearer. Two vehicles in each other's way would
-wait for each other; so each passes the other on its own right, as ships do.
+which this vehicle still stops in time. Each of these limits is a wall in the plane of velocities:
+beyond it lie those that close too fast. What is flown is the velocity nearest to the plan's that no
+wall forbids; if all are forbidden, the one whose greatest breach is least. Both are found exactly,
+in a disc of speeds: as far out as the plan's, and as what one vehicle alone calls for. So the
+envelope bends a plan that leads past a vehicle, slows one that leads at it, and backs away from a
+vehicle that comes too near: it never stands still while another comes nearer. Two vehicles in each
+other's way would wait for each other; so each passes the other on its own right, as ships do.
+
+Height counts as distance, not as a way out. Distances are taken in space: vehicles at two heights
+may come nearer on the map. Closing speeds are level ones: the distance in space shrinks more
+slowly. The vertical speed stays the plan's, and no wall brakes it: ArduCopter climbs with 2.5 m/s,
+sinks with 1.5 m/s and changes that by 1 m/s2 (WP_SPD_UP, WP_SPD_DN, WP_ACC_Z), less than half of
+what the level way out has.
 
 The applet stops by the same rule (`guard.stoppable_mps` in `lua/echowing.lua`);
 `tests/flight/envelope.toml` holds for both.
@@ -14,8 +22,16 @@ The applet stops by the same rule (`guard.stoppable_mps` in `lua/echowing.lua`);
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from echowing.flight.half_planes import (
+    SAME_MPS,
+    Level,
+    Wall,
+    breaking_least,
+    nearest,
+    short_of_mps,
+)
 from echowing.geo import Ned
 
 # What is promised between two vehicles' centres: two X8s are 0.5 m across (thesis Table 3).
@@ -26,14 +42,11 @@ SURE_SIGMAS = 2.5
 OTHERS_MPS2 = 2.5
 # Below LEAST_M: the retreat speed for each missing metre, and the fastest retreat.
 RETREAT_PER_S, RETREAT_MOST_MPS = 1.5, 3.0
-# A candidate is judged by the distance it leaves up to this time; their number round the compass.
-LOOK_AHEAD_S = 1.0
-CANDIDATES = 16
 # So much too fast, a vehicle spends all its lean on the way out.
 URGENT_MPS = 1.0
-# Rounds of correction, one other after another: with two in the way they settle in a few.
-ROUNDS = 4
-SAME_MPS = 1e-6
+# The fastest correction that is reckoned with, and the least radius of the disc of speeds:
+# WPNAV_SPEED's default up to 4.7.
+FASTEST_MPS = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,25 +124,25 @@ def keep_apart(
 ) -> tuple[Ned, Other | None]:
     """The velocity to fly (NED), and the vehicle for which it differs from the wanted one.
 
-    own_mps: its velocity now, NED. Closing speed above the limit is braked in addition.
+    own_mps: its velocity now, NED. Closing speed above the limit is braked in addition. Who is in
+    the way counts as passed: the plan is turned right first. Where nothing fits, the others that
+    are led count as making room themselves.
     """
     walls = [_wall(other, answer, least_m, own_mps) for other in others]
-    broken = [
-        (wall, other) for wall, other in zip(walls, others, strict=True) if _off(wanted_mps, wall)
-    ]
-    if not broken:
+    short_mps = [short_of_mps(wanted_mps, wall) for wall in walls]
+    worst = max(range(len(others)), key=short_mps.__getitem__, default=None)
+    if worst is None or short_mps[worst] <= 0.0:
         return wanted_mps, None
-    flown = wanted_mps
-    for wall, other in broken:
-        if other.in_the_way:
-            flown = _turned_right(flown, wall)
-    for _ in range(ROUNDS):
-        for wall in walls:
-            flown = _pushed(flown, wall)
-    if any(_off(flown, wall) < -0.05 for wall in walls):
-        flown = _roomiest(flown, others)
-    worst = min(broken, key=lambda pair: _off(wanted_mps, pair[0]))[1]
-    return flown, worst
+    aim = wanted_mps[0], wanted_mps[1]
+    for wall, other, mps in zip(walls, others, short_mps, strict=True):
+        if mps > 0.0 and other.in_the_way:
+            aim = _turned_right(aim, wall)
+    fastest_mps = max(FASTEST_MPS, math.hypot(*wanted_mps[:2]), *(wall[2] for wall in walls))
+    flown = nearest(aim, walls, fastest_mps)
+    if flown is None:
+        walls = [_wall(_yielding(other), answer, least_m, own_mps) for other in others]
+        flown = nearest(aim, walls, fastest_mps) or breaking_least(walls, fastest_mps, walls[worst])
+    return (*flown, wanted_mps[2]), others[worst]
 
 
 def straight_out(
@@ -146,22 +159,21 @@ def straight_out(
     SITL 4.8 a follower that was also 0.6 m beside its slot braked with 4.2 m/s2 instead of 5.5.
     """
     north, east, _ = wall = _wall(other, answer, least_m, own_mps)
-    if other.in_the_way or _off(own_mps, wall) > -URGENT_MPS:
+    if other.in_the_way or short_of_mps(own_mps, wall) < URGENT_MPS:
         return None
     change_mps = (flown_mps[0] - own_mps[0]) * north + (flown_mps[1] - own_mps[1]) * east
     straight = own_mps[0] + change_mps * north, own_mps[1] + change_mps * east, flown_mps[2]
     walls = (_wall(each, answer, least_m, own_mps) for each in others)
-    if any(_off(straight, each) < _off(flown_mps, each) - SAME_MPS for each in walls):
+    if any(
+        short_of_mps(straight, each) > max(0.0, short_of_mps(flown_mps, each)) + SAME_MPS
+        for each in walls
+    ):
         return None
     return straight
 
 
-# A wall in the space of velocities: the direction away from the other (horizontal unit vector), and
-# the least speed along it.
-_Wall = tuple[float, float, float]
-
-
-def _wall(other: Other, answer: Answer, least_m: float, own_mps: Ned | None) -> _Wall:
+def _wall(other: Other, answer: Answer, least_m: float, own_mps: Ned | None) -> Wall:
+    """The least speed away from another, less what rounding may take off it."""
     north, east, _ = other.from_it_m
     level_m = math.hypot(north, east)
     # Straight above or below each other: any direction leads away.
@@ -169,67 +181,27 @@ def _wall(other: Other, answer: Answer, least_m: float, own_mps: Ned | None) -> 
     its_mps = other.velocity_mps[0] * north + other.velocity_mps[1] * east
     certain_m = certain_distance_m(other)
     limit_mps = closing_limit_mps(certain_m, answer, least_m, other.brakes_mps2)
+    least_mps = its_mps - limit_mps - SAME_MPS
     if own_mps is None:
-        return north, east, its_mps - limit_mps
+        return north, east, least_mps
     closing_mps = its_mps - own_mps[0] * north - own_mps[1] * east
     too_fast_mps = max(0.0, closing_mps - max(0.0, limit_mps))
-    return north, east, its_mps - limit_mps + min(RETREAT_MOST_MPS, too_fast_mps)
+    return north, east, least_mps + min(RETREAT_MOST_MPS, too_fast_mps)
 
 
-def _off(velocity: Ned, wall: _Wall) -> float:
-    """By how much a velocity falls short of a wall's speed (negative); 0: it does not."""
-    speed_mps = velocity[0] * wall[0] + velocity[1] * wall[1]
-    return min(0.0, speed_mps - wall[2] + SAME_MPS)
-
-
-def _pushed(velocity: Ned, wall: _Wall) -> Ned:
-    short_mps = -_off(velocity, wall)
-    return velocity[0] + short_mps * wall[0], velocity[1] + short_mps * wall[1], velocity[2]
-
-
-def _turned_right(velocity: Ned, wall: _Wall) -> Ned:
+def _turned_right(velocity: Level, wall: Wall) -> Level:
     """Fly the approach speed that a wall takes off to the right, past the other."""
     north, east, _ = wall
     closing_mps = max(0.0, -(velocity[0] * north + velocity[1] * east))
-    aside_mps = min(closing_mps, -_off(velocity, wall))
-    return velocity[0] + aside_mps * east, velocity[1] - aside_mps * north, velocity[2]
+    aside_mps = min(closing_mps, max(0.0, short_of_mps(velocity, wall)))
+    return velocity[0] + aside_mps * east, velocity[1] - aside_mps * north
 
 
-def _roomiest(tried: Ned, others: Sequence[Other]) -> Ned:
-    """The candidate round the compass that leaves most of the certain distances."""
-    speed_mps = max(1.0, min(RETREAT_MOST_MPS, math.hypot(tried[0], tried[1])))
-    ways = [(0.0, 0.0), *(_compass(number, speed_mps) for number in range(CANDIDATES))]
-    north, east = max(ways, key=lambda way: _room(others, way))
-    return north, east, tried[2]
+def _yielding(other: Other) -> Other:
+    """As it counts where nothing fits.
 
-
-def _room(others: Sequence[Other], way: tuple[float, float]) -> tuple[float, float]:
-    """What a velocity (north, east) leaves of the certain distances: on the way, and at its end.
-
-    The end alone is not enough: beyond a vehicle that is flown through there is room, too.
+    One that is led makes room itself: at most one standard deviation counts against a way out.
     """
-    left = [_left_m(other, way) for other in others]
-    return min(on_the_way for on_the_way, _ in left), min(at_its_end for _, at_its_end in left)
-
-
-def _compass(number: int, speed_mps: float) -> tuple[float, float]:
-    bearing_rad = 2.0 * math.pi * number / CANDIDATES
-    return speed_mps * math.cos(bearing_rad), speed_mps * math.sin(bearing_rad)
-
-
-def _left_m(other: Other, way: tuple[float, float]) -> tuple[float, float]:
-    """The least certain distance within `LOOK_AHEAD_S`, for a velocity, and the one at its end."""
-    north, east, down = other.from_it_m
-    gone_north = (way[0] - other.velocity_mps[0]) * LOOK_AHEAD_S
-    gone_east = (way[1] - other.velocity_mps[1]) * LOOK_AHEAD_S
-    gone_m2 = max(1e-9, gone_north * gone_north + gone_east * gone_east)
-    nearest_at = max(0.0, min(1.0, -(north * gone_north + east * gone_east) / gone_m2))
-    lost_m = math.hypot(*other.from_it_m) - certain_distance_m(other)
-    if other.led:
-        # It makes room itself: at most one standard deviation counts against a way out.
-        lost_m = min(lost_m, other.nearer_m / SURE_SIGMAS)
-    nearest_m, end_m = (
-        math.hypot(north + share * gone_north, east + share * gone_east, down) - lost_m
-        for share in (nearest_at, 1.0)
-    )
-    return nearest_m, end_m
+    if not other.led:
+        return other
+    return replace(other, nearer_m=other.nearer_m / SURE_SIGMAS, age_s=0.0)

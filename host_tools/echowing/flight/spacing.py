@@ -4,9 +4,10 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
-from echowing.flight.closing import MOST_MPS, Closing
+from echowing.flight.closing import Closing
 from echowing.flight.cloud import Wandering
 from echowing.flight.envelope import (
+    FASTEST_MPS,
     OTHERS_MPS2,
     SURE_SIGMAS,
     Other,
@@ -176,7 +177,7 @@ def _wanted_mps(follower: FollowerState, here: GlobalPosition, plan: Plan, now_s
     north, east, _ = ned_between(here, plan.place)
     far_m = math.hypot(north, east)
     if plan.velocity_mps is not None and follower.estimate.hears(now_s):
-        pace = min(HOLD_PER_S, MOST_MPS / max(far_m, 1e-9))
+        pace = min(HOLD_PER_S, FASTEST_MPS / max(far_m, 1e-9))
     else:
         pace = follower.handling.closing.pace_per_s(far_m)
     feed_north, feed_east = plan.velocity_mps or (0.0, 0.0)
