@@ -24,7 +24,7 @@ from echowing.flight.envelope import (
 from echowing.flight.handling import reaction_s
 from echowing.flight.lowest import LOWEST_M
 from echowing.flight.sonar import DETECTION_LIMIT_M
-from echowing.flight.spacing import UNRANGED_SIGMA_M
+from echowing.flight.state import UNRANGED_SIGMA_M
 from echowing.mavlink.vehicle_limits import INPUT_TIME
 from echowing.sim.flight import SAMPLE_S
 from echowing.sim.scenario import Scenario

@@ -7,7 +7,8 @@ from itertools import combinations
 from echowing.errors import EchowingError
 from echowing.flight.envelope import SURE_SIGMAS
 from echowing.flight.guidance import Slot, slot_offset_m
-from echowing.flight.spacing import UNRANGED_SIGMA_M
+from echowing.flight.state import UNRANGED_SIGMA_M
+from echowing.geo import Ned
 
 # Each of two followers may be this far off its slot and still be in it.
 IN_SLOT_M = 0.5
@@ -15,10 +16,14 @@ IN_SLOT_M = 0.5
 SMALLEST_RADIUS_M = 1.0
 
 
-def slot_distance_m(a: Slot, b: Slot) -> float:
-    """Distance between two slots, altitude steps included."""
-    (north_a, east_a), (north_b, east_b) = slot_offset_m(a, 0.0), slot_offset_m(b, 0.0)
-    return math.dist((north_a, east_a, a.altitude_step_m), (north_b, east_b, b.altitude_step_m))
+def place_m(slots: Sequence[Slot], number: int, course_rad: float = 0.0) -> Ned:
+    """Where a slot is, NED from the leader, while the formation flies straight on."""
+    slot = slots[number]
+    north_m, east_m = slot_offset_m(slot, course_rad)
+    if slot.behind is not None:
+        ahead_north_m, ahead_east_m, _ = place_m(slots, slot.behind, course_rad)
+        north_m, east_m = north_m + ahead_north_m, east_m + ahead_east_m
+    return north_m, east_m, -slot.altitude_step_m
 
 
 def receivers_demand_m(least_m: float) -> float:
@@ -36,12 +41,13 @@ def check_formation(slots: Sequence[Slot], separation_m: float) -> None:
         raise EchowingError("formation: no slots; give at least one (radius, angle, altitude step)")
     for number, slot in enumerate(slots, 1):
         _check_slot(number, slot)
-    numbered = enumerate(slots, 1)
-    for (number_a, a), (number_b, b) in combinations(numbered, 2):
-        distance_m = slot_distance_m(a, b)
-        if distance_m < separation_m:
+    places_m = [place_m(slots, number) for number in range(len(slots))]
+    for a, b in combinations(range(len(slots)), 2):
+        distance_m = math.dist(places_m[a], places_m[b])
+        ranged = slots[b].behind == a
+        if distance_m < separation_m and not ranged:
             raise EchowingError(
-                f"formation: slots {number_a} and {number_b} are {distance_m:.2f} m apart, "
+                f"formation: slots {a + 1} and {b + 1} are {distance_m:.2f} m apart, "
                 f"less than {separation_m:.2f} m; move one of them, or allow it by "
                 "slot_separation_m"
             )
@@ -52,6 +58,10 @@ def _check_slot(number: int, slot: Slot) -> None:
         raise EchowingError(
             f"formation: slot {number} has a radius of {slot.radius_m:g} m; "
             f"the smallest is {SMALLEST_RADIUS_M:g} m"
+        )
+    if slot.behind is not None and not 0 <= slot.behind < number - 1:
+        raise EchowingError(
+            f"formation: slot {number} is behind slot {slot.behind + 1}; it has to be one before it"
         )
     if not abs(slot.angle_rad) <= math.pi / 2.0:
         raise EchowingError(

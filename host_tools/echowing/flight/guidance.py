@@ -22,17 +22,20 @@ MOVING_MPS = 0.35
 
 @dataclass(frozen=True, slots=True)
 class Slot:
-    """A place in the formation.
+    """A place in the formation, behind the leader or behind another slot.
 
-    radius_m: horizontal distance from the leader.
+    radius_m: horizontal distance from who is there.
     angle_rad: off the leader's tail, counter-clockwise positive seen from above
         (so +90 degrees is on the leader's right).
     altitude_step_m: above the formation's altitude.
+    behind: number, from 0, of the slot in the formation whose follower its sonar looks at, an
+        earlier one; None: it looks at the leader.
     """
 
     radius_m: float
     angle_rad: float = 0.0
     altitude_step_m: float = 0.0
+    behind: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,9 +106,10 @@ GRAY = GuidanceSettings(
 class GuidedPoint:
     """What one follower is told: a point, and the bearing to look at (None: autopilot's choice).
 
-    `slot` is the same without the lead; `leader` is where the leader is believed to be; `offset_m`
-    is from there to the slot, (north, east). Altitudes are on the leader's datum and carry the
-    slot's altitude step. velocity_mps: the slot's, (north, east); course_rad: the formation's.
+    `slot` is the same without the lead; `leader` is where the leader is believed to be, or the slot
+    behind which this one is; `offset_m` is from there to the slot, (north, east). Altitudes are on
+    the leader's datum and carry the slot's altitude step. velocity_mps: to fly with the point,
+    slot_mps: the slot's own, (north, east); course_rad: the formation's; at_s: when it is there.
     """
 
     point: GlobalPosition
@@ -115,7 +119,9 @@ class GuidedPoint:
     age_s: float = 0.0
     offset_m: Horizontal = (0.0, 0.0)
     velocity_mps: Horizontal = (0.0, 0.0)
+    slot_mps: Horizontal = (0.0, 0.0)
     course_rad: float = 0.0
+    at_s: float = 0.0
 
 
 class Course:

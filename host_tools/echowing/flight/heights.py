@@ -34,7 +34,9 @@ class Heights:
         elapsed_s, follower.levelled_at_s = now_s - follower.levelled_at_s, now_s
         offset = follower.estimate.offset
         if follower.estimate.hears(now_s):
-            off_m = max(-MOST_M, min(MOST_M, -offset.up_m)) - follower.level_m
+            ahead = self._known.ahead_of(follower)
+            its_m = 0.0 if ahead is None else ahead.level_m
+            off_m = max(-MOST_M, min(MOST_M, its_m - offset.up_m)) - follower.level_m
             sure_m = max(0.0, abs(off_m) - SURE_SIGMAS * offset.up_sigma_m)
             change_m = min(sure_m, CLIMB_MPS * min(elapsed_s, 1.0))
             follower.level_m += math.copysign(change_m, off_m)

@@ -42,12 +42,12 @@ class Look:
 def look_at(known: Known, follower: FollowerState, now_s: float) -> Look | None:
     """Where its sonar looks from when the order arrives; None: that is not known."""
     arrives_s = now_s + follower.way_s
-    leader, here = known.leader_then(follower, arrives_s), follower.then(arrives_s)
+    leader, here = known.watched_then(follower, arrives_s), follower.then(arrives_s)
     if leader is None or here is None or known.leader_is_stale(now_s):
         return None
     estimate = follower.estimate
     north, east, _ = ned_between(here, leader.position)
-    to_it_m = north, east, estimate.offset.up_m - known.leader_above_m(follower)
+    to_it_m = north, east, estimate.offset.up_m - known.watched_above_m(follower)
     look = Look(
         along(to_it_m), _rate_rps(to_it_m, leader.velocity_ned_mps, follower, arrives_s), 0.0
     )

@@ -96,7 +96,7 @@ class Planner:
             return None
         yaw_rad = None if follower.command is None else follower.command.yaw_rad
         if self._known.settings.face_leader:
-            bearing_rad = self._known.bearing_of_leader(follower, now_s)
+            bearing_rad = self._known.bearing_of_watched(follower, now_s)
             yaw_rad = yaw_rad if bearing_rad is None else bearing_rad
         velocity = (0.0, 0.0) if self._feeds else None
         return Plan(follower.hold.place, velocity, yaw_rad, follower.opens_m)
@@ -145,28 +145,23 @@ def planned(known: Known, follower: FollowerState, fix: LeaderFix, now_s: float)
     """
     settings, least_m = known.settings, follower.reversal_m
     arrives_s = now_s + follower.way_s
-    leader, here = _leader(known, follower, fix, arrives_s), follower.then(arrives_s)
+    leader, here = known.followed_then(follower, fix, arrives_s), follower.then(arrives_s)
     if settings.learn_offset:
         follower.estimate.offset.advance(now_s)
         if here is not None:
-            to_it_m = ned_between(here, leader.position)[:2]
+            watched = known.watched_then(follower, arrives_s) or leader
+            to_it_m = ned_between(here, watched.position)[:2]
             least_m = max(least_m, known.nearest_m(follower, to_it_m, settings.clearance_m))
         if _is_lost(follower, now_s):
             least_m = max(least_m, _reversal_by_radio_m(known, follower, fix))
     least_m = _closing_slowly(follower, least_m, now_s)
     guided = follower.guide.update(leader, arrives_s, here, least_m)
-    guided = replace(guided, age_s=max(0.0, now_s - fix.time_s))
+    guided = replace(guided, age_s=max(0.0, now_s - fix.time_s), at_s=arrives_s)
     if settings.feed_forward:
         guided = _gently(follower, _fading(guided, settings), now_s)
     elif settings.lead_time_s > 0.0:
         guided = _led(guided, leader, settings)
     return guided if settings.face_leader else replace(guided, yaw_rad=None)
-
-
-def _leader(known: Known, follower: FollowerState, fix: LeaderFix, at_s: float) -> LeaderFix:
-    """The leader at a moment, in this follower's frame."""
-    then = known.leader_then(follower, at_s) if known.settings.predict else None
-    return then or known.seen_by(follower, fix)
 
 
 def _is_lost(follower: FollowerState, now_s: float) -> bool:
@@ -206,7 +201,8 @@ def _fading(guided: GuidedPoint, settings: GuidanceSettings) -> GuidedPoint:
     """The slot's velocity, which fades as the leader's report grows old."""
     share = lead_share(guided.age_s, settings)
     north, east = guided.velocity_mps
-    return replace(guided, velocity_mps=(share * north, share * east))
+    slot_mps = share * north, share * east
+    return replace(guided, velocity_mps=slot_mps, slot_mps=slot_mps)
 
 
 def _led(guided: GuidedPoint, leader: LeaderFix, settings: GuidanceSettings) -> GuidedPoint:

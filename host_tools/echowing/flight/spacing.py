@@ -5,7 +5,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 from echowing.flight.closing import Closing
-from echowing.flight.cloud import Wandering
 from echowing.flight.envelope import (
     FASTEST_MPS,
     OTHERS_MPS2,
@@ -27,8 +26,6 @@ REMARK_GAP_S = 10.0
 # A leader in its sonar is held by the applet, and points with a velocity are answered by it: 1 m/s
 # for each metre (CATCH_UP_PER_S in lua/echowing.lua). Other points are Guided's (`Closing`).
 HOLD_PER_S = 1.0
-# Two receivers between which no sonar measures.
-UNRANGED_SIGMA_M = math.sqrt(2.0) * Wandering().sigma_m
 
 
 class Spacing:
@@ -95,23 +92,22 @@ class Spacing:
         # all of that is no safer than to stand.
         if leader is None or known.leader_is_stale(now_s):
             return
+        ranged = known.ahead_of(follower) is None
+        unsure_m = SURE_SIGMAS * known.sigma_m(known.chain(follower))
         for place in (leader.position, *_if_erred(leader.position, known.doubted_m(follower))):
             yield Other(
                 LEADER,
                 self._between_m(known.leader_id, place, follower, here),
                 leader.velocity_ned_mps,
-                self._nearer_m(follower, here, place),
+                self._nearer_m(follower, ned_between(here, place)) if ranged else unsure_m,
                 known.leader_age_s(arrives_s),
                 brakes_mps2=0.0 if self._looks_for_it(follower, now_s) else OTHERS_MPS2,
             )
 
-    def _nearer_m(
-        self, follower: FollowerState, here: GlobalPosition, leader: GlobalPosition
-    ) -> float:
-        """By how much the leader may be nearer than it is believed."""
+    def _nearer_m(self, follower: FollowerState, to_it_m: Ned) -> float:
+        """By how much the vehicle that its sonar looks at may be nearer than it is believed."""
         assert self._least_m is not None
-        to_it_m = ned_between(here, leader)[:2]
-        nearest_m = self._known.nearest_m(follower, to_it_m, self._least_m)
+        nearest_m = self._known.nearest_m(follower, to_it_m[:2], self._least_m)
         return max(0.0, nearest_m - self._least_m)
 
     def _looks_for_it(self, follower: FollowerState, now_s: float) -> bool:
@@ -120,15 +116,16 @@ class Spacing:
         Until then it is kept further off, because the receivers may be wrong. With room for its
         braking on top the follower would stay out of the sonar's reach, and never find it.
         """
-        within_reach = follower.plan.slot.radius_m < follower.plan.sonar.reach_m
+        ranged = self._known.ahead_of(follower) is None
+        within_reach = ranged and follower.plan.slot.radius_m < follower.plan.sonar.reach_m
         return within_reach and not follower.estimate.hears(now_s)
 
     def _other(
         self, follower: FollowerState, here: GlobalPosition, other: FollowerState, arrives_s: float
     ) -> Iterator[Other]:
-        """Another follower: where it says it is, and where it is if its receiver, or ours, erred.
+        """Another follower: where it is seen, and where it is if its receiver, or ours, erred.
 
-        Between followers no sonar tells which place is right after a receiver has jumped.
+        Where no sonar ranges it, nothing tells which place is right after a receiver has jumped.
         """
         system_id = other.plan.system_id
         by_itself = self._guard is not None and self._guard.ignores_points(system_id)
@@ -146,17 +143,35 @@ class Spacing:
             return
         goal = here if follower.guided is None else follower.guided.slot
         mine, its = follower.own_jump.total_m, other.own_jump.total_m
-        for place in (there, *_if_erred(there, (mine[0] - its[0], mine[1] - its[1]))):
+        seen, unsure_m = self._seen(follower, here, other, there)
+        for place in (seen, *_if_erred(there, (mine[0] - its[0], mine[1] - its[1]))):
             yield Other(
                 f"follower {system_id}",
                 self._between_m(system_id, place, follower, here),
                 velocity,
-                SURE_SIGMAS * UNRANGED_SIGMA_M,
+                unsure_m,
                 age_s,
                 is_in_the_way(ned_between(here, place), ned_between(here, goal)),
                 # Its applet flies it, and knows of nobody beside it.
                 led=other.standing.sent_to and not by_itself,
             )
+
+    def _seen(
+        self,
+        follower: FollowerState,
+        here: GlobalPosition,
+        other: FollowerState,
+        there: GlobalPosition,
+    ) -> tuple[GlobalPosition, float]:
+        """Where another follower is in this one's frame; by how much it may be nearer than that."""
+        seen, sigma_m = self._known.apart(follower, other, there)
+        unsure_m = SURE_SIGMAS * sigma_m
+        north_m, east_m, down_m = ned_between(here, seen)
+        if self._known.ahead_of(follower) is other:
+            return seen, min(unsure_m, self._nearer_m(follower, (north_m, east_m, down_m)))
+        if self._known.ahead_of(other) is follower:
+            return seen, min(unsure_m, self._nearer_m(other, (-north_m, -east_m, -down_m)))
+        return seen, unsure_m
 
     def _between_m(
         self, system_id: int, there: GlobalPosition, follower: FollowerState, here: GlobalPosition

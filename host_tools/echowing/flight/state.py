@@ -4,7 +4,7 @@ The first step of a tick: messages come in here, and every later step reads from
 """
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
@@ -13,6 +13,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from echowing.flight.alignment import History, Report
 from echowing.flight.axis import axis_of
 from echowing.flight.belief import SonarBelief
+from echowing.flight.cloud import Wandering
 from echowing.flight.estimate import LONGEST_CARRY_S, Estimate, carried_on
 from echowing.flight.guidance import (
     GuidanceSettings,
@@ -37,6 +38,8 @@ from echowing.geo import GlobalPosition, displace
 from echowing.mavlink.messages import FORWARD, gimbal_attitude, heading_of, sonar_range_m
 
 GUIDED_MODE = 4
+# Two receivers between which no sonar measures.
+UNRANGED_SIGMA_M = math.sqrt(2.0) * Wandering().sigma_m
 NOT_SEEN = Standing(Phase.WATCHED, "no report yet")
 
 # The co-processor's newest single reading (firmware/README.md). If none has come for so long (a
@@ -300,7 +303,6 @@ class Known:
         homes: Homes | None = None,
     ) -> None:
         plans = list(plans)
-        longest_m = max((plan.slot.radius_m for plan in plans), default=0.0)
         self.leader_id = leader_id
         self.settings = settings
         self.leader = LeaderTrack()
@@ -311,10 +313,15 @@ class Known:
         self.followers = {
             plan.system_id: FollowerState(
                 plan,
-                TowBar(plan.slot, longest_m) if settings.tow_bar else TailSlot(plan.slot),
+                _guide(plan.slot, plans) if settings.tow_bar else TailSlot(plan.slot),
                 Estimate(plan.sonar, alone=len(plans) == 1),
             )
             for plan in plans
+        }
+        self._ahead = {
+            plan.system_id: self.followers[plans[plan.slot.behind].system_id]
+            for plan in plans
+            if plan.slot.behind is not None
         }
 
     def clock(self, system_id: int) -> VehicleClock | None:
@@ -337,11 +344,85 @@ class Known:
         """Whether it is so old that nobody may be led by it."""
         return is_stale(self.leader_age_s(now_s), self.settings)
 
+    def ahead_of(self, follower: FollowerState) -> FollowerState | None:
+        """The follower that one's sonar looks at; None: it looks at the leader."""
+        return self._ahead.get(follower.plan.system_id)
+
+    def chain(self, follower: FollowerState) -> Iterator[FollowerState]:
+        """A follower, the one its sonar looks at, and so on up to the one behind the leader."""
+        one: FollowerState | None = follower
+        while one is not None:
+            yield one
+            one = self.ahead_of(one)
+
+    def as_seen_by(self, follower: FollowerState, place: GlobalPosition) -> GlobalPosition:
+        """A place by the leader's receiver in a follower's frame."""
+        if not self.settings.learn_offset:
+            return place
+        for one in self.chain(follower):
+            place = one.estimate.as_seen(place)
+        return place
+
     def seen_by(self, follower: FollowerState, fix: LeaderFix) -> LeaderFix:
         """A report of the leader in this follower's frame."""
-        if not self.settings.learn_offset:
-            return fix
-        return replace(fix, position=follower.estimate.as_seen(fix.position))
+        return replace(fix, position=self.as_seen_by(follower, fix.position))
+
+    def watched_then(self, follower: FollowerState, at_s: float) -> LeaderFix | None:
+        """The vehicle its sonar looks at, at a moment, in its frame; None: nothing is known."""
+        ahead = self.ahead_of(follower)
+        if ahead is None:
+            return self.leader_then(follower, at_s)
+        there = ahead.then(at_s)
+        if there is None:
+            return None
+        if self.settings.learn_offset:
+            there = follower.estimate.as_seen(there)
+        velocity = (*ahead.velocity_then(at_s), -ahead.climb_mps)
+        return LeaderFix(ahead.position_at_s, there, velocity, ahead.heading_rad)
+
+    def followed_then(self, follower: FollowerState, fix: LeaderFix, at_s: float) -> LeaderFix:
+        """What its slot is behind, at a moment, in its frame: the leader, or another slot.
+
+        Another slot, not the follower that flies in it, so that nobody amplifies his errors.
+        """
+        ahead = self.ahead_of(follower)
+        if ahead is None:
+            then = self.leader_then(follower, at_s) if self.settings.predict else None
+            return then or self.seen_by(follower, fix)
+        place, velocity_mps, heading_rad = _slot_then(ahead, at_s)
+        if place is None:
+            return self.watched_then(follower, at_s) or self.seen_by(follower, fix)
+        place = place._replace(alt_m=place.alt_m - ahead.plan.slot.altitude_step_m)
+        if self.settings.learn_offset:
+            place = follower.estimate.as_seen(place)
+        return LeaderFix(fix.time_s, place, (*velocity_mps, 0.0), heading_rad)
+
+    def apart(
+        self, follower: FollowerState, other: FollowerState, there: GlobalPosition
+    ) -> tuple[GlobalPosition, float]:
+        """Where another follower is in this one's frame, and the standard deviation of that.
+
+        `there` is its own report. What sonars know of the receivers on the way from one to the
+        other, over those that they look at, is used where it is more than nothing is known.
+        """
+        mine, its = list(self.chain(follower)), list(self.chain(other))
+        shared = {one.plan.system_id for one in mine} & {one.plan.system_id for one in its}
+        mine = [one for one in mine if one.plan.system_id not in shared]
+        its = [one for one in its if one.plan.system_id not in shared]
+        sigma_m = self.sigma_m((*mine, *its))
+        if not self.settings.learn_offset or sigma_m >= UNRANGED_SIGMA_M:
+            return there, UNRANGED_SIGMA_M
+        (mine_north, mine_east), (its_north, its_east) = _shift_m(mine), _shift_m(its)
+        return displace(there, (its_north - mine_north, its_east - mine_east, 0.0)), sigma_m
+
+    def sigma_m(self, links: Iterable[FollowerState]) -> float:
+        """Standard deviation of what is known over the sonars of these followers."""
+        return math.sqrt(
+            sum(
+                max(offset.sigma_m(0.0), offset.sigma_m(0.5 * math.pi)) ** 2
+                for offset in (one.estimate.offset for one in links)
+            )
+        )
 
     def leader_then(self, follower: FollowerState, at_s: float) -> LeaderFix | None:
         """The leader at a moment, in this follower's frame; None: nothing is known of it."""
@@ -353,24 +434,30 @@ class Known:
     def leader_for(self, follower: FollowerState, fix: LeaderFix, now_s: float) -> GlobalPosition:
         """Where the leader is now, in the frame of this follower's receiver."""
         now = predicted(fix, max(0.0, now_s - fix.time_s)).position
-        return follower.estimate.as_seen(now) if self.settings.learn_offset else now
+        return self.as_seen_by(follower, now)
 
-    def bearing_of_leader(self, follower: FollowerState, now_s: float) -> float | None:
-        """Bearing from a follower to the leader; None: one of them is not known."""
-        leader, here = self.leader_then(follower, now_s), follower.then(now_s)
-        return None if leader is None or here is None else bearing_rad(here, leader.position)
+    def bearing_of_watched(self, follower: FollowerState, now_s: float) -> float | None:
+        """Bearing from a follower to whom its sonar looks at; None: one of them is not known."""
+        watched, here = self.watched_then(follower, now_s), follower.then(now_s)
+        return None if watched is None or here is None else bearing_rad(here, watched.position)
 
-    def leader_above_m(self, follower: FollowerState) -> float:
-        """How much higher than a follower the leader is; 0: one of them is not known."""
-        fix, here = self.leader.fix, follower.position
-        if fix is None or here is None:
+    def watched_above_m(self, follower: FollowerState) -> float:
+        """How much higher than a follower the one its sonar looks at is; 0: that is not known."""
+        ahead, here = self.ahead_of(follower), follower.position
+        its_id = self.leader_id if ahead is None else ahead.plan.system_id
+        fix = self.leader.fix
+        there = ahead.position if ahead is not None else None if fix is None else fix.position
+        if there is None or here is None:
             return 0.0
-        leader = self.in_height(self.leader_id, fix.position)
-        return leader.alt_m - self.in_height(follower.plan.system_id, here).alt_m
+        above = self.in_height(its_id, there)
+        return above.alt_m - self.in_height(follower.plan.system_id, here).alt_m
 
     def nearest_m(self, follower: FollowerState, to_it_m: Horizontal, clear_m: float) -> float:
-        """How near a follower may come to the leader, (north, east) from it (`Cloud.nearest_m`)."""
-        above_m = self.leader_above_m(follower)
+        """How near a follower may come to whom its sonar looks at (`Cloud.nearest_m`).
+
+        to_it_m: (north, east) from the follower.
+        """
+        above_m = self.watched_above_m(follower)
         return follower.estimate.offset.nearest_m(to_it_m, above_m, clear_m)
 
     def doubted_m(self, follower: FollowerState) -> Horizontal:
@@ -378,14 +465,16 @@ class Known:
 
         The jumps of both receivers, less those that the sonar has settled.
         """
-        leaders, own = self.leader.total_m, follower.own_jump.total_m
-        known, proven = follower.estimate.jumped_m, follower.proven_m
-        north, east = (own[axis] - leaders[axis] + known[axis] - proven[axis] for axis in (0, 1))
+        north, east = (-axis_m for axis_m in self.leader.total_m)
+        north, east = north + follower.own_jump.total_m[0], east + follower.own_jump.total_m[1]
+        for one in self.chain(follower):
+            (known_north, known_east), (north_m, east_m) = one.estimate.jumped_m, one.proven_m
+            north, east = north + known_north - north_m, east + known_east - east_m
         return north, east
 
     def feel_wind(self, follower: FollowerState, now_s: float) -> None:
         """How hard a follower can brake in this wind, on its way to the leader."""
-        bearing = self.bearing_of_leader(follower, now_s)
+        bearing = self.bearing_of_watched(follower, now_s)
         if bearing is not None:
             handling = follower.handling
             leaves_mps2 = follower.wind.leaves_mps2(bearing, handling.lean_max_rad)
@@ -399,4 +488,37 @@ class Known:
         )
         if self.settings.learn_offset:
             for follower in self.followers.values():
-                follower.estimate.learn(self.leader_history)
+                ahead = self.ahead_of(follower)
+                watched = self.leader_history if ahead is None else ahead.estimate.history
+                follower.estimate.learn(watched)
+
+
+def _guide(slot: Slot, plans: Sequence[FollowerPlan]) -> TowBar:
+    """A slot's bar; those behind the same vehicle hang on one, and turn as one body."""
+    longest_m = max(one.slot.radius_m for one in plans if one.slot.behind == slot.behind)
+    return TowBar(slot, longest_m)
+
+
+def _shift_m(links: Iterable[FollowerState]) -> Horizontal:
+    """What their sonars have found the receivers to disagree by, added up, (north, east)."""
+    north_m = east_m = 0.0
+    for one in links:
+        offset, (jumped_north_m, jumped_east_m) = one.estimate.offset, one.estimate.jumped_m
+        north_m += offset.north_m + jumped_north_m
+        east_m += offset.east_m + jumped_east_m
+    return north_m, east_m
+
+
+def _slot_then(
+    follower: FollowerState, at_s: float
+) -> tuple[GlobalPosition | None, Horizontal, float]:
+    """Where a follower's slot is at a moment, its velocity, and the bearing of its bar."""
+    if follower.hold is not None:
+        return follower.hold.place, (0.0, 0.0), follower.heading_rad
+    guided = follower.guided
+    if guided is None:
+        return None, (0.0, 0.0), 0.0
+    since_s = at_s - guided.at_s
+    north, east = guided.slot_mps
+    place = displace(guided.slot, (north * since_s, east * since_s, 0.0))
+    return place, guided.slot_mps, guided.course_rad

@@ -150,6 +150,17 @@ class Supervisor:
         leader = self._known.leader_for(follower, fix, now_s)
         return self._guard.reason_to_stop(follower, leader, now_s)
 
+    def _ahead(self, follower: FollowerState, now_s: float) -> Why:
+        """Why it cannot follow the one that its sonar looks at."""
+        ahead = self._known.ahead_of(follower)
+        if ahead is None:
+            return None
+        name = f"follower {ahead.plan.system_id} ahead of it"
+        if not ahead.standing.sent_to:
+            return f"{name} is not led"
+        doubted = ahead.turn.latched is not None or ahead.own_jump.since_s is not None
+        return f"{name} holds: {ahead.standing.why}" if doubted else None
+
     RULES: ClassVar = (
         (Phase.LIFTED, _lifting),
         (Phase.WATCHED, _not_engaged),
@@ -162,6 +173,7 @@ class Supervisor:
         (Phase.HELD, _leader_stale),
         (Phase.HELD, _doubted),
         (Phase.HELD, _guarded),
+        (Phase.HELD, _ahead),
     )
 
     # ---- what the rules ask ---------------------------------------------------------------------

@@ -105,6 +105,8 @@ class Trust:
             return
         if denied:
             follower.estimate.jumped((-moved_m[0], -moved_m[1]))
+            for one in self._behind(follower):
+                one.estimate.jumped(moved_m)
             text = "the sonar's range did not change, allowed for"
         else:
             follower.turn.latched = f"its position jumped by {far_m:.1f} m, until it leaves Guided"
@@ -117,7 +119,9 @@ class Trust:
     def _prove(self, follower: FollowerState, now_s: float) -> None:
         """A leader that was heard since the last jump is where it is seen."""
         heard = follower.estimate.offset.unheard_s(now_s) < now_s - follower.own_jump.last_s
-        if not heard or self._known.leader.jump_since_s is not None:
+        ahead = self._known.ahead_of(follower)
+        jumps_s = self._known.leader.jump_since_s if ahead is None else ahead.own_jump.since_s
+        if not heard or jumps_s is not None:
             return
         north_m, east_m = self._known.doubted_m(follower)
         follower.proven_m = follower.proven_m[0] + north_m, follower.proven_m[1] + east_m
@@ -143,7 +147,7 @@ class Trust:
 
     def _settle_leaders_jump(self, now_s: float) -> None:
         """A jump that the sonar denies is the receiver's: it goes into everybody's estimate."""
-        leader, followers = self._known.leader, self._known.followers.values()
+        leader, followers = self._known.leader, self._behind(None)
         since_s = leader.jump_since_s
         if since_s is None or leader.agreeing < CONFIRMING_REPORTS:
             return
@@ -162,7 +166,7 @@ class Trust:
     def _believed_elsewhere(self, now_s: float) -> None:
         """The leader is believed in a new place that no sonar has confirmed: nobody flies there."""
         self._known.leader_history.clear()
-        for follower in self._known.followers.values():
+        for follower in self._behind(None):
             follower.estimate.forget()
         if not self._strict:
             return
@@ -178,6 +182,11 @@ class Trust:
             f"leader's reports agree {jump_m:.1f} m away from where it was: nobody is flown there "
             "until its pilot has left Guided and come back",
         )
+
+    def _behind(self, ahead: FollowerState | None) -> list[FollowerState]:
+        """Those whose sonars look at a follower; None: at the leader."""
+        followers = self._known.followers.values()
+        return [one for one in followers if self._known.ahead_of(one) is ahead]
 
     def _refuse_two(self, system_id: int, now_s: float) -> None:
         """Two streams of reports in turn: two vehicles with one id."""

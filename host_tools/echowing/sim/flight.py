@@ -13,15 +13,16 @@ from functools import partial
 from pathlib import Path
 
 from echowing.analysis.flight import Flight
+from echowing.flight.formation import place_m
 from echowing.flight.guard import FIELD_LIMITS, Limits
-from echowing.flight.guidance import MOVING_MPS, slot_offset_m
+from echowing.flight.guidance import MOVING_MPS
 from echowing.flight.lowest import LOWEST_M
 from echowing.flight.readiness import Readiness
 from echowing.flight.session import FollowSession
 from echowing.flight.state import FollowerPlan, FollowerState
 from echowing.flight.switch import StopSwitch
 from echowing.geo import Ned, ned_between
-from echowing.sim.aircraft import LeaderPilot, MakeCoprocessor, SimFollower
+from echowing.sim.aircraft import LeaderPilot, MakeCoprocessor, SimFollower, SimVehicle
 from echowing.sim.faults import SWITCH_CHANNEL, Faults
 from echowing.sim.ground import GroundStation
 from echowing.sim.hangar import FIRST_FOLLOWER_ID, LEADER_ID, Hangar
@@ -102,15 +103,11 @@ class FormationWorld:
     def _make_follower(self, index: int) -> SimFollower:
         slots = self.scenario.slots()
         starts_at = self.scenario.formation.slots[index].starts_at
-        slot = slots[index if starts_at is None else starts_at - 1]
-        slot = replace(slot, radius_m=slot.radius_m + JOIN_UP_M)
         body = self.leader.body
-        north_m, east_m = slot_offset_m(slot, body.yaw_rad)
-        start = (
-            body.north_m + north_m,
-            body.east_m + east_m,
-            body.down_m - slot.altitude_step_m,
-        )
+        number = index if starts_at is None else starts_at - 1
+        slots[number] = replace(slots[number], radius_m=slots[number].radius_m + JOIN_UP_M)
+        north_m, east_m, down_m = place_m(slots, number, body.yaw_rad)
+        start = body.north_m + north_m, body.east_m + east_m, body.down_m + down_m
         speed_mps = self.scenario.follower.speed_mps
         return self.hangar.follower(index, start, body.yaw_rad, speed_mps, self._listen)
 
@@ -124,7 +121,7 @@ class FormationWorld:
         others: list[Pose] = []
         for other in self.followers:
             if other is not follower and _near(pose.position_ned_m, other.position_ned_m):
-                targets.append(Target(other.position_ned_m, sonar.stock_m, legs_m))
+                targets.append(Target(other.position_ned_m, heard_to_m, legs_m))
                 others.append(other.pose())
         targets += follower.reflector(pose)
         return follower.heard(follower.ear.ping(t_s, pose, targets, (GROUND,), others))
@@ -246,8 +243,10 @@ class FormationFlight(FormationWorld):
         body = self.leader.body
         if math.hypot(body.vn_mps, body.ve_mps) >= MOVING_MPS:
             self._course_rad = math.atan2(body.ve_mps, body.vn_mps)
-        for follower, recorder in zip(self.followers, self.recorders, strict=True):
-            recorder.samples.append(self._sample(follower))
+        slots = self.scenario.slots()
+        for follower, slot, recorder in zip(self.followers, slots, self.recorders, strict=True):
+            ahead = self.leader if slot.behind is None else self.followers[slot.behind]
+            recorder.samples.append(self._sample(follower, ahead))
         self._commanded_slot_m.append(self._commanded_slot())
 
     def _commanded_slot(self) -> float:
@@ -257,11 +256,12 @@ class FormationFlight(FormationWorld):
         north_m, east_m, _ = ned_between(ORIGIN, guided.slot)
         return math.hypot(north_m - self.leader.body.north_m, east_m - self.leader.body.east_m)
 
-    def _sample(self, follower: SimFollower) -> Sample:
+    def _sample(self, follower: SimFollower, ahead: SimVehicle) -> Sample:
+        """What is recorded of a follower, and as its leader the vehicle its sonar looks at."""
         return Sample(
             time_s=self.t_s,
-            leader=self.leader.position_ned_m,
-            leader_velocity=self.leader.velocity_ned_mps,
+            leader=ahead.position_ned_m,
+            leader_velocity=ahead.velocity_ned_mps,
             leader_course_rad=self._course_rad,
             follower=follower.position_ned_m,
             follower_velocity=follower.velocity_ned_mps,

@@ -22,6 +22,9 @@ class SlotSection(Section):
     """Off the leader's tail, counter-clockwise."""
     altitude_step_m: float = 0.0
     """Above the leader."""
+    behind: Annotated[int, Field(ge=1)] | None = None
+    """Number of the slot (from 1) behind which it is, and at whose follower its sonar looks; none:
+    the leader. Radius and angle are from there."""
     echo_dist_m: Positive | None = None
     """Its applet's `ECHO_DIST`; none: as under `[applet]`, else the radius where the applet takes
     it (1.5 to 6 m)."""
@@ -30,7 +33,8 @@ class SlotSection(Section):
 
     def slot(self) -> Slot:
         """The slot in radians."""
-        return Slot(self.radius_m, math.radians(self.angle_deg), self.altitude_step_m)
+        behind = None if self.behind is None else self.behind - 1
+        return Slot(self.radius_m, math.radians(self.angle_deg), self.altitude_step_m, behind)
 
 
 class FormationSection(Section):
