@@ -212,7 +212,8 @@ def test_it_flies_no_faster_than_it_plans_or_one_alone_calls_for() -> None:
 
     flown, _ = keep_apart((0.0, 0.0, 0.0), [ahead, behind], ANSWER)
 
-    assert math.hypot(*flown) == pytest.approx(FASTEST_MPS)
+    # What rounding leaves of a breach (1e-6) is twenty times as much across.
+    assert math.hypot(*flown) == pytest.approx(FASTEST_MPS, abs=EPS_MPS)
 
 
 def test_the_way_out_never_leads_through_the_one_that_comes_nearer() -> None:
