@@ -60,7 +60,7 @@ $(MAVLINK_HEADERS): firmware/dialect/echowing.xml | setup
 	@touch $@
 
 $(ARDUINO_CLI): firmware/tools/arduino_cli.sh firmware/tools/arduino-cli/go.mod firmware/tools/arduino-cli/go.sum | setup
-	@firmware/tools/arduino_cli.sh $@
+	@host_tools/patiently.sh 10 "building arduino-cli (about a minute, once)" firmware/tools/arduino_cli.sh $@
 
 $(ARDUINO_HOME): firmware/tools/arduino_home.sh | setup
 	@firmware/tools/arduino_home.sh $(@D)

@@ -24,9 +24,9 @@ fi
 
 mkdir -p "$(dirname "$1")"
 binary=$(cd "$(dirname "$1")" && pwd)/$(basename "$1")
+echo "building arduino-cli $version (about a minute, once)"
 cd "$here/arduino-cli"
-"$here/../../host_tools/patiently.sh" 10 "building arduino-cli $version (about a minute, once)" \
-    "$go" build -trimpath -o "$binary" \
+"$go" build -trimpath -o "$binary" \
     -ldflags "-s -w -X github.com/arduino/arduino-cli/version.versionString=$version" \
     github.com/arduino/arduino-cli || {
     echo "error: arduino-cli could not be built; its sources come from the Go module registry:" \

