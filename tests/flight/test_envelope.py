@@ -22,7 +22,7 @@ from echowing.flight.envelope import (
     keep_apart,
     straight_out,
 )
-from echowing.flight.spacing import UNRANGED_SIGMA_M
+from echowing.flight.state import UNRANGED_SIGMA_M
 from echowing.geo import Ned
 
 ANSWER = Answer()

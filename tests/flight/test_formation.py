@@ -11,12 +11,13 @@ from echowing.flight.envelope import SURE_SIGMAS, Other, certain_distance_m
 from echowing.flight.formation import (
     IN_SLOT_M,
     check_formation,
+    place_m,
     receivers_demand_m,
-    slot_distance_m,
 )
 from echowing.flight.guidance import Slot
-from echowing.flight.spacing import UNRANGED_SIGMA_M
+from echowing.flight.state import UNRANGED_SIGMA_M
 from echowing.sim.scenario import load_scenario
+from echowing.tool.formation_file import load_formation
 
 APART_M = 2.0
 
@@ -39,7 +40,8 @@ def test_a_simulated_formation_keeps_what_follow_demands() -> None:
 
 
 def test_altitude_steps_count() -> None:
-    assert slot_distance_m(Slot(3.0), Slot(3.0, 0.0, 2.5)) == pytest.approx(2.5)
+    slots = [Slot(3.0), Slot(3.0, 0.0, 2.5)]
+    assert math.dist(place_m(slots, 0), place_m(slots, 1)) == pytest.approx(2.5)
     check_formation([Slot(3.0), Slot(3.0, 0.0, 2.5)], APART_M)
 
 
@@ -53,6 +55,26 @@ def test_a_slot_inside_the_leaders_clearance_is_refused(radius_m: float) -> None
 def test_a_slot_ahead_of_the_leader_is_refused(angle_deg: float) -> None:
     with pytest.raises(EchowingError, match="ahead of the leader"):
         check_formation([Slot(3.0, math.radians(angle_deg))], APART_M)
+
+
+def test_a_slot_behind_another_is_placed_from_there_and_may_be_as_near_as_it_is_ranged() -> None:
+    column = [Slot(3.0), Slot(3.0, behind=0), Slot(4.0, math.radians(90.0), behind=1)]
+    assert place_m(column, 2) == pytest.approx((-6.0, 4.0, 0.0))
+    check_formation(column, 2.9)
+    check_formation(column[:2], 4.83)
+
+
+@pytest.mark.parametrize("behind", [1, 2, -1])
+def test_a_slot_is_behind_one_before_it(behind: int) -> None:
+    with pytest.raises(EchowingError, match="slot 2 is behind slot"):
+        check_formation([Slot(3.0), Slot(3.0, behind=behind), Slot(8.0)], APART_M)
+
+
+def test_the_field_tool_takes_no_slot_behind_another_yet(tmp_path: Path) -> None:
+    file = tmp_path / "column.toml"
+    file.write_text("[[slots]]\nradius_m = 3.0\n[[slots]]\nradius_m = 3.0\nbehind = 1\n")
+    with pytest.raises(EchowingError, match="`behind`, which is for simulated flights"):
+        load_formation(file, 1.0)
 
 
 def test_an_empty_formation_is_refused() -> None:

@@ -557,7 +557,7 @@ def test_homes_that_are_told_apart_are_no_height_to_listen_past(level: bool) -> 
     there.fly(1.0)
     known, follower = there.session.known, there.session.followers[FOLLOWER]
     above_m = 0.0 if level else -4.0
-    assert known.leader_above_m(follower) == pytest.approx(above_m)
+    assert known.watched_above_m(follower) == pytest.approx(above_m)
     at_s = there.now_s - TICK_S
     leader, own = known.leader_history.around(at_s), follower.estimate.history.around(at_s)
     assert leader is not None

@@ -92,6 +92,16 @@ class _Reading:
     axis: Axis | None = None
 
 
+def between_m(here: History, there: History, time_s: float) -> Horizontal | None:
+    """From one vehicle to another at a moment, by their receivers, (north, east); None: unknown."""
+    own, its = here.around(time_s), there.around(time_s)
+    if own is None or its is None:
+        return None
+    origin = own[0].position
+    (own_north, own_east), (north, east) = (_place_m(origin, one, time_s) for one in (own, its))
+    return north - own_north, east - own_east
+
+
 class Alignment:
     """The readings of one follower's sonar that wait for the reports around them."""
 

@@ -2,14 +2,16 @@
 
 import math
 from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
 
-from echowing.flight.alignment import AlignedReading, Alignment, History, Report
+from echowing.flight.alignment import AlignedReading, Alignment, History, Report, between_m
 from echowing.flight.axis import Axis
 from echowing.flight.belief import SonarBelief
 from echowing.flight.cloud import Cloud
 from echowing.flight.guidance import Horizontal, LeaderFix, predicted
 from echowing.flight.hearing import Hearing, Reading
-from echowing.geo import GlobalPosition, displace
+from echowing.geo import GlobalPosition, displace, wrap_angle_rad
 
 # Propellers cause single wild readings: a reading counts if the one before it agrees.
 CONFIRM_S, CONFIRM_M = 0.3, 0.5
@@ -58,6 +60,19 @@ class SenderClock:
         while self._least[0][0] < self._newest_s - CLOCK_WINDOW_S:
             self._least.popleft()
         return stamp_s + self._least[0][1] - way_s
+
+
+@dataclass(frozen=True, slots=True)
+class Beside:
+    """Another vehicle that the sonar may hear.
+
+    history: its reports; shift_m: what its receiver and ours are known to disagree by, (north,
+    east), added to its place; sigma_m: standard deviation of that.
+    """
+
+    history: History
+    shift_m: Horizontal
+    sigma_m: float
 
 
 class Estimate:
@@ -155,12 +170,18 @@ class Estimate:
         if in_reach:
             self._within.append(range_m)
 
-    def learn(self, leader: History) -> None:
-        """Use the readings for which later reports of both vehicles have come."""
+    def learn(self, leader: History, others: Sequence[Beside] = ()) -> None:
+        """Use the readings for which later reports of both vehicles have come.
+
+        leader: the vehicle that it looks at. A range that one of `others` explains better counts
+        for nothing.
+        """
         self._used_to_s = min(leader.newest_s, self.history.newest_s)
         for one in self._alignment.due(leader, self.history):
             if not one.told and self.points(one.time_s):
                 continue  # what it said of its axis was lost
+            if self._is_of_another(one, others):
+                continue
             north_m, east_m = one.believed_m
             believed_m = north_m - self.jumped_m[0], east_m - self.jumped_m[1], one.above_m
             if one.distance_m is not None:
@@ -168,8 +189,37 @@ class Estimate:
             elif one.told or one.lean_rad < LEVEL_RAD:
                 self.offset.silent(one.time_s, one.axis, believed_m)
         for one in self._every.due(leader, self.history):
-            if one.told or (one.lean_rad < LEVEL_RAD and not self.points(one.time_s)):
+            straight = one.told or (one.lean_rad < LEVEL_RAD and not self.points(one.time_s))
+            if straight and not self._is_of_another(one, others):
                 self.hearing.take(self._beside_leader(one))
+
+    def _is_of_another(self, one: AlignedReading, others: Sequence[Beside]) -> bool:
+        """Whether a range is rather one of the others' than that of whom it looks at."""
+        if one.distance_m is None or not others:
+            return False
+        offset, (north_m, east_m) = self.offset, one.believed_m
+        leader_m = (
+            north_m - self.jumped_m[0] - offset.north_m,
+            east_m - self.jumped_m[1] - offset.east_m,
+        )
+        sigma_m = max(offset.sigma_m(0.0), offset.sigma_m(math.pi / 2.0))
+        misfit = self._misfit(one, leader_m, sigma_m)
+        for other in others:
+            to_it_m = between_m(self.history, other.history, one.time_s)
+            if to_it_m is None:
+                continue
+            moved_m = to_it_m[0] + other.shift_m[0], to_it_m[1] + other.shift_m[1]
+            if self._misfit(one, moved_m, other.sigma_m) < misfit:
+                return True
+        return False
+
+    def _misfit(self, one: AlignedReading, to_it_m: Horizontal, sigma_m: float) -> float:
+        """How far a range is from that of a vehicle there, in standard deviations."""
+        assert one.distance_m is not None
+        far_m = math.hypot(*to_it_m)
+        off_rad = abs(wrap_angle_rad(math.atan2(to_it_m[1], to_it_m[0]) - one.axis.azimuth_rad))
+        aside_m = far_m * max(0.0, min(math.pi / 2.0, off_rad - self.sonar.narrowest_rad.at(far_m)))
+        return math.hypot(far_m - one.distance_m, aside_m) / math.hypot(sigma_m, CONFIRM_M)
 
     def _beside_leader(self, one: AlignedReading) -> Reading:
         """A reading and where the leader was, the disagreement of the receivers allowed for."""

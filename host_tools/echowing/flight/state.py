@@ -14,7 +14,7 @@ from echowing.flight.alignment import History, Report
 from echowing.flight.axis import axis_of
 from echowing.flight.belief import SonarBelief
 from echowing.flight.cloud import Wandering
-from echowing.flight.estimate import LONGEST_CARRY_S, Estimate, carried_on
+from echowing.flight.estimate import LONGEST_CARRY_S, Beside, Estimate, carried_on
 from echowing.flight.guidance import (
     GuidanceSettings,
     GuidedPoint,
@@ -34,10 +34,12 @@ from echowing.flight.steps import Allowed, Command, Hold, Phase, Plan, Standing,
 from echowing.flight.tail import TailSlot
 from echowing.flight.tow_bar import TowBar
 from echowing.flight.wind import Wind
-from echowing.geo import GlobalPosition, displace
+from echowing.geo import GlobalPosition, displace, ned_between
 from echowing.mavlink.messages import FORWARD, gimbal_attitude, heading_of, sonar_range_m
 
 GUIDED_MODE = 4
+# A vehicle further off is not heard: the sonar's longest range, and what receivers may be off.
+MAY_BE_HEARD_M = 9.0
 # Two receivers between which no sonar measures.
 UNRANGED_SIGMA_M = math.sqrt(2.0) * Wandering().sigma_m
 NOT_SEEN = Standing(Phase.WATCHED, "no report yet")
@@ -415,6 +417,23 @@ class Known:
         (mine_north, mine_east), (its_north, its_east) = _shift_m(mine), _shift_m(its)
         return displace(there, (its_north - mine_north, its_east - mine_east, 0.0)), sigma_m
 
+    def _beside(self, follower: FollowerState) -> Iterator[Beside]:
+        """The vehicles near a follower that its sonar may hear instead of whom it looks at."""
+        ahead, fix, here = self.ahead_of(follower), self.leader.fix, follower.position
+        if here is None or fix is None:
+            return
+        if ahead is not None and _near(here, fix.position):
+            links = list(self.chain(follower))
+            north_m, east_m = _shift_m(links)
+            yield Beside(self.leader_history, (-north_m, -east_m), self.sigma_m(links))
+        for other in self.followers.values():
+            there = other.position
+            if other is follower or other is ahead or there is None or not _near(here, there):
+                continue
+            seen, sigma_m = self.apart(follower, other, there)
+            north_m, east_m, _ = ned_between(there, seen)
+            yield Beside(other.estimate.history, (north_m, east_m), sigma_m)
+
     def sigma_m(self, links: Iterable[FollowerState]) -> float:
         """Standard deviation of what is known over the sonars of these followers."""
         return math.sqrt(
@@ -490,13 +509,17 @@ class Known:
             for follower in self.followers.values():
                 ahead = self.ahead_of(follower)
                 watched = self.leader_history if ahead is None else ahead.estimate.history
-                follower.estimate.learn(watched)
+                follower.estimate.learn(watched, list(self._beside(follower)))
 
 
 def _guide(slot: Slot, plans: Sequence[FollowerPlan]) -> TowBar:
     """A slot's bar; those behind the same vehicle hang on one, and turn as one body."""
     longest_m = max(one.slot.radius_m for one in plans if one.slot.behind == slot.behind)
     return TowBar(slot, longest_m)
+
+
+def _near(one: GlobalPosition, other: GlobalPosition) -> bool:
+    return math.hypot(*ned_between(one, other)[:2]) < MAY_BE_HEARD_M
 
 
 def _shift_m(links: Iterable[FollowerState]) -> Horizontal:

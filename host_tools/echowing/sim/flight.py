@@ -115,13 +115,15 @@ class FormationWorld:
         """What this follower's sonar hears now."""
         pose = follower.pose()
         sonar = follower.ear.sonar
-        heard_to_m = sonar.foil_m if self.scenario.leader.target == "foil" else sonar.stock_m
+        heard_to_m = {"foil": sonar.foil_m, "stock": sonar.stock_m}
+        leaders_m = heard_to_m[self.scenario.leader.target]
+        followers_m = heard_to_m[self.scenario.follower.target]
         legs_m = sonar.inset_m - LEVER_ARM_M
-        targets = [Target(self.leader.position_ned_m, heard_to_m, legs_m)]
+        targets = [Target(self.leader.position_ned_m, leaders_m, legs_m)]
         others: list[Pose] = []
         for other in self.followers:
             if other is not follower and _near(pose.position_ned_m, other.position_ned_m):
-                targets.append(Target(other.position_ned_m, heard_to_m, legs_m))
+                targets.append(Target(other.position_ned_m, followers_m, legs_m))
                 others.append(other.pose())
         targets += follower.reflector(pose)
         return follower.heard(follower.ear.ping(t_s, pose, targets, (GROUND,), others))

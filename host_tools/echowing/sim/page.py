@@ -3,8 +3,9 @@
 import math
 from collections.abc import Iterator
 
+from echowing.flight.formation import place_m
 from echowing.flight.guard import mode_name
-from echowing.flight.guidance import MOVING_MPS, slot_offset_m
+from echowing.flight.guidance import MOVING_MPS
 from echowing.flight.health import Cohesion
 from echowing.geo import GlobalPosition, Ned, displace
 from echowing.sim.aircraft import SimFollower, SimVehicle
@@ -58,8 +59,11 @@ class WorldOnPage:
 def moment_of(world: FormationWorld) -> Moment:
     """Where everybody truly is, and is to be behind where the leader truly is."""
     leader = world.leader
-    pairs = list(zip(world.followers, world.scenario.slots(), strict=True))
-    slots = [_slot(leader, slot_offset_m(slot, _course_rad(leader))) for _, slot in pairs]
+    formation, course_rad = world.scenario.slots(), _course_rad(leader)
+    pairs = list(zip(world.followers, formation, strict=True))
+    slots = [
+        _slot(leader, place_m(formation, number, course_rad)[:2]) for number in range(len(pairs))
+    ]
     return Moment(
         world.t_s,
         [_row(world, follower) for follower in world.followers],

@@ -311,6 +311,8 @@ class FollowerSection(Section):
     """Which ArduCopter flies them."""
     speed_mps: Positive = 5.0
     """`WP_SPD` (before 4.7 `WPNAV_SPEED`)."""
+    target: Literal["foil", "stock"] = "stock"
+    """What another follower's sonar sees: as `leader.target`."""
     parameters: dict[str, float] = Field(default={})
     """Parameters of the autopilots by name."""
 

@@ -22,7 +22,7 @@ from echowing.sim.vehicle.modes import GUIDED
 from echowing.sim.world.cutter import PacketCutter
 from echowing.sonar_file import SHIPPED
 from echowing.stopping import stop_on_signals
-from echowing.tool.formation_file import FormationSection
+from echowing.tool.formation_file import ONLY_SIMULATED, FormationSection
 from echowing.tool.run import Page
 
 # Ports of one vehicle, as SITL lays them out: the next vehicle 10 on, a second link 2 on.
@@ -216,6 +216,8 @@ def _places(scenario: Scenario, port: int) -> str:
     """The options of `follow` that say where; several slots go into a file."""
     slots = scenario.formation.slots
     alone = slots[0]
+    if any(slot.behind is not None for slot in slots):
+        raise EchowingError(f"--serve: {ONLY_SIMULATED}")
     if len(slots) == 1 and alone.altitude_step_m == 0.0:
         angle = "" if alone.angle_deg == 0.0 else f" --angle {alone.angle_deg:g}"
         return f"--radius {alone.radius_m:g}{angle}"

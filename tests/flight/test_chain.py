@@ -1,0 +1,80 @@
+"""Who ranges whom: what sonars know of receivers on the way from one follower to another."""
+
+import math
+from collections.abc import Sequence
+
+import pytest
+
+from echowing.flight.axis import Axis
+from echowing.flight.guidance import GuidanceSettings, GuidedPoint, LeaderFix, Slot
+from echowing.flight.state import UNRANGED_SIGMA_M, FollowerPlan, FollowerState, Known
+from echowing.geo import GlobalPosition, displace, ned_between
+from echowing.sonar_file import shipped_sonar
+
+LEADER = 1
+HERE = GlobalPosition(39.34, -86.03, 250.0)
+
+
+def known(slots: Sequence[Slot]) -> Known:
+    plans = [
+        FollowerPlan(system_id, slot, sonar=shipped_sonar())
+        for system_id, slot in enumerate(slots, LEADER + 1)
+    ]
+    return Known(LEADER, plans, GuidanceSettings())
+
+
+def taught(follower: FollowerState, north_m: float) -> None:
+    """Let its sonar hear for a minute that the receivers disagree by so much, north and south."""
+    cloud = follower.estimate.offset
+    for number in range(200):
+        bearing = math.radians(20.0 * (number % 18))
+        to_it_m = 3.0 * math.cos(bearing), 3.0 * math.sin(bearing), 0.0
+        believed_m = to_it_m[0] + north_m, to_it_m[1], 0.0
+        cloud.heard(0.3 * number, 3.0, Axis(bearing, 0.0), believed_m)
+
+
+def test_two_that_hear_the_leader_know_where_the_other_is() -> None:
+    there = known([Slot(3.0, 0.6), Slot(3.0, -0.6)])
+    first, second = there.followers.values()
+    raw, sigma_m = there.apart(first, second, HERE)
+    assert (raw, sigma_m) == (HERE, UNRANGED_SIGMA_M), "nothing is known: as its receiver says"
+    taught(first, 2.0)
+    taught(second, -1.0)
+    seen, sigma_m = there.apart(first, second, HERE)
+    # Its receiver puts the leader 2 m too far north, the other's 1 m too far south.
+    assert ned_between(HERE, seen)[0] == pytest.approx(-3.0, abs=0.3)
+    assert sigma_m < 0.5 * UNRANGED_SIGMA_M
+    back, _ = there.apart(second, first, HERE)
+    assert ned_between(HERE, back)[0] == pytest.approx(3.0, abs=0.3)
+
+
+def test_in_a_column_only_the_sonars_between_the_two_count() -> None:
+    there = known([Slot(3.0), Slot(3.0, behind=0), Slot(3.0, behind=1)])
+    first, second, third = there.followers.values()
+    taught(second, 1.0)
+    taught(third, 1.5)
+    seen, sigma_m = there.apart(third, first, HERE)
+    assert ned_between(HERE, seen)[0] == pytest.approx(-2.5, abs=0.3)
+    assert sigma_m < 0.7 * UNRANGED_SIGMA_M, (
+        "the first one's own sonar, which is deaf, is not asked"
+    )
+
+
+def test_the_leader_is_seen_over_the_whole_chain() -> None:
+    there = known([Slot(3.0), Slot(3.0, behind=0)])
+    first, second = there.followers.values()
+    taught(first, 1.0)
+    taught(second, 0.5)
+    seen = there.as_seen_by(second, HERE)
+    assert ned_between(HERE, seen)[0] == pytest.approx(-1.5, abs=0.3)
+
+
+def test_a_slot_behind_another_hangs_on_that_slot_and_not_on_who_flies_in_it() -> None:
+    there = known([Slot(3.0), Slot(3.0, behind=0)])
+    first, second = there.followers.values()
+    slot = displace(HERE, (5.0, 0.0, 0.0))
+    first.position, first.velocity_mps = displace(HERE, (4.0, 1.0, 0.0)), (0.0, 3.0)
+    first.guided = GuidedPoint(slot, slot, HERE, None, slot_mps=(2.0, 0.0), at_s=10.0)
+    fix = there.followed_then(second, LeaderFix(10.0, HERE, (2.0, 0.0, 0.0), 0.0), 10.5)
+    assert ned_between(HERE, fix.position)[:2] == pytest.approx((6.0, 0.0), abs=0.05)
+    assert fix.velocity_ned_mps == (2.0, 0.0, 0.0)
