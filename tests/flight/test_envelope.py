@@ -205,6 +205,15 @@ def test_where_nothing_fits_one_that_is_led_makes_room_itself() -> None:
     assert held[0] > alone[0] + 0.3
 
 
+def test_what_one_alone_calls_for_takes_nothing_off_the_plan_across_it() -> None:
+    """However fast that is: a follower keeps on turning with its leader while it backs off."""
+    leader = Other("the leader", (1.0, 0.0, 0.0), (5.0, 0.0, 0.0), 0.0, 0.0)
+
+    flown, _ = keep_apart((0.0, 4.0, 0.0), [leader], ANSWER)
+
+    assert flown == pytest.approx((5.0, 4.0, 0.0), abs=EPS_MPS)
+
+
 def test_it_flies_no_faster_than_it_plans_or_one_alone_calls_for() -> None:
     """Of two walls nearly opposite the corner lies far out: nobody is sent there."""
     ahead = Other("a", level(0.0, 1.0), (1.0, 0.0, 0.0), 0.0, 0.0)

@@ -89,9 +89,7 @@ class Chunk:
         self._wanted = np.array([case.wanted[:2] for case in cases])
         flown = [keep_apart(c.wanted, c.about, c.answer, LEAST_M, c.own_mps)[0] for c in cases]
         self._flown = np.array([velocity[:2] for velocity in flown])
-        called_for_mps = self._walls[:, :, 2].max(axis=1)
-        wanted_mps = np.hypot(*self._wanted.T)
-        self._fastest_mps = np.maximum(FASTEST_MPS, np.maximum(wanted_mps, called_for_mps))
+        self._fastest_mps = np.maximum(FASTEST_MPS, self._most_mps())
 
     def judge(self) -> tuple[Floats, Floats, Floats]:
         """By how much the answers break and are beaten, and whether a velocity fits (1, 0)."""
@@ -108,6 +106,15 @@ class Chunk:
         beyond_mps = np.hypot(*self._flown.T) - self._fastest_mps
         broken_mps = np.where(fits, np.maximum(broken_mps, beyond_mps), beyond_mps)
         return broken_mps, beaten_mps, fits.astype(float)
+
+    def _most_mps(self) -> Floats:
+        """How fast the plan is, or what one of the others alone makes of it."""
+        ways, least_mps = self._walls[:, :, :2], self._walls[:, :, 2]
+        short_mps = least_mps - (ways * self._wanted[:, None]).sum(axis=2)
+        alone = self._wanted[:, None] + np.maximum(0.0, short_mps)[:, :, None] * ways
+        alone_mps = np.linalg.norm(alone, axis=2).max(axis=1)
+        most_mps: Floats = np.maximum(alone_mps, np.hypot(*self._wanted.T))
+        return most_mps
 
     def _away_mps(self, velocities: Floats) -> Floats:
         away: Floats = np.linalg.norm(velocities - self._wanted[:, None], axis=2)

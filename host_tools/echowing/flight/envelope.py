@@ -5,7 +5,7 @@ errors of receivers and radios and whatever that vehicle does meanwhile, and the
 which this vehicle still stops in time. Each of these limits is a wall in the plane of velocities:
 beyond it lie those that close too fast. What is flown is the velocity nearest to the plan's that no
 wall forbids; if all are forbidden, the one whose greatest breach is least. Both are found exactly,
-in a disc of speeds: as far out as the plan's, and as what one vehicle alone calls for. So the
+in a disc of speeds: as far out as the plan, and as what any one vehicle makes of it. So the
 envelope bends a plan that leads past a vehicle, slows one that leads at it, and backs away from a
 vehicle that comes too near: it never stands still while another comes nearer. Two vehicles in each
 other's way would wait for each other; so each passes the other on its own right, as ships do.
@@ -137,7 +137,8 @@ def keep_apart(
     for wall, other, mps in zip(walls, others, short_mps, strict=True):
         if mps > 0.0 and other.in_the_way:
             aim = _turned_right(aim, wall)
-    fastest_mps = max(FASTEST_MPS, math.hypot(*wanted_mps[:2]), *(wall[2] for wall in walls))
+    alone_mps = (math.hypot(*_pushed(aim, wall)) for wall in walls)
+    fastest_mps = SAME_MPS + max(FASTEST_MPS, math.hypot(*wanted_mps[:2]), *alone_mps)
     flown = nearest(aim, walls, fastest_mps)
     if flown is None:
         walls = [_wall(_yielding(other), answer, least_m, own_mps) for other in others]
@@ -187,6 +188,12 @@ def _wall(other: Other, answer: Answer, least_m: float, own_mps: Ned | None) -> 
     closing_mps = its_mps - own_mps[0] * north - own_mps[1] * east
     too_fast_mps = max(0.0, closing_mps - max(0.0, limit_mps))
     return north, east, least_mps + min(RETREAT_MOST_MPS, too_fast_mps)
+
+
+def _pushed(velocity: Level, wall: Wall) -> Level:
+    """The nearest velocity that a wall alone allows."""
+    more_mps = max(0.0, short_of_mps(velocity, wall))
+    return velocity[0] + more_mps * wall[0], velocity[1] + more_mps * wall[1]
 
 
 def _turned_right(velocity: Level, wall: Wall) -> Level:
