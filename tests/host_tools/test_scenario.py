@@ -31,6 +31,8 @@ def test_every_scenario_of_the_demo_is_shipped_and_valid() -> None:
         "walked-leader",
         "hostile",
         "many",
+        "vee",
+        "column",
     }
     assert all(load_scenario(name).name == name for name in names)
 

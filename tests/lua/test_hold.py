@@ -140,7 +140,7 @@ def test_five_metres_back_from_the_point_and_no_more(rig: MakeRig) -> None:
 
 
 def test_towards_the_leader_gently_so_that_it_stays_in_the_beam(rig: MakeRig) -> None:
-    """A leader that flies off at 3.2 m/s: 0.2 m ahead at the most, and 1.4 m/s2 (8 degrees).
+    """A leader that flies off at 3.2 m/s: 0.2 m ahead at the most, and 3.5 m/s2 (20 degrees).
 
     The gap is flown by speed, up to 1 m/s more than the leader's.
     """
@@ -154,7 +154,7 @@ def test_towards_the_leader_gently_so_that_it_stays_in_the_beam(rig: MakeRig) ->
         assert newest(r).north_m <= NEARER_M + 1e-3
 
     # An update every 50 ms, and the observer's speed between them.
-    assert max(b - a for a, b in pairwise(speeds)) <= 0.14 + 0.05
+    assert max(b - a for a, b in pairwise(speeds)) <= 0.35 + 0.05
     assert 3.2 < speeds[-1] <= 3.2 + 1.0
 
 

@@ -35,6 +35,25 @@ def test_fifty_followers_stay_apart() -> None:
     assert many.closest_m > 1.0
 
 
+def test_a_vee_of_two_that_both_hear_the_leader_keeps_its_slots() -> None:
+    """Each knows by the leader where the other is. By their receivers alone it was 0.68 m.
+
+    Mean error over both followers and three seeds, and no two vehicles nearer than 1 m.
+    """
+    flights = [flown("vee", seed, "duration_s=90") for seed in (701, 703, 704)]
+    errors_m = [one.mean_abs_error_m for vee in flights for one in vee.metrics]
+    assert statistics.mean(errors_m) < 0.45
+    assert min(vee.closest_m for vee in flights) > 1.0
+
+
+def test_in_a_column_of_two_the_second_keeps_its_distance_by_its_own_sonar() -> None:
+    """3 m behind the first, where it had 0.6 to 0.7 m of error as a session of its own."""
+    flights = [flown("column", seed, "duration_s=90") for seed in (701, 703, 704)]
+    errors_m = [column.metrics[1].mean_abs_error_m for column in flights]
+    assert statistics.mean(errors_m) < 0.55
+    assert min(column.closest_m for column in flights) > 1.0
+
+
 @pytest.mark.parametrize("law", ["thesis", "bands"])
 def test_the_speed_applet_stops_before_a_wall_at_2_mps(law: str) -> None:
     """2 m/s is what the thesis flew at its wall.
