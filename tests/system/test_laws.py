@@ -42,9 +42,9 @@ def test_the_thesis_law_flown_unchanged_dead_locks() -> None:
         if (one := flown("thesis", seed, *CLEARLY)).metrics[0].mean_abs_error_m > LOST_M
     ]
 
-    assert len(locked) >= 2  # 3 of 10
+    assert len(locked) >= 2  # 3 of 10, since 18, 25 and 137 s of 240
     for flight in locked:
-        late_mps = flight.speed_command_mps[flight.time_s > flight.time_s[-1] - 120.0]
+        late_mps = flight.speed_command_mps[flight.time_s > flight.time_s[-1] - 100.0]
         low_mps = min(late_mps)
         assert low_mps < 2.0  # the leader's speed
         assert {float(one) for one in late_mps} <= {low_mps, GUARD_MPS}
