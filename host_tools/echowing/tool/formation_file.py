@@ -12,7 +12,7 @@ from echowing.flight.formation import check_formation, receivers_demand_m
 from echowing.flight.guidance import Slot
 from echowing.section import Positive, Section
 
-# A column of three came to 0.81 m of each other without any fault (RESULTS.md, "Columns").
+# A column of three came to 0.81 m of each other without any fault (RESULTS.md, "Two followers").
 ONLY_SIMULATED = (
     "a slot has `behind`, which is for simulated flights: longer columns are not kept 1 m apart yet"
 )
