@@ -130,6 +130,11 @@ class Cloud:
         return math.sqrt(max(0.0, p_nn * cos * cos + 2.0 * p_ne * cos * sin + p_ee * sin * sin))
 
     @property
+    def level_sigma_m(self) -> float:
+        """The larger of the standard deviations to the north and to the east."""
+        return max(self.sigma_m(0.0), self.sigma_m(math.pi / 2.0))
+
+    @property
     def deaf_share(self) -> float:
         """How likely the sonar is deaf."""
         return float(self._weight @ self._deaf)

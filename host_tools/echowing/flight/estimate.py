@@ -197,13 +197,7 @@ class Estimate:
         """Whether a range is rather one of the others' than that of whom it looks at."""
         if one.distance_m is None or not others:
             return False
-        offset, (north_m, east_m) = self.offset, one.believed_m
-        leader_m = (
-            north_m - self.jumped_m[0] - offset.north_m,
-            east_m - self.jumped_m[1] - offset.east_m,
-        )
-        sigma_m = max(offset.sigma_m(0.0), offset.sigma_m(math.pi / 2.0))
-        misfit = self._misfit(one, leader_m, sigma_m)
+        misfit = self._misfit(one, self._to_leader_m(one), self.offset.level_sigma_m)
         for other in others:
             to_it_m = between_m(self.history, other.history, one.time_s)
             if to_it_m is None:
@@ -221,11 +215,14 @@ class Estimate:
         aside_m = far_m * max(0.0, min(math.pi / 2.0, off_rad - self.sonar.narrowest_rad.at(far_m)))
         return math.hypot(far_m - one.distance_m, aside_m) / math.hypot(sigma_m, CONFIRM_M)
 
+    def _to_leader_m(self, one: AlignedReading) -> Horizontal:
+        """Where the leader was at a reading, the disagreement of the receivers allowed for."""
+        north_m = one.believed_m[0] - self.jumped_m[0] - self.offset.north_m
+        return north_m, one.believed_m[1] - self.jumped_m[1] - self.offset.east_m
+
     def _beside_leader(self, one: AlignedReading) -> Reading:
-        """A reading and where the leader was, the disagreement of the receivers allowed for."""
-        offset = self.offset
-        north_m = one.believed_m[0] - self.jumped_m[0] - offset.north_m
-        east_m = one.believed_m[1] - self.jumped_m[1] - offset.east_m
+        """A reading and where the leader was."""
+        offset, (north_m, east_m) = self.offset, self._to_leader_m(one)
         to_it_m = north_m, east_m, offset.up_m - one.above_m
         far_m = math.hypot(*to_it_m)
         ahead = sum(a * b for a, b in zip(one.axis.unit_ned, to_it_m, strict=True))
@@ -257,9 +254,13 @@ class Estimate:
 
     def as_seen(self, leader: GlobalPosition) -> GlobalPosition:
         """The leader's place in the follower's receiver's frame."""
-        north_m = self.offset.north_m + self.jumped_m[0]
-        east_m = self.offset.east_m + self.jumped_m[1]
+        north_m, east_m = self.shift_m
         return displace(leader, (-north_m, -east_m, 0.0))
+
+    @property
+    def shift_m(self) -> Horizontal:
+        """How much further (north, east) the leader's receiver puts a place than the follower's."""
+        return self.offset.north_m + self.jumped_m[0], self.offset.east_m + self.jumped_m[1]
 
 
 def carried_on(leader: LeaderFix, to_s: float) -> LeaderFix:

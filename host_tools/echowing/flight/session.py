@@ -202,7 +202,7 @@ class FollowSession:
     ) -> list[tuple[int, Any]]:
         """The point for one follower, where points go to it."""
         self._supervisor.judge(follower, now_s)
-        plan = follower.planned = self._planner.plan(follower, look, now_s)
+        plan = self._planner.plan(follower, look, now_s)
         if plan is None or not follower.standing.sent_to:
             follower.not_ordered()
             return []

@@ -30,7 +30,7 @@ from echowing.flight.homes import Homes
 from echowing.flight.jumps import OwnJump, RangeMemory
 from echowing.flight.leader_track import LeaderTrack, VehicleClock, changes_mps2, is_late
 from echowing.flight.own_motion import OwnMotion
-from echowing.flight.steps import Allowed, Command, Hold, Phase, Plan, Standing, Turn
+from echowing.flight.steps import Allowed, Command, Hold, Phase, Standing, Turn
 from echowing.flight.tail import TailSlot
 from echowing.flight.tow_bar import TowBar
 from echowing.flight.wind import Wind
@@ -96,7 +96,7 @@ class Guide(Protocol):
 class FollowerState:
     """What is known and wanted of one follower.
 
-    standing, planned, allowed, command: what the last tick made of it (see `steps`); turn: what
+    standing, allowed, command: what the last tick made of it (see `steps`); turn: what
     lasts until its pilot has left Guided; hold: where it is held; guided: where it was led last;
     in_guided: flies in Guided; position_at_s: when it was there by TIMESYNC, else when the report
     came; proven_m: the part of `Known.doubted_m` that the sonar has settled; reversal_m: the
@@ -120,7 +120,6 @@ class FollowerState:
     wind: Wind = field(default_factory=Wind)
     turn: Turn = field(default_factory=Turn)
     standing: Standing = NOT_SEEN
-    planned: Plan | None = None
     allowed: Allowed | None = None
     command: Command | None = None
     hold: Hold | None = None
@@ -404,18 +403,30 @@ class Known:
     ) -> tuple[GlobalPosition, float]:
         """Where another follower is in this one's frame, and the standard deviation of that.
 
-        `there` is its own report. What sonars know of the receivers on the way from one to the
-        other, over those that they look at, is used where it is more than nothing is known.
+        `there` is its own report.
         """
+        shift_m, sigma_m = self._disagree_m(follower, other)
+        return displace(there, (*shift_m, 0.0)), sigma_m
+
+    def _disagree_m(
+        self, follower: FollowerState, other: FollowerState
+    ) -> tuple[Horizontal, float]:
+        """What is added to another follower's report, (north, east), and how sure that is.
+
+        What sonars know of the receivers on the way from one to the other, over those that they
+        look at, is used where it is more than is known without.
+        """
+        if not self.settings.learn_offset:
+            return (0.0, 0.0), UNRANGED_SIGMA_M
         mine, its = list(self.chain(follower)), list(self.chain(other))
         shared = {one.plan.system_id for one in mine} & {one.plan.system_id for one in its}
         mine = [one for one in mine if one.plan.system_id not in shared]
         its = [one for one in its if one.plan.system_id not in shared]
         sigma_m = self.sigma_m((*mine, *its))
-        if not self.settings.learn_offset or sigma_m >= UNRANGED_SIGMA_M:
-            return there, UNRANGED_SIGMA_M
+        if sigma_m >= UNRANGED_SIGMA_M:
+            return (0.0, 0.0), UNRANGED_SIGMA_M
         (mine_north, mine_east), (its_north, its_east) = _shift_m(mine), _shift_m(its)
-        return displace(there, (its_north - mine_north, its_east - mine_east, 0.0)), sigma_m
+        return (its_north - mine_north, its_east - mine_east), sigma_m
 
     def _beside(self, follower: FollowerState) -> Iterator[Beside]:
         """The vehicles near a follower that its sonar may hear instead of whom it looks at."""
@@ -430,18 +441,11 @@ class Known:
             there = other.position
             if other is follower or other is ahead or there is None or not _near(here, there):
                 continue
-            seen, sigma_m = self.apart(follower, other, there)
-            north_m, east_m, _ = ned_between(there, seen)
-            yield Beside(other.estimate.history, (north_m, east_m), sigma_m)
+            yield Beside(other.estimate.history, *self._disagree_m(follower, other))
 
     def sigma_m(self, links: Iterable[FollowerState]) -> float:
         """Standard deviation of what is known over the sonars of these followers."""
-        return math.sqrt(
-            sum(
-                max(offset.sigma_m(0.0), offset.sigma_m(0.5 * math.pi)) ** 2
-                for offset in (one.estimate.offset for one in links)
-            )
-        )
+        return math.sqrt(sum(one.estimate.offset.level_sigma_m**2 for one in links))
 
     def leader_then(self, follower: FollowerState, at_s: float) -> LeaderFix | None:
         """The leader at a moment, in this follower's frame; None: nothing is known of it."""
@@ -524,12 +528,8 @@ def _near(one: GlobalPosition, other: GlobalPosition) -> bool:
 
 def _shift_m(links: Iterable[FollowerState]) -> Horizontal:
     """What their sonars have found the receivers to disagree by, added up, (north, east)."""
-    north_m = east_m = 0.0
-    for one in links:
-        offset, (jumped_north_m, jumped_east_m) = one.estimate.offset, one.estimate.jumped_m
-        north_m += offset.north_m + jumped_north_m
-        east_m += offset.east_m + jumped_east_m
-    return north_m, east_m
+    shifts_m = [one.estimate.shift_m for one in links]
+    return sum(north for north, _ in shifts_m), sum(east for _, east in shifts_m)
 
 
 def _slot_then(

@@ -1,7 +1,7 @@
 """The values that one tick hands from step to step, for one follower. Frozen: no step writes back.
 
 standing   may it be flown now, and why not (`supervisor`)
-plan       where it is to be, as if it flew alone (`planner`)
+plan       where it is to be, as if it flew alone (`plan`)
 allowed    the same with room for everybody (`spacing`)
 command    what is sent (`session`)
 """

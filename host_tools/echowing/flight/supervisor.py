@@ -115,7 +115,7 @@ class Supervisor:
 
     def _not_cleared(self, follower: FollowerState, now_s: float) -> Why:
         done = self.stopping is not None or self.is_stopped_rising(follower)
-        if done or self.is_cleared(follower) or self._engagement is None:
+        if done or follower.turn.cleared or self._engagement is None:
             return None
         return self._engagement.objection(follower.plan.system_id) or ""
 
@@ -139,7 +139,7 @@ class Supervisor:
         """Why its data, or the leader's, cannot be trusted."""
         if follower.turn.latched is not None or follower.own_jump.since_s is not None:
             return follower.turn.latched or "its position jumps"
-        if self._engagement is None or not self.is_cleared(follower):
+        if self._engagement is None or not follower.turn.cleared:
             return None
         return self._engagement.reason_to_stop(follower)
 
@@ -186,10 +186,6 @@ class Supervisor:
         """Whether its take-off was stopped under way: held, whatever else is known of it."""
         rises = follower.guided_mode and (follower.in_guided or follower.armed)
         return rises and self.lift_of(follower) is Lift.STOPPED
-
-    def is_cleared(self, follower: FollowerState) -> bool:
-        """Whether it has passed all checks before its first point."""
-        return self._engagement is None or follower.turn.cleared
 
     # ---- its pilot's mode switch ----------------------------------------------------------------
 
