@@ -16,7 +16,7 @@ from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.flight.state import FollowerPlan
 from echowing.flight.steps import Phase, Standing
 from echowing.geo import GlobalPosition, displace, ned_between
-from echowing.mavlink.messages import FORWARD, TOOL_SYSTEM_ID, sonar_range_m
+from echowing.mavlink.messages import FORWARD, TOOL_SYSTEM_ID, guides, sonar_range_m
 from echowing.sonar_file import shipped_sonar
 
 LEADER, FOLLOWER = 1, 2
@@ -296,6 +296,41 @@ def test_a_heartbeat_of_another_component_does_not_engage() -> None:
     assert targets(follow, 1.0) == []
 
 
+def sonar_reading(boot_s: float, range_m: float) -> Any:
+    """A single reading, dated by the co-processor's own clock."""
+    return mavlink.MAVLink_named_value_float_message(round(boot_s * 1e3), b"SNR_RAW", range_m)
+
+
+def average(range_m: float, orientation: int = FORWARD) -> Any:
+    return mavlink.MAVLink_distance_sensor_message(
+        0, 20, 765, round(range_m * 100.0), 0, 0, orientation, 0
+    )
+
+
+@pytest.mark.parametrize(
+    ("component", "message", "is_read"),
+    [
+        (1, heartbeat(), True),
+        (
+            191,
+            mavlink.MAVLink_gimbal_device_attitude_status_message(
+                0, 0, 0, 0, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0, 0
+            ),
+            True,
+        ),
+        (191, sonar_reading(1.0, 3.0), True),
+        (191, average(3.0), True),
+        (191, heartbeat(), False),
+        (191, mavlink.MAVLink_param_value_message(b"WP_ACC", 1.0, 9, 1, 0), False),
+    ],
+)
+def test_of_another_component_only_the_sonar_counts(
+    component: int, message: Any, is_read: bool
+) -> None:
+    sender = mavlink.MAVLink(None, srcSystem=FOLLOWER, srcComponent=component)
+    assert guides(mavlink.MAVLink(None).decode(bytearray(message.pack(sender)))) == is_read
+
+
 def test_a_stale_leader_stops_the_follower_where_it_is() -> None:
     follow = session()
     follow.receive(from_vehicle(LEADER, position(1.0, HERE, (2.0, 0.0))), 1.0)
@@ -510,11 +545,6 @@ def test_fifty_followers_each_get_their_own_point() -> None:
         assert math.isfinite(norths[plan.system_id])
 
 
-def sonar_reading(boot_s: float, range_m: float) -> Any:
-    """A single reading, dated by the co-processor's own clock."""
-    return mavlink.MAVLink_named_value_float_message(round(boot_s * 1e3), b"SNR_RAW", range_m)
-
-
 def listening_session(range_m: float) -> FollowSession:
     """A still leader, a follower that believes to be 4 m south of it, and 20 s of readings."""
     follow = session(GuidanceSettings())
@@ -534,12 +564,6 @@ def test_the_point_moves_by_the_receivers_disagreement_that_the_sonar_shows() ->
 
     # To be at 3 m it has to go where its own receiver says 4 m.
     assert metres_from_here(target) == pytest.approx((-4.0, 0.0), abs=0.15)
-
-
-def average(range_m: float, orientation: int = FORWARD) -> Any:
-    return mavlink.MAVLink_distance_sensor_message(
-        0, 20, 765, round(range_m * 100.0), 0, 0, orientation, 0
-    )
 
 
 def offset_by_averages(orientation: int, raw_m: float | None, average_m: float = 2.8) -> float:

@@ -16,6 +16,7 @@ from echowing.analysis.vehicle_log import read_vehicles
 from echowing.cli import main
 from echowing.geo import displace
 from echowing.sim.vehicle.autopilot import ORIGIN
+from echowing.tool.again import received
 
 from .field import (
     DEADLINE_S,
@@ -68,6 +69,9 @@ def test_an_engagement_the_pilot_and_the_end(world: World, tmp_path: Path) -> No
     world.pilot.until_still()
     (tlog,) = tmp_path.glob("*.tlog")
     assert {vehicle.system_id for vehicle in read_vehicles(tlog)} == {LEADER, FOLLOWER}
+    # What the session has not read is not in it. Without where the sonar looked the nose looks for
+    # the leader, as of a vehicle without a gimbal.
+    assert "GIMBAL_DEVICE_ATTITUDE_STATUS" in {one.get_type() for _, one in received(tlog)}
     (table,) = tmp_path.glob("*.csv")
     rows = list(csv.DictReader(table.open(encoding="utf-8")))
     # Whole to the end: the last row is of the stop; and as often as it was shown, at the least.

@@ -196,8 +196,7 @@ class Guard:
         watch.watchdog_s = silence_s
 
     def _leader_message(self, kind: str, message: Any) -> None:
-        autopilot = message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1
-        if kind == "HEARTBEAT" and autopilot:
+        if kind == "HEARTBEAT":
             self._leader_flies = is_flying(message)
 
     @staticmethod

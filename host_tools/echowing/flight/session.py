@@ -38,6 +38,7 @@ from echowing.flight.trust import Trust
 from echowing.geo import GlobalPosition
 from echowing.mavlink.messages import (
     TOOL_SYSTEM_ID,
+    guides,
     look_order,
     position_target,
     status_text,
@@ -125,6 +126,8 @@ class FollowSession:
 
         What is not needed is ignored.
         """
+        if not guides(message):
+            return
         system_id = message.get_srcSystem()
         kind = message.get_type()
         if kind == "GLOBAL_POSITION_INT" and not self._trust.is_sure(system_id, message, now_s):
@@ -147,7 +150,7 @@ class FollowSession:
     def _leader_message(self, kind: str, message: Any, now_s: float) -> None:
         if kind == "GLOBAL_POSITION_INT":
             self._trust.leader_reported(message, now_s)
-        elif kind == "HEARTBEAT" and message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1:
+        elif kind == "HEARTBEAT":
             self.known.leader_mode = message.custom_mode
 
     def _follower_message(
@@ -162,7 +165,7 @@ class FollowSession:
                 self._trust.follower_reported(follower, report)
         elif kind == "ATTITUDE" and self.guard is not None:
             follower.leaned(message, now_s)
-        elif kind == "HEARTBEAT" and message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1:
+        elif kind == "HEARTBEAT":
             self._supervisor.heard_mode(follower, message, now_s)
         elif kind == "COMMAND_ACK":
             self._acknowledged(follower, message, now_s)

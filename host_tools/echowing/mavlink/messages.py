@@ -17,6 +17,9 @@ HEARTBEAT_PERIOD_S = 1.0
 
 FORWARD = mavlink.MAV_SENSOR_ROTATION_NONE
 
+# Of a vehicle's components but its autopilot: the co-processor's readings, and where it looked.
+_COPROCESSOR_SAYS = {"DISTANCE_SENSOR", "GIMBAL_DEVICE_ATTITUDE_STATUS", "NAMED_VALUE_FLOAT"}
+
 STATUS_TEXT_BYTES = 50
 
 # GLOBAL_POSITION_INT: MAVLink's value for no heading.
@@ -38,6 +41,13 @@ _POSITION_ONLY = (
     | mavlink.POSITION_TARGET_TYPEMASK_VY_IGNORE
     | mavlink.POSITION_TARGET_TYPEMASK_VZ_IGNORE
 )
+
+
+def guides(message: Any) -> bool:
+    """Whether guidance reads what this component of a vehicle says."""
+    if message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1:
+        return True
+    return message.get_type() in _COPROCESSOR_SAYS
 
 
 def position_target(

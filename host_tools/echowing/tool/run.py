@@ -21,7 +21,7 @@ from echowing.flight.state import FollowerPlan, Guide
 from echowing.flight.take_off import TakeOff
 from echowing.geo import load_exact
 from echowing.mavlink.links import Address, Link, wait
-from echowing.mavlink.messages import status_text
+from echowing.mavlink.messages import guides, status_text
 from echowing.mavlink.seats import OpenLink, Seat, StrangerWatch, find_vehicles, known_id
 from echowing.mavlink.signing import LinkSigning
 from echowing.stopping import StopRequest
@@ -47,8 +47,6 @@ UNKNOWN_ALTITUDE_M = 10.0
 HOPELESS_S = 0.5
 TAKE_OVER = "Echowing: not confirmed stopped, TAKE OVER"
 FAULT = "Echowing: ground tool failed, holding"
-# Messages accepted from another component of a vehicle, the co-processor.
-_COMPONENTS_SAY = {"DISTANCE_SENSOR", "NAMED_VALUE_FLOAT"}
 
 
 @dataclass(slots=True)
@@ -319,8 +317,7 @@ class FollowTool:
             self._session.engagement.doubt(*doubt, now_s)
         if self._ways.get(message.get_srcSystem()) is not link:
             return
-        own = message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1
-        if not own and message.get_type() not in _COMPONENTS_SAY:
+        if not guides(message):
             return
         self._write(now_s, bytes(message.get_msgbuf()))
         self._session.receive(message, now_s)
