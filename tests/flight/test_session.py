@@ -16,7 +16,7 @@ from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.flight.state import FollowerPlan
 from echowing.flight.steps import Phase, Standing
 from echowing.geo import GlobalPosition, displace, ned_between
-from echowing.mavlink.messages import FORWARD, TOOL_SYSTEM_ID, guides, sonar_range_m
+from echowing.mavlink.messages import EARTH_FRAME, FORWARD, TOOL_SYSTEM_ID, guides, sonar_range_m
 from echowing.sonar_file import shipped_sonar
 
 LEADER, FOLLOWER = 1, 2
@@ -556,6 +556,26 @@ def listening_session(range_m: float) -> FollowSession:
         swaying_m = range_m * (1.0 + 0.004 * (number // 5 % 2))
         follow.receive(from_vehicle(FOLLOWER, sonar_reading(t_s, swaying_m)), t_s)
     return follow
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_a_sonar_that_does_not_say_where_it_looks_is_told_of_once(told: bool) -> None:
+    """By one the estimate takes each reading for straight ahead, and the nose looks around."""
+    follow = session(GuidanceSettings())
+    for number in range(100):
+        t_s = 10.0 + number * 0.1
+        for system_id, place in ((LEADER, HERE), (FOLLOWER, FOLLOWER_AT)):
+            follow.receive(from_vehicle(system_id, position(t_s, place)), t_s)
+        follow.receive(from_vehicle(FOLLOWER, sonar_reading(t_s, 3.8 + 0.01 * (number % 2))), t_s)
+        if told:
+            axis = mavlink.MAVLink_gimbal_device_attitude_status_message(
+                0, 0, round(t_s * 1e3), EARTH_FRAME, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0, 0
+            )
+            follow.receive(from_vehicle(FOLLOWER, axis), t_s)
+        follow.tick(t_s)
+
+    said = [text for _, text in follow.events if "sonar axis unknown" in text]
+    assert said == ([] if told else ["follower 2: sonar axis unknown: update firmware"])
 
 
 def test_the_point_moves_by_the_receivers_disagreement_that_the_sonar_shows() -> None:

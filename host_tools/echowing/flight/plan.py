@@ -49,6 +49,10 @@ SLACK_M = 0.3
 WORSE_LASTS_S, WORSE_AGAIN_S = 5.0, 120.0
 
 
+# At most as long as what `hearing` tells pilots.
+UNDIRECTED = "sonar axis unknown: update firmware"
+
+
 class Planner:
     """Plans for the followers of one session.
 
@@ -125,8 +129,12 @@ class Planner:
         follower.opens = opens or (follower.opens and needs_m > radius_m - SLACK_M)
 
     def _tell_of_hearing(self, follower: FollowerState, now_s: float) -> None:
-        """Say that its sonar hears worse than its file says: its pilots decide whether it may."""
-        worse = follower.estimate.hearing.heard().worse
+        """Say that its sonar hears worse than its file says: its pilots decide whether it may.
+
+        Or that its co-processor's readings come and where it looks does not.
+        """
+        undirected = follower.is_read(now_s) and not follower.estimate.points(now_s)
+        worse = UNDIRECTED if undirected else follower.estimate.hearing.heard().worse
         if worse is None:
             follower.worse_since_s = math.inf
             return

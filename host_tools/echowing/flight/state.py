@@ -279,13 +279,15 @@ class FollowerState:
             if axis is not None and message.get_srcComponent() == self.sonar_id:
                 self.estimate.pointed(message.time_boot_ms, axis, now_s)
         elif (
-            kind == "DISTANCE_SENSOR"
-            and message.orientation == FORWARD
-            and now_s - self.raw_at_s > RAW_FRESH_S
+            kind == "DISTANCE_SENSOR" and message.orientation == FORWARD and not self.is_read(now_s)
         ):
             range_m = sonar_range_m(message, self.plan.sonar.reach_m)
             heard_m = self.plan.sonar.reach_m if range_m is None else range_m
             self._take_range(now_s - self.way_s - AVERAGE_AGE_S, heard_m)
+
+    def is_read(self, now_s: float) -> bool:
+        """Whether the co-processor's single readings come."""
+        return now_s - self.raw_at_s <= RAW_FRESH_S
 
     def _take_range(self, time_s: float, range_m: float, stamp_ms: int | None = None) -> None:
         self.estimate.heard(time_s, range_m, stamp_ms)
