@@ -17,7 +17,7 @@ from echowing.geo import GlobalPosition, Ned, displace
 
 from . import truth
 from .drift import Drift
-from .names import DRIFT_EAST, DRIFT_NORTH, DRIFT_UP, Version
+from .names import DRIFT_EAST, DRIFT_NORTH, DRIFT_UP, WIND, WIND_SPEED, Version
 from .relay import LOOPBACK, Link
 from .sonar import Feeder, Scene, silence, vehicles
 from .tools import Tool, port_told, run
@@ -126,12 +126,13 @@ class Follower:
 class Formation:
     """A leader and its followers, started, their receivers drifting.
 
-    seed: of the receivers' offsets, those of the built-in simulator. latency_s: of the leader's
-    link, each way. drifting: whether the receivers have offsets. wandering: whether these change
-    from the start, or only from `let_wander` on. sonar: see `Follower`. height_sigma_m: by how much
-    each barometer wanders, standard deviation. same_clock: the receivers tell the same time of
-    day, which counts where logs are laid side by side. key: all sign with it, by the time of day,
-    so they start at its pace.
+    seed: of the receivers' offsets, those of the built-in simulator. latency_s,
+    follower_latency_s: of the leader's link and the followers', each way. wind_mps: from the
+    north, the same at all heights, without gusts. drifting: whether the receivers have
+    offsets. wandering: whether these change from the start, or only from `let_wander` on. sonar:
+    see `Follower`. height_sigma_m: by how much each barometer wanders, standard deviation.
+    same_clock: the receivers tell the same time of day, which counts where logs are laid side by
+    side. key: all sign with it, by the time of day, so they start at its pace.
     """
 
     def __init__(
@@ -142,6 +143,8 @@ class Formation:
         *,
         followers: int = 1,
         latency_s: float = LEADER_LATENCY_S,
+        follower_latency_s: float = FOLLOWER_LATENCY_S,
+        wind_mps: float = 0.0,
         drifting: bool = True,
         wandering: bool = True,
         sonar: Sequence[str] = (),
@@ -162,8 +165,10 @@ class Formation:
             for follower in self.followers:
                 follower.feeder.scene = self.scene(follower.vehicle)
             self.leader_link = self._link(self.leader, latency_s)
-            self.follower_links = [self._link(v, FOLLOWER_LATENCY_S) for v in self._of_followers()]
+            self.follower_links = [self._link(v, follower_latency_s) for v in self._of_followers()]
             self._wake(drifting=drifting)
+            if wind_mps:
+                self._blow(wind_mps)
             if same_clock:
                 self._set_clocks()
 
@@ -253,6 +258,11 @@ class Formation:
             vehicle.until_positioned()
         for vehicle in self.everybody:
             vehicle.speed_up(1.0)
+
+    def _blow(self, wind_mps: float) -> None:
+        for vehicle in self.everybody:
+            for name, value in {**WIND, WIND_SPEED: wind_mps}.items():
+                vehicle.set(name, value)
 
     def _set_clocks(self) -> None:
         """Let the time of those behind pass faster until all receivers tell the same UTC."""

@@ -44,4 +44,7 @@ ACCELERATION: Names = {"WP_ACC": 1.0, "WPNAV_ACCEL": 100.0}
 DRIFT_NORTH: Names = {"SIM_GPS1_GLTCH_X": 1.0, "SIM_GPS_GLITCH_X": 1.0}
 DRIFT_EAST: Names = {"SIM_GPS1_GLTCH_Y": 1.0, "SIM_GPS_GLITCH_Y": 1.0}
 DRIFT_UP = "SIM_BARO_GLITCH"  # in all of them
+# From the north, and full near the ground: by default 6 m/s at 60 m are 2.4 m/s at 10 m.
+WIND_SPEED = "SIM_WIND_SPD"
+WIND = {"SIM_WIND_DIR": 0.0, "SIM_WIND_T": 1.0, "SIM_WIND_TURB": 0.0}
 SPEEDUP: Names = {"SIM_SPEEDUP": 1.0}
