@@ -714,6 +714,17 @@ def test_no_point_leaves_that_is_far_or_not_finite_whatever_was_reckoned_with(
     assert sum("its point was out of reach" in text for text in yard.events()) == 1
 
 
+def test_nor_does_the_place_where_it_is_held(monkeypatch: pytest.MonkeyPatch) -> None:
+    yard = Yard(limits=FIELD_LIMITS)
+    yard.fly(6.0)
+    nowhere = GlobalPosition(math.nan, math.nan, 10.0)
+    monkeypatch.setattr("echowing.flight.holds._stopping_place", lambda *_: nowhere)
+    yard.session.stop("the tool ends")
+    points = yard.fly(2.0)
+    assert len(points) == 16
+    assert all(abs(north_of(one) + 4.0) < 1.0 for one in points)
+
+
 def test_an_unheard_follower_is_sent_nothing() -> None:
     there = Field(Limits())
     there.fly(1.0)
