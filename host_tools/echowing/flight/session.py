@@ -44,6 +44,8 @@ from echowing.mavlink.messages import (
 )
 
 DISTANCE_HZ, ATTITUDE_HZ = 5.0, 2.0
+# No copter flies faster (WP_SPD ends at 20 m/s): the applet uses no faster point (FASTEST_MPS).
+FASTEST_MPS = 30.0
 
 
 class FollowSession:
@@ -251,8 +253,9 @@ class FollowSession:
         return [(system_id, order)]
 
     def _may_leave(self, follower: FollowerState, allowed: Allowed) -> bool:
-        """Whether a point is finite, and near: whatever was reckoned with, nothing else leaves."""
-        if not all(map(math.isfinite, (*allowed.place, *(allowed.velocity_mps or ())))):
+        """Whether a point is finite, near and flyable: nothing else leaves, whatever went in."""
+        mps = math.hypot(*(allowed.velocity_mps or ()))
+        if not all(map(math.isfinite, allowed.place)) or not mps <= FASTEST_MPS:
             return False
         return self.guard is None or self.guard.is_near(follower, allowed.place)
 
