@@ -202,6 +202,7 @@ local S = {
     law_mps = 0, wish_mps = 0, speed_mps = 0, data_ms = 0, range_ms = 0, step_ms = 0,
     announced = 0, told_ms = 0, named_ms = 0, strange = 0,
 }
+local refused = 0 -- messages that were not used. Not in S, which is full: with one more name it takes 640 bytes more
 -- Values in force: C.DIST, ... Filled here, where there are large holes still.
 local C = {}
 S.pilot_units = param:get('ECHO_MIRROR') -- what a script that died in control left there
@@ -213,7 +214,7 @@ end
 if S.pilot_units then param:set('ECHO_MIRROR', S.pilot_units) end -- it is not saved: its default was back
 
 -- Uses the new value of the next parameter, in row S.row of the text, if it is in its range (NaN is not); else keeps the
--- old and tells it once: S.strange has a bit for each.
+-- old and tells it once: S.strange has a bit for each, by its number.
 local function read()
     local name, low, high, i, row = PARAMETERS:match('(%S+) %S+ (%S+) (%S+) (%S+)()', S.row)
     S.row = row < #PARAMETERS and row or 1
@@ -267,18 +268,14 @@ end
 
 -- Laws ---------------------------------------------------------------------------------------------------------------
 
--- Change of speed for a range, thesis Appendix A and Table 6.
-local function band_change(range_m)
-    if range_m >= C.DIST + C.BAND_OUT then return C.STEP_BIG end
-    if range_m >= C.DIST + C.BAND_IN then return C.STEP_SML end
-    if range_m >= C.DIST - C.BAND_IN then return 0 end
-    if range_m >= C.DIST - C.BAND_OUT then return -C.STEP_SML end
-    return -C.STEP_BIG
-end
-
--- One step. Law 0, Appendix A: a step that would reach a limit is refused. Law 1: it stops at the limit.
+-- One step by the range's band, thesis Appendix A and Table 6. Law 0, Appendix A: a step that would reach a limit is
+-- refused. Law 1: it stops at the limit.
 local function law_step(speed_mps, range_m)
-    local wish_mps = speed_mps + band_change(range_m)
+    local wish_mps = speed_mps + (range_m >= C.DIST + C.BAND_OUT and C.STEP_BIG
+        or range_m >= C.DIST + C.BAND_IN and C.STEP_SML
+        or range_m >= C.DIST - C.BAND_IN and 0
+        or range_m >= C.DIST - C.BAND_OUT and -C.STEP_SML
+        or -C.STEP_BIG)
     if C.LAW >= 1 then return clamp(wish_mps, C.SPD_MIN, C.SPD_MAX) end
     if wish_mps > speed_mps and wish_mps >= C.SPD_MAX or wish_mps < speed_mps and wish_mps <= C.SPD_MIN then
         return speed_mps
@@ -335,13 +332,17 @@ end
 -- MAVLink ------------------------------------------------------------------------------------------------------------
 
 -- Takes a point for this vehicle, or a single reading. Frames whose checksum is wrong reach scripts too: it is computed.
--- Points count from one sender until it has been silent for a second.
+-- Points count from one sender until it has been silent for a second. What is not used gives a number that no parameter
+-- has, and a text.
 local function take_message(message, t_ms)
+    if not message then return end
     local head = #message >= 299 and 15 or 12 -- bytes before the payload: mavlink_message_t has ids of 32 bits, or 24
     local old, length = message:byte(3, 4)
     local point = message:byte(head - 2) == 86
-    old = old == 0xFE -- MAVLink 1
-    if length > 53 or not (old or message:byte(5) < 2) then return end -- 1: signed; more changes the frame
+    old = old & 1 == 0 -- 0xFE is MAVLink 1, 0xFD is 2
+    if length > 53 or not (old or message:byte(5) < 2) then -- 1: signed; more changes the frame
+        return 10, 'damaged or impossible message, not used'
+    end
     -- As on the wire from the length on; one or three bytes of message id. The byte that follows is the message's
     -- CRC_EXTRA.
     local bytes = message:sub(4, old and 4 or 6) .. message:sub(7, 8)
@@ -355,19 +356,22 @@ local function take_message(message, t_ms)
         crc = crc ~ crc << 16
         crc = crc >> 16 ~ crc >> 21 ~ crc >> 28
     end
-    if crc ~= 0 then return end
+    if crc ~= 0 then return 10, 'damaged or impossible message, not used' end
     local own, sender = param:get('MAV_SYSID') or param:get('SYSID_THISMAV'), message:byte(8)
     if not point then
         local board_ms, range_m, name = ('<i4fc7'):unpack(message, head + 1)
-        if sender == own and name == 'SNR_RAW' and range_m > 0 and range_m < C.DETECT then
-            track(range_m + C.INSET, board_ms)
+        if sender ~= own or name ~= 'SNR_RAW' then return end
+        if range_m > 0 then -- NaN is not
+            if range_m < C.DETECT then track(range_m + C.INSET, board_ms) end
+            return
         end
-        return
+        return 10, 'damaged or impossible message, not used'
     end
     local system = length > 50 and message:byte(head + 51) or 0
     if system ~= 0 and system ~= own then return end
     if t_ms - S.point_ms > 1000 then S.points, S.sender = 0, sender end
-    if sender == S.sender then S.points, S.point_ms = S.points + 1, t_ms end
+    if sender ~= S.sender then return 12, 'points of a second sender, not used' end
+    S.points, S.point_ms = S.points + 1, t_ms
 end
 
 -- The speed parameter ------------------------------------------------------------------------------------------------
@@ -375,7 +379,7 @@ end
 -- An outside change while in control is the pilot's: his value from now on.
 local function watch_speed()
     local value = param:get(SPEED_NAME)
-    if value ~= S.units and value > 0 then -- NaN is not
+    if value ~= S.units and value > 0 and value < 50 * per_mps then -- NaN is not; no copter flies faster
         S.pilot_units = value
         param:set('ECHO_MIRROR', value)
     end
@@ -389,7 +393,7 @@ local function hand_back(text)
     if vehicle:get_mode() == 4 then vehicle:set_desired_speed(value / per_mps) end
     param:set('ECHO_MIRROR', 0)
     say(5, ('handed back, %s %.2f (%s)'):format(SPEED_NAME, value, text))
-    S.pilot_units, S.state = false, 0
+    S.pilot_units, S.units, S.state = false, false, 0
 end
 
 -- What pilots see ----------------------------------------------------------------------------------------------------
@@ -410,20 +414,23 @@ local function report(range_m, t_ms)
     gcs:send_named_float('ECHO_RNG', range_m or 0)
     gcs:send_named_float('ECHO_SPD', S.speed_mps)
     gcs:send_named_float('ECHO_STATE', state)
+    gcs:send_named_float('ECHO_REF', refused)
 end
 
 -- Control: who flies, and the update ---------------------------------------------------------------------------------
 
 local function act(t_ms)
-    if not S.pilot_units then
-        S.units, S.points, S.close, S.holding = false, 0, false, false
+    local units = S.pilot_units
+    watch_speed() -- before the speed is touched: a restart must find the pilot's
+    if not S.pilot_units then return 100 end -- it is no speed, and could not be given back
+    if not units then
+        S.points, S.close, S.holding = 0, false, false
         S.step_ms, S.data_ms, S.range_ms, S.told_ms = t_ms, t_ms, t_ms, t_ms - 10000
         S.named_ms, S.announced = t_ms - 500, 2
         S.law_mps = clamp(C.SPD_INIT, C.SPD_MIN, C.SPD_MAX)
         S.wish_mps = S.law_mps
         say(6, ('in control, law %.0f, %.1f m/s'):format(C.LAW // 1, S.law_mps))
     end
-    watch_speed() -- before the speed is touched: a restart must find the pilot's
     local range_m, status = run_law(t_ms)
     S.speed_mps = guard(status, t_ms)
     -- Holds the vehicle where it is once a stream of guided points has fallen silent. Three points are a stream; one alone
@@ -452,8 +459,12 @@ local function update()
     S.yaw, S.dt_s, S.update_ms = yaw, (t_ms - S.update_ms) / 1000, t_ms
     S.near_m = S.near_m + (S.leader_mps - S.own_mps) * S.dt_s
     for _ = 1, 5 do
-        local message = mavlink:receive_chan()
-        if message then take_message(message, t_ms) end
+        local i, text = take_message(mavlink:receive_chan(), t_ms)
+        if i then
+            i, refused = 1 << i, refused + 1
+            if S.strange & i == 0 then say(4, text) end
+            S.strange = S.strange | i
+        end
     end
     local text = (C.ENABLE < 1 or S.deaf) and 'disabled' or not arming:is_armed() and 'disarmed'
         or vehicle:get_mode() ~= 4 and 'mode'

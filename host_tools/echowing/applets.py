@@ -4,6 +4,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+Version = tuple[int, int]
+"""Of ArduCopter: (4, 8)."""
+
 
 @dataclass(frozen=True, slots=True)
 class Applet:
@@ -12,23 +15,31 @@ class Applet:
     name: str
     """As the user calls it: `--applet`."""
     file: str
-    heap_bytes: int
-    """It loads and flies in so much of scripting's memory (`SCR_HEAP_SIZE`), and may take no more:
-    tests/lua/test_heap.py runs it there."""
-    old_heap_bytes: int
-    """The same up to ArduCopter 4.6, which fills 6 kB of it by itself."""
+    heaps: tuple[tuple[Version, int], ...]
+    """From which ArduCopter on it loads and flies in so many bytes of scripting's memory
+    (`SCR_HEAP_SIZE`), newest first: tests/lua/test_heap.py runs it there. Older ones fill more of
+    that memory by themselves."""
     source: Path | None = field(default=None, compare=False)
     """Its file in a release; none: the one that comes with this package."""
 
-    def needs_bytes(self, version: tuple[int, int] | None) -> int:
+    def needs_bytes(self, version: Version | None) -> int:
         """Of scripting's memory; None: a version that is not known counts as a new one."""
-        is_old = version is not None and version < (4, 7)
-        return self.old_heap_bytes if is_old else self.heap_bytes
+        if version is None:
+            return self.heaps[0][1]
+        return next((need for since, need in self.heaps if version >= since), self.heaps[-1][1])
+
+    def fits_since(self, heap_bytes: int) -> Version | None:
+        """The oldest ArduCopter with which it loads in so much; None: it never does."""
+        return min((since for since, need in self.heaps if need <= heap_bytes), default=None)
 
 
-# With a margin to the 100 KiB of an F765, and from 4.7 on to the 43 KiB of an F427.
-HOLD = Applet("hold", "echowing.lua", 90 * 1024, 94 * 1024)
-SPEED = Applet("speed", "echowing_speed.lua", 40 * 1024, 47 * 1024)
+# With a margin to the 100 KiB of an F765 from 4.6 on, and from 4.7 on to the 43 KiB of an F427.
+HOLD = Applet(
+    "hold", "echowing.lua", (((4, 7), 90 * 1024), ((4, 6), 94 * 1024), ((4, 5), 110 * 1024))
+)
+SPEED = Applet(
+    "speed", "echowing_speed.lua", (((4, 7), 40 * 1024), ((4, 6), 47 * 1024), ((4, 5), 63 * 1024))
+)
 APPLETS = (HOLD, SPEED)
 
 # The parameters that tell which applet runs. Before there were two, one

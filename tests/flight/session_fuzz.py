@@ -41,7 +41,7 @@ MOST_STEPS = 100_000
 COUNTED_EVERY = 20
 # The greatest distance from the leader (100 m), and a slot that is as far again as the widest.
 FAR_M = 150.0
-FAST_MPS = 60.0
+FAST_MPS = 30.0
 SPEED_MPS = 4.0
 HANGS_S = 600.0
 NUMBERS = (math.nan, math.inf, -math.inf, 0.0, -0.0, 1e-30, -1e-30, 3.4e38, -3.4e38, 1.0, -1.0)

@@ -689,7 +689,11 @@ def test_targets_near_enough_or_the_applets_own_are_no_refusal(
 
 @pytest.mark.parametrize(
     ("off_m", "velocity_mps"),
-    [((400.0, 0.0), (0.0, 0.0)), ((0.0, 0.0), (math.nan, 0.0)), ((0.0, -400.0), (1.0, 0.0))],
+    [
+        ((400.0, 0.0), (0.0, 0.0)),
+        ((0.0, 0.0), (math.nan, 0.0)),
+        ((0.0, -400.0), (1.0, 0.0)),
+    ],
 )
 def test_no_point_leaves_that_is_far_or_not_finite_whatever_was_reckoned_with(
     off_m: tuple[float, float],
@@ -712,6 +716,30 @@ def test_no_point_leaves_that_is_far_or_not_finite_whatever_was_reckoned_with(
     assert all(abs(north_of(one) + 4.0) < 1.0 for one in points)
     assert yard.state() == "holding: its point was out of reach, until it leaves Guided"
     assert sum("its point was out of reach" in text for text in yard.events()) == 1
+
+
+@pytest.mark.parametrize(("leaders_mps", "is_flown"), [(20.0, True), (35.0, False)])
+def test_no_point_leaves_that_is_faster_than_a_copter(leaders_mps: float, is_flown: bool) -> None:
+    yard = Yard(limits=FIELD_LIMITS)
+    yard.fly(6.0)
+    yard.vehicles[LEADER].velocity_mps = (leaders_mps, 0.0)
+    points = yard.fly(2.0)
+    assert len(points) == 16
+    assert max(math.hypot(one.vx, one.vy) for one in points) < 30.0
+    assert yard.state() == (
+        "following" if is_flown else "holding: its point was out of reach, until it leaves Guided"
+    )
+
+
+def test_nor_does_the_place_where_it_is_held(monkeypatch: pytest.MonkeyPatch) -> None:
+    yard = Yard(limits=FIELD_LIMITS)
+    yard.fly(6.0)
+    nowhere = GlobalPosition(math.nan, math.nan, 10.0)
+    monkeypatch.setattr("echowing.flight.holds._stopping_place", lambda *_: nowhere)
+    yard.session.stop("the tool ends")
+    points = yard.fly(2.0)
+    assert len(points) == 16
+    assert all(abs(north_of(one) + 4.0) < 1.0 for one in points)
 
 
 def test_an_unheard_follower_is_sent_nothing() -> None:

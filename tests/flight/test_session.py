@@ -10,7 +10,7 @@ from echowing.flight.guard import Limits
 from echowing.flight.guidance import GRAY, GuidanceSettings, Slot
 from echowing.flight.jumps import AGREEING_REPORTS
 from echowing.flight.leader_track import CLOCKS_AGREE_S, VehicleClock
-from echowing.flight.plan import CLOSES_MPS
+from echowing.flight.plan import CLOSES_MPS, planned
 from echowing.flight.session import FollowSession
 from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.flight.state import FollowerPlan
@@ -329,6 +329,26 @@ def test_of_another_component_only_the_sonar_counts(
 ) -> None:
     sender = mavlink.MAVLink(None, srcSystem=FOLLOWER, srcComponent=component)
     assert guides(mavlink.MAVLink(None).decode(bytearray(message.pack(sender)))) == is_read
+
+
+def test_where_neither_point_nor_place_is_known_nothing_is_sent(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A follower in Guided that has not told where it is, and a plan that is no number."""
+    plan = FollowerPlan(FOLLOWER, Slot(3.0), 12.0, sonar=shipped_sonar())
+    follow = FollowSession(LEADER, [plan], PLAIN)
+    follow.receive(from_vehicle(FOLLOWER, heartbeat()), 0.0)
+    follow.receive(from_vehicle(LEADER, position(1.0, HERE)), 1.0)
+    assert len(targets(follow, 1.1)) == 1
+    nowhere = GlobalPosition(math.nan, HERE.lon_deg, HERE.alt_m)
+    monkeypatch.setattr(
+        "echowing.flight.plan.planned",
+        lambda *given: replace(planned(*given), point=nowhere),
+    )
+    assert targets(follow, 1.2) == []
+    follow.receive(from_vehicle(FOLLOWER, position(1.3, FOLLOWER_AT)), 1.3)
+    (held,) = targets(follow, 1.4)
+    assert metres_from_here(held) == pytest.approx((-4.0, 0.0), abs=0.03)
 
 
 def test_a_stale_leader_stops_the_follower_where_it_is() -> None:

@@ -188,6 +188,20 @@ def test_a_fault_of_ours_stops_the_follower_before_it_is_shown(
     assert ": stopped, " in screen.texts[-1]
 
 
+def test_links_that_cannot_be_waited_for_stop_the_follower(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As `select` fails on a link that has just gone."""
+    screen = Screen(NEVER_S, OSError())
+    flight = Flight(screen)
+    fails = Once(flight, at_north_m=3.0)
+    monkeypatch.setattr("echowing.tool.run.wait", lambda *_: fails())
+    with pytest.raises(ZeroDivisionError):
+        flight.tool.run()
+    assert flight.speed_mps() < 0.3
+    assert any("fault of this tool, all followers hold" in text for text in screen.texts)
+
+
 @pytest.fixture
 def _fails(monkeypatch: pytest.MonkeyPatch) -> None:
     """The session's tick fails from the moment on at which the follower is 3 m north of its home.

@@ -104,15 +104,19 @@ def test_a_board_that_is_too_small_is_refused(
     assert HEAP not in hidden_for(readout)
 
 
-@pytest.mark.parametrize("version", [(4, 5), (4, 6)])
 @pytest.mark.parametrize(
-    ("applet", "needs"),
-    [(SMALL, "echowing_speed.lua needs 47 KiB"), (LARGE, "echowing.lua needs 94 KiB")],
+    ("version", "applet", "needs"),
+    [
+        ((4, 6), SMALL, "echowing_speed.lua needs 47 KiB"),
+        ((4, 6), LARGE, "echowing.lua needs 94 KiB"),
+        ((4, 5), SMALL, "echowing_speed.lua needs 63 KiB"),
+        ((4, 5), LARGE, "echowing.lua needs 110 KiB"),
+    ],
 )
 def test_up_to_4_6_an_f427_carries_no_applet(
     version: tuple[int, int], applet: Applet, needs: str
 ) -> None:
-    """ArduCopter fills 6 kB of the scripts' memory by itself there."""
+    """ArduCopter fills 6 kB of the scripts' memory by itself there, 4.5 even 22 kB."""
     readout = new_vehicle(CUBE_BLACK, F4_BYTES, applet=applet, version=version)
     finding = memory(readout)
     assert (finding.verdict, finding.why) == (Verdict.WRONG, f"{needs}: it does not load")
@@ -125,13 +129,29 @@ def test_a_pilot_has_found_the_room_that_4_6_needs() -> None:
     assert memory(readout).verdict is Verdict.FINE
 
 
+def test_with_4_5_an_f765_carries_the_small_applet_alone() -> None:
+    large = new_vehicle(PIXHAWK_4, F7_BYTES, applet=LARGE, version=(4, 5))
+    finding = memory(large)
+    assert finding.verdict is Verdict.WRONG
+    assert finding.why == "echowing.lua needs 110 KiB: it does not load"
+    assert finding.fix == (
+        "--applet speed fits there; --applet hold fits there with ArduCopter 4.6 or later"
+    )
+    assert written(large) is None
+    for applet, version in ((SMALL, (4, 5)), (LARGE, (4, 6))):
+        readout = new_vehicle(PIXHAWK_4, F7_BYTES, applet=applet, version=version)
+        assert memory(readout).verdict is Verdict.FINE
+
+
 @pytest.mark.parametrize("version", [(4, 7), (4, 8), None])
 def test_from_4_7_on_an_f427_carries_the_small_applet(version: tuple[int, int] | None) -> None:
     readout = new_vehicle(CUBE_BLACK, F4_BYTES, applet=SMALL, version=version)
     assert memory(readout).verdict is Verdict.FINE
 
 
-@pytest.mark.parametrize(("version", "tries"), [((4, 6), 48_128), ((4, 8), 40_960)])
+@pytest.mark.parametrize(
+    ("version", "tries"), [((4, 5), 64_512), ((4, 6), 48_128), ((4, 8), 40_960)]
+)
 def test_of_an_unknown_board_it_is_told_what_its_version_needs(
     version: tuple[int, int], tries: int
 ) -> None:
@@ -144,7 +164,7 @@ def test_an_applet_that_runs_has_memory_enough() -> None:
     running = {"ECHO_FORMAT": POINT_FORMAT, "ECHO_ENABLE": 1.0, HEAP: 100_000.0}
     for board_id in (CUBE_BLACK, NEW_BOARD, SITL):
         assert memory(Readout(running, board_id=board_id)).verdict is Verdict.FINE
-    assert memory(new_vehicle(CUBE_BLACK, LARGE.heap_bytes // 2)).verdict is Verdict.WRONG
+    assert memory(new_vehicle(CUBE_BLACK, LARGE.needs_bytes(None) // 2)).verdict is Verdict.WRONG
 
 
 @pytest.mark.parametrize(

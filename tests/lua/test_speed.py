@@ -8,7 +8,15 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.lua.conftest import GROUND_TOOL, HERE, POSITION_ONLY, STEP_MS, Rig, mavlink_frame
+from tests.lua.conftest import (
+    CO_PROCESSOR,
+    GROUND_TOOL,
+    HERE,
+    POSITION_ONLY,
+    STEP_MS,
+    Rig,
+    mavlink_frame,
+)
 
 from echowing.paths import lua_folder
 from echowing.sim.vehicle.luahost import LuaHost
@@ -26,6 +34,7 @@ NO_DATA, LOW, HIGH, GOOD = 1, 2, 3, 4
 SEARCHING, TRACKING, TOO_CLOSE, NO_SONAR, STREAM_LOST, BACKING_OFF = range(1, 7)
 SLOWEST_MPS = pytest.approx(0.2)  # ECHO_SPD_MIN
 FASTEST_MPS = 5.0  # ECHO_SPD_MAX
+UNUSABLE = "damaged or impossible message, not used"
 STEP_S = STEP_MS / 1000.0
 
 # Thesis Figure 28: average in metres, speed assigned after it in cm/s, from 200 cm/s.
@@ -104,9 +113,9 @@ EDGES = [(3.25, 1.0, 0.5), (3.05, 0.5, 0.0), (2.95, 0.0, -0.5), (2.75, -0.5, -1.
 def test_band_edges_of_the_law_in_32_bit_floats(
     rig: MakeRig, edge_m: float, at: float, below: float
 ) -> None:
-    change = rig(LAW=0).run(0.3).host.local_value("band_change")
-    assert change(edge_m) == at
-    assert change(next_below(float32(edge_m))) == below
+    step = rig(LAW=0).run(0.3).host.local_value("law_step")
+    assert step(2.0, edge_m) - 2.0 == at
+    assert step(2.0, next_below(float32(edge_m))) - 2.0 == below
 
 
 def one_step(r: Rig, range_m: float) -> float:
@@ -139,8 +148,8 @@ def test_at_exactly_the_detection_limit_it_searches(rig: MakeRig, law: int) -> N
 
 
 def test_wanted_distance_moves_the_bands(rig: MakeRig) -> None:
-    change = rig(LAW=0, DIST=4.0).run(0.3).host.local_value("band_change")
-    assert [change(m) for m in (4.3, 4.1, 4.0, 3.9, 3.7)] == [1.0, 0.5, 0.0, -0.5, -1.0]
+    step = rig(LAW=0, DIST=4.0).run(0.3).host.local_value("law_step")
+    assert [step(2.0, m) for m in (4.3, 4.1, 4.0, 3.9, 3.7)] == [3.0, 2.5, 2.0, 1.5, 1.0]
 
 
 def test_distances_are_between_the_vehicles_centres(rig: MakeRig) -> None:
@@ -460,6 +469,23 @@ def test_damaged_points_are_no_stream(rig: MakeRig) -> None:
         r.run(0.05)
     assert r.state == STREAM_LOST
     assert len(r.vehicle.targets) == 1
+    assert r.texts.count(UNUSABLE) == 1
+    # All but its id's, which are another message's: the autopilot does not hand that over.
+    assert r.vehicle.named["ECHO_REF"][-1] >= len(whole) - 4
+
+
+@pytest.mark.parametrize("range_m", [math.nan, -math.inf, 0.0, -1.0])
+def test_an_impossible_reading_is_counted_and_told_once(rig: MakeRig, range_m: float) -> None:
+    r = rig(LAW=1).range(3.0).run(1.0)
+    near_m = r.host.local_value("S")["near_m"]
+    r.raw_every_ms = None
+    for number in range(4):
+        reading = struct.pack("<If10s", r.vehicle.t_ms + number, range_m, b"SNR_RAW")
+        r.vehicle.inbox.append((mavlink_frame(251, reading, CO_PROCESSOR), 0))
+    r.run(0.6)
+    assert r.host.local_value("S")["near_m"] == near_m
+    assert r.texts.count(UNUSABLE) == 1
+    assert r.vehicle.named["ECHO_REF"][-1] == 4
 
 
 def test_points_of_a_second_sender_do_not_count(rig: MakeRig) -> None:
@@ -467,6 +493,8 @@ def test_points_of_a_second_sender_do_not_count(rig: MakeRig) -> None:
     streamed(r, 0.9, sender=99)  # the first is not yet gone
     r.run(0.3)
     assert r.state == STREAM_LOST
+    assert r.texts.count("points of a second sender, not used") == 1
+    assert r.vehicle.named["ECHO_REF"][-1] > 3
     assert streamed(r, 1.0, sender=99).state == TRACKING  # it is gone
 
 
@@ -524,6 +552,31 @@ def test_pilot_may_change_the_speed_parameter_in_flight(rig: MakeRig) -> None:
     r.vehicle.mode = 5  # in the same moment
     r.run(0.5)
     assert r.parameter_mps == 6.0
+
+
+@pytest.mark.parametrize("pilots_mps", [math.nan, math.inf, -1.0, 0.0, 51.0])
+def test_does_not_act_with_a_speed_parameter_that_is_no_speed(
+    rig: MakeRig, pilots_mps: float
+) -> None:
+    """It could not give it back."""
+    r = rig(LAW=1).range(3.0)
+    r.vehicle.parameters[r.names.speed] = pilots_mps * r.names.units_per_mps
+    r.run(2.0)
+    assert r.vehicle.desired_speeds == []
+    assert r.texts == ["ready"]
+    assert r.mirror_mps == 0.0
+    r.vehicle.parameters[r.names.speed] = 5.0 * r.names.units_per_mps
+    assert r.run(1.0).vehicle.desired_speeds != []
+
+
+def test_a_speed_that_is_none_is_not_the_pilots(rig: MakeRig) -> None:
+    r = rig(LAW=1).range(3.0).run(1.0)
+    for mps in (math.nan, math.inf, -1.0, 51.0):
+        r.vehicle.parameters[r.names.speed] = mps * r.names.units_per_mps
+        r.run(0.5)
+    r.vehicle.mode = 5
+    r.run(0.5)
+    assert r.parameter_mps == PILOT_MPS
 
 
 def test_restarted_script_restores_the_pilots_value(rig: MakeRig) -> None:
@@ -617,7 +670,7 @@ def test_an_update_with_a_full_queue_stays_below_the_limit(rig: MakeRig) -> None
 def test_named_floats_and_texts(rig: MakeRig) -> None:
     r = rig(LAW=1).range(3.0).run(10.0)
     named = r.vehicle.named
-    assert set(named) == {"ECHO_RNG", "ECHO_SPD", "ECHO_STATE"}
+    assert set(named) == {"ECHO_RNG", "ECHO_SPD", "ECHO_STATE", "ECHO_REF"}
     assert named["ECHO_RNG"][-1] == 3.0
     assert named["ECHO_SPD"][-1] == r.speed_mps
     assert 18 <= len(named["ECHO_RNG"]) <= 21  # 2 a second

@@ -31,7 +31,7 @@ from echowing.flight.plan import Planner
 from echowing.flight.requests import Rate, Requests, positions
 from echowing.flight.spacing import Spacing
 from echowing.flight.state import FollowerPlan, FollowerState, Known
-from echowing.flight.steps import Allowed, Command
+from echowing.flight.steps import Allowed, Command, Plan
 from echowing.flight.supervisor import Supervisor
 from echowing.flight.take_off import Lift, TakeOff, TakeOffs
 from echowing.flight.trust import Trust
@@ -45,6 +45,8 @@ from echowing.mavlink.messages import (
 )
 
 DISTANCE_HZ, ATTITUDE_HZ = 5.0, 2.0
+# No copter flies faster (WP_SPD ends at 20 m/s): the applet uses no faster point (FASTEST_MPS).
+FASTEST_MPS = 30.0
 
 
 class FollowSession:
@@ -206,12 +208,10 @@ class FollowSession:
         """The point for one follower, where points go to it."""
         self._supervisor.judge(follower, now_s)
         plan = self._planner.plan(follower, look, now_s)
-        if plan is None or not follower.standing.sent_to:
+        allowed = None if plan is None else self._allowed(follower, plan, now_s)
+        if plan is None or allowed is None:
             follower.not_ordered()
             return []
-        allowed = self._spacing.allowed(follower, plan, now_s)
-        if not self._may_leave(follower, allowed):
-            allowed = self._stopped_out_of_reach(follower, now_s)
         self._remember(follower, allowed, now_s)
         command = follower.command = Command(
             allowed.place,
@@ -226,6 +226,15 @@ class FollowSession:
             if follower.standing.held:
                 self.guard.holding(follower, now_s)
         return [(follower.plan.system_id, _message(follower, command, now_s))]
+
+    def _allowed(self, follower: FollowerState, plan: Plan, now_s: float) -> Allowed | None:
+        """What of its plan it may fly; None: nothing is sent to it."""
+        if not follower.standing.sent_to:
+            return None
+        allowed = self._spacing.allowed(follower, plan, now_s)
+        if self._may_leave(follower, allowed):
+            return allowed
+        return self._stopped_out_of_reach(follower, now_s)
 
     def _remember(self, follower: FollowerState, allowed: Allowed, now_s: float) -> None:
         """What the next tick has to know of this one."""
@@ -247,18 +256,23 @@ class FollowSession:
         return [(system_id, order)]
 
     def _may_leave(self, follower: FollowerState, allowed: Allowed) -> bool:
-        """Whether a point is finite, and near: whatever was reckoned with, nothing else leaves."""
-        if not all(map(math.isfinite, (*allowed.place, *(allowed.velocity_mps or ())))):
+        """Whether a point is finite, near and flyable: nothing else leaves, whatever went in."""
+        mps = math.hypot(*(allowed.velocity_mps or ()))
+        if not all(map(math.isfinite, allowed.place)) or not mps <= FASTEST_MPS:
             return False
         return self.guard is None or self.guard.is_near(follower, allowed.place)
 
-    def _stopped_out_of_reach(self, follower: FollowerState, now_s: float) -> Allowed:
+    def _stopped_out_of_reach(self, follower: FollowerState, now_s: float) -> Allowed | None:
+        """Where it is held instead; None: nobody knows where it is."""
         follower.turn.latched = "its point was out of reach, until it leaves Guided"
         self._holds.release(follower)
         self._supervisor.judge(follower, now_s)
-        assert follower.position is not None
-        place = follower.position if follower.hold is None else follower.hold.place
-        return Allowed(place, (0.0, 0.0) if self.settings.feed_forward else None)
+        velocity = (0.0, 0.0) if self.settings.feed_forward else None
+        if follower.hold is not None:
+            held = Allowed(follower.hold.place, velocity)
+            if self._may_leave(follower, held):
+                return held
+        return None if follower.position is None else Allowed(follower.position, velocity)
 
     # ---- stopping -------------------------------------------------------------------------------
 

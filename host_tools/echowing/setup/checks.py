@@ -10,7 +10,7 @@ from enum import Enum
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.applets import SPEED, identify, is_outdated
+from echowing.applets import HOLD, SPEED, Version, identify, is_outdated
 from echowing.flight.leader_speed import MOST_LEADER_MPS
 from echowing.mavlink.messages import TOOL_SYSTEM_ID
 from echowing.setup.boards import Board
@@ -384,12 +384,15 @@ def memory(readout: Readout) -> Finding:
     )
 
 
-def _what_fits(board: Board, version: tuple[int, int] | None) -> str:
-    if board.heap_bytes >= SPEED.needs_bytes(version):
-        return "--applet speed fits there"
-    if board.heap_bytes >= SPEED.heap_bytes:
-        return "--applet speed fits there with ArduCopter 4.7 or later"
-    return OTHER_AUTOPILOT
+def _what_fits(board: Board, version: Version | None) -> str:
+    fitting = []
+    for applet in (SPEED, HOLD):
+        since = applet.fits_since(board.heap_bytes)
+        if since is not None:
+            too_old = version is not None and version < since
+            later = " with ArduCopter {}.{} or later".format(*since) if too_old else ""
+            fitting.append(f"--applet {applet.name} fits there{later}")
+    return "; ".join(fitting) or OTHER_AUTOPILOT
 
 
 def _memory_of_unknown(readout: Readout, *, runs: bool, needs: str) -> Finding:

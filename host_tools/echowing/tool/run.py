@@ -254,7 +254,8 @@ class FollowTool:
             self._next_rows_s = now_s + ROWS_PERIOD_S
             self._attempt(self._show, now_s)
         due_s = min(self._next_tick_s, self._next_rows_s)
-        wait([link.link for link in self._links.values()], due_s - self._now_s())
+        links = [link.link for link in self._links.values()]
+        self._attempt(wait, links, due_s - self._now_s())
 
     def _listen(self, link: OpenLink) -> None:
         for message in link.receive(self._now_s(), self._say):

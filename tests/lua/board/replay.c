@@ -10,7 +10,7 @@
 
 /* The userdata of ArduPilot's bindings and what they hold, at 32 bits: lua_generated_bindings.cpp,
    AP_Scripting_helpers.h, Location.h. An RC_Channel is a pointer. Behind those that applets use the
-   others of a Copter 4.6, but for the network's. */
+   others of a Copter 4.5, but for the network's, and what 4.6 has besides. */
 static const struct {
   const char* name;
   unsigned size;
@@ -20,14 +20,11 @@ static const struct {
                {"Location", 16},
                {"Parameter", 8},
                {"RC_Channel", 4},
-               {"uint64_t", 8},
                {"Quaternion", 16},
                {"stat_t", 0},
                {"EFI_State", 0},
                {"Cylinder_Status", 0},
                {"AP_Camera::camera_state_t", 0},
-               {"mavlink_video_stream_information_t", 0},
-               {"mavlink_camera_information_t", 0},
                {"CANFrame", 0},
                {"motor_factor_table", 0},
                {"mavlink_mission_item_int_t", 0},
@@ -41,9 +38,26 @@ static const struct {
                {"AP_HAL::AnalogSource", 0},
                {"AP_HAL::I2CDevice", 0},
                {"AP_RangeFinder_Backend", 0},
-               {"AP_Proximity_Backend", 0}};
-enum { UINT32, VECTOR3F, VECTOR2F, UINT64 = 6, QUATERNION };
-enum { CLASSES = sizeof classes / sizeof *classes };
+               {"AP_Proximity_Backend", 0},
+               {"uint64_t", 8},
+               {"mavlink_video_stream_information_t", 0},
+               {"mavlink_camera_information_t", 0}};
+enum { UINT32, VECTOR3F, VECTOR2F, QUATERNION = 6, UINT64 = 25 };
+enum { CLASSES_4_5 = UINT64, CLASSES = sizeof classes / sizeof *classes };
+
+/* The globals of a Copter 4.5 (bindings.desc), but for the network's; a name ends with a zero, the
+   list with two. */
+static const char singletons_4_5[] =
+    "ahrs\0arming\0battery\0gps\0notify\0proximity\0rangefinder\0terrain\0relay\0gcs\0vehicle\0"
+    "serialLED\0SRV_Channels\0rc\0serial\0baro\0optical_flow\0esc_telem\0param\0scripting\0"
+    "mission\0RPM\0button\0LED\0MotorsMatrix\0frsky_sport\0attitude_control\0Motors_6DoF\0gpio\0"
+    "analog\0Motors_dynamic\0ins\0CAN\0motors\0FWVersion\0follow\0AC_AttitudeControl\0mount\0"
+    "camera\0winch\0iomcu\0compass\0efi\0logger\0i2c\0mavlink\0fence\0fs\0rtc\0";
+static const char functions_4_5[] =
+    "Location\0BattMonitorScript_State\0Vector3f\0Vector2f\0Quaternion\0RangeFinder_State\0"
+    "Parameter\0ESCTelemetryData\0motor_factor_table\0mavlink_mission_item_int_t\0CANFrame\0"
+    "Cylinder_Status\0EFI_State\0uint32_t\0stat_t\0PWMSource\0millis\0micros\0dirlist\0"
+    "mission_receive\0remove\0print\0";
 
 static struct {
   const char *owner, *name;
@@ -255,6 +269,40 @@ void replay_define_classes(lua_State* L) {
   for (unsigned class = 0; class < CLASSES; class++) {
     define(L, classes[class].name, operators_of(class));
     lua_pop(L, 1);
+  }
+}
+
+static const char* next(const char* name) { return name + strlen(name) + 1; }
+
+/* A class that can be called, and an object of it among the engine's globals. */
+static void define_global(lua_State* L, const char* name, const luaL_Reg* operators) {
+  define(L, name, operators);
+  lua_pushvalue(L, -1);
+  lua_setfield(L, -2, "__call");
+  lua_newuserdata(L, 0);
+  lua_pushvalue(L, -2);
+  lua_setmetatable(L, -2);
+  lua_setglobal(L, name);
+  lua_pop(L, 1);
+}
+
+void replay_define_globals_4_5(lua_State* L) {
+  for (unsigned class = 0; class < CLASSES_4_5; class++) {
+    define_global(L, classes[class].name, operators_of(class));
+  }
+  for (const char* name = singletons_4_5; *name; name = next(name)) define_global(L, name, NULL);
+}
+
+static int not_recorded(lua_State* L) { return luaL_error(L, "not recorded"); }
+
+void replay_open_4_5(lua_State* L) {
+  for (const char* name = singletons_4_5; *name; name = next(name)) {
+    lua_getglobal(L, name);
+    lua_setfield(L, -2, name);
+  }
+  for (const char* name = functions_4_5; *name; name = next(name)) {
+    if (!push_function(L, "", name)) lua_pushcfunction(L, not_recorded);
+    lua_setfield(L, -2, name);
   }
 }
 

@@ -12,8 +12,14 @@ int replay_next_update(void);
 /* What the script did that the record has not; NULL: nothing. */
 const char* replay_trouble(void);
 
-/* load_generated_bindings() as until 4.7: all classes from the start, used or not. */
+/* load_generated_bindings() of 4.6: all classes from the start, used or not. */
 void replay_define_classes(lua_State* L);
+
+/* The same of 4.5: all singletons too, and an object of each. */
+void replay_define_globals_4_5(lua_State* L);
 
 /* Where the bindings' globals come from: the sandbox, on the stack, gets its metatable. */
 void replay_open(lua_State* L);
+
+/* The same of 4.5: the sandbox gets all of them. */
+void replay_open_4_5(lua_State* L);

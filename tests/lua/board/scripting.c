@@ -4,8 +4,8 @@
      qemu-system-arm -M mps2-an386 -semihosting-config enable=on,target=native,arg=scripting,
        arg=APPLET,arg=RECORD,arg=RESULT,arg=HEAP,arg=FIRMWARE -kernel scripting.elf
 
-   With a HEAP of 0 it looks for the least heap. FIRMWARE: ArduCopter, 4.6 or 4.8, see heap.py.
-   RESULT gets one line of JSON. */
+   With a HEAP of 0 it looks for the least heap. FIRMWARE: ArduCopter, 4.5, 4.6 or 4.8, see
+   heap.py. RESULT gets one line of JSON. */
 
 #include <stdint.h>
 #include <stdio.h>
@@ -33,7 +33,7 @@ static const char* const base_names[] = {"assert",   "error",    "ipairs", "load
                                          "next",     "pairs",    "pcall",  "setmetatable",
                                          "tonumber", "tostring", "type"};
 
-static int is_4_6; /* FIRMWARE */
+static int is_4_5, is_4_6; /* FIRMWARE */
 
 struct file {
   unsigned char* bytes;
@@ -86,6 +86,16 @@ static void open_package(lua_State* L) {
   lua_setfield(L, -4, "require");
 }
 
+/* Gives the functions of the string library on the stack to all texts. */
+static void give_to_texts(lua_State* L) {
+  lua_pushliteral(L, "");
+  lua_createtable(L, 0, 1);
+  lua_pushvalue(L, -3);
+  lua_setfield(L, -2, "__index");
+  lua_setmetatable(L, -2);
+  lua_pop(L, 2);
+}
+
 static void create_sandbox(lua_State* L) {
   lua_newtable(L);
   for (unsigned i = 0; i < sizeof base_names / sizeof *base_names; i++) {
@@ -103,10 +113,21 @@ static void create_sandbox(lua_State* L) {
     libraries[i].func(L);
     lua_settable(L, -3);
   }
+  if (is_4_5 || is_4_6) {
+    lua_pushstring(L, "utf8");
+    luaopen_utf8(L);
+    lua_settable(L, -3);
+  }
   lua_pushstring(L, "package");
   open_package(L);
   lua_settable(L, -3);
-  replay_open(L);
+  if (is_4_5) {
+    lua_getfield(L, -1, "string"); /* texts have the functions of the newest script */
+    give_to_texts(L);
+    replay_open_4_5(L);
+  } else {
+    replay_open(L);
+  }
 }
 
 static void most(uint32_t* value, uint32_t candidate) {
@@ -149,13 +170,12 @@ static int fly(lua_State* L) {
   const struct job* job = lua_touserdata(L, 1);
   struct flight* flight = job->flight;
   lua_pop(L, 1);
+  if (is_4_5) replay_define_globals_4_5(L);
   if (is_4_6) replay_define_classes(L);
-  lua_pushliteral(L, "");
-  lua_createtable(L, 0, 1);
-  luaopen_string(L);
-  lua_setfield(L, -2, "__index");
-  lua_setmetatable(L, -2);
-  lua_pop(L, 1);
+  if (!is_4_5) {
+    luaopen_string(L);
+    give_to_texts(L);
+  }
   char* name = heap_change_size(NULL, NULL, 0, sizeof "/APM/scripts/echowing.lua");
   if (name == NULL) return luaL_error(L, "not enough memory");
   strcpy(name, "/APM/scripts/echowing.lua");
@@ -278,6 +298,7 @@ static void run(void) {
   const struct file script = read_file(words[1], script_bytes);
   const struct file record = read_file(words[2], record_bytes);
   const uint32_t heap_bytes = strtoul(words[4], NULL, 10);
+  is_4_5 = strcmp(words[5], "4.5") == 0;
   is_4_6 = strcmp(words[5], "4.6") == 0;
   const struct flight flight = try_heap(script, record, heap_bytes > 0 ? heap_bytes : MOST_BYTES);
   const int look = heap_bytes == 0 && flight.trouble == NULL;
