@@ -100,7 +100,8 @@ def test_the_field_draws_sonars_and_receivers_within_their_spans(
 
 @cache
 def drawn_fields() -> list[Scenario]:
-    return [draw(load_description(), 1, index) for index in range(300)]
+    description = load_description()
+    return [draw(description, 1, index) for index in range(300)]
 
 
 def test_a_flight_is_drawn_the_same_wherever_it_is_drawn() -> None:
