@@ -31,6 +31,8 @@ from echowing.sim.aircraft import SimFollower
 from echowing.sim.scenario import Scenario, load_scenario, scenario_of
 from echowing.sim.summary import fly
 
+pytestmark = pytest.mark.seconds(40)
+
 SHORT = """
 title = "short flights for tests"
 [flight]
