@@ -31,6 +31,8 @@ from echowing.sim.aircraft import SimFollower
 from echowing.sim.scenario import Scenario, load_scenario, scenario_of
 from echowing.sim.summary import fly
 
+pytestmark = pytest.mark.seconds(40)
+
 SHORT = """
 title = "short flights for tests"
 [flight]
@@ -100,7 +102,8 @@ def test_the_field_draws_sonars_and_receivers_within_their_spans(
 
 @cache
 def drawn_fields() -> list[Scenario]:
-    return [draw(load_description(), 1, index) for index in range(300)]
+    description = load_description()
+    return [draw(description, 1, index) for index in range(300)]
 
 
 def test_a_flight_is_drawn_the_same_wherever_it_is_drawn() -> None:

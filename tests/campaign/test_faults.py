@@ -20,6 +20,8 @@ from echowing.sim.vehicle.modes import GUIDED, LAND, LOITER, STABILIZE
 
 from ..world import CLEAR
 
+pytestmark = pytest.mark.seconds(25)
+
 HOVERS = {"path": "rectangle", "start_s": 1000.0}
 
 

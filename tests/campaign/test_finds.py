@@ -5,8 +5,12 @@ Who fixes one moves its file, and it stays fixed.
 
 from pathlib import Path
 
+import pytest
+
 from echowing.campaign.fly import fly_and_judge
 from echowing.sim.scenario import load_scenario
+
+pytestmark = pytest.mark.seconds(40)
 
 HERE = Path(__file__).parent
 OPEN, FIXED = HERE / "finds", HERE / "fixed"

@@ -6,7 +6,7 @@ from echowing.campaign.draw import load_description
 from echowing.campaign.fly import CRASHED, LOGS, Row, fly_one
 from echowing.campaign.properties import BLOWN, BLOWN_ON, MISLED
 
-pytestmark = pytest.mark.seconds(100)
+pytestmark = pytest.mark.seconds(130)
 
 SEED, FLIGHTS = 1, 60
 # Three of the sixty came too near when this was written. Since the campaign draws receivers anew

@@ -97,7 +97,8 @@ def test_before_it_has_settled_and_for_a_pair_there_are_no_figures() -> None:
 
 
 def test_many_draws_fifty_in_a_filled_vee_behind_radios_that_lose_the_same_on_each_way() -> None:
-    drawn = [draw(load_description("many"), 1, index) for index in range(24)]
+    description = load_description("many")
+    drawn = [draw(description, 1, index) for index in range(24)]
 
     assert {len(one.slots()) for one in drawn} == {50}
     places_m = [

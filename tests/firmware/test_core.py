@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = pytest.mark.seconds(60)
+pytestmark = pytest.mark.seconds(50)
 ROOT = Path(__file__).resolve().parents[2]
 SKETCH = ROOT / "firmware" / "echowing"
 DECLARATIONS = ROOT / "tests" / "firmware" / "stm32_declarations"

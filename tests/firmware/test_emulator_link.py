@@ -23,6 +23,8 @@ from .bench import (
     BenchSonar,
 )
 
+pytestmark = pytest.mark.seconds(15)
+
 BOOTED_S = 1.2
 # What the board's UART takes at its setting for 115200 baud.
 LINE_BYTES_A_SECOND = (115_200 if IS_STM32 else 117_647) / 10

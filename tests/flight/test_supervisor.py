@@ -12,6 +12,8 @@ from echowing.sim.scenario import load_scenario
 
 from .yard import FOLLOWER, LEADER, LOITER, Vehicle, Yard
 
+pytestmark = pytest.mark.seconds(15)
+
 FLYING_BEATS = 3.0
 
 

@@ -37,6 +37,8 @@ from echowing.sim.scenario import LAWS, load_scenario
 
 from ..world import CLEARLY
 
+pytestmark = pytest.mark.seconds(15)
+
 
 def changes(*speeds_mps: float, duration_s: float = 60.0) -> float:
     time_s = np.linspace(0.0, duration_s, len(speeds_mps))

@@ -15,6 +15,8 @@ from hwtools import made, mount, wiring
 from hwtools.facts import HW, MOUNT, PICTURES
 from hwtools.rig import Rig, read_stl
 
+pytestmark = pytest.mark.seconds(18)
+
 
 def label_of(item: made.Made | made.Text) -> str:
     return made.name_of(item.path)

@@ -9,6 +9,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+pytestmark = pytest.mark.seconds(30)
+
 if TYPE_CHECKING:
     from tests.lua.conftest import MakeRig, Rig
 

@@ -12,6 +12,8 @@ from echowing.setup.apply import load
 
 from .field import FOLLOWER, Process, free_ports
 
+pytestmark = pytest.mark.seconds(40)
+
 # Two rounds of reading and writing with a restart between, on a machine that has more to do.
 SET_UP_S = 180.0
 # The older names: the newer ones are `test_setup_vehicle`'s.

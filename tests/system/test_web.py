@@ -25,6 +25,8 @@ from echowing.web.server import PageServer
 from .browser import FOREIGN_NAME, PHONE, Sight, chromium
 from .field import World, is_followed
 
+pytestmark = pytest.mark.seconds(25)
+
 HERE = "127.0.0.1"
 FRAME = "window.echowing.model.frame"
 # A moment as it is drawn: the frame, where its vehicles are on the canvas, and what the card says.

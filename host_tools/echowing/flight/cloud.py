@@ -130,11 +130,6 @@ class Cloud:
         return math.sqrt(max(0.0, p_nn * cos * cos + 2.0 * p_ne * cos * sin + p_ee * sin * sin))
 
     @property
-    def level_sigma_m(self) -> float:
-        """The larger of the standard deviations to the north and to the east."""
-        return max(self.sigma_m(0.0), self.sigma_m(math.pi / 2.0))
-
-    @property
     def deaf_share(self) -> float:
         """How likely the sonar is deaf."""
         return float(self._weight @ self._deaf)
@@ -327,3 +322,5 @@ class Cloud:
             float(weight @ (east * east)),
         )
         self.up_sigma_m = math.sqrt(float(weight @ (up * up)))
+        self.level_sigma_m = max(self.sigma_m(0.0), self.sigma_m(math.pi / 2.0))
+        """The larger of the standard deviations to the north and to the east."""

@@ -75,11 +75,13 @@ class Spacing:
         """The vehicles around a follower that is `here` when the order reaches it."""
         arrives_s = now_s + follower.way_s
         others = list(self._leaders(follower, here, now_s, arrives_s))
+        goal = here if follower.guided is None else follower.guided.slot
+        to_goal_m = ned_between(here, goal)
         for other in self._known.followers.values():
             # A held follower stands; those led past it give way.
             led_past = follower.standing.held and other.standing.sent_to
             if other is not follower and not led_past:
-                others.extend(self._other(follower, here, other, arrives_s))
+                others.extend(self._other(follower, here, other, to_goal_m, arrives_s))
         return others
 
     def _leaders(
@@ -121,7 +123,12 @@ class Spacing:
         return within_reach and not follower.estimate.hears(now_s)
 
     def _other(
-        self, follower: FollowerState, here: GlobalPosition, other: FollowerState, arrives_s: float
+        self,
+        follower: FollowerState,
+        here: GlobalPosition,
+        other: FollowerState,
+        to_goal_m: Ned,
+        arrives_s: float,
     ) -> Iterator[Other]:
         """Another follower: where it is seen, and where it is if its receiver, or ours, erred.
 
@@ -141,7 +148,6 @@ class Spacing:
             there = other.left_at
         if there is None:
             return
-        goal = here if follower.guided is None else follower.guided.slot
         mine, its = follower.own_jump.total_m, other.own_jump.total_m
         seen, unsure_m = self._seen(follower, here, other, there)
         for place in (seen, *_if_erred(there, (mine[0] - its[0], mine[1] - its[1]))):
@@ -151,7 +157,7 @@ class Spacing:
                 velocity,
                 unsure_m,
                 age_s,
-                is_in_the_way(ned_between(here, place), ned_between(here, goal)),
+                is_in_the_way(ned_between(here, place), to_goal_m),
                 # Its applet flies it, and knows of nobody beside it.
                 led=other.standing.sent_to and not by_itself,
             )
@@ -166,10 +172,10 @@ class Spacing:
         """Where another follower is in this one's frame; by how much it may be nearer than that."""
         seen, sigma_m = self._known.apart(follower, other, there)
         unsure_m = SURE_SIGMAS * sigma_m
-        north_m, east_m, down_m = ned_between(here, seen)
         if self._known.ahead_of(follower) is other:
-            return seen, min(unsure_m, self._nearer_m(follower, (north_m, east_m, down_m)))
+            return seen, min(unsure_m, self._nearer_m(follower, ned_between(here, seen)))
         if self._known.ahead_of(other) is follower:
+            north_m, east_m, down_m = ned_between(here, seen)
             return seen, min(unsure_m, self._nearer_m(other, (-north_m, -east_m, -down_m)))
         return seen, unsure_m
 

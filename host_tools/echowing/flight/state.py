@@ -295,6 +295,10 @@ class FollowerState:
             self.ranges.add(time_s, range_m)
 
 
+# The followers of a way down from another, and of the way on up.
+_Way = tuple[list[FollowerState], list[FollowerState]]
+
+
 class Known:
     """The leader and its followers as they are known now."""
 
@@ -326,6 +330,7 @@ class Known:
             for plan in plans
             if plan.slot.behind is not None
         }
+        self._ways: dict[tuple[int, int], _Way] = {}
 
     def clock(self, system_id: int) -> VehicleClock | None:
         """The clock of one of these vehicles; None: of a stranger."""
@@ -420,15 +425,25 @@ class Known:
         """
         if not self.settings.learn_offset:
             return (0.0, 0.0), UNRANGED_SIGMA_M
-        mine, its = list(self.chain(follower)), list(self.chain(other))
-        shared = {one.plan.system_id for one in mine} & {one.plan.system_id for one in its}
-        mine = [one for one in mine if one.plan.system_id not in shared]
-        its = [one for one in its if one.plan.system_id not in shared]
+        mine, its = self._way_between(follower, other)
         sigma_m = self.sigma_m((*mine, *its))
         if sigma_m >= UNRANGED_SIGMA_M:
             return (0.0, 0.0), UNRANGED_SIGMA_M
         (mine_north, mine_east), (its_north, its_east) = _shift_m(mine), _shift_m(its)
         return (its_north - mine_north, its_east - mine_east), sigma_m
+
+    def _way_between(self, follower: FollowerState, other: FollowerState) -> _Way:
+        """Over whose sonars it goes: up to what both chains share, this one's and the other's."""
+        ends = follower.plan.system_id, other.plan.system_id
+        if ends not in self._ways:
+            mine, its = (
+                {one.plan.system_id: one for one in self.chain(end)} for end in (follower, other)
+            )
+            self._ways[ends] = (
+                [one for system_id, one in mine.items() if system_id not in its],
+                [one for system_id, one in its.items() if system_id not in mine],
+            )
+        return self._ways[ends]
 
     def _beside(self, follower: FollowerState) -> Iterator[Beside]:
         """The vehicles near a follower that its sonar may hear instead of whom it looks at."""

@@ -360,13 +360,14 @@ class Copter(EstimatedPosition):
     # ---- one step
 
     def step(self, dt_s: float) -> None:
-        """Move on by dt; steps longer than 20 ms are split."""
-        if dt_s > LONGEST_STEP_S * 1.001:
-            parts = int(dt_s / LONGEST_STEP_S + 0.999)
-            for _ in range(parts):
-                self._step(dt_s / parts)
-        elif dt_s > 0.0:
-            self._step(dt_s)
+        """Move on by dt; steps longer than `LONGEST_STEP_S` are split."""
+        if self.landed or dt_s <= 0.0:
+            return
+        parts = int(dt_s / LONGEST_STEP_S + 0.999) if dt_s > LONGEST_STEP_S * 1.001 else 1
+        for _ in range(parts):
+            self._step(dt_s / parts)
+        if self.down_m < self.ground_down_m:
+            self._lean_angles()
 
     def _step(self, dt: float) -> None:
         if self.landed:
@@ -715,8 +716,6 @@ class Copter(EstimatedPosition):
         self.vd_mps += acc_d * dt
         if self.down_m >= self.ground_down_m and self.vd_mps >= 0.0:
             self._touch_ground()
-        else:
-            self._lean_angles()
 
     def _shape_lean(self, shaped: _Shaped, wanted: float, dt: float) -> None:
         """Move one axis of the attitude target towards a lean, as the autopilot's limits allow."""

@@ -28,7 +28,7 @@ APPROACH_SHARE = 0.5
 
 def clamp(value: float, low: float, high: float) -> float:
     """The value, held between low and high."""
-    return low if value < low else min(value, high)
+    return low if value < low else high if value > high else value
 
 
 def limit_length(x: float, y: float, longest: float) -> tuple[float, float]:

@@ -190,7 +190,7 @@ class Leg:
             destination[2] - origin[2],
         )
         self.delta_m = delta
-        self.length_m = sqrt(sum(part * part for part in delta))
+        self.length_m = _length(delta)
         length = self.length_m or 1.0
         self.direction = (delta[0] / length, delta[1] / length, delta[2] / length)
         self.elapsed_s = 0.0
@@ -297,20 +297,25 @@ class _Target:
     __slots__ = ("acceleration", "position", "velocity")
 
     def __init__(self, position: Ned) -> None:
-        self.position = list(position)
-        self.velocity = [0.0, 0.0, 0.0]
-        self.acceleration = [0.0, 0.0, 0.0]
+        self.position = position
+        self.velocity: Ned = (0.0, 0.0, 0.0)
+        self.acceleration: Ned = (0.0, 0.0, 0.0)
 
     def add(self, leg: Leg, motion: tuple[float, float, float]) -> None:
         acceleration, speed, distance = motion
-        for axis, part in enumerate(leg.direction):
-            self.acceleration[axis] += acceleration * part
-            self.velocity[axis] += speed * part
-            self.position[axis] += distance * part
+        self.acceleration = _further(self.acceleration, acceleration, leg.direction)
+        self.velocity = _further(self.velocity, speed, leg.direction)
+        self.position = _further(self.position, distance, leg.direction)
 
 
-def _length(vector: Sequence[float]) -> float:
-    return sqrt(sum(part * part for part in vector))
+def _further(start: Ned, way: float, direction: Ned) -> Ned:
+    (north, east, down), (along_n, along_e, along_d) = start, direction
+    return north + way * along_n, east + way * along_e, down + way * along_d
+
+
+def _length(vector: Ned) -> float:
+    north, east, down = vector
+    return sqrt(north * north + east * east + down * down)
 
 
 def _dot(a: Ned, b: Ned) -> float:
@@ -406,12 +411,9 @@ class WaypointNavigator:
             self._next_leg()
 
     def _publish(self, target: _Target) -> None:
-        north, east, down = target.position
-        self.position_m = (north, east, down)
-        north, east, down = target.velocity
-        self.velocity_mps = (north, east, down)
-        north, east, down = target.acceleration
-        self.acceleration_mps2 = (north, east, down)
+        self.position_m = target.position
+        self.velocity_mps = target.velocity
+        self.acceleration_mps2 = target.acceleration
 
     def _blend(self, leg: Leg, following: Leg, step_s: float, target: _Target) -> bool:
         """Start the next leg early if the corner stays within its limits; True past its middle."""
@@ -434,7 +436,7 @@ class WaypointNavigator:
         return (
             _length(middle.position) < self._limits.radius_m
             and _length(middle.velocity) < slowest
-            and _length(middle.acceleration[:2]) < self._limits.corner_acceleration_mps2
+            and _length((*middle.acceleration[:2], 0.0)) < self._limits.corner_acceleration_mps2
             and abs(middle.acceleration[2]) < vertical
         )
 
@@ -453,8 +455,8 @@ class WaypointNavigator:
         self._progress += (ratio - self._progress) * min(1.0, dt_s / time_constant_s)
 
     def _near(self, position_m: Ned, leg: Leg) -> bool:
-        gap = [self._origin[axis] + leg.delta_m[axis] - position_m[axis] for axis in range(3)]
-        return _length(gap) <= self._limits.radius_m
+        left = _further(_further(self._origin, 1.0, leg.delta_m), -1.0, position_m)
+        return _length(left) <= self._limits.radius_m
 
     def _next_leg(self) -> None:
         leg = self._legs.pop(0)
