@@ -38,6 +38,7 @@ from echowing.flight.trust import Trust
 from echowing.geo import GlobalPosition
 from echowing.mavlink.messages import (
     TOOL_SYSTEM_ID,
+    Manner,
     look_order,
     position_target,
     status_text,
@@ -216,13 +217,19 @@ class FollowSession:
             self._altitude_m(follower, now_s),
             plan.yaw_rad,
             plan.opens_m,
-            allowed.makes_way,
+            self._manner(follower, allowed),
         )
         if self.guard is not None:
             self.guard.sent(follower, command, now_s)
             if follower.standing.held:
                 self.guard.holding(follower, now_s)
         return [(follower.plan.system_id, _message(follower, command, now_s))]
+
+    def _manner(self, follower: FollowerState, allowed: Allowed) -> Manner:
+        """How its applet is to fly the point."""
+        if allowed.makes_way:
+            return Manner.MAKE_WAY
+        return Manner.HOLD if self.known.ahead_of(follower) is None else Manner.KEEP_PACE
 
     def _remember(self, follower: FollowerState, allowed: Allowed, now_s: float) -> None:
         """What the next tick has to know of this one."""
@@ -355,5 +362,5 @@ def _message(follower: FollowerState, command: Command, now_s: float) -> Any:
         now_s,
         command.velocity_mps,
         command.opens_m,
-        makes_way=command.makes_way,
+        command.manner,
     )
