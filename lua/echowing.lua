@@ -491,11 +491,13 @@ do
         return max(-4, track.leader_mps2)
     end
 
-    -- Carries the range on to now. A leader that is not seen speeds up no further.
+    -- Carries the range on to now. A leader that is not seen speeds up no further; another follower goes back to the speed
+    -- of all in its line.
     function track.carry(t_ms)
         if not track.range_m then return end
         local dt_s = (t_ms - track.at_ms) * 0.001
         local leader_mps = t_ms - track.seen_ms <= 150 and track.leader_mps + track.leader_mps2 * dt_s
+            or stream.manner == 2 and stream.north_mps * look.north + stream.east_mps * look.east
             or min(track.leader_mps, track.seen_mps)
         track.range_m = track.range_m + 0.5 * (track.leader_mps + leader_mps - track.own_mps - own.mps) * dt_s
         track.leader_mps, track.own_mps, track.at_ms = leader_mps, own.mps, t_ms
@@ -689,14 +691,15 @@ do
 
     -- Where the point belongs along the beam (metres ahead of here), and its speed there: at the wanted distance from
     -- the leader and as fast as the leader. ahead_m, mps: the same of the streamed point. While the sonar sees nothing,
-    -- of the track and the point whichever is the more cautious. A point is moved little towards the leader, 1 m and 1
-    -- m/s, for the ground tool may know why it is far from it, and further away from the leader, 5 m: a sonar that is
-    -- stuck then moves the vehicle no further, and no faster.
+    -- of the track and the point whichever is the more cautious (in a line the track: all points of a line go back at
+    -- once with the first one's slot). A point is moved little towards the leader, 1 m and 1 m/s, for the ground tool may
+    -- know why it is far from it, and further away from the leader, 5 m: a sonar that is stuck then moves the vehicle no
+    -- further, and no faster.
     local function along_beam(ahead_m, mps, braking_mps2, t_ms)
         -- From where both will be once this vehicle leans.
         local wanted_m = track.range_m + 0.5 * braking_mps2 * LEAN_S * LEAN_S - hold.distance_m()
         local unseen_ms = t_ms - track.seen_ms
-        if unseen_ms > 300 then
+        if unseen_ms > 300 and stream.manner ~= 2 then
             wanted_m = max(min(wanted_m, ahead_m), ahead_m - 5)
             return min(eased(wanted_m), ahead_m + 1), min(track.leader_mps, mps)
         end

@@ -15,7 +15,7 @@ from echowing.flight.guidance import (
 )
 from echowing.flight.plan import planned
 from echowing.flight.session import FollowSession
-from echowing.flight.state import UNRANGED_SIGMA_M, FollowerPlan, FollowerState, Known
+from echowing.flight.state import FLOWN_SHARE, UNRANGED_SIGMA_M, FollowerPlan, FollowerState, Known
 from echowing.flight.steps import Allowed
 from echowing.geo import GlobalPosition, displace, ned_between
 from echowing.mavlink.messages import Manner
@@ -79,7 +79,7 @@ def test_the_leader_is_seen_over_the_whole_chain() -> None:
     assert ned_between(HERE, seen)[0] == pytest.approx(-1.5, abs=0.3)
 
 
-def test_a_slot_behind_another_hangs_on_that_slot_and_not_on_who_flies_in_it() -> None:
+def test_a_slot_behind_another_moves_as_that_one_wherever_who_flies_in_it_is_not_known() -> None:
     there = known([Slot(3.0), Slot(3.0, behind=0)])
     first, second = there.followers.values()
     slot = displace(HERE, (5.0, 0.0, 0.0))
@@ -111,3 +111,16 @@ def test_who_is_behind_another_follower_keeps_its_pace() -> None:
     assert session._manner(first, free) is Manner.HOLD
     assert session._manner(second, free) is Manner.KEEP_PACE
     assert session._manner(second, gives_way) is Manner.MAKE_WAY
+
+
+def test_a_slot_is_behind_who_flies_ahead_and_moves_as_his_slot() -> None:
+    there = known([Slot(3.0), Slot(3.0, behind=0)])
+    first, second = there.followers.values()
+    slot = displace(HERE, (5.0, 0.0, 0.0))
+    first.position, first.velocity_mps = displace(HERE, (4.0, 1.0, 0.0)), (0.0, 3.0)
+    first.position_at_s = 10.0
+    first.guided = GuidedPoint(slot, slot, HERE, None, slot_mps=(2.0, 0.0), at_s=10.0)
+    fix = there.followed_then(second, LeaderFix(10.0, HERE, (2.0, 0.0, 0.0), 0.0), 10.0)
+    off_m = ned_between(slot, fix.position)[:2]
+    assert off_m == pytest.approx((-FLOWN_SHARE, FLOWN_SHARE), abs=0.05)
+    assert fix.velocity_ned_mps == (2.0, 0.0, 0.0)

@@ -698,3 +698,13 @@ def test_in_a_line_it_is_never_faster_than_it_can_still_stop(rig: MakeRig) -> No
     stoppable_mps = math.sqrt((2.5 * 0.6) ** 2 + 2.0 * 2.5 * (2.0 - 1.5)) - 2.5 * 0.6
     assert target.north_m == pytest.approx(-0.4, abs=0.03)
     assert target.north_mps == pytest.approx(LEADER_MPS + stoppable_mps + 0.4, abs=0.1)
+
+
+def test_in_a_line_one_that_is_not_seen_is_taken_to_keep_the_pace_of_all(rig: MakeRig) -> None:
+    """It braked when it was seen last: carried on at that, it would seem a metre nearer."""
+    r = braked(rig(), 0.4, 2.5, manner=Manner.KEEP_PACE)
+    r.range(7.66, HIGH)
+    stream(r, 0.0, 1.0, manner=Manner.KEEP_PACE)
+    track = r.host.local_value("track")
+    assert track.leader_mps == pytest.approx(LEADER_MPS, abs=0.05)
+    assert track.range_m == pytest.approx(3.0 - 0.5 * 2.5 * 0.4**2, abs=0.25)
