@@ -491,11 +491,13 @@ do
         return max(-4, track.leader_mps2)
     end
 
-    -- Carries the range on to now. A leader that is not seen speeds up no further.
+    -- Carries the range on to now. A leader that is not seen speeds up no further; another follower goes back to the speed
+    -- of all in its line.
     function track.carry(t_ms)
         if not track.range_m then return end
         local dt_s = (t_ms - track.at_ms) * 0.001
         local leader_mps = t_ms - track.seen_ms <= 150 and track.leader_mps + track.leader_mps2 * dt_s
+            or stream.manner == 2 and stream.north_mps * look.north + stream.east_mps * look.east
             or min(track.leader_mps, track.seen_mps)
         track.range_m = track.range_m + 0.5 * (track.leader_mps + leader_mps - track.own_mps - own.mps) * dt_s
         track.leader_mps, track.own_mps, track.at_ms = leader_mps, own.mps, t_ms
@@ -689,14 +691,15 @@ do
 
     -- Where the point belongs along the beam (metres ahead of here), and its speed there: at the wanted distance from
     -- the leader and as fast as the leader. ahead_m, mps: the same of the streamed point. While the sonar sees nothing,
-    -- of the track and the point whichever is the more cautious. A point is moved little towards the leader, 1 m and 1
-    -- m/s, for the ground tool may know why it is far from it, and further away from the leader, 5 m: a sonar that is
-    -- stuck then moves the vehicle no further, and no faster.
+    -- of the track and the point whichever is the more cautious (in a line the track: all points of a line go back at
+    -- once with the first one's slot). A point is moved little towards the leader, 1 m and 1 m/s, for the ground tool may
+    -- know why it is far from it, and further away from the leader, 5 m: a sonar that is stuck then moves the vehicle no
+    -- further, and no faster.
     local function along_beam(ahead_m, mps, braking_mps2, t_ms)
         -- From where both will be once this vehicle leans.
         local wanted_m = track.range_m + 0.5 * braking_mps2 * LEAN_S * LEAN_S - hold.distance_m()
         local unseen_ms = t_ms - track.seen_ms
-        if unseen_ms > 300 then
+        if unseen_ms > 300 and stream.manner ~= 2 then
             wanted_m = max(min(wanted_m, ahead_m), ahead_m - 5)
             return min(eased(wanted_m), ahead_m + 1), min(track.leader_mps, mps)
         end
@@ -724,9 +727,9 @@ do
         local ahead_m, mps, north_m, east_m = stream.ahead(here, t_ms)
         if not ahead_m then return false end
         -- A leader that brakes is answered with its own deceleration.
-        local braking_mps2 = track.braking_mps2(t_ms)
+        local braking_mps2 = stream.manner == 2 and 0 or track.braking_mps2(t_ms)
         local wanted_m, wanted_mps
-        if stream.makes_way then
+        if stream.manner == 1 then
             -- The ground tool leads it past another vehicle, which the applet does not know: the point as it is, but
             -- towards the leader no faster than it can still stop. Guided flies 1 m/s for each metre to the point, and
             -- its velocity.
@@ -734,7 +737,14 @@ do
             wanted_m = ahead_m
             wanted_mps = min(mps, track.leader_mps + guard.stoppable_mps(track.range_m) - ahead_m)
         else
-            wanted_m, wanted_mps = gently(t_ms, along_beam(ahead_m, mps, braking_mps2, t_ms))
+            wanted_m, wanted_mps = along_beam(ahead_m, mps, braking_mps2, t_ms)
+            if stream.manner == 2 then
+                -- In a line behind another follower: as fast as the point, which is the leader's speed for all of them at
+                -- the same moment. Who answers the braking of the one ahead brakes harder than that one, and the next
+                -- harder still: a column of five came to 0.2 m. But no faster than it can still stop, as above.
+                wanted_mps = min(mps, track.leader_mps + guard.stoppable_mps(track.range_m) - wanted_m)
+            end
+            wanted_m, wanted_mps = gently(t_ms, wanted_m, wanted_mps)
         end
         local by_m, by_mps = wanted_m - ahead_m, wanted_mps + braking_mps2 * LEAN_S - mps
         position:x(position:x() + north_m + by_m * look.north)
@@ -772,9 +782,10 @@ end
 do
     -- SET_POSITION_TARGET_GLOBAL_INT as `echowing follow` sends it: a position, height above home (frame 6), a
     -- velocity, with a yaw or without. Of the acceleration, which the autopilot is told to ignore: how far the slot has
-    -- opened, whether the tool leads it past another vehicle than the leader, and the format that says so.
+    -- opened, its manner (1: past another vehicle than the leader, 2: in a line behind another follower, 0: else), and
+    -- the format that says so.
     function stream.take(payload, sender, t_ms)
-        local lat, lng, up_m, north_mps, east_mps, _, opens_m, makes_way, format, yaw, _, mask, system, _, frame =
+        local lat, lng, up_m, north_mps, east_mps, _, opens_m, manner, format, yaw, _, mask, system, _, frame =
             ('<i4i4fffffffffI2BBB'):unpack(payload, 5)
         if system ~= 0 and system ~= MY_SYSTEM then return end
         if format ~= 2 or frame ~= 6 or mask & ~0x0400 ~= 0x09C0 then return refuse('points of another format') end
@@ -782,7 +793,7 @@ do
         local looks = mask & 0x0400 == 0
         if not (is_within(lat, 900000000) and is_within(lng, 1800000000) and is_within(up_m, 10000)
             and is_within(north_mps, FASTEST_MPS) and is_within(east_mps, FASTEST_MPS) and is_within(opens_m, 1000)
-            and is_within(makes_way, 1) and (not looks or is_within(yaw, 2 * pi))) then
+            and is_within(manner, 2) and (not looks or is_within(yaw, 2 * pi))) then
             return refuse('implausible point')
         end
         -- Points count from one sender until it has been silent for a second: two would pull the vehicle to and fro.
@@ -792,7 +803,7 @@ do
         stream.sender, stream.at_ms = sender, t_ms
         stream.lat, stream.lng, stream.up_m, stream.yaw_rad = lat, lng, up_m, looks and yaw or nil
         stream.north_mps, stream.east_mps = north_mps, east_mps
-        stream.opens_m, stream.makes_way = min(opens_m, 6), makes_way == 1 -- as the highest ECHO_DIST
+        stream.opens_m, stream.manner = min(opens_m, 6), manner -- as the highest ECHO_DIST
     end
 
     -- The point in force now: metres ahead of here (along the beam) and its speed there; the same north and east in

@@ -6,9 +6,19 @@ from collections.abc import Sequence
 import pytest
 
 from echowing.flight.axis import Axis
-from echowing.flight.guidance import GuidanceSettings, GuidedPoint, LeaderFix, Slot
-from echowing.flight.state import UNRANGED_SIGMA_M, FollowerPlan, FollowerState, Known
+from echowing.flight.guidance import (
+    GuidanceSettings,
+    GuidedPoint,
+    LeaderFix,
+    Slot,
+    lead_share,
+)
+from echowing.flight.plan import planned
+from echowing.flight.session import FollowSession
+from echowing.flight.state import FLOWN_SHARE, UNRANGED_SIGMA_M, FollowerPlan, FollowerState, Known
+from echowing.flight.steps import Allowed
 from echowing.geo import GlobalPosition, displace, ned_between
+from echowing.mavlink.messages import Manner
 from echowing.sonar_file import shipped_sonar
 
 LEADER = 1
@@ -69,7 +79,7 @@ def test_the_leader_is_seen_over_the_whole_chain() -> None:
     assert ned_between(HERE, seen)[0] == pytest.approx(-1.5, abs=0.3)
 
 
-def test_a_slot_behind_another_hangs_on_that_slot_and_not_on_who_flies_in_it() -> None:
+def test_a_slot_behind_another_moves_as_that_one_wherever_who_flies_in_it_is_not_known() -> None:
     there = known([Slot(3.0), Slot(3.0, behind=0)])
     first, second = there.followers.values()
     slot = displace(HERE, (5.0, 0.0, 0.0))
@@ -77,4 +87,40 @@ def test_a_slot_behind_another_hangs_on_that_slot_and_not_on_who_flies_in_it() -
     first.guided = GuidedPoint(slot, slot, HERE, None, slot_mps=(2.0, 0.0), at_s=10.0)
     fix = there.followed_then(second, LeaderFix(10.0, HERE, (2.0, 0.0, 0.0), 0.0), 10.5)
     assert ned_between(HERE, fix.position)[:2] == pytest.approx((6.0, 0.0), abs=0.05)
+    assert fix.velocity_ned_mps == (2.0, 0.0, 0.0)
+
+
+def test_the_speed_of_a_line_does_not_fade_between_two_reports() -> None:
+    """0.75 s after a report: the first follower is slowed, as its sonar knows better."""
+    there = known([Slot(3.0), Slot(3.0, behind=0)])
+    fix = LeaderFix(10.0, HERE, (2.0, 0.0, 0.0), 0.0)
+    there.leader.fix = fix
+    first, second = (planned(there, one, fix, 10.75) for one in there.followers.values())
+    assert first.velocity_mps[0] == pytest.approx(2.0 * lead_share(0.75, there.settings))
+    assert second.velocity_mps[0] == pytest.approx(2.0)
+
+
+def test_who_is_behind_another_follower_keeps_its_pace() -> None:
+    plans = [
+        FollowerPlan(LEADER + 1, Slot(3.0), sonar=shipped_sonar()),
+        FollowerPlan(LEADER + 2, Slot(3.0, behind=0), sonar=shipped_sonar()),
+    ]
+    session = FollowSession(LEADER, plans, GuidanceSettings())
+    first, second = session.followers.values()
+    free, gives_way = Allowed(HERE, (2.0, 0.0)), Allowed(HERE, (2.0, 0.0), "follower 4")
+    assert session._manner(first, free) is Manner.HOLD
+    assert session._manner(second, free) is Manner.KEEP_PACE
+    assert session._manner(second, gives_way) is Manner.MAKE_WAY
+
+
+def test_a_slot_is_behind_who_flies_ahead_and_moves_as_his_slot() -> None:
+    there = known([Slot(3.0), Slot(3.0, behind=0)])
+    first, second = there.followers.values()
+    slot = displace(HERE, (5.0, 0.0, 0.0))
+    first.position, first.velocity_mps = displace(HERE, (4.0, 1.0, 0.0)), (0.0, 3.0)
+    first.position_at_s = 10.0
+    first.guided = GuidedPoint(slot, slot, HERE, None, slot_mps=(2.0, 0.0), at_s=10.0)
+    fix = there.followed_then(second, LeaderFix(10.0, HERE, (2.0, 0.0, 0.0), 0.0), 10.0)
+    off_m = ned_between(slot, fix.position)[:2]
+    assert off_m == pytest.approx((-FLOWN_SHARE, FLOWN_SHARE), abs=0.05)
     assert fix.velocity_ned_mps == (2.0, 0.0, 0.0)

@@ -12,7 +12,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from pymavlink.generator.mavcrc import x25crc
 
-from echowing.mavlink.messages import POINT_FORMAT
+from echowing.mavlink.messages import POINT_FORMAT, Manner
 from echowing.paths import lua_folder
 from echowing.sim.vehicle.desk import GOOD, NO_DATA, DeskVehicle, restarted
 from echowing.sim.vehicle.luahost import LuaHost
@@ -151,7 +151,7 @@ class Rig:
         yaw_rad: float | None = None,
         system: int = 1,
         opens_m: float = 0.0,
-        makes_way: bool = False,
+        manner: Manner = Manner.HOLD,
         ignored: int = ACCELERATION_IGNORED,
         form: float = POINT_FORMAT,
         sender: int = GROUND_TOOL,
@@ -159,7 +159,7 @@ class Rig:
         """A guided point so far north and east of HERE, with or without a velocity (there, too).
 
         up_m: above home; yaw_rad: None: the autopilot's choice; opens_m: the distance to keep;
-        makes_way: this leads past another vehicle; form: the format of both, in ignored fields.
+        manner: how it is to be flown; form: the format of both, in ignored fields.
         """
         lat = round(HERE[0] * 1e7 + ahead_m / METRES_PER_E7)
         metres_per_e7 = METRES_PER_E7 * math.cos(math.radians(HERE[0]))
@@ -169,7 +169,7 @@ class Rig:
         if yaw_rad is not None:
             mask &= ~YAW_IGNORED
         velocity = (0.0, 0.0) if velocity_mps is None else (velocity_mps, aside_mps)
-        fields = (lat, lng, up_m, *velocity, 0.0, opens_m, makes_way, form, yaw_rad or 0.0, 0.0)
+        fields = (lat, lng, up_m, *velocity, 0.0, opens_m, manner, form, yaw_rad or 0.0, 0.0)
         payload = struct.pack("<Iii9fHBBB", self.vehicle.t_ms, *fields, mask, system, 1, 6)
         self.vehicle.inbox.append((mavlink_frame(86, payload, sender), 0))
 

@@ -223,7 +223,7 @@ def _traffic(rng: Random) -> Iterator[Action]:
             ("traffic", "ahead_m", rng.uniform(-6.0, 6.0)),
             ("traffic", "velocity_mps", (rng.uniform(-3.0, 3.0), rng.uniform(-3.0, 3.0))),
             ("traffic", "opens_m", rng.choice([0.0, 3.5, 6.0])),
-            ("traffic", "makes_way", float(rng.random() < 0.5)),
+            ("traffic", "manner", float(rng.randrange(3))),
             ("traffic", "yaw_rad", rng.choice([None, rng.uniform(-math.pi, math.pi)])),
         ]
     )
@@ -248,7 +248,7 @@ class Traffic:
     def __init__(self, *, moving: bool) -> None:
         self.points = self.readings = True
         self.moving = moving
-        self.leader_m, self.ahead_m, self.opens_m, self.makes_way = 3.0, 0.0, 0.0, 0.0
+        self.leader_m, self.ahead_m, self.opens_m, self.manner = 3.0, 0.0, 0.0, 0.0
         self.velocity_mps = (1.0, 0.0)
         self.yaw_rad: float | None = 0.0
 
@@ -261,7 +261,7 @@ class Traffic:
                 self.velocity_mps if self.moving else None,
                 yaw_rad=self.yaw_rad,
                 opens_m=self.opens_m,
-                makes_way=self.makes_way,
+                manner=self.manner,
             )
             yield packed(told, TOOL)
         if self.readings and t_ms % READING_MS == 0:

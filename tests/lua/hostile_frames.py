@@ -59,7 +59,7 @@ def point(
     up_m: float = 10.0,
     yaw_rad: float | None = None,
     opens_m: float = 0.0,
-    makes_way: float = 0.0,
+    manner: float = 0.0,
     point_format: float = POINT_FORMAT,
     mask: int = NO_ACCELERATION | NO_YAW_RATE,
     system: int = 1,
@@ -77,7 +77,7 @@ def point(
         up_m,
         *(velocity_mps or (0.0, 0.0)),
         0.0,
-        *(opens_m, makes_way, point_format),
+        *(opens_m, manner, point_format),
         *(yaw_rad or 0.0, 0.0),
     )
 
@@ -98,7 +98,7 @@ def _odd_point(rng: Random, t_ms: int) -> Any:
         up_m=odd(rng, 0.0, 30.0),
         yaw_rad=odd(rng, -7.0, 7.0) if rng.random() < 0.6 else None,
         opens_m=odd(rng, 0.0, 8.0),
-        makes_way=rng.choice([0.0, 1.0, odd(rng, 0.0, 2.0)]),
+        manner=rng.choice([0.0, 1.0, 2.0, odd(rng, 0.0, 2.0)]),
         point_format=rng.choice([POINT_FORMAT] * 6 + [0.0, 1.0, 3.0, math.nan]),
         mask=rng.choice([NO_ACCELERATION | NO_YAW_RATE] * 6 + [0, 0x0FFF, rng.randrange(1 << 16)]),
         system=rng.choice([1] * 8 + [0, 2]),

@@ -36,7 +36,7 @@ FIELDS = {
     "east_mps": 0.0,
     "down_mps": 0.0,
     "opens_m": 0.0,
-    "makes_way": 0.0,
+    "manner": 0.0,
     "format": POINT_FORMAT,
     "yaw_rad": 0.0,
     "yaw_rps": 0.0,
@@ -224,8 +224,8 @@ def test_a_velocity_that_is_no_number_goes_nowhere(rig: MakeRig, whole: bool) ->
         ("yaw_rad", 7.0),
         ("opens_m", math.nan),
         ("opens_m", math.inf),
-        ("makes_way", math.nan),
-        ("makes_way", 5.0),
+        ("manner", math.nan),
+        ("manner", 5.0),
     ],
 )
 def test_a_point_with_one_impossible_number_is_not_used(

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from echowing.mavlink.messages import Manner
+
 if TYPE_CHECKING:
     from tests.lua.conftest import MakeRig, Rig
 
@@ -71,10 +73,15 @@ def led(
 
 
 def stream(
-    r: Rig, ahead_m: float, seconds: float, mps: float = LEADER_MPS, opens_m: float = 0.0
+    r: Rig,
+    ahead_m: float,
+    seconds: float,
+    mps: float = LEADER_MPS,
+    opens_m: float = 0.0,
+    manner: Manner = Manner.HOLD,
 ) -> None:
     for _ in range(round(seconds / 0.12)):
-        r.send_target(ahead_m, mps, opens_m=opens_m)
+        r.send_target(ahead_m, mps, opens_m=opens_m, manner=manner)
         r.run(0.12)
 
 
@@ -198,7 +205,7 @@ def led_past_another(r: Rig, range_m: float, ahead_m: float, mps: float) -> Targ
     r.range(range_m)
     r.raw_every_ms = 100
     for _ in range(16):
-        r.send_target(ahead_m, mps, makes_way=True)
+        r.send_target(ahead_m, mps, manner=Manner.MAKE_WAY)
         r.run(0.12)
     return newest(r)
 
@@ -394,14 +401,16 @@ def test_a_leader_that_flies_back_is_flown_back_from_at_once(rig: MakeRig) -> No
     assert loop.mps == pytest.approx(-2.0, abs=0.5)
 
 
-def braked(r: Rig, seconds: float, mps2: float, opens_m: float = 0.0) -> Rig:
+def braked(
+    r: Rig, seconds: float, mps2: float, opens_m: float = 0.0, manner: Manner = Manner.HOLD
+) -> Rig:
     """The leader 3 m ahead brakes for so long; the follower keeps its speed."""
     led(r, 3.0, 0.0)
     for number in range(round(seconds * 100)):
         time_s = 0.01 * (number + 1)
         r.range(3.0 - 0.5 * mps2 * time_s * time_s)
         if r.vehicle.t_ms % 120 == 0:
-            r.send_target(0.0, LEADER_MPS, opens_m=opens_m)
+            r.send_target(0.0, LEADER_MPS, opens_m=opens_m, manner=manner)
         r.step()
     return r
 
@@ -650,3 +659,52 @@ def test_a_point_without_any_velocity_is_a_hold(rig: MakeRig) -> None:
 
     assert len(r.vehicle.targets) == targets
     assert r.state != HOLDING
+
+
+# ---- in a line behind another follower -----
+
+
+def in_line(r: Rig, range_m: float, mps: float = LEADER_MPS) -> Target:
+    led(r, range_m, 0.0)
+    stream(r, 0.0, 1.0, mps, manner=Manner.KEEP_PACE)
+    return newest(r)
+
+
+@pytest.mark.parametrize("range_m", [2.5, 2.9, 3.0, 3.2])
+@pytest.mark.parametrize("mps", [1.5, 2.0])
+def test_in_a_line_the_place_is_by_the_sonar_and_the_speed_by_the_point(
+    rig: MakeRig, range_m: float, mps: float
+) -> None:
+    """The one ahead flies 2 m/s, whatever the point says."""
+    target = in_line(rig(), range_m, mps)
+    missing_m = range_m - 3.0
+    assert target.north_m == pytest.approx(max(missing_m, 0.4 * missing_m), abs=0.03)
+    assert target.north_mps == pytest.approx(mps, abs=0.03)
+
+
+def test_in_a_line_the_braking_of_the_one_ahead_is_not_answered(rig: MakeRig) -> None:
+    """It would be answered harder by each: all brake with the point, which is the leader's."""
+    r = braked(rig(), 0.5, 2.5, manner=Manner.KEEP_PACE)
+    assert newest(r).north_mps == pytest.approx(LEADER_MPS, abs=0.01)
+    assert newest(r).north_mps2 == 0.0
+
+
+def test_in_a_line_it_is_never_faster_than_it_can_still_stop(rig: MakeRig) -> None:
+    """At 2 m the distance from which 2 m/s still end 1.5 m away is not there any more.
+
+    Guided flies back by 1 m/s for each metre to the point, so the velocity may be as much more.
+    """
+    target = in_line(rig(), 2.0, LEADER_MPS + 2.0)
+    stoppable_mps = math.sqrt((2.5 * 0.6) ** 2 + 2.0 * 2.5 * (2.0 - 1.5)) - 2.5 * 0.6
+    assert target.north_m == pytest.approx(-0.4, abs=0.03)
+    assert target.north_mps == pytest.approx(LEADER_MPS + stoppable_mps + 0.4, abs=0.1)
+
+
+def test_in_a_line_one_that_is_not_seen_is_taken_to_keep_the_pace_of_all(rig: MakeRig) -> None:
+    """It braked when it was seen last: carried on at that, it would seem a metre nearer."""
+    r = braked(rig(), 0.4, 2.5, manner=Manner.KEEP_PACE)
+    r.range(7.66, HIGH)
+    stream(r, 0.0, 1.0, manner=Manner.KEEP_PACE)
+    track = r.host.local_value("track")
+    assert track.leader_mps == pytest.approx(LEADER_MPS, abs=0.05)
+    assert track.range_m == pytest.approx(3.0 - 0.5 * 2.5 * 0.4**2, abs=0.25)

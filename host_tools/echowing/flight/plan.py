@@ -164,9 +164,10 @@ def planned(known: Known, follower: FollowerState, fix: LeaderFix, now_s: float)
             least_m = max(least_m, _reversal_by_radio_m(known, follower, fix))
     least_m = _closing_slowly(follower, least_m, now_s)
     guided = follower.guide.update(leader, arrives_s, here, least_m)
-    guided = replace(guided, age_s=max(0.0, now_s - fix.time_s), at_s=arrives_s)
+    age_s = max(0.0, now_s - fix.time_s)
+    guided = replace(guided, age_s=age_s, at_s=arrives_s, slot_mps=guided.velocity_mps)
     if settings.feed_forward:
-        guided = _gently(follower, _fading(guided, settings), now_s)
+        guided = _gently(follower, _fading(known, follower, guided), now_s)
     elif settings.lead_time_s > 0.0:
         guided = _led(guided, leader, settings)
     return guided if settings.face_leader else replace(guided, yaw_rad=None)
@@ -205,12 +206,17 @@ def _closing_slowly(follower: FollowerState, least_m: float, now_s: float) -> fl
     return follower.least_m
 
 
-def _fading(guided: GuidedPoint, settings: GuidanceSettings) -> GuidedPoint:
-    """The slot's velocity, which fades as the leader's report grows old."""
-    share = lead_share(guided.age_s, settings)
+def _fading(known: Known, follower: FollowerState, guided: GuidedPoint) -> GuidedPoint:
+    """The velocity to fly, which fades as the leader's report grows old.
+
+    In a line behind another follower just that is flown (`Manner.KEEP_PACE`): fading, it would go
+    up and down with each report of a slow radio, and fall behind.
+    """
+    if known.ahead_of(follower) is not None:
+        return guided
+    share = lead_share(guided.age_s, known.settings)
     north, east = guided.velocity_mps
-    slot_mps = share * north, share * east
-    return replace(guided, velocity_mps=slot_mps, slot_mps=slot_mps)
+    return replace(guided, velocity_mps=(share * north, share * east))
 
 
 def _led(guided: GuidedPoint, leader: LeaderFix, settings: GuidanceSettings) -> GuidedPoint:

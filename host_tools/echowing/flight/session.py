@@ -38,6 +38,7 @@ from echowing.flight.trust import Trust
 from echowing.geo import GlobalPosition
 from echowing.mavlink.messages import (
     TOOL_SYSTEM_ID,
+    Manner,
     guides,
     look_order,
     position_target,
@@ -219,7 +220,7 @@ class FollowSession:
             self._altitude_m(follower, now_s),
             plan.yaw_rad,
             plan.opens_m,
-            allowed.makes_way,
+            self._manner(follower, allowed),
         )
         if self.guard is not None:
             self.guard.sent(follower, command, now_s)
@@ -235,6 +236,12 @@ class FollowSession:
         if self._may_leave(follower, allowed):
             return allowed
         return self._stopped_out_of_reach(follower, now_s)
+
+    def _manner(self, follower: FollowerState, allowed: Allowed) -> Manner:
+        """How its applet is to fly the point."""
+        if allowed.makes_way:
+            return Manner.MAKE_WAY
+        return Manner.HOLD if self.known.ahead_of(follower) is None else Manner.KEEP_PACE
 
     def _remember(self, follower: FollowerState, allowed: Allowed, now_s: float) -> None:
         """What the next tick has to know of this one."""
@@ -372,5 +379,5 @@ def _message(follower: FollowerState, command: Command, now_s: float) -> Any:
         now_s,
         command.velocity_mps,
         command.opens_m,
-        makes_way=command.makes_way,
+        command.manner,
     )

@@ -55,6 +55,8 @@ LONGEST_CHANGE_S = 0.5
 # A follower whose link is lost flies on for ECHO_STREAM_T (1 s). Then it stops within a second, in
 # which it flies half as far as at full speed.
 STOPS_AFTER_S = 1.5
+# Of how far the one ahead is off its slot, so much counts for the next slot: 0.4 after four.
+FLOWN_SHARE = 0.8
 # A longer delay to the vehicle is not predicted: the leader may have turned by then.
 LONGEST_WAY_S = 1.0
 
@@ -391,7 +393,9 @@ class Known:
     def followed_then(self, follower: FollowerState, fix: LeaderFix, at_s: float) -> LeaderFix:
         """What its slot is behind, at a moment, in its frame: the leader, or another slot.
 
-        Another slot, not the follower that flies in it, so that nobody amplifies his errors.
+        That slot's velocity, so that nobody amplifies another's; nearly the place of who flies in
+        it, as its sonar sees that one: a step from one to the other, where the sonar loses him, is
+        flown with full lean.
         """
         ahead = self.ahead_of(follower)
         if ahead is None:
@@ -400,6 +404,7 @@ class Known:
         place, velocity_mps, heading_rad = _slot_then(ahead, at_s)
         if place is None:
             return self.watched_then(follower, at_s) or self.seen_by(follower, fix)
+        place = _towards(place, ahead.then(at_s))
         place = place._replace(alt_m=place.alt_m - ahead.plan.slot.altitude_step_m)
         if self.settings.learn_offset:
             place = follower.estimate.as_seen(place)
@@ -547,6 +552,14 @@ def _shift_m(links: Iterable[FollowerState]) -> Horizontal:
     """What their sonars have found the receivers to disagree by, added up, (north, east)."""
     shifts_m = [one.estimate.shift_m for one in links]
     return sum(north for north, _ in shifts_m), sum(east for _, east in shifts_m)
+
+
+def _towards(slot: GlobalPosition, there: GlobalPosition | None) -> GlobalPosition:
+    """A slot moved most of the way to who flies in it: not all, or the last of a line swings."""
+    if there is None:
+        return slot
+    north_m, east_m, _ = ned_between(slot, there)
+    return displace(slot, (FLOWN_SHARE * north_m, FLOWN_SHARE * east_m, 0.0))
 
 
 def _slot_then(

@@ -11,6 +11,7 @@ from enum import StrEnum, auto
 
 from echowing.flight.guidance import Horizontal
 from echowing.geo import GlobalPosition
+from echowing.mavlink.messages import Manner
 
 # What messages call the leader.
 LEADER = "the leader"
@@ -100,7 +101,7 @@ class Command:
     altitude_m: float
     yaw_rad: float | None
     opens_m: float
-    makes_way: bool
+    manner: Manner
 
 
 @dataclass(frozen=True, slots=True)

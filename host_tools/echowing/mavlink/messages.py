@@ -1,6 +1,7 @@
 """MAVLink messages as the ground tools write and read them. Pure."""
 
 import math
+from enum import IntEnum
 from typing import TYPE_CHECKING, Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -28,6 +29,20 @@ UNKNOWN_HEADING = 65_535
 # How a point with a velocity carries more than a point, in fields that the autopilot ignores. The
 # applet refuses another format, and shows its own as ECHO_FORMAT.
 POINT_FORMAT = 2.0
+
+
+class Manner(IntEnum):
+    """How the applet flies a point with a velocity while its sonar is heard.
+
+    HOLD: at the wanted distance, and as fast as the leader, as the sonar sees it. MAKE_WAY: as it
+    is, for it leads past another vehicle than the leader. KEEP_PACE: at the wanted distance from
+    another follower, at the point's velocity.
+    """
+
+    HOLD = 0
+    MAKE_WAY = 1
+    KEEP_PACE = 2
+
 
 _POSITION_VELOCITY = (
     mavlink.POSITION_TARGET_TYPEMASK_AX_IGNORE
@@ -58,15 +73,13 @@ def position_target(
     now_s: float,
     velocity_mps: tuple[float, float] | None = None,
     opens_m: float = 0.0,
-    *,
-    makes_way: bool = False,
+    manner: Manner = Manner.HOLD,
 ) -> Any:
     """SET_POSITION_TARGET_GLOBAL_INT; `altitude_m` above the vehicle's home.
 
     velocity_mps: (north, east); None: the position only. For the applet, in fields that the
     autopilot ignores: opens_m: the distance to keep where the slot has opened (0: it has not);
-    makes_way: this leads past another vehicle than the leader, and the applet is not to undo it;
-    and POINT_FORMAT.
+    `manner`; and POINT_FORMAT.
     """
     mask = _POSITION_ONLY if velocity_mps is None else _POSITION_VELOCITY
     if yaw_rad is None:
@@ -83,7 +96,7 @@ def position_target(
         *(velocity_mps or (0.0, 0.0)),
         0.0,
         opens_m,
-        float(makes_way),
+        float(manner),
         POINT_FORMAT,
         yaw_rad or 0.0,
         0.0,
