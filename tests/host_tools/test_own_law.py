@@ -15,15 +15,15 @@ from echowing.setup.applet import applet_path
 from echowing.sim.scenario import load_scenario
 
 # What the page tells to change in a copy of the speed applet.
-BAND = "    if range_m >= C.DIST + C.BAND_OUT then return C.STEP_BIG end\n"
+BANDS = "    local wish_mps = speed_mps + (range_m >= C.DIST + C.BAND_OUT and C.STEP_BIG\n"
 
 
 def copy(folder: Path, applet: Applet = SPEED, **changes: str) -> Path:
-    """An applet of the user's, with each of `changes` before the thesis's first band."""
+    """An applet of the user's, with each of `changes` before the thesis's bands."""
     text = applet_path(applet).read_text(encoding="utf-8")
     for line in changes.values():
-        assert BAND in text
-        text = text.replace(BAND, f"    {line}\n{BAND}")
+        assert BANDS in text
+        text = text.replace(BANDS, f"    {line}\n{BANDS}")
     file = folder / "my_law.lua"
     file.write_text(text, encoding="utf-8")
     return file
@@ -49,7 +49,7 @@ def test_what_stands_in_the_file_is_flown_and_named(
 ) -> None:
     as_ours = flown(capsys, copy(tmp_path))
     assert as_ours["law"] == "my_law.lua"
-    creeping = flown(capsys, copy(tmp_path, law="if range_m then return -C.STEP_BIG end"))
+    creeping = flown(capsys, copy(tmp_path, law="range_m = C.DIST - 2 * C.BAND_OUT"))
     # It only ever slows down, and is left behind.
     assert creeping["mean_separation_m"] > as_ours["mean_separation_m"] + 1.0
 

@@ -4,6 +4,7 @@ Routing follows ArduPilot's libraries/GCS_MAVLink/MAVLink_routing.cpp.
 """
 
 from collections.abc import Callable, Iterator
+from copy import copy
 from functools import lru_cache
 from typing import Any
 
@@ -27,13 +28,17 @@ _BAD_CHECKSUM = "invalid MAVLink CRC"
 _DECODER = mavlink.MAVLink(None)
 
 
-@lru_cache(maxsize=1024)
 def decoded(frame: bytes) -> Any:
     """The message of a frame, whoever may have signed it. Raises MAVError.
 
-    A frame passes an autopilot and a ground station, and is decoded once: the message is for
-    reading. To pack it would write the sender into it; `SerialLink.forward` sends it on.
+    A frame passes an autopilot and a ground station, and is decoded once. Each gets a message of
+    its own: to send one on writes the sender into it.
     """
+    return copy(_decoded(frame))
+
+
+@lru_cache(maxsize=1024)
+def _decoded(frame: bytes) -> Any:
     return _DECODER.decode(bytearray(frame))
 
 
