@@ -87,7 +87,8 @@ def test_a_fleet_is_followed_and_every_turn_with_points_is_timed(
     flown = fly(3, 10.0, 1.0)
     assert {points for _, points in flown.turns} == {3}
     assert all(spent_s > 0.0 for spent_s, _ in flown.turns)
-    assert 0.0 < flown.cpu_s < flown.wall_s
+    assert flown.cpu_s > 0.0
+    assert flown.wall_s >= 1.0  # flown for so long, however busy the machine is
 
 
 def test_a_watched_fleet_is_seen_at_the_rate_of_its_rows(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -54,7 +54,7 @@ def _until_tracking(follower: Vehicle) -> None:
 
 
 def _again(tool: Tool, since: int) -> None:
-    tool.wait_for(lambda line: '"state": "following"' in line, since)
+    tool.wait_for(lambda line: '"state": "following' in line, since)
 
 
 def test_sonar_hears_nothing_for_8_s(start: Start, table: list[Entry]) -> None:

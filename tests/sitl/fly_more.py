@@ -79,7 +79,8 @@ def _follows(system_id: int) -> Callable[[str], bool]:
 
     def told(line: str) -> bool:
         row = json.loads(line)
-        return (row.get("system_id"), row.get("state")) == (system_id, "following")
+        followed = str(row.get("state")).startswith("following")
+        return row.get("system_id") == system_id and followed
 
     return told
 

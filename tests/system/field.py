@@ -282,11 +282,12 @@ def free_ports() -> int:
 
 
 def is_followed(row: dict[str, Any]) -> bool:
-    return bool(row["state"] == "following")
+    """Points go to it, whether its applet holds the distance already or not."""
+    return bool(row["state"].startswith("following"))
 
 
 def in_slot(row: dict[str, Any]) -> bool:
-    return row["state"] == "following" and row["error_m"] is not None and abs(row["error_m"]) < 1.0
+    return is_followed(row) and row["error_m"] is not None and abs(row["error_m"]) < 1.0
 
 
 Spoil = Callable[[Any], Iterable[tuple[float, bytes]]]

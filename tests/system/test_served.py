@@ -6,7 +6,7 @@ import signal
 from pathlib import Path
 
 import pytest
-from tests.system.field import FOLLOWER, WORLD, Process, World, free_ports
+from tests.system.field import FOLLOWER, WORLD, Process, World, free_ports, is_followed
 
 
 def test_the_printed_command_flies_and_the_leader_has_waited_for_it(
@@ -22,7 +22,7 @@ def test_the_printed_command_flies_and_the_leader_has_waited_for_it(
     assert formation.read_text().count("[[slots]]") == 2
     _, *arguments = shlex.split(printed)
     tool = Process(*arguments, "--json", "--no-log")
-    tool.row(lambda row: row["state"] == "following" and row["leader_speed_mps"] > 0.3)
+    tool.row(lambda row: is_followed(row) and row["leader_speed_mps"] > 0.3)
     rows = [row for row in map(json.loads, tool.lines) if row.get("leader_speed_mps") is not None]
     assert rows[0]["leader_speed_mps"] < 0.2  # it would have flown off long before
     tool.end(signal.SIGINT)

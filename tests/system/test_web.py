@@ -91,7 +91,7 @@ def test_what_is_drawn_is_what_was_flown_and_it_comes_back_after_a_restart(
     assert sight.text("headline") == "No connection to the tool: what you see is old"
     world.follow(*web)
     sight.until(f"window.echowing.model.hello.run !== '{run}' && {FRAME}")
-    sight.until(f"{FRAME}.followers[0].state === 'following'")
+    sight.until(f"{FRAME}.followers[0].state.startsWith('following')")
     sight.until("!document.body.classList.contains('lost')")
     assert sight.errors == []
     assert sight.asked == {f"{HERE}:{port}"}
