@@ -73,7 +73,9 @@ def test_what_is_drawn_is_what_was_flown_and_it_comes_back_after_a_restart(
     sight = Sight(browser)
     sight.open(f"http://{HERE}:{port}/")
     tool.row(is_followed)
-    sight.until(f"{FRAME} && {FRAME}.followers[0].slot !== null")
+    # The page may be a few frames behind what the tool has told.
+    ready = f"{FRAME}.followers[0].state.startsWith('following') && {FRAME}.followers[0].slot"
+    sight.until(f"{FRAME} && {ready} !== null")
     samples: dict[float, dict[str, Any]] = {}
     while len(samples) < 10:
         sample = sight.until(f"({SAMPLE})()")
