@@ -284,14 +284,14 @@ class TestCommands:
         with pytest.raises(EchowingError, match="does not know command 31014"):
             board.command(31014)
 
-    def test_unanswered_is_sent_three_times(self, wire: CoreWire) -> None:
+    def test_unanswered_is_sent_five_times(self, wire: CoreWire) -> None:
         board = wire.open()
         wire.drop = is_kind("COMMAND_ACK")
         wire.sent.clear()
         with pytest.raises(EchowingError, match="has not answered command 31010"):
             board.scan(ScanMode.AUTO)
         asked = [m for m in wire.sent if m.get_type() == "COMMAND_LONG"]
-        assert [m.confirmation for m in asked] == [0, 1, 2]
+        assert [m.confirmation for m in asked] == [0, 1, 2, 3, 4]
         assert {(m.get_srcSystem(), m.target_system, m.target_component) for m in asked} == {
             (245, 1, 191)  # 245: no ground station's id, so that it masks no fail-safe
         }
