@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from echowing.flight.wind import GUST_SHARE, LEAST_MPS2, Wind
+from echowing.flight.wind import BODY_PER_M, GUST_SHARE, LEAST_MPS2, ROTORS_PER_S, Wind
 from echowing.geo import GRAVITY_MPS2
 
 LEAN_MAX_RAD = math.radians(30.0)
@@ -49,6 +49,25 @@ def test_wind_from_the_side_takes_its_share_of_the_lean() -> None:
     across_mps2 = (1.0 + GUST_SHARE) * mps2(12.0)
     left_mps2 = math.sqrt(ALL_MPS2**2 - across_mps2**2) - GUST_SHARE * mps2(12.0)
     assert wind.leaves_mps2(0.0, LEAN_MAX_RAD) == pytest.approx(left_mps2)
+
+
+def test_its_own_speed_is_no_wind() -> None:
+    """It brakes to none and on to as much the other way: hovering counts, not the leg it flies."""
+    wind, flying = Wind(), Wind()
+    flies_mps, wind_mps = 2.0, 6.0  # north, from the north
+
+    def lean_rad(airspeed_mps: float) -> float:
+        drag_mps2 = airspeed_mps * (ROTORS_PER_S + BODY_PER_M * airspeed_mps)
+        return -math.atan(drag_mps2 / GRAVITY_MPS2)
+
+    for step in range(60):
+        now_s = step * STEP_S
+        wind.leans((0.0, lean_rad(wind_mps), 0.0), (0.0, 0.0), now_s)
+        flying.leans((0.0, lean_rad(wind_mps + flies_mps), 0.0), (flies_mps, 0.0), now_s)
+    for bearing_rad in (0.0, math.pi / 2.0, math.pi):
+        left_mps2 = wind.leaves_mps2(bearing_rad, LEAN_MAX_RAD)
+        assert flying.leaves_mps2(bearing_rad, LEAN_MAX_RAD) == pytest.approx(left_mps2)
+        assert left_mps2 > LEAST_MPS2
 
 
 def test_something_is_always_left() -> None:

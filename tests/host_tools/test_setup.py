@@ -63,12 +63,13 @@ CENTIMETRES = {
     "RTL_SPEED": 500.0,
     "WPNAV_ACCEL": 500.0,
     "PSC_JERK_XY": 20.0,
+    "ANGLE_MAX": 4500.0,
 }
 NEEDED = {
     Generation.V4_5: CENTIMETRES,
     Generation.V4_6: CENTIMETRES,
-    Generation.V4_7: {**METRIC, "RTL_SPEED": 500.0},
-    Generation.V4_8: {**METRIC, "RTL_SPEED_MS": 5.0},
+    Generation.V4_7: {**METRIC, "RTL_SPEED": 500.0, "ANGLE_MAX": 4500.0},
+    Generation.V4_8: {**METRIC, "RTL_SPEED_MS": 5.0, "ATC_ANGLE_MAX": 45.0},
 }
 
 
@@ -143,6 +144,7 @@ WRONG = [
     ({"WP_ACC": 0.0}, "WP_ACC", "param set WP_ACC 5;"),  # ArduCopter flies 2.5 then
     ({"PSC_JERK_NE": 5.0}, "PSC_JERK_NE", "param set PSC_JERK_NE 20;"),
     ({"PSC_JERK_NE": 0.0}, "PSC_JERK_NE", "param set PSC_JERK_NE 20;"),
+    ({"ATC_ANGLE_MAX": 30.0}, "ATC_ANGLE_MAX", "param set ATC_ANGLE_MAX 45;"),
     ({"ECHO_ENABLE": 0.0}, "ECHO_ENABLE", "param set ECHO_ENABLE 1"),
     ({"ECHO_DIST": 0.5}, "ECHO_DIST", "param set ECHO_DIST 3"),
     ({"ECHO_SPD_MIN": 0.1}, "ECHO_SPD_MIN", "param set ECHO_SPD_MIN 0.2"),
@@ -223,6 +225,7 @@ def test_what_does_well_enough_is_let_be() -> None:
         RTL_SPEED_MS=3.0,
         WP_ACC=6.0,
         PSC_JERK_NE=30.0,
+        ATC_ANGLE_MAX=50.0,
     )
     assert odd_ones(fine) == {}
     assert changes_for(fine) == []
@@ -254,10 +257,11 @@ def test_what_cannot_be_told_is_neither_fine_nor_wrong() -> None:
 
 def test_limits_are_judged_in_the_units_of_the_generation() -> None:
     old = Generation.V4_6
-    slow = odd_ones(ready(old, WPNAV_ACCEL=250.0, PSC_JERK_XY=5.0))
-    assert set(slow) == {"WPNAV_ACCEL", "PSC_JERK_XY"}
+    slow = odd_ones(ready(old, WPNAV_ACCEL=250.0, PSC_JERK_XY=5.0, ANGLE_MAX=3000.0))
+    assert set(slow) == {"WPNAV_ACCEL", "PSC_JERK_XY", "ANGLE_MAX"}
     assert "param set WPNAV_ACCEL 500;" in slow["WPNAV_ACCEL"].fix
     assert "param set PSC_JERK_XY 20;" in slow["PSC_JERK_XY"].fix
+    assert "param set ANGLE_MAX 4500;" in slow["ANGLE_MAX"].fix
     assert odd_ones(ready(old, WPNAV_ACCEL=600.0)) == {}
 
 
@@ -668,7 +672,10 @@ def test_every_help_has_an_example(part: str, capsys: pytest.CaptureFixture[str]
     assert f"  echowing setup {part} " in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("name", ["WP_ACC", "WPNAV_ACCEL", "PSC_JERK_NE", "PSC_JERK_XY"])
+@pytest.mark.parametrize(
+    "name",
+    ["WP_ACC", "WPNAV_ACCEL", "PSC_JERK_NE", "PSC_JERK_XY", "ATC_ANGLE_MAX", "ANGLE_MAX"],
+)
 def test_higher_limits_are_raised_only_with_a_word_on_what_they_do_elsewhere(name: str) -> None:
     note = "\n".join(tuning_note([Change("SCR_ENABLE", 0.0, 1.0), Change(name, 2.5, 5.0)]))
     assert note.startswith(f"{name}: in Auto and RTL, too")

@@ -11,13 +11,12 @@ from echowing.applets import HOLD, IDENTIFYING, Applet, applets_among, identify
 from echowing.errors import EchowingError
 from echowing.flight.state import GUIDED_MODE
 from echowing.mavlink.messages import FORWARD, command_long
-from echowing.mavlink.vehicle_limits import ACCELERATION, JERK
 from echowing.setup.applet import CARD_FOLDERS, applet_parameters, applet_path, files_in
 from echowing.setup.checks import RC_CHANNELS, SERIAL_PORTS, ports_at_115200, signing_option
 from echowing.setup.ftp import FtpClient, FtpRefusedError, NoAnswerError
 from echowing.setup.ftp_format import ardupilot_crc32
 from echowing.setup.readout import CardApplet, Readout, Reports
-from echowing.setup.settings import PROXIMITY_SENSORS
+from echowing.setup.settings import LEAST_LIMITS, PROXIMITY_SENSORS
 from echowing.setup.vehicle import AUTOPILOT, POLL_S, Heard, Name, Vehicle
 
 LISTEN_S = 3.0  # three heartbeats, 60 ranges, six of the applet's named floats
@@ -33,8 +32,7 @@ PREARM = "PreArm: "
 _NAMES: tuple[Name, ...] = (
     ("WP_SPD", "WPNAV_SPEED"),
     ("RTL_SPEED_MS", "RTL_SPEED"),
-    tuple(ACCELERATION.names),
-    tuple(JERK.names),
+    *(tuple(limit.names) for limit in LEAST_LIMITS),
     ("MAV_GCS_SYSID", "SYSID_MYGCS"),
     "SCR_ENABLE",
     "SCR_DIR_DISABLE",

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from echowing.applets import FORMAT, identify
-from echowing.mavlink.vehicle_limits import ACCELERATION, JERK, VehicleLimit
+from echowing.mavlink.vehicle_limits import ACCELERATION, JERK, LEAN, VehicleLimit
 from echowing.setup.applet import applet_parameters
 from echowing.setup.readout import Readout
 
@@ -34,7 +34,9 @@ INSTRUCTIONS = 10_000.0  # SCR_VM_I_COUNT's default; an update takes a tenth of 
 RTL_SPEED_MPS = 5.0  # WP_SPD's half: what the applet's doc suggests
 # What the separation guard needs to fly back before a leader that reverses at 2 m/s arrives: with
 # ArduCopter's own 2.5 m/s^2 and 5 m/s^3 the follower only begins to move when it is too late.
-ACCELERATION_MPS2, JERK_MPS3 = 5.0, 20.0
+# Against 6 m/s of wind a copter leans by 16 degrees to hover: of ArduCopter's own 30 degrees too
+# little is left for 5 m/s^2, and the slot opens beyond the sonar's reach (`flight/wind.py`).
+LEAST_LIMITS = {ACCELERATION: 5.0, JERK: 20.0, LEAN: 45.0}
 GUIDED_BY_WAYPOINTS = 64  # GUID_OPTIONS bit 6
 GUIDED_TIMEOUT_S, LONGEST_GUIDED_TIMEOUT_S = 3.0, 5.0  # GUID_TIMEOUT: its default, its range's end
 TOLERANCE = 1e-4  # of what a 32-bit float makes of a decimal number
@@ -226,21 +228,18 @@ def _limits(readout: Readout) -> Iterator[Setting]:
     yield _at_least(
         readout,
         ACCELERATION,
-        ACCELERATION_MPS2,
         "the follower must brake and fly back this quickly when its leader reverses",
     )
     yield _at_least(
-        readout,
-        JERK,
-        JERK_MPS3,
-        "the acceleration must build up this quickly when the leader reverses",
+        readout, JERK, "the acceleration must build up this quickly when the leader reverses"
     )
+    yield _at_least(readout, LEAN, "in wind, too, the follower must be able to brake so quickly")
 
 
-def _at_least(readout: Readout, limit: VehicleLimit, least: float, why: str) -> Setting:
+def _at_least(readout: Readout, limit: VehicleLimit, why: str) -> Setting:
     """A lower bound in SI units, under the first of the names that the vehicle has."""
     name = next((one for one in limit.names if one in readout), next(iter(limit.names)))
-    wanted = least / limit.names[name]
+    wanted = LEAST_LIMITS[limit] / limit.names[name]
     return Setting(name, lambda v: v >= wanted - TOLERANCE, lambda v: wanted, why)
 
 

@@ -2,12 +2,12 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from echowing.mavlink.vehicle_limits import ACCELERATION, BY_NAME, JERK
+from echowing.mavlink.vehicle_limits import BY_NAME
 from echowing.setup.applet import PARAMETER_PREFIX
 from echowing.setup.apply import Change
 from echowing.setup.checks import Finding, Verdict, examine, exit_code, judge, memory
 from echowing.setup.readout import CardApplet, Readout, Role
-from echowing.setup.settings import HEAP, settings_for
+from echowing.setup.settings import HEAP, LEAST_LIMITS, settings_for
 
 _RESULTS = {0: "fine", 1: "wrong", 2: "unknown"}
 _MARKS = {
@@ -84,14 +84,14 @@ def changes_as_lines(changes: Sequence[Change]) -> Iterator[str]:
 
 def tuning_note(changes: Sequence[Change]) -> list[str]:
     """What higher limits do besides following; nothing where none is raised."""
-    raised = [one.name for one in changes if BY_NAME.get(one.name) in (ACCELERATION, JERK)]
+    raised = [one.name for one in changes if BY_NAME.get(one.name) in LEAST_LIMITS]
     if not raised:
         return []
     return [
         f"{' and '.join(raised)}: in Auto and RTL, too, the vehicle will",
-        "  speed up, brake and turn harder, and lean up to 27 degrees for it. Only for",
-        "  a vehicle that is tuned (AutoTune) and strong enough. Watch its first Auto",
-        "  and RTL with them.",
+        "  speed up, brake and turn harder, and lean by 27 degrees for it, in wind by up",
+        "  to 45, and with a pilot's full stick. Only for a vehicle that is tuned (AutoTune)",
+        "  and strong enough. Watch its first Auto and RTL with them.",
     ]
 
 

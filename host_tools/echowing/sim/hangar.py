@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from echowing.geo import Ned
-from echowing.setup.settings import ACCELERATION_MPS2, JERK_MPS3
+from echowing.setup.settings import LEAST_LIMITS
 from echowing.sim.aircraft import Body, MakeCoprocessor, SimFollower, SimVehicle
 from echowing.sim.boards.coprocessor import NativeCoprocessor
 from echowing.sim.ground import Telemetry, open_log
 from echowing.sim.scenario import SPEED_LAWS, LossySection, RadioSection, Scenario
 from echowing.sim.vehicle.autopilot import Autopilot
 from echowing.sim.vehicle.copter import Copter, Tuning, tuning_of
-from echowing.sim.vehicle.parameters import Generation
+from echowing.sim.vehicle.parameters import Generation, spans_of
 from echowing.sim.world.cutter import PacketCutter
 from echowing.sim.world.gps import Drift
 from echowing.sim.world.leader import TrackedBody, load_track, walk
@@ -34,6 +34,17 @@ Listen = Callable[[SimFollower, float], float | None]
 def board_parameters(system_id: int, scenario: Scenario) -> dict[str, float]:
     """The co-processor's parameters: it has learned long ago whose it is."""
     return {"SYS_ID": float(system_id), **scenario.coprocessor}
+
+
+def _set_up(generation: Generation) -> dict[str, float]:
+    """The limits that `setup apply` gives a vehicle as it comes."""
+    names = spans_of(generation)
+    return {
+        name: least / unit
+        for limit, least in LEAST_LIMITS.items()
+        for name, unit in limit.names.items()
+        if name in names
+    }
 
 
 class Hangar:
@@ -119,13 +130,8 @@ class Hangar:
         scenario = self.scenario
         modern = scenario.follower.autopilot_generation() in (Generation.V4_7, Generation.V4_8)
         speed = {"WP_SPD": speed_mps} if modern else {"WPNAV_SPEED": speed_mps * 100.0}
-        limits: dict[str, float] = {}
-        if scenario.guidance.gray:
-            pass  # flown as they come: the set-up is ours
-        elif modern:
-            limits = {"WP_ACC": ACCELERATION_MPS2, "PSC_JERK_NE": JERK_MPS3}
-        else:
-            limits = {"WPNAV_ACCEL": ACCELERATION_MPS2 * 100.0, "PSC_JERK_XY": JERK_MPS3}
+        # Gray's vehicles are flown as they come: the set-up is ours.
+        limits = {} if scenario.guidance.gray else _set_up(scenario.follower.autopilot_generation())
         applet: dict[str, float] = {}
         if scenario.law in SPEED_LAWS:
             applet["ECHO_LAW"] = SPEED_LAWS[scenario.law]
