@@ -166,7 +166,7 @@ local yaw_rad = ahrs.get_yaw_rad or ahrs.get_yaw
   // @Param: ECHO_FORMAT
   // @DisplayName: Echowing point format
   // @Description: Format of the guided points that the applet understands. For another one update the applet or the ground tool
-  // @Range: 2 2
+  // @Range: 3 3
   // @ReadOnly: True
   // @User: Advanced
 --]]
@@ -192,7 +192,7 @@ LOG_HZ 10 0 20 25
 ARM_CHK 1 0 1 26
 INSET 0.2 0 1 27
 MIRROR 0 0 5000 28
-FORMAT 2 2 2 29
+FORMAT 3 3 3 29
 ]]
 
 local C = {} -- values in force: C.DIST, ...
@@ -233,7 +233,7 @@ do
         names[i], C[name], least[i], most[i] = name, tonumber(value), tonumber(low), tonumber(high)
         objects[i] = Parameter('ECHO_' .. name)
     end
-    objects[#objects]:set(2)
+    objects[#objects]:set(C.FORMAT)
     for i = 1, #names do read(i) end
     C.SPD_MAX = max(C.SPD_MAX, C.SPD_MIN)
     mirror = objects[#objects - 1]
@@ -746,7 +746,10 @@ do
             end
             wanted_m, wanted_mps = gently(t_ms, wanted_m, wanted_mps)
         end
-        local by_m, by_mps = wanted_m - ahead_m, wanted_mps + braking_mps2 * LEAN_S - mps
+        -- Its speed is right once it leans. What two points ago told is not so any more.
+        local quickens_mps2 = t_ms - stream.at_ms < 300 and stream.quickens_mps2 or 0
+        if braking_mps2 < 0 then quickens_mps2 = min(quickens_mps2, braking_mps2) end
+        local by_m, by_mps = wanted_m - ahead_m, wanted_mps + quickens_mps2 * LEAN_S - mps
         position:x(position:x() + north_m + by_m * look.north)
         position:y(position:y() + east_m + by_m * look.east)
         position:z(position:z() - stream.up_m - ahrs:get_relative_position_D_home())
@@ -783,17 +786,19 @@ do
     -- SET_POSITION_TARGET_GLOBAL_INT as `echowing follow` sends it: a position, height above home (frame 6), a
     -- velocity, with a yaw or without. Of the acceleration, which the autopilot is told to ignore: how far the slot has
     -- opened, its manner (1: past another vehicle than the leader, 2: in a line behind another follower, 0: else), and
-    -- the format that says so.
+    -- the format that says so. Of the rate of the yaw, ignored too: by how much this vehicle has to speed up towards the
+    -- leader to keep its distance.
     function stream.take(payload, sender, t_ms)
-        local lat, lng, up_m, north_mps, east_mps, _, opens_m, manner, format, yaw, _, mask, system, _, frame =
-            ('<i4i4fffffffffI2BBB'):unpack(payload, 5)
+        local lat, lng, up_m, north_mps, east_mps, _, opens_m, manner, format, yaw, quickens_mps2, mask, system, _,
+            frame = ('<i4i4fffffffffI2BBB'):unpack(payload, 5)
         if system ~= 0 and system ~= MY_SYSTEM then return end
-        if format ~= 2 or frame ~= 6 or mask & ~0x0400 ~= 0x09C0 then return refuse('points of another format') end
+        if format ~= C.FORMAT or frame ~= 6 or mask & ~0x0400 ~= 0x09C0 then return refuse('points of another format') end
         -- The autopilot's greatest latitude and longitude, and more metres than any slot opens to or copter climbs to.
         local looks = mask & 0x0400 == 0
         if not (is_within(lat, 900000000) and is_within(lng, 1800000000) and is_within(up_m, 10000)
             and is_within(north_mps, FASTEST_MPS) and is_within(east_mps, FASTEST_MPS) and is_within(opens_m, 1000)
-            and is_within(manner, 2) and (not looks or is_within(yaw, 2 * pi))) then
+            and is_within(manner, 2) and is_within(quickens_mps2, 10)
+            and (not looks or is_within(yaw, 2 * pi))) then
             return refuse('implausible point')
         end
         -- Points count from one sender until it has been silent for a second: two would pull the vehicle to and fro.
@@ -804,6 +809,7 @@ do
         stream.lat, stream.lng, stream.up_m, stream.yaw_rad = lat, lng, up_m, looks and yaw or nil
         stream.north_mps, stream.east_mps = north_mps, east_mps
         stream.opens_m, stream.manner = min(opens_m, 6), manner -- as the highest ECHO_DIST
+        stream.quickens_mps2 = quickens_mps2
     end
 
     -- The point in force now: metres ahead of here (along the beam) and its speed there; the same north and east in

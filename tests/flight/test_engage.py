@@ -23,6 +23,7 @@ from echowing.flight.handling import SELDOM_S, STEERED_MPS2, least_slot_m
 from echowing.flight.readiness import Readiness
 from echowing.flight.switch import StopSwitch
 from echowing.geo import distance_m
+from echowing.mavlink.messages import POINT_FORMAT
 from echowing.mavlink.seats import StrangerWatch, parse_seat
 
 from .yard import AUTO, FOLLOWER, GUIDED, LEADER, LOITER, SECOND, TICK_S, Vehicle, Yard
@@ -129,13 +130,17 @@ SPEED_APPLET = {"ECHO_LAW": 0.0}
 @pytest.mark.parametrize(
     ("runs", "sends_velocity", "said"),
     [
-        ({"ECHO_FORMAT": 2.0}, True, None),
+        ({"ECHO_FORMAT": POINT_FORMAT}, True, None),
         (SPEED_APPLET, False, None),
-        ({"ECHO_FORMAT": 2.0}, False, "it runs the hold, which needs points with a velocity"),
+        (
+            {"ECHO_FORMAT": POINT_FORMAT},
+            False,
+            "it runs the hold, which needs points with a velocity",
+        ),
         (SPEED_APPLET, True, "it runs the speed applet, which needs points without a velocity"),
         ({"ECHO_LAW": 2.0, "ECHO_GAIN_P": 0.7}, True, "its applet is of another version: update"),
         ({"ECHO_LAW": 2.0, "ECHO_GAIN_P": 0.7}, False, "its applet is of another version: update"),
-        ({"ECHO_FORMAT": 3.0}, True, "its applet is of another version: update it"),
+        ({"ECHO_FORMAT": POINT_FORMAT + 1.0}, True, "its applet is of another version: update it"),
         ({}, True, "its applet is of another version: update it"),
     ],
 )
@@ -154,7 +159,7 @@ def test_the_applet_must_be_the_one_that_flies_these_points(
     assert yard.said(f"not engaged, {said}")
     for name in runs:
         del parameters[name]
-    parameters.update({"ECHO_FORMAT": 2.0} if sends_velocity else SPEED_APPLET)
+    parameters.update({"ECHO_FORMAT": POINT_FORMAT} if sends_velocity else SPEED_APPLET)
     assert yard.fly(READ_AGAIN_S + 5.0) != []  # another one is on the card now
 
 

@@ -10,7 +10,7 @@ from echowing.flight.guard import Limits
 from echowing.flight.guidance import GRAY, GuidanceSettings, Slot
 from echowing.flight.jumps import AGREEING_REPORTS
 from echowing.flight.leader_track import CLOCKS_AGREE_S, VehicleClock
-from echowing.flight.plan import CLOSES_MPS, planned
+from echowing.flight.plan import CLOSES_MPS, planned, quickens_mps2
 from echowing.flight.session import FollowSession
 from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.flight.state import FollowerPlan
@@ -515,13 +515,46 @@ def test_the_leaders_age_is_measured_through_timesync() -> None:
 
 
 def test_the_velocity_fades_as_the_leaders_report_grows_old() -> None:
-    """All of it up to half a second, none from one second on; the follower is in its slot."""
+    """All of it up to 0.75 s, none from one second on; the follower is in its slot."""
     speeds = {
         now_s: targets(aged(PLAIN, -3.0 + 2.0 * (now_s - 5.75)), now_s)[0].vx
-        for now_s in (6.48, 6.75, 6.99)
+        for now_s in (6.73, 6.875, 6.99)
     }
 
-    assert speeds == pytest.approx({6.48: 2.0, 6.75: 1.0, 6.99: 0.04}, abs=0.02)
+    assert speeds == pytest.approx({6.73: 2.0, 6.875: 1.0, 6.99: 0.08}, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("leader_mps", "follower_mps", "fresh_s", "expected_mps2"),
+    [
+        # It brakes by 2 m/s2, 3 m ahead; the older that is, the less it tells of now.
+        ((1.8, 0.0), (2.0, 0.0), 0.0, -2.0),
+        ((1.8, 0.0), (2.0, 0.0), 0.25, -1.0),
+        ((1.8, 0.0), (2.0, 0.0), 0.45, -0.2),
+        # It crosses ahead of one that stands: the beam turns, 1.5 m/s across at 3 m.
+        ((0.0, 1.5), (0.0, 0.0), 0.0, 0.75),
+        # Both fly side by side: nothing turns.
+        ((0.0, 1.5), (0.0, 1.5), 0.0, 0.0),
+    ],
+)
+def test_a_point_tells_how_its_follower_has_to_speed_up(
+    leader_mps: tuple[float, float],
+    follower_mps: tuple[float, float],
+    fresh_s: float,
+    expected_mps2: float,
+) -> None:
+    """Of the distance's second derivative, which is to be none: range'' = a_leader - a + v2 / r."""
+    follow = session(replace(PLAIN, predict=True), hears=True)
+    before_mps = (2.0, 0.0) if leader_mps[0] else leader_mps
+    place = displace(HERE, (-3.0, 0.0, 0.0))
+    follow.receive(from_vehicle(LEADER, position(5.9, HERE, before_mps)), 5.9)
+    follow.receive(from_vehicle(FOLLOWER, position(6.0, place, follower_mps)), 6.0)
+    follow.receive(from_vehicle(LEADER, position(6.0, HERE, leader_mps)), 6.0)
+    way_s = follow.followers[FOLLOWER].way_s
+    fix, now_s = follow.leader.fix, 6.0 + fresh_s - way_s
+    assert fix is not None
+    mps2 = quickens_mps2(follow.known, follow.followers[FOLLOWER], fix, now_s)
+    assert mps2 == pytest.approx(expected_mps2, abs=0.12)
 
 
 def test_our_own_timesync_requests_coming_back_are_ignored() -> None:

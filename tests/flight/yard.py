@@ -13,6 +13,7 @@ from echowing.flight.readiness import Readiness
 from echowing.flight.session import FollowSession
 from echowing.flight.state import FollowerPlan
 from echowing.geo import GlobalPosition, displace
+from echowing.mavlink.messages import POINT_FORMAT
 from echowing.mavlink.plausible import Door
 from echowing.mavlink.vehicle_limits import usual_parameters
 from echowing.sonar_file import shipped_sonar
@@ -56,7 +57,7 @@ class Vehicle:
     parameters: dict[str, float] = field(
         default_factory=lambda: {
             "ECHO_ENABLE": 1.0,
-            "ECHO_FORMAT": 2.0,
+            "ECHO_FORMAT": POINT_FORMAT,
             "ECHO_DIST": 3.0,
             "ECHO_INSET": 0.2,
             "ECHO_STREAM_T": 1.0,

@@ -152,6 +152,7 @@ class Rig:
         system: int = 1,
         opens_m: float = 0.0,
         manner: Manner = Manner.HOLD,
+        quickens_mps2: float = 0.0,
         ignored: int = ACCELERATION_IGNORED,
         form: float = POINT_FORMAT,
         sender: int = GROUND_TOOL,
@@ -159,7 +160,8 @@ class Rig:
         """A guided point so far north and east of HERE, with or without a velocity (there, too).
 
         up_m: above home; yaw_rad: None: the autopilot's choice; opens_m: the distance to keep;
-        manner: how it is to be flown; form: the format of both, in ignored fields.
+        manner: how it is to be flown; quickens_mps2: by how much to speed up; form: the format of
+        these, in ignored fields.
         """
         lat = round(HERE[0] * 1e7 + ahead_m / METRES_PER_E7)
         metres_per_e7 = METRES_PER_E7 * math.cos(math.radians(HERE[0]))
@@ -169,8 +171,9 @@ class Rig:
         if yaw_rad is not None:
             mask &= ~YAW_IGNORED
         velocity = (0.0, 0.0) if velocity_mps is None else (velocity_mps, aside_mps)
-        fields = (lat, lng, up_m, *velocity, 0.0, opens_m, manner, form, yaw_rad or 0.0, 0.0)
-        payload = struct.pack("<Iii9fHBBB", self.vehicle.t_ms, *fields, mask, system, 1, 6)
+        place, turns = (lat, lng, up_m), (yaw_rad or 0.0, quickens_mps2)
+        fields = (*place, *velocity, 0.0, opens_m, manner, form, *turns, mask, system, 1, 6)
+        payload = struct.pack("<Iii9fHBBB", self.vehicle.t_ms, *fields)
         self.vehicle.inbox.append((mavlink_frame(86, payload, sender), 0))
 
     @property

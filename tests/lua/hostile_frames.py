@@ -23,7 +23,7 @@ METRES_PER_E7 = 0.011131884502145034  # 1e-7 degrees of latitude
 HERE = (39.34, -86.03, 260.0)
 # Of the point's mask: no acceleration; no velocity; no yaw; no yaw rate.
 NO_ACCELERATION, NO_VELOCITY, NO_YAW, NO_YAW_RATE = 0x01C0, 0x0038, 0x0400, 0x0800
-POINT_FORMAT = 2.0
+POINT_FORMAT = 3.0
 RAW_NAME = b"SNR_RAW"
 # (system, component) of the ground tool, the co-processor, a pilot's ground station, a stranger.
 TOOL, BOARD, STATION, STRANGER = (245, 190), (1, 191), (255, 190), (7, 1)
@@ -61,6 +61,7 @@ def point(
     opens_m: float = 0.0,
     manner: float = 0.0,
     point_format: float = POINT_FORMAT,
+    quickens_mps2: float = 0.0,
     mask: int = NO_ACCELERATION | NO_YAW_RATE,
     system: int = 1,
     frame: int = 6,
@@ -78,7 +79,7 @@ def point(
         *(velocity_mps or (0.0, 0.0)),
         0.0,
         *(opens_m, manner, point_format),
-        *(yaw_rad or 0.0, 0.0),
+        *(yaw_rad or 0.0, quickens_mps2),
     )
 
 
@@ -99,7 +100,8 @@ def _odd_point(rng: Random, t_ms: int) -> Any:
         yaw_rad=odd(rng, -7.0, 7.0) if rng.random() < 0.6 else None,
         opens_m=odd(rng, 0.0, 8.0),
         manner=rng.choice([0.0, 1.0, 2.0, odd(rng, 0.0, 2.0)]),
-        point_format=rng.choice([POINT_FORMAT] * 6 + [0.0, 1.0, 3.0, math.nan]),
+        point_format=rng.choice([POINT_FORMAT] * 6 + [0.0, 1.0, 2.0, math.nan]),
+        quickens_mps2=odd(rng, -3.0, 3.0),
         mask=rng.choice([NO_ACCELERATION | NO_YAW_RATE] * 6 + [0, 0x0FFF, rng.randrange(1 << 16)]),
         system=rng.choice([1] * 8 + [0, 2]),
         frame=rng.choice([6] * 6 + [0, 3, 5, 11, rng.randrange(256)]),

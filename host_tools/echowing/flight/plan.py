@@ -14,6 +14,7 @@ from echowing.flight.guidance import (
     lead_share,
 )
 from echowing.flight.handling import least_slot_m
+from echowing.flight.leader_track import MOST_MPS2
 from echowing.flight.look import Look
 from echowing.flight.state import FollowerState, Known, Say
 from echowing.flight.steps import Plan
@@ -37,6 +38,9 @@ NEAR_M, HEARD_PER_S = 0.3, 0.7
 WITHIN_REACH_M = 0.7
 # A slot that was opened closes slowly: one that leans to catch up loses its leader.
 CLOSES_MPS = 0.6
+# Within this time a leader's acceleration is another: ArduCopter changes it by 5 m/s3
+# (PSC_JERK_NE), all of its 2.5 m/s2 in half a second.
+QUICKENS_S = 0.5
 # Nearer to its slot, a follower has arrived.
 AT_SLOT_M = 0.05
 
@@ -84,7 +88,8 @@ class Planner:
             yaw_rad = look.axis.azimuth_rad
         north_mps, east_mps = guided.velocity_mps
         velocity = (north_mps or LEAST_MPS, east_mps) if self._feeds else None
-        return Plan(guided.point, velocity, yaw_rad, follower.opens_m)
+        quickens = quickens_mps2(self._known, follower, fix, now_s)
+        return Plan(guided.point, velocity, yaw_rad, follower.opens_m, quickens)
 
     @property
     def _feeds(self) -> bool:
@@ -204,6 +209,31 @@ def _closing_slowly(follower: FollowerState, least_m: float, now_s: float) -> fl
     follower.least_m = max(least_m, follower.least_m - CLOSES_MPS * elapsed_s)
     follower.least_at_s = now_s
     return follower.least_m
+
+
+def quickens_mps2(known: Known, follower: FollowerState, fix: LeaderFix, now_s: float) -> float:
+    """By how much it has to speed up towards whom its sonar looks at, to keep its distance.
+
+    The distance keeps its rate where the follower's acceleration along the beam is the leader's,
+    and what turns the beam: the square of the speed across, over the distance. The older the
+    report is, the less it tells of the acceleration.
+    """
+    arrives_s = now_s + follower.way_s
+    leader, here = known.leader_then(follower, arrives_s), follower.then(arrives_s)
+    share = 1.0 - (arrives_s - fix.time_s) / QUICKENS_S
+    if leader is None or here is None or share <= 0.0:
+        return 0.0
+    north_m, east_m, _ = ned_between(here, leader.position)
+    far_m = max(known.settings.clearance_m, math.hypot(north_m, east_m))
+    own_north_mps, own_east_mps = follower.velocity_then(arrives_s)
+    north_mps, east_mps, _ = leader.velocity_ned_mps
+    north_mps2, east_mps2, _ = leader.acceleration_ned_mps2
+    along_mps2 = (north_mps2 * north_m + east_mps2 * east_m) / far_m
+    across_mps = (
+        (east_mps - own_east_mps) * north_m - (north_mps - own_north_mps) * east_m
+    ) / far_m
+    quickens = share * (along_mps2 + across_mps * across_mps / far_m)
+    return max(-MOST_MPS2, min(MOST_MPS2, quickens))
 
 
 def _fading(known: Known, follower: FollowerState, guided: GuidedPoint) -> GuidedPoint:

@@ -38,6 +38,7 @@ from echowing.flight.trust import Trust
 from echowing.geo import GlobalPosition
 from echowing.mavlink.messages import (
     TOOL_SYSTEM_ID,
+    ForApplet,
     Manner,
     guides,
     look_order,
@@ -219,8 +220,7 @@ class FollowSession:
             allowed.velocity_mps,
             self._altitude_m(follower, now_s),
             plan.yaw_rad,
-            plan.opens_m,
-            self._manner(follower, allowed),
+            self._for_applet(follower, plan, allowed),
         )
         if self.guard is not None:
             self.guard.sent(follower, command, now_s)
@@ -237,11 +237,13 @@ class FollowSession:
             return allowed
         return self._stopped_out_of_reach(follower, now_s)
 
-    def _manner(self, follower: FollowerState, allowed: Allowed) -> Manner:
+    def _for_applet(self, follower: FollowerState, plan: Plan, allowed: Allowed) -> ForApplet:
         """How its applet is to fly the point."""
         if allowed.makes_way:
-            return Manner.MAKE_WAY
-        return Manner.HOLD if self.known.ahead_of(follower) is None else Manner.KEEP_PACE
+            return ForApplet(plan.opens_m, Manner.MAKE_WAY)
+        if self.known.ahead_of(follower) is not None:
+            return ForApplet(plan.opens_m, Manner.KEEP_PACE)
+        return ForApplet(plan.opens_m, Manner.HOLD, plan.quickens_mps2)
 
     def _remember(self, follower: FollowerState, allowed: Allowed, now_s: float) -> None:
         """What the next tick has to know of this one."""
@@ -378,6 +380,5 @@ def _message(follower: FollowerState, command: Command, now_s: float) -> Any:
         command.yaw_rad,
         now_s,
         command.velocity_mps,
-        command.opens_m,
-        command.manner,
+        command.for_applet,
     )

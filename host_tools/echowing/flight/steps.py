@@ -11,7 +11,7 @@ from enum import StrEnum, auto
 
 from echowing.flight.guidance import Horizontal
 from echowing.geo import GlobalPosition
-from echowing.mavlink.messages import Manner
+from echowing.mavlink.messages import ForApplet
 
 # What messages call the leader.
 LEADER = "the leader"
@@ -69,13 +69,15 @@ class Plan:
     """A place, and the velocity that the follower flies with it, (north, east); None: no velocity.
 
     yaw_rad: bearing to look at, None: its autopilot's choice; opens_m: the distance its slot has
-    opened to for a leader that may turn round, 0: it has not.
+    opened to for a leader that may turn round, 0: it has not; quickens_mps2: by how much it has to
+    speed up towards the leader to keep its distance, as the leader's reports tell.
     """
 
     place: GlobalPosition
     velocity_mps: Horizontal | None
     yaw_rad: float | None = None
     opens_m: float = 0.0
+    quickens_mps2: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,8 +102,7 @@ class Command:
     velocity_mps: Horizontal | None
     altitude_m: float
     yaw_rad: float | None
-    opens_m: float
-    manner: Manner
+    for_applet: ForApplet
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,7 @@
 """MAVLink messages as the ground tools write and read them. Pure."""
 
 import math
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any
 
@@ -28,7 +29,7 @@ UNKNOWN_HEADING = 65_535
 
 # How a point with a velocity carries more than a point, in fields that the autopilot ignores. The
 # applet refuses another format, and shows its own as ECHO_FORMAT.
-POINT_FORMAT = 2.0
+POINT_FORMAT = 3.0
 
 
 class Manner(IntEnum):
@@ -42,6 +43,19 @@ class Manner(IntEnum):
     HOLD = 0
     MAKE_WAY = 1
     KEEP_PACE = 2
+
+
+@dataclass(frozen=True, slots=True)
+class ForApplet:
+    """What a point with a velocity tells the applet, in fields that the autopilot ignores.
+
+    opens_m: the distance to keep where the slot has opened, 0: it has not; quickens_mps2: by how
+    much a follower that keeps its distance has to speed up along the yaw.
+    """
+
+    opens_m: float = 0.0
+    manner: Manner = Manner.HOLD
+    quickens_mps2: float = 0.0
 
 
 _POSITION_VELOCITY = (
@@ -72,14 +86,11 @@ def position_target(
     yaw_rad: float | None,
     now_s: float,
     velocity_mps: tuple[float, float] | None = None,
-    opens_m: float = 0.0,
-    manner: Manner = Manner.HOLD,
+    for_applet: ForApplet = ForApplet(),
 ) -> Any:
     """SET_POSITION_TARGET_GLOBAL_INT; `altitude_m` above the vehicle's home.
 
-    velocity_mps: (north, east); None: the position only. For the applet, in fields that the
-    autopilot ignores: opens_m: the distance to keep where the slot has opened (0: it has not);
-    `manner`; and POINT_FORMAT.
+    velocity_mps: (north, east); None: the position only.
     """
     mask = _POSITION_ONLY if velocity_mps is None else _POSITION_VELOCITY
     if yaw_rad is None:
@@ -95,11 +106,11 @@ def position_target(
         altitude_m,
         *(velocity_mps or (0.0, 0.0)),
         0.0,
-        opens_m,
-        float(manner),
+        for_applet.opens_m,
+        float(for_applet.manner),
         POINT_FORMAT,
         yaw_rad or 0.0,
-        0.0,
+        for_applet.quickens_mps2,
     )
 
 
