@@ -792,7 +792,9 @@ do
         local lat, lng, up_m, north_mps, east_mps, _, opens_m, manner, format, yaw, quickens_mps2, mask, system, _,
             frame = ('<i4i4fffffffffI2BBB'):unpack(payload, 5)
         if system ~= 0 and system ~= MY_SYSTEM then return end
-        if format ~= C.FORMAT or frame ~= 6 or mask & ~0x0400 ~= 0x09C0 then return refuse('points of another format') end
+        if format ~= C.FORMAT or frame ~= 6 or mask & ~0x0400 ~= 0x09C0 then
+            return refuse('points of another format')
+        end
         -- The autopilot's greatest latitude and longitude, and more metres than any slot opens to or copter climbs to.
         local looks = mask & 0x0400 == 0
         if not (is_within(lat, 900000000) and is_within(lng, 1800000000) and is_within(up_m, 10000)
