@@ -181,7 +181,7 @@ def test_holding_behind_moves_a_point_only_along_the_course() -> None:
 
 
 @pytest.mark.parametrize(
-    ("age_s", "share"), [(0.0, 1.0), (0.75, 1.0), (0.875, 0.5), (1.0, 0.0), (3.0, 0.0)]
+    ("age_s", "share"), [(0.0, 1.0), (0.5, 1.0), (0.75, 0.5), (1.0, 0.0), (3.0, 0.0)]
 )
 def test_the_lead_shrinks_as_the_report_ages(age_s: float, share: float) -> None:
     assert lead_share(age_s, GuidanceSettings()) == pytest.approx(share)

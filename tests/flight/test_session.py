@@ -515,13 +515,13 @@ def test_the_leaders_age_is_measured_through_timesync() -> None:
 
 
 def test_the_velocity_fades_as_the_leaders_report_grows_old() -> None:
-    """All of it up to 0.75 s, none from one second on; the follower is in its slot."""
+    """All of it up to half a second, none from one second on; the follower is in its slot."""
     speeds = {
         now_s: targets(aged(PLAIN, -3.0 + 2.0 * (now_s - 5.75)), now_s)[0].vx
-        for now_s in (6.73, 6.875, 6.99)
+        for now_s in (6.48, 6.75, 6.99)
     }
 
-    assert speeds == pytest.approx({6.73: 2.0, 6.875: 1.0, 6.99: 0.08}, abs=0.02)
+    assert speeds == pytest.approx({6.48: 2.0, 6.75: 1.0, 6.99: 0.04}, abs=0.02)
 
 
 @pytest.mark.parametrize(
