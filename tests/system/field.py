@@ -206,20 +206,20 @@ class Bridge:
             tool.close()
 
     def _carry(self, tool: socket.socket, vehicle: socket.socket) -> None:
-        ways = ((tool, vehicle), (vehicle, tool))
-        for one, _ in ways:
-            one.settimeout(0.02)
+        others, radios = (
+            {tool: vehicle, vehicle: tool},
+            dict(zip((tool, vehicle), self._radios, strict=True)),
+        )
         while not self.cut.is_set() and not self._done.is_set():
-            for (source, sink), radio in zip(ways, self._radios, strict=True):
+            # Only reading has a deadline: who cannot write at once waits for a busy machine.
+            for source in select.select([tool, vehicle], [], [], 0.02)[0]:
                 try:
                     data = source.recv(4096)
-                except TimeoutError:
-                    continue
                 except OSError:
                     return
                 if not data:
                     return
-                sink.sendall(radio.carry(data, time.monotonic()))
+                others[source].sendall(radios[source].carry(data, time.monotonic()))
 
     def close(self) -> None:
         """Take it away."""

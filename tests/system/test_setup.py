@@ -79,6 +79,7 @@ BEFORE = {
     "RTL_SPEED",
     "WPNAV_ACCEL",
     "PSC_JERK_XY",
+    "ANGLE_MAX",
 }
 
 
@@ -100,7 +101,7 @@ def test_a_new_vehicle_is_made_ready(parked: Served, tmp_path: Path) -> None:
     assert tool.exit_code(SET_UP_S) == 0, tool.lines
     said = "\n".join(tool.lines)
     assert f"Write these to vehicle {FOLLOWER} on " in said
-    assert "WPNAV_ACCEL and PSC_JERK_XY: in Auto and RTL, too" in said
+    assert "WPNAV_ACCEL and PSC_JERK_XY and ANGLE_MAX: in Auto and RTL, too" in said
     assert "FS_GCS_ENABLE     0 stays; it is yours to decide" in said
     assert "it has restarted" in said
     assert "all is set; next: echowing setup check" in said
@@ -120,7 +121,7 @@ def test_killed_in_the_middle_of_writing_everything_can_be_put_back(
     tool.kill()
     assert set(load(file).parameters) == BEFORE - {"co-processor", "applet"}
     said = parked.done("restore", str(file), code=0)
-    assert "7 of 7 written and read back" in said
+    assert "8 of 8 written and read back" in said
     said = parked.done("check", "--serial", "2", "--json", code=1)
     told = json.loads(said[said.index("{") :])
     found = {one["about"]: one["found"] for one in told["findings"]}
