@@ -108,11 +108,10 @@ def test_who_is_behind_another_follower_keeps_its_pace() -> None:
     session = FollowSession(LEADER, plans, GuidanceSettings())
     first, second = session.followers.values()
     free, gives_way = Allowed(HERE, (2.0, 0.0)), Allowed(HERE, (2.0, 0.0), "follower 4")
-    plan = Plan(HERE, (2.0, 0.0), opens_m=3.4, quickens_mps2=1.0)
-    assert session._for_applet(first, plan, free) == ForApplet(3.4, Manner.HOLD, 1.0)
-    # Nobody amplifies another's acceleration, or adds to what leads past somebody.
-    assert session._for_applet(second, plan, free) == ForApplet(3.4, Manner.KEEP_PACE)
-    assert session._for_applet(second, plan, gives_way) == ForApplet(3.4, Manner.MAKE_WAY)
+    plan = Plan(HERE, (2.0, 0.0), opens_m=3.4)
+    assert session._for_applet(first, plan, free, 10.0) == ForApplet(3.4, Manner.HOLD)
+    assert session._for_applet(second, plan, free, 10.0) == ForApplet(3.4, Manner.KEEP_PACE)
+    assert session._for_applet(second, plan, gives_way, 10.0) == ForApplet(3.4, Manner.MAKE_WAY)
 
 
 def test_a_slot_is_behind_who_flies_ahead_and_moves_as_his_slot() -> None:

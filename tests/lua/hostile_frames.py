@@ -10,6 +10,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from pymavlink.generator.mavcrc import x25crc
 
+from echowing.mavlink.messages import POINT_FORMAT
 from echowing.sim.vehicle.framing import Framer
 from echowing.sim.world.cutter import ByteLoss, PacketCutter
 
@@ -23,7 +24,6 @@ METRES_PER_E7 = 0.011131884502145034  # 1e-7 degrees of latitude
 HERE = (39.34, -86.03, 260.0)
 # Of the point's mask: no acceleration; no velocity; no yaw; no yaw rate.
 NO_ACCELERATION, NO_VELOCITY, NO_YAW, NO_YAW_RATE = 0x01C0, 0x0038, 0x0400, 0x0800
-POINT_FORMAT = 3.0
 RAW_NAME = b"SNR_RAW"
 # (system, component) of the ground tool, the co-processor, a pilot's ground station, a stranger.
 TOOL, BOARD, STATION, STRANGER = (245, 190), (1, 191), (255, 190), (7, 1)

@@ -206,10 +206,8 @@ class Bridge:
             tool.close()
 
     def _carry(self, tool: socket.socket, vehicle: socket.socket) -> None:
-        others, radios = (
-            {tool: vehicle, vehicle: tool},
-            dict(zip((tool, vehicle), self._radios, strict=True)),
-        )
+        others = {tool: vehicle, vehicle: tool}
+        radios = dict(zip((tool, vehicle), self._radios, strict=True))
         while not self.cut.is_set() and not self._done.is_set():
             # Only reading has a deadline: who cannot write at once waits for a busy machine.
             for source in select.select([tool, vehicle], [], [], 0.02)[0]:

@@ -233,12 +233,12 @@ def test_interrupted_range_test_keeps_its_points_and_frees_the_gimbal(
     done = in_real_time(movable, tmp_path, measure, heard)
     assert (done.code, done.result["verdict"]) == (130, "INCOMPLETE")
     assert done.result["incomplete"] == "interrupted"
-    first = done.result["measured"]["points"][0]
-    assert (first["distance_m"], first["detection_rate"]) == (1.0, pytest.approx(1.0, abs=0.1))
+    nearest = done.result["measured"]["points"][0]
+    assert (nearest["distance_m"], nearest["detection_rate"]) == (1.0, pytest.approx(1.0, abs=0.1))
     movable.put_target(AWAY_M)
     with listening(movable) as board:  # no autopilot beside it: left to itself it searches
-        first = wait_for(board, is_tilt)
-        wait_for(board, lambda message: is_tilt(message) and message.value != first.value)
+        at_first = wait_for(board, is_tilt).value
+        wait_for(board, lambda message: is_tilt(message) and message.value != at_first)
 
 
 # ---- scan test ----------------------------------------------------------------------------------

@@ -88,8 +88,7 @@ class Planner:
             yaw_rad = look.axis.azimuth_rad
         north_mps, east_mps = guided.velocity_mps
         velocity = (north_mps or LEAST_MPS, east_mps) if self._feeds else None
-        quickens = quickens_mps2(self._known, follower, fix, now_s)
-        return Plan(guided.point, velocity, yaw_rad, follower.opens_m, quickens)
+        return Plan(guided.point, velocity, yaw_rad, follower.opens_m)
 
     @property
     def _feeds(self) -> bool:
@@ -211,16 +210,18 @@ def _closing_slowly(follower: FollowerState, least_m: float, now_s: float) -> fl
     return follower.least_m
 
 
-def quickens_mps2(known: Known, follower: FollowerState, fix: LeaderFix, now_s: float) -> float:
-    """By how much it has to speed up towards whom its sonar looks at, to keep its distance.
+def quickens_mps2(known: Known, follower: FollowerState, now_s: float) -> float:
+    """By how much it has to speed up towards its leader, to keep its distance; held: not at all.
 
     The distance keeps its rate where the follower's acceleration along the beam is the leader's,
     and what turns the beam: the square of the speed across, over the distance. The older the
     report is, the less it tells of the acceleration.
     """
-    arrives_s = now_s + follower.way_s
-    leader, here = known.leader_then(follower, arrives_s), follower.then(arrives_s)
+    fix, arrives_s = known.leader.fix, now_s + follower.way_s
+    if fix is None or follower.standing.held:
+        return 0.0
     share = 1.0 - (arrives_s - fix.time_s) / QUICKENS_S
+    leader, here = known.leader_then(follower, arrives_s), follower.then(arrives_s)
     if leader is None or here is None or share <= 0.0:
         return 0.0
     north_m, east_m, _ = ned_between(here, leader.position)

@@ -27,7 +27,7 @@ from echowing.flight.heights import Heights
 from echowing.flight.holds import Holds
 from echowing.flight.leader_track import LeaderTrack
 from echowing.flight.look import Look, look_at
-from echowing.flight.plan import Planner
+from echowing.flight.plan import Planner, quickens_mps2
 from echowing.flight.requests import Rate, Requests, positions
 from echowing.flight.spacing import Spacing
 from echowing.flight.state import FollowerPlan, FollowerState, Known
@@ -220,7 +220,7 @@ class FollowSession:
             allowed.velocity_mps,
             self._altitude_m(follower, now_s),
             plan.yaw_rad,
-            self._for_applet(follower, plan, allowed),
+            self._for_applet(follower, plan, allowed, now_s),
         )
         if self.guard is not None:
             self.guard.sent(follower, command, now_s)
@@ -237,13 +237,16 @@ class FollowSession:
             return allowed
         return self._stopped_out_of_reach(follower, now_s)
 
-    def _for_applet(self, follower: FollowerState, plan: Plan, allowed: Allowed) -> ForApplet:
+    def _for_applet(
+        self, follower: FollowerState, plan: Plan, allowed: Allowed, now_s: float
+    ) -> ForApplet:
         """How its applet is to fly the point."""
         if allowed.makes_way:
             return ForApplet(plan.opens_m, Manner.MAKE_WAY)
         if self.known.ahead_of(follower) is not None:
             return ForApplet(plan.opens_m, Manner.KEEP_PACE)
-        return ForApplet(plan.opens_m, Manner.HOLD, plan.quickens_mps2)
+        quickens = quickens_mps2(self.known, follower, now_s)
+        return ForApplet(plan.opens_m, Manner.HOLD, quickens)
 
     def _remember(self, follower: FollowerState, allowed: Allowed, now_s: float) -> None:
         """What the next tick has to know of this one."""

@@ -69,15 +69,13 @@ class Plan:
     """A place, and the velocity that the follower flies with it, (north, east); None: no velocity.
 
     yaw_rad: bearing to look at, None: its autopilot's choice; opens_m: the distance its slot has
-    opened to for a leader that may turn round, 0: it has not; quickens_mps2: by how much it has to
-    speed up towards the leader to keep its distance, as the leader's reports tell.
+    opened to for a leader that may turn round, 0: it has not.
     """
 
     place: GlobalPosition
     velocity_mps: Horizontal | None
     yaw_rad: float | None = None
     opens_m: float = 0.0
-    quickens_mps2: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ MEAN_S = 4.0
 GUST_SHARE = 0.5
 # The air's drag, by speed and by its square: rotors and body of ArduPilot's simulated quad, which
 # leans by 45 degrees at 15 m/s (SIM_Frame.cpp). It only tells the drag of hovering from that of
-# flight: of a copter with other drag half of the difference is wrong.
+# flight, so a copter with other drag is only wrong by what its own speed makes of that.
 ROTORS_PER_S, BODY_PER_M = 0.246, 0.035
 # Something is left to brake with: the lean is limited before the thrust is.
 LEAST_MPS2 = 0.5

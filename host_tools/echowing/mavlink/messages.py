@@ -90,7 +90,8 @@ def position_target(
 ) -> Any:
     """SET_POSITION_TARGET_GLOBAL_INT; `altitude_m` above the vehicle's home.
 
-    velocity_mps: (north, east); None: the position only.
+    velocity_mps: (north, east); None: the position only. What is for the applet stands in the
+    fields of vertical speed, acceleration and yaw rate, its format in that of acceleration down.
     """
     mask = _POSITION_ONLY if velocity_mps is None else _POSITION_VELOCITY
     if yaw_rad is None:

@@ -32,8 +32,8 @@ SCRIPTS_NOT_LOADED = 2  # SCR_DIR_DISABLE bit 1: not from the card
 HEAP = "SCR_HEAP_SIZE"
 INSTRUCTIONS = 10_000.0  # SCR_VM_I_COUNT's default; an update takes a tenth of it
 RTL_SPEED_MPS = 5.0  # WP_SPD's half: what the applet's doc suggests
-# What the separation guard needs to fly back before a leader that reverses at 2 m/s arrives: with
-# ArduCopter's own 2.5 m/s^2 and 5 m/s^3 the follower only begins to move when it is too late.
+# What the separation guard needs to fly back before a leader that reverses at 2 m/s arrives.
+# With ArduCopter's own 2.5 m/s^2 and 5 m/s^3 the follower begins to move when it is too late.
 # Against 6 m/s of wind a copter leans by 16 degrees to hover: of ArduCopter's own 30 degrees too
 # little is left for 5 m/s^2, and the slot opens beyond the sonar's reach (`flight/wind.py`).
 LEAST_LIMITS = {ACCELERATION: 5.0, JERK: 20.0, LEAN: 45.0}

@@ -88,7 +88,7 @@ def tuning_note(changes: Sequence[Change]) -> list[str]:
     if not raised:
         return []
     return [
-        f"{' and '.join(raised)}: in Auto and RTL, too, the vehicle will",
+        f"{', '.join(raised)}: in Auto and RTL, too, the vehicle will",
         "  speed up, brake and turn harder, and lean by 27 degrees for it, in wind by up",
         "  to 45, and with a pilot's full stick. Only for a vehicle that is tuned (AutoTune)",
         "  and strong enough. Watch its first Auto and RTL with them.",
