@@ -9,7 +9,7 @@ import math
 import pytest
 
 from echowing.flight.axis import Axis
-from echowing.flight.cloud import RISK, Between, Cloud, Wandering
+from echowing.flight.cloud import RISK, Between, Bystander, Cloud, Wandering
 from echowing.flight.guidance import Horizontal
 from echowing.sonar_file import shipped_sonar
 
@@ -270,3 +270,23 @@ def test_the_nearest_place_is_found_anew_as_the_cloud_learns() -> None:
     asked = (FAR_M, 0.0), 0.0, 1.0
     unknown_m = sonar.cloud.nearest_m(*asked)
     assert sonar.looks_round().cloud.nearest_m(*asked) < unknown_m - 0.5
+
+
+def test_an_echo_of_another_vehicle_moves_nothing_wherever_the_receivers_put_both() -> None:
+    """The leader is 3 m north, another one 3 m east of it; receivers put both 1.5 m further north.
+
+    Where the other is, is known from the leader: what is wrong of one is wrong of both.
+    """
+    cloud, off_m = Cloud(shipped_sonar(), alone=False), 1.5
+    believed, other = (3.0 + off_m, 0.0, 0.0), Bystander((3.0 + off_m, 3.0, 0.0), 0.1)
+    for number in range(60):
+        cloud.heard(0.3 * number, 3.0, Axis(0.2 * math.sin(number)), believed, [other])
+    before = cloud.north_m, cloud.east_m
+    assert before == pytest.approx((off_m, 0.0), abs=0.35)
+    its_axis, its_range_m = Axis(math.pi / 4.0), math.hypot(3.0, 3.0)
+    assert cloud.is_of_another(its_range_m, its_axis, believed, [other])
+    assert not cloud.is_of_another(3.0, Axis(0.0), believed, [other])
+    for number in range(60, 120):
+        cloud.heard(0.3 * number, its_range_m, its_axis, believed, [other])
+    assert (cloud.north_m, cloud.east_m) == pytest.approx(before, abs=0.35)
+    assert cloud.unheard_s(36.0) > 17.0, "none of them was the leader's"

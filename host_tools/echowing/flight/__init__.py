@@ -4,7 +4,7 @@ A tick of `session.FollowSession`, for one follower. Each step reads only from t
 `steps` has what they hand on.
 
     messages  ->  known     who is where, how old, how sure       state, trust, estimate, look
-    known     ->  standing  whether it may be led now, and why    supervisor, engage, guard, holds
+    known     ->  standing  whether it may be led now, and why    supervisor, engage, joining, guard
     standing  ->  plan      where it is to be, if it were alone   plan, guidance, tow_bar
     plan      ->  allowed   the nearest that leaves room for all  spacing, envelope, half_planes
     allowed   ->  command   what is sent                          session, heights

@@ -92,14 +92,17 @@ class _Reading:
     axis: Axis | None = None
 
 
-def between_m(here: History, there: History, time_s: float) -> Horizontal | None:
-    """From one vehicle to another at a moment, by their receivers, (north, east); None: unknown."""
+def between_m(here: History, there: History, time_s: float) -> tuple[float, float, float] | None:
+    """From one vehicle to another at a moment, by their own positions, (north, east, up).
+
+    None: it is not known.
+    """
     own, its = here.around(time_s), there.around(time_s)
     if own is None or its is None:
         return None
     origin = own[0].position
     (own_north, own_east), (north, east) = (_place_m(origin, one, time_s) for one in (own, its))
-    return north - own_north, east - own_east
+    return north - own_north, east - own_east, _altitude_m(its, time_s) - _altitude_m(own, time_s)
 
 
 class Alignment:

@@ -15,6 +15,7 @@ sonar for deaf, and lose all weight with the first reading that fits.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -73,6 +74,20 @@ class Wandering:
     tau_spread: float = 0.5
     height_sigma_m: float = 0.5
     deaf_share: float = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Bystander:
+    """Another vehicle that the sonar may hear.
+
+    to_it_m: from the follower, (north, east, up), by the receiver of whom the sonar looks at, so
+    that a guess moves it as it moves that one; where not `moves`, by the follower's own. sigma_m:
+    how unsure the way from that receiver to its own is, standard deviation.
+    """
+
+    to_it_m: Between
+    sigma_m: float
+    moves: bool = True
 
 
 class Cloud:
@@ -198,7 +213,14 @@ class Cloud:
         self._deaf = np.where(self._deaf, changes > recovers, changes < deafens)
         self._summarise()
 
-    def heard(self, time_s: float, distance_m: float, axis: Axis, believed: Between) -> None:
+    def heard(
+        self,
+        time_s: float,
+        distance_m: float,
+        axis: Axis,
+        believed: Between,
+        others: Sequence[Bystander] = (),
+    ) -> None:
         """Take a sonar reading.
 
         Args:
@@ -206,23 +228,56 @@ class Cloud:
             distance_m: between the two vehicles' centres, by the sonar.
             axis: the sonar looked along it.
             believed: from follower to leader by their own positions, (north, east, up) metres.
+            others: whose echo it may be instead.
 
         """
         if time_s - self._heard_at_s < UPDATE_PERIOD_S:
             return
         self.advance(time_s)
-        far_m, detected = self._detected(axis, believed)
-        density = np.exp(-0.5 * ((far_m - distance_m) / self._range_sigma_m) ** 2)
-        density /= self._range_sigma_m * math.sqrt(2.0 * math.pi)
-        fits = density * detected
-        wrong = self._sonar.wrong_share / self._sonar.reach_m
-        foretold = float(self._weight @ fits) > wrong
+        fits, of_others = self._explained(distance_m, axis, believed, others)
+        wrong = self._sonar.wrong_share / self._sonar.reach_m + of_others
+        foretold = float(self._weight @ (fits - wrong)) > 0.0
         self._unforetold = 0 if foretold else self._unforetold + 1
         if foretold:
             self._heard_at_s = time_s
         elif self._alone and self._unforetold >= AGREE and self.unheard_s(time_s) > LOST_S:
             self._guess_anew(distance_m, axis, believed)
         self._update(fits + wrong)
+
+    def is_of_another(
+        self, distance_m: float, axis: Axis, believed: Between, others: Sequence[Bystander]
+    ) -> bool:
+        """Whether a range is rather one of the others'; arguments as for `heard`."""
+        if not others:
+            return False
+        fits, of_others = self._explained(distance_m, axis, believed, others)
+        return float(self._weight @ (of_others - fits)) > 0.0
+
+    def _explained(
+        self, distance_m: float, axis: Axis, believed: Between, others: Sequence[Bystander]
+    ) -> tuple[Array, Array]:
+        """How likely each guess makes a range: of whom the sonar looks at, of one of the others."""
+        far_m, detected = self._detected(axis, np.array(believed)[:, np.newaxis] - self._off)
+        fits, of_others = self._density(far_m, distance_m) * detected, np.zeros(GUESSES)
+        for other in others:
+            there = np.array(other.to_it_m)[:, np.newaxis]
+            to_it = there - self._off if other.moves else there
+            its_m, its = self._detected(axis, to_it, other.sigma_m)
+            # The nearer echo is the one that is reported.
+            its = its * (1.0 - detected * (far_m < its_m))
+            of_others += self._density(its_m, distance_m, other.sigma_m) * its
+        return fits, of_others
+
+    def _density(self, far_m: Array, distance_m: float, unsure_m: float = 0.0) -> Array:
+        """Of a range, with a vehicle so far away, which may be elsewhere by `unsure_m`.
+
+        Each echo of an unsure one is less likely, though it is elsewhere by as much for all of
+        them. That every one is as likely was tried: too many of the leader's went to others (vee of
+        four, seeds 1204 to 1209: a second follower was off by 1.0 m in place of 0.4).
+        """
+        sigma_m = math.hypot(self._range_sigma_m, unsure_m)
+        density: Array = np.exp(-0.5 * ((far_m - distance_m) / sigma_m) ** 2)
+        return density / (sigma_m * math.sqrt(2.0 * math.pi))
 
     def _guess_anew(self, distance_m: float, axis: Axis, believed: Between) -> None:
         """Put every other guess where readings say the leader is, though none had foretold it.
@@ -253,20 +308,20 @@ class Cloud:
             return
         self._silent_at_s = time_s
         self.advance(time_s)
-        _, detected = self._detected(axis, believed)
+        _, detected = self._detected(axis, np.array(believed)[:, np.newaxis] - self._off)
         self._update(1.0 - detected)
 
-    def _detected(self, axis: Axis, believed: Between) -> tuple[Array, Array]:
-        """How far the leader is by each guess, and how likely it is heard then."""
+    def _detected(self, axis: Axis, to_it: Array, unsure_m: float = 0.0) -> tuple[Array, Array]:
+        """How far a vehicle there is, for each guess, and how likely it is heard."""
         sonar = self._sonar
-        to_it = np.array(believed)[:, np.newaxis] - self._off
         far_m = np.sqrt((to_it * to_it).sum(axis=0))
         north, east, down = axis.unit_ned
         ahead = np.array((north, east, -down)) @ to_it / np.maximum(far_m, PLACED_SIGMA_M)
         off_rad = np.arccos(np.clip(ahead, -1.0, 1.0))
         narrowest = sonar.narrowest_rad.at(far_m)
         half_rad = narrowest + self._wide * (sonar.widest_rad.at(far_m) - narrowest)
-        beyond = np.minimum((off_rad - half_rad) / (0.5 * sonar.edge_rad), 80.0)
+        edge_rad = np.hypot(sonar.edge_rad, unsure_m / np.maximum(far_m, PLACED_SIGMA_M))
+        beyond = np.minimum((off_rad - half_rad) / (0.5 * edge_rad), 80.0)
         surely_m = LEAST_FAR * sonar.heard_to_m
         to_m = surely_m + self._far * (sonar.reach_m - surely_m)
         share = np.minimum(MOST_HEARD, self._hears * sonar.heard.at(far_m))

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from echowing.flight.alignment import AlignedReading, Alignment, History, Report, between_m
 from echowing.flight.axis import Axis
 from echowing.flight.belief import SonarBelief
-from echowing.flight.cloud import Cloud
+from echowing.flight.cloud import Bystander, Cloud
 from echowing.flight.guidance import Horizontal, LeaderFix, predicted
 from echowing.flight.hearing import Hearing, Reading
-from echowing.geo import GlobalPosition, displace, wrap_angle_rad
+from echowing.geo import GlobalPosition, displace
 
 # Propellers cause single wild readings: a reading counts if the one before it agrees.
 CONFIRM_S, CONFIRM_M = 0.3, 0.5
@@ -66,13 +66,15 @@ class SenderClock:
 class Beside:
     """Another vehicle that the sonar may hear.
 
-    history: its reports; shift_m: what its receiver and ours are known to disagree by, (north,
-    east), added to its place; sigma_m: standard deviation of that.
+    history: its reports; shift_m: what its receiver and that of whom the sonar looks at are known
+    to disagree by, (north, east), added to its place; where it is `ranged_by` this one or one
+    behind it: its receiver and ours. sigma_m: standard deviation of that.
     """
 
     history: History
     shift_m: Horizontal
     sigma_m: float
+    ranged_by: bool = False
 
 
 class Estimate:
@@ -180,12 +182,10 @@ class Estimate:
         for one in self._alignment.due(leader, self.history):
             if not one.told and self.points(one.time_s):
                 continue  # what it said of its axis was lost
-            if self._is_of_another(one, others):
-                continue
-            north_m, east_m = one.believed_m
-            believed_m = north_m - self.jumped_m[0], east_m - self.jumped_m[1], one.above_m
+            believed_m = self._believed_m(one)
             if one.distance_m is not None:
-                self.offset.heard(one.time_s, one.distance_m, one.axis, believed_m)
+                bystanders = self._bystanders(others, one.time_s)
+                self.offset.heard(one.time_s, one.distance_m, one.axis, believed_m, bystanders)
             elif one.told or one.lean_rad < LEVEL_RAD:
                 self.offset.silent(one.time_s, one.axis, believed_m)
         for one in self._every.due(leader, self.history):
@@ -193,32 +193,38 @@ class Estimate:
             if straight and not self._is_of_another(one, others):
                 self.hearing.take(self._beside_leader(one))
 
+    def _believed_m(self, one: AlignedReading) -> tuple[float, float, float]:
+        """From here to the leader at a reading, the receivers' jumps allowed for."""
+        north_m, east_m = one.believed_m
+        return north_m - self.jumped_m[0], east_m - self.jumped_m[1], one.above_m
+
     def _is_of_another(self, one: AlignedReading, others: Sequence[Beside]) -> bool:
         """Whether a range is rather one of the others' than that of whom it looks at."""
         if one.distance_m is None or not others:
             return False
-        misfit = self._misfit(one, self._to_leader_m(one), self.offset.level_sigma_m)
+        bystanders = self._bystanders(others, one.time_s)
+        return self.offset.is_of_another(
+            one.distance_m, one.axis, self._believed_m(one), bystanders
+        )
+
+    def _bystanders(self, others: Sequence[Beside], time_s: float) -> list[Bystander]:
+        """Where the others were at a reading."""
+        found = []
         for other in others:
-            to_it_m = between_m(self.history, other.history, one.time_s)
+            to_it_m = between_m(self.history, other.history, time_s)
             if to_it_m is None:
                 continue
-            moved_m = to_it_m[0] + other.shift_m[0], to_it_m[1] + other.shift_m[1]
-            if self._misfit(one, moved_m, other.sigma_m) < misfit:
-                return True
-        return False
-
-    def _misfit(self, one: AlignedReading, to_it_m: Horizontal, sigma_m: float) -> float:
-        """How far a range is from that of a vehicle there, in standard deviations."""
-        assert one.distance_m is not None
-        far_m = math.hypot(*to_it_m)
-        off_rad = abs(wrap_angle_rad(math.atan2(to_it_m[1], to_it_m[0]) - one.axis.azimuth_rad))
-        aside_m = far_m * max(0.0, min(math.pi / 2.0, off_rad - self.sonar.narrowest_rad.at(far_m)))
-        return math.hypot(far_m - one.distance_m, aside_m) / math.hypot(sigma_m, CONFIRM_M)
+            jumped_m = (0.0, 0.0) if other.ranged_by else self.jumped_m
+            north_m = to_it_m[0] + other.shift_m[0] - jumped_m[0]
+            east_m = to_it_m[1] + other.shift_m[1] - jumped_m[1]
+            place = (north_m, east_m, to_it_m[2])
+            found.append(Bystander(place, other.sigma_m, moves=not other.ranged_by))
+        return found
 
     def _to_leader_m(self, one: AlignedReading) -> Horizontal:
         """Where the leader was at a reading, the disagreement of the receivers allowed for."""
-        north_m = one.believed_m[0] - self.jumped_m[0] - self.offset.north_m
-        return north_m, one.believed_m[1] - self.jumped_m[1] - self.offset.east_m
+        north_m, east_m, _ = self._believed_m(one)
+        return north_m - self.offset.north_m, east_m - self.offset.east_m
 
     def _beside_leader(self, one: AlignedReading) -> Reading:
         """A reading and where the leader was."""

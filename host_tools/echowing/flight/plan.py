@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.flight.formation import receivers_demand_m
 from echowing.flight.guidance import (
     GuidanceSettings,
     GuidedPoint,
@@ -156,6 +157,8 @@ def planned(known: Known, follower: FollowerState, fix: LeaderFix, now_s: float)
     With feed-forward: the slot and its velocity. Position alone: a point ahead of the slot.
     """
     settings, least_m = known.settings, follower.reversal_m
+    if follower.turn.waits:
+        least_m = max(least_m, receivers_demand_m(settings.clearance_m))
     arrives_s = now_s + follower.way_s
     leader, here = known.followed_then(follower, fix, arrives_s), follower.then(arrives_s)
     if settings.learn_offset:

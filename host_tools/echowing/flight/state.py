@@ -456,14 +456,22 @@ class Known:
         if here is None or fix is None:
             return
         if ahead is not None and _near(here, fix.position):
-            links = list(self.chain(follower))
+            links = list(self.chain(ahead))
             north_m, east_m = _shift_m(links)
             yield Beside(self.leader_history, (-north_m, -east_m), self.sigma_m(links))
         for other in self.followers.values():
             there = other.position
             if other is follower or other is ahead or there is None or not _near(here, there):
                 continue
-            yield Beside(other.estimate.history, *self._disagree_m(follower, other))
+            mine, its = self._way_between(follower, other)
+            # Of one behind this follower its own sonar tells, not this one's.
+            links = [one for one in mine if one is not follower]
+            (north_m, east_m), (its_north_m, its_east_m) = _shift_m(links), _shift_m(its)
+            shift_m = its_north_m - north_m, its_east_m - east_m
+            sigma_m = self.sigma_m((*links, *its))
+            yield Beside(
+                other.estimate.history, shift_m, sigma_m, ranged_by=len(links) == len(mine)
+            )
 
     def sigma_m(self, links: Iterable[FollowerState]) -> float:
         """Standard deviation of what is known over the sonars of these followers."""

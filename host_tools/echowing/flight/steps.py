@@ -6,6 +6,7 @@ allowed    the same with room for everybody (`spacing`)
 command    what is sent (`session`)
 """
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum, auto
 
@@ -117,7 +118,8 @@ class Turn:
 
     cleared: it has passed the checks before its first point; flown: the tool has moved it;
     latched: why it is held; refused: its autopilot did not take points; released: its stop switch
-    has stopped it, and it stands.
+    has stopped it, and it stands; waits: another one has to be in his slot before it comes into its
+    own; joins_at_s: since when it may, joined: it has.
     """
 
     cleared: bool = False
@@ -125,3 +127,6 @@ class Turn:
     latched: str | None = None
     refused: bool = False
     released: bool = False
+    waits: bool = False
+    joins_at_s: float = math.inf
+    joined: bool = False

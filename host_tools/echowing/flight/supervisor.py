@@ -12,6 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from echowing.flight.engage import Engagement
 from echowing.flight.guard import Guard, is_flying, mode_name
 from echowing.flight.holds import Holds
+from echowing.flight.joining import Joining
 from echowing.flight.state import GUIDED_MODE, FollowerState, Known, Say
 from echowing.flight.steps import Phase, Standing, Turn
 from echowing.flight.take_off import Lift, TakeOffs
@@ -52,6 +53,7 @@ class Supervisor:
         self.engaged = True
         self.stopping: str | None = None
         self._known, self._holds, self._guard = known, holds, guard
+        self._joining = Joining(known)
         self._engagement, self._take_offs = engagement, take_offs
         self._say, self._alert = say, alert
 
@@ -77,6 +79,8 @@ class Supervisor:
     def _how_led(self, follower: FollowerState, now_s: float) -> str:
         if self._known.leader.fix is None and not follower.turn.flown:
             return WAITS
+        if (before := self._joining.waits_for(follower, now_s)) is not None:
+            return f"waits for follower {before.plan.system_id} to join"
         guard, system_id = self._guard, follower.plan.system_id
         return HOLDS if guard and guard.holds_the_distance(system_id, now_s) else ""
 

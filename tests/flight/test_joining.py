@@ -1,0 +1,80 @@
+"""Followers come into their slots one after the other."""
+
+from dataclasses import replace
+
+import pytest
+from tests.flight.test_chain import HERE, known
+
+from echowing.flight.formation import receivers_demand_m
+from echowing.flight.guidance import LeaderFix, Slot
+from echowing.flight.joining import JOINS_WITHIN_S, Joining
+from echowing.flight.plan import planned
+from echowing.flight.state import FollowerState, Known
+from echowing.flight.steps import Phase, Standing
+
+# The third is 3 m behind the first, and 6 m from the second.
+VEE = [Slot(3.0, 0.6), Slot(3.0, -0.6), Slot(3.0, 0.6, behind=0)]
+
+
+def led(there: Known) -> list[FollowerState]:
+    followers = list(there.followers.values())
+    for one in followers:
+        one.standing = Standing(Phase.LED)
+    return followers
+
+
+def hears(follower: FollowerState, now_s: float) -> None:
+    follower.estimate.offset._heard_at_s = now_s
+
+
+def test_each_waits_for_its_neighbours_before_it() -> None:
+    there = known(VEE)
+    first, second, third = led(there)
+    joining = Joining(there)
+    assert [joining.waits_for(one, 1.0) for one in (first, second, third)] == [None, first, first]
+    hears(first, 2.0)
+    assert [joining.waits_for(one, 2.0) for one in (first, second, third)] == [None, None, None]
+    # Who has joined has joined, also while his sonar hears nothing.
+    hears(second, 3.0)
+    joining.waits_for(second, 3.0)
+    second.estimate.forget()
+    assert joining.waits_for(third, 60.0) is joining.waits_for(second, 60.0) is None
+
+
+@pytest.mark.parametrize("phase", [Phase.WATCHED, Phase.HELD, Phase.LEFT])
+def test_nobody_waits_for_one_that_is_not_led(phase: Phase) -> None:
+    there = known(VEE)
+    first, second, _ = led(there)
+    first.standing = Standing(phase)
+    assert Joining(there).waits_for(second, 1.0) is None
+
+
+def test_nobody_waits_for_a_deaf_one_for_ever() -> None:
+    there = known(VEE)
+    first, second, _ = led(there)
+    joining = Joining(there)
+    for now_s, waits in ((0.0, True), (JOINS_WITHIN_S - 0.1, True), (JOINS_WITHIN_S + 0.1, False)):
+        joining.waits_for(first, now_s)
+        assert (joining.waits_for(second, now_s) is first) is waits
+
+
+def test_slots_as_far_apart_as_receivers_demand_are_joined_at_once() -> None:
+    there = known([Slot(3.0), Slot(3.1 + receivers_demand_m(1.0))])
+    first, second = led(there)
+    joining = Joining(there)
+    assert joining.waits_for(first, 0.0) is joining.waits_for(second, 0.0) is None
+
+
+def test_without_sonars_nobody_would_ever_have_joined() -> None:
+    there = known(VEE)
+    there.settings = replace(there.settings, learn_offset=False)
+    assert [Joining(there).waits_for(one, 0.0) for one in led(there)] == [None] * 3
+
+
+def test_who_waits_is_led_as_far_off_as_receivers_alone_allow() -> None:
+    there = known(VEE)
+    _, second, _ = led(there)
+    fix = LeaderFix(10.0, HERE, (2.0, 0.0, 0.0), 0.0)
+    second.turn.waits = True
+    offset_m = planned(there, second, fix, 10.0).offset_m
+    assert abs(complex(*offset_m)) == pytest.approx(receivers_demand_m(1.0), abs=0.01)
