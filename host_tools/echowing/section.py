@@ -27,14 +27,15 @@ def section_of(model: type[Whole], table: Mapping[str, Any], source: str) -> Who
     try:
         return model.model_validate(table)
     except ValidationError as error:
-        lines = [_explained(model, item) for item in error.errors()]
+        wrong = [one for one in error.errors() if one["type"] != "default_factory_not_called"]
+        lines = [_explained(model, item) for item in wrong]
         raise EchowingError("\n".join(f"{source}: {line}" for line in lines)) from error
 
 
 def _explained(whole: type[Section], item: Any) -> str:
     """One validation error as `key: what is wrong; what is allowed`."""
     location = [str(part) for part in item["loc"]]
-    key = ".".join(location) or whole.__name__.lower()
+    key = ".".join(location) or whole.__name__.lower().removesuffix("section")
     if item["type"] == "extra_forbidden":
         allowed = ", ".join(sorted(_keys_at(whole, location[:-1])))
         return f"{key}: no such key; allowed here: {allowed}"

@@ -157,7 +157,7 @@ path = { weighted = { circle = 3, rectangle = 1 } }
         ("[flights]\nx = 1", "flights: no such key"),
         (
             "[formation]\nshape = 'ring'",
-            "formation.shape: one of column, vee, echelon, wedge, not ring",
+            "formation.shape: one of column, vee, echelon, abreast, diamond, wedge, not ring",
         ),
         ("[formation]\nsize = 2", "formation.size: no such key"),
         ("[[fault]]\nkind = 'sonar_dead'", r"needs `kind` and `share`"),

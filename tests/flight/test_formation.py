@@ -1,6 +1,7 @@
 import math
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -13,22 +14,30 @@ from echowing.flight.formation import (
     check_formation,
     place_m,
     receivers_demand_m,
+    sonars_demand_m,
 )
 from echowing.flight.guidance import Slot
+from echowing.flight.shapes import SHAPES, shape
 from echowing.flight.state import UNRANGED_SIGMA_M
 from echowing.sim.scenario import load_scenario
-from echowing.tool.formation_file import load_formation
+from echowing.sonar_file import shipped_sonar
+from echowing.tool.formation_file import FormationSection, load_formation
 
 APART_M = 2.0
+RIGHT_RAD = math.radians(90.0)
+
+
+def checked(slots: Sequence[Slot], separation_m: float | None = None) -> list[str]:
+    return check_formation(slots, shipped_sonar(), 1.0, separation_m)
 
 
 def test_slots_apart_are_accepted() -> None:
-    check_formation([Slot(3.0), Slot(6.0), Slot(6.0, math.radians(60.0))], APART_M)
+    checked([Slot(3.0), Slot(6.0, math.radians(60.0)), Slot(6.0, math.radians(-60.0))])
 
 
 def test_two_slots_too_near_are_named_with_their_distance() -> None:
     with pytest.raises(EchowingError, match=r"slots 2 and 3 are 1\.00 m apart, less than 2\.00 m"):
-        check_formation([Slot(3.0), Slot(6.0), Slot(7.0)], APART_M)
+        checked([Slot(3.0), Slot(6.0), Slot(7.0)], APART_M)
 
 
 def test_a_simulated_formation_keeps_what_follow_demands() -> None:
@@ -40,46 +49,124 @@ def test_a_simulated_formation_keeps_what_follow_demands() -> None:
 
 
 def test_altitude_steps_count() -> None:
-    slots = [Slot(3.0), Slot(3.0, 0.0, 2.5)]
-    assert math.dist(place_m(slots, 0), place_m(slots, 1)) == pytest.approx(2.5)
-    check_formation([Slot(3.0), Slot(3.0, 0.0, 2.5)], APART_M)
+    slots = [Slot(3.0, 0.6), Slot(3.0, -0.6, 2.5)]
+    level_m = math.dist(place_m(slots, 0)[:2], place_m(slots, 1)[:2])
+    assert math.dist(place_m(slots, 0), place_m(slots, 1)) == pytest.approx(
+        math.hypot(level_m, 2.5)
+    )
 
 
 @pytest.mark.parametrize("radius_m", [0.9, 0.0, -3.0, math.nan])
 def test_a_slot_inside_the_leaders_clearance_is_refused(radius_m: float) -> None:
     with pytest.raises(EchowingError, match="slot 1 has a radius"):
-        check_formation([Slot(radius_m)], APART_M)
+        checked([Slot(radius_m)])
 
 
 @pytest.mark.parametrize("angle_deg", [91.0, -180.0])
 def test_a_slot_ahead_of_the_leader_is_refused(angle_deg: float) -> None:
     with pytest.raises(EchowingError, match="ahead of the leader"):
-        check_formation([Slot(3.0, math.radians(angle_deg))], APART_M)
+        checked([Slot(3.0, math.radians(angle_deg))])
 
 
 def test_a_slot_behind_another_is_placed_from_there_and_may_be_as_near_as_it_is_ranged() -> None:
-    column = [Slot(3.0), Slot(3.0, behind=0), Slot(4.0, math.radians(90.0), behind=1)]
-    assert place_m(column, 2) == pytest.approx((-6.0, 4.0, 0.0))
-    check_formation(column, 2.9)
-    check_formation(column[:2], 4.83)
+    column = [Slot(3.0), Slot(2.5, behind=0), Slot(4.0, RIGHT_RAD, behind=1)]
+    assert place_m(column, 2) == pytest.approx((-5.5, 4.0, 0.0))
+    assert checked(column) == []
 
 
 @pytest.mark.parametrize("behind", [1, 2, -1])
 def test_a_slot_is_behind_one_before_it(behind: int) -> None:
     with pytest.raises(EchowingError, match="slot 2 is behind slot"):
-        check_formation([Slot(3.0), Slot(3.0, behind=behind), Slot(8.0)], APART_M)
+        checked([Slot(3.0), Slot(3.0, behind=behind), Slot(8.0)])
+
+
+def test_sonars_between_two_followers_let_them_be_nearer_than_receivers_do() -> None:
+    """One sonar leaves 0.37 m unsure, two half a metre, and so on, up to what receivers do."""
+    demands_m = [sonars_demand_m(1.0, links) for links in range(1, 12)]
+    assert demands_m[:3] == pytest.approx([2.93, 3.31, 3.60], abs=0.01)
+    assert demands_m == sorted(demands_m)
+    assert demands_m[-1] == receivers_demand_m(1.0)
+
+
+@pytest.mark.parametrize(
+    ("slots", "less_than"),
+    [
+        # 3.31 m: the two sonars that look at the leader; 3.60 m: three, on the way over the leader.
+        ([Slot(3.0, 0.575), Slot(3.0, -0.575)], "slots 1 and 2 are 3.26 m apart, less than 3.31"),
+        ([*shape("diamond", 3, 3.5)], "slots 1 and 3 are 3.50 m apart, less than 3.60"),
+        # A sonar that does not reach whom it looks at ties nobody.
+        ([Slot(5.0, 0.45), Slot(4.0, -0.45)], "slots 1 and 2 are 4.02 m apart, less than 4.83"),
+        ([Slot(3.0), Slot(4.75, behind=0)], "slots 1 and 2 are 4.75 m apart, less than 4.83"),
+        # Round by the side, and back to the leader.
+        (
+            [Slot(3.0, RIGHT_RAD), Slot(3.0, 0.0, behind=0), Slot(2.9, -RIGHT_RAD, behind=1)],
+            "the leader and slot 3 are 3.00 m apart, less than 3.60",
+        ),
+    ],
+)
+def test_two_are_as_far_apart_as_the_sonars_between_them_demand(
+    slots: list[Slot], less_than: str
+) -> None:
+    with pytest.raises(EchowingError, match=less_than):
+        checked(slots)
+
+
+def test_sonars_that_make_it_certain_are_enough() -> None:
+    checked([Slot(3.0, 0.6), Slot(3.0, -0.6)])  # 3.39 m
+    checked(shape("diamond", 3, 3.65))
+
+
+def test_nobody_stands_in_a_beam() -> None:
+    with pytest.raises(EchowingError, match="slot 1 is in the beam between slot 2 and the leader"):
+        checked([Slot(2.0), Slot(4.5)], 1.0)
+    beside = [Slot(3.0), Slot(2.5, behind=0), Slot(4.5, 0.15, behind=0)]
+    with pytest.raises(EchowingError, match="slot 2 is in the beam between slot 3 and slot 1"):
+        checked(beside, 0.5)
+    checked([Slot(2.0), Slot(4.5, 1.0)], 1.0)
+
+
+def test_no_two_sonars_face_each_other() -> None:
+    """The left one looks to the right, and the right one to the left: past the leader."""
+    with pytest.raises(EchowingError, match="sonars of slots 1 and 2 face each other within 9 m"):
+        checked([Slot(3.0, RIGHT_RAD), Slot(3.0, -RIGHT_RAD)])
+    checked([Slot(3.0, math.radians(75.0)), Slot(3.0, -math.radians(60.0))])
+    checked([Slot(4.6, RIGHT_RAD), Slot(4.6, -RIGHT_RAD)])
+
+
+@pytest.mark.parametrize(
+    ("slots", "says"),
+    [
+        ([Slot(3.0), Slot(3.0, 0.0, 2.5)], r"slot 1 is 2\.5 m below slot 2, in the wash"),
+        ([Slot(1.5, 0.0, -3.0)], r"slot 1 is 3\.0 m below the leader, in the wash"),
+        ([Slot(3.0), Slot(1.9, 0.0, -4.0, behind=0)], r"slot 2 is 4\.0 m below slot 1"),
+    ],
+)
+def test_nobody_flies_in_anothers_wash(slots: list[Slot], says: str) -> None:
+    with pytest.raises(EchowingError, match=says):
+        checked(slots)
+    checked([Slot(3.0), Slot(3.0, 0.0, -1.0, behind=0)])
+
+
+def test_what_costs_accuracy_is_told() -> None:
+    assert checked([Slot(4.0)]) == []
+    assert checked([Slot(3.0), Slot(8.0), Slot(13.0), Slot(18.0)]) == [
+        "slots 2 to 4: beyond the sonar's reach of 4.5 m, by GPS alone"
+    ]
+    (line,) = checked([*shape("vee", 4, 3.0), Slot(9.0)])[1:]
+    assert line.startswith("slots 1, 2: their sonars look at one vehicle, and may hear")
 
 
 def test_the_field_tool_takes_no_slot_behind_another_yet(tmp_path: Path) -> None:
     file = tmp_path / "column.toml"
     file.write_text("[[slots]]\nradius_m = 3.0\n[[slots]]\nradius_m = 3.0\nbehind = 1\n")
-    with pytest.raises(EchowingError, match="`behind`, which is for simulated flights"):
-        load_formation(file, 1.0)
+    for formation in (str(file), "column"):
+        with pytest.raises(EchowingError, match="`behind`, which is for simulated flights"):
+            options_of([*ENDS, "--formation", formation])
 
 
 def test_an_empty_formation_is_refused() -> None:
     with pytest.raises(EchowingError, match="no slots"):
-        check_formation([], APART_M)
+        checked([])
 
 
 def test_receivers_demand_what_is_certain_once_both_are_in_their_slots() -> None:
@@ -119,6 +206,78 @@ def test_follow_refuses_slots_nearer_than_that_unless_it_is_told(
         return
     with pytest.raises(EchowingError, match=refused):
         options_of(ends)
+
+
+def test_follow_flies_a_shape_by_name(capsys: pytest.CaptureFixture[str]) -> None:
+    vee = options_of([*ENDS, "--formation", "vee"]).slots
+    assert vee == list(shape("vee", 2, 3.0))
+    assert "echowing: slots 1, 2: their sonars look at one vehicle" in capsys.readouterr().err
+    assert options_of([*ENDS, "--formation", "vee", "--spacing", "4"]).slots[0].radius_m == 4.0
+    nearer = options_of([*ENDS, "--formation", "vee", "--build-up", "8,5,3"])
+    assert [slot.radius_m for slot in nearer.slots] == [8.0, 8.0]
+
+
+@pytest.mark.parametrize(
+    ("told", "says"),
+    [
+        (["--formation", "vee", "--spacing", "0.5"], r"vee: a spacing of 0\.5 m: give 1 m or more"),
+        (
+            ["--formation", "vee", "--spacing", "2.8"],
+            r"formation vee: .* 3\.21 m apart, ",
+        ),
+        (["--spacing", "4"], "--spacing needs --formation column or vee"),
+        ([], "2 followers need --formation: column, vee, echelon, abreast, diamond, or a FILE"),
+        (["--formation", "vees"], "--formation vees: cannot be read"),
+    ],
+)
+def test_follow_says_what_is_wrong_with_a_shape(told: list[str], says: str) -> None:
+    with pytest.raises(EchowingError, match=says):
+        options_of([*ENDS, *told])
+
+
+def test_a_formation_file_may_name_a_shape(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    text = 'shape = "vee"\nfollowers = 2\nspacing_m = 3.5\n'
+    file.write_text(text, encoding="utf-8")
+    assert options_of([*ENDS, "--formation", str(file)]).slots == list(shape("vee", 2, 3.5))
+    file.write_text(text.replace("2", "3"), encoding="utf-8")
+    with pytest.raises(EchowingError, match="3 slots for 2 followers"):
+        options_of([*ENDS, "--formation", str(file)])
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ('shape = "vee"\n', "formation: a shape needs shape, followers, spacing_m; here: shape"),
+        ("followers = 3\n", "here: followers"),
+        ('shape = "ring"\nfollowers = 2\nspacing_m = 3\n', "shape: Input should be 'column', "),
+        ('shape = "vee"\nfollowers = 13\nspacing_m = 3\n', "followers: .* equal to 12"),
+        (
+            'shape = "vee"\nfollowers = 1\nspacing_m = 3\n[[slots]]\nradius_m = 3.0\n',
+            "formation: give a shape or slots, not both",
+        ),
+    ],
+)
+def test_a_formation_is_a_shape_or_slots(text: str, says: str, tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(EchowingError, match=says) as error:
+        load_formation(file)
+    assert "\n" not in str(error.value), "one fault, one line"
+
+
+def test_a_shape_stays_a_shape_where_a_scenario_is_written_down() -> None:
+    told = {"shape": "vee", "followers": 3, "spacing_m": 3.0}
+    formation = FormationSection.model_validate(told)
+    assert [section.slot() for section in formation.slots] == list(shape("vee", 3, 3.0))
+    assert formation.model_dump(exclude_unset=True) == told
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_there_is_a_scenario_for_each_shape(name: str) -> None:
+    scenario = load_scenario(name, ["formation.followers=4", "formation.spacing_m=4.2"])
+    assert scenario.slots() == list(shape(name, 4, 4.2))
+    assert scenario.follower.target == "foil"
 
 
 def test_the_field_tools_need_no_simulator(tmp_path: Path) -> None:

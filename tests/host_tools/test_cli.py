@@ -167,3 +167,13 @@ def test_help_of_the_field_tools_loads_nothing_heavy(verb: str) -> None:
         [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True
     )
     assert done.stderr.strip() == "[]"
+
+
+def test_sim_flies_a_shape_and_says_what_costs_accuracy(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    shape = ["--set", "formation.followers=3", "--set", "formation.spacing_m=3.5"]
+    assert main(["sim", "vee", *shape, "--duration", "3", "--json"]) == 0
+    said = capsys.readouterr()
+    assert len(said.out.splitlines()) == 3
+    assert "slots 1, 2: their sonars look at one vehicle" in said.err

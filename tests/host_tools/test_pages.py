@@ -5,8 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from echowing.docs.shapes import picture
 from echowing.flight.envelope import LEAST_M
-from echowing.flight.formation import receivers_demand_m
+from echowing.flight.formation import LINK_SIGMA_M, WASH_M, receivers_demand_m, sonars_demand_m
 from echowing.flight.leader_speed import MOST_LEADER_MPS
 from echowing.paths import repository_root
 
@@ -32,12 +33,30 @@ def test_when_to_abort_stands_on_one_page_and_the_other_leads_there() -> None:
     ("page", "words", "figure"),
     [
         ("FLYING.md", "at least {} m apart", f"{receivers_demand_m(LEAST_M):.2f}"),
+        (
+            "GUIDANCE.md",
+            "nearer than {} m, as receivers demand",
+            f"{receivers_demand_m(LEAST_M):.2f}",
+        ),
+        ("GUIDANCE.md", "{} m is what one sonar leaves unsure", f"{LINK_SIGMA_M:g}"),
+        ("GUIDANCE.md", "{} m for two sonars", f"{sonars_demand_m(LEAST_M, 2):.1f}"),
+        (
+            "FLYING.md",
+            "know by that where the other is: {} m",
+            f"{sonars_demand_m(LEAST_M, 2):.1f}",
+        ),
+        ("GUIDANCE.md", "less than {} m beside it", f"{WASH_M:g}"),
         ("GUIDANCE.md", "A leader flies at up to {} m/s", f"{MOST_LEADER_MPS:g}"),
         ("README.md", "leader up to {} m/s", f"{MOST_LEADER_MPS:g}"),
     ],
 )
 def test_what_follow_demands_is_on_the_page(page: str, words: str, figure: str) -> None:
     assert words.format(figure) in PAGES[page]
+
+
+def test_the_picture_of_the_shapes_is_current() -> None:
+    committed = ROOT / "host_tools" / "pictures" / "shapes.svg"
+    assert committed.read_text(encoding="utf-8") == picture(), "run `make pages`"
 
 
 def test_readme_is_read_in_one_sitting() -> None:

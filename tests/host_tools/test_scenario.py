@@ -6,6 +6,7 @@ from echowing.cli import main
 from echowing.docs.keys import PAGES, page
 from echowing.errors import EchowingError
 from echowing.flight.guidance import GuidanceSettings
+from echowing.flight.shapes import SHAPES
 from echowing.paths import repository_root
 from echowing.sim.flight import FormationWorld
 from echowing.sim.hangar import Hangar
@@ -31,8 +32,7 @@ def test_every_scenario_of_the_demo_is_shipped_and_valid() -> None:
         "walked-leader",
         "hostile",
         "many",
-        "vee",
-        "column",
+        *SHAPES,
     }
     assert all(load_scenario(name).name == name for name in names)
 

@@ -229,3 +229,21 @@ def test_a_served_formation_keeps_a_stricter_demand_of_its_scenario(
     assert "refuse" not in capsys.readouterr().out
     written = Path("out/formation-5760.toml").read_text(encoding="utf-8")
     assert written.startswith("slot_separation_m = 5.0\n")
+
+
+def test_a_served_shape_is_flown_by_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    two = "formation.followers=2"
+    say_how_to_go_on(load_scenario("vee", [two]), 5760)
+    said = capsys.readouterr().out
+    assert "--formation vee --spacing 3 --engage" in said
+    assert "refuse" not in said
+    # A stricter demand of the scenario is one more key, and so there is a file.
+    say_how_to_go_on(load_scenario("vee", [two, "formation.slot_separation_m=5", FIVE_M]), 5761)
+    assert "--formation out/formation-5761.toml" in capsys.readouterr().out
+    options_of([*FOLLOW_TWO, "--formation", "out/formation-5761.toml"])
+
+
+FIVE_M = "formation.spacing_m=5"

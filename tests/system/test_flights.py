@@ -40,7 +40,8 @@ def test_a_vee_of_two_that_both_hear_the_leader_keeps_its_slots() -> None:
 
     Mean error over both followers and three seeds, and no two vehicles nearer than 1 m.
     """
-    flights = [flown("vee", seed, "duration_s=90") for seed in (701, 703, 704)]
+    two = "duration_s=90", "formation.followers=2", "follower.target=stock"
+    flights = [flown("vee", seed, *two) for seed in (701, 703, 704)]
     errors_m = [one.mean_abs_error_m for vee in flights for one in vee.metrics]
     assert statistics.mean(errors_m) < 0.45
     assert min(vee.closest_m for vee in flights) > 1.0
@@ -48,7 +49,8 @@ def test_a_vee_of_two_that_both_hear_the_leader_keeps_its_slots() -> None:
 
 def test_in_a_column_of_two_the_second_keeps_its_distance_by_its_own_sonar() -> None:
     """3 m behind the first, where it had 0.6 to 0.7 m of error as a session of its own."""
-    flights = [flown("column", seed, "duration_s=90") for seed in (701, 703, 704)]
+    two = "duration_s=90", "formation.followers=2"
+    flights = [flown("column", seed, *two) for seed in (701, 703, 704)]
     errors_m = [column.metrics[1].mean_abs_error_m for column in flights]
     assert statistics.mean(errors_m) < 0.55
     assert min(column.closest_m for column in flights) > 1.0

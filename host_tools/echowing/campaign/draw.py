@@ -9,19 +9,20 @@ import math
 import random
 import tomllib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 from echowing.errors import EchowingError
+from echowing.flight.formation import hung_on_leader
+from echowing.flight.guidance import Slot
+from echowing.flight.shapes import SHAPES, arranged
 from echowing.sim.fault_section import LEADER
 from echowing.sim.scenario import Scenario, scenario_of
 
 SHIPPED = ("field", "many", "formations")
-_SHAPES = ("column", "vee", "echelon", "wedge")
-# Rows of a vee, an echelon and a wedge go back by this share of the spacing.
-_ROW_SHARE = 0.7
+_SHAPES = (*SHAPES, "wedge")
 # Without a word from the description; nearer than 4.83 m is refused (receivers_demand_m).
 SPACING_M = 6.0
 _FORMATION = {"followers", "shape", "radius_m", "spacing_m", "altitude_step_m", "crossing"}
@@ -139,7 +140,11 @@ def _place_faults(faults: list[dict[str, Any]], followers: int, chance: "_Chance
 
 
 def _formation(wish: Mapping[str, Any], source: str) -> dict[str, Any]:
-    """Slots of a formation: who is where, each applet's distance, and where each starts."""
+    """Slots of a formation: who is where, and where each starts.
+
+    The first is `radius_m` behind the leader, the others are in the shape behind the first. All
+    hang on the leader: only the sonar of who is near enough hears him.
+    """
     unknown = set(wish) - _FORMATION
     if unknown:
         raise EchowingError(f"{source}: formation.{min(unknown)}: no such key")
@@ -148,34 +153,22 @@ def _formation(wish: Mapping[str, Any], source: str) -> dict[str, Any]:
         raise EchowingError(f"{source}: formation.shape: one of {', '.join(_SHAPES)}, not {shape}")
     count = int(wish.get("followers", 1))
     spacing_m, radius_m = wish.get("spacing_m", SPACING_M), wish.get("radius_m", 3.0)
+    first = Slot(radius_m)
+    others = [
+        replace(one, behind=0 if one.behind is None else one.behind + 1)
+        for one in arranged(shape, count - 1, spacing_m)
+    ]
     slots = []
-    for number in range(count):
-        back_m, left_m = _place(shape, number, spacing_m)
-        back_m += radius_m
+    for number, place in enumerate(hung_on_leader([first, *others])):
         slot = {
-            "radius_m": round(math.hypot(back_m, left_m), 3),
-            "angle_deg": round(math.degrees(math.atan2(left_m, back_m)), 3),
+            "radius_m": round(place.radius_m, 3),
+            "angle_deg": round(math.degrees(place.angle_rad), 3),
             "altitude_step_m": round(number * wish.get("altitude_step_m", 0.0), 3),
         }
         if wish.get("crossing") and count > 1:
             slot["starts_at"] = count - number
         slots.append(slot)
     return {"slots": slots}
-
-
-def _place(shape: str, number: int, spacing_m: float) -> tuple[float, float]:
-    """A follower's place: behind the first's, and to the left, metres."""
-    if shape == "column":
-        return number * spacing_m, 0.0
-    if shape == "echelon":
-        return number * _ROW_SHARE * spacing_m, number * spacing_m
-    if shape == "wedge":  # a vee that is filled: rows of one, two, three, …
-        row = (math.isqrt(8 * number + 1) - 1) // 2
-        within = number - row * (row + 1) // 2
-        return row * _ROW_SHARE * spacing_m, (0.5 * row - within) * spacing_m
-    row = (number + 1) // 2
-    side = 1.0 if number % 2 else -1.0
-    return row * _ROW_SHARE * spacing_m, side * row * spacing_m
 
 
 class _Chance:

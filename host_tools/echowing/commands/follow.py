@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from contextlib import AbstractContextManager
 
+    from echowing.flight.belief import SonarBelief
     from echowing.flight.guidance import Slot
     from echowing.flight.take_off import TakeOff
     from echowing.mavlink.seats import Seat
@@ -36,8 +37,9 @@ examples:
       only watches; with --engage it sends points to followers that fly in Guided
   echowing follow --leader /dev/ttyUSB0 --follower /dev/ttyUSB1 --baud 57600 --radius 8 --engage
   echowing follow --leader udpin:14550@1 --follower udpin:14550@2 --follower udpin:14550@3 \\
-      --formation vee.toml --stop-switch 7:1700 --log out/vee-7 --engage
-      all vehicles on one link, each with a system id of its own; vee.toml:
+      --formation vee --spacing 3.5 --stop-switch 7:1700 --log out/vee-7 --engage
+      all vehicles on one link, each with a system id of its own. Slots of your own:
+      --formation mine.toml
           [[slots]]
           radius_m = 4.0
           angle_deg = 40.0
@@ -59,6 +61,7 @@ The pilot takes over by any change of mode. When the pilot returns to Guided, po
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The verb's options."""
     from echowing.flight.guidance import GuidanceSettings  # noqa: PLC0415 (when the verb is used)
+    from echowing.flight.shapes import SHAPES  # noqa: PLC0415
     from echowing.mavlink.connection import CONN, DEFAULT_BAUD  # noqa: PLC0415
     from echowing.web.options import add_web_arguments  # noqa: PLC0415
 
@@ -102,7 +105,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="angle off the leader's tail, counter-clockwise (0)",
     )
     place.add_argument(
-        "--formation", type=Path, metavar="FILE", help="a TOML file with one slot per follower"
+        "--formation",
+        metavar="SHAPE|FILE",
+        help=f"a shape: {', '.join(SHAPES)}; or a TOML file with one slot per follower",
+    )
+    place.add_argument(
+        "--spacing",
+        type=float,
+        metavar="M",
+        help="of a shape: distance from each follower to the vehicle that its sonar looks at (3)",
     )
     place.add_argument(
         "--altitude",
@@ -309,7 +320,8 @@ def _options(args: argparse.Namespace) -> "FollowOptions":
     seats = _seats(args)
     VehicleFinder(seats)  # refuses what could never be distinguished
     radii_m = _build_up(args)
-    slots = _slots(args, radii_m)
+    sonar = load_sonar(args.sonar).belief(args.legs)
+    slots = _slots(args, radii_m, sonar)
     altitude_m = CARRIED_ALTITUDE_M if args.carried_leader else None
     altitude_m = altitude_m if args.altitude is None else args.altitude
     _check_heights(slots, altitude_m)
@@ -317,7 +329,7 @@ def _options(args: argparse.Namespace) -> "FollowOptions":
         seats=seats,
         slots=slots,
         settings=GuidanceSettings(lead_time_s=args.lead_time, feed_forward=not args.position_only),
-        sonar=load_sonar(args.sonar).belief(args.legs),
+        sonar=sonar,
         altitude_m=altitude_m,
         rate_hz=args.rate,
         limits=Limits(
@@ -422,32 +434,54 @@ def _build_up(args: argparse.Namespace) -> tuple[float, ...]:
     return radii_m
 
 
-def _slots(args: argparse.Namespace, radii_m: tuple[float, ...]) -> "list[Slot]":
+def _slots(
+    args: argparse.Namespace, radii_m: tuple[float, ...], sonar: "SonarBelief"
+) -> "list[Slot]":
     """A checked slot for each follower; of a build-up at its widest."""
     from echowing.flight.build_up import scaled  # noqa: PLC0415
-    from echowing.flight.formation import check_formation  # noqa: PLC0415
-    from echowing.flight.guidance import Slot  # noqa: PLC0415
-    from echowing.tool.formation_file import load_formation  # noqa: PLC0415
+    from echowing.tool.formation_file import check_to_be_led  # noqa: PLC0415
 
-    followers = len(args.follower)
-    if args.formation is not None:
-        slots, apart_m = load_formation(args.formation, args.min_separation)
-        if len(slots) != followers:
-            raise EchowingError(
-                f"--formation {args.formation}: {len(slots)} slots for {followers} followers"
-            )
-    else:
-        if followers > 1:
-            raise EchowingError(f"{followers} followers need --formation FILE, a slot for each")
-        radius_m = RADIUS_M if args.radius is None else args.radius
-        slots, apart_m = [Slot(radius_m, math.radians(args.angle))], 0.0  # nobody else
-        check_formation(slots, apart_m)
-    for one_m in radii_m:
-        check_formation(scaled(slots, one_m), apart_m)
+    slots, separation_m = _wanted(args)
+    try:
+        for one in [slots, *(scaled(slots, one_m) for one_m in radii_m)]:
+            said = check_to_be_led(one, sonar, args.min_separation, separation_m)
+    except EchowingError as error:
+        where = "" if args.formation is None else f"--formation {args.formation}: "
+        raise EchowingError(f"{where}{error}") from error
+    if len(slots) > 1:
+        for line in said:
+            print(f"echowing: {line}", file=sys.stderr)
     nearest_m = min(radii_m, default=min(slot.radius_m for slot in slots))
     if nearest_m <= args.min_separation:
         raise EchowingError(
             f"a slot {nearest_m:g} m from the leader is inside --min-separation "
             f"{args.min_separation:g} m; move it out, or the follower will never get there"
         )
-    return scaled(slots, radii_m[0]) if radii_m else slots
+    return scaled(slots, radii_m[0]) if radii_m else list(slots)
+
+
+def _wanted(args: argparse.Namespace) -> "tuple[Sequence[Slot], float | None]":
+    """The slots as they are asked for, and how far apart they have to be, if that is told."""
+    from echowing.flight.guidance import Slot  # noqa: PLC0415
+    from echowing.flight.shapes import SHAPES, shape  # noqa: PLC0415
+    from echowing.tool.formation_file import load_formation  # noqa: PLC0415
+
+    followers, name = len(args.follower), args.formation
+    if name in SHAPES:
+        spacing_m = RADIUS_M if args.spacing is None else args.spacing
+        return shape(name, followers, spacing_m), None
+    if args.spacing is not None:
+        raise EchowingError(f"--spacing needs --formation {' or '.join(SHAPES)}")
+    if name is None:
+        if followers > 1:
+            raise EchowingError(
+                f"{followers} followers need --formation: {', '.join(SHAPES)}, or a FILE with a "
+                "slot for each"
+            )
+        radius_m = RADIUS_M if args.radius is None else args.radius
+        return [Slot(radius_m, math.radians(args.angle))], None
+    formation = load_formation(Path(name))
+    slots = [section.slot() for section in formation.slots]
+    if len(slots) != followers:
+        raise EchowingError(f"--formation {name}: {len(slots)} slots for {followers} followers")
+    return slots, formation.slot_separation_m

@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,6 +18,7 @@ examples:
   echowing sim --list
   echowing sim echowing --seed 3 --out out/mine
   echowing sim gray --seed 1-10 --json
+  echowing sim vee --set formation.followers=6 --set formation.spacing_m=3.5
   echowing sim my-flight.toml --law hold --set gps.sigma_m=1.2
   echowing sim --serve 5760 --web                        watch them in a browser
   echowing sim --serve 5760 --parked --card out/cards    vehicles to try `echowing setup` on
@@ -94,6 +96,8 @@ def run(args: argparse.Namespace) -> int:
         return _list(as_json=args.json)
     seeds = _seeds(args.seed)
     scenario = _scenario(args)
+    for line in scenario.check_formation():
+        print(f"echowing: {line}", file=sys.stderr)
     if args.serve is not None:
         from echowing.mavlink.signing import read_key  # noqa: PLC0415
         from echowing.sim.serve_flight import serve  # noqa: PLC0415

@@ -18,6 +18,8 @@ Horizontal = tuple[float, float]
 SLOW_MPS = 0.25
 # Back to the course only above this, so that a leader near the limit does not switch to and fro.
 MOVING_MPS = 0.35
+# The guided point is never nearer to the leader than this; a slot inside could not be flown.
+SMALLEST_RADIUS_M = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +83,7 @@ class GuidanceSettings:
     # link and the share of the lead in force at this latency make it 1.4 s.
     lead_time_s: float = 1.4
     predict: bool = True
-    clearance_m: float = 1.0
+    clearance_m: float = SMALLEST_RADIUS_M
     face_leader: bool = True
     learn_offset: bool = True
     # Reports by telemetry radio are 0.46 to 0.71 s old, so a part of each is lost. That is room for

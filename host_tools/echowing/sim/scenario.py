@@ -467,6 +467,11 @@ class Scenario(Section):
         """The formation's slots."""
         return [section.slot() for section in self.formation.slots]
 
+    def check_formation(self) -> list[str]:
+        """As the flight core's `check_formation`."""
+        separation_m = self.formation.slot_separation_m
+        return check_formation(self.slots(), self.sonar_belief, LEAST_M, separation_m)
+
     def echo_dist_m(self, index: int) -> float | None:
         """`ECHO_DIST` of follower `index` (from 0): its slot's radius unless told otherwise.
 
@@ -546,7 +551,7 @@ def scenario_of(table: Mapping[str, Any], source: str) -> Scenario:
         raise EchowingError("\n".join(f"{source}: {line}" for line in wrong))
     try:
         _ = scenario.sonar_belief  # a file of the user's
-        check_formation(scenario.slots(), scenario.formation.apart_m(LEAST_M))
+        scenario.check_formation()
     except EchowingError as error:
         raise EchowingError(f"{source}: {error}") from error
     return scenario

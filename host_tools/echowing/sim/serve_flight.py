@@ -7,7 +7,7 @@ from pathlib import Path
 
 from echowing.errors import EchowingError
 from echowing.flight.envelope import LEAST_M
-from echowing.flight.formation import check_formation, receivers_demand_m
+from echowing.flight.formation import receivers_demand_m
 from echowing.geo import Ned
 from echowing.sim.aircraft import LeaderPilot, SimFollower, SimVehicle
 from echowing.sim.flight import FormationWorld
@@ -22,7 +22,7 @@ from echowing.sim.vehicle.modes import GUIDED
 from echowing.sim.world.cutter import PacketCutter
 from echowing.sonar_file import SHIPPED
 from echowing.stopping import stop_on_signals
-from echowing.tool.formation_file import ONLY_SIMULATED, FormationSection
+from echowing.tool.formation_file import FormationSection, check_to_be_led
 from echowing.tool.run import Page
 
 # Ports of one vehicle, as SITL lays them out: the next vehicle 10 on, a second link 2 on.
@@ -33,7 +33,7 @@ HIGHEST_PORT = 65_535
 STARTS = "The leader starts to fly when follow sends the first points."
 LED = (SubMode.POSITION, SubMode.POSITION_VELOCITY)
 # Of a slot of a scenario, what `follow --formation` needs.
-PLACE = {"radius_m", "angle_deg", "altitude_step_m"}
+PLACE = {"radius_m", "angle_deg", "altitude_step_m", "behind"}
 
 
 class WaitingPilot(LeaderPilot):
@@ -203,9 +203,10 @@ def _beliefs(scenario: Scenario) -> str:
 def _warn_of_refusal(scenario: Scenario) -> None:
     """Say that `follow` does not take this formation, though a scenario does."""
     try:
-        check_formation(scenario.slots(), _demanded_m(scenario.formation))
+        separation_m = _stricter_m(scenario.formation)
+        check_to_be_led(scenario.slots(), scenario.sonar_belief, LEAST_M, separation_m)
     except EchowingError as error:
-        print(f"follow will refuse it: {error} in that file")
+        print(f"follow will refuse it: {error}")
 
 
 def _indices(scenario: Scenario) -> range:
@@ -214,38 +215,35 @@ def _indices(scenario: Scenario) -> range:
 
 def _places(scenario: Scenario, port: int) -> str:
     """The options of `follow` that say where; several slots go into a file."""
-    slots = scenario.formation.slots
+    formation, slots = scenario.formation, scenario.formation.slots
+    if formation.shape is not None and _stricter_m(formation) is None:
+        return f"--formation {formation.shape} --spacing {formation.spacing_m:g}"
     alone = slots[0]
-    if any(slot.behind is not None for slot in slots):
-        raise EchowingError(f"--serve: {ONLY_SIMULATED}")
     if len(slots) == 1 and alone.altitude_step_m == 0.0:
         angle = "" if alone.angle_deg == 0.0 else f" --angle {alone.angle_deg:g}"
         return f"--radius {alone.radius_m:g}{angle}"
     path = Path("out") / f"formation-{port}.toml"
     try:
         path.parent.mkdir(exist_ok=True)
-        path.write_text(_as_toml(scenario.formation), encoding="utf-8")
+        path.write_text(_as_toml(formation), encoding="utf-8")
     except OSError as error:
         raise EchowingError(f"{path}: cannot be written: {error.strerror}") from error
     return f"--formation {path}"
 
 
-def _demanded_m(formation: FormationSection) -> float:
-    """How far apart `follow` wants these slots: at least as far as the receivers demand.
+def _stricter_m(formation: FormationSection) -> float | None:
+    """How far apart `follow` is to want these slots; None: as far as it does by itself.
 
     What a scenario allows for a simulated flight must not loosen what the field tool demands.
     """
-    return max(formation.apart_m(LEAST_M), receivers_demand_m(LEAST_M))
+    told_m = formation.slot_separation_m
+    return told_m if told_m is not None and told_m > receivers_demand_m(LEAST_M) else None
 
 
 def _as_toml(formation: FormationSection) -> str:
-    demanded_m = _demanded_m(formation)
-    stricter = demanded_m > receivers_demand_m(LEAST_M)
-    lines = [f"slot_separation_m = {demanded_m}"] if stricter else []
+    stricter_m = _stricter_m(formation)
+    lines = [] if stricter_m is None else [f"slot_separation_m = {stricter_m}"]
     for slot in formation.slots:
-        lines += [
-            "",
-            "[[slots]]",
-            *(f"{key} = {value}" for key, value in slot.model_dump(include=PLACE).items()),
-        ]
+        place = slot.model_dump(include=PLACE, exclude_none=True)
+        lines += ["", "[[slots]]", *(f"{key} = {value}" for key, value in place.items())]
     return "\n".join(lines).lstrip() + "\n"

@@ -2,20 +2,24 @@
 
 import math
 import tomllib
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
-from pydantic import Field, ValidationError
+from pydantic import Field, model_validator
 
 from echowing.errors import EchowingError
-from echowing.flight.formation import check_formation, receivers_demand_m
-from echowing.flight.guidance import Slot
-from echowing.section import Positive, Section
+from echowing.flight.belief import SonarBelief
+from echowing.flight.formation import check_formation
+from echowing.flight.guidance import SMALLEST_RADIUS_M, Slot
+from echowing.flight.shapes import MOST_FOLLOWERS, Shape, shape
+from echowing.section import Positive, Section, section_of
 
 # A column of three came to 0.81 m of each other without any fault (RESULTS.md, "Two followers").
 ONLY_SIMULATED = (
     "a slot has `behind`, which is for simulated flights: longer columns are not kept 1 m apart yet"
 )
+SHAPE_KEYS = ("shape", "followers", "spacing_m")
 
 
 class SlotSection(Section):
@@ -42,44 +46,65 @@ class SlotSection(Section):
         return Slot(self.radius_m, math.radians(self.angle_deg), self.altitude_step_m, behind)
 
 
-class FormationSection(Section):
-    """Who flies where."""
+def _slots_of(formation: Mapping[str, Any]) -> tuple[SlotSection, ...]:
+    """The slots of a formation that has none written down: by its shape, or one slot 3 m behind."""
+    name, followers, spacing_m = (formation.get(key) for key in SHAPE_KEYS)
+    if name is None or followers is None or spacing_m is None:
+        return (SlotSection(radius_m=3.0),)
+    return tuple(map(_section, shape(name, followers, spacing_m)))
 
-    slots: Annotated[tuple[SlotSection, ...], Field(min_length=1)] = (SlotSection(radius_m=3.0),)
+
+def _section(slot: Slot) -> SlotSection:
+    """As `SlotSection.slot`, the other way."""
+    behind = None if slot.behind is None else slot.behind + 1
+    angle_deg = math.degrees(slot.angle_rad)
+    return SlotSection(radius_m=slot.radius_m, angle_deg=angle_deg, behind=behind)
+
+
+class FormationSection(Section):
+    """Who flies where: a shape by name, or each slot in `[[formation.slots]]`."""
+
+    shape: Shape | None = None
+    """A shape ([pictures](GUIDANCE.md#formations)); none: by the slots."""
+    followers: Annotated[int, Field(ge=1, le=MOST_FOLLOWERS)] | None = None
+    """Of a shape: how many."""
+    spacing_m: Annotated[float, Field(ge=SMALLEST_RADIUS_M)] | None = None
+    """Of a shape: from each to the one that its sonar looks at."""
+    slots: tuple[SlotSection, ...] = Field(min_length=1, default_factory=_slots_of)
     """One follower each, `[[formation.slots]]`; without any one slot 3 m behind."""
     slot_separation_m: Positive | None = None
-    """Slots nearer to each other than this are refused; none: than the followers' receivers demand
-    (4.83 m)."""
+    """Slots whose followers do not range each other are refused if they are nearer than this; none:
+    than what sonars between them leave certain, and without sonars the receivers (4.83 m)."""
 
-    def apart_m(self, least_m: float) -> float:
-        """How far apart the slots have to be; `least_m` is what must remain of it for certain."""
-        told_m = self.slot_separation_m
-        return receivers_demand_m(least_m) if told_m is None else told_m
+    @model_validator(mode="after")
+    def _by_shape_or_by_slots(self) -> "FormationSection":
+        told = [key for key in SHAPE_KEYS if getattr(self, key) is not None]
+        if told and len(told) < len(SHAPE_KEYS):
+            raise ValueError(f"a shape needs {', '.join(SHAPE_KEYS)}; here: {', '.join(told)}")
+        if told and "slots" in self.model_fields_set:
+            raise ValueError("give a shape or slots, not both")
+        return self
 
 
-def load_formation(path: Path, least_m: float) -> tuple[list[Slot], float]:
-    """Slots of a TOML file with [[slots]], and how far apart they have to be.
+def check_to_be_led(
+    slots: Sequence[Slot],
+    sonar: SonarBelief,
+    least_m: float,
+    separation_m: float | None = None,
+) -> list[str]:
+    """As `check_formation`, for real vehicles."""
+    if any(slot.behind is not None for slot in slots):
+        raise EchowingError(ONLY_SIMULATED)
+    return check_formation(slots, sonar, least_m, separation_m)
 
-    The same keys as in a scenario's formation; where it does not say how far apart, so far as the
-    followers' receivers demand for `least_m`.
-    """
+
+def load_formation(path: Path) -> FormationSection:
+    """A TOML file with [[slots]] or a shape: the same keys as in a scenario's formation."""
+    source = f"--formation {path}"
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
-        formation = FormationSection.model_validate(table)
     except OSError as error:
-        raise EchowingError(f"--formation {path}: cannot be read: {error.strerror}") from error
+        raise EchowingError(f"{source}: cannot be read: {error.strerror}") from error
     except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise EchowingError(f"--formation {path}: cannot be read: {error}") from error
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])
-        raise EchowingError(f"--formation {path}: {key}: {first['msg']}") from error
-    slots = [section.slot() for section in formation.slots]
-    apart_m = formation.apart_m(least_m)
-    if any(slot.behind is not None for slot in slots):
-        raise EchowingError(f"--formation {path}: {ONLY_SIMULATED}")
-    try:
-        check_formation(slots, apart_m)
-    except EchowingError as error:
-        raise EchowingError(f"--formation {path}: {error}") from error
-    return slots, apart_m
+        raise EchowingError(f"{source}: cannot be read: {error}") from error
+    return section_of(FormationSection, table, source)
