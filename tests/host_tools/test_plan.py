@@ -5,6 +5,7 @@ import math
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,7 +28,7 @@ LIMITS = Limits(2, shipped_sonar())
 DIAMOND = ((2.6, -1.6), (2.6, 1.7), (5.4, 0.2))
 
 
-def formation(*back_right: tuple[float, float], **changes: object) -> Formation:
+def formation(*back_right: tuple[float, float], **changes: Any) -> Formation:
     places = np.array([(0.0, 0.0, 0.0), *((back, right, 0.0) for back, right in back_right)])
     return Formation(places, replace(LIMITS, followers=len(back_right), **changes))
 
@@ -135,7 +136,7 @@ def test_two_followers_both_watch_the_leader() -> None:
         {"followers": 3, "leader_only": True, "view_rad": math.radians(80.0)},
     ],
 )
-def test_limits_are_kept(changes: dict[str, object]) -> None:
+def test_limits_are_kept(changes: dict[str, Any]) -> None:
     limits = replace(LIMITS, **changes)
     planned = best_of(limits, "evolution", 1500, 1)
     slots = planned.slots()
@@ -261,7 +262,7 @@ def test_the_table_tells_pairs_and_losses(capsys: pytest.CaptureFixture[str]) ->
         (["2", "--keep-out", "20"], "keep-out 20: give 90 to 179 degrees"),
         (["2", "--seed", "-1"], "--seed -1: give 0 or more"),
         (["2", "--evaluations", "0"], "--evaluations 0: give 1 or more"),
-        (["2", "--method", "doves"], "--method doves: there are annealing"),
+        (["2", "--method", "doves"], "--method doves: there are evolution"),
         (["2", "--legs", "stock"], "spacing 3 m: the sonar does not carry it"),
         (["8", "--leader-only", *FEW], "no formation of 8 keeps the limits"),
         (["2", "--out", "/absent/a.toml", *FEW], "/absent/a.toml: cannot be written"),

@@ -21,7 +21,7 @@ examples:
   echowing plan 5 --scenario fly-five.toml && echowing sim fly-five.toml
   echowing plan 4 --spacing 3-3.4 --view 45 --heights 0,0.5,1 --seed 7 --json
   echowing plan 3 --leader-only --keep-out 100         every sonar watches the leader
-  echowing plan --compare                              the optimisers, a few minutes
+  echowing plan --compare --evaluations 10000          the optimisers, three minutes
 """
 COMPARED = (3, 5, 8, 12)
 
@@ -70,12 +70,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     search = parser.add_argument_group("search")
     search.add_argument("--seed", type=int, default=1, help="of the random numbers (1)")
-    search.add_argument("--method", metavar="NAME", help="annealing, evolution or pigeons")
+    search.add_argument(
+        "--method", metavar="NAME", help="evolution (the default), annealing or pigeons"
+    )
     search.add_argument("--evaluations", type=int, metavar="N", help="of the cost (20000)")
     search.add_argument(
         "--compare", action="store_true", help="print how the methods compare, and plan nothing"
     )
-    search.add_argument("--seeds", type=int, default=5, help="with --compare: runs of each (5)")
+    search.add_argument("--seeds", type=int, default=3, help="with --compare: runs of each (3)")
     parser.add_argument("--out", type=Path, metavar="FILE", help="write slots (TOML)")
     parser.add_argument("--scenario", type=Path, metavar="FILE", help="write a scenario (TOML)")
     parser.add_argument("--plot", type=Path, metavar="FILE", help="write a picture (SVG)")

@@ -21,9 +21,10 @@ TINY = 1e-9
 
 def fly_home(cost: Cost, unknowns: int, chance: np.random.Generator) -> Array:
     """The best place of one flight home, in the cube from 0 to 1."""
-    places: Array = chance.random((PIGEONS, unknowns))
+    places = chance.random((PIGEONS, unknowns))
     speeds = np.zeros_like(places)
-    best, least = places[0], math.inf
+    best: Array = places[0]
+    least = math.inf
     for number in range(1, BY_COMPASS + 1):
         best, least = _better(best, least, places, _costs(cost, places))
         pull = chance.random((PIGEONS, 1)) * (best - places)
