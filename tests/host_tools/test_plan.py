@@ -98,6 +98,8 @@ def test_a_loss_leaves_alone_who_has_nobody_else_within_reach() -> None:
     diamond = formation(*DIAMOND)
     assert diamond.left_alone == {}
     assert {diamond.spare(3), diamond.watches[2]} == {1, 2}
+    narrow = formation(*DIAMOND, view_rad=math.radians(30.0))
+    assert 3 in narrow.left_alone[narrow.watches[2]]
     assert column.cost > 10.0  # of which a metre is what its pairs are unsure of
 
 
@@ -132,15 +134,15 @@ def test_two_followers_both_watch_the_leader() -> None:
     [
         {"followers": 4},
         {"followers": 3, "heights_m": (-0.5, 0.0, 0.5), "spacing_m": (3.1, 3.4)},
-        {"followers": 2, "keep_out_rad": math.radians(150.0), "view_rad": math.radians(50.0)},
-        {"followers": 3, "leader_only": True, "view_rad": math.radians(80.0)},
+        {"followers": 2, "keep_out_rad": math.radians(150.0), "angle_rad": math.radians(50.0)},
+        {"followers": 3, "leader_only": True, "angle_rad": math.radians(80.0)},
     ],
 )
 def test_limits_are_kept(changes: dict[str, Any]) -> None:
     limits = replace(LIMITS, **changes)
     planned = best_of(limits, "evolution", 1500, 1)
     slots = planned.slots()
-    (least_m, most_m), view_deg = limits.spacing_m, math.degrees(limits.view_rad)
+    (least_m, most_m), angle_deg = limits.spacing_m, math.degrees(limits.angle_rad)
     places = [(0.0, 0.0, 0.0), *(place_m(slots, n) for n in range(len(slots)))]
     assert planned.is_within_limits
     for a, b in combinations(range(len(places)), 2):
@@ -148,7 +150,7 @@ def test_limits_are_kept(changes: dict[str, Any]) -> None:
         assert planned.certain_m[a, b] >= LEAST_M - 0.01
     for slot, its, place in zip(slots, planned.watches, places[1:], strict=True):
         assert math.dist(place, places[its]) <= most_m + 0.01
-        assert abs(math.degrees(slot.angle_rad)) <= view_deg + 0.5
+        assert abs(math.degrees(slot.angle_rad)) <= angle_deg + 0.5
         assert slot.altitude_step_m in limits.heights_m
         off_nose_deg = abs(math.degrees(math.atan2(place[1], place[0])))
         assert off_nose_deg >= math.degrees(limits.keep_out_rad) - 0.5
@@ -245,7 +247,7 @@ def test_the_table_tells_pairs_and_losses(capsys: pytest.CaptureFixture[str]) ->
     said = capsys.readouterr().out
     assert "leader and 1" in said and "sonar" in said
     assert "No single loss splits it" in said
-    assert main(["plan", "2", *FEW, "--view", "8", "--seed", "2"]) == 0
+    assert main(["plan", "2", *FEW, "--angle", "8", "--view", "8"]) == 0
     assert "The loss of 1 splits it: nobody to watch is left for 2." in capsys.readouterr().out
 
 
@@ -258,6 +260,7 @@ def test_the_table_tells_pairs_and_losses(capsys: pytest.CaptureFixture[str]) ->
         (["2", "--spacing", "wide"], "--spacing: 'wide' is no number of metres"),
         (["2", "--spacing", "3-6"], "spacing 6 m: the sonar does not carry it"),
         (["2", "--heights", "0,nan"], "--heights: 'nan' is no number"),
+        (["2", "--angle", "0"], "angle 0: give 1 to 90 degrees"),
         (["2", "--view", "120"], "view 120: give 1 to 90 degrees"),
         (["2", "--keep-out", "20"], "keep-out 20: give 90 to 179 degrees"),
         (["2", "--seed", "-1"], "--seed -1: give 0 or more"),

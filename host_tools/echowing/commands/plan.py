@@ -19,7 +19,7 @@ EXAMPLES = """\
 examples:
   echowing plan 5 --out five.toml --plot five.svg      for `echowing follow --formation five.toml`
   echowing plan 5 --scenario fly-five.toml && echowing sim fly-five.toml
-  echowing plan 4 --spacing 3-3.4 --view 45 --heights 0,0.5,1 --seed 7 --json
+  echowing plan 4 --spacing 3-3.4 --angle 35 --heights 0,0.5,1 --seed 7 --json
   echowing plan 3 --leader-only --keep-out 100         every sonar watches the leader
   echowing plan --compare --evaluations 10000          the optimisers, three minutes
 """
@@ -38,11 +38,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="the least distance between any two, and the greatest to whom a sonar watches (3-3.5)",
     )
     limits.add_argument(
+        "--angle",
+        type=float,
+        default=50.0,
+        metavar="DEG",
+        help="how far off the tail of whom it watches a slot may be (50)",
+    )
+    limits.add_argument(
         "--view",
         type=float,
         default=60.0,
         metavar="DEG",
-        help="how far a sonar looks to each side of the course (60, as PAN_REACH)",
+        help="how far it looks to each side of the course after a loss (60, as PAN_REACH)",
     )
     limits.add_argument(
         "--tilt",
@@ -123,6 +130,7 @@ def _limits(args: argparse.Namespace) -> "Limits":
         args.followers,
         load_sonar(args.sonar).belief(args.legs),
         (_number("--spacing", least_m), _number("--spacing", most_m if dash else least_m)),
+        math.radians(args.angle),
         math.radians(args.view),
         math.radians(args.tilt),
         math.radians(args.keep_out),

@@ -54,8 +54,8 @@ def _evolve(cost: Counted, unknowns: int, chance: np.random.Generator) -> None:
     )
 
 
-# The first is the default: it wins for 3, 5 and 8 followers, annealing for 12 (RESULTS.md,
-# "Formations without a name").
+# The first is the default: it wins for 5 and 8 followers, annealing narrowly for 3, and for 12
+# (RESULTS.md, "Formations without a name").
 METHODS: dict[str, Callable[[Counted, int, np.random.Generator], object]] = {
     "evolution": _evolve,
     "annealing": _anneal,

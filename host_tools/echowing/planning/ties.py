@@ -33,8 +33,8 @@ OUT_OF_SIGHT = 1e3
 class Sight:
     """What a sonar can watch.
 
-    range_m: least and most to who is watched. view_rad, tilt_rad: its gimbal's most to each side of
-    the course, and up and down. beam_rad: half angle within which a nearer vehicle is heard
+    range_m: least and most to who is watched. view_rad, tilt_rad: most to each side of the course,
+    and up and down. beam_rad: half angle within which a nearer vehicle is heard
     instead, over that one's distance.
     """
 
