@@ -49,7 +49,7 @@ class Limits:
     followers: int
     sonar: SonarBelief
     spacing_m: tuple[float, float] = (3.0, 3.5)
-    # With 45 five followers seldom have spares; followers in slots near 60 were further off in flight.
+    # With 45 spares are seldom found for five; with 60 more followers were far off in flight.
     angle_rad: float = math.radians(50.0)
     view_rad: float = math.radians(60.0)
     tilt_rad: float = math.radians(30.0)
