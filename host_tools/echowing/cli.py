@@ -22,6 +22,7 @@ VERBS = {
     "leader": "send a real leader's telemetry to `follow` on another computer",
     "follow": "guide real followers behind a real leader",
     "relay": "keep a vehicle midway to a remote vehicle",
+    "plan": "place a formation that has no name",
     "replay": "show a recorded flight in the browser",
     "analyze": "measure a flown formation from its logs",
     "calibrate": "replay recorded flights through the copter model",

@@ -8,6 +8,7 @@ from echowing.errors import EchowingError
 LIBRARIES = {
     "sim": ("lupa",),
     "campaign": ("dask", "distributed", "pyarrow"),
+    "plan": ("scipy",),
     "plots": ("plotly",),
 }
 # The simulator flies what `make` builds, with a Lua of 32-bit numbers: not from a package alone.
@@ -15,7 +16,12 @@ _IN_A_CLONE = (
     "clone the repository and run `make setup core emulated` there, which adds it and builds the "
     "firmware that it flies"
 )
-HOW = {"sim": _IN_A_CLONE, "campaign": _IN_A_CLONE, "plots": "pip install 'echowing[plots]'"}
+HOW = {
+    "sim": _IN_A_CLONE,
+    "campaign": _IN_A_CLONE,
+    "plan": "pip install 'echowing[plan]'",
+    "plots": "pip install 'echowing[plots]'",
+}
 
 
 def require(extra: str) -> None:

@@ -42,9 +42,17 @@ def test_nothing_is_built_on_figures_pictures_and_verbs() -> None:
             assert not {name.split(".")[0] for name in imported(path)} & LAST, path
 
 
-@pytest.mark.parametrize("room", ["bench", "docs", "sim", *(f"sim/{one}" for one in SIMULATED)])
+@pytest.mark.parametrize(
+    "room", ["bench", "docs", "planning", "sim", *(f"sim/{one}" for one in SIMULATED)]
+)
 def test_a_room_says_what_lives_in_it(room: str) -> None:
     source = (PACKAGE / room / "__init__.py").read_text(encoding="utf-8")
     said = ast.get_docstring(ast.parse(source)) or ""
     assert said.endswith(".")
     assert "\n" not in said
+
+
+def test_places_are_planned_without_the_simulator_and_the_tool() -> None:
+    for path in modules("planning"):
+        rooms = {name.split(".")[0] for name in imported(path)}
+        assert rooms <= {"errors", "flight", "planning"}, path.name

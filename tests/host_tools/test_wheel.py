@@ -134,6 +134,7 @@ def test_a_report_says_that_its_plots_need_an_extra(installed: Installed, tmp_pa
         (["demo"], "sim"),
         (["bench", "--only", "accuracy"], "sim"),
         (["campaign"], "campaign"),
+        (["plan", "2"], "plan"),
     ],
     ids=lambda part: " ".join(part) if isinstance(part, list) else "",
 )

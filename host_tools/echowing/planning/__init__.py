@@ -1,0 +1,1 @@
+"""Places for a formation that has no name, and whom each of its sonars watches."""
