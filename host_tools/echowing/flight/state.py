@@ -333,6 +333,9 @@ class Known:
             if plan.slot.behind is not None
         }
         self._ways: dict[tuple[int, int], _Way] = {}
+        self.beside_sigmas = 1.0
+        """A range counts for nothing where another vehicle, so many standard deviations from where
+        it is believed, explains it better than the one that is watched."""
 
     def clock(self, system_id: int) -> VehicleClock | None:
         """The clock of one of these vehicles; None: of a stranger."""
@@ -357,6 +360,14 @@ class Known:
     def ahead_of(self, follower: FollowerState) -> FollowerState | None:
         """The follower that one's sonar looks at; None: it looks at the leader."""
         return self._ahead.get(follower.plan.system_id)
+
+    def watch(self, follower: FollowerState, ahead: FollowerState | None) -> None:
+        """Let its sonar look at another vehicle, of which it knows nothing yet; None: the leader."""
+        self._ahead.pop(follower.plan.system_id, None)
+        if ahead is not None:
+            self._ahead[follower.plan.system_id] = ahead
+        self._ways.clear()
+        follower.estimate.forget()
 
     def chain(self, follower: FollowerState) -> Iterator[FollowerState]:
         """A follower, the one its sonar looks at, and so on up to the one behind the leader."""
@@ -458,12 +469,14 @@ class Known:
         if ahead is not None and _near(here, fix.position):
             links = list(self.chain(follower))
             north_m, east_m = _shift_m(links)
-            yield Beside(self.leader_history, (-north_m, -east_m), self.sigma_m(links))
+            sigma_m = self.beside_sigmas * self.sigma_m(links)
+            yield Beside(self.leader_history, (-north_m, -east_m), sigma_m)
         for other in self.followers.values():
             there = other.position
             if other is follower or other is ahead or there is None or not _near(here, there):
                 continue
-            yield Beside(other.estimate.history, *self._disagree_m(follower, other))
+            shift_m, sigma_m = self._disagree_m(follower, other)
+            yield Beside(other.estimate.history, shift_m, self.beside_sigmas * sigma_m)
 
     def sigma_m(self, links: Iterable[FollowerState]) -> float:
         """Standard deviation of what is known over the sonars of these followers."""

@@ -17,6 +17,7 @@ from echowing.flight.build_up import LEAST_DIST_M, MOST_DIST_M
 from echowing.flight.envelope import LEAST_M
 from echowing.flight.formation import check_formation
 from echowing.flight.guidance import GRAY, GuidanceSettings, Slot
+from echowing.flight.swarm_rules import Weights
 from echowing.section import NotNegative, Positive, Section, Share, section_of
 from echowing.setup.applet import applet_path, parameters_in
 from echowing.sim.fault_section import LEADER_FAULTS, FaultSection, objection
@@ -26,11 +27,13 @@ from echowing.sim.world.cutter import ByteLoss
 from echowing.sim.world.radio import RadioSettings
 from echowing.sonar_file import SHIPPED, HalfAngle, SonarFile, load_sonar
 from echowing.tool.formation_file import FormationSection
+from echowing.tool.swarm_file import WeightsSection
 
 # What the applets do: the speed applet's laws with their numbers (lua/echowing_speed.md), and what
 # the other one does (lua/echowing.md).
 SPEED_LAWS = {"thesis": 0, "bands": 1}
 LAWS = (*SPEED_LAWS, "hold")
+MOST_OF_A_SWARM = 50
 OWN_LAW = ".lua"  # how the name of a user's applet ends
 LeaderPath = Literal[
     "rectangle", "circle", "figure-eight", "stop-and-go", "script", "walk", "track"
@@ -347,6 +350,16 @@ class WallSection(Section):
     """Height above home."""
 
 
+class SwarmSection(WeightsSection):
+    """Followers without slots, led by weighted rules, in place of a formation
+    ([`SWARM.md`](SWARM.md))."""
+
+    followers: Annotated[int, Field(ge=0, le=MOST_OF_A_SWARM)] = 0
+    """How many; 0: there is a formation, and no swarm."""
+    scatter_m: Positive = 4.0
+    """At the start neighbours are so far apart and more, anywhere behind the leader."""
+
+
 class Scenario(Section):
     """One flight to be flown."""
 
@@ -367,6 +380,8 @@ class Scenario(Section):
     """The leader."""
     formation: FormationSection = FormationSection()
     """Who flies where."""
+    swarm: SwarmSection = SwarmSection()
+    """Who flies without a slot."""
     guidance: GuidanceSection = GuidanceSection()
     """How points are made."""
     follower: FollowerSection = FollowerSection()
@@ -399,6 +414,29 @@ class Scenario(Section):
             return law
         names = ", ".join(map(repr, ("none", *LAWS)))
         raise ValueError(f"give {names} or a {OWN_LAW} file")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_places(cls, table: Any) -> Any:
+        """Give each follower of a swarm what stands for its slot, where that can be read."""
+        swarm = table.get("swarm") if isinstance(table, dict) else None
+        if not isinstance(swarm, dict) or "formation" in table:
+            return table
+        number, near_m = swarm.get("followers"), swarm.get("near_m", Weights().near_m)
+        if not isinstance(number, int) or not 0 < number <= MOST_OF_A_SWARM:
+            return table
+        return {**table, "formation": {"slots": [{"radius_m": near_m}] * number}}
+
+    @model_validator(mode="after")
+    def _is_swarm_alone(self) -> "Scenario":
+        if not self.swarm.followers:
+            return self
+        places = [self.swarm.slot()] * self.swarm.followers
+        if self.slots() != places:
+            raise ValueError("a swarm has no slots: remove the formation, or the swarm")
+        if not self.takes_velocity or not self.guidance.settings().feed_forward:
+            raise ValueError("a swarm needs points with a velocity: law hold or none, without gray")
+        return self
 
     @model_validator(mode="after")
     def _flyable(self) -> "Scenario":
@@ -546,7 +584,8 @@ def scenario_of(table: Mapping[str, Any], source: str) -> Scenario:
         raise EchowingError("\n".join(f"{source}: {line}" for line in wrong))
     try:
         _ = scenario.sonar_belief  # a file of the user's
-        check_formation(scenario.slots(), scenario.formation.apart_m(LEAST_M))
+        if not scenario.swarm.followers:
+            check_formation(scenario.slots(), scenario.formation.apart_m(LEAST_M))
     except EchowingError as error:
         raise EchowingError(f"{source}: {error}") from error
     return scenario
