@@ -33,6 +33,8 @@ def test_every_scenario_of_the_demo_is_shipped_and_valid() -> None:
         "many",
         "vee",
         "column",
+        "swarm",
+        "swarm-back",
     }
     assert all(load_scenario(name).name == name for name in names)
 

@@ -34,7 +34,6 @@ from echowing.flight.state import FollowerPlan, FollowerState, Known
 from echowing.flight.steps import Allowed, Command, Plan
 from echowing.flight.supervisor import Supervisor
 from echowing.flight.swarm import Swarm
-from echowing.flight.swarm_rules import Weights
 from echowing.flight.take_off import Lift, TakeOff, TakeOffs
 from echowing.flight.trust import Trust
 from echowing.geo import GlobalPosition
@@ -59,8 +58,8 @@ class FollowSession:
     `tick` is called at the rate of the guided points (thesis Table 4: 8 Hz) and returns the
     messages to send, each with the system id of the vehicle it is for. With `limits` a guard
     watches (see `guard`); while not `engaged`, points are sent only to stop what has taken off by
-    `take_off`. With `swarm` weighted rules lead the followers, and their slots only say how near
-    the leader they come.
+    `take_off`. Where `settings.swarm` is set, weighted rules lead the followers, and a slot only
+    says how near to the leader they come.
     """
 
     def __init__(
@@ -74,7 +73,6 @@ class FollowSession:
         engaged: bool = True,
         take_off: TakeOff | None = None,
         leaders_height: bool = False,
-        swarm: Weights | None = None,
     ) -> None:
         self.leader_id = leader_id
         self.settings = settings
@@ -113,7 +111,8 @@ class FollowSession:
         )
         self._supervisor.engaged = engaged
         reverses = self.engagement is not None and self.engagement.readiness.reversal
-        self.swarm = None if swarm is None else Swarm(self.known, swarm)
+        weights = settings.swarm
+        self.swarm = None if weights is None else Swarm(self.known, weights)
         self._planner = Planner(
             self.known, self._say, self.alert, reverses=reverses, swarm=self.swarm
         )

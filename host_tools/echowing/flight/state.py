@@ -362,7 +362,7 @@ class Known:
         return self._ahead.get(follower.plan.system_id)
 
     def watch(self, follower: FollowerState, ahead: FollowerState | None) -> None:
-        """Let its sonar look at another vehicle, of which it knows nothing yet; None: the leader."""
+        """Let its sonar look at another vehicle, of which it knows nothing; None: the leader."""
         self._ahead.pop(follower.plan.system_id, None)
         if ahead is not None:
             self._ahead[follower.plan.system_id] = ahead

@@ -9,7 +9,7 @@ would cut it in two changes the weights (S. K. Lee and J. McLurkin, IROS 2014; t
 """
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations
 
@@ -171,9 +171,7 @@ class Swarm:
             unsure_m = min(unsure_m, self._nearer_m(follower, to_it_m))
         return Seen(to_it_m, leader.velocity_ned_mps[:2], unsure_m)
 
-    def _others(
-        self, follower: FollowerState, here: GlobalPosition, at_s: float
-    ) -> Iterator[Seen]:
+    def _others(self, follower: FollowerState, here: GlobalPosition, at_s: float) -> Iterator[Seen]:
         """The other followers that report."""
         known = self._known
         for other in known.followers.values():

@@ -9,7 +9,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
-from echowing.flight.guidance import Horizontal
+Horizontal = tuple[float, float]
 
 NOWHERE: Horizontal = (0.0, 0.0)
 # Nearer, two places are the same: no direction leads from one to the other.
@@ -111,7 +111,10 @@ def align(towed_mps: Horizontal, neighbours: Sequence[Seen], share: float) -> Ho
 
 
 def cluster_towards(neighbours: Sequence[Seen]) -> Horizontal:
-    """To the middle of the neighbours. Reynolds: flock centring; SWARMFARE: cluster range towards."""
+    """To the middle of the neighbours.
+
+    Reynolds: flock centring; SWARMFARE: cluster range towards.
+    """
     return middle(one.to_it_m for one in neighbours) if neighbours else NOWHERE
 
 
@@ -138,7 +141,9 @@ def repel(leader: Seen, near_m: float, apart_m: float) -> Horizontal:
     return _away(leader, leader.missing_m(near_m, apart_m))
 
 
-def evade(others: Sequence[Seen], own_mps: Horizontal, apart_m: float, within_s: float) -> Horizontal:
+def evade(
+    others: Sequence[Seen], own_mps: Horizontal, apart_m: float, within_s: float
+) -> Horizontal:
     """Aside from who would pass too near soon, as both fly now. Reynolds: collision avoidance."""
     return _sum(_aside(one, own_mps, apart_m, within_s) for one in others)
 
@@ -218,7 +223,7 @@ def _away(one: Seen, missing_m: float) -> Horizontal:
 
 
 def _aside(one: Seen, own_mps: Horizontal, apart_m: float, within_s: float) -> Horizontal:
-    """Away from where it passes nearest, by what is missing there; if it would hit, to the right."""
+    """Away from where it passes nearest, by what is missing; if it would hit, to the right."""
     north_mps, east_mps = one.velocity_mps[0] - own_mps[0], one.velocity_mps[1] - own_mps[1]
     mps2 = north_mps * north_mps + east_mps * east_mps
     comes_m2ps = -(one.to_it_m[0] * north_mps + one.to_it_m[1] * east_mps)

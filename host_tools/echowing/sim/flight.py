@@ -221,7 +221,6 @@ class FormationFlight(FormationWorld):
             scenario.guidance_settings(),
             leader_rate_hz=scenario.guidance.telemetry_hz,
             limits=None if scenario.guidance.gray else _limits(scenario),
-            swarm=scenario.swarm.weights() if scenario.swarm.followers else None,
         )
 
     def _make_ground(self) -> GroundStation:

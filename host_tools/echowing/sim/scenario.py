@@ -2,7 +2,7 @@
 
 import tomllib
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
@@ -15,7 +15,7 @@ from echowing.errors import EchowingError
 from echowing.flight.belief import SonarBelief
 from echowing.flight.build_up import LEAST_DIST_M, MOST_DIST_M
 from echowing.flight.envelope import LEAST_M
-from echowing.flight.formation import check_formation
+from echowing.flight.formation import SMALLEST_RADIUS_M, check_formation
 from echowing.flight.guidance import GRAY, GuidanceSettings, Slot
 from echowing.flight.swarm_rules import Weights
 from echowing.section import NotNegative, Positive, Section, Share, section_of
@@ -27,7 +27,6 @@ from echowing.sim.world.cutter import ByteLoss
 from echowing.sim.world.radio import RadioSettings
 from echowing.sonar_file import SHIPPED, HalfAngle, SonarFile, load_sonar
 from echowing.tool.formation_file import FormationSection
-from echowing.tool.swarm_file import WeightsSection
 
 # What the applets do: the speed applet's laws with their numbers (lua/echowing_speed.md), and what
 # the other one does (lua/echowing.md).
@@ -350,14 +349,56 @@ class WallSection(Section):
     """Height above home."""
 
 
-class SwarmSection(WeightsSection):
-    """Followers without slots, led by weighted rules, in place of a formation
-    ([`SWARM.md`](SWARM.md))."""
+_RULES = Weights()
+_NUMBERS = tuple(one.name for one in fields(Weights))
+
+
+class SwarmSection(Section):
+    """Followers without slots, led by weighted rules, not a formation ([page](SWARM.md))."""
 
     followers: Annotated[int, Field(ge=0, le=MOST_OF_A_SWARM)] = 0
     """How many; 0: there is a formation, and no swarm."""
-    scatter_m: Positive = 4.0
+    scatter_m: Positive = 6.0
     """At the start neighbours are so far apart and more, anywhere behind the leader."""
+
+    align: Share = _RULES.align
+    """Share of the towed centre's velocity in a follower's own; the rest is its neighbours'."""
+    towards_per_s: NotNegative = _RULES.towards_per_s
+    """Weight of `cluster towards`: to the middle of the neighbours."""
+    away_per_s: NotNegative = _RULES.away_per_s
+    """Weight of `cluster away`: from who is, or may be, too near."""
+    attract_per_s: NotNegative = _RULES.attract_per_s
+    """Weight of `attract`: to the swarm's place behind the leader."""
+    repel_per_s: NotNegative = _RULES.repel_per_s
+    """Weight of `repel`: from a leader nearer than `near_m`."""
+    evade_per_s: NotNegative = _RULES.evade_per_s
+    """Weight of `evade`: aside from who comes too near within `evade_s`."""
+    switch: Annotated[float, Field(ge=1.0)] = _RULES.switch
+    """By so much more `towards_per_s` counts while the swarm may split; 1: it does not change."""
+    near_m: Annotated[float, Field(ge=SMALLEST_RADIUS_M)] = _RULES.near_m
+    """Nobody wants to be nearer to anybody; the applets' `ECHO_DIST`."""
+    apart_m: Positive = _RULES.apart_m
+    """Nor for certain nearer than this."""
+    room_m: Positive = _RULES.room_m
+    """Between neighbours, about: from it follows how far behind the leader the centre is."""
+    sees_m: Positive = _RULES.sees_m
+    """Who is further away is no neighbour."""
+    evade_s: NotNegative = _RULES.evade_s
+    """How far ahead a meeting is foreseen."""
+    most_mps: Positive = _RULES.most_mps
+    """All rules but `align` together, at most."""
+    draws_mps: Positive = _RULES.draws_mps
+    """What draws together, `cluster towards` and `attract`, at most."""
+    eases_mps2: Positive = _RULES.eases_mps2
+    """How fast what the rules add may change."""
+
+    def weights(self) -> Weights:
+        """The same for the rules."""
+        return Weights(**{name: getattr(self, name) for name in _NUMBERS})
+
+    def slot(self) -> Slot:
+        """What stands for the slot of each follower: how near to the leader it comes."""
+        return Slot(self.near_m)
 
 
 class Scenario(Section):
@@ -422,7 +463,7 @@ class Scenario(Section):
         swarm = table.get("swarm") if isinstance(table, dict) else None
         if not isinstance(swarm, dict) or "formation" in table:
             return table
-        number, near_m = swarm.get("followers"), swarm.get("near_m", Weights().near_m)
+        number, near_m = swarm.get("followers"), swarm.get("near_m", _RULES.near_m)
         if not isinstance(number, int) or not 0 < number <= MOST_OF_A_SWARM:
             return table
         return {**table, "formation": {"slots": [{"radius_m": near_m}] * number}}
@@ -489,6 +530,8 @@ class Scenario(Section):
     def guidance_settings(self) -> GuidanceSettings:
         """How points are made; those of a speed law have no velocity."""
         settings = self.guidance.settings()
+        if self.swarm.followers:
+            settings = replace(settings, swarm=self.swarm.weights())
         return settings if self.takes_velocity else replace(settings, feed_forward=False)
 
     @cached_property
