@@ -31,7 +31,7 @@ examples:
   echowing bench --only accuracy      how well the distance is kept, 20 seeds, about 16 minutes
   echowing bench --only robust        the same with other sonars, receivers and heights than
                                       believed, and any two at once: 20 seeds, about an hour
-  echowing bench --only swarm --seeds 4   what holds a swarm together, about 6 minutes
+  echowing bench --only swarm --seeds 4   what holds a swarm together, about 11 minutes
 """
 
 SECTIONS = ("speed", "field", "firmware", "echoes", "laws", "accuracy", "robust", "swarm")
