@@ -13,7 +13,7 @@ import pytest
 from echowing.cli import main
 from echowing.errors import EchowingError
 from echowing.flight.envelope import LEAST_M
-from echowing.flight.formation import check_formation, place_m
+from echowing.flight.formation import place_m
 from echowing.flight.state import UNRANGED_SIGMA_M
 from echowing.planning.cost import Formation, Limits
 from echowing.planning.optimise import METHODS, Counted, SpentError, best_of, compare
@@ -226,7 +226,7 @@ def test_files_are_read_back_and_the_same_seed_gives_the_same_bytes(
     assert (tmp_path / "a.plot").read_text().startswith("<svg")
     (tmp_path / "a.scenario").rename(tmp_path / "a.toml")
     flight = load_scenario(str(tmp_path / "a.toml"))
-    check_formation(flight.slots(), flight.formation.apart_m(LEAST_M))
+    flight.check_formation()
     found = json.loads(printed[: len(printed) // 2])
     for slot, told in zip(flight.slots(), found["slots"], strict=True):
         assert slot.radius_m == pytest.approx(told["radius_m"], abs=0.001)
@@ -237,9 +237,10 @@ def test_files_are_read_back_and_the_same_seed_gives_the_same_bytes(
 def test_a_follow_file_of_leader_only_is_one_that_follow_reads(tmp_path: Path) -> None:
     file = tmp_path / "two.toml"
     assert main(["plan", "2", *FEW, "--leader-only", "--out", str(file), "--json"]) == 0
-    slots, apart_m = load_formation(file, LEAST_M)
-    assert [slot.behind for slot in slots] == [None, None]
-    assert apart_m >= 3.0
+    formation = load_formation(file)
+    assert [slot.behind for slot in formation.slots] == [None, None]
+    assert formation.slot_separation_m is not None
+    assert formation.slot_separation_m >= 3.0
 
 
 def test_the_table_tells_pairs_and_losses(capsys: pytest.CaptureFixture[str]) -> None:

@@ -33,6 +33,8 @@ def test_every_scenario_of_the_demo_is_shipped_and_valid() -> None:
         "hostile",
         "many",
         *SHAPES,
+        "swarm",
+        "swarm-back",
     }
     assert all(load_scenario(name).name == name for name in names)
 

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from echowing.bench.accuracy import Kept
     from echowing.bench.laws import LawRow
     from echowing.bench.robust import Robust
+    from echowing.bench.swarm import SwarmRow
 
 EXAMPLES = """\
 examples:
@@ -30,9 +31,10 @@ examples:
   echowing bench --only accuracy      how well the distance is kept, 20 seeds, about 16 minutes
   echowing bench --only robust        the same with other sonars, receivers and heights than
                                       believed, and any two at once: 20 seeds, about an hour
+  echowing bench --only swarm --seeds 4   what holds a swarm together, about 11 minutes
 """
 
-SECTIONS = ("speed", "field", "firmware", "echoes", "laws", "accuracy", "robust")
+SECTIONS = ("speed", "field", "firmware", "echoes", "laws", "accuracy", "robust", "swarm")
 
 
 @dataclass(frozen=True)
@@ -95,6 +97,8 @@ def run(args: argparse.Namespace) -> int:
         figures += [one for kept in (*robust.rows, *robust.pairs) for one in _kept_figures(kept)]
         if not args.json:
             _print_robust(robust)
+    if "swarm" in chosen:
+        figures += _swarm(args.seeds, quiet=args.json)
     if args.json:
         print(json.dumps([_plain(figure) for figure in figures], indent=2))
     return 0
@@ -284,6 +288,29 @@ def _law_figures(table: "list[LawRow]") -> Iterator[Figure]:
         if math.isfinite(row.attacked_m):
             yield Figure(f"{name}: the same, attacked", row.attacked_m, "m", "over 0.5")
         yield Figure(f"{name}: speed changes", row.changes_per_min, "1/min")
+
+
+def _swarm(seeds: int, *, quiet: bool) -> list[Figure]:
+    """Fly them on all cores; the table in Markdown, as RESULTS.md has it."""
+    from echowing.bench.swarm import flight_count, fly_swarm, markdown  # noqa: PLC0415
+
+    with _bar("flying swarms", flight_count(seeds), quiet=quiet) as advance:
+        rows = fly_swarm(seeds, advance)
+    if not quiet:
+        print(markdown(rows))
+    return list(_swarm_figures(rows))
+
+
+def _swarm_figures(rows: "list[SwarmRow]") -> Iterator[Figure]:
+    for row in rows:
+        name, flock = f"{row.flown}, {row.way}", row.flock
+        yield Figure(f"{name}: in one piece", flock.whole, "")
+        yield Figure(f"{name}: in one piece, worst", flock.worst, "")
+        yield Figure(f"{name}: polarisation", flock.polarisation, "")
+        yield Figure(f"{name}: rotation", flock.rotation, "")
+        yield Figure(f"{name}: nearest neighbour", flock.nearest_m, "m")
+        yield Figure(f"{name}: from the centre", flock.extent_m, "m")
+        yield Figure(f"{name}: least", flock.least_m, "m", "at least 1.0", flock.least_m >= 1.0)
 
 
 def _echoes(*, quiet: bool) -> list[Figure]:

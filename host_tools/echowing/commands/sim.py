@@ -20,6 +20,7 @@ examples:
   echowing sim gray --seed 1-10 --json
   echowing sim vee --set formation.followers=6 --set formation.spacing_m=3.5
   echowing sim my-flight.toml --law hold --set gps.sigma_m=1.2
+  echowing sim swarm        followers without slots: simulated flights only, not with --serve
   echowing sim --serve 5760 --web                        watch them in a browser
   echowing sim --serve 5760 --parked --card out/cards    vehicles to try `echowing setup` on
 """

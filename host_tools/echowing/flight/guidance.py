@@ -10,6 +10,7 @@ frame mix-up behind the thesis's north-south fault (Table 8).
 import math
 from dataclasses import dataclass
 
+from echowing.flight.swarm_rules import Weights
 from echowing.geo import GlobalPosition, Ned, displace, ned_between, wrap_angle_rad
 
 Horizontal = tuple[float, float]
@@ -73,6 +74,7 @@ class GuidanceSettings:
     learn_offset: learn from the sonar how far the two receivers disagree (`flight`), move the
         leader by it, and stand off so far that `clearance_m` is left for certain
         (`cloud.Cloud.nearest_m`).
+    swarm: how followers without slots are led; None: all have slots.
     fresh_age_s, stale_age_s: the lead shrinks to nothing between these ages of the report;
         beyond the second the follower is stopped.
     """
@@ -86,6 +88,7 @@ class GuidanceSettings:
     clearance_m: float = SMALLEST_RADIUS_M
     face_leader: bool = True
     learn_offset: bool = True
+    swarm: Weights | None = None
     # Reports by telemetry radio are 0.46 to 0.71 s old, so a part of each is lost. That is room for
     # a leader that the sonar does not hear: with 0.75 s here seven of 71 flights in worlds worse
     # than believed came under 1.0 m, two of 58 with 0.5 s (`bench --only robust`: four of ten

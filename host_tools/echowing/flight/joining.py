@@ -44,9 +44,10 @@ class Joining:
         followers = list(self._known.followers.values())
         slots = [one.plan.slot for one in followers]
         number = followers.index(follower)
-        if not self._known.settings.learn_offset:
+        settings = self._known.settings
+        if not settings.learn_offset or settings.swarm is not None:
             return None
-        apart_m = receivers_demand_m(self._known.settings.clearance_m)
+        apart_m = receivers_demand_m(settings.clearance_m)
         for other, one in enumerate(followers[:number]):
             joins = one.standing.phase is Phase.LED and not one.turn.joined
             if joins and math.dist(place_m(slots, other), place_m(slots, number)) < apart_m:

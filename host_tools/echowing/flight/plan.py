@@ -19,6 +19,7 @@ from echowing.flight.leader_track import MOST_MPS2
 from echowing.flight.look import Look
 from echowing.flight.state import FollowerState, Known, Say
 from echowing.flight.steps import Plan
+from echowing.flight.swarm import Swarm
 from echowing.geo import displace, distance_m, ned_between
 
 # A leader that the sonar does not hear is approached no faster than this. A copter stops from it
@@ -61,15 +62,22 @@ UNDIRECTED = "sonar axis unknown: update firmware"
 class Planner:
     """Plans for the followers of one session.
 
-    reverses: slots leave room for a leader that turns round. say(now_s, text) is for the operator,
-    alert(system_id, text, severity) for a follower's pilot.
+    reverses: slots leave room for a leader that turns round; swarm: what leads followers that have
+    no slots. say(now_s, text) is for the operator, alert(system_id, text, severity) for a
+    follower's pilot.
     """
 
     def __init__(
-        self, known: Known, say: Say, alert: Callable[..., None], *, reverses: bool
+        self,
+        known: Known,
+        say: Say,
+        alert: Callable[..., None],
+        *,
+        reverses: bool,
+        swarm: Swarm | None = None,
     ) -> None:
         self._known, self._say, self._alert = known, say, alert
-        self._reverses = reverses
+        self._reverses, self._swarm = reverses, swarm
 
     def plan(self, follower: FollowerState, look: Look | None, now_s: float) -> Plan | None:
         """Where a follower is to be, also one that is only watched; None: that is not known."""
@@ -81,7 +89,10 @@ class Planner:
         # Until it is cleared, its limits may be on their way, and what is not known is the worst.
         if self._reverses and follower.turn.cleared:
             self._allow_for_reversal(follower, fix, now_s)
-        guided = follower.guided = planned(self._known, follower, fix, now_s)
+        if self._swarm is None:
+            guided = follower.guided = planned(self._known, follower, fix, now_s)
+        else:
+            guided = follower.guided = self._swarm.guided(follower, fix, now_s)
         self._tell_of_hearing(follower, now_s)
         yaw_rad = guided.yaw_rad
         if yaw_rad is not None and look and not follower.estimate.points(now_s):

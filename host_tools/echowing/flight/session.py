@@ -33,6 +33,7 @@ from echowing.flight.spacing import Spacing
 from echowing.flight.state import FollowerPlan, FollowerState, Known
 from echowing.flight.steps import Allowed, Command, Plan
 from echowing.flight.supervisor import Supervisor
+from echowing.flight.swarm import Swarm
 from echowing.flight.take_off import Lift, TakeOff, TakeOffs
 from echowing.flight.trust import Trust
 from echowing.geo import GlobalPosition
@@ -57,7 +58,8 @@ class FollowSession:
     `tick` is called at the rate of the guided points (thesis Table 4: 8 Hz) and returns the
     messages to send, each with the system id of the vehicle it is for. With `limits` a guard
     watches (see `guard`); while not `engaged`, points are sent only to stop what has taken off by
-    `take_off`.
+    `take_off`. Where `settings.swarm` is set, weighted rules lead the followers, and a slot only
+    says how near to the leader they come.
     """
 
     def __init__(
@@ -109,7 +111,11 @@ class FollowSession:
         )
         self._supervisor.engaged = engaged
         reverses = self.engagement is not None and self.engagement.readiness.reversal
-        self._planner = Planner(self.known, self._say, self.alert, reverses=reverses)
+        weights = settings.swarm
+        self.swarm = None if weights is None else Swarm(self.known, weights)
+        self._planner = Planner(
+            self.known, self._say, self.alert, reverses=reverses, swarm=self.swarm
+        )
         self._spacing = Spacing(self.known, self.guard, self._gives_way)
         wanted = positions(self.known, leader_rate_hz)
         if self.guard is not None:
@@ -192,6 +198,8 @@ class FollowSession:
             messages.extend(self.engagement.messages(now_s))
         if self.take_offs is not None:
             messages.extend(self._lift(self.take_offs, now_s))
+        if self.swarm is not None:
+            self.swarm.prepare(now_s)
         for follower in self.followers.values():
             self._trust.settle(follower, now_s)
             self.known.feel_wind(follower, now_s)
@@ -241,7 +249,7 @@ class FollowSession:
         self, follower: FollowerState, plan: Plan, allowed: Allowed, now_s: float
     ) -> ForApplet:
         """How its applet is to fly the point."""
-        if allowed.makes_way:
+        if allowed.makes_way or self.swarm is not None:
             return ForApplet(plan.opens_m, Manner.MAKE_WAY)
         if self.known.ahead_of(follower) is not None:
             return ForApplet(plan.opens_m, Manner.KEEP_PACE)

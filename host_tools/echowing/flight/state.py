@@ -358,6 +358,14 @@ class Known:
         """The follower that one's sonar looks at; None: it looks at the leader."""
         return self._ahead.get(follower.plan.system_id)
 
+    def watch(self, follower: FollowerState, ahead: FollowerState | None) -> None:
+        """Let its sonar look at another vehicle, of which it knows nothing; None: the leader."""
+        self._ahead.pop(follower.plan.system_id, None)
+        if ahead is not None:
+            self._ahead[follower.plan.system_id] = ahead
+        self._ways.clear()
+        follower.estimate.forget()
+
     def chain(self, follower: FollowerState) -> Iterator[FollowerState]:
         """A follower, the one its sonar looks at, and so on up to the one behind the leader."""
         one: FollowerState | None = follower

@@ -6,6 +6,7 @@ everybody, and only the physics and the recorder are told.
 """
 
 import math
+import random
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -15,7 +16,7 @@ from pathlib import Path
 from echowing.analysis.flight import Flight
 from echowing.flight.formation import place_m
 from echowing.flight.guard import FIELD_LIMITS, Limits
-from echowing.flight.guidance import MOVING_MPS
+from echowing.flight.guidance import MOVING_MPS, Horizontal
 from echowing.flight.lowest import LOWEST_M
 from echowing.flight.readiness import Readiness
 from echowing.flight.session import FollowSession
@@ -27,7 +28,7 @@ from echowing.sim.faults import SWITCH_CHANNEL, Faults
 from echowing.sim.ground import GroundStation
 from echowing.sim.hangar import FIRST_FOLLOWER_ID, LEADER_ID, Hangar
 from echowing.sim.recorder import Recorder, Sample, write_truth
-from echowing.sim.scenario import Scenario
+from echowing.sim.scenario import Scenario, SwarmSection
 from echowing.sim.vehicle.autopilot import ORIGIN, Autopilot
 from echowing.sim.world.pilots import Pilot
 from echowing.sim.world.sonar import (
@@ -81,6 +82,7 @@ class FormationWorld:
         self._step = 0
         self.leader = hangar.leader()
         self.pilot = LeaderPilot(self.leader, scenario.leader)
+        self._scattered_m = scattered_m(scenario.swarm, hangar.rng("swarm's start"))
         self.followers = [self._make_follower(i) for i in range(len(scenario.formation.slots))]
 
     @property
@@ -101,15 +103,21 @@ class FormationWorld:
             vehicle.autopilot.step(t_s)
 
     def _make_follower(self, index: int) -> SimFollower:
-        slots = self.scenario.slots()
-        starts_at = self.scenario.formation.slots[index].starts_at
         body = self.leader.body
-        number = index if starts_at is None else starts_at - 1
-        slots[number] = replace(slots[number], radius_m=slots[number].radius_m + JOIN_UP_M)
-        north_m, east_m, down_m = place_m(slots, number, body.yaw_rad)
+        north_m, east_m, down_m = self._start_m(index)
         start = body.north_m + north_m, body.east_m + east_m, body.down_m + down_m
         speed_mps = self.scenario.follower.speed_mps
         return self.hangar.follower(index, start, body.yaw_rad, speed_mps, self._listen)
+
+    def _start_m(self, index: int) -> Ned:
+        """Where a follower starts, NED from the leader."""
+        if self.scenario.swarm.followers:
+            return (*self._scattered_m[index], 0.0)
+        slots = self.scenario.slots()
+        starts_at = self.scenario.formation.slots[index].starts_at
+        number = index if starts_at is None else starts_at - 1
+        slots[number] = replace(slots[number], radius_m=slots[number].radius_m + JOIN_UP_M)
+        return place_m(slots, number, self.leader.body.yaw_rad)
 
     def _listen(self, follower: SimFollower, t_s: float) -> float | None:
         """What this follower's sonar hears now."""
@@ -311,6 +319,18 @@ def _limits(scenario: Scenario) -> Limits:
     switched = any(fault.kind == "stop_switch" for fault in scenario.fault)
     switch = StopSwitch(SWITCH_CHANNEL, SWITCH_PULSE_US) if switched else None
     return replace(FIELD_LIMITS, leader_flies=leader_flies, ready=told, switch=switch)
+
+
+def scattered_m(swarm: SwarmSection, chance: random.Random) -> list[Horizontal]:
+    """Where a swarm starts, (north, east) of a leader that heads north: anywhere behind it."""
+    places_m: list[Horizontal] = []
+    wide_m, first_m = swarm.scatter_m * math.sqrt(swarm.followers), swarm.near_m + JOIN_UP_M
+    while len(places_m) < swarm.followers:
+        back_m = first_m + chance.uniform(0.0, 1.5 * wide_m)
+        place_m = -back_m, chance.uniform(-wide_m, wide_m)
+        if all(math.dist(place_m, other_m) >= swarm.scatter_m for other_m in places_m):
+            places_m.append(place_m)
+    return places_m
 
 
 def speed_parameter_mps(autopilot: Autopilot) -> float | None:

@@ -2,7 +2,7 @@
 
 import tomllib
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
@@ -16,7 +16,8 @@ from echowing.flight.belief import SonarBelief
 from echowing.flight.build_up import LEAST_DIST_M, MOST_DIST_M
 from echowing.flight.envelope import LEAST_M
 from echowing.flight.formation import check_formation
-from echowing.flight.guidance import GRAY, GuidanceSettings, Slot
+from echowing.flight.guidance import GRAY, SMALLEST_RADIUS_M, GuidanceSettings, Slot
+from echowing.flight.swarm_rules import Weights
 from echowing.section import NotNegative, Positive, Section, Share, section_of
 from echowing.setup.applet import applet_path, parameters_in
 from echowing.sim.fault_section import LEADER_FAULTS, FaultSection, objection
@@ -31,6 +32,7 @@ from echowing.tool.formation_file import FormationSection
 # the other one does (lua/echowing.md).
 SPEED_LAWS = {"thesis": 0, "bands": 1}
 LAWS = (*SPEED_LAWS, "hold")
+MOST_OF_A_SWARM = 50
 OWN_LAW = ".lua"  # how the name of a user's applet ends
 LeaderPath = Literal[
     "rectangle", "circle", "figure-eight", "stop-and-go", "script", "walk", "track"
@@ -347,6 +349,58 @@ class WallSection(Section):
     """Height above home."""
 
 
+_RULES = Weights()
+_NUMBERS = tuple(one.name for one in fields(Weights))
+
+
+class SwarmSection(Section):
+    """Followers without slots, led by weighted rules, not a formation ([page](SWARM.md))."""
+
+    followers: Annotated[int, Field(ge=0, le=MOST_OF_A_SWARM)] = 0
+    """How many; 0: there is a formation, and no swarm."""
+    scatter_m: Positive = 6.0
+    """At the start neighbours are so far apart and more, anywhere behind the leader."""
+
+    align: Share = _RULES.align
+    """Share of the towed centre's velocity in a follower's own; the rest is its neighbours'."""
+    towards_per_s: NotNegative = _RULES.towards_per_s
+    """Weight of `cluster towards`: to the middle of the neighbours."""
+    away_per_s: NotNegative = _RULES.away_per_s
+    """Weight of `cluster away`: from who is, or may be, too near."""
+    attract_per_s: NotNegative = _RULES.attract_per_s
+    """Weight of `attract`: to the swarm's place behind the leader."""
+    repel_per_s: NotNegative = _RULES.repel_per_s
+    """Weight of `repel`: from a leader nearer than `near_m`."""
+    evade_per_s: NotNegative = _RULES.evade_per_s
+    """Weight of `evade`: aside from who comes too near within `evade_s`."""
+    switch: Annotated[float, Field(ge=1.0)] = _RULES.switch
+    """By so much more `towards_per_s` counts while the swarm may split; 1: it does not change."""
+    near_m: Annotated[float, Field(ge=SMALLEST_RADIUS_M)] = _RULES.near_m
+    """Nobody wants to be nearer to anybody; the applets' `ECHO_DIST`."""
+    apart_m: Positive = _RULES.apart_m
+    """Nor for certain nearer than this."""
+    room_m: Positive = _RULES.room_m
+    """Between neighbours, about: from it follows how far behind the leader the centre is."""
+    sees_m: Positive = _RULES.sees_m
+    """Who is further away is no neighbour."""
+    evade_s: NotNegative = _RULES.evade_s
+    """How far ahead a meeting is foreseen."""
+    most_mps: Positive = _RULES.most_mps
+    """All rules but `align` together, at most."""
+    draws_mps: Positive = _RULES.draws_mps
+    """What draws together, `cluster towards` and `attract`, at most."""
+    eases_mps2: Positive = _RULES.eases_mps2
+    """How fast what the rules add may change."""
+
+    def weights(self) -> Weights:
+        """The same for the rules."""
+        return Weights(**{name: getattr(self, name) for name in _NUMBERS})
+
+    def slot(self) -> Slot:
+        """What stands for the slot of each follower: how near to the leader it comes."""
+        return Slot(self.near_m)
+
+
 class Scenario(Section):
     """One flight to be flown."""
 
@@ -367,6 +421,8 @@ class Scenario(Section):
     """The leader."""
     formation: FormationSection = FormationSection()
     """Who flies where."""
+    swarm: SwarmSection = SwarmSection()
+    """Who flies without a slot."""
     guidance: GuidanceSection = GuidanceSection()
     """How points are made."""
     follower: FollowerSection = FollowerSection()
@@ -399,6 +455,29 @@ class Scenario(Section):
             return law
         names = ", ".join(map(repr, ("none", *LAWS)))
         raise ValueError(f"give {names} or a {OWN_LAW} file")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_places(cls, table: Any) -> Any:
+        """Give each follower of a swarm what stands for its slot, where that can be read."""
+        swarm = table.get("swarm") if isinstance(table, dict) else None
+        if not isinstance(swarm, dict) or "formation" in table:
+            return table
+        number, near_m = swarm.get("followers"), swarm.get("near_m", _RULES.near_m)
+        if not isinstance(number, int) or not 0 < number <= MOST_OF_A_SWARM:
+            return table
+        return {**table, "formation": {"slots": [{"radius_m": near_m}] * number}}
+
+    @model_validator(mode="after")
+    def _is_swarm_alone(self) -> "Scenario":
+        if not self.swarm.followers:
+            return self
+        places = [self.swarm.slot()] * self.swarm.followers
+        if self.slots() != places:
+            raise ValueError("a swarm has no slots: remove the formation, or the swarm")
+        if not self.takes_velocity or not self.guidance.settings().feed_forward:
+            raise ValueError("a swarm needs points with a velocity: law hold or none, without gray")
+        return self
 
     @model_validator(mode="after")
     def _flyable(self) -> "Scenario":
@@ -451,6 +530,8 @@ class Scenario(Section):
     def guidance_settings(self) -> GuidanceSettings:
         """How points are made; those of a speed law have no velocity."""
         settings = self.guidance.settings()
+        if self.swarm.followers:
+            settings = replace(settings, swarm=self.swarm.weights())
         return settings if self.takes_velocity else replace(settings, feed_forward=False)
 
     @cached_property
@@ -551,7 +632,8 @@ def scenario_of(table: Mapping[str, Any], source: str) -> Scenario:
         raise EchowingError("\n".join(f"{source}: {line}" for line in wrong))
     try:
         _ = scenario.sonar_belief  # a file of the user's
-        scenario.check_formation()
+        if not scenario.swarm.followers:
+            scenario.check_formation()
     except EchowingError as error:
         raise EchowingError(f"{source}: {error}") from error
     return scenario

@@ -116,6 +116,8 @@ def serve(
     """
     if scenario.kind != "formation":
         raise EchowingError(f"--serve: scenario {scenario.name} has no leader and followers")
+    if scenario.swarm.followers:
+        raise EchowingError("--serve: a swarm is for simulated flights: `follow` leads slots only")
     if scenario.fault:
         raise EchowingError(f"--serve: the faults of {scenario.name} are flown without it only")
     _check_ports(port, 1 + len(scenario.slots()))
