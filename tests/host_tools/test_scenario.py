@@ -35,6 +35,7 @@ def test_every_scenario_of_the_demo_is_shipped_and_valid() -> None:
         *SHAPES,
         "swarm",
         "swarm-back",
+        "column-back",
     }
     assert all(load_scenario(name).name == name for name in names)
 

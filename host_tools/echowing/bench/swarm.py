@@ -5,10 +5,8 @@ parts together or do not (S. K. Lee and J. McLurkin, IROS 2014). Figures count f
 has gathered.
 """
 
-import os
 import statistics
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -21,6 +19,7 @@ from echowing.analysis.flock import (
     polarisation,
     rotation,
 )
+from echowing.bench.pool import flown
 from echowing.flight.swarm import LINK_M
 from echowing.sim.flight import FlightResult, FormationFlight
 from echowing.sim.scenario import load_scenario
@@ -80,21 +79,18 @@ def fly_swarm(
 ) -> list[SwarmRow]:
     """Fly every row with `seeds` seeds; `advance` is called after each flight."""
     rows = [(scenario, way) for scenario in SCENARIOS for way in WAYS]
-    numbers = range(first_seed, first_seed + seeds)
-    with ProcessPoolExecutor(jobs or os.cpu_count()) as pool:
-        futures = [[pool.submit(fly_one, *row, seed) for seed in numbers] for row in rows]
-        for _ in as_completed(one for of_row in futures for one in of_row):
-            advance()
+    flights = flown(fly_one, rows, range(first_seed, first_seed + seeds), advance, jobs)
     return [
-        SwarmRow(SCENARIOS[scenario], way, seeds, pooled([one.result() for one in of_row]))
-        for (scenario, way), of_row in zip(rows, futures, strict=True)
+        SwarmRow(SCENARIOS[scenario], way, seeds, pooled(of_row))
+        for (scenario, way), of_row in zip(rows, flights, strict=True)
     ]
 
 
-def fly_one(scenario: str, way: str, seed: int) -> Flock:
-    """One flight of a row."""
-    flown = load_scenario(scenario, [f"duration_s={DURATION_S}", *WAYS[way]])
-    return flock(FormationFlight(flown, seed).run())
+def fly_one(row: tuple[str, str], seed: int) -> Flock:
+    """One flight of a row: a scenario, and which way."""
+    scenario, way = row
+    scene = load_scenario(scenario, [f"duration_s={DURATION_S}", *WAYS[way]])
+    return flock(FormationFlight(scene, seed).run())
 
 
 def flock(result: FlightResult) -> Flock:
@@ -117,9 +113,9 @@ def flock(result: FlightResult) -> Flock:
     )
 
 
-def pooled(flown: list[Flock]) -> Flock:
+def pooled(flocks: list[Flock]) -> Flock:
     """Several flights as one: means, and the least of what is a least."""
-    values = {one.name: [getattr(each, one.name) for each in flown] for one in fields(Flock)}
+    values = {one.name: [getattr(each, one.name) for each in flocks] for one in fields(Flock)}
     return Flock(
         **{
             name: min(of_all) if name in ("worst", "least_m") else statistics.mean(of_all)

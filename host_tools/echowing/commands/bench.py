@@ -10,12 +10,14 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from echowing.errors import EchowingError
 
 if TYPE_CHECKING:
     from echowing.bench.accuracy import Kept
+    from echowing.bench.formations import FormationRow
     from echowing.bench.laws import LawRow
     from echowing.bench.robust import Robust
     from echowing.bench.swarm import SwarmRow
@@ -31,10 +33,21 @@ examples:
   echowing bench --only accuracy      how well the distance is kept, 20 seeds, about 16 minutes
   echowing bench --only robust        the same with other sonars, receivers and heights than
                                       believed, and any two at once: 20 seeds, about an hour
+  echowing bench --only formations --seeds 4   columns, vees and others, about 15 minutes
   echowing bench --only swarm --seeds 4   what holds a swarm together, about 11 minutes
 """
 
-SECTIONS = ("speed", "field", "firmware", "echoes", "laws", "accuracy", "robust", "swarm")
+SECTIONS = (
+    "speed",
+    "field",
+    "firmware",
+    "echoes",
+    "laws",
+    "accuracy",
+    "robust",
+    "swarm",
+    "formations",
+)
 
 
 @dataclass(frozen=True)
@@ -80,8 +93,6 @@ def run(args: argparse.Namespace) -> int:
         _print(figures)
         if "field" in chosen:
             _print_definition()
-    if "echoes" in chosen:
-        figures += _echoes(quiet=args.json)
     if "laws" in chosen:
         table = _fly_laws(args.seeds, args.law, quiet=args.json)
         figures += _law_figures(table)
@@ -97,8 +108,12 @@ def run(args: argparse.Namespace) -> int:
         figures += [one for kept in (*robust.rows, *robust.pairs) for one in _kept_figures(kept)]
         if not args.json:
             _print_robust(robust)
-    if "swarm" in chosen:
-        figures += _swarm(args.seeds, quiet=args.json)
+    tables: dict[str, Callable[[], list[Figure]]] = {
+        "echoes": partial(_echoes, quiet=args.json),
+        "swarm": partial(_swarm, args.seeds, quiet=args.json),
+        "formations": partial(_formations, args.seeds, quiet=args.json),
+    }
+    figures += [figure for name in chosen if name in tables for figure in tables[name]()]
     if args.json:
         print(json.dumps([_plain(figure) for figure in figures], indent=2))
     return 0
@@ -311,6 +326,29 @@ def _swarm_figures(rows: "list[SwarmRow]") -> Iterator[Figure]:
         yield Figure(f"{name}: nearest neighbour", flock.nearest_m, "m")
         yield Figure(f"{name}: from the centre", flock.extent_m, "m")
         yield Figure(f"{name}: least", flock.least_m, "m", "at least 1.0", flock.least_m >= 1.0)
+
+
+def _formations(seeds: int, *, quiet: bool) -> list[Figure]:
+    """Fly them on all cores; the table in Markdown, as RESULTS.md has it."""
+    from echowing.bench.formations import flight_count, fly_formations, markdown  # noqa: PLC0415
+
+    with _bar("flying formations", flight_count(seeds), quiet=quiet) as advance:
+        rows = fly_formations(seeds, advance)
+    if not quiet:
+        print(markdown(rows))
+    return list(_formation_figures(rows))
+
+
+def _formation_figures(rows: "list[FormationRow]") -> Iterator[Figure]:
+    for row in rows:
+        name, goal = row.row.name, row.row.goal
+        for number, (error_m, rmsd_m) in enumerate(
+            zip(row.mean_errors_m, row.rmsds_m, strict=True), 1
+        ):
+            yield Figure(f"{name}: gap {number}, mean error", error_m, "m")
+            yield Figure(f"{name}: gap {number}, RMSD", rmsd_m, "m")
+        met = row.least_m >= goal.least_m
+        yield Figure(f"{name}: least", row.least_m, "m", f"at least {goal.least_m:.1f}", met)
 
 
 def _echoes(*, quiet: bool) -> list[Figure]:
