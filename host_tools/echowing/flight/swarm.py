@@ -52,7 +52,6 @@ class Swarm:
 
     def __init__(self, known: Known, weights: Weights) -> None:
         self._known, self.weights = known, weights
-        # In a slot who is ahead is known beforehand; here anybody may be.
         self.clusters = False
         self._cut_at_s = -math.inf
         self._since_s: dict[int, float] = {}
