@@ -10,7 +10,6 @@ import pytest
 from echowing.errors import EchowingError
 from echowing.flight.envelope import (
     FASTEST_MPS,
-    SURE_SIGMAS,
     Answer,
     Other,
     certain_distance_m,
@@ -216,17 +215,6 @@ def test_it_looks_at_whom_it_watches_and_flies_no_faster_than_is_flown() -> None
     guided = swarm.guided(second, fix, 0.1)
     assert guided.yaw_rad == pytest.approx(math.atan2(-3.0, 4.0), abs=0.01)
     assert math.hypot(*guided.velocity_mps) == pytest.approx(FASTEST_MPS)
-
-
-def test_in_a_crowd_a_range_that_may_be_anothers_counts_for_nothing() -> None:
-    """With the sigma of formations sonars took others for whom they watched: 0.34 m were left."""
-    told = three((-4.0, 0.0), (-8.0, 3.0), (-8.0, -3.0))
-    first = told.follower
-    before_m = [one.sigma_m for one in told.known._beside(first)]
-    Swarm(told.known, WEIGHTS)
-    after_m = [one.sigma_m for one in told.known._beside(first)]
-    assert len(before_m) == 2
-    assert after_m == pytest.approx([SURE_SIGMAS * sigma_m for sigma_m in before_m])
 
 
 def test_what_was_learnt_of_one_is_not_believed_of_the_next() -> None:

@@ -101,7 +101,7 @@ def test_a_new_vehicle_is_made_ready(parked: Served, tmp_path: Path) -> None:
     assert tool.exit_code(SET_UP_S) == 0, tool.lines
     said = "\n".join(tool.lines)
     assert f"Write these to vehicle {FOLLOWER} on " in said
-    assert "WPNAV_ACCEL and PSC_JERK_XY and ANGLE_MAX: in Auto and RTL, too" in said
+    assert "WPNAV_ACCEL, PSC_JERK_XY, ANGLE_MAX: in Auto and RTL, too" in said
     assert "FS_GCS_ENABLE     0 stays; it is yours to decide" in said
     assert "it has restarted" in said
     assert "all is set; next: echowing setup check" in said

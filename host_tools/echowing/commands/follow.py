@@ -1,6 +1,7 @@
 """`echowing follow`: guide real followers behind a real leader."""
 
 import argparse
+import json
 import math
 import sys
 import time
@@ -450,7 +451,7 @@ def _slots(
         raise EchowingError(f"{where}{error}") from error
     if len(slots) > 1:
         for line in said:
-            print(f"echowing: {line}", file=sys.stderr)
+            print(json.dumps({"time_s": 0.0, "event": line}) if args.json else f"echowing: {line}")
     nearest_m = min(radii_m, default=min(slot.radius_m for slot in slots))
     if nearest_m <= args.min_separation:
         raise EchowingError(
