@@ -34,7 +34,7 @@ def test_gaps_are_pooled_one_by_one_and_the_least_is_that_of_any_flight() -> Non
 def test_a_row_is_flown_and_printed(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    row = replace(ROWS[0], changes=("duration_s=12", "formation.followers=2"))
+    row = replace(ROWS[0], changes=("duration_s=12", "formation.followers=2"), joined_s=8.0)
     (flown,) = fly_formations(1, lambda: None, [row])
     (flight,) = flown.flights
     assert len(flight.mean_errors_m) == 2
