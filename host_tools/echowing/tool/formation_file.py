@@ -16,7 +16,10 @@ from echowing.flight.shapes import MOST_FOLLOWERS, Shape, shape
 from echowing.section import Positive, Section, section_of
 
 # Of 32 formations that were flown 5 came under 1.0 m (RESULTS.md, "Formations").
-ONLY_SIMULATED = "a slot has `behind`, which is for simulated flights: such formations are not kept 1 m apart in each flight yet"
+ONLY_SIMULATED = (
+    "a slot has `behind`, which is for simulated flights: such formations are not kept 1 m apart "
+    "in each flight yet"
+)
 SHAPE_KEYS = ("shape", "followers", "spacing_m")
 
 
