@@ -451,7 +451,10 @@ def _slots(
         raise EchowingError(f"{where}{error}") from error
     if len(slots) > 1:
         for line in said:
-            print(json.dumps({"time_s": 0.0, "event": line}) if args.json else f"echowing: {line}")
+            if args.json:
+                print(json.dumps({"time_s": 0.0, "event": line}))
+            else:
+                print(f"echowing: {line}", file=sys.stderr)
     nearest_m = min(radii_m, default=min(slot.radius_m for slot in slots))
     if nearest_m <= args.min_separation:
         raise EchowingError(
