@@ -11,13 +11,12 @@ what the rest of the product leaves, and with the estimate's own uncertainty wha
 """
 
 import math
-import os
 import statistics
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 
 from echowing.analysis.metrics import approach_s, found_s, metrics, within_s
+from echowing.bench.pool import flown
 from echowing.flight.belief import SonarBelief
 from echowing.flight.cloud import Cloud
 from echowing.flight.guidance import Horizontal
@@ -187,17 +186,14 @@ def fly_rows(
     """
     numbers = range(first_seed, first_seed + seeds)
     ways = (False, True) if known else (False,)
-    with ProcessPoolExecutor(os.cpu_count()) as pool:
-        futures = [
-            [[pool.submit(fly_row, row, seed, known=way) for seed in numbers] for way in ways]
-            for row in rows
-        ]
-        for _ in as_completed(one for of_row in futures for of_way in of_row for one in of_way):
-            advance()
-    return [
-        Kept(row, *(tuple(one.result() for one in of_way) for of_way in of_row))
-        for row, of_row in zip(rows, futures, strict=True)
-    ]
+    flights = flown(_fly_way, [(row, way) for row in rows for way in ways], numbers, advance)
+    each = iter(map(tuple, flights))
+    return [Kept(row, *(next(each) for _ in ways)) for row in rows]
+
+
+def _fly_way(row_and_way: tuple[Row, bool], seed: int) -> Flown:
+    row, known = row_and_way
+    return fly_row(row, seed, known=known)
 
 
 def fly_row(row: Row, seed: int, changes: Sequence[str] = (), *, known: bool = False) -> Flown:

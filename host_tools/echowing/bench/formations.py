@@ -24,8 +24,6 @@ TWELVE = ("formation.followers=12", "duration_s=200")
 JOINED_S, TWELVE_JOINED_S = 60.0, 120.0
 SLOW, QUICK = "radio.leader.latency_s=0.46", "radio.leader.latency_s=0.05"
 WINDY = ("wind.speed_mps=6", "gps.vertical_sigma_m=0.5")
-
-
 KEPT = Goal(0.15, 0.25, 1.2)
 
 

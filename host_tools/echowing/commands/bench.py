@@ -93,23 +93,11 @@ def run(args: argparse.Namespace) -> int:
         _print(figures)
         if "field" in chosen:
             _print_definition()
-    if "laws" in chosen:
-        table = _fly_laws(args.seeds, args.law, quiet=args.json)
-        figures += _law_figures(table)
-        if not args.json:
-            _print_laws(table)
-    if "accuracy" in chosen:
-        kept = _fly_accuracy(args.seeds, quiet=args.json)
-        figures += _accuracy_figures(kept)
-        if not args.json:
-            _print_accuracy(kept)
-    if "robust" in chosen:
-        robust = _fly_robust(args.seeds, quiet=args.json)
-        figures += [one for kept in (*robust.rows, *robust.pairs) for one in _kept_figures(kept)]
-        if not args.json:
-            _print_robust(robust)
     tables: dict[str, Callable[[], list[Figure]]] = {
         "echoes": partial(_echoes, quiet=args.json),
+        "laws": partial(_laws, args.seeds, args.law, quiet=args.json),
+        "accuracy": partial(_accuracy, args.seeds, quiet=args.json),
+        "robust": partial(_robust, args.seeds, quiet=args.json),
         "swarm": partial(_swarm, args.seeds, quiet=args.json),
         "formations": partial(_formations, args.seeds, quiet=args.json),
     }
@@ -143,7 +131,7 @@ def _print_definition() -> None:
     Console().print(DEFINITION, highlight=False)
 
 
-def _fly_laws(seeds: int, own: list[str], *, quiet: bool) -> "list[LawRow]":
+def _laws(seeds: int, own: list[str], *, quiet: bool) -> list[Figure]:
     """Fly them on all cores, and beside them the user's own."""
     from echowing.bench.laws import flight_count, fly_laws  # noqa: PLC0415
     from echowing.sim.scenario import LAWS, load_scenario  # noqa: PLC0415
@@ -152,23 +140,32 @@ def _fly_laws(seeds: int, own: list[str], *, quiet: bool) -> "list[LawRow]":
     for law in own:
         load_scenario("echowing", [f'law="{law}"'])  # what is wrong with it shows at once
     with _bar("flying the laws", flight_count(seeds, laws), quiet=quiet) as advance:
-        return fly_laws(seeds, advance, laws=laws)
+        table = fly_laws(seeds, advance, laws=laws)
+    if not quiet:
+        _print_laws(table)
+    return list(_law_figures(table))
 
 
-def _fly_accuracy(seeds: int, *, quiet: bool) -> "list[Kept]":
+def _accuracy(seeds: int, *, quiet: bool) -> list[Figure]:
     """Fly them on all cores."""
     from echowing.bench.accuracy import flight_count, fly_accuracy  # noqa: PLC0415
 
     with _bar("flying for accuracy", flight_count(seeds), quiet=quiet) as advance:
-        return fly_accuracy(seeds, advance)
+        kept = fly_accuracy(seeds, advance)
+    if not quiet:
+        _print_accuracy(kept)
+    return list(_accuracy_figures(kept))
 
 
-def _fly_robust(seeds: int, *, quiet: bool) -> "Robust":
+def _robust(seeds: int, *, quiet: bool) -> list[Figure]:
     """Fly them on all cores."""
     from echowing.bench.robust import flight_count, fly_robust  # noqa: PLC0415
 
     with _bar("flying in other worlds", flight_count(seeds), quiet=quiet) as advance:
-        return fly_robust(seeds, advance)
+        robust = fly_robust(seeds, advance)
+    if not quiet:
+        _print_robust(robust)
+    return [one for kept in (*robust.rows, *robust.pairs) for one in _kept_figures(kept)]
 
 
 @contextmanager

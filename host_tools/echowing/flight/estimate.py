@@ -67,14 +67,14 @@ class Beside:
     """Another vehicle that the sonar may hear.
 
     history: its reports; shift_m: what its receiver and that of whom the sonar looks at are known
-    to disagree by, (north, east), added to its place; where it is `ranged_by` this one or one
-    behind it: its receiver and ours. sigma_m: standard deviation of that.
+    to disagree by, (north, east), added to its place, so that a guess moves it as that one; where
+    not `moves`: its receiver and ours. sigma_m: standard deviation of that.
     """
 
     history: History
     shift_m: Horizontal
     sigma_m: float
-    ranged_by: bool = False
+    moves: bool = True
 
 
 class Estimate:
@@ -214,11 +214,11 @@ class Estimate:
             to_it_m = between_m(self.history, other.history, time_s)
             if to_it_m is None:
                 continue
-            jumped_m = (0.0, 0.0) if other.ranged_by else self.jumped_m
+            jumped_m = self.jumped_m if other.moves else (0.0, 0.0)
             north_m = to_it_m[0] + other.shift_m[0] - jumped_m[0]
             east_m = to_it_m[1] + other.shift_m[1] - jumped_m[1]
             place = (north_m, east_m, to_it_m[2])
-            found.append(Bystander(place, other.sigma_m, moves=not other.ranged_by))
+            found.append(Bystander(place, other.sigma_m, other.moves))
         return found
 
     def _to_leader_m(self, one: AlignedReading) -> Horizontal:

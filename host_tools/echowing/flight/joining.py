@@ -48,8 +48,9 @@ class Joining:
         if not settings.learn_offset or settings.swarm is not None:
             return None
         apart_m = receivers_demand_m(settings.clearance_m)
+        here_m = place_m(slots, number)
         for other, one in enumerate(followers[:number]):
             joins = one.standing.phase is Phase.LED and not one.turn.joined
-            if joins and math.dist(place_m(slots, other), place_m(slots, number)) < apart_m:
+            if joins and math.dist(place_m(slots, other), here_m) < apart_m:
                 return one
         return None

@@ -88,7 +88,8 @@ class Spacing:
         self, follower: FollowerState, here: GlobalPosition, now_s: float, arrives_s: float
     ) -> Iterator[Other]:
         """The leader where it is seen, and where it is if receivers that have jumped erred."""
-        known = self._known
+        known, least_m = self._known, self._least_m
+        assert least_m is not None
         leader = known.leader_then(follower, arrives_s)
         # Of a stale leader only an old place is known. By now it may be anywhere: to fly away from
         # all of that is no safer than to stand.
@@ -101,16 +102,12 @@ class Spacing:
                 LEADER,
                 self._between_m(known.leader_id, place, follower, here),
                 leader.velocity_ned_mps,
-                self._nearer_m(follower, ned_between(here, place)) if ranged else unsure_m,
+                known.nearer_m(follower, ned_between(here, place)[:2], least_m)
+                if ranged
+                else unsure_m,
                 known.leader_age_s(arrives_s),
                 brakes_mps2=0.0 if self._looks_for_it(follower, now_s) else OTHERS_MPS2,
             )
-
-    def _nearer_m(self, follower: FollowerState, to_it_m: Ned) -> float:
-        """By how much the vehicle that its sonar looks at may be nearer than it is believed."""
-        assert self._least_m is not None
-        nearest_m = self._known.nearest_m(follower, to_it_m[:2], self._least_m)
-        return max(0.0, nearest_m - self._least_m)
 
     def _looks_for_it(self, follower: FollowerState, now_s: float) -> bool:
         """Whether its sonar is still to find the leader.
@@ -149,7 +146,8 @@ class Spacing:
         if there is None:
             return
         mine, its = follower.own_jump.total_m, other.own_jump.total_m
-        seen, unsure_m = self._seen(follower, here, other, there)
+        assert self._least_m is not None
+        seen, unsure_m = self._known.seen(follower, here, other, there, self._least_m)
         for place in (seen, *_if_erred(there, (mine[0] - its[0], mine[1] - its[1]))):
             yield Other(
                 f"follower {system_id}",
@@ -161,23 +159,6 @@ class Spacing:
                 # Its applet flies it, and knows of nobody beside it.
                 led=other.standing.sent_to and not by_itself,
             )
-
-    def _seen(
-        self,
-        follower: FollowerState,
-        here: GlobalPosition,
-        other: FollowerState,
-        there: GlobalPosition,
-    ) -> tuple[GlobalPosition, float]:
-        """Where another follower is in this one's frame; by how much it may be nearer than that."""
-        seen, sigma_m = self._known.apart(follower, other, there)
-        unsure_m = SURE_SIGMAS * sigma_m
-        if self._known.ahead_of(follower) is other:
-            return seen, min(unsure_m, self._nearer_m(follower, ned_between(here, seen)))
-        if self._known.ahead_of(other) is follower:
-            north_m, east_m, down_m = ned_between(here, seen)
-            return seen, min(unsure_m, self._nearer_m(other, (-north_m, -east_m, -down_m)))
-        return seen, unsure_m
 
     def _between_m(
         self, system_id: int, there: GlobalPosition, follower: FollowerState, here: GlobalPosition

@@ -14,6 +14,7 @@ from echowing.flight.alignment import History, Report
 from echowing.flight.axis import axis_of
 from echowing.flight.belief import SonarBelief
 from echowing.flight.cloud import Wandering
+from echowing.flight.envelope import SURE_SIGMAS
 from echowing.flight.estimate import LONGEST_CARRY_S, Beside, Estimate, carried_on
 from echowing.flight.guidance import (
     GuidanceSettings,
@@ -159,6 +160,11 @@ class FollowerState:
     def opens_m(self) -> float:
         """The distance its slot has opened to, for a leader that may turn round; 0: it has not."""
         return self.reversal_m if self.reversal_m > self.plan.slot.radius_m else 0.0
+
+    @property
+    def doubted(self) -> bool:
+        """Whether nobody may follow it, as it is held for good or its position jumps."""
+        return self.turn.latched is not None or self.own_jump.since_s is not None
 
     @property
     def guided_mode(self) -> bool:
@@ -477,9 +483,7 @@ class Known:
             (north_m, east_m), (its_north_m, its_east_m) = _shift_m(links), _shift_m(its)
             shift_m = its_north_m - north_m, its_east_m - east_m
             sigma_m = self.sigma_m((*links, *its))
-            yield Beside(
-                other.estimate.history, shift_m, sigma_m, ranged_by=len(links) == len(mine)
-            )
+            yield Beside(other.estimate.history, shift_m, sigma_m, moves=len(links) < len(mine))
 
     def sigma_m(self, links: Iterable[FollowerState]) -> float:
         """Standard deviation of what is known over the sonars of these followers."""
@@ -520,6 +524,28 @@ class Known:
         """
         above_m = self.watched_above_m(follower)
         return follower.estimate.offset.nearest_m(to_it_m, above_m, clear_m)
+
+    def nearer_m(self, follower: FollowerState, to_it_m: Horizontal, clear_m: float) -> float:
+        """By how much whom its sonar looks at may be nearer than it is believed."""
+        return max(0.0, self.nearest_m(follower, to_it_m, clear_m) - clear_m)
+
+    def seen(
+        self,
+        follower: FollowerState,
+        here: GlobalPosition,
+        other: FollowerState,
+        there: GlobalPosition,
+        clear_m: float,
+    ) -> tuple[GlobalPosition, float]:
+        """Where another follower is in this one's frame; by how much it may be nearer than that."""
+        seen, sigma_m = self.apart(follower, other, there)
+        unsure_m = SURE_SIGMAS * sigma_m
+        north_m, east_m, _ = ned_between(here, seen)
+        if self.ahead_of(follower) is other:
+            unsure_m = min(unsure_m, self.nearer_m(follower, (north_m, east_m), clear_m))
+        elif self.ahead_of(other) is follower:
+            unsure_m = min(unsure_m, self.nearer_m(other, (-north_m, -east_m), clear_m))
+        return seen, unsure_m
 
     def doubted_m(self, follower: FollowerState) -> Horizontal:
         """How far off a follower sees its leader, (north, east), if all jumps were errors.

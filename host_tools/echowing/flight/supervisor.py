@@ -141,7 +141,7 @@ class Supervisor:
 
     def _doubted(self, follower: FollowerState, now_s: float) -> Why:
         """Why its data, or the leader's, cannot be trusted."""
-        if follower.turn.latched is not None or follower.own_jump.since_s is not None:
+        if follower.doubted:
             return follower.turn.latched or "its position jumps"
         if self._engagement is None or not follower.turn.cleared:
             return None
@@ -162,8 +162,7 @@ class Supervisor:
         name = f"follower {ahead.plan.system_id} ahead of it"
         if not ahead.standing.sent_to:
             return f"{name} is not led"
-        doubted = ahead.turn.latched is not None or ahead.own_jump.since_s is not None
-        return f"{name} holds: {ahead.standing.why}" if doubted else None
+        return f"{name} holds: {ahead.standing.why}" if ahead.doubted else None
 
     RULES: ClassVar = (
         (Phase.LIFTED, _lifting),

@@ -166,7 +166,7 @@ class Swarm:
         sigma_m = min(UNRANGED_SIGMA_M, known.sigma_m(known.chain(follower)))
         unsure_m = SURE_SIGMAS * sigma_m
         if known.ahead_of(follower) is None:
-            unsure_m = min(unsure_m, self._nearer_m(follower, to_it_m))
+            unsure_m = min(unsure_m, known.nearer_m(follower, to_it_m, self.weights.apart_m))
         return Seen(to_it_m, leader.velocity_ned_mps[:2], unsure_m)
 
     def _others(self, follower: FollowerState, here: GlobalPosition, at_s: float) -> Iterator[Seen]:
@@ -176,25 +176,14 @@ class Swarm:
             there = other.then(at_s)
             if other is follower or there is None or not other.flying:
                 continue
-            seen, sigma_m = known.apart(follower, other, there)
-            to_it_m, unsure_m = ned_between(here, seen)[:2], SURE_SIGMAS * sigma_m
-            if known.ahead_of(follower) is other:
-                unsure_m = min(unsure_m, self._nearer_m(follower, to_it_m))
-            elif known.ahead_of(other) is follower:
-                back_m = -to_it_m[0], -to_it_m[1]
-                unsure_m = min(unsure_m, self._nearer_m(other, back_m))
+            seen, unsure_m = known.seen(follower, here, other, there, self.weights.apart_m)
+            to_it_m = ned_between(here, seen)[:2]
             yield Seen(to_it_m, other.velocity_then(at_s), unsure_m)
-
-    def _nearer_m(self, follower: FollowerState, to_it_m: Horizontal) -> float:
-        """By how much the vehicle that its sonar watches may be nearer than it is believed."""
-        apart_m = self.weights.apart_m
-        return max(0.0, self._known.nearest_m(follower, to_it_m, apart_m) - apart_m)
 
 
 def _is_led(follower: FollowerState) -> bool:
     """Whether another may follow it (as `Supervisor` asks)."""
-    doubted = follower.turn.latched is not None or follower.own_jump.since_s is not None
-    return follower.standing.sent_to and not doubted
+    return follower.standing.sent_to and not follower.doubted
 
 
 def links(places: dict[int, GlobalPosition]) -> "nx.Graph[int]":

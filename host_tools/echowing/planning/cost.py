@@ -11,6 +11,7 @@ from echowing.flight.belief import SonarBelief
 from echowing.flight.envelope import LEAST_M, SURE_SIGMAS
 from echowing.flight.formation import IN_SLOT_M
 from echowing.flight.guidance import Slot
+from echowing.flight.shapes import MOST_FOLLOWERS
 from echowing.flight.state import UNRANGED_SIGMA_M
 from echowing.planning.ties import (
     ALONG_SIGMA_M,
@@ -26,7 +27,6 @@ from echowing.planning.ties import (
     without_spare_m,
 )
 
-MOST_FOLLOWERS = 12
 MOST_SHARE = math.nextafter(1.0, 0.0)
 # A centimetre off a limit is on it.
 ON_LIMIT_M = 0.01
