@@ -100,6 +100,14 @@ def test_the_speed_of_a_line_does_not_fade_between_two_reports() -> None:
     assert second.velocity_mps[0] == pytest.approx(2.0)
 
 
+def test_with_nobody_behind_it_a_follower_holds_its_distance() -> None:
+    plans = [FollowerPlan(LEADER + n, Slot(3.0, n), sonar=shipped_sonar()) for n in (1, 2)]
+    session = FollowSession(LEADER, plans, GuidanceSettings())
+    free, plan = Allowed(HERE, (2.0, 0.0)), Plan(HERE, (2.0, 0.0))
+    for follower in session.followers.values():
+        assert session._for_applet(follower, plan, free, 10.0) == ForApplet(0.0, Manner.HOLD)
+
+
 def test_who_is_behind_another_follower_keeps_its_pace() -> None:
     plans = [
         FollowerPlan(LEADER + 1, Slot(3.0), sonar=shipped_sonar()),
@@ -109,7 +117,7 @@ def test_who_is_behind_another_follower_keeps_its_pace() -> None:
     first, second = session.followers.values()
     free, gives_way = Allowed(HERE, (2.0, 0.0)), Allowed(HERE, (2.0, 0.0), "follower 4")
     plan = Plan(HERE, (2.0, 0.0), opens_m=3.4)
-    assert session._for_applet(first, plan, free, 10.0) == ForApplet(3.4, Manner.HOLD)
+    assert session._for_applet(first, plan, free, 10.0) == ForApplet(3.4, Manner.HEAD)
     assert session._for_applet(second, plan, free, 10.0) == ForApplet(3.4, Manner.KEEP_PACE)
     assert session._for_applet(second, plan, gives_way, 10.0) == ForApplet(3.4, Manner.MAKE_WAY)
 

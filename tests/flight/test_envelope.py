@@ -393,6 +393,14 @@ def test_what_is_closed_too_fast_is_braked_besides() -> None:
     assert fast[0] == pytest.approx(limit - 1.0, abs=EPS_MPS)
 
 
+def test_nothing_is_braked_besides_for_another_that_is_led() -> None:
+    """In a line each would fly back faster than the one before it."""
+    other = Other("ahead", (-3.0, 0.0, 0.0), (0.0, 0.0, 0.0), nearer_m=0.0, age_s=0.0, led=True)
+    limit = closing_limit_mps(3.0, ANSWER)
+    flown, _ = keep_apart((9.0, 0.0, 0.0), [other], ANSWER, own_mps=(limit + 1.0, 0.0, 0.0))
+    assert flown[0] == pytest.approx(limit, abs=EPS_MPS)
+
+
 # ---- far too fast: all the lean goes into the way out -----
 
 AHEAD = Other("the leader", (-3.0, 0.0, 0.0), (-2.0, 0.0, 0.0), nearer_m=0.25, age_s=0.2)

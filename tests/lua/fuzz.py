@@ -37,7 +37,7 @@ from tests.lua.hostile_frames import (
     whole,
 )
 
-from echowing.mavlink.messages import WITHOUT_HEIGHT
+from echowing.mavlink.messages import WITHOUT_HEIGHT, Manner
 from echowing.paths import lua_folder
 from echowing.sim.vehicle.desk import GOOD, DeskVehicle
 from echowing.sim.vehicle.luahost import LuaHost
@@ -223,7 +223,7 @@ def _traffic(rng: Random) -> Iterator[Action]:
             ("traffic", "ahead_m", rng.uniform(-6.0, 6.0)),
             ("traffic", "velocity_mps", (rng.uniform(-3.0, 3.0), rng.uniform(-3.0, 3.0))),
             ("traffic", "opens_m", rng.choice([0.0, 3.5, 6.0])),
-            ("traffic", "manner", float(rng.randrange(3))),
+            ("traffic", "manner", float(rng.randrange(len(Manner)))),
             ("traffic", "yaw_rad", rng.choice([None, rng.uniform(-math.pi, math.pi)])),
         ]
     )

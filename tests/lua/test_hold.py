@@ -736,3 +736,47 @@ def test_in_a_line_one_that_is_not_seen_is_taken_to_keep_the_pace_of_all(rig: Ma
     track = r.host.local_value("track")
     assert track.leader_mps == pytest.approx(LEADER_MPS, abs=0.05)
     assert track.range_m == pytest.approx(3.0 - 0.5 * 2.5 * 0.4**2, abs=0.25)
+
+
+# ---- back from the one ahead, with others behind -----
+
+
+def backs_off(r: Rig, range_m: float, leader_mps: float, manner: Manner, mps: float) -> float:
+    """How fast Guided flies back for the leader at this distance and speed: place and velocity.
+
+    The leader is further away by what it comes nearer in the 2 s in which it is heard.
+    """
+    r.vehicle.velocity = (0.0, 0.0, 0.0)
+    r.raw_every_ms = 100
+    for number in range(200):
+        r.range(range_m - leader_mps * (2.0 - 0.01 * number))
+        if number % 12 == 0:
+            r.send_target(0.0, mps, manner=manner)
+        r.step()
+    target = newest(r)
+    return -(target.north_m + target.north_mps)
+
+
+@pytest.mark.parametrize("manner", [Manner.HEAD, Manner.KEEP_PACE])
+@pytest.mark.parametrize(("range_m", "missing_m"), [(2.0, 0.0), (1.2, 0.3)])
+def test_with_others_behind_it_backs_off_hardly_faster_than_the_one_ahead_comes(
+    rig: MakeRig, manner: Manner, range_m: float, missing_m: float
+) -> None:
+    """0.4 m/s faster, and 1 m/s for each metre that is missing to ECHO_CLOSE, 1.5 m."""
+    back_mps = backs_off(rig(), range_m, -0.8, manner, -0.3)
+    assert back_mps == pytest.approx(0.8 + 0.4 + missing_m, abs=0.1)
+
+
+def test_with_nobody_behind_it_backs_off_to_the_wanted_distance(rig: MakeRig) -> None:
+    assert backs_off(rig(), 2.0, -0.8, Manner.HOLD, -0.3) == pytest.approx(0.8 + 1.0, abs=0.1)
+
+
+def test_in_a_line_the_one_ahead_is_not_taken_to_come_much_faster_than_the_point(
+    rig: MakeRig,
+) -> None:
+    """It is led as well: what the track says beyond 1 m/s is its swing. A leader may come so."""
+    follower, leader = (
+        backs_off(rig(), 1.0, -2.0, manner, 0.2) for manner in (Manner.KEEP_PACE, Manner.HEAD)
+    )
+    assert follower == pytest.approx(0.8 + 0.4 + 0.5, abs=0.1)
+    assert leader == pytest.approx(2.0 + 0.4 + 0.5, abs=0.1)

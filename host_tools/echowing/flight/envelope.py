@@ -124,9 +124,10 @@ def keep_apart(
 ) -> tuple[Ned, Other | None]:
     """The velocity to fly (NED), and the vehicle for which it differs from the wanted one.
 
-    own_mps: its velocity now, NED. Closing speed above the limit is braked in addition. Who is in
-    the way counts as passed: the plan is turned right first. Where nothing fits, the others that
-    are led count as making room themselves.
+    own_mps: its velocity now, NED. Closing speed above the limit is braked in addition, but not for
+    others that are led: in a line each would fly back faster than the one before. Who is in the way
+    counts as passed: the plan is turned right first. Where nothing fits, the others that are led
+    count as making room themselves.
     """
     walls = [_wall(other, answer, least_m, own_mps) for other in others]
     short_mps = [short_of_mps(wanted_mps, wall) for wall in walls]
@@ -183,7 +184,7 @@ def _wall(other: Other, answer: Answer, least_m: float, own_mps: Ned | None) -> 
     certain_m = certain_distance_m(other)
     limit_mps = closing_limit_mps(certain_m, answer, least_m, other.brakes_mps2)
     least_mps = its_mps - limit_mps - SAME_MPS
-    if own_mps is None:
+    if own_mps is None or other.led:
         return north, east, least_mps
     closing_mps = its_mps - own_mps[0] * north - own_mps[1] * east
     too_fast_mps = max(0.0, closing_mps - max(0.0, limit_mps))

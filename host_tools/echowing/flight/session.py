@@ -254,7 +254,8 @@ class FollowSession:
         if self.known.ahead_of(follower) is not None:
             return ForApplet(plan.opens_m, Manner.KEEP_PACE)
         quickens = quickens_mps2(self.known, follower, now_s)
-        return ForApplet(plan.opens_m, Manner.HOLD, quickens)
+        manner = Manner.HEAD if self.known.heads_a_line(follower) else Manner.HOLD
+        return ForApplet(plan.opens_m, manner, quickens)
 
     def _remember(self, follower: FollowerState, allowed: Allowed, now_s: float) -> None:
         """What the next tick has to know of this one."""

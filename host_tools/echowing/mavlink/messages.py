@@ -29,7 +29,7 @@ UNKNOWN_HEADING = 65_535
 
 # How a point with a velocity carries more than a point, in fields that the autopilot ignores. The
 # applet refuses another format, and shows its own as ECHO_FORMAT.
-POINT_FORMAT = 3.0
+POINT_FORMAT = 4.0
 
 
 class Manner(IntEnum):
@@ -37,12 +37,14 @@ class Manner(IntEnum):
 
     HOLD: at the wanted distance, and as fast as the leader, as the sonar sees it. MAKE_WAY: as it
     is, for it leads past another vehicle than the leader. KEEP_PACE: at the wanted distance from
-    another follower, at the point's velocity.
+    another follower, at the point's velocity. HEAD: as HOLD, with others behind it in a line. In a
+    line nobody flies back faster than the one ahead comes: who flies behind would be met.
     """
 
     HOLD = 0
     MAKE_WAY = 1
     KEEP_PACE = 2
+    HEAD = 3
 
 
 @dataclass(frozen=True, slots=True)
