@@ -10,7 +10,7 @@ pytestmark = pytest.mark.seconds(40)
 FUZZ = Path(__file__).resolve().parent / "fuzz"
 
 
-def test_some_ten_thousand_inputs_break_nothing() -> None:
+def test_some_thousand_inputs_break_nothing() -> None:
     done = subprocess.run(
         [sys.executable, str(FUZZ / "run.py"), "--inputs"],
         capture_output=True,

@@ -51,7 +51,7 @@ def test_an_applet_loads_and_flies_in_its_heap(
     script, record = lua_folder() / applet.file, tmp_path / "record"
     heap.record_flight(script, record)
     allowed = applet.needs_bytes(VERSIONS[firmware])
-    for heap_bytes in range(allowed, allowed + 1025, 256):
+    for heap_bytes in range(allowed, allowed + 1025, 512):
         flight = heap.fly_recorded(script, record, heap_bytes, firmware)
         assert flight.trouble is None, (
             f"{applet.file} in {heap_bytes} bytes, {firmware}: {flight.trouble}; "

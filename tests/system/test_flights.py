@@ -29,7 +29,7 @@ def test_a_hostile_leader_is_kept_at_a_distance(seed: int) -> None:
 
 
 def test_fifty_followers_stay_apart() -> None:
-    many = flown("many", 1, "duration_s=40")
+    many = flown("many", 1, "duration_s=30")
 
     assert len(many.flights) == 50
     assert many.closest_m > 1.0

@@ -10,8 +10,8 @@ from echowing.sim.summary import FlownScenario
 from .flown import flown
 
 pytestmark = pytest.mark.seconds(130)
-SEEDS = range(1, 11)
-GRAY_SEEDS = range(1, 21)
+SEEDS = range(1, 8)
+GRAY_SEEDS = range(1, 13)
 LOST_M = 10.0  # mean error of a follower that lost its leader for good; else it is under 3.2
 GUARD_MPS = 5.0  # ECHO_SPD_MAX, with which the guard backs off
 
@@ -41,7 +41,7 @@ def test_the_thesis_law_flown_unchanged_dead_locks() -> None:
         if (one := flown("thesis", seed)).metrics[0].mean_abs_error_m > LOST_M
     ]
 
-    assert len(locked) >= 2  # 4 of 10
+    assert len(locked) >= 2  # 3 of 7
     for flight in locked:
         late_mps = flight.speed_command_mps[flight.time_s > flight.time_s[-1] - 100.0]
         low_mps = min(late_mps)

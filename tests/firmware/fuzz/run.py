@@ -14,7 +14,7 @@ HERE = Path(__file__).resolve().parent
 BUILD = HERE.parents[2] / "build" / "fuzz"
 # With --inputs so many are tried: as many on a slow machine as on a fast one. An input of the byte
 # entry takes 1 to 3 ms, one of the store 0.1 to 0.2 ms.
-TARGETS = {"fuzz_bytes": 10_000, "fuzz_store": 40_000}
+TARGETS = {"fuzz_bytes": 5_000, "fuzz_store": 20_000}
 
 
 def build() -> None:
