@@ -6,7 +6,7 @@ BIN := .venv/bin
 export PATH := $(CURDIR)/$(BIN):$(PATH)
 # A file is one worker's, in the order of tests/conftest.py. Two cores carry three workers: the tests
 # of processes in real time mostly wait.
-WORKERS := -n 3 --dist loadfile --no-loadscope-reorder
+WORKERS := -n 4 --dist loadfile --no-loadscope-reorder
 
 .PHONY: help demo campaign test test-sitl bench release monitor fuzz lint format pages setup setup-test core clean
 

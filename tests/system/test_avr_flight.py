@@ -31,9 +31,9 @@ def test_the_binary_and_the_native_core_fly_alike() -> None:
     """Pings fall at other milliseconds, so single flights part ways; on average they agree.
 
     Median, not mean: in which flight the sonar loses the leader at a corner for a second is chance,
-    and that second makes half of a flight's mean error. The medians of native flights have a standard
-    deviation of 7.7 mm, so the means of seven and of three differ by 5.3 mm: the sonar's step
-    of 1 cm is more than chance, and what a firmware that reads wrong would show.
+    and that second makes half of a flight's mean error. The medians of native flights have a
+    standard deviation of 7.7 mm, so the means of seven and of three differ by 5.3 mm: the sonar's
+    step of 1 cm is more than chance, and what a firmware that reads wrong would show.
     """
     errors_m = {
         firmware: statistics.mean(usual_error_m(firmware, seed) for seed in seeds)
