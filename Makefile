@@ -4,7 +4,7 @@
 .DEFAULT_GOAL := help
 BIN := .venv/bin
 export PATH := $(CURDIR)/$(BIN):$(PATH)
-# A file is one worker's, in the order of tests/conftest.py. Two cores carry three workers: the tests
+# A file is one worker's, in the order of tests/conftest.py. Two cores carry four workers: the tests
 # of processes in real time mostly wait.
 WORKERS := -n 4 --dist loadfile --no-loadscope-reorder
 

@@ -9,10 +9,9 @@ from echowing.campaign.properties import BLOWN, BLOWN_ON, MISLED
 pytestmark = pytest.mark.seconds(130)
 
 SEED, FLIGHTS = 1, 40
-# Two of the forty came too near when this was written. Since the campaign draws receivers anew for
-# each flight, some disagree by more than anything allows for: in 26 by 5.5 m, never heard; in 31 by
-# 3.6 m, with a sonar that is wild. One more may on another machine: a flight amplifies the last
-# digit.
+# Two of the forty came too near when this was written: in 2 a receiver jumps and the sonar is
+# unplugged, in 26 receivers disagree by 5.5 m, more than anything allows for, and the leader is
+# never heard. One more may on another machine: a flight amplifies the last digit.
 MOST_TOO_NEAR = 3
 SEPARATION = "separation"
 # No law can help it: the wind has taken all the lean that there is.

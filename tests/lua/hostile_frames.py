@@ -100,7 +100,7 @@ def _odd_point(rng: Random, t_ms: int) -> Any:
         yaw_rad=odd(rng, -7.0, 7.0) if rng.random() < 0.6 else None,
         opens_m=odd(rng, 0.0, 8.0),
         manner=rng.choice([*map(float, Manner), odd(rng, 0.0, float(max(Manner)))]),
-        point_format=rng.choice([POINT_FORMAT] * 6 + [0.0, 1.0, 2.0, math.nan]),
+        point_format=rng.choice([POINT_FORMAT] * 6 + [0.0, 1.0, POINT_FORMAT - 1.0, math.nan]),
         quickens_mps2=odd(rng, -3.0, 3.0),
         mask=rng.choice([NO_ACCELERATION | NO_YAW_RATE] * 6 + [0, 0x0FFF, rng.randrange(1 << 16)]),
         system=rng.choice([1] * 8 + [0, 2]),

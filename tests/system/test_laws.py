@@ -41,7 +41,7 @@ def test_the_thesis_law_flown_unchanged_dead_locks() -> None:
         if (one := flown("thesis", seed)).metrics[0].mean_abs_error_m > LOST_M
     ]
 
-    assert len(locked) >= 2  # 3 of 7
+    assert len(locked) >= 2  # 4 of 7
     for flight in locked:
         late_mps = flight.speed_command_mps[flight.time_s > flight.time_s[-1] - 100.0]
         low_mps = min(late_mps)

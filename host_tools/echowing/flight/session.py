@@ -254,7 +254,7 @@ class FollowSession:
         if self.known.ahead_of(follower) is not None:
             return ForApplet(plan.opens_m, Manner.KEEP_PACE)
         quickens = quickens_mps2(self.known, follower, now_s)
-        manner = Manner.HEAD if self.known.heads_a_line(follower) else Manner.HOLD
+        manner = Manner.HEAD if self.known.is_watched(follower) else Manner.HOLD
         return ForApplet(plan.opens_m, manner, quickens)
 
     def _remember(self, follower: FollowerState, allowed: Allowed, now_s: float) -> None:

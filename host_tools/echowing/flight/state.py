@@ -364,10 +364,9 @@ class Known:
         """The follower that one's sonar looks at; None: it looks at the leader."""
         return self._ahead.get(follower.plan.system_id)
 
-    def heads_a_line(self, follower: FollowerState) -> bool:
-        """Whether it looks at the leader, and another follower's sonar looks at it."""
-        behind = any(one is follower for one in self._ahead.values())
-        return behind and self.ahead_of(follower) is None
+    def is_watched(self, follower: FollowerState) -> bool:
+        """Whether another follower's sonar looks at it."""
+        return any(one is follower for one in self._ahead.values())
 
     def watch(self, follower: FollowerState, ahead: FollowerState | None) -> None:
         """Let its sonar look at another vehicle, of which it knows nothing; None: the leader."""
