@@ -353,8 +353,10 @@ def test_without_engage_it_only_watches(world: World) -> None:
         "--no-log",
     )
     tool.row(
-        lambda row: (row["state"], row["mode"]) == ("only watched", "GUIDED")
-        and row["separation_m"] is not None
+        lambda row: (
+            (row["state"], row["mode"]) == ("only watched", "GUIDED")
+            and row["separation_m"] is not None
+        )
     )
     assert tool.end(signal.SIGINT) == 0
     assert "was not moved" in tool.lines[-1]
