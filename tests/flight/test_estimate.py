@@ -165,6 +165,16 @@ def test_two_readings_alike_are_the_leader() -> None:
     assert estimate.offset.unheard_s(10.0) == pytest.approx(0.9 + SONAR_AGE_S)
 
 
+def test_a_sonar_that_hears_four_pings_of_ten_is_believed() -> None:
+    """Two ranges that agree are of one vehicle, though nothing was heard between them."""
+    estimate, leader = listening()
+    for time_s, range_m in ((8.9, 2.8), (9.0, 7.65), (9.1, 7.65), (9.2, 2.9), (9.3, 7.65)):
+        estimate.heard(time_s, range_m)
+    estimate.learn(leader)
+
+    assert estimate.offset.unheard_s(10.0) == pytest.approx(0.8 + SONAR_AGE_S)
+
+
 def test_a_leader_is_missed_by_the_readings_that_were_used_and_not_by_now() -> None:
     """Readings to 9.1 s, and both vehicles known to 10 s; what comes later has not been used."""
     estimate, leader = listening()

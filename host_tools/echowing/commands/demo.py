@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 EXAMPLES = """\
 examples:
   echowing demo
-  echowing demo --seeds 20 --out out/twenty
+  echowing demo --seeds 50 --out out/fifty
 """
 
 
@@ -38,8 +38,19 @@ class Task:
     label: str = ""
 
 
+# One flight of each formation is of several followers.
+FORMATIONS = ("column", "vee")
 # The scenarios of the table, in its order; walls and walks get one sentence each.
-TABLED = ("gray", "thesis", "echowing", "thesis-4m", "thesis-initial", "hostile", "many")
+TABLED = (
+    "gray",
+    "thesis",
+    "echowing",
+    *FORMATIONS,
+    "thesis-4m",
+    "thesis-initial",
+    "hostile",
+    "many",
+)
 # Flown first, and each told as it ends: the comparison that README leads with.
 COMPARED = {
     Task("gray"): "GPS alone",
@@ -66,7 +77,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="write report and tables here (out/demo)",
     )
     parser.add_argument(
-        "--seeds", type=int, default=10, metavar="N", help="flights per scheme in the comparison"
+        "--seeds", type=int, default=6, metavar="N", help="flights per scheme in the comparison (6)"
     )
     parser.add_argument(
         "--jobs",
@@ -104,6 +115,7 @@ def plan(seeds: int) -> list[Task]:
         *COMPARED,
         *(Task(name, 1, ("duration_s=130",), shown=True) for name in schemes),
         Task("many"),
+        *(Task(name) for name in FORMATIONS),
         *(Task(name, seed) for name in schemes for seed in range(2, seeds + 1)),
         *(Task(name, seed) for name in ("thesis-4m", "thesis-initial") for seed in (1, 2, 3)),
         *(Task("hostile", seed, (), shown=seed == 1) for seed in (1, 2, 3, 4, 5)),
@@ -216,7 +228,7 @@ def _present(folder: Path, tasks: Sequence[Task], flown: "Sequence[FlownScenario
         if task.scenario == name and not task.changes
         for result in one.results()
     ]
-    notes = [*_walked(by_task), *_walls(by_task), *_hostile(flown)]
+    notes = [*_apart(by_task), *_walked(by_task), *_walls(by_task), *_hostile(flown)]
     console = Console() if sys.stdout.isatty() else Console(width=100)
     console.print(terminal_table(results))
     for note in notes:
@@ -232,6 +244,16 @@ def _present(folder: Path, tasks: Sequence[Task], flown: "Sequence[FlownScenario
     ours = next(flight for flight in shown if flight.name == "echowing")
     write_formation_svg(folder / "formation.svg", ours)
     console.print(f"report: {folder / 'report.html'}", highlight=False)
+
+
+def _apart(flown: "dict[Task, FlownScenario]") -> list[str]:
+    """How near any two vehicles of a formation came, not only those of one gap."""
+    parts = [
+        f"{task.scenario} {one.closest_m:.2f}"
+        for task, one in flown.items()
+        if task.scenario in FORMATIONS
+    ]
+    return [f"Formation, least separation between any two, m: {', '.join(parts)}."]
 
 
 def _walked(flown: "dict[Task, FlownScenario]") -> list[str]:

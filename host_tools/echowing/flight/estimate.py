@@ -13,8 +13,10 @@ from echowing.flight.guidance import Horizontal, LeaderFix, predicted
 from echowing.flight.hearing import Hearing, Reading
 from echowing.geo import GlobalPosition, displace
 
-# Propellers cause single wild readings: a reading counts if the one before it agrees.
-CONFIRM_S, CONFIRM_M = 0.3, 0.5
+# Propellers cause single wild readings: a range counts if one of the four before it agrees, and
+# silence if the reading before it was silent, too. Where four pings of ten are heard, the reading
+# before a range is mostly silent.
+CONFIRM_S, CONFIRM_M = 0.45, 0.5
 # Between two vehicles in flight a range in centimetres changes within this time: if not, the sensor
 # is stuck.
 STUCK_S = 3.0
@@ -91,7 +93,8 @@ class Estimate:
         """Each reading, whether another confirms it or not: for `hearing`."""
         self._before = (-math.inf, math.nan)
         self._alike = 0
-        self._within: deque[float] = deque(maxlen=2)  # the last readings of something in reach
+        self._ranges: deque[tuple[float, float]] = deque(maxlen=4)
+        """The last readings of something in reach: when, and how far."""
         self._scattered: deque[bool] = deque(maxlen=round(WILD_S * sonar.rate_hz))
         self.jumped_m: Horizontal = (0.0, 0.0)
         """Receivers' jumps that are allowed for: the leader's, less the follower's."""
@@ -149,28 +152,27 @@ class Estimate:
         was_believed = self.is_believed
         self._before = (time_s, range_m)
         self._alike = self._alike + 1 if range_m == before_m else 0
-        heard_m = range_m if range_m < self.sonar.reach_m else None
-        self._every.add(time_s - SONAR_AGE_S, heard_m, stamp_ms)
-        self._compare(range_m)
+        reading_s, silent = time_s - SONAR_AGE_S, range_m >= self.sonar.reach_m
+        self._every.add(reading_s, None if silent else range_m, stamp_ms)
+        lately = [m for s, m in self._ranges if time_s - s < CONFIRM_S and _agree(m, range_m)]
+        self._compare(time_s, range_m)
         if not self.is_believed:
             if was_believed:  # it was wrong before that showed
                 self._unlearn()
-            return
-        if not time_s - before_s < CONFIRM_S:
-            return
-        time_s -= SONAR_AGE_S
-        if min(range_m, before_m) >= self.sonar.reach_m:
-            self._alignment.add(time_s, None, stamp_ms)
-        elif abs(range_m - before_m) < CONFIRM_M and 0.0 < range_m < self.sonar.reach_m:
-            self._alignment.add(time_s, range_m + self.sonar.inset_m, stamp_ms)
+        elif silent:
+            if before_m >= self.sonar.reach_m and time_s - before_s < CONFIRM_S:
+                self._alignment.add(reading_s, None, stamp_ms)
+        elif lately and range_m > 0.0:
+            self._alignment.add(reading_s, range_m + self.sonar.inset_m, stamp_ms)
 
-    def _compare(self, range_m: float) -> None:
+    def _compare(self, time_s: float, range_m: float) -> None:
         """Note whether a range is like one of the two before it."""
         in_reach = range_m < self.sonar.reach_m
-        alone = all(abs(range_m - before_m) >= CONFIRM_M for before_m in self._within)
-        self._scattered.append(in_reach and len(self._within) == 2 and alone)
+        before = list(self._ranges)[-2:]
+        scattered = len(before) == 2 and not any(_agree(m, range_m) for _, m in before)
+        self._scattered.append(in_reach and scattered)
         if in_reach:
-            self._within.append(range_m)
+            self._ranges.append((time_s, range_m))
 
     def learn(self, leader: History, others: Sequence[Beside] = ()) -> None:
         """Use the readings for which later reports of both vehicles have come.
@@ -272,3 +274,8 @@ class Estimate:
 def carried_on(leader: LeaderFix, to_s: float) -> LeaderFix:
     """The leader at a moment, from its newest report (see `guidance.predicted`)."""
     return predicted(leader, min(LONGEST_CARRY_S, max(0.0, to_s - leader.time_s)))
+
+
+def _agree(one_m: float, other_m: float) -> bool:
+    """Whether two ranges may be of one vehicle."""
+    return abs(one_m - other_m) < CONFIRM_M
