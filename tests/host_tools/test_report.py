@@ -16,8 +16,10 @@ import pytest
 from echowing.analysis import plots
 from echowing.analysis.animation import FRAME_S, SPEED_UP, write_animation_svg
 from echowing.analysis.flight import Flight, Floats
+from echowing.analysis.metrics import metrics
 from echowing.analysis.picture import write_formation_svg
 from echowing.analysis.report import flight_label, write_report
+from echowing.analysis.tables import Result
 from echowing.errors import EchowingError
 
 COUNT = 600
@@ -195,6 +197,29 @@ def test_what_was_not_recorded_gets_no_empty_plot(tmp_path: Path) -> None:
     write_report(tmp_path / "r.html", [replace(FLIGHTS[0], pan_us=unknown, tilt_us=unknown)])
     drawn = Page((tmp_path / "r.html").read_text(encoding="utf-8")).plots
     assert drawn == ["1-tracks", "1-matching", "1-error", "1-sonar", "1-speed"]
+
+
+def test_a_lap_and_the_answer_come_first_and_the_theses_tables_behind_a_fold(
+    tmp_path: Path,
+) -> None:
+    near, far = metrics(FLIGHTS[1]), metrics(FLIGHTS[0])
+    results = [Result("gray", far, law="none"), Result("echowing", near, law="hold")]
+    lap = FLIGHTS[1], (0.0, 30.0)
+    write_report(tmp_path / "r.html", FLIGHTS, results, pictured=lap)
+    text = (tmp_path / "r.html").read_text(encoding="utf-8")
+
+    places = [
+        text.index(part)
+        for part in (
+            "Echowing keeps it best.",
+            "<polyline",
+            "Separation, m (mean",
+            "<details><summary>",
+            "Error reduced against GPS alone",
+            "</details>",
+        )
+    ]
+    assert places == sorted(places)
 
 
 def test_labels_tell_flights_apart() -> None:

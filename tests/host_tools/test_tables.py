@@ -7,7 +7,14 @@ import pytest
 from rich.console import Console
 
 from echowing.analysis.metrics import Metrics
-from echowing.analysis.tables import Result, footnotes, grids, markdown_tables, terminal_table
+from echowing.analysis.tables import (
+    Result,
+    answer,
+    footnotes,
+    grids,
+    markdown_tables,
+    terminal_table,
+)
 from echowing.analysis.thesis import TABLE_8, TABLE_10, TABLE_11
 
 
@@ -76,6 +83,38 @@ def test_the_gain_on_gray_is_in_per_cent() -> None:
 
 def test_no_gain_table_without_gray() -> None:
     assert len(grids([Result("echowing", figures())])) == 2
+
+
+def test_who_is_compared_goes_by_the_name_that_people_know() -> None:
+    """With another law than its own a scenario keeps its name."""
+    named = [
+        Result("gray", figures(), law="none"),
+        Result("thesis", figures(), dead_locked=True, law="thesis"),
+        Result("echowing", figures(), law="hold"),
+    ]
+    labels = [row.cells[0] for row in grids(named)[0].rows if not row.printed]
+    assert labels == [
+        "GPS alone",
+        "GPS and the thesis's speed law (1 of 1 dead-locked)",
+        "Echowing",
+    ]
+    (row, *_) = grids([Result("echowing", figures(), law="bands")])[0].rows
+    assert row.cells[0] == "echowing"
+
+
+def test_the_answer_says_who_keeps_the_distance_best() -> None:
+    def result(name: str, law: str, error_m: float, *, lost: bool = False) -> Result:
+        return Result(name, replace(figures(), mean_abs_error_m=error_m), lost, law=law)
+
+    ours = [result("echowing", "hold", 0.1), result("echowing", "hold", 0.3)]
+    thesis = [result("thesis", "thesis", 0.1, lost=True), result("thesis", "thesis", 2.0)]
+    told = answer([result("gray", "none", 1.5), *thesis, *ours])
+    assert told == (
+        "Mean error of the distance behind one and the same leader: 1.50 m with GPS alone, "
+        "0.20 m with Echowing, 2.00 m with GPS and the thesis's speed law "
+        "(1 of 2 lost the leader and are left out). Echowing keeps it best."
+    )
+    assert answer(ours) == ""
 
 
 def test_every_mark_has_its_footnote_and_no_other_is_printed() -> None:

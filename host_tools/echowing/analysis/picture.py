@@ -30,6 +30,17 @@ Project = Callable[[Floats], Floats]
 def write_formation_svg(
     path: Path, flight: Flight, title: str = "", span_s: tuple[float, float] | None = None
 ) -> None:
+    """`formation_svg` as a file. Raises EchowingError if it cannot be written."""
+    text = formation_svg(flight, title, span_s)
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise EchowingError(f"picture {path}: cannot be written: {error.strerror}") from error
+
+
+def formation_svg(
+    flight: Flight, title: str = "", span_s: tuple[float, float] | None = None
+) -> str:
     """Both tracks, and the distance between the two about every 10 s (thesis Fig. 37).
 
     span_s: only this part of the flight (from, to), as one lap; all of it without.
@@ -52,10 +63,7 @@ def write_formation_svg(
         scale_bar(project, height_px, "; distances in metres"),
         north_arrow(project, height_px),
     ]
-    try:
-        path.write_text(document("\n".join(parts), height_px), encoding="utf-8")
-    except OSError as error:
-        raise EchowingError(f"picture {path}: cannot be written: {error.strerror}") from error
+    return document("\n".join(parts), height_px)
 
 
 def projection(flight: Flight, known: Indices) -> tuple[Project, float]:

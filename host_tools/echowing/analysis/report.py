@@ -10,7 +10,8 @@ from echowing.analysis import plots
 from echowing.analysis.flight import Flight
 from echowing.analysis.metrics import Metrics, approach_s, metrics
 from echowing.analysis.page import box, page, table, write_page
-from echowing.analysis.tables import Result, footnotes, grids
+from echowing.analysis.picture import formation_svg
+from echowing.analysis.tables import Result, answer, called, footnotes, grids
 from echowing.errors import EchowingError
 
 BASELINE = "gray"  # what the thesis compares its own flight with (Fig. 42)
@@ -26,12 +27,14 @@ def write_report(
     notes: Sequence[str] = (),
     title: str = "Echowing: flown formations",
     settle_s: Sequence[float] = (),
+    pictured: tuple[Flight, tuple[float, float]] | None = None,
 ) -> None:
     """Write the HTML file.
 
     flights: those that are plotted. results: what the table is made from (all flights, over the
     seeds); without, the plotted flights. notes: paragraphs of plain text under the table. settle_s:
-    what of each plotted flight is left out of its figures; without, its approach.
+    what of each plotted flight is left out of its figures; without, its approach. pictured: a
+    flight, and from when to when it is drawn above all else.
     Raises EchowingError when there is nothing to show or the file cannot be written.
     """
     if not flights:
@@ -49,6 +52,7 @@ def write_report(
     comparisons = _comparison_section(flights, figures)
     body = [
         f"<header><h1>{html.escape(title)}</h1>{_contents(flights, bool(comparisons))}</header>",
+        *_opening(shown, pictured),
         f'<h2 id="results">Results</h2><div class="card">{_tables(shown)}</div>',
         *(f"<p>{html.escape(note)}</p>" for note in notes),
         comparisons,
@@ -57,10 +61,22 @@ def write_report(
     write_page(path, page(title, "\n".join(body), figures), "report")
 
 
+def _opening(
+    results: Sequence[Result], pictured: tuple[Flight, tuple[float, float]] | None
+) -> list[str]:
+    """Who keeps the distance best, and how that looks."""
+    told = answer(results)
+    parts = [f"<p><b>{html.escape(told)}</b></p>"] if told else []
+    if pictured is not None:
+        flight, span_s = pictured
+        parts.append(formation_svg(flight, flight_label(flight), span_s))
+    return parts
+
+
 def flight_label(flight: Flight) -> str:
     """How a flight is called in headings: name, law and seed."""
-    parts = [flight.name]
-    if flight.law not in ("", "none", flight.name):
+    parts = [called(flight.name, flight.law)]
+    if parts[0] == flight.name and flight.law not in ("", "none", flight.name):
         parts.append(f"{flight.law} law")
     if flight.seed is not None:
         parts.append(f"seed {flight.seed}")
@@ -150,4 +166,6 @@ def _contents(flights: Sequence[Flight], compared: bool) -> str:
 
 def _tables(results: Sequence[Result]) -> str:
     notes = "".join(f"<li>{html.escape(note)}</li>" for note in footnotes(results))
-    return "".join(map(table, grids(results))) + f'<ul class="notes">{notes}</ul>'
+    first, *more = map(table, grids(results))
+    fold = "<details><summary>Position errors, and the thesis's tables beside ours</summary>"
+    return f'{first}{fold}{"".join(more)}<ul class="notes">{notes}</ul></details>'

@@ -16,6 +16,13 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 NOTHING = "-"
+# The scenarios that are compared, each with its law, as people call them.
+CALLED = {
+    ("gray", "none"): "GPS alone",
+    ("echowing", "hold"): "Echowing",
+    ("thesis", "thesis"): "GPS and the thesis's speed law",
+}
+_COMPARED = tuple(name for name, _ in CALLED)
 SAME_RADIUS_M = 0.01
 
 
@@ -24,13 +31,14 @@ class Result:
     """One follower of one flight. Results of one name are pooled into one row, in order.
 
     A name of `thesis.BESIDE` gets the thesis's figures printed under it. flight: which flight it
-    is of, the seed say; the followers of one flight have the same.
+    is of, the seed say; the followers of one flight have the same. law: that it was flown with.
     """
 
     name: str
     metrics: Metrics
     dead_locked: bool = False
     flight: object = None
+    law: str = ""
 
 
 @dataclass(frozen=True)
@@ -66,6 +74,32 @@ def grids(results: Sequence[Result]) -> list[Grid]:
         ),
         *_gain(pools),
     ]
+
+
+def called(name: str, law: str) -> str:
+    """A scenario's name as people say it; with another law than its own it has none."""
+    return CALLED.get((name, law), name)
+
+
+def answer(results: Sequence[Result]) -> str:
+    """What is compared, and who keeps the distance best, in one sentence; nothing: one alone."""
+    parts, means = [], {}
+    for (name, law), said in CALLED.items():
+        runs = [result for result in results if (result.name, result.law) == (name, law)]
+        free = [run.metrics.mean_abs_error_m for run in runs if not run.dead_locked]
+        if not free:
+            continue
+        means[said] = sum(free) / len(free)
+        lost = len(runs) - len(free)
+        left_out = f" ({lost} of {len(runs)} lost the leader and are left out)" if lost else ""
+        parts.append(f"{means[said]:.2f} m with {said}{left_out}")
+    if len(means) < 2:
+        return ""
+    best = min(means, key=lambda said: means[said])
+    return (
+        f"Mean error of the distance behind one and the same leader: {', '.join(parts)}. "
+        f"{best} keeps it best."
+    )
 
 
 def footnotes(results: Sequence[Result]) -> list[str]:
@@ -164,7 +198,7 @@ def _names(results: Sequence[Result]) -> list[str]:
     return list(dict.fromkeys(result.name for result in results))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Pool:
     """The flights of one row, and what the thesis printed to stand under it."""
 
@@ -182,10 +216,11 @@ def _pools(results: Sequence[Result]) -> Iterable[_Pool]:
         free = [run for run in runs if not run.dead_locked]
         locked = len(runs) - len(free)
         printed = BESIDE.get(name, ())
-        label = _label(name, runs, locked)
+        said = called(name, runs[0].law)
+        label = _label(said, runs, locked)
         yield _pool(name, label, runs, () if locked and free else printed)
         if locked and free:
-            yield _pool(name, f"{name}, not dead-locked", free, printed)
+            yield _pool(name, f"{said}, not dead-locked", free, printed)
 
 
 def _pool(
@@ -228,20 +263,19 @@ def _rows(
 
 def _gain(pools: Sequence[_Pool]) -> list[Grid]:
     """How much smaller than Gray's the errors are, where both were flown."""
-    figures = {pool.label: aggregate(pool.runs) for pool in pools if pool.name in _COMPARED}
-    gray = figures.pop("gray", None)
+    figures = {pool: aggregate(pool.runs) for pool in pools if pool.name in _COMPARED}
+    gray = next((figures.pop(pool) for pool in list(figures) if pool.name == "gray"), None)
     if gray is None or not figures:
         return []
     rows = [
-        Row((name, *(_reduced(gray[key].mean, ours[key].mean) for key in _GAIN_FIGURES)))
-        for name, ours in figures.items()
+        Row((pool.label, *(_reduced(gray[key].mean, ours[key].mean) for key in _GAIN_FIGURES)))
+        for pool, ours in figures.items()
     ]
     printed = tuple(f"{line.reduced_percent:.1f}" for line in TABLE_11)
     rows.append(Row(("  Table 11 [c]", *printed), printed=True))
-    return [Grid("Error reduced against gray, %", ("flight", "RMSD", "mean |e|"), tuple(rows))]
+    return [Grid("Error reduced against GPS alone, %", ("flight", "RMSD", "mean |e|"), tuple(rows))]
 
 
-_COMPARED = ("gray", "thesis", "echowing")
 _GAIN_FIGURES = ("rmsd_m", "mean_abs_error_m")  # in the order of TABLE_11
 
 

@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import math
 import os
 import sys
 import time
@@ -12,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from echowing.analysis.tables import CALLED
 from echowing.errors import EchowingError
 from echowing.extras import require
 
@@ -52,11 +54,9 @@ TABLED = (
     "many",
 )
 # Flown first, and each told as it ends: the comparison that README leads with.
-COMPARED = {
-    Task("gray"): "GPS alone",
-    Task("echowing"): "Echowing",
-    Task("thesis"): "GPS and the thesis's speed law",
-}
+COMPARED = {Task(name): said for (name, _), said in CALLED.items()}
+# The last of the plotted flight: 200 m at 2 m/s.
+LAP_S = 100.0
 # Where nobody sees a bar.
 LINE_PERIOD_S = 10.0
 # The leader carried by hand, the slot commanded with and without prediction (thesis 4.2.3).
@@ -237,11 +237,12 @@ def _present(folder: Path, tasks: Sequence[Task], flown: "Sequence[FlownScenario
     left_out = [
         figures.settle_s for task, one in by_task.items() if task.shown for figures in one.metrics
     ]
-    write_report(folder / "report.html", shown, results, notes, settle_s=left_out)
     (folder / "table.md").write_text(
         markdown_tables(results) + "".join(f"\n{note}\n" for note in notes), encoding="utf-8"
     )
     ours = next(flight for flight in shown if flight.name == "echowing")
+    lap = ours, (float(ours.time_s[-1]) - LAP_S, math.inf)
+    write_report(folder / "report.html", shown, results, notes, settle_s=left_out, pictured=lap)
     write_formation_svg(folder / "formation.svg", ours)
     console.print(f"report: {folder / 'report.html'}", highlight=False)
 

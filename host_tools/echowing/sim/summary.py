@@ -50,7 +50,7 @@ class FlownScenario:
         """One a follower, for the tables, under `name` or the scenario's."""
         locked = self.locked or (False,) * len(self.metrics)
         return [
-            Result(name or self.scenario, one, lost, self.seed)
+            Result(name or self.scenario, one, lost, self.seed, self.law)
             for one, lost in zip(self.metrics, locked, strict=True)
         ]
 
