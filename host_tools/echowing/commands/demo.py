@@ -40,8 +40,8 @@ class Task:
     label: str = ""
 
 
-# One flight of each formation is of several followers.
-FORMATIONS = ("column", "vee")
+# Each takes as long as five flights of a pair.
+FORMATIONS = ("column",)
 # The scenarios of the table, in its order; walls and walks get one sentence each.
 TABLED = (
     "gray",
