@@ -99,7 +99,7 @@ def test_analyze_finds_in_the_logs_what_was_true(flown: tuple[Path, str]) -> Non
     assert abs(found["truth"]["clock_shift_s"]) < 0.2
     # The same rule for the approach: in truth the figures are those that `sim` has printed, but for
     # the truth's clock, which is matched to the logs' to a few hundredths of a second.
-    row = next(line.split() for line in printed.splitlines() if line.startswith(" echowing"))
+    row = next(line.split() for line in printed.splitlines() if line.startswith(" Echowing"))
     figures = ("mean_separation_m", "mean_abs_error_m", "rmsd_m")
     for figure, cell in zip(figures, row[2:], strict=False):
         assert found["in_truth"][figure] == pytest.approx(float(cell), abs=0.03)
