@@ -734,7 +734,7 @@ def go_on(
 
 
 def test_single_wild_readings_teach_nothing() -> None:
-    """Each unlike the four before it, and a leader that is heard all the time: nothing is silent."""
+    """Each unlike the four before it; the leader is heard all the time: nothing is silent."""
     follow = listening_session(2.8)
     offset = follow.followers[FOLLOWER].estimate.offset
     before_m = offset.north_m
