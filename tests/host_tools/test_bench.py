@@ -219,7 +219,7 @@ def test_with_the_disagreement_known_the_follower_goes_where_its_leader_is() -> 
     assert known.reached_s < 4.0
     assert as_it_is.reached_s > known.reached_s + 1.0
     assert known.sigma_m == 0.0
-    assert as_it_is.sigma_m > 0.1
+    assert as_it_is.sigma_m > 0.3
 
 
 def test_a_row_is_flown_with_its_changes() -> None:

@@ -198,7 +198,7 @@ def _names(results: Sequence[Result]) -> list[str]:
     return list(dict.fromkeys(result.name for result in results))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class _Pool:
     """The flights of one row, and what the thesis printed to stand under it."""
 
@@ -263,13 +263,14 @@ def _rows(
 
 def _gain(pools: Sequence[_Pool]) -> list[Grid]:
     """How much smaller than Gray's the errors are, where both were flown."""
-    figures = {pool: aggregate(pool.runs) for pool in pools if pool.name in _COMPARED}
-    gray = next((figures.pop(pool) for pool in list(figures) if pool.name == "gray"), None)
-    if gray is None or not figures:
+    figures = [(pool, aggregate(pool.runs)) for pool in pools if pool.name in _COMPARED]
+    gray = next((theirs for pool, theirs in figures if pool.name == "gray"), None)
+    others = [(pool.label, ours) for pool, ours in figures if pool.name != "gray"]
+    if gray is None or not others:
         return []
     rows = [
-        Row((pool.label, *(_reduced(gray[key].mean, ours[key].mean) for key in _GAIN_FIGURES)))
-        for pool, ours in figures.items()
+        Row((label, *(_reduced(gray[key].mean, ours[key].mean) for key in _GAIN_FIGURES)))
+        for label, ours in others
     ]
     printed = tuple(f"{line.reduced_percent:.1f}" for line in TABLE_11)
     rows.append(Row(("  Table 11 [c]", *printed), printed=True))

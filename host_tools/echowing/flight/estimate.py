@@ -13,9 +13,9 @@ from echowing.flight.guidance import Horizontal, LeaderFix, predicted
 from echowing.flight.hearing import Hearing, Reading
 from echowing.geo import GlobalPosition, displace
 
-# Propellers cause single wild readings: a range counts if one of the four before it agrees, and
-# silence if the reading before it was silent, too. Where four pings of ten are heard, the reading
-# before a range is mostly silent.
+# Propellers cause single wild readings: a reading counts if the last one of its kind, a range or
+# silence, says the same and is no older than this. Where four pings of ten are heard, ranges and
+# silences mostly take turns.
 CONFIRM_S, CONFIRM_M = 0.45, 0.5
 # Between two vehicles in flight a range in centimetres changes within this time: if not, the sensor
 # is stuck.
@@ -93,8 +93,9 @@ class Estimate:
         """Each reading, whether another confirms it or not: for `hearing`."""
         self._before = (-math.inf, math.nan)
         self._alike = 0
-        self._ranges: deque[tuple[float, float]] = deque(maxlen=4)
+        self._ranges: deque[tuple[float, float]] = deque(maxlen=2)
         """The last readings of something in reach: when, and how far."""
+        self._silent_at_s = -math.inf
         self._scattered: deque[bool] = deque(maxlen=round(WILD_S * sonar.rate_hz))
         self.jumped_m: Horizontal = (0.0, 0.0)
         """Receivers' jumps that are allowed for: the leader's, less the follower's."""
@@ -148,28 +149,34 @@ class Estimate:
 
     def heard(self, time_s: float, range_m: float, stamp_ms: int | None = None) -> None:
         """Take a sonar reading; stamp_ms: by which `pointed` names it."""
-        before_s, before_m = self._before
+        _, before_m = self._before
         was_believed = self.is_believed
         self._before = (time_s, range_m)
         self._alike = self._alike + 1 if range_m == before_m else 0
         reading_s, silent = time_s - SONAR_AGE_S, range_m >= self.sonar.reach_m
         self._every.add(reading_s, None if silent else range_m, stamp_ms)
-        lately = [m for s, m in self._ranges if time_s - s < CONFIRM_S and _agree(m, range_m)]
+        confirmed = self._confirmed(time_s, range_m)
         self._compare(time_s, range_m)
         if not self.is_believed:
             if was_believed:  # it was wrong before that showed
                 self._unlearn()
-        elif silent:
-            if before_m >= self.sonar.reach_m and time_s - before_s < CONFIRM_S:
-                self._alignment.add(reading_s, None, stamp_ms)
-        elif lately and range_m > 0.0:
+        elif confirmed and silent:
+            self._alignment.add(reading_s, None, stamp_ms)
+        elif confirmed and range_m > 0.0:
             self._alignment.add(reading_s, range_m + self.sonar.inset_m, stamp_ms)
+
+    def _confirmed(self, time_s: float, range_m: float) -> bool:
+        """Whether the last reading of its kind, a range or silence, says the same."""
+        if range_m >= self.sonar.reach_m:
+            last_s, self._silent_at_s = self._silent_at_s, time_s
+            return time_s - last_s < CONFIRM_S
+        last_s, last_m = self._ranges[-1] if self._ranges else (-math.inf, math.nan)
+        return time_s - last_s < CONFIRM_S and _agree(last_m, range_m)
 
     def _compare(self, time_s: float, range_m: float) -> None:
         """Note whether a range is like one of the two before it."""
         in_reach = range_m < self.sonar.reach_m
-        before = list(self._ranges)[-2:]
-        scattered = len(before) == 2 and not any(_agree(m, range_m) for _, m in before)
+        scattered = len(self._ranges) == 2 and not any(_agree(m, range_m) for _, m in self._ranges)
         self._scattered.append(in_reach and scattered)
         if in_reach:
             self._ranges.append((time_s, range_m))
