@@ -1,4 +1,5 @@
 import itertools
+import math
 import random
 import statistics
 from typing import Any
@@ -48,6 +49,22 @@ def test_it_glides() -> None:
 
     # A filter lag of 1 s leaves well under 10 cm in half a second.
     assert max(steps) < 0.2
+
+
+def test_an_autopilot_that_follows_later_glides_more() -> None:
+    moved_m = {}
+    for follows_s in (1.0, 3.0):
+        values = np.array(series(5, 40_000, Errors(0.8, 60.0, follows_s=follows_s)))
+        moved_m[follows_s] = float(np.diff(values).std())
+        # Behind a drift of 60 s it sees that share of its square.
+        assert values.std() == pytest.approx(0.8 * math.sqrt(60.0 / (60.0 + follows_s)), rel=0.12)
+
+    # A filter that makes up for a share b of what it is behind, each time, moves by b / (2 - b) of
+    # the variance of what it follows.
+    share = {one: 1.0 - math.exp(-DT_S / one) for one in moved_m}
+    variance = {one: b / (2.0 - b) for one, b in share.items()}
+    wanted = math.sqrt(variance[3.0] / variance[1.0])
+    assert moved_m[3.0] / moved_m[1.0] == pytest.approx(wanted, rel=0.05)
 
 
 def test_a_jump_comes_at_once() -> None:

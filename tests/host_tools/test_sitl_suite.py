@@ -16,7 +16,6 @@ import pytest
 from echowing.sim import flight
 from echowing.sim.hangar import Hangar
 from echowing.sim.scenario import load_scenario
-from echowing.sim.world.gps import ESTIMATE_LAG_S
 
 from ..sitl import loopback, truth
 from ..sitl.drift import METRES_PER_DEGREE, STEP_S, Drift
@@ -76,7 +75,7 @@ def test_drift_is_that_of_the_simulators_receiver() -> None:
     drift = Drift.of_receiver(settings.sigma_m, settings.tau_s, 2, "leader")
     # The simulator's has the autopilot's filter behind it.
     north_m, east_m = drift.north_m, drift.east_m
-    blend = 1.0 - math.exp(-STEP_S / ESTIMATE_LAG_S)
+    blend = 1.0 - math.exp(-STEP_S / settings.follows_s)
     for _ in range(500):
         drift.step(STEP_S)
         north_m += blend * (drift.north_m - north_m)

@@ -228,14 +228,17 @@ class Known(Cloud):
         self._truth = truth
         self._covariance = (0.0, 0.0, 0.0)
 
-    def advance(self, now_s: float) -> None:
+    def foretell(self, then_s: float) -> None:
         """As good as heard at this moment."""
-        self._heard_at_s = now_s
+        self._heard_at_s = then_s
         self.north_m, self.east_m = self._truth()
 
     def nearest_m(self, to_it_m: Horizontal, above_m: float, clear_m: float) -> float:
         """Where it is known, so far and no nearer."""
         return clear_m
+
+    def advance(self, now_s: float) -> None:
+        """Nothing that wanders."""
 
     def heard(self, *_: object) -> None:
         """Nothing to learn."""
@@ -259,7 +262,7 @@ class _Watch:
         """After each step."""
         flight, offset = self._flight, self._estimate.offset
         if isinstance(offset, Known):
-            offset.advance(flight.t_s)
+            offset.foretell(flight.t_s)
         leader, follower = flight.leader.body, flight.followers[0].body
         north_m, east_m = leader.north_m - follower.north_m, leader.east_m - follower.east_m
         sigma_m = offset.sigma_m(math.atan2(east_m, north_m))

@@ -8,10 +8,14 @@ receivers wander, how quickly, how wide the beam is for this leader and how ofte
 nobody knows beforehand.
 
 So this is no Kalman filter with given figures but a cloud of guesses (a particle filter; Gordon,
-Salmond and Smith 1993): each is one difference (north, east, up) with its own figures for all that.
-Guesses that foretell what the sonar says gain weight, and are repeated with small changes (Liu and
-West 2001); the others die out. What a deaf sonar leaves open stays open: some guesses hold the
-sonar for deaf, and lose all weight with the first reading that fits.
+Salmond and Smith 1993): each is one difference (north, east, up) with its own figures for the
+sonar. Guesses that foretell what the sonar says gain weight, and are repeated with small changes
+(Liu and West 2001); the others die out. What a deaf sonar leaves open stays open: some guesses hold
+the sonar for deaf, and lose all weight with the first reading that fits. How receivers wander is
+learnt beside it (`receivers`): guesses that are repeated forget it too soon.
+
+Readings can be used only as both vehicles' next reports come, about a second later. The cloud is of
+the last of them; what is asked of it is foretold for now (`foretell`).
 """
 
 import math
@@ -24,6 +28,7 @@ from numpy.typing import NDArray
 from echowing.flight.axis import Axis
 from echowing.flight.belief import SonarBelief
 from echowing.flight.guidance import Horizontal
+from echowing.flight.receivers import Receivers, passing
 
 Array = NDArray[np.float64]
 # From follower to leader, by their own positions: (north, east, up).
@@ -36,10 +41,9 @@ GUESSES = 4000
 RISK = 1.0 / 160.0
 # Both vehicles are known at the reading's moment to a decimetre.
 PLACED_SIGMA_M = 0.15
-# Readings nearer in time share their errors, and must not count twice.
+# Readings nearer in time share their errors, and must not count twice. Guesses move by centimetres
+# in this time.
 UPDATE_PERIOD_S = 0.25
-# Guesses move by centimetres in this time.
-ADVANCE_PERIOD_S = 0.5
 # So many readings in a row that nothing had foretold, while the leader has not been heard for so
 # long, are its own.
 AGREE, LOST_S = 3, 3.0
@@ -51,8 +55,6 @@ HEARS, MOST_HEARD = (0.6, 1.9), 0.98
 LEAST_FAR = 0.7
 # Two vehicles nearer than this have no direction.
 CLOSE_M = 0.1
-# By how many standard deviations receivers disagree where nobody had foretold it.
-RARE_SIGMAS = 2.5
 # How a guess changes when it is repeated (Liu and West's discount of 0.98, for which 0.2 is the
 # share of the spread), and by how far it moves.
 KEPT_OF_SPREAD, NEW_OF_SPREAD, MOVES_M = 0.98, 0.2, 0.03
@@ -71,7 +73,6 @@ class Wandering:
     sigma_m: float = 0.8
     sigma_spread: float = 0.4
     tau_s: float = 60.0
-    tau_spread: float = 0.5
     height_sigma_m: float = 0.5
     deaf_share: float = 0.02
 
@@ -104,27 +105,24 @@ class Cloud:
         self._range_sigma_m = math.hypot(PLACED_SIGMA_M, sonar.noise_m)
         self._chance = chance = np.random.Generator(np.random.PCG64(0))
         count = GUESSES
+        self._receivers = Receivers(wandering.sigma_m, wandering.sigma_spread, wandering.tau_s)
+        # A guess always has the same place among the cells of `receivers`, in order.
+        self._place = chance.random(count)
         # Of a pair: the difference of two that wander alike.
-        sigma = math.sqrt(2.0) * wandering.sigma_m
-        self._least_log_sigma, self._most_log_tau = math.log(sigma), math.log(wandering.tau_s)
-        self._log_sigma = math.log(sigma) + wandering.sigma_spread * chance.standard_normal(count)
-        self._log_tau = math.log(wandering.tau_s) + wandering.tau_spread * chance.standard_normal(
-            count
-        )
         self._height_sigma_m = math.sqrt(2.0) * wandering.height_sigma_m
+        self._share_out()
         # The sonar: between the narrowest and the widest beam that are believed, between how far it
         # hears surely and at most, and as a share of how often it hears at the least.
         self._wide, self._far = chance.random(count), chance.random(count)
         self._hears = chance.uniform(*HEARS, count)
         self._deaf = chance.random(count) < wandering.deaf_share
-        # Each with its opposite: so their mean is none.
-        half = chance.standard_normal((3, count // 2))
-        self._log_sigma[count // 2 :] = self._log_sigma[: count // 2]
-        self._off = np.concatenate((half, -half), axis=1)
-        self._off[:2] *= np.exp(self._log_sigma)
-        self._off[2] *= self._height_sigma_m
+        # What both receivers drift by, what their autopilots believe, which follows it, and by what
+        # chance it is foretold.
+        self._drift = self._opposites() * self._wanders_m
+        self._off, self._ahead = self._drift.copy(), self._opposites()
         self._weight = np.full(count, 1.0 / count)
         self._advanced_s: float | None = None
+        self._then_s = -math.inf
         self._heard_at_s = -math.inf
         self._silent_at_s = -math.inf
         self._unforetold = 0
@@ -152,7 +150,7 @@ class Cloud:
     @property
     def wander_m(self) -> float:
         """How far each receiver wanders per axis, standard deviation, as learnt."""
-        return float(self._weight @ np.exp(self._log_sigma)) / math.sqrt(2.0)
+        return float(self._receivers.share @ self._receivers.sigma_m)
 
     def nearest_m(self, to_it_m: Horizontal, above_m: float, clear_m: float) -> float:
         """How near one may come, on the straight way, to where the leader is believed (`RISK`).
@@ -177,7 +175,7 @@ class Cloud:
         across = east * cos
         across -= north * sin
         across *= across
-        up = above_m - self._off[2]
+        up = above_m - self._then[2]
         up *= up
         reach_m2 = clear_m * clear_m - across
         reach_m2 -= up
@@ -195,23 +193,40 @@ class Cloud:
 
     # ---- what is learnt ----
 
+    def foretell(self, then_s: float) -> None:
+        """Let all that is asked from now on be of `then_s`."""
+        self._then_s = then_s
+        self._summarise()
+
     def advance(self, now_s: float) -> None:
         """Let the guesses wander until `now_s`."""
         if self._advanced_s is None:
             self._advanced_s = now_s
         elapsed_s = now_s - self._advanced_s
-        if elapsed_s < ADVANCE_PERIOD_S:
+        if elapsed_s < UPDATE_PERIOD_S:
             return
         self._advanced_s = now_s
-        kept = np.exp(-elapsed_s * np.exp(-self._log_tau))
-        moves = np.sqrt(1.0 - kept * kept)
-        self._off *= kept
-        self._off[:2] += np.exp(self._log_sigma) * moves * self._normal(2)
-        self._off[2] += self._height_sigma_m * moves * self._normal(1)[0]
+        self._off, self._drift = self._moved(elapsed_s, self._normal(3))
         changes = self._chance.random(GUESSES)
         deafens, recovers = elapsed_s / DEAFENS_S, elapsed_s / RECOVERS_S
         self._deaf = np.where(self._deaf, changes > recovers, changes < deafens)
         self._summarise()
+
+    def _moved(self, elapsed_s: float, chance: Array) -> tuple[Array, Array]:
+        """What autopilots believe after so long, and the drift that they follow."""
+        receivers = self._receivers
+        kept, left, part = passing(elapsed_s, receivers.tau_s, receivers.follows_s)
+        change = math.sqrt(1.0 - kept * kept) * chance * self._wanders_m
+        drift, left, part = kept * self._drift, left[self._cell], part[self._cell]
+        return left * self._off + (1.0 - left) * drift + part * change, drift + change
+
+    def _share_out(self) -> None:
+        """Put as many guesses into each cell of `receivers` as it is likely."""
+        up_to = np.cumsum(self._receivers.share)
+        self._cell = np.minimum(np.searchsorted(up_to, self._place), len(up_to) - 1)
+        level_m = math.sqrt(2.0) * self._receivers.sigma_m[self._cell]
+        # How far each guess's drift goes, (north, east, up): standard deviations.
+        self._wanders_m = np.stack((level_m, level_m, np.full(GUESSES, self._height_sigma_m)))
 
     def heard(
         self,
@@ -240,9 +255,22 @@ class Cloud:
         self._unforetold = 0 if foretold else self._unforetold + 1
         if foretold:
             self._heard_at_s = time_s
+            self._compare(time_s, distance_m, believed)
         elif self._alone and self._unforetold >= AGREE and self.unheard_s(time_s) > LOST_S:
             self._guess_anew(distance_m, axis, believed)
         self._update(fits + wrong)
+
+    def _compare(self, time_s: float, distance_m: float, believed: Between) -> None:
+        """Show `receivers` what they disagree by along the way to the leader."""
+        north_m, east_m, up_m = np.array(believed) - self._off @ self._weight
+        far_m = math.hypot(north_m, east_m)
+        if far_m < CLOSE_M or abs(up_m) >= distance_m:
+            return
+        along = north_m / far_m, east_m / far_m
+        seen_m = math.sqrt(distance_m * distance_m - up_m * up_m)
+        off_m = believed[0] * along[0] + believed[1] * along[1] - seen_m
+        self._receivers.take(time_s, along, off_m, self._range_sigma_m)
+        self._share_out()
 
     def is_of_another(
         self, distance_m: float, axis: Axis, believed: Between, others: Sequence[Bystander]
@@ -294,10 +322,7 @@ class Cloud:
         to_it = np.array(
             (level * np.cos(azimuth), level * np.sin(azimuth), far * np.sin(elevation))
         )
-        self._off[:, ::2] = np.array(believed)[:, np.newaxis] - to_it
-        # They wander so far that this is rare.
-        rare = np.log(np.hypot(*self._off[:2, ::2]) / RARE_SIGMAS)
-        self._log_sigma[::2] = np.maximum(self._least_log_sigma, rare)
+        self._off[:, ::2] = self._drift[:, ::2] = np.array(believed)[:, np.newaxis] - to_it
         self._deaf[::2] = False
         self._weight[:] = 1.0 / GUESSES
         self._unforetold = 0
@@ -339,11 +364,8 @@ class Cloud:
         """Repeat each guess as its weight says, with small changes (systematic resampling)."""
         places = (np.arange(GUESSES) + self._chance.random()) / GUESSES
         chosen = np.minimum(np.searchsorted(np.cumsum(self._weight), places), GUESSES - 1)
-        self._off = self._off[:, chosen] + MOVES_M * self._normal(3)
-        # That receivers wander less, or more slowly, than believed takes longer than a flight to
-        # learn, and to believe it too soon costs the leader.
-        self._log_sigma = np.maximum(self._least_log_sigma, self._changed(self._log_sigma[chosen]))
-        self._log_tau = np.minimum(self._most_log_tau, self._changed(self._log_tau[chosen]))
+        moves_m = MOVES_M * self._normal(3)
+        self._off, self._drift = self._off[:, chosen] + moves_m, self._drift[:, chosen] + moves_m
         self._wide = np.clip(self._changed(self._wide[chosen]), 0.0, 1.0)
         self._far = np.clip(self._changed(self._far[chosen]), 0.0, 1.0)
         self._hears = np.clip(self._changed(self._hears[chosen]), *HEARS)
@@ -360,6 +382,11 @@ class Cloud:
         off += NEW_OF_SPREAD * spread * self._normal(1)[0]
         return off
 
+    def _opposites(self) -> Array:
+        """Each with its opposite: so their mean is none."""
+        half = self._normal(3)[:, : GUESSES // 2]
+        return np.concatenate((half, -half), axis=1)
+
     def _normal(self, rows: int) -> Array:
         drawn: Array = self._chance.standard_normal((rows, GUESSES))
         return drawn
@@ -367,9 +394,11 @@ class Cloud:
     def _summarise(self) -> None:
         """Mean and covariance of the guesses."""
         self._asked = None
-        self.north_m, self.east_m, self.up_m = map(float, self._off @ self._weight)
-        self._around = north, east = self._off[0] - self.north_m, self._off[1] - self.east_m
-        up = self._off[2] - self.up_m
+        ahead_s = 0.0 if self._advanced_s is None else self._then_s - self._advanced_s
+        self._then = then = self._moved(ahead_s, self._ahead)[0] if ahead_s > 0.0 else self._off
+        self.north_m, self.east_m, self.up_m = map(float, then @ self._weight)
+        self._around = north, east = then[0] - self.north_m, then[1] - self.east_m
+        up = then[2] - self.up_m
         weight = self._weight
         self._covariance: tuple[float, float, float] = (
             float(weight @ (north * north)),

@@ -197,6 +197,8 @@ class Estimate:
                 self.offset.heard(one.time_s, one.distance_m, one.axis, believed_m, bystanders)
             elif one.told or one.lean_rad < LEVEL_RAD:
                 self.offset.silent(one.time_s, one.axis, believed_m)
+        if math.isfinite(self._used_to_s):
+            self.offset.advance(self._used_to_s)
         for one in self._every.due(leader, self.history):
             straight = one.told or (one.lean_rad < LEVEL_RAD and not self.points(one.time_s))
             if straight and not self._is_of_another(one, others):

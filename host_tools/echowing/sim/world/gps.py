@@ -7,10 +7,6 @@ from dataclasses import dataclass
 
 from echowing.geo import Ned
 
-# The autopilot's filter follows its receiver's wandering within about a second, so that the
-# estimate glides where the receiver's position would jitter.
-ESTIMATE_LAG_S = 1.0
-
 
 @dataclass(frozen=True, slots=True)
 class Errors:
@@ -18,9 +14,11 @@ class Errors:
 
     sigma_m, tau_s: each horizontal axis of the receiver, which wanders slowly. height_sigma_m,
     height_tau_s: the height that the autopilot reports and flies by, which is its barometer's.
-    receiver_height_sigma_m: the receiver's own. step_m, step_every_s: each axis of a step as
-    another satellite counts, which fades with `tau_s`, and how often one comes (infinite: never).
-    multipath_m, multipath_s: each axis of what echoes of the satellites' signals add.
+    receiver_height_sigma_m: the receiver's own. follows_s: how much later the autopilot's filter
+    follows, so that its estimate glides where the receiver's position would jitter. step_m,
+    step_every_s: each axis of a step as another satellite counts, which fades with `tau_s`, and how
+    often one comes (infinite: never). multipath_m, multipath_s: each axis of what echoes of the
+    satellites' signals add.
     """
 
     sigma_m: float = 0.0
@@ -28,6 +26,7 @@ class Errors:
     height_sigma_m: float = 0.0
     height_tau_s: float = 60.0
     receiver_height_sigma_m: float = 0.0
+    follows_s: float = 1.0
     step_m: float = 0.0
     step_every_s: float = math.inf
     multipath_m: float = 0.0
@@ -80,15 +79,15 @@ class _Steps:
 class _Estimate:
     """What the autopilot's filter makes of several errors on one axis (metres)."""
 
-    def __init__(self, *errors: "_Wander | _Steps") -> None:
-        self._errors = errors
+    def __init__(self, follows_s: float, *errors: "_Wander | _Steps") -> None:
+        self._follows_s, self._errors = follows_s, errors
         self._error_m = sum(one.error_m for one in errors)
         self._dt_s, self._blend = -1.0, 0.0
 
     def step(self, dt_s: float) -> float:
         """The estimate's error after `dt_s` more seconds."""
         if dt_s != self._dt_s:
-            self._dt_s, self._blend = dt_s, 1.0 - math.exp(-dt_s / ESTIMATE_LAG_S)
+            self._dt_s, self._blend = dt_s, 1.0 - math.exp(-dt_s / self._follows_s)
         error_m = 0.0
         for one in self._errors:
             error_m += one.step(dt_s)
@@ -113,9 +112,13 @@ class Drift:
         parked: bool = False,
         by_receiver: bool = False,
     ) -> None:
-        drifts = chance("")
+        drifts, follows_s = chance(""), errors.follows_s
         self._north, self._east = (
-            _Estimate(_Wander(errors.sigma_m, errors.tau_s, drifts), *_beside(errors, chance, axis))
+            _Estimate(
+                follows_s,
+                _Wander(errors.sigma_m, errors.tau_s, drifts),
+                *_beside(errors, chance, axis),
+            )
             for axis in ("north", "east")
         )
         barometer = _Wander(
@@ -124,7 +127,7 @@ class Drift:
         self._receiver_height = _Wander(
             errors.receiver_height_sigma_m, errors.tau_s, chance("receiver height")
         )
-        self._height = _Estimate(self._receiver_height if by_receiver else barometer)
+        self._height = _Estimate(follows_s, self._receiver_height if by_receiver else barometer)
         self._by_receiver = by_receiver
         self.jump_ned_m: Ned = (0.0, 0.0, 0.0)
 

@@ -105,6 +105,7 @@ def true_errors(given: "GpsSection", chance: Stream) -> Errors:
         receiver_height_sigma_m=draw.around(
             "receiver height sigma", given.receiver_vertical_sigma_m
         ),
+        follows_s=draw.around("follows", given.follows_s),
         step_m=given.step_m,
         step_every_s=given.step_every_s if given.step_m > 0.0 else math.inf,
         multipath_m=given.multipath_m,

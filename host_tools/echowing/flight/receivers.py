@@ -1,0 +1,115 @@
+"""How two receivers wander apart, and how that is learnt from the sonar. Pure.
+
+A receiver's error drifts; what its autopilot believes follows it a little later, and so moves
+smoothly. Over seconds the two look alike only if both are modelled: the smooth path of a receiver
+that wanders far is that of one that wanders less, if it is taken for jumps.
+"""
+
+import math
+from itertools import pairwise
+from statistics import NormalDist
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+# How much further than believed receivers may wander (not less: that costs the leader if it is
+# wrong), and how much later an autopilot follows: from a receiver that it takes at its word to a
+# filter that mostly believes its inertial sensors (of ArduPilot's EKF3, a few seconds).
+FURTHER = (1.0, 1.4, 2.0, 2.8, 4.0)
+FOLLOWS_S = (0.3, 1.0, 3.0)
+# A cell is never less likely than this, beside the likeliest: receivers change.
+LEAST_SHARE = 1e-3
+
+
+def passing(elapsed_s: float, tau_s: float, follows_s: Array) -> tuple[float, Array, Array]:
+    """How a drift, and what follows it, change.
+
+    Returns `kept`, `left`, `part`: a drift d of standard deviation s becomes kept * d + e, and
+    what follows it, f, becomes left * f + (1 - left) * kept * d + part * e, where e is by chance,
+    with the variance s^2 * (1 - kept^2).
+    """
+    ratio = np.maximum(elapsed_s / follows_s, 1e-6)
+    left = np.exp(-ratio)
+    part = np.sqrt((ratio + 2.0 * left - 0.5 * left * left - 1.5).clip(0.0) / ratio)
+    return math.exp(-elapsed_s / tau_s), left, part
+
+
+class Receivers:
+    """How far a pair of receivers wanders, and how smoothly: a likelihood for each cell.
+
+    A cell is a pair of the two figures, with a Kalman filter of its own of the pair's drift and of
+    what their autopilots believe, north and east (multiple models; Magill 1965).
+    """
+
+    def __init__(self, sigma_m: float, sigma_spread: float, tau_s: float) -> None:
+        """sigma_m, sigma_spread, tau_s: as in `cloud.Wandering`."""
+        further, follows_s = (one.ravel() for one in np.meshgrid(FURTHER, FOLLOWS_S))
+        # Those that wander less than believed count as the first.
+        believed = NormalDist(sigma=sigma_spread)
+        between = [believed.cdf(math.log(math.sqrt(a * b))) for a, b in pairwise(FURTHER)]
+        likely = np.diff([0.0, *between, 1.0])
+        self.sigma_m: Array = sigma_m * further
+        """Of each receiver, per axis; by cell."""
+        self.follows_s: Array = follows_s
+        """How much later its autopilot follows; by cell."""
+        self.tau_s = tau_s
+        self.share: Array = np.tile(likely, len(FOLLOWS_S))
+        """How likely each cell is."""
+        self._settle()
+        # By cell: (drift north, drift east, believed north, believed east), and its covariance.
+        self._state = np.zeros((len(further), 4))
+        self._covariance = self._by_axis(np.ones((1, 2, 2)) * self._variance()[:, None, None])
+        self.seen_s = -math.inf
+
+    def take(self, time_s: float, along: tuple[float, float], off_m: float, sigma_m: float) -> None:
+        """Take what a reading says.
+
+        Args:
+            time_s: when it was taken.
+            along: unit vector (north, east).
+            off_m: what they were seen to disagree by along it.
+            sigma_m: standard deviation of that.
+
+        """
+        if time_s > self.seen_s:
+            if math.isfinite(self.seen_s):
+                self._wander(time_s - self.seen_s)
+            self.seen_s = time_s
+        seen = np.array((0.0, 0.0, *along))
+        shared = self._covariance @ seen
+        variance = shared @ seen + sigma_m * sigma_m
+        surprise = off_m - self._state @ seen
+        gain = shared / variance[:, None]
+        self._state = self._state + gain * surprise[:, None]
+        self._covariance = self._covariance - gain[:, :, None] * shared[:, None, :]
+        self.share = self.share * np.exp(-0.5 * surprise**2 / variance) / np.sqrt(variance)
+        self._settle()
+
+    def _wander(self, elapsed_s: float) -> None:
+        kept, left, part = passing(elapsed_s, self.tau_s, self.follows_s)
+        none, one = np.zeros_like(left), np.ones_like(left)
+        moves = self._by_axis(_rows(kept * one, none, (1.0 - left) * kept, left))
+        change = self._by_axis(_rows(one, part, part, part * part))
+        change *= (self._variance() * (1.0 - kept * kept))[:, None, None]
+        self._state = np.einsum("cij,cj->ci", moves, self._state)
+        self._covariance = moves @ self._covariance @ moves.transpose(0, 2, 1) + change
+
+    def _variance(self) -> Array:
+        """Of the difference of two receivers that wander alike."""
+        return 2.0 * self.sigma_m**2
+
+    def _settle(self) -> None:
+        self.share = np.maximum(self.share, LEAST_SHARE * float(self.share.max()))
+        self.share /= self.share.sum()
+
+    @staticmethod
+    def _by_axis(of_one: Array) -> Array:
+        """The same for north and for east: cells of 2 x 2 become cells of 4 x 4."""
+        return np.asarray(np.kron(of_one, np.eye(2)), dtype=np.float64)
+
+
+def _rows(*values: Array) -> Array:
+    """2 x 2 matrices by row, from one array a place."""
+    return np.stack(values, axis=-1).reshape(-1, 2, 2)
