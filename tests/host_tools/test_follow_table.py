@@ -59,6 +59,7 @@ def write(
     pilots: tuple[float, float] = (math.inf, math.inf),
     followers: tuple[int, ...] = (FOLLOWER,),
     changed: tuple[float, float] = (math.inf, 0.0),
+    learn_offset: bool = False,
 ) -> Path:
     """20 s of a leader flying north at 2 m/s; between `pilots` the followers are in Loiter.
 
@@ -67,7 +68,9 @@ def write(
     slot = Slot(radius_m, math.radians(angle_deg))
     plans = [FollowerPlan(one, slot, 10.0, sonar=shipped_sonar()) for one in followers]
     # A relay, radius 0, has no bar.
-    settings = GuidanceSettings(tow_bar=radius_m > 0.0, learn_offset=False, feed_forward=False)
+    settings = GuidanceSettings(
+        tow_bar=radius_m > 0.0, learn_offset=learn_offset, feed_forward=False
+    )
     session = FollowSession(LEADER, plans, settings)
     panel = Panel([LEADER, *followers])
     log = FollowLog(folder, START_UNIX_S, pytest.fail)
@@ -97,6 +100,17 @@ def write(
     log.close()
     (table,) = folder.glob("*.csv")
     return table
+
+
+def test_a_table_says_how_far_and_how_smoothly_the_receivers_are_found_to_wander(
+    tmp_path: Path,
+) -> None:
+    """Nothing was heard, so it is what is believed beforehand (`flight.receivers`)."""
+    with write(tmp_path, learn_offset=True).open(encoding="utf-8", newline="") as file:
+        last = list(csv.DictReader(file))[-1]
+
+    assert float(last["wander_m"]) == pytest.approx(0.96, abs=0.01)
+    assert float(last["follows_s"]) == pytest.approx((0.3 + 1.0 + 3.0) / 3.0, abs=0.01)
 
 
 def test_a_table_gives_the_separation_that_was_flown(tmp_path: Path) -> None:

@@ -81,13 +81,20 @@ ROWS = tuple(
 )
 
 
+# The promise: nobody comes nearer.
+PROMISED_M = 1.0
+# A normal error is further off than this once in 80 times.
+BEYOND = 2.5
+
+
 @dataclass(frozen=True)
 class Flown:
     """One flight of a row.
 
     found_s: until the sonar had the leader; reached_s: until the leader was within its reach,
     wherever the nose pointed; infinite for never. sigma_m: what the estimate gives itself along the
-    line to the leader (root mean square).
+    line to the leader (root mean square). beyond_share: of the time in which it is off along that
+    line by more than `BEYOND` of its own standard deviations.
     """
 
     mean_error_m: float
@@ -96,6 +103,7 @@ class Flown:
     found_s: float
     reached_s: float
     sigma_m: float
+    beyond_share: float
 
 
 @dataclass(frozen=True)
@@ -144,6 +152,16 @@ class Kept:
         """What an estimate as unsure as it says it is adds to the RMSD with it known."""
         known_m2 = _mean(one.rmsd_m**2 for one in self.known)
         return math.sqrt(known_m2 + _mean(one.sigma_m**2 for one in self.flights))
+
+    @property
+    def beyond_share(self) -> float:
+        """Share of time in which the estimate is off by more than it may; an honest one: 1 %."""
+        return _mean(one.beyond_share for one in self.flights)
+
+    @property
+    def under(self) -> int:
+        """Flights that came under the metre that is promised."""
+        return sum(one.least_m < PROMISED_M for one in self.flights)
 
     @property
     def missed(self) -> tuple[str, ...]:
@@ -213,6 +231,7 @@ def fly_row(row: Row, seed: int, changes: Sequence[str] = (), *, known: bool = F
         found_s=_or_never(found_s(flown, inset_m)),
         reached_s=_or_never(within_s(flown, sonar.foil_m + inset_m)),
         sigma_m=watch.sigma_m(approached_s),
+        beyond_share=watch.beyond_share(approached_s),
     )
 
 
@@ -254,7 +273,8 @@ class _Watch:
         self._flight = flight
         (follower,) = flight.ground.session.followers.values()
         self._estimate = follower.estimate
-        self._variances: list[tuple[float, float]] = []
+        self._seen: list[tuple[float, float, float]] = []
+        """When, how far off along the line to the leader, and by the estimate's own figure."""
         if known:
             self._estimate.offset = Known(self._estimate.sonar, self._truth)
 
@@ -265,12 +285,20 @@ class _Watch:
             offset.foretell(flight.t_s)
         leader, follower = flight.leader.body, flight.followers[0].body
         north_m, east_m = leader.north_m - follower.north_m, leader.east_m - follower.east_m
-        sigma_m = offset.sigma_m(math.atan2(east_m, north_m))
-        self._variances.append((flight.t_s, sigma_m * sigma_m))
+        bearing_rad = math.atan2(east_m, north_m)
+        true_north_m, true_east_m = self._truth()
+        off_north_m, off_east_m = true_north_m - offset.north_m, true_east_m - offset.east_m
+        off_m = off_north_m * math.cos(bearing_rad) + off_east_m * math.sin(bearing_rad)
+        self._seen.append((flight.t_s, off_m, offset.sigma_m(bearing_rad)))
 
     def sigma_m(self, from_s: float) -> float:
         """Root mean square of what the estimate gives itself along the line to the leader."""
-        return math.sqrt(_mean(m2 for t_s, m2 in self._variances if t_s >= from_s))
+        return math.sqrt(_mean(own_m**2 for t_s, _, own_m in self._seen if t_s >= from_s))
+
+    def beyond_share(self, from_s: float) -> float:
+        """Share of time in which it is off by more than `BEYOND` of its own standard deviations."""
+        seen = [one for one in self._seen if one[0] >= from_s]
+        return sum(abs(off_m) > BEYOND * own_m for _, off_m, own_m in seen) / len(seen)
 
     def _truth(self) -> Horizontal:
         leader, follower = self._flight.leader.body, self._flight.followers[0].body

@@ -106,8 +106,8 @@ class Cloud:
         self._chance = chance = np.random.Generator(np.random.PCG64(0))
         count = GUESSES
         self._receivers = Receivers(wandering.sigma_m, wandering.sigma_spread, wandering.tau_s)
-        # A guess always has the same place among the cells of `receivers`, in order.
-        self._place = chance.random(count)
+        # A guess, as its opposite, always has the same place among the cells of `receivers`.
+        self._place = np.tile(chance.random(count // 2), 2)
         # Of a pair: the difference of two that wander alike.
         self._height_sigma_m = math.sqrt(2.0) * wandering.height_sigma_m
         self._share_out()
@@ -151,6 +151,11 @@ class Cloud:
     def wander_m(self) -> float:
         """How far each receiver wanders per axis, standard deviation, as learnt."""
         return float(self._receivers.share @ self._receivers.sigma_m)
+
+    @property
+    def follows_s(self) -> float:
+        """How much later an autopilot follows its receiver, as learnt."""
+        return float(self._receivers.share @ self._receivers.follows_s)
 
     def nearest_m(self, to_it_m: Horizontal, above_m: float, clear_m: float) -> float:
         """How near one may come, on the straight way, to where the leader is believed (`RISK`).

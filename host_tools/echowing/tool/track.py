@@ -23,7 +23,9 @@ class Track:
     the guidance, the learnt offset and the lead included; yaw_deg: the commanded heading. pan_us,
     tilt_us: the gimbal's pulses. leader_height_m: above the leader's home, wanted_height_m: of
     this follower above its own. seen_*: from the leader's position by its own receiver to
-    where this follower estimates it, metres, and the covariance, square metres.
+    where this follower estimates it, metres, and the covariance, square metres. wander_m,
+    follows_s: how far each of both receivers is found to wander per axis, and how much later its
+    autopilot follows it.
     """
 
     wanted_radius_m: float
@@ -57,6 +59,8 @@ class Track:
     seen_nn_m2: float | None = None
     seen_ne_m2: float | None = None
     seen_ee_m2: float | None = None
+    wander_m: float | None = None
+    follows_s: float | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Its fields by name: degrees of position as MAVLink carries them, else thousandths."""
@@ -141,6 +145,8 @@ def _seen(
         "seen_nn_m2": nn_m2,
         "seen_ne_m2": ne_m2,
         "seen_ee_m2": ee_m2,
+        "wander_m": offset.wander_m,
+        "follows_s": offset.follows_s,
     }
 
 
