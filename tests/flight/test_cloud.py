@@ -242,14 +242,17 @@ class TestHowNearIsCertain:
     def test_a_sonar_that_works_and_hears_nothing_rules_out_what_is_near(self) -> None:
         """All round where a leader at 3 m could be, nothing is heard: it is further."""
         sonar, before_m = Sonar(), self.nearest_m(Cloud(shipped_sonar()), (3.5, 0.0))
-        for _ in range(4):
+        nearest_m = []
+        for _ in range(8):
             for aside_deg in (-60, -40, -20, 0, 20, 40, 60):
                 for above_deg in (-20, 0, 20):
                     axis = Axis(math.radians(aside_deg), math.radians(above_deg))
                     sonar.looks(axis, to_it_m=(3.5, 0.0, 0.0), deaf=True)
+            behind_m = -sonar.cloud.north_m  # the mean has moved away; what counts is the place
+            nearest_m.append(self.nearest_m(sonar.cloud, (3.5 + behind_m, 0.0)) - behind_m)
 
-        behind_m = -sonar.cloud.north_m  # the mean has moved away; what counts is the place
-        assert self.nearest_m(sonar.cloud, (3.5 + behind_m, 0.0)) - behind_m < before_m - 0.3
+        # Those that are left are the deaf ones, one in ten: each time a few guesses decide.
+        assert statistics.fmean(nearest_m[2:]) < before_m - 0.8
 
     def test_but_a_deaf_one_is_not_believed_for_ever(self) -> None:
         """A sonar that is silent for minutes is most likely deaf, and rules out nothing."""

@@ -486,19 +486,19 @@ def test_soak_counts_a_reboot_and_fails(tmp_path: Path) -> None:
 
 def test_soak_survives_the_cable_being_pulled(tmp_path: Path) -> None:
     plug = tmp_path / "ttyBOARD"
-    emulators = [Emulator("--range-cm", "300")]
-    plug.symlink_to(emulators[0].port)
+    # Both run from the start: on a busy machine one takes longer to start than the soak lasts.
+    pulled, plugged_in = Emulator("--range-cm", "300"), Emulator("--range-cm", "300")
+    plug.symlink_to(pulled.port)
 
     def pull(line: str, process: "subprocess.Popen[str]") -> None:
         if "soaking" in line:
-            emulators[0].stop()
+            pulled.stop()
         if "waiting for the board" in line:
-            emulators.append(Emulator("--range-cm", "300"))
             plug.unlink()
-            plug.symlink_to(emulators[1].port)
+            plug.symlink_to(plugged_in.port)
 
     done = rig(tmp_path, str(plug), "soak", "--duration", "8", "--row", "2", watch=pull)
-    emulators[1].stop()
+    plugged_in.stop()
     assert "start again" not in done.said  # it waits
     assert done.result["measured"]["unplugged"] == 1
     assert done.result["measured"]["reboots"] == 0

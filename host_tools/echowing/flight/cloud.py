@@ -211,7 +211,7 @@ class Cloud:
         if elapsed_s < UPDATE_PERIOD_S:
             return
         self._advanced_s = now_s
-        self._off, self._drift = self._moved(elapsed_s, self._normal(3))
+        self._off, self._drift = self._moved(elapsed_s, self._opposites())
         changes = self._chance.random(GUESSES)
         deafens, recovers = elapsed_s / DEAFENS_S, elapsed_s / RECOVERS_S
         self._deaf = np.where(self._deaf, changes > recovers, changes < deafens)
@@ -389,7 +389,7 @@ class Cloud:
 
     def _opposites(self) -> Array:
         """Each with its opposite: so their mean is none."""
-        half = self._normal(3)[:, : GUESSES // 2]
+        half = self._chance.standard_normal((3, GUESSES // 2))
         return np.concatenate((half, -half), axis=1)
 
     def _normal(self, rows: int) -> Array:
