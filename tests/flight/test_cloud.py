@@ -187,11 +187,31 @@ def test_that_they_wander_less_is_not_believed() -> None:
     assert sonar.cloud.wander_m >= Wandering().sigma_m
 
 
+def test_a_disagreement_that_nobody_expects_leaves_all_as_likely_as_it_was() -> None:
+    """One receiver is suddenly 100 m off: the readings win, and how far they wander stays known."""
+    sonar = Sonar().looks_round()
+    sonar.true_m = (100.0, 0.0, 0.0)
+    sonar.now_s += 4.0
+    sonar.looks(Axis(NORTH), 12)
+
+    assert sonar.off_m < 1.0
+    assert 0.8 < sonar.cloud.wander_m < 3.2
+
+
+def test_minutes_without_a_report_make_no_sonar_deaf() -> None:
+    """It falls deaf once in ten minutes, and hears again in one: one time in eleven it is deaf."""
+    cloud = Sonar().looks_round().cloud
+
+    cloud.advance(1000.0)
+
+    assert cloud.deaf_share == pytest.approx(1.0 / 11.0, abs=0.02)
+
+
 class TestForetold:
     """What is asked is of the moment that was named, not of the last reading."""
 
     def test_it_is_less_sure_than_what_is_known(self) -> None:
-        """Half of 2 x 2 x (0.8 m)^2 x 4 s / 60 s: autopilots follow their receivers later."""
+        """Two receivers of a metre: a random walk of 0.52 m; autopilots follow it later."""
         sonar = Sonar().looks_round()
         cloud, now_s = sonar.cloud, sonar.now_s
         known_m, mean_m = cloud.sigma_m(NORTH), cloud.north_m

@@ -381,6 +381,24 @@ def test_a_hold_is_flown_in_the_same_way_as_what_it_stops(settings: GuidanceSett
     assert (held.vx, held.vy) == (0.0, 0.0)
 
 
+@pytest.mark.parametrize("now_s", [1.0, 9.0], ids=["led", "held"])
+def test_what_is_asked_of_the_receivers_is_of_when_the_points_arrive(
+    monkeypatch: pytest.MonkeyPatch, now_s: float
+) -> None:
+    """Of one that is held, too, and before anybody asks: where it looks, where it flies."""
+    follow = session(GuidanceSettings())
+    asked: list[Any] = []
+    follow.receive(from_vehicle(LEADER, position(1.0, HERE)), 1.0)
+    follower = follow.followers[FOLLOWER]
+    monkeypatch.setattr(follower.estimate.offset, "foretell", asked.append)
+    looks = "echowing.flight.session.look_at"
+    monkeypatch.setattr(looks, lambda *_: asked.append("where it looks"))
+
+    follow.tick(now_s)
+
+    assert asked == [pytest.approx(now_s + follower.way_s), "where it looks"]
+
+
 def test_a_hold_keeps_looking_at_a_leader_of_which_nothing_is_known_any_more() -> None:
     follow = session()
     beside = displace(HERE, (-2.0, -2.0, 0.0))

@@ -256,7 +256,7 @@ class Known(Cloud):
         """Where it is known, so far and no nearer."""
         return clear_m
 
-    def advance(self, now_s: float) -> None:
+    def advance(self, to_s: float) -> None:
         """Nothing that wanders."""
 
     def heard(self, *_: object) -> None:

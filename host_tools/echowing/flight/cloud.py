@@ -4,8 +4,8 @@ Leader and follower each report a place a metre or so from the true one, and the
 a minute: the receivers' north and east, the barometers' up. Only their difference matters to a
 formation, and the sonar shows it. A reading says that the leader is on an arc, at that range and
 somewhere in the beam; silence says that it is not in the beam, or that the sonar is deaf. How far
-receivers wander, how quickly, how wide the beam is for this leader and how often it is heard,
-nobody knows beforehand.
+receivers wander, how wide the beam is for this leader and how often it is heard, nobody knows
+beforehand.
 
 So this is no Kalman filter with given figures but a cloud of guesses (a particle filter; Gordon,
 Salmond and Smith 1993): each is one difference (north, east, up) with its own figures for the
@@ -14,8 +14,8 @@ sonar. Guesses that foretell what the sonar says gain weight, and are repeated w
 the sonar for deaf, and lose all weight with the first reading that fits. How receivers wander is
 learnt beside it (`receivers`): guesses that are repeated forget it too soon.
 
-Readings can be used only as both vehicles' next reports come, about a second later. The cloud is of
-the last of them; what is asked of it is foretold for now (`foretell`).
+A reading is used about a second late, once both vehicles' next reports are there. The guesses are
+of that moment; `foretell` carries a copy of them on to when an order arrives.
 """
 
 import math
@@ -64,10 +64,11 @@ DEAFENS_S, RECOVERS_S = 600.0, 60.0
 
 @dataclass(frozen=True, slots=True)
 class Wandering:
-    """What is believed beforehand: the middle of the guesses, and the spread of their logarithms.
+    """What is believed beforehand.
 
-    sigma_m: how far each receiver wanders per axis (standard deviation); tau_s: how quickly
-    (correlation time); height_sigma_m: that of each vehicle's height.
+    sigma_m: how far each receiver wanders per axis at the least (standard deviation); sigma_spread:
+    of its logarithm; tau_s: how quickly (correlation time); height_sigma_m: how far each vehicle's
+    height wanders.
     """
 
     sigma_m: float = 0.8
@@ -116,10 +117,12 @@ class Cloud:
         self._wide, self._far = chance.random(count), chance.random(count)
         self._hears = chance.uniform(*HEARS, count)
         self._deaf = chance.random(count) < wandering.deaf_share
-        # What both receivers drift by, what their autopilots believe, which follows it, and by what
-        # chance it is foretold.
+        # What both receivers' drift differs by.
         self._drift = self._opposites() * self._wanders_m
-        self._off, self._ahead = self._drift.copy(), self._opposites()
+        # What their autopilots' beliefs differ by, which follow the drift.
+        self._off = self._drift.copy()
+        # By what chance it is foretold: always the same, so that asking twice gives one answer.
+        self._ahead = self._opposites()
         self._weight = np.full(count, 1.0 / count)
         self._advanced_s: float | None = None
         self._then_s = -math.inf
@@ -203,22 +206,27 @@ class Cloud:
         self._then_s = then_s
         self._summarise()
 
-    def advance(self, now_s: float) -> None:
-        """Let the guesses wander until `now_s`."""
+    def advance(self, to_s: float) -> None:
+        """Let the guesses wander until `to_s`."""
         if self._advanced_s is None:
-            self._advanced_s = now_s
-        elapsed_s = now_s - self._advanced_s
+            self._advanced_s = to_s
+        elapsed_s = to_s - self._advanced_s
         if elapsed_s < UPDATE_PERIOD_S:
             return
-        self._advanced_s = now_s
+        self._advanced_s = to_s
         self._off, self._drift = self._moved(elapsed_s, self._opposites())
         changes = self._chance.random(GUESSES)
-        deafens, recovers = elapsed_s / DEAFENS_S, elapsed_s / RECOVERS_S
+        mixed = -math.expm1(-elapsed_s * (1.0 / DEAFENS_S + 1.0 / RECOVERS_S))
+        deaf_share = RECOVERS_S / (DEAFENS_S + RECOVERS_S)
+        deafens, recovers = mixed * deaf_share, mixed * (1.0 - deaf_share)
         self._deaf = np.where(self._deaf, changes > recovers, changes < deafens)
         self._summarise()
 
     def _moved(self, elapsed_s: float, chance: Array) -> tuple[Array, Array]:
-        """What autopilots believe after so long, and the drift that they follow."""
+        """What autopilots believe after so long, and the drift that they follow.
+
+        Height follows its barometer as the place its receiver: by one filter.
+        """
         receivers = self._receivers
         kept, left, part = passing(elapsed_s, receivers.tau_s, receivers.follows_s)
         change = math.sqrt(1.0 - kept * kept) * chance * self._wanders_m

@@ -173,7 +173,6 @@ def planned(known: Known, follower: FollowerState, fix: LeaderFix, now_s: float)
     arrives_s = now_s + follower.way_s
     leader, here = known.followed_then(follower, fix, arrives_s), follower.then(arrives_s)
     if settings.learn_offset:
-        follower.estimate.offset.foretell(arrives_s)
         if here is not None:
             watched = known.watched_then(follower, arrives_s) or leader
             to_it_m = ned_between(here, watched.position)[:2]

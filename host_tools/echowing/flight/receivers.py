@@ -1,8 +1,9 @@
 """How two receivers wander apart, and how that is learnt from the sonar. Pure.
 
-A receiver's error drifts; what its autopilot believes follows it a little later, and so moves
-smoothly. Over seconds the two look alike only if both are modelled: the smooth path of a receiver
-that wanders far is that of one that wanders less, if it is taken for jumps.
+A receiver's error drifts, and what its autopilot believes follows it a little later, smoothly. Both
+are modelled: taken for a random walk, the smooth path of a receiver that wanders far looks like
+that of one that wanders less. How quickly receivers forget is not learnt: one that wanders more
+quickly than believed counts as one that wanders further.
 """
 
 import math
@@ -14,10 +15,11 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# How much further than believed receivers may wander (not less: that costs the leader if it is
-# wrong), and how much later an autopilot follows: from a receiver that it takes at its word to a
-# filter that mostly believes its inertial sensors (of ArduPilot's EKF3, a few seconds).
+# How much further than believed receivers may wander. Not less: that costs the leader if it is
+# wrong.
 FURTHER = (1.0, 1.4, 2.0, 2.8, 4.0)
+# How much later an autopilot follows: one that takes its receiver at its word, to one that mostly
+# believes its inertial sensors. On ArduCopter SITL, with its EKF3, the last is what is learnt.
 FOLLOWS_S = (0.3, 1.0, 3.0)
 # A cell is never less likely than this, beside the likeliest: receivers change.
 LEAST_SHARE = 1e-3
@@ -28,8 +30,10 @@ def passing(elapsed_s: float, tau_s: float, follows_s: Array) -> tuple[float, Ar
 
     Returns `kept`, `left`, `part`: a drift d of standard deviation s becomes kept * d + e, and
     what follows it, f, becomes left * f + (1 - left) * kept * d + part * e, where e is by chance,
-    with the variance s^2 * (1 - kept^2).
+    with the variance s^2 * (1 - kept^2). Within the step the drift counts as a random walk, and its
+    change and that of what follows it as one: over 0.25 s they truly agree to 0.9.
     """
+    # Below that the sum under the root is only rounding.
     ratio = np.maximum(elapsed_s / follows_s, 1e-6)
     left = np.exp(-ratio)
     part = np.sqrt((ratio + 2.0 * left - 0.5 * left * left - 1.5).clip(0.0) / ratio)
@@ -84,7 +88,9 @@ class Receivers:
         gain = shared / variance[:, None]
         self._state = self._state + gain * surprise[:, None]
         self._covariance = self._covariance - gain[:, :, None] * shared[:, None, :]
-        self.share = self.share * np.exp(-0.5 * surprise**2 / variance) / np.sqrt(variance)
+        fits = -0.5 * (surprise**2 / variance + np.log(variance))
+        # Beside the best fit: of a surprise that nobody expects all would be nought.
+        self.share = self.share * np.exp(fits - fits.max())
         self._settle()
 
     def _wander(self, elapsed_s: float) -> None:

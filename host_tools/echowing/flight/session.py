@@ -192,6 +192,7 @@ class FollowSession:
     def tick(self, now_s: float) -> list[tuple[int, Any]]:
         """The messages to send now: guided points, time synchronisation, heartbeat, rates."""
         messages = self._requests.messages(now_s)
+        self._foretell(now_s)
         if self.engagement is not None:
             rising_m = {} if self.take_offs is None else self.take_offs.rising_m()
             self.engagement.prepare(now_s, engaged=self.engaged, rising_m=rising_m)
@@ -211,6 +212,13 @@ class FollowSession:
         if self.guard is not None and (self.engaged or self.take_offs is not None):
             messages.extend(self.guard.messages(now_s))
         return messages
+
+    def _foretell(self, now_s: float) -> None:
+        """Let all that is asked of the receivers in this tick be of when its points arrive."""
+        if not self.settings.learn_offset:
+            return
+        for follower in self.followers.values():
+            follower.estimate.offset.foretell(now_s + follower.way_s)
 
     def _led(
         self, follower: FollowerState, look: Look | None, now_s: float
