@@ -17,8 +17,10 @@ from dataclasses import dataclass
 
 from echowing.analysis.metrics import approach_s, found_s, metrics, within_s
 from echowing.bench.pool import flown
+from echowing.campaign.properties import LEAST_M
 from echowing.flight.belief import SonarBelief
 from echowing.flight.cloud import Cloud
+from echowing.flight.envelope import SURE_SIGMAS
 from echowing.flight.guidance import Horizontal
 from echowing.sim.flight import FormationFlight
 from echowing.sim.scenario import load_scenario
@@ -81,12 +83,6 @@ ROWS = tuple(
 )
 
 
-# The promise: nobody comes nearer.
-PROMISED_M = 1.0
-# A normal error is further off than this once in 80 times.
-BEYOND = 2.5
-
-
 @dataclass(frozen=True)
 class Flown:
     """One flight of a row.
@@ -94,7 +90,7 @@ class Flown:
     found_s: until the sonar had the leader; reached_s: until the leader was within its reach,
     wherever the nose pointed; infinite for never. sigma_m: what the estimate gives itself along the
     line to the leader (root mean square). beyond_share: of the time in which it is off along that
-    line by more than `BEYOND` of its own standard deviations.
+    line by more than `SURE_SIGMAS` of its own standard deviations.
     """
 
     mean_error_m: float
@@ -161,7 +157,7 @@ class Kept:
     @property
     def under(self) -> int:
         """Flights that came under the metre that is promised."""
-        return sum(one.least_m < PROMISED_M for one in self.flights)
+        return sum(one.least_m < LEAST_M for one in self.flights)
 
     @property
     def missed(self) -> tuple[str, ...]:
@@ -296,9 +292,9 @@ class _Watch:
         return math.sqrt(_mean(own_m**2 for t_s, _, own_m in self._seen if t_s >= from_s))
 
     def beyond_share(self, from_s: float) -> float:
-        """Share of time in which it is off by more than `BEYOND` of its own standard deviations."""
+        """Share of time in which it is off by more than `SURE_SIGMAS` of its own deviations."""
         seen = [one for one in self._seen if one[0] >= from_s]
-        return sum(abs(off_m) > BEYOND * own_m for _, off_m, own_m in seen) / len(seen)
+        return sum(abs(off_m) > SURE_SIGMAS * own_m for _, off_m, own_m in seen) / len(seen)
 
     def _truth(self) -> Horizontal:
         leader, follower = self._flight.leader.body, self._flight.followers[0].body

@@ -10,8 +10,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from echowing.analysis.metrics import metrics
-from echowing.bench.accuracy import PROMISED_M, Goal
+from echowing.bench.accuracy import Goal
 from echowing.bench.pool import flown
+from echowing.campaign.properties import LEAST_M
 from echowing.sim.flight import FormationFlight
 from echowing.sim.scenario import load_scenario
 
@@ -84,7 +85,7 @@ class FormationRow:
     @property
     def under(self) -> int:
         """How many flights came under 1.0 m."""
-        return sum(one.least_m < PROMISED_M for one in self.flights)
+        return sum(one.least_m < LEAST_M for one in self.flights)
 
 
 def _means(of_flights: Sequence[tuple[float, ...]]) -> list[float]:

@@ -208,11 +208,16 @@ class Cloud:
 
     def advance(self, to_s: float) -> None:
         """Let the guesses wander until `to_s`."""
+        if self._wandered(to_s):
+            self._summarise()
+
+    def _wandered(self, to_s: float) -> bool:
+        """Let them wander, unless that is soon after the last time: whether they did."""
         if self._advanced_s is None:
             self._advanced_s = to_s
         elapsed_s = to_s - self._advanced_s
         if elapsed_s < UPDATE_PERIOD_S:
-            return
+            return False
         self._advanced_s = to_s
         self._off, self._drift = self._moved(elapsed_s, self._opposites())
         changes = self._chance.random(GUESSES)
@@ -220,7 +225,7 @@ class Cloud:
         deaf_share = RECOVERS_S / (DEAFENS_S + RECOVERS_S)
         deafens, recovers = mixed * deaf_share, mixed * (1.0 - deaf_share)
         self._deaf = np.where(self._deaf, changes > recovers, changes < deafens)
-        self._summarise()
+        return True
 
     def _moved(self, elapsed_s: float, chance: Array) -> tuple[Array, Array]:
         """What autopilots believe after so long, and the drift that they follow.
@@ -261,7 +266,7 @@ class Cloud:
         """
         if time_s - self._heard_at_s < UPDATE_PERIOD_S:
             return
-        self.advance(time_s)
+        self._wandered(time_s)
         fits, of_others = self._explained(distance_m, axis, believed, others)
         wrong = self._sonar.wrong_share / self._sonar.reach_m + of_others
         foretold = float(self._weight @ (fits - wrong)) > 0.0
@@ -345,7 +350,7 @@ class Cloud:
         if time_s - max(self._silent_at_s, self._heard_at_s) < UPDATE_PERIOD_S:
             return
         self._silent_at_s = time_s
-        self.advance(time_s)
+        self._wandered(time_s)
         _, detected = self._detected(axis, np.array(believed)[:, np.newaxis] - self._off)
         self._update(1.0 - detected)
 
