@@ -352,3 +352,13 @@ def test_an_echo_of_another_vehicle_moves_nothing_wherever_the_receivers_put_bot
         cloud.heard(0.3 * number, its_range_m, its_axis, believed, [other])
     assert (cloud.north_m, cloud.east_m) == pytest.approx(before, abs=0.35)
     assert cloud.unheard_s(36.0) > 17.0, "none of them was the leader's"
+
+
+def test_an_echo_may_be_of_one_that_is_believed_out_of_reach_and_unsure() -> None:
+    """The leader is 3 m north. Another is 7 m north, give or take 1.5 m, and is heard at 4.2 m."""
+    cloud, believed = Cloud(shipped_sonar(), alone=False), (3.0, 0.0, 0.0)
+    for number in range(60):
+        cloud.heard(0.3 * number, 3.0, Axis(0.2 * math.sin(number)), believed)
+    for sigma_m, its in ((1.5, True), (0.2, False)):
+        other = Bystander((7.0, 0.0, 0.0), sigma_m)
+        assert cloud.is_of_another(4.2, Axis(0.0), believed, [other]) is its

@@ -8,12 +8,12 @@ both positions at the moment of the reading, and nothing has to be predicted.
 
 import math
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 from echowing.flight.axis import Axis
 from echowing.flight.guidance import Horizontal
-from echowing.geo import GRAVITY_MPS2, GlobalPosition, ned_between, wrap_angle_rad
+from echowing.geo import GRAVITY_MPS2, GlobalPosition, displace, ned_between, wrap_angle_rad
 
 # A reading that waits longer than this for later reports of both vehicles is dropped.
 LONGEST_WAIT_S = 3.0
@@ -81,6 +81,16 @@ class History:
                 return (before, after) if near else None
         return None
 
+    def carried_on(self, time_s: float) -> tuple[Report, Report] | None:
+        """The newest report and how it goes on, for a moment after it; None: it is too old."""
+        since_s = time_s - self.newest_s
+        if not 0.0 <= since_s <= LONGEST_GAP_S:
+            return None
+        newest = self._reports[-1]
+        north_mps, east_mps = newest.velocity_mps
+        place = displace(newest.position, (north_mps * since_s, east_mps * since_s, 0.0))
+        return newest, replace(newest, time_s=time_s, position=place)
+
 
 @dataclass(slots=True)
 class _Reading:
@@ -95,9 +105,9 @@ class _Reading:
 def between_m(here: History, there: History, time_s: float) -> tuple[float, float, float] | None:
     """From one vehicle to another at a moment, by their own positions, (north, east, up).
 
-    None: it is not known.
+    The other's newest report is carried on where it is older. None: it is not known.
     """
-    own, its = here.around(time_s), there.around(time_s)
+    own, its = here.around(time_s), there.around(time_s) or there.carried_on(time_s)
     if own is None or its is None:
         return None
     origin = own[0].position

@@ -308,9 +308,13 @@ class Cloud:
         for other in others:
             there = np.array(other.to_it_m)[:, np.newaxis]
             to_it = there - self._off if other.moves else there
-            its_m, its = self._detected(axis, to_it, other.sigma_m)
-            # The nearer echo is the one that is reported.
-            its = its * (1.0 - detected * (far_m < its_m))
+            its_m = np.sqrt((to_it * to_it).sum(axis=0))
+            # If the echo is its own, it is as far away as that says: also one that is unsure, and
+            # believed to be out of reach. The nearer echo is the one that is reported.
+            at = to_it * (distance_m / np.maximum(its_m, CLOSE_M))
+            its = self._detected(axis, at, other.sigma_m)[1] * (
+                1.0 - detected * (far_m < distance_m)
+            )
             of_others += self._density(its_m, distance_m, other.sigma_m) * its
         return fits, of_others
 
