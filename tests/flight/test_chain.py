@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import pytest
 
@@ -98,6 +99,22 @@ def test_the_speed_of_a_line_does_not_fade_between_two_reports() -> None:
     first, second = (planned(there, one, fix, 10.75) for one in there.followers.values())
     assert first.velocity_mps[0] == pytest.approx(2.0 * lead_share(0.75, there.settings))
     assert second.velocity_mps[0] == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize(("slots", "most_mps"), [([Slot(3.0)], 0.0), ([Slot(3.0)] * 2, 1.0)])
+def test_who_has_another_behind_goes_back_no_faster_than_it_comes(
+    slots: list[Slot], most_mps: float
+) -> None:
+    """Too near by 2 m: alone it goes back by the place, at once; onto another, by speed."""
+    there = known([slots[0], *(replace(slot, behind=0) for slot in slots[1:])])
+    follower = next(iter(there.followers.values()))
+    fix = LeaderFix(10.0, HERE, (0.0, 0.0, 0.0), 0.0)
+    there.leader.fix = fix
+    follower.position, follower.position_at_s = displace(HERE, (-1.0, 0.0, 0.0)), 10.0
+    guided = planned(there, follower, fix, 10.0)
+    assert guided.velocity_mps[0] == pytest.approx(-most_mps, abs=0.05)
+    back_m = ned_between(follower.position, guided.point)[0]
+    assert (back_m < -1.5) is (most_mps == 0.0)
 
 
 def test_with_nobody_behind_it_a_follower_holds_its_distance() -> None:

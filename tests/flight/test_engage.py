@@ -53,7 +53,7 @@ WIDEST = {
     **{"clock": "0.46 s", "switch": "not seen", "applet": "law 1, 10.0 s", "distance": "3.0 m"},
     **{"least": "4.6 m", "home": "-123.4 m", "height": "4810.2 m", "RTL": "4810.0 m"},
     **{"GPS": "3D 255", "EKF": "no position", "battery": "not reported", "side": "crosses"},
-    **{"who": "doubtful"},
+    **{"room": "123.4 m", "who": "doubtful"},
 }
 
 
@@ -548,3 +548,28 @@ def test_what_keeps_it_from_being_engaged_is_on_the_display_too() -> None:
     yard.fly(SOON_S)
     (text,) = [m.text for who, m in yard.sent if who == FOLLOWER and m.get_type() == "STATUSTEXT"]
     assert text == "Echowing: not engaged, it has 5 % of its battery l"
+
+
+def test_followers_that_receivers_cannot_tell_apart_are_not_engaged() -> None:
+    def at(apart_m: float) -> dict[int, Vehicle]:
+        return {
+            LEADER: Vehicle((0.0, 0.0)),
+            FOLLOWER: Vehicle((-6.0, 0.5 * apart_m)),
+            SECOND: Vehicle((-6.0, -0.5 * apart_m)),
+        }
+
+    slots = [Slot(5.0, math.radians(-40.0)), Slot(5.0, math.radians(40.0))]
+    yard = Yard(
+        vehicles=at(3.7),
+        slots=slots,
+        limits=Limits(min_separation_m=1.0, home_difference_m=5.0),
+        ready=Readiness(sides=False),
+    )
+    assert yard.fly(SOON_S) == []
+    # 2.5 sigmas of two receivers that wander by 0.8 m each are 2.8 m, and 1 m is to remain.
+    assert yard.said(
+        "follower 2: not engaged, it is 3.7 m from follower 3 by receivers that may err by 2.8 m: "
+        "fly them 4.8 m apart"
+    )
+    yard.vehicles.update(at(3.9))
+    assert yard.fly(SOON_S)

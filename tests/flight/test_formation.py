@@ -2,6 +2,7 @@ import math
 import subprocess
 import sys
 from collections.abc import Sequence
+from itertools import combinations
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ from echowing.flight.envelope import SURE_SIGMAS, Other, certain_distance_m
 from echowing.flight.formation import (
     IN_SLOT_M,
     check_formation,
+    flown_up,
     place_m,
     receivers_demand_m,
     sonars_demand_m,
@@ -177,6 +179,24 @@ def test_receivers_demand_what_is_certain_once_both_are_in_their_slots() -> None
         Other("b", (receivers_demand_m(1.0), 0.0, 0.0), (0.0, 0.0, 0.0), nearer_m, 0.0)
     )
     assert certain_m == pytest.approx(1.0 + 2.0 * IN_SLOT_M)
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_a_shape_is_flown_up_so_large_that_receivers_tell_its_followers_apart(name: str) -> None:
+    """4.8 m apart, and 2.8 m by which their reports err."""
+    slots = shape(name, 5, 3.0)
+    places_m = [place_m(flown_up(slots, 1.0), number) for number in range(5)]
+    nearest_m = min(math.dist(*pair) for pair in combinations(places_m, 2))
+    assert nearest_m == pytest.approx(7.66, abs=0.01)
+    # Not larger than need be, and no smaller than it is flown.
+    far = shape(name, 5, 8.0)
+    assert flown_up(far, 1.0) == list(far)
+
+
+def test_height_counts_where_a_shape_is_flown_up() -> None:
+    slots = [Slot(3.0, 0.6), Slot(3.0, -0.6, 2.5)]
+    nearest_m = math.dist(*(place_m(flown_up(slots, 1.0), number) for number in range(2)))
+    assert nearest_m == pytest.approx(7.66, abs=0.01)
 
 
 ENDS = ["--leader", "udpin:1@1", "--follower", "udpin:1@2", "--follower", "udpin:1@3"]

@@ -265,17 +265,18 @@ def test_the_slot_is_further_out_where_a_reversal_asks_for_it(
     assert ned_between(HERE, guided.slot)[0] == pytest.approx(-6.0, abs=0.02)
 
 
-@pytest.mark.parametrize(("heard", "point_m", "mps"), [(True, 0.3, 0.7), (False, 0.0, 0.65)])
+@pytest.mark.parametrize(
+    ("unheard_s", "point_m", "mps"), [(0.0, 0.3, 0.7), (9.0, 0.0, 0.65), (math.inf, 0.0, 0.4)]
+)
 def test_a_slot_to_the_side_is_flown_to_by_speed(
-    monkeypatch: pytest.MonkeyPatch, heard: bool, point_m: float, mps: float
+    monkeypatch: pytest.MonkeyPatch, unheard_s: float, point_m: float, mps: float
 ) -> None:
     """1.3 m: Guided would close them with 20 degrees of roll, and the sonar lose its leader.
 
     0.3 m by a point and 0.7 m/s for each metre of the rest; if the leader is not heard, all of it
-    by 0.5 m/s for each metre.
+    by 0.5 m/s for each metre, and slowly if it was never heard.
     """
     planner = Planner(GuidanceSettings(learn_offset=False))
-    unheard_s = 0.0 if heard else math.inf
     monkeypatch.setattr(planner.follower.estimate.offset, "unheard_s", lambda _: unheard_s)
     fix = fix_on_course(0.0)
     for step in range(20):  # the tow bar straightens behind the leader

@@ -23,13 +23,20 @@ def led(there: Known) -> list[FollowerState]:
     return followers
 
 
-def hears(follower: FollowerState, now_s: float) -> None:
+def hears(follower: FollowerState, now_s: float, sigma_m: float = 0.3) -> None:
     follower.estimate.offset._heard_at_s = now_s
+    follower.estimate.offset.level_sigma_m = sigma_m
+
+
+def listens(follower: FollowerState, now_s: float) -> None:
+    """It hears nothing in its reach."""
+    follower.estimate.heard(now_s, 7.65)
 
 
 def test_each_waits_for_its_neighbours_before_it() -> None:
     there = known(VEE)
     first, second, third = led(there)
+    listens(first, 0.0)
     joining = Joining(there)
     assert [joining.waits_for(one, 1.0) for one in (first, second, third)] == [None, first, first]
     hears(first, 2.0)
@@ -49,13 +56,51 @@ def test_nobody_waits_for_one_that_is_not_led(phase: Phase) -> None:
     assert Joining(there).waits_for(second, 1.0) is None
 
 
-def test_nobody_waits_for_a_deaf_one_for_ever() -> None:
+def test_who_does_not_find_his_leader_keeps_off_for_a_while_and_tries_again() -> None:
     there = known(VEE)
     first, second, _ = led(there)
     joining = Joining(there)
-    for now_s, waits in ((0.0, True), (JOINS_WITHIN_S - 0.1, True), (JOINS_WITHIN_S + 0.1, False)):
-        joining.waits_for(first, now_s)
-        assert (joining.waits_for(second, now_s) is first) is waits
+    late_s = 2.0 * JOINS_WITHIN_S
+    for now_s, tries in (
+        *((0.0, True), (JOINS_WITHIN_S - 0.1, True), (JOINS_WITHIN_S + 0.1, False)),
+        *((late_s - 0.1, False), (late_s + 0.1, True)),
+    ):
+        listens(first, now_s)
+        assert joining.waits_for(first, now_s) is None
+        assert first.turn.waits is first.turn.gave_up is not tries
+        # Meanwhile the next one comes in.
+        assert (joining.waits_for(second, now_s) is first) is tries
+    hears(first, late_s + 1.0)
+    joining.waits_for(first, late_s + 1.0)
+    assert (first.turn.joined, first.turn.waits, first.turn.gave_up) == (True, False, False)
+
+
+def test_without_readings_of_its_sonar_nobody_comes_nearer_than_receivers_allow() -> None:
+    there = known([Slot(3.0), Slot(9.0)])
+    follower, _ = led(there)
+    Joining(there).waits_for(follower, 0.0)
+    fix = LeaderFix(10.0, HERE, (2.0, 0.0, 0.0), 0.0)
+    offset_m = planned(there, follower, fix, 10.0).offset_m
+    assert abs(complex(*offset_m)) == pytest.approx(receivers_demand_m(1.0), abs=0.01)
+
+
+def test_a_pair_comes_together_without_a_sonar_as_with_a_deaf_one() -> None:
+    there = known([Slot(3.0)])
+    (follower,) = led(there)
+    joining = Joining(there)
+    for now_s in (0.0, JOINS_WITHIN_S + 0.1, 3.0 * JOINS_WITHIN_S):
+        joining.waits_for(follower, now_s)
+        assert follower.turn.waits is False
+
+
+def test_an_echo_that_does_not_tell_where_the_leader_is_lets_nobody_in() -> None:
+    there = known(VEE)
+    first, *_ = led(there)
+    joining = Joining(there)
+    for sigma_m, joined in ((1.5, False), (0.5, True)):
+        hears(first, 1.0, sigma_m)
+        joining.waits_for(first, 1.0)
+        assert first.turn.joined is joined
 
 
 def test_slots_as_far_apart_as_receivers_demand_are_joined_at_once() -> None:

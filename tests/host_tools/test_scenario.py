@@ -1,3 +1,5 @@
+import math
+from itertools import combinations
 from pathlib import Path
 
 import pytest
@@ -5,6 +7,8 @@ import pytest
 from echowing.cli import main
 from echowing.docs.keys import PAGES, page
 from echowing.errors import EchowingError
+from echowing.flight.envelope import LEAST_M
+from echowing.flight.formation import receivers_demand_m
 from echowing.flight.guidance import GuidanceSettings
 from echowing.flight.shapes import SHAPES
 from echowing.paths import repository_root
@@ -238,3 +242,13 @@ def test_a_law_has_its_own_parameters() -> None:
     assert load_scenario("thesis", ["applet.ECHO_PERIOD=0.3"]).applet == {"ECHO_PERIOD": 0.3}
     with pytest.raises(EchowingError, match=r"echowing_speed\.lua has no such parameter"):
         load_scenario("thesis", ["applet.ECHO_TAU=0.3"])
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_a_shape_starts_further_apart_than_receivers_alone_demand(name: str) -> None:
+    """3 m apart, all opened up at once before any sonar heard: two came to 0.68 m."""
+    scenario = load_scenario(name, [])
+    world = FormationWorld(scenario, Hangar(scenario, 1))
+    places_m = [one.position_ned_m for one in world.followers]
+    apart_m = min(math.dist(*pair) for pair in combinations(places_m, 2))
+    assert apart_m > receivers_demand_m(LEAST_M) + 2.0

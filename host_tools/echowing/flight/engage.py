@@ -13,6 +13,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.applets import FORMAT, HOLD, IDENTIFYING, LAW, SPEED, Applet, identify
+from echowing.flight.formation import receivers_demand_m
 from echowing.flight.guard import Guard
 from echowing.flight.guidance import MOVING_MPS, Horizontal, LeaderFix, slot_offset_m
 from echowing.flight.handling import Handling, least_slot_m
@@ -480,6 +481,7 @@ class Engagement:
             *self._state("its", system_id),
             *self._return(follower),
             *self._side(follower),
+            *self._room(follower, now_s),
             *self._stranger("it", system_id),
         ]
 
@@ -637,6 +639,26 @@ class Engagement:
                 )
                 return [Finding("side", "crosses", wrong)]
         return [Finding("side", "ok")]
+
+    def _room(self, follower: FollowerState, now_s: float) -> list[Finding]:
+        """Whether all other followers are certain to leave it room; no cell for one alone.
+
+        Else it would get away from one before any sonar hears, and perhaps onto the next.
+        """
+        least_m = self._guard.limits.min_separation_m
+        if least_m is None:
+            return []
+        near = self._known.least_room_m(follower, least_m, now_s)
+        if near is None:
+            return []
+        other, apart_m, unsure_m = near
+        wrong = ""
+        if apart_m - unsure_m < least_m:
+            wrong = (
+                f"it is {apart_m:.1f} m from follower {other.plan.system_id} by receivers that may "
+                f"err by {unsure_m:.1f} m: fly them {receivers_demand_m(least_m):.1f} m apart"
+            )
+        return [Finding("room", f"{apart_m:.1f} m", wrong)]
 
     def _stranger(self, name: str, system_id: int) -> list[Finding]:
         text = self._doubts.get(system_id)

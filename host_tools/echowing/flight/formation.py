@@ -54,6 +54,23 @@ def receivers_demand_m(least_m: float) -> float:
     return _demand_m(least_m, UNRANGED_SIGMA_M)
 
 
+def flown_up(slots: Sequence[Slot], least_m: float) -> list[Slot]:
+    """The same shape, so large that receivers alone keep its followers apart, and show it.
+
+    So it is flown up by its pilots: no sonar hears anybody yet.
+    """
+    demanded_m = receivers_demand_m(least_m) + SURE_SIGMAS * UNRANGED_SIGMA_M
+    share = 1.0
+    for a, b in combinations(range(len(slots)), 2):
+        north_m, east_m, down_m = (
+            its - mine for mine, its in zip(place_m(slots, a), place_m(slots, b), strict=True)
+        )
+        level_m = math.hypot(north_m, east_m)
+        if level_m > 0.0 and math.hypot(level_m, down_m) < demanded_m:
+            share = max(share, math.sqrt(demanded_m**2 - down_m**2) / level_m)
+    return [replace(slot, radius_m=share * slot.radius_m) for slot in slots]
+
+
 def sonars_demand_m(least_m: float, links: int) -> float:
     """The same for two followers that so many sonars tie to each other."""
     return min(receivers_demand_m(least_m), _demand_m(least_m, math.sqrt(links) * LINK_SIGMA_M))

@@ -3,17 +3,18 @@
 Until its sonar has found the vehicle that it looks at, a follower's place is known no better than
 the receivers tell. Two that come in side by side have an error each, and take each other's echoes
 for the leader's. So who has neighbours before it in the formation waits behind its slot, as far off
-as receivers alone allow, until they are in theirs.
+as receivers alone allow, until they are in theirs. Who does not find the one it looks at goes back
+there and lets the next one come in, and tries again later: never found, it is not near for long.
 """
 
 import math
 
 from echowing.flight.formation import place_m, receivers_demand_m
-from echowing.flight.state import FollowerState, Known
+from echowing.flight.state import UNRANGED_SIGMA_M, FollowerState, Known
 from echowing.flight.steps import Phase
 
-# A follower finds its leader within 5 s, with most sonars that are worse than believed within 20
-# (`echowing bench --only robust`). Nobody waits for a deaf one for ever.
+# A follower finds its leader within 7 s, with most sonars that are worse than believed within 20
+# (`echowing bench --only robust`). So long it tries, and then keeps off before it tries again.
 JOINS_WITHIN_S = 20.0
 
 
@@ -28,29 +29,37 @@ class Joining:
 
         Asked in each tick in which the follower is led.
         """
-        turn = follower.turn
-        if turn.joined:
+        turn, settings = follower.turn, self._known.settings
+        if turn.joined or not settings.learn_offset or settings.swarm is not None:
             return None
         before = self._before(follower)
-        turn.waits = before is not None
-        if not turn.waits:
+        if before is None:
             turn.joins_at_s = min(turn.joins_at_s, now_s)
-            late = now_s - turn.joins_at_s > JOINS_WITHIN_S
-            turn.joined = late or follower.estimate.hears(now_s)
+            tries = int((now_s - turn.joins_at_s) / JOINS_WITHIN_S)
+            turn.joined = self._has_found(follower, now_s) or (self._alone and tries > 0)
+            seeks = self._alone or (tries % 2 == 0 and follower.estimate.listens(now_s))
+            turn.gave_up = not (turn.joined or seeks)
+        turn.waits = before is not None or turn.gave_up
         return before
+
+    @property
+    def _alone(self) -> bool:
+        return len(self._known.followers) == 1
+
+    def _has_found(self, follower: FollowerState, now_s: float) -> bool:
+        """Whether its sonar tells more of the one that it looks at than receivers do."""
+        estimate = follower.estimate
+        return estimate.hears(now_s) and estimate.offset.level_sigma_m < UNRANGED_SIGMA_M
 
     def _before(self, follower: FollowerState) -> FollowerState | None:
         """The first neighbour before it in the formation that is led and has not joined."""
         followers = list(self._known.followers.values())
         slots = [one.plan.slot for one in followers]
         number = followers.index(follower)
-        settings = self._known.settings
-        if not settings.learn_offset or settings.swarm is not None:
-            return None
-        apart_m = receivers_demand_m(settings.clearance_m)
+        apart_m = receivers_demand_m(self._known.settings.clearance_m)
         here_m = place_m(slots, number)
         for other, one in enumerate(followers[:number]):
-            joins = one.standing.phase is Phase.LED and not one.turn.joined
+            joins = one.standing.phase is Phase.LED and not (one.turn.joined or one.turn.gave_up)
             if joins and math.dist(place_m(slots, other), here_m) < apart_m:
                 return one
         return None

@@ -25,6 +25,9 @@ from echowing.geo import displace, distance_m, ned_between
 # A leader that the sonar does not hear is approached no faster than this. A copter stops from it
 # within the beam's reach, even if the receivers are wrong.
 JOIN_MPS, QUIET_S = 1.5, 0.5
+# One that was never heard is approached more slowly, once it is believed in reach: from there
+# (4.6 m) to a slot at 3 m the sonar looks once all round (`look.FIGURE_S`, 3.6 s).
+LOOKS_MPS = 0.4
 # The tool learns late where a follower flies, and its answer takes as long again. With slow radios
 # a leader therefore counts as heard for longer: by so many times the radio's delay.
 QUIET_WAYS = 5.0
@@ -184,7 +187,7 @@ def planned(known: Known, follower: FollowerState, fix: LeaderFix, now_s: float)
     age_s = max(0.0, now_s - fix.time_s)
     guided = replace(guided, age_s=age_s, at_s=arrives_s, slot_mps=guided.velocity_mps)
     if settings.feed_forward:
-        guided = _gently(follower, _fading(known, follower, guided), now_s)
+        guided = _gently(known, follower, _fading(known, follower, guided), now_s)
     elif settings.lead_time_s > 0.0:
         guided = _led(guided, leader, settings)
     return guided if settings.face_leader else replace(guided, yaw_rad=None)
@@ -280,7 +283,9 @@ def _led(guided: GuidedPoint, leader: LeaderFix, settings: GuidanceSettings) -> 
     return replace(guided, point=displace(guided.leader, (*offset_m, -up_m)))
 
 
-def _gently(follower: FollowerState, guided: GuidedPoint, now_s: float) -> GuidedPoint:
+def _gently(
+    known: Known, follower: FollowerState, guided: GuidedPoint, now_s: float
+) -> GuidedPoint:
     """Send the way to a slot as a velocity: all of it to a leader that is not heard.
 
     A place ahead would be overshot: it moves on with the vehicle that flies towards it, and Guided
@@ -293,13 +298,15 @@ def _gently(follower: FollowerState, guided: GuidedPoint, now_s: float) -> Guide
     near_m = NEAR_M if heard else 0.0
     north, east, down = ned_between(here, guided.point)
     far_m = math.hypot(north, east)
-    # Away from the leader nothing is too fast.
+    # Away from the leader nothing is too fast, unless somebody is behind.
     away = distance_m(guided.point, guided.leader) >= distance_m(here, guided.leader)
-    if away or far_m <= max(near_m, AT_SLOT_M):
+    if (away and not known.is_watched(follower)) or far_m <= max(near_m, AT_SLOT_M):
         return guided
     slot_north, slot_east = guided.velocity_mps
     per_s = HEARD_PER_S if heard else CATCH_UP_PER_S
-    pace = min(JOIN_MPS, per_s * (far_m - near_m)) / far_m
+    looks = not away and distance_m(here, guided.leader) < follower.plan.sonar.reach_m
+    most_mps = LOOKS_MPS if looks and math.isinf(unheard_s) else JOIN_MPS
+    pace = min(most_mps, per_s * (far_m - near_m)) / far_m
     ahead = near_m / far_m
     return replace(
         guided,

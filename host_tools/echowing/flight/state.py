@@ -551,6 +551,25 @@ class Known:
             unsure_m = min(unsure_m, self.nearer_m(other, (-north_m, -east_m), clear_m))
         return seen, unsure_m
 
+    def least_room_m(
+        self, follower: FollowerState, clear_m: float, now_s: float
+    ) -> tuple[FollowerState, float, float] | None:
+        """The other follower that is least certain to leave room, of those whose place is known.
+
+        How far away it is, heights included, and by how much it may be nearer. None: there is none.
+        """
+        here = follower.then(now_s)
+        found: list[tuple[FollowerState, float, float]] = []
+        for other in self.followers.values():
+            there = other.then(now_s) or other.left_at
+            if other is follower or here is None or there is None:
+                continue
+            seen, unsure_m = self.seen(follower, here, other, there, clear_m)
+            mine = self.in_height(follower.plan.system_id, here)
+            its = self.in_height(other.plan.system_id, seen)
+            found.append((other, math.hypot(*ned_between(mine, its)), unsure_m))
+        return min(found, key=lambda one: one[1] - one[2], default=None)
+
     def doubted_m(self, follower: FollowerState) -> Horizontal:
         """How far off a follower sees its leader, (north, east), if all jumps were errors.
 

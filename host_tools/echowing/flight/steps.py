@@ -118,8 +118,9 @@ class Turn:
 
     cleared: it has passed the checks before its first point; flown: the tool has moved it;
     latched: why it is held; refused: its autopilot did not take points; released: its stop switch
-    has stopped it, and it stands; waits: another one has to be in his slot before it comes into its
-    own; joins_at_s: since when it may, joined: it has.
+    has stopped it, and it stands; waits: it stays as far off as receivers alone allow, as another
+    one has to be in his slot before it comes into its own, or because its sonar has not found whom
+    it looks at (gave_up); joins_at_s: since when it may come in, joined: it has.
     """
 
     cleared: bool = False
@@ -130,3 +131,4 @@ class Turn:
     waits: bool = False
     joins_at_s: float = math.inf
     joined: bool = False
+    gave_up: bool = False

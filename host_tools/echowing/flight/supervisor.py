@@ -19,6 +19,7 @@ from echowing.flight.take_off import Lift, TakeOffs
 
 STALE = "leader is stale"
 HOLDS, WAITS = "holding the distance", "waiting for the leader"
+KEEPS_OFF = "keeps off until its sonar hears whom it follows"
 # After so many heartbeats in a row that do not say Guided, or not in flight, its pilot counts as
 # having left Guided, which ends every hold. One alone may be another vehicle's, or false.
 AWAY_BEATS = 2
@@ -81,6 +82,8 @@ class Supervisor:
             return WAITS
         if (before := self._joining.waits_for(follower, now_s)) is not None:
             return f"waits for follower {before.plan.system_id} to join"
+        if follower.turn.gave_up:
+            return KEEPS_OFF
         guard, system_id = self._guard, follower.plan.system_id
         return HOLDS if guard and guard.holds_the_distance(system_id, now_s) else ""
 

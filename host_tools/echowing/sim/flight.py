@@ -14,7 +14,8 @@ from functools import partial
 from pathlib import Path
 
 from echowing.analysis.flight import Flight
-from echowing.flight.formation import place_m
+from echowing.flight.envelope import LEAST_M
+from echowing.flight.formation import flown_up, place_m
 from echowing.flight.guard import FIELD_LIMITS, Limits
 from echowing.flight.guidance import MOVING_MPS, Horizontal
 from echowing.flight.lowest import LOWEST_M
@@ -113,7 +114,7 @@ class FormationWorld:
         """Where a follower starts, NED from the leader."""
         if self.scenario.swarm.followers:
             return (*self._scattered_m[index], 0.0)
-        slots = self.scenario.slots()
+        slots = flown_up(self.scenario.slots(), LEAST_M)
         starts_at = self.scenario.formation.slots[index].starts_at
         number = index if starts_at is None else starts_at - 1
         slots[number] = replace(slots[number], radius_m=slots[number].radius_m + JOIN_UP_M)
