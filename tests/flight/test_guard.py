@@ -337,19 +337,20 @@ def test_a_follower_that_has_fallen_silent_still_stands_where_it_was(silent_s: f
     assert closing_mps(there) < 0.3
 
 
-@pytest.mark.parametrize("by_itself", [5.0, 6.0])
+@pytest.mark.parametrize("by_itself", [1.0, 5.0, 6.0])
 def test_one_that_its_applet_flies_is_given_way_to(by_itself: float) -> None:
     """Ordered forward it was met as if it flew there: back from another (0.09 m), or stopped.
 
-    The points of the second were lost on their way (0.88 m).
+    The points of the second were lost on their way (0.88 m). Its report shows that it flies back
+    before its applet says so, and also where that holds the distance (0.92 m).
     """
     slowed = []
-    for applet_state in (1.0, by_itself):
+    for applet_state, its_mps in ((1.0, 2.0), (by_itself, -2.0)):
         there = Field(Limits(min_separation_m=1.0), followers=(FOLLOWER, 3), late_s=0.5, now_s=9.0)
         there.north_m = {LEADER: 0.0, FOLLOWER: -6.0, 3: -12.0}
         there.fly(1.0)
         say_state(there, applet_state)
-        there.speed_mps[FOLLOWER] = -2.0
+        there.speed_mps[FOLLOWER] = its_mps
         slowed.append(closing_mps(there))
     # 0.5 s and the way of the order: a metre and more less room, from one that comes.
     assert slowed[1] < slowed[0] - 1.0
@@ -484,9 +485,9 @@ def test_two_followers_too_near_to_each_other_part() -> None:
     points = {point.target_system: point for point in there.points()}
     assert flown_mps(points[FOLLOWER], -11.0)[0] > 1.0
     assert flown_mps(points[SECOND], -12.0)[0] < -2.0
-    # Follower 3's own slot lies further back: it is on its way there anyhow.
+    # Neither counts on the other: it does not yet fly as it is ordered.
     told = [text for text in there.events() if "gives way" in text]
-    assert told == ["follower 2: gives way to follower 3"]
+    assert told == ["follower 2: gives way to follower 3", "follower 3: gives way to follower 2"]
 
 
 @pytest.mark.parametrize("system_id", [FOLLOWER, SECOND])

@@ -42,6 +42,8 @@ SURE_SIGMAS = 2.5
 OTHERS_MPS2 = 2.5
 # Below LEAST_M: the retreat speed for each missing metre, and the fastest retreat.
 RETREAT_PER_S, RETREAT_MOST_MPS = 1.5, 3.0
+# What a velocity in a report is off, and the wall that is made of it.
+TOO_FAST_MPS = 0.3
 # So much too fast, a vehicle spends all its lean on the way out.
 URGENT_MPS = 1.0
 # The fastest correction that is reckoned with, and the least radius of the disc of speeds:
@@ -145,6 +147,20 @@ def keep_apart(
         walls = [_wall(_yielding(other), answer, least_m, own_mps) for other in others]
         flown = nearest(aim, walls, fastest_mps) or breaking_least(walls, fastest_mps, walls[worst])
     return (*flown, wanted_mps[2]), others[worst]
+
+
+def too_fast_for(
+    own_mps: Ned, others: Sequence[Other], answer: Answer, least_m: float = LEAST_M
+) -> Other | None:
+    """The other that is led for which a vehicle is too fast now, as it flies (`own_mps`, NED).
+
+    Whatever its plan is: its applet may hold the distance by a track that is behind the times, and
+    not fly the plan.
+    """
+    led = [other for other in others if other.led]
+    short_mps = [short_of_mps(own_mps, _wall(other, answer, least_m, None)) for other in led]
+    worst = max(range(len(led)), key=short_mps.__getitem__, default=None)
+    return None if worst is None or short_mps[worst] < TOO_FAST_MPS else led[worst]
 
 
 def straight_out(

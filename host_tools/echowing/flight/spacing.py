@@ -13,6 +13,7 @@ from echowing.flight.envelope import (
     is_in_the_way,
     keep_apart,
     straight_out,
+    too_fast_for,
 )
 from echowing.flight.guard import Guard
 from echowing.flight.guidance import Horizontal
@@ -52,7 +53,11 @@ class Spacing:
         answer = follower.handling.answer
         flown, other = keep_apart(wanted, others, answer, self._least_m, own_mps)
         if other is None:
-            return unchanged
+            other = too_fast_for(own_mps, others, answer, self._least_m)
+            if other is None:
+                return unchanged
+            self._remark(follower, other.name, now_s)
+            return replace(unchanged, gives_way_to=other.name)
         self._remark(follower, other.name, now_s)
         urgent = straight_out(flown, other, others, answer, self._least_m, own_mps)
         flies = _redirected(follower, here, plan, (wanted, flown), urgent)
@@ -133,16 +138,15 @@ class Spacing:
         """
         system_id = other.plan.system_id
         by_itself = self._guard is not None and self._guard.ignores_points(system_id)
-        there = other.straight_on(arrives_s) if by_itself else other.then(arrives_s)
         age_s, velocity = 0.0, (0.0, 0.0, 0.0)
-        if there is not None:
-            # Its velocity then, by its orders: nobody runs into one in front that brakes.
-            answers_s = arrives_s + follower.handling.answer.dead_s
-            flown_mps = other.velocity_mps if by_itself else other.velocity_then(answers_s)
+        there, flown_mps = other.straight_on(arrives_s), other.velocity_mps
+        if there is None:
+            there = other.left_at
+        else:
+            if not by_itself:
+                there, flown_mps = _worse(follower, here, other, arrives_s)
             velocity = (*flown_mps, -other.climb_mps)
             age_s = arrives_s - other.position_at_s
-        else:
-            there = other.left_at
         if there is None:
             return
         mine, its = follower.own_jump.total_m, other.own_jump.total_m
@@ -166,6 +170,23 @@ class Spacing:
         """From another vehicle to here, heights by what is known of their homes."""
         mine = self._known.in_height(follower.plan.system_id, here)
         return ned_between(self._known.in_height(system_id, there), mine)
+
+
+def _worse(
+    follower: FollowerState, here: GlobalPosition, other: FollowerState, arrives_s: float
+) -> tuple[GlobalPosition, Horizontal]:
+    """Where another follower is then, and its velocity: by its orders or as it last flew.
+
+    By its orders, so that nobody runs into one in front that brakes; as it last flew, as its applet
+    flies it back from one that its sonar hears too near, whatever it is ordered. Of both the one
+    that comes nearer faster.
+    """
+    answers_s = arrives_s + follower.handling.answer.dead_s
+    ordered, straight = other.then(arrives_s), other.straight_on(arrives_s)
+    assert ordered is not None and straight is not None
+    north_m, east_m, _ = ned_between(ordered, here)
+    motions = (ordered, other.velocity_then(answers_s)), (straight, other.velocity_mps)
+    return max(motions, key=lambda one: one[1][0] * north_m + one[1][1] * east_m)
 
 
 def _if_erred(there: GlobalPosition, shift_m: Horizontal) -> Iterator[GlobalPosition]:
