@@ -71,6 +71,20 @@ def test_in_a_column_only_the_sonars_between_the_two_count() -> None:
     )
 
 
+def test_who_is_ranged_has_room_where_receivers_alone_leave_none() -> None:
+    there = known([Slot(3.0), Slot(3.0, behind=0)])
+    first, second = there.followers.values()
+    for follower, north_m in ((first, 0.0), (second, -3.0)):
+        follower.position, follower.position_at_s = displace(HERE, (north_m, 0.0, 0.0)), 60.0
+    other, apart_m, unsure_m = there.least_room_m(second, 1.0, 60.0) or (None, 0.0, 0.0)
+    assert other is first
+    assert apart_m == pytest.approx(3.0, abs=0.1)
+    assert unsure_m > 1.5
+    taught(second, 0.0)
+    (_, _, unsure_m) = there.least_room_m(second, 1.0, 60.0) or (None, 0.0, math.nan)
+    assert unsure_m < 0.7
+
+
 def test_the_leader_is_seen_over_the_whole_chain() -> None:
     there = known([Slot(3.0), Slot(3.0, behind=0)])
     first, second = there.followers.values()

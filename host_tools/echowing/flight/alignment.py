@@ -84,7 +84,7 @@ class History:
     def carried_on(self, time_s: float) -> tuple[Report, Report] | None:
         """The newest report and how it goes on, for a moment after it; None: it is too old."""
         since_s = time_s - self.newest_s
-        if not 0.0 <= since_s <= LONGEST_GAP_S:
+        if not 0.0 <= since_s <= LONGEST_WAIT_S:
             return None
         newest = self._reports[-1]
         north_mps, east_mps = newest.velocity_mps
