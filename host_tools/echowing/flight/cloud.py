@@ -308,13 +308,10 @@ class Cloud:
         for other in others:
             there = np.array(other.to_it_m)[:, np.newaxis]
             to_it = there - self._off if other.moves else there
-            its_m = np.sqrt((to_it * to_it).sum(axis=0))
             # If the echo is its own, it is as far away as that says: also one that is unsure, and
             # believed to be out of reach. The nearer echo is the one that is reported.
-            at = to_it * (distance_m / np.maximum(its_m, CLOSE_M))
-            its = self._detected(axis, at, other.sigma_m)[1] * (
-                1.0 - detected * (far_m < distance_m)
-            )
+            its_m, its = self._detected(axis, to_it, other.sigma_m, distance_m)
+            its = its * (1.0 - detected * (far_m < distance_m))
             of_others += self._density(its_m, distance_m, other.sigma_m) * its
         return fits, of_others
 
@@ -358,21 +355,28 @@ class Cloud:
         _, detected = self._detected(axis, np.array(believed)[:, np.newaxis] - self._off)
         self._update(1.0 - detected)
 
-    def _detected(self, axis: Axis, to_it: Array, unsure_m: float = 0.0) -> tuple[Array, Array]:
-        """How far a vehicle there is, for each guess, and how likely it is heard."""
+    def _detected(
+        self, axis: Axis, to_it: Array, unsure_m: float = 0.0, heard_m: float | None = None
+    ) -> tuple[Array, Array]:
+        """How far a vehicle there is, for each guess, and how likely it is heard.
+
+        unsure_m: it may be elsewhere by that. heard_m: it is heard at that distance, in the same
+        direction; None: where it is.
+        """
         sonar = self._sonar
         far_m = np.sqrt((to_it * to_it).sum(axis=0))
         north, east, down = axis.unit_ned
         ahead = np.array((north, east, -down)) @ to_it / np.maximum(far_m, PLACED_SIGMA_M)
         off_rad = np.arccos(np.clip(ahead, -1.0, 1.0))
-        narrowest = sonar.narrowest_rad.at(far_m)
-        half_rad = narrowest + self._wide * (sonar.widest_rad.at(far_m) - narrowest)
-        edge_rad = np.hypot(sonar.edge_rad, unsure_m / np.maximum(far_m, PLACED_SIGMA_M))
+        at_m = far_m if heard_m is None else heard_m
+        narrowest = sonar.narrowest_rad.at(at_m)
+        half_rad = narrowest + self._wide * (sonar.widest_rad.at(at_m) - narrowest)
+        edge_rad = np.hypot(sonar.edge_rad, unsure_m / np.maximum(at_m, PLACED_SIGMA_M))
         beyond = np.minimum((off_rad - half_rad) / (0.5 * edge_rad), 80.0)
         surely_m = LEAST_FAR * sonar.heard_to_m
         to_m = surely_m + self._far * (sonar.reach_m - surely_m)
-        share = np.minimum(MOST_HEARD, self._hears * sonar.heard.at(far_m))
-        share = share * (far_m < to_m + sonar.inset_m) * ~self._deaf
+        share = np.minimum(MOST_HEARD, self._hears * sonar.heard.at(at_m))
+        share = share * (at_m < to_m + sonar.inset_m) * ~self._deaf
         return far_m, share / (1.0 + np.exp(beyond))
 
     def _update(self, likelihood: Array) -> None:

@@ -90,10 +90,14 @@ def is_in_the_way(to_it_m: Ned, to_goal_m: Ned) -> bool:
     return 0.0 < along_m2 < to_goal_m[0] ** 2 + to_goal_m[1] ** 2
 
 
+def strays_m(age_s: float) -> float:
+    """How far another vehicle may be from where a report of that age, carried on, has it."""
+    return 0.5 * OTHERS_MPS2 * age_s * age_s
+
+
 def certain_distance_m(other: Other) -> float:
     """The distance that is left in the worst case of all that is not known."""
-    meanwhile_m = 0.5 * OTHERS_MPS2 * other.age_s * other.age_s
-    return math.hypot(*other.from_it_m) - other.nearer_m - meanwhile_m
+    return math.hypot(*other.from_it_m) - other.nearer_m - strays_m(other.age_s)
 
 
 def closing_limit_mps(
@@ -126,6 +130,8 @@ def keep_apart(
 ) -> tuple[Ned, Other | None]:
     """The velocity to fly (NED), and the vehicle for which it differs from the wanted one.
 
+    Or for which the wanted one has to be flown by the tool (`_too_fast_for`).
+
     own_mps: its velocity now, NED. Closing speed above the limit is braked in addition, but not for
     others that are led: in a line each would fly back faster than the one before. Who is in the way
     counts as passed: the plan is turned right first. Where nothing fits, the others that are led
@@ -135,7 +141,7 @@ def keep_apart(
     short_mps = [short_of_mps(wanted_mps, wall) for wall in walls]
     worst = max(range(len(others)), key=short_mps.__getitem__, default=None)
     if worst is None or short_mps[worst] <= 0.0:
-        return wanted_mps, None
+        return wanted_mps, None if own_mps is None else _too_fast_for(own_mps, others, walls)
     aim = wanted_mps[0], wanted_mps[1]
     for wall, other, mps in zip(walls, others, short_mps, strict=True):
         if mps > 0.0 and other.in_the_way:
@@ -149,18 +155,19 @@ def keep_apart(
     return (*flown, wanted_mps[2]), others[worst]
 
 
-def too_fast_for(
-    own_mps: Ned, others: Sequence[Other], answer: Answer, least_m: float = LEAST_M
-) -> Other | None:
+def _too_fast_for(own_mps: Ned, others: Sequence[Other], walls: Sequence[Wall]) -> Other | None:
     """The other that is led for which a vehicle is too fast now, as it flies (`own_mps`, NED).
 
     Whatever its plan is: its applet may hold the distance by a track that is behind the times, and
     not fly the plan.
     """
-    led = [other for other in others if other.led]
-    short_mps = [short_of_mps(own_mps, _wall(other, answer, least_m, None)) for other in led]
-    worst = max(range(len(led)), key=short_mps.__getitem__, default=None)
-    return None if worst is None or short_mps[worst] < TOO_FAST_MPS else led[worst]
+    short_mps = [
+        (short_of_mps(own_mps, wall), other)
+        for wall, other in zip(walls, others, strict=True)
+        if other.led
+    ]
+    most_mps, worst = max(short_mps, key=lambda one: one[0], default=(0.0, None))
+    return worst if most_mps >= TOO_FAST_MPS else None
 
 
 def straight_out(

@@ -9,7 +9,7 @@ from echowing.flight.alignment import AlignedReading, Alignment, History, Report
 from echowing.flight.axis import Axis
 from echowing.flight.belief import SonarBelief
 from echowing.flight.cloud import Bystander, Cloud
-from echowing.flight.envelope import OTHERS_MPS2, SURE_SIGMAS
+from echowing.flight.envelope import SURE_SIGMAS, strays_m
 from echowing.flight.guidance import Horizontal, LeaderFix, predicted
 from echowing.flight.hearing import Hearing, Reading
 from echowing.geo import GlobalPosition, displace
@@ -234,9 +234,8 @@ class Estimate:
             north_m = to_it_m[0] + other.shift_m[0] - jumped_m[0]
             east_m = to_it_m[1] + other.shift_m[1] - jumped_m[1]
             place = (north_m, east_m, to_it_m[2])
-            carried_s = max(0.0, time_s - other.history.newest_s)
-            carried_sigma_m = 0.5 * OTHERS_MPS2 * carried_s * carried_s / SURE_SIGMAS
-            sigma_m = math.hypot(other.sigma_m, carried_sigma_m)
+            strayed_m = strays_m(max(0.0, time_s - other.history.newest_s))
+            sigma_m = math.hypot(other.sigma_m, strayed_m / SURE_SIGMAS)
             found.append(Bystander(place, sigma_m, other.moves))
         return found
 

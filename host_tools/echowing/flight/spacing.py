@@ -13,7 +13,6 @@ from echowing.flight.envelope import (
     is_in_the_way,
     keep_apart,
     straight_out,
-    too_fast_for,
 )
 from echowing.flight.guard import Guard
 from echowing.flight.guidance import Horizontal
@@ -53,12 +52,10 @@ class Spacing:
         answer = follower.handling.answer
         flown, other = keep_apart(wanted, others, answer, self._least_m, own_mps)
         if other is None:
-            other = too_fast_for(own_mps, others, answer, self._least_m)
-            if other is None:
-                return unchanged
-            self._remark(follower, other.name, now_s)
-            return replace(unchanged, gives_way_to=other.name)
+            return unchanged
         self._remark(follower, other.name, now_s)
+        if flown == wanted:
+            return replace(unchanged, gives_way_to=other.name)
         urgent = straight_out(flown, other, others, answer, self._least_m, own_mps)
         flies = _redirected(follower, here, plan, (wanted, flown), urgent)
         return replace(flies, gives_way_to=other.name)
@@ -105,7 +102,7 @@ class Spacing:
         for place in (leader.position, *_if_erred(leader.position, known.doubted_m(follower))):
             yield Other(
                 LEADER,
-                self._between_m(known.leader_id, place, follower, here),
+                known.from_it_m(known.leader_id, place, follower, here),
                 leader.velocity_ned_mps,
                 known.nearer_m(follower, ned_between(here, place)[:2], least_m)
                 if ranged
@@ -155,7 +152,7 @@ class Spacing:
         for place in (seen, *_if_erred(there, (mine[0] - its[0], mine[1] - its[1]))):
             yield Other(
                 f"follower {system_id}",
-                self._between_m(system_id, place, follower, here),
+                self._known.from_it_m(system_id, place, follower, here),
                 velocity,
                 unsure_m,
                 age_s,
@@ -163,13 +160,6 @@ class Spacing:
                 # Its applet flies it, and knows of nobody beside it.
                 led=other.standing.sent_to and not by_itself,
             )
-
-    def _between_m(
-        self, system_id: int, there: GlobalPosition, follower: FollowerState, here: GlobalPosition
-    ) -> Ned:
-        """From another vehicle to here, heights by what is known of their homes."""
-        mine = self._known.in_height(follower.plan.system_id, here)
-        return ned_between(self._known.in_height(system_id, there), mine)
 
 
 def _worse(

@@ -35,7 +35,7 @@ from echowing.flight.steps import Allowed, Command, Hold, Phase, Standing, Turn
 from echowing.flight.tail import TailSlot
 from echowing.flight.tow_bar import TowBar
 from echowing.flight.wind import Wind
-from echowing.geo import GlobalPosition, displace, ned_between
+from echowing.geo import GlobalPosition, Ned, displace, ned_between
 from echowing.mavlink.messages import FORWARD, gimbal_attitude, heading_of, sonar_range_m
 
 GUIDED_MODE = 4
@@ -551,6 +551,13 @@ class Known:
             unsure_m = min(unsure_m, self.nearer_m(other, (-north_m, -east_m), clear_m))
         return seen, unsure_m
 
+    def from_it_m(
+        self, system_id: int, there: GlobalPosition, follower: FollowerState, here: GlobalPosition
+    ) -> Ned:
+        """From another vehicle to a follower that is here, heights by what is known of homes."""
+        mine = self.in_height(follower.plan.system_id, here)
+        return ned_between(self.in_height(system_id, there), mine)
+
     def least_room_m(
         self, follower: FollowerState, clear_m: float, now_s: float
     ) -> tuple[FollowerState, float, float] | None:
@@ -565,9 +572,8 @@ class Known:
             if other is follower or here is None or there is None:
                 continue
             seen, unsure_m = self.seen(follower, here, other, there, clear_m)
-            mine = self.in_height(follower.plan.system_id, here)
-            its = self.in_height(other.plan.system_id, seen)
-            found.append((other, math.hypot(*ned_between(mine, its)), unsure_m))
+            from_it_m = self.from_it_m(other.plan.system_id, seen, follower, here)
+            found.append((other, math.hypot(*from_it_m), unsure_m))
         return min(found, key=lambda one: one[1] - one[2], default=None)
 
     def doubted_m(self, follower: FollowerState) -> Horizontal:

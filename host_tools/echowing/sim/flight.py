@@ -84,6 +84,7 @@ class FormationWorld:
         self.leader = hangar.leader()
         self.pilot = LeaderPilot(self.leader, scenario.leader)
         self._scattered_m = scattered_m(scenario.swarm, hangar.rng("swarm's start"))
+        self._flown_up = flown_up(scenario.slots(), LEAST_M)
         self.followers = [self._make_follower(i) for i in range(len(scenario.formation.slots))]
 
     @property
@@ -114,7 +115,7 @@ class FormationWorld:
         """Where a follower starts, NED from the leader."""
         if self.scenario.swarm.followers:
             return (*self._scattered_m[index], 0.0)
-        slots = flown_up(self.scenario.slots(), LEAST_M)
+        slots = list(self._flown_up)
         starts_at = self.scenario.formation.slots[index].starts_at
         number = index if starts_at is None else starts_at - 1
         slots[number] = replace(slots[number], radius_m=slots[number].radius_m + JOIN_UP_M)
