@@ -45,7 +45,11 @@ if [ -f "$stamp" ] && [ "$(cat "$stamp")" = "$wanted" ]; then
   exit 0
 fi
 
-python=$(command -v python3 || true)
+# The system's own, where it is new enough: it is built to be quick (a simulated flight takes a fifth
+# less time than with one that pyenv has built), and apt's headers are its headers.
+new_enough() { "$1" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; }
+python=/usr/bin/python3
+new_enough "$python" || python=$(command -v python3 || true)
 [ -n "$python" ] || packages+=(python3)
 if [ -z "$python" ] || ! "$python" -c 'import ensurepip, venv' 2>/dev/null; then
   packages+=(python3-venv)
@@ -71,9 +75,9 @@ if [ ${#missing[@]} -gt 0 ]; then
     --no-install-recommends "${missing[@]}"
 fi
 
-python3 -c 'import sys; sys.exit(sys.version_info < (3, 11))' ||
-  fail "Python 3.11 or newer is needed; python3 here is $(python3 --version)"
-[ -x .venv/bin/python ] || { say "making the virtual environment .venv"; python3 -m venv .venv; }
+python=${python:-python3}
+new_enough "$python" || fail "Python 3.11 or newer is needed; python3 here is $("$python" --version)"
+[ -x .venv/bin/python ] || { say "making the virtual environment .venv"; "$python" -m venv .venv; }
 
 # Without -O2 the compiler does not optimize: an environment's CFLAGS replace Python's own.
 lua_flags='-O2 -DLUA_32BITS'

@@ -34,7 +34,7 @@ from echowing.tool.view import (
     scene,
 )
 
-LEADER, FOLLOWER = 1, 2
+LEADER, FOLLOWER, SECOND = 1, 2, 3
 
 
 def received(system_id: int, message: Any, component: int = 1, sequence: int = 0) -> Any:
@@ -151,9 +151,9 @@ def session() -> FollowSession:
     return FollowSession(LEADER, [plan], GuidanceSettings())
 
 
-def sonar(range_cm: int) -> Any:
+def sonar(range_cm: int, system_id: int = FOLLOWER) -> Any:
     message = mavlink.MAVLink_distance_sensor_message(0, 20, 765, range_cm, 1, 0, 0, 0)
-    return received(FOLLOWER, message, component=191)
+    return received(system_id, message, component=191)
 
 
 def test_the_sonar_that_is_believed_is_the_files_before_these_legs(tmp_path: Path) -> None:
@@ -191,6 +191,40 @@ def test_a_sonar_that_hears_something_else_is_told_of_once() -> None:
     assert panel.texts == [
         (FOLLOWER, "the sonar detects something at 1.2 m, the leader should be 4.4 m away")
     ]
+
+
+def test_a_follower_behind_another_is_shown_with_the_gap_to_that_one() -> None:
+    """A column of two, each 3.3 m behind the one ahead: its sonar watches that one."""
+    plans = [
+        FollowerPlan(FOLLOWER, Slot(3.0), sonar=shipped_sonar()),
+        FollowerPlan(SECOND, Slot(3.0, behind=0), sonar=shipped_sonar()),
+    ]
+    settings = GuidanceSettings(learn_offset=False)
+    panel, follow = Panel([LEADER, FOLLOWER, SECOND]), FollowSession(LEADER, plans, settings)
+    for tenth in range(40):
+        now_s = tenth / 10
+        for system_id, north_e7 in ((LEADER, 0), (FOLLOWER, -300), (SECOND, -600)):
+            here = mavlink.MAVLink_global_position_int_message(
+                round(now_s * 1e3) + 1, 393400000 + north_e7, -860300000, 260_000, 10_000, *(0,) * 4
+            )
+            follow.receive(received(system_id, here), now_s)
+        panel.receive(sonar(60, SECOND), now_s)
+        first, second = panel.rows(follow, now_s)
+    assert (first.watches, second.watches) == (None, FOLLOWER)
+    assert first.separation_m == pytest.approx(3.33, abs=0.01)
+    assert second.separation_m == pytest.approx(3.33, abs=0.01)
+    assert second.error_m == pytest.approx(0.33, abs=0.01)
+    assert panel.texts == [
+        (SECOND, "the sonar detects something at 0.6 m, follower 2 should be 3.3 m away")
+    ]
+
+
+def test_whom_a_row_tells_the_separation_from_is_said_where_it_is_not_the_leader() -> None:
+    chained = row(system_id=SECOND, watches=FOLLOWER, separation_m=3.02)
+    assert "separation from 2 3.02 m" in plain_row(chained)
+    assert "3: separation from 2" in lines_of([row(), chained], 120)
+    assert "separation 3.02 m" in plain_row(row(separation_m=3.02))
+    assert "separation from" not in "".join(lines_of([row()], 120))
 
 
 def test_the_link_is_the_share_of_frames_that_came() -> None:

@@ -4,6 +4,7 @@ import csv
 import json
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -60,13 +61,19 @@ def write(
     followers: tuple[int, ...] = (FOLLOWER,),
     changed: tuple[float, float] = (math.inf, 0.0),
     learn_offset: bool = False,
+    chained: bool = False,
 ) -> Path:
     """20 s of a leader flying north at 2 m/s; between `pilots` the followers are in Loiter.
 
-    changed: from when on the radius is another, and which.
+    changed: from when on the radius is another, and which. chained: each but the first is behind
+    the one before it, and as far from it as that one is from the leader.
     """
     slot = Slot(radius_m, math.radians(angle_deg))
-    plans = [FollowerPlan(one, slot, 10.0, sonar=shipped_sonar()) for one in followers]
+    slots = [replace(slot, behind=n - 1 if chained and n else None) for n in range(len(followers))]
+    plans = [
+        FollowerPlan(one, its, 10.0, sonar=shipped_sonar())
+        for one, its in zip(followers, slots, strict=True)
+    ]
     # A relay, radius 0, has no bar.
     settings = GuidanceSettings(
         tow_bar=radius_m > 0.0, learn_offset=learn_offset, feed_forward=False
@@ -86,7 +93,8 @@ def write(
             say(
                 session, panel, one, mavlink.MAVLink_heartbeat_message(2, 3, 129, mode, 4, 3), now_s
             )
-            at_m = SPEED_MPS * now_s - behind_m(now_s)
+            place = followers.index(one) + 1 if chained else 1
+            at_m = SPEED_MPS * now_s - place * behind_m(now_s)
             say(session, panel, one, position(at_m, now_s + 5.0), now_s)
             say(session, panel, one, named("SNR_PAN", 1_480.0), now_s)
             say(session, panel, one, named("SNR_STATE", 2.0), now_s)
@@ -100,6 +108,17 @@ def write(
     log.close()
     (table,) = folder.glob("*.csv")
     return table
+
+
+def test_a_follower_behind_another_is_measured_from_that_one(tmp_path: Path) -> None:
+    """3.5 m behind the one ahead, 7 m behind the leader."""
+    table = write(tmp_path, followers=(FOLLOWER, SECOND), chained=True)
+    first, second = read_flights([table])
+    for flight in (first, second):
+        assert metrics(flight).mean_separation_m == pytest.approx(3.5, abs=0.03)
+        assert flight.wanted_separation_m == 4.0
+        assert np.median(flight.leader_velocity_mps[:, 0]) == pytest.approx(SPEED_MPS)
+    assert np.abs(second.leader_ned_m - first.follower_ned_m).max() < 0.01
 
 
 def test_a_table_says_how_far_and_how_smoothly_the_receivers_are_found_to_wander(

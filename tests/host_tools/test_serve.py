@@ -246,4 +246,12 @@ def test_a_served_shape_is_flown_by_its_name(
     options_of([*FOLLOW_TWO, "--formation", "out/formation-5761.toml"])
 
 
+def test_a_served_column_is_flown_as_simulated(capsys: pytest.CaptureFixture[str]) -> None:
+    say_how_to_go_on(load_scenario("column", ["formation.followers=2"]), 5760)
+    said = capsys.readouterr().out
+    assert "--formation column --spacing 3 --simulated --engage" in said
+    assert "refuse" not in said
+    options_of([*FOLLOW_TWO, "--formation", "column", "--simulated"])
+
+
 FIVE_M = "formation.spacing_m=5"

@@ -116,6 +116,11 @@ def test_nothing_wrong() -> None:
         ({"state": "holding: stop switch"}, Level.LOOK, "Follower 2: holding: stop switch"),
         ({"state": "no points sent"}, Level.ACT, "Follower 2: no points sent"),
         ({"separation_m": 1.4}, Level.ACT, "Follower 2 is 1.4 m from the leader (wanted 3.0 m)"),
+        (
+            {"separation_m": 1.4, "watches": 5},
+            Level.ACT,
+            "Follower 2 is 1.4 m from follower 5 (wanted 3.0 m)",
+        ),
         ({"gimbal": "sonar fault"}, Level.LOOK, "Follower 2: its sonar has a fault"),
     ],
 )

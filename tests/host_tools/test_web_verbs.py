@@ -75,6 +75,14 @@ def test_a_simulated_world_is_shown_as_it_truly_is() -> None:
     assert "leader 1: AUTO" in screen.events
 
 
+def test_a_simulated_column_is_shown_with_its_gaps() -> None:
+    world, screen = flown(2.0, "formation.slots=[{radius_m=3.0}, {radius_m=3.0, behind=1}]")
+    first, second = snapshot(screen.moments[-1], ORIGIN)["followers"]
+    assert (first["watches"], second["watches"]) == (None, first["id"])
+    gap_m = math.dist(*(follower.position_ned_m for follower in world.followers))
+    assert second["separation"] == pytest.approx(gap_m, abs=0.001)
+
+
 def _unit(bearing_rad: float) -> tuple[float, float]:
     return math.cos(bearing_rad), math.sin(bearing_rad)
 

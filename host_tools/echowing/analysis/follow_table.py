@@ -27,7 +27,8 @@ NUMBERS = (
     *("leader_east_mps", "leader_heading_deg", "lat_deg", "lon_deg", "alt_m", "north_mps"),
     *("east_mps", "heading_deg", "pan_us", "tilt_us"),
 )
-OFFSETS = ("north_offset_m", "east_offset_m")  # not in the tables of former versions
+# Not in the tables of former versions.
+OFFSETS, WATCHES = ("north_offset_m", "east_offset_m"), "watches"
 WORDS = ("system_id", "state", "gimbal")
 
 Row = Mapping[str, str | None]
@@ -36,16 +37,23 @@ Row = Mapping[str, str | None]
 def read_table(path: Path, slot: Slot | None = None) -> list[Flight]:
     """One flight a follower in the table. slot: where it should have been, else as it was told.
 
-    Positions are by the vehicles' receivers, as in their own logs: the leader's carried on over the
-    age of its report, the follower's over its own. Raises EchowingError for a file that cannot be
-    read, or is no such table.
+    The flight's leader is whom the follower's sonar watches. Positions are by the vehicles'
+    receivers, as in their own logs: each carried on over the age of its report. Raises
+    EchowingError for a file that cannot be read, or is no such table.
     """
     rows, warnings = _rows(path)
     by_system: dict[str, list[Row]] = defaultdict(list)
     for row in rows:
         by_system[str(row["system_id"])].append(row)
     return [
-        _flight(path, _label(path, system, len(by_system)), own, slot, warnings)
+        _flight(
+            path,
+            _label(path, system, len(by_system)),
+            own,
+            by_system.get(str(own[-1].get(WATCHES))),
+            slot,
+            warnings,
+        )
         for system, own in by_system.items()
     ]
 
@@ -75,11 +83,17 @@ def _rows(path: Path) -> tuple[list[Row], list[str]]:
 
 
 def _flight(
-    path: Path, label: str, rows: Sequence[Row], slot: Slot | None, notes: list[str]
+    path: Path,
+    label: str,
+    rows: Sequence[Row],
+    ahead: Sequence[Row] | None,
+    slot: Slot | None,
+    notes: list[str],
 ) -> Flight:
+    """Of one follower. ahead: the rows of the follower that its sonar watches; None: the leader."""
     flown, warnings = _flown(label, rows)
     number = {name: _numbers(path, flown, name) for name in (*NUMBERS, *OFFSETS)}
-    time_s, age_s = number["unix_time_s"], number["age_s"]
+    time_s = number["unix_time_s"]
     origin = _origin(label, number)
     wanted = slot or Slot(
         float(number[RADIUS][0]),
@@ -88,10 +102,14 @@ def _flight(
     )
     if wanted.radius_m <= 0.0:
         raise EchowingError(f"log {label}: of a relay, which has no place behind a leader")
-    velocity = _columns(number, "north_mps", "east_mps")
-    leader_velocity = _columns(number, "leader_north_mps", "leader_east_mps")
+    follower_m, velocity = _carried_on(number, origin)
     leader_m = _ned(number, "leader_", origin)
-    follower_m = _ned(number, "", origin) + velocity * age_s[:, np.newaxis]
+    leader_velocity = _columns(number, "leader_north_mps", "leader_east_mps")
+    if ahead is not None:
+        there = {name: _numbers(path, ahead, name) for name in NUMBERS}
+        leader_m, leader_velocity = (
+            _at_times(time_s, there["unix_time_s"], one) for one in _carried_on(there, origin)
+        )
     heading = np.radians(number["leader_heading_deg"])
     counted, left_out = _counted(flown)
     return Flight(
@@ -117,6 +135,18 @@ def _flight(
         counted=counted,
         left_out=left_out,
     )
+
+
+def _carried_on(
+    number: Mapping[str, Floats], origin: tuple[float, float, float]
+) -> tuple[Floats, Floats]:
+    """A follower's place, carried on over the age of its report, and its velocity, (n, 3)."""
+    velocity = _columns(number, "north_mps", "east_mps")
+    return _ned(number, "", origin) + velocity * number["age_s"][:, np.newaxis], velocity
+
+
+def _at_times(time_s: Floats, known_s: Floats, known: Floats) -> Floats:
+    return np.column_stack([np.interp(time_s, known_s, column) for column in known.T])
 
 
 def _flown(label: str, rows: Sequence[Row]) -> tuple[Sequence[Row], list[str]]:

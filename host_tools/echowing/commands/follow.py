@@ -204,6 +204,12 @@ def _add_safety(safety: "argparse._ArgumentGroup") -> None:
         "--engage", action="store_true", help="send points; without --engage the tool only watches"
     )
     safety.add_argument(
+        "--simulated",
+        action="store_true",
+        help="the vehicles are simulated (ArduCopter SITL, sim --serve): take slots `behind` "
+        "another one, too",
+    )
+    safety.add_argument(
         "--take-off",
         type=float,
         metavar="M",
@@ -445,7 +451,9 @@ def _slots(
     slots, separation_m = _wanted(args)
     try:
         for one in [slots, *(scaled(slots, one_m) for one_m in radii_m)]:
-            said = check_to_be_led(one, sonar, args.min_separation, separation_m)
+            said = check_to_be_led(
+                one, sonar, args.min_separation, separation_m, simulated=args.simulated
+            )
     except EchowingError as error:
         where = "" if args.formation is None else f"--formation {args.formation}: "
         raise EchowingError(f"{where}{error}") from error

@@ -258,12 +258,13 @@ ALONE_MEANS = f"no range of a vehicle, and none within {DETECTION_LIMIT_M:g} m o
 def cut_text(cut: Cut, leader_id: int) -> str:
     """What an articulation point means."""
     parts = " | ".join(_listed(part, leader_id) for part in cut.parts)
-    return f"{_name(cut.system_id, leader_id)}: its loss would cut the formation apart: {parts}"
+    return f"{name_of(cut.system_id, leader_id)}: its loss would cut the formation apart: {parts}"
 
 
 def _listed(part: Sequence[int], leader_id: int) -> str:
-    return ", ".join(_name(system_id, leader_id) for system_id in part)
+    return ", ".join(name_of(system_id, leader_id) for system_id in part)
 
 
-def _name(system_id: int, leader_id: int) -> str:
+def name_of(system_id: int, leader_id: int) -> str:
+    """What a vehicle is called in a text."""
     return "the leader" if system_id == leader_id else f"follower {system_id}"

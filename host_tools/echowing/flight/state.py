@@ -505,6 +505,21 @@ class Known:
         now = predicted(fix, max(0.0, now_s - fix.time_s)).position
         return self.as_seen_by(follower, now)
 
+    def watched_id(self, follower: FollowerState) -> int:
+        """The system that its sonar looks at."""
+        ahead = self.ahead_of(follower)
+        return self.leader_id if ahead is None else ahead.plan.system_id
+
+    def watched_now(self, follower: FollowerState, now_s: float) -> GlobalPosition | None:
+        """Where whom its sonar looks at is, in its frame; None: not known, or no more."""
+        fix = self.leader.fix
+        if self.ahead_of(follower) is not None:
+            watched = self.watched_then(follower, now_s)
+            return None if watched is None else watched.position
+        if fix is None or self.leader_is_stale(now_s):
+            return None
+        return self.leader_for(follower, fix, now_s)
+
     def bearing_of_watched(self, follower: FollowerState, now_s: float) -> float | None:
         """Bearing from a follower to whom its sonar looks at; None: one of them is not known."""
         watched, here = self.watched_then(follower, now_s), follower.then(now_s)
@@ -513,12 +528,11 @@ class Known:
     def watched_above_m(self, follower: FollowerState) -> float:
         """How much higher than a follower the one its sonar looks at is; 0: that is not known."""
         ahead, here = self.ahead_of(follower), follower.position
-        its_id = self.leader_id if ahead is None else ahead.plan.system_id
         fix = self.leader.fix
         there = ahead.position if ahead is not None else None if fix is None else fix.position
         if there is None or here is None:
             return 0.0
-        above = self.in_height(its_id, there)
+        above = self.in_height(self.watched_id(follower), there)
         return above.alt_m - self.in_height(follower.plan.system_id, here).alt_m
 
     def nearest_m(self, follower: FollowerState, to_it_m: Horizontal, clear_m: float) -> float:

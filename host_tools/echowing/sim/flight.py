@@ -17,7 +17,7 @@ from echowing.analysis.flight import Flight
 from echowing.flight.envelope import LEAST_M
 from echowing.flight.formation import flown_up, place_m
 from echowing.flight.guard import FIELD_LIMITS, Limits
-from echowing.flight.guidance import MOVING_MPS, Horizontal
+from echowing.flight.guidance import MOVING_MPS, Horizontal, Slot
 from echowing.flight.lowest import LOWEST_M
 from echowing.flight.readiness import Readiness
 from echowing.flight.session import FollowSession
@@ -91,6 +91,10 @@ class FormationWorld:
     def t_s(self) -> float:
         """Simulated time."""
         return self._step * STEP_S
+
+    def watched(self, slot: Slot) -> SimVehicle:
+        """The vehicle that the sonar of a slot's follower looks at."""
+        return self.leader if slot.behind is None else self.followers[slot.behind]
 
     def step(self) -> None:
         """One world step of 20 ms."""
@@ -257,8 +261,7 @@ class FormationFlight(FormationWorld):
             self._course_rad = math.atan2(body.ve_mps, body.vn_mps)
         slots = self.scenario.slots()
         for follower, slot, recorder in zip(self.followers, slots, self.recorders, strict=True):
-            ahead = self.leader if slot.behind is None else self.followers[slot.behind]
-            recorder.samples.append(self._sample(follower, ahead))
+            recorder.samples.append(self._sample(follower, self.watched(slot)))
         self._commanded_slot_m.append(self._commanded_slot())
 
     def _commanded_slot(self) -> float:

@@ -18,7 +18,6 @@ from echowing.tool.track import Track
 
 SHOWN_EVERY = 5  # steps of 20 ms: 10 Hz
 JUDGED_EVERY = 50
-# What makes a sonar read less than the distance between two centres.
 
 
 class WorldOnPage:
@@ -66,7 +65,7 @@ def moment_of(world: FormationWorld) -> Moment:
     ]
     return Moment(
         world.t_s,
-        [_row(world, follower) for follower in world.followers],
+        [_row(world, follower, world.watched(slot)) for follower, slot in pairs],
         [
             _track(leader, follower, at, slot.radius_m, slot.angle_rad, slot.altitude_step_m)
             for (follower, slot), at in zip(pairs, slots, strict=True)
@@ -74,13 +73,13 @@ def moment_of(world: FormationWorld) -> Moment:
     )
 
 
-def _row(world: FormationWorld, follower: SimFollower) -> Row:
+def _row(world: FormationWorld, follower: SimFollower, watched: SimVehicle) -> Row:
     leader = world.leader
     return Row(
         time_s=world.t_s,
         system_id=follower.autopilot.system_id,
         state="",
-        separation_m=math.dist(leader.position_ned_m, follower.position_ned_m),
+        separation_m=math.dist(watched.position_ned_m, follower.position_ned_m),
         error_m=None,
         slot_error_m=None,
         sonar_m=_range_m(follower, world.scenario.sonar_belief.reach_m),
@@ -95,6 +94,7 @@ def _row(world: FormationWorld, follower: SimFollower) -> Row:
         east_offset_m=0.0,
         own=VehicleHealth(mode=_mode(follower), altitude_m=-follower.position_ned_m[2]),
         leader=VehicleHealth(mode=_mode(leader)),
+        watches=None if watched is leader else watched.autopilot.system_id,
     )
 
 

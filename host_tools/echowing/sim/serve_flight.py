@@ -7,7 +7,7 @@ from pathlib import Path
 
 from echowing.errors import EchowingError
 from echowing.flight.envelope import LEAST_M
-from echowing.flight.formation import receivers_demand_m
+from echowing.flight.formation import check_formation, receivers_demand_m
 from echowing.geo import Ned
 from echowing.sim.aircraft import LeaderPilot, SimFollower, SimVehicle
 from echowing.sim.flight import FormationWorld
@@ -22,7 +22,7 @@ from echowing.sim.vehicle.modes import GUIDED
 from echowing.sim.world.cutter import PacketCutter
 from echowing.sonar_file import SHIPPED
 from echowing.stopping import stop_on_signals
-from echowing.tool.formation_file import FormationSection, check_to_be_led
+from echowing.tool.formation_file import FormationSection
 from echowing.tool.run import Page
 
 # Ports of one vehicle, as SITL lays them out: the next vehicle 10 on, a second link 2 on.
@@ -188,7 +188,7 @@ def say_how_to_go_on(
     ends = " ".join(f"--follower {follower}" for follower in followers)
     leader = f"--leader tcp:127.0.0.1:{port}"
     print("To fly the formation, in another terminal:")
-    told = f"{_places(scenario, port)}{_beliefs(scenario)}{key}"
+    told = f"{_places(scenario, port)}{_beliefs(scenario)}{_chained(scenario)}{key}"
     print(f"  echowing follow {leader} {ends} {told} --engage")
     _warn_of_refusal(scenario)
     print(f"{STARTS} Ctrl-C ends it.", flush=True)
@@ -202,11 +202,16 @@ def _beliefs(scenario: Scenario) -> str:
     return f"{points}{sonar}{legs}"
 
 
+def _chained(scenario: Scenario) -> str:
+    """What lets `follow` take slots behind each other."""
+    return " --simulated" if any(slot.behind is not None for slot in scenario.slots()) else ""
+
+
 def _warn_of_refusal(scenario: Scenario) -> None:
     """Say that `follow` does not take this formation, though a scenario does."""
     try:
         separation_m = _stricter_m(scenario.formation)
-        check_to_be_led(scenario.slots(), scenario.sonar_belief, LEAST_M, separation_m)
+        check_formation(scenario.slots(), scenario.sonar_belief, LEAST_M, separation_m)
     except EchowingError as error:
         print(f"follow will refuse it: {error}")
 

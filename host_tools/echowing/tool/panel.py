@@ -8,7 +8,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.flight.guard import UNHEARD_S, is_flying, mode_name
-from echowing.flight.guidance import is_stale
+from echowing.flight.health import name_of
 from echowing.flight.leader_track import VehicleClock
 from echowing.flight.session import FollowSession
 from echowing.flight.sonar import DETECTION_LIMIT_M
@@ -61,10 +61,12 @@ PREFIXES = {"own": "", "leader": "leader_"}
 class Row:
     """One follower at one moment; None: not known. Times in seconds.
 
-    separation_m, error_m: distance to the leader by their receivers, heights included, and the
-    same minus the wanted radius, if there is one; slot_error_m: horizontally from the slot;
-    leader_age_s: of the leader's report in use; age_s: of the follower's, both by their time
-    stamps; command_mps: the applet's limit; own, leader: the follower's and the leader's health.
+    separation_m, error_m: distance to whom its sonar watches, the leader or another follower, by
+    their receivers, heights included, and the same minus the wanted radius, if there is one;
+    slot_error_m: horizontally from the slot; leader_age_s: of the leader's report in use; age_s: of
+    the follower's, both by their time stamps; command_mps: the applet's limit; own, leader: the
+    follower's and the leader's health; watches: the follower that its sonar watches, None: the
+    leader.
     heard_percent, scatter_m, wrong_percent: what its sonar has heard in the last minute: share of
     the pings at the leader, standard deviation of a range, share of readings of something else;
     worse: what of it is worse than its sonar file says.
@@ -92,6 +94,7 @@ class Row:
     scatter_m: float | None = None
     wrong_percent: float | None = None
     worse: str | None = None
+    watches: int | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Its fields and those of its healths, named as in `COLUMNS`, rounded to the millimetre."""
@@ -211,7 +214,9 @@ class Panel:
         gimbal = readings.newest(GIMBAL_STATE, now_s)
         fresh = now_s - readings.sonar_at_s < SONAR_FRESH_S
         sonar_m = readings.sonar_m if fresh else None
-        self._compare(follower.plan.system_id, sonar_m, separation_m, now_s)
+        watched_id = session.known.watched_id(follower)
+        name = name_of(watched_id, session.leader_id)
+        self._compare(follower.plan.system_id, name, sonar_m, separation_m, now_s)
         return Row(
             time_s=now_s,
             system_id=follower.plan.system_id,
@@ -231,6 +236,7 @@ class Panel:
             east_offset_m=follower.estimate.offset.east_m,
             own=self._health(session, follower.plan.system_id, follower.clock, now_s),
             leader=self._health(session, session.leader_id, session.leader.clock, now_s),
+            watches=None if watched_id == session.leader_id else watched_id,
             **_heard(follower),
         )
 
@@ -254,9 +260,14 @@ class Panel:
         )
 
     def _compare(
-        self, system_id: int, sonar_m: float | None, separation_m: float | None, now_s: float
+        self,
+        system_id: int,
+        watched: str,
+        sonar_m: float | None,
+        separation_m: float | None,
+        now_s: float,
     ) -> None:
-        """Report a sonar that detects something other than the leader, once each time."""
+        """Report a sonar that detects something else than whom it watches, once each time."""
         readings = self._readings[system_id]
         agrees = sonar_m is None or separation_m is None
         if sonar_m is not None and separation_m is not None:
@@ -270,7 +281,7 @@ class Panel:
             self.texts.append(
                 (
                     system_id,
-                    f"the sonar detects something at {sonar_m:.1f} m, the leader should be "
+                    f"the sonar detects something at {sonar_m:.1f} m, {watched} should be "
                     f"{separation_m:.1f} m away",
                 )
             )
@@ -307,15 +318,15 @@ def _percent(share: float | None) -> float | None:
 
 
 def _separation_m(session: FollowSession, follower: FollowerState, now_s: float) -> float | None:
-    """Distance to the leader, by this follower's receiver."""
-    fix = session.leader.fix
-    if follower.position is None or fix is None or is_stale(now_s - fix.time_s, session.settings):
+    """Distance to whom its sonar watches, by this follower's receiver."""
+    known = session.known
+    watched = known.watched_now(follower, now_s)
+    if follower.position is None or watched is None:
         return None
-    leader = session.leader_for(follower, fix, now_s)
     if session.guard is None:
-        return distance_m(follower.position, leader)
-    here = session.known.in_height(follower.plan.system_id, follower.position)
-    return distance_m(here, session.known.in_height(session.leader_id, leader))
+        return distance_m(follower.position, watched)
+    here = known.in_height(follower.plan.system_id, follower.position)
+    return distance_m(here, known.in_height(known.watched_id(follower), watched))
 
 
 def _slot_error_m(follower: FollowerState) -> float | None:

@@ -127,11 +127,12 @@ def _columns(cells: Iterable[str]) -> str:
 
 
 def _notes(rows: Sequence[Row]) -> Iterator[Text]:
-    """Under the table: why a follower is not led."""
+    """Under the table: why a follower is not led, and whom it watches, if not the leader."""
     for row in rows:
         _, _, reason = row.state.partition(": ")
         _, _, flying = (row.own.mode or "").partition(", ")
-        said = ", ".join(text for text in (reason, flying) if text)
+        watched = "" if row.watches is None else f"separation from {row.watches}"
+        said = ", ".join(text for text in (reason, flying, watched) if text)
         if said:
             yield Text(f"{row.system_id}: {said}", style=_style(row.state))
 

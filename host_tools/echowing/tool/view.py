@@ -241,12 +241,17 @@ def plain_row(row: Row) -> str:
         return f"follower {row.system_id}: no report yet"
     return (
         f"follower {row.system_id}: {row.state}, {row.own.mode or 'mode not known'}, "
-        f"separation {_shown(row.separation_m, 'm')} ({_shown(row.error_m, 'm', '+.2f')}), "
+        f"separation {_from(row)}{_shown(row.separation_m, 'm')} "
+        f"({_shown(row.error_m, 'm', '+.2f')}), "
         f"sonar {_shown(row.sonar_m, 'm')}, {_shown(row.speed_mps, 'm/s', '.1f')} "
         f"of {_shown(row.command_mps, 'm/s', '.1f')}, {_shown(row.own.altitude_m, 'm', '.1f')} up, "
         f"leader {_shown(row.leader_age_s, 's')} old, link {_shown(row.link_percent, '%', '.0f')}"
         + "".join(f", {text}" for text, _ in in_words(row.own))
     )
+
+
+def _from(row: Row) -> str:
+    return "" if row.watches is None else f"from {row.watches} "
 
 
 def plain_leader(row: Row) -> str:

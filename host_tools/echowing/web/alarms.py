@@ -97,7 +97,8 @@ def _of_distance(name: str, row: Row, track: Track) -> Iterator[Alarm]:
     wanted_m = track.wanted_radius_m
     if row.separation_m is None or row.separation_m >= TOO_NEAR_SHARE * wanted_m:
         return
-    text = f"{name} is {row.separation_m:.1f} m from the leader (wanted {wanted_m:.1f} m)"
+    watched = "the leader" if row.watches is None else f"follower {row.watches}"
+    text = f"{name} is {row.separation_m:.1f} m from {watched} (wanted {wanted_m:.1f} m)"
     yield Alarm(Level.ACT, row.system_id, text)
 
 

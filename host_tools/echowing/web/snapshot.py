@@ -91,6 +91,7 @@ def _follower(row: Row, track: Track, where: tuple[Ned | None, ...]) -> Json:
         "slot": _level(slot),
         "point": _level(point),
         "separation": _number(row.separation_m, 3),
+        "watches": row.watches,
         # A relay has no distance to keep.
         "wanted": _number(wanted_m) if wanted_m > 0.0 else None,
         "error": _number(error_m, 3) if wanted_m > 0.0 else None,

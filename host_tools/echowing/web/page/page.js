@@ -204,7 +204,8 @@ function showVehicle(one, leads) {
   const idle = one.level === 0 && !one.state.startsWith("following");
   card.querySelector('[data-field="state"]').className = idle ? "idle" : LEVELS[one.level];
   say("separation", number(one.separation, 2, " m"));
-  const error = one.error === null ? "" : `${signed(one.error, 2)} m of ${number(one.wanted, 2)} m`;
+  const error = one.error === null ? "" : `${signed(one.error, 2)} m of ${number(one.wanted, 2)} m`
+    + (one.watches ? ` from ${one.watches}` : "");
   say("wanted", error);
   const range = number(one.sonar.range, 2, " m");
   const heard = number(one.sonar.heard, 0, " %");
@@ -512,7 +513,8 @@ function axes(box, low, high, unit, places) {
 function drawSeparation(box) {
   const now = model.frame, few = now.followers.length <= MOST_LINES;
   put(byId("separation-title"), few
-    ? "Separation from the leader, last minute" : "Error of the separation, last minute");
+    ? `Separation from the ${now.followers.some(f => f.watches) ? "one ahead" : "leader"}, last minute`
+    : "Error of the separation, last minute");
   const source = model.hello.source === "sim" ? "in truth" : "by GPS";
   put(byId("separation-legend"), few
     ? `line: ${source}; dots: by sonar; dashed: wanted` : `separation minus wanted separation, ${source}`);
