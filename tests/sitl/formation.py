@@ -13,6 +13,9 @@ import numpy as np
 import pytest
 
 from echowing.analysis.metrics import Metrics
+from echowing.flight.envelope import LEAST_M
+from echowing.flight.formation import flown_up, place_m
+from echowing.flight.guidance import Slot
 from echowing.geo import GlobalPosition, Ned, displace
 
 from . import truth
@@ -126,7 +129,8 @@ class Follower:
 class Formation:
     """A leader and its followers, started, their receivers drifting.
 
-    seed: of the receivers' offsets, those of the built-in simulator. latency_s,
+    seed: of the receivers' offsets, those of the built-in simulator. slots: of a formation, which
+    is parked as large as its pilots fly it up; none: `followers` of them, side by side. latency_s,
     follower_latency_s: of the leader's link and the followers', each way. wind_mps: from the
     north, the same at all heights, without gusts. drifting: whether the receivers have
     offsets. wandering: whether these change from the start, or only from `let_wander` on. sonar:
@@ -142,6 +146,7 @@ class Formation:
         seed: int = 1,
         *,
         followers: int = 1,
+        slots: Sequence[Slot] = (),
         latency_s: float = LEADER_LATENCY_S,
         follower_latency_s: float = FOLLOWER_LATENCY_S,
         wind_mps: float = 0.0,
@@ -154,6 +159,8 @@ class Formation:
     ) -> None:
         self.kit, self.folder, self._key = kit, folder, key
         self._seed, self._wandering = seed, wandering
+        self._ahead = [slot.behind for slot in slots] or [None] * followers
+        parked = [place_m(flown_up(slots, LEAST_M), n) for n in range(len(slots))]
         self._sonar, self._height_sigma_m = sonar, height_sigma_m
         self._stack = contextlib.ExitStack()
         self._tools: list[Tool] = []
@@ -161,7 +168,8 @@ class Formation:
         self.followers: list[Follower] = []
         with self._guarded():
             self.leader = self._vehicle(LEADER, folder / "leader", (0.0, 0.0, 0.0), fresh=True)
-            self.followers += [self._follower(*place) for place in enumerate(_parked(followers))]
+            for place in enumerate(parked or _parked(followers)):
+                self.followers.append(self._follower(*place))
             for follower in self.followers:
                 follower.feeder.scene = self.scene(follower.vehicle)
             self.leader_link = self._link(self.leader, latency_s)
@@ -311,15 +319,23 @@ class Formation:
         until_s = since_s + within_s
         while time.monotonic() - since_s < 3.0:
             time.sleep(0.1)
-            apart_m = [self._separation_m(vehicle) for vehicle in self._of_followers()]
+            apart_m = [self._separation_m(*pair) for pair in self.watched()]
             if max(abs(one_m - wanted_m) for one_m in apart_m) > NEAR_SLOT_M:
                 since_s = time.monotonic()
             if time.monotonic() > until_s:
-                pytest.fail(f"never in their slots: {apart_m} m from the leader")
+                pytest.fail(f"never in their slots: {apart_m} m from whom they watch")
 
-    def _separation_m(self, follower: Vehicle) -> float:
-        """Leader to follower, in truth, now."""
-        states = [self.leader.state, follower.state]
+    def watched(self) -> list[tuple[Vehicle, Vehicle]]:
+        """Each follower, and before it whom its sonar watches."""
+        followers = self._of_followers()
+        return [
+            (self.leader if ahead is None else followers[ahead], vehicle)
+            for ahead, vehicle in zip(self._ahead, followers, strict=True)
+        ]
+
+    def _separation_m(self, watched: Vehicle, follower: Vehicle) -> float:
+        """In truth, now."""
+        states = [watched.state, follower.state]
         return float(np.linalg.norm(np.subtract(*truth.track_ned_m(states))))
 
     def fly_mission(self, tool: Tool, speed_mps: float, for_s: float) -> float:

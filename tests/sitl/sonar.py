@@ -1,6 +1,7 @@
 """What the emulated sonar hears: datagrams for `echowing emulator --target`, from the truth."""
 
 import json
+import math
 import socket
 import threading
 from collections.abc import Callable, Sequence
@@ -16,6 +17,8 @@ from .vehicle import ORIGIN, State, Vehicle
 
 # Farther than any sonar hears: the emulator takes the last datagram for true until the next.
 NOTHING_BODY_M = (1_000.0, 0.0, 0.0)
+# As far as the gimbal pans (the board's `PAN_REACH`), and half a beam.
+PAN_REACH_RAD = math.radians(70.0)
 Scene = Callable[[State], Floats | None]
 
 
@@ -60,16 +63,24 @@ def silence(state: State) -> Floats | None:
 
 
 def vehicles(others: Sequence[Vehicle]) -> Scene:
-    """The nearest of the other vehicles, where it is by now."""
+    """The nearest of the other vehicles before which the gimbal comes, where it is by now."""
 
     def hear(state: State) -> Floats | None:
         seen = [_ahead(other.state, state.time_s) for other in others if other.heard.truth]
         vectors = [
             np.array(ned_between(state.position, one.position)) + ahead for one, ahead in seen
         ]
-        return min(vectors, key=lambda vector: float(np.linalg.norm(vector)), default=None)
+        reached = [vector for vector in vectors if _off_nose_rad(vector, state) <= PAN_REACH_RAD]
+        return min(reached, key=lambda vector: float(np.linalg.norm(vector)), default=None)
 
     return hear
+
+
+def _off_nose_rad(vector_ned_m: Floats, state: State) -> float:
+    """How far to the side something is, seen from above."""
+    north_m, east_m, _ = vector_ned_m
+    off_rad = math.atan2(east_m, north_m) - state.yaw_rad
+    return abs(math.remainder(off_rad, math.tau))
 
 
 def _ahead(state: State, now_s: float) -> tuple[State, Floats]:
