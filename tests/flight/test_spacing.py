@@ -4,7 +4,6 @@ import pytest
 
 from echowing.flight.guard import Limits
 from echowing.flight.spacing import REMARK_GAP_S, Spacing
-from echowing.flight.steps import LEADER as THE_LEADER
 from echowing.flight.steps import Allowed, Phase, Plan, Standing
 
 from .told import Told, at, from_here_m
@@ -51,9 +50,9 @@ def test_a_plan_into_the_leader_is_cut_short_and_said() -> None:
     north_m, east_m = from_here_m(allowed.place)
     assert -6.0 < north_m < -2.0
     assert east_m == pytest.approx(0.0, abs=0.5)
-    assert allowed.gives_way_to == THE_LEADER
+    assert allowed.gives_way_to == "the leader"
     assert not allowed.makes_way
-    assert told.said == [(FOLLOWER, THE_LEADER, 0.0)]
+    assert told.said == [(FOLLOWER, "the leader", 0.0)]
 
 
 def test_a_plan_with_a_velocity_keeps_its_place_and_closes_more_slowly() -> None:
@@ -127,20 +126,11 @@ def test_of_what_one_ahead_flies_and_is_ordered_the_worse_counts() -> None:
     assert max(flown[1:]) < flown[0] - 1.0
 
 
-def test_who_is_too_fast_for_the_one_ahead_is_flown_by_the_tool_whatever_its_plan_is() -> None:
-    """Its applet holds the distance by a track that has missed how the other one comes back."""
+def test_one_that_its_sonar_looks_at_is_its_applets_and_others_are_the_tools() -> None:
+    """The applet knows that one alone: led past it by the tool it flew back at 1.9 m/s (SITL)."""
     told = beside_a_second()
-    second, follower = told.known.followers[SECOND], told.follower
-    second.standing = follower.standing = Standing(Phase.LED)
-    told.vehicles[SECOND].velocity_mps = -3.0, 0.0
-    plan = Plan(at(-9.0, -40.0), (-2.5, 0.0))
-    makes_way = []
-    for own_mps in (-2.5, 0.0):
-        told.vehicles[FOLLOWER].velocity_mps = own_mps, 0.0
-        told.now_s += 0.1
-        for system_id in told.vehicles:
-            told.report(system_id)
-        allowed = spacing(told).allowed(follower, plan, told.now_s)
-        assert (allowed.place, allowed.velocity_mps) == (plan.place, plan.velocity_mps)
-        makes_way.append(allowed.makes_way)
-    assert makes_way == [False, True]
+    assert into_the_second(told, spacing(told), 0.2).makes_way
+    told.known.watch(told.follower, told.known.followers[SECOND])
+    watched = into_the_second(told, spacing(told), 0.4)
+    assert watched.gives_way_to == "follower 3"
+    assert not watched.makes_way

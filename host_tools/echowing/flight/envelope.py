@@ -42,8 +42,6 @@ SURE_SIGMAS = 2.5
 OTHERS_MPS2 = 2.5
 # Below LEAST_M: the retreat speed for each missing metre, and the fastest retreat.
 RETREAT_PER_S, RETREAT_MOST_MPS = 1.5, 3.0
-# What a velocity in a report is off, and the wall that is made of it.
-TOO_FAST_MPS = 0.3
 # So much too fast, a vehicle spends all its lean on the way out.
 URGENT_MPS = 1.0
 # The fastest correction that is reckoned with, and the least radius of the disc of speeds:
@@ -130,8 +128,6 @@ def keep_apart(
 ) -> tuple[Ned, Other | None]:
     """The velocity to fly (NED), and the vehicle for which it differs from the wanted one.
 
-    Or for which the wanted one has to be flown by the tool (`_too_fast_for`).
-
     own_mps: its velocity now, NED. Closing speed above the limit is braked in addition, but not for
     others that are led: in a line each would fly back faster than the one before. Who is in the way
     counts as passed: the plan is turned right first. Where nothing fits, the others that are led
@@ -141,7 +137,7 @@ def keep_apart(
     short_mps = [short_of_mps(wanted_mps, wall) for wall in walls]
     worst = max(range(len(others)), key=short_mps.__getitem__, default=None)
     if worst is None or short_mps[worst] <= 0.0:
-        return wanted_mps, None if own_mps is None else _too_fast_for(own_mps, others, walls)
+        return wanted_mps, None
     aim = wanted_mps[0], wanted_mps[1]
     for wall, other, mps in zip(walls, others, short_mps, strict=True):
         if mps > 0.0 and other.in_the_way:
@@ -153,21 +149,6 @@ def keep_apart(
         walls = [_wall(_yielding(other), answer, least_m, own_mps) for other in others]
         flown = nearest(aim, walls, fastest_mps) or breaking_least(walls, fastest_mps, walls[worst])
     return (*flown, wanted_mps[2]), others[worst]
-
-
-def _too_fast_for(own_mps: Ned, others: Sequence[Other], walls: Sequence[Wall]) -> Other | None:
-    """The other that is led for which a vehicle is too fast now, as it flies (`own_mps`, NED).
-
-    Whatever its plan is: its applet may hold the distance by a track that is behind the times, and
-    not fly the plan.
-    """
-    short_mps = [
-        (short_of_mps(own_mps, wall), other)
-        for wall, other in zip(walls, others, strict=True)
-        if other.led
-    ]
-    most_mps, worst = max(short_mps, key=lambda one: one[0], default=(0.0, None))
-    return worst if most_mps >= TOO_FAST_MPS else None
 
 
 def straight_out(

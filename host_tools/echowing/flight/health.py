@@ -28,6 +28,7 @@ import networkx as nx
 
 from echowing.flight.cloud import Wandering
 from echowing.flight.sonar import DETECTION_LIMIT_M
+from echowing.flight.steps import name_of
 from echowing.geo import Ned, wrap_angle_rad
 
 RANGED_S = 2.0
@@ -263,8 +264,3 @@ def cut_text(cut: Cut, leader_id: int) -> str:
 
 def _listed(part: Sequence[int], leader_id: int) -> str:
     return ", ".join(name_of(system_id, leader_id) for system_id in part)
-
-
-def name_of(system_id: int, leader_id: int) -> str:
-    """What a vehicle is called in a text."""
-    return "the leader" if system_id == leader_id else f"follower {system_id}"

@@ -18,7 +18,7 @@ from echowing.flight.guard import Guard
 from echowing.flight.guidance import Horizontal
 from echowing.flight.jumps import SAME_RANGE_M
 from echowing.flight.state import FollowerState, Known
-from echowing.flight.steps import LEADER, Allowed, Plan
+from echowing.flight.steps import Allowed, Plan, name_of
 from echowing.geo import GlobalPosition, Ned, displace, ned_between
 
 # The same text is not repeated sooner, however often the state comes and goes.
@@ -54,11 +54,11 @@ class Spacing:
         if other is None:
             return unchanged
         self._remark(follower, other.name, now_s)
-        if flown == wanted:
-            return replace(unchanged, gives_way_to=other.name)
+        known = self._known
+        makes_way = other.name != name_of(known.watched_id(follower), known.leader_id)
         urgent = straight_out(flown, other, others, answer, self._least_m, own_mps)
         flies = _redirected(follower, here, plan, (wanted, flown), urgent)
-        return replace(flies, gives_way_to=other.name)
+        return replace(flies, gives_way_to=other.name, makes_way=makes_way)
 
     def _switched(self, follower: FollowerState) -> bool:
         """Whether its pilot's stop switch has stopped it: then nothing of ours moves it."""
@@ -101,7 +101,7 @@ class Spacing:
         unsure_m = SURE_SIGMAS * known.sigma_m(known.chain(follower))
         for place in (leader.position, *_if_erred(leader.position, known.doubted_m(follower))):
             yield Other(
-                LEADER,
+                name_of(known.leader_id, known.leader_id),
                 known.from_it_m(known.leader_id, place, follower, here),
                 leader.velocity_ned_mps,
                 known.nearer_m(follower, ned_between(here, place)[:2], least_m)
@@ -151,7 +151,7 @@ class Spacing:
         seen, unsure_m = self._known.seen(follower, here, other, there, self._least_m)
         for place in (seen, *_if_erred(there, (mine[0] - its[0], mine[1] - its[1]))):
             yield Other(
-                f"follower {system_id}",
+                name_of(system_id, self._known.leader_id),
                 self._known.from_it_m(system_id, place, follower, here),
                 velocity,
                 unsure_m,

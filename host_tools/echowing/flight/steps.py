@@ -14,8 +14,10 @@ from echowing.flight.guidance import Horizontal
 from echowing.geo import GlobalPosition
 from echowing.mavlink.messages import ForApplet
 
-# What messages call the leader.
-LEADER = "the leader"
+
+def name_of(system_id: int, leader_id: int) -> str:
+    """What messages call a vehicle."""
+    return "the leader" if system_id == leader_id else f"follower {system_id}"
 
 
 class Phase(StrEnum):
@@ -81,16 +83,15 @@ class Plan:
 
 @dataclass(frozen=True, slots=True)
 class Allowed:
-    """As `Plan`, with the name of the vehicle for which it differs from that; None: it does not."""
+    """As `Plan`, with the name of the vehicle for which it differs from that; None: it does not.
+
+    makes_way: that vehicle is not the one that its sonar looks at, so its applet does not know it.
+    """
 
     place: GlobalPosition
     velocity_mps: Horizontal | None
     gives_way_to: str | None = None
-
-    @property
-    def makes_way(self) -> bool:
-        """Whether it leaves its plan for another vehicle than the leader."""
-        return self.gives_way_to not in (None, LEADER)
+    makes_way: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,12 +8,11 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.flight.guard import UNHEARD_S, is_flying, mode_name
-from echowing.flight.health import name_of
 from echowing.flight.leader_track import VehicleClock
 from echowing.flight.session import FollowSession
 from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.flight.state import FollowerState
-from echowing.flight.steps import Phase
+from echowing.flight.steps import Phase, name_of
 from echowing.flight.supervisor import WAITS
 from echowing.geo import distance_m, ned_between
 from echowing.mavlink.messages import FORWARD, sonar_range_m
