@@ -750,13 +750,15 @@ do
         local quickens_mps2 = t_ms - stream.at_ms < 300 and stream.quickens_mps2 or 0
         if braking_mps2 < 0 then quickens_mps2 = min(quickens_mps2, braking_mps2) end
         wanted_mps = wanted_mps + quickens_mps2 * LEAN_S
-        -- In a line, and at its head, back no faster than the one ahead comes, by 0.4 m/s and by what is missing to the
-        -- close distance: a retreat that is not needed meets whoever flies behind, who flies back harder still. Two of an
-        -- echelon of four, at a corner at 2 m/s, came to 0.4 m. The one ahead in a line flies to a point like this one:
-        -- where the track says that it is much slower, the track swings.
+        -- In a line, and at its head, back no faster than the point, or than the leader comes, by 0.4 m/s and by what is
+        -- missing to the close distance: a retreat that is not needed meets whoever flies behind, who flies back harder
+        -- still. How another follower comes the ground tool knows sooner than the track. The place is moved no further
+        -- than that, either: over a metre back against a velocity ahead is flown back at first.
         if stream.manner > 1 then
-            local comes_mps = stream.manner == 2 and max(track.leader_mps, mps - 1) or track.leader_mps
-            wanted_mps = max(wanted_mps, min(0, comes_mps) - 0.4 - max(0, C.CLOSE - track.range_m) - wanted_m)
+            local comes_mps = stream.manner == 2 and mps or min(mps, track.leader_mps)
+            local least_mps = min(0, comes_mps) - 0.4 - max(0, C.CLOSE - track.range_m)
+            wanted_m = max(wanted_m, least_mps)
+            wanted_mps = max(wanted_mps, least_mps - wanted_m)
         end
         local by_m, by_mps = wanted_m - ahead_m, wanted_mps - mps
         position:x(position:x() + north_m + by_m * look.north)

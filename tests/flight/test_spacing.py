@@ -134,3 +134,25 @@ def test_one_that_its_sonar_looks_at_is_its_applets_and_others_are_the_tools() -
     watched = into_the_second(told, spacing(told), 0.4)
     assert watched.gives_way_to == "follower 3"
     assert not watched.makes_way
+
+
+def test_a_point_far_back_does_not_count_as_flown_to_by_the_applet_of_one_in_a_line(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It takes the place from the sonar, and no more than 0.4 m/s: the velocity has to say it."""
+    told = beside_a_second()
+    second, follower = told.known.followers[SECOND], told.follower
+    second.standing = follower.standing = Standing(Phase.LED)
+    monkeypatch.setattr(type(follower.estimate), "hears", lambda self, now_s: True)
+    monkeypatch.setattr(
+        type(told.known), "seen", lambda self, one, here, other, there, m: (there, 0.3)
+    )
+    told.known.watch(follower, second)
+    told.vehicles[SECOND].at_m, told.vehicles[SECOND].velocity_mps = (-3.8, -40.0), (-1.5, 0.0)
+    told.now_s += 0.1
+    for system_id in told.vehicles:
+        told.report(system_id)
+    allowed = spacing(told).allowed(follower, Plan(at(-8.5, -40.0), (0.3, 0.0)), told.now_s)
+    assert allowed.gives_way_to == "follower 3"
+    assert allowed.velocity_mps is not None
+    assert allowed.velocity_mps[0] < -0.4

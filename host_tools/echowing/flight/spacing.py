@@ -26,6 +26,8 @@ REMARK_GAP_S = 10.0
 # A leader in its sonar is held by the applet, and points with a velocity are answered by it: 1 m/s
 # for each metre (CATCH_UP_PER_S in lua/echowing.lua). Other points are Guided's (`Closing`).
 HOLD_PER_S = 1.0
+# In a line it flies back by so much faster than its point, whatever is missing (lua/echowing.lua).
+LINE_BACK_MPS = 0.4
 
 
 class Spacing:
@@ -46,7 +48,7 @@ class Spacing:
         unchanged, here = Allowed(plan.place, plan.velocity_mps), follower.on_arrival(now_s)
         if self._least_m is None or here is None or self._switched(follower):
             return unchanged
-        wanted = _wanted_mps(follower, here, plan, now_s)
+        wanted = self._wanted_mps(follower, here, plan, now_s)
         others = self._others(follower, here, now_s)
         own_mps = (*follower.velocity_then(now_s + follower.way_s), -follower.climb_mps)
         answer = follower.handling.answer
@@ -59,6 +61,34 @@ class Spacing:
         urgent = straight_out(flown, other, others, answer, self._least_m, own_mps)
         flies = _redirected(follower, here, plan, (wanted, flown), urgent)
         return replace(flies, gives_way_to=other.name, makes_way=makes_way)
+
+    def _wanted_mps(
+        self, follower: FollowerState, here: GlobalPosition, plan: Plan, now_s: float
+    ) -> Ned:
+        """The velocity with which a follower that is here answers its plan."""
+        north, east, _ = ned_between(here, plan.place)
+        far_m = math.hypot(north, east)
+        feed_north, feed_east = plan.velocity_mps or (0.0, 0.0)
+        if plan.velocity_mps is None or not follower.estimate.hears(now_s):
+            pace = follower.handling.closing.pace_per_s(far_m)
+            return feed_north + pace * north, feed_east + pace * east, 0.0
+        pace = min(HOLD_PER_S, FASTEST_MPS / max(far_m, 1e-9))
+        back_mps = self._not_flown_back_mps(follower, plan, (pace * north, pace * east), now_s)
+        return feed_north + pace * north + back_mps[0], feed_east + pace * east + back_mps[1], 0.0
+
+    def _not_flown_back_mps(
+        self, follower: FollowerState, plan: Plan, correction_mps: Horizontal, now_s: float
+    ) -> Horizontal:
+        """What the applet of one in a line takes off a correction that leads back."""
+        bearing = self._known.bearing_of_watched(follower, now_s)
+        in_line = self._known.ahead_of(follower) is not None
+        if plan.velocity_mps is None or bearing is None or not in_line:
+            return 0.0, 0.0
+        north, east = math.cos(bearing), math.sin(bearing)
+        feed_mps = plan.velocity_mps[0] * north + plan.velocity_mps[1] * east
+        flown_mps = feed_mps + correction_mps[0] * north + correction_mps[1] * east
+        less_mps = max(0.0, min(0.0, feed_mps) - LINE_BACK_MPS - flown_mps)
+        return less_mps * north, less_mps * east
 
     def _switched(self, follower: FollowerState) -> bool:
         """Whether its pilot's stop switch has stopped it: then nothing of ours moves it."""
@@ -183,18 +213,6 @@ def _if_erred(there: GlobalPosition, shift_m: Horizontal) -> Iterator[GlobalPosi
     """The other's place if its jumps and ours were errors of the receivers, not movements."""
     if math.hypot(*shift_m) >= SAME_RANGE_M:
         yield displace(there, (*shift_m, 0.0))
-
-
-def _wanted_mps(follower: FollowerState, here: GlobalPosition, plan: Plan, now_s: float) -> Ned:
-    """The velocity with which a follower that is here answers its plan."""
-    north, east, _ = ned_between(here, plan.place)
-    far_m = math.hypot(north, east)
-    if plan.velocity_mps is not None and follower.estimate.hears(now_s):
-        pace = min(HOLD_PER_S, FASTEST_MPS / max(far_m, 1e-9))
-    else:
-        pace = follower.handling.closing.pace_per_s(far_m)
-    feed_north, feed_east = plan.velocity_mps or (0.0, 0.0)
-    return feed_north + pace * north, feed_east + pace * east, 0.0
 
 
 def _redirected(
