@@ -146,7 +146,8 @@ def test_who_is_behind_another_follower_keeps_its_pace() -> None:
     ]
     session = FollowSession(LEADER, plans, GuidanceSettings())
     first, second = session.followers.values()
-    free, gives_way = Allowed(HERE, (2.0, 0.0)), Allowed(HERE, (2.0, 0.0), "follower 4")
+    free = Allowed(HERE, (2.0, 0.0))
+    gives_way = Allowed(HERE, (2.0, 0.0), "follower 4", makes_way=True)
     plan = Plan(HERE, (2.0, 0.0), opens_m=3.4)
     assert session._for_applet(first, plan, free, 10.0) == ForApplet(3.4, Manner.HEAD)
     assert session._for_applet(second, plan, free, 10.0) == ForApplet(3.4, Manner.KEEP_PACE)
