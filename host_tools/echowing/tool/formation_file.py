@@ -15,7 +15,7 @@ from echowing.flight.guidance import SMALLEST_RADIUS_M, Slot
 from echowing.flight.shapes import MOST_FOLLOWERS, Shape, shape
 from echowing.section import Positive, Section, section_of
 
-# Of 32 formations that were flown 5 came under 1.0 m (RESULTS.md, "Formations").
+# Of 32 formations that were flown 3 came under 1.0 m (RESULTS.md, "Formations").
 ONLY_SIMULATED = (
     "a slot has `behind`, which is for simulated flights (--simulated): such formations are not "
     "kept 1 m apart in each flight yet"
