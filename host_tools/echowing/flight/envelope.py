@@ -68,8 +68,8 @@ class Other:
     much it may be nearer than that, one case in 160 left out; age_s: of its data when the order
     takes effect; in_the_way: the plan leads beyond it (see `is_in_the_way`), so it is passed;
     brakes_mps2: it may brake, turn round and come nearer at this acceleration from now on, 0: it
-    does not; led: by the same tool, which
-    keeps it away from here too.
+    does not; led: by the same tool, which keeps it away from here too; watched: the sonar of this
+    one looks at it.
     """
 
     name: str
@@ -80,6 +80,7 @@ class Other:
     in_the_way: bool = False
     brakes_mps2: float = 0.0
     led: bool = False
+    watched: bool = False
 
 
 def is_in_the_way(to_it_m: Ned, to_goal_m: Ned) -> bool:

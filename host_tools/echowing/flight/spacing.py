@@ -24,7 +24,7 @@ from echowing.geo import GlobalPosition, Ned, displace, ned_between
 # The same text is not repeated sooner, however often the state comes and goes.
 REMARK_GAP_S = 10.0
 # A leader in its sonar is held by the applet, and points with a velocity are answered by it: 1 m/s
-# for each metre (CATCH_UP_PER_S in lua/echowing.lua). Other points are Guided's (`Closing`).
+# for each metre (`gently` in lua/echowing.lua). Other points are Guided's (`Closing`).
 HOLD_PER_S = 1.0
 # In a line it flies back by so much faster than its point, whatever is missing (lua/echowing.lua).
 LINE_BACK_MPS = 0.4
@@ -56,11 +56,9 @@ class Spacing:
         if other is None:
             return unchanged
         self._remark(follower, other.name, now_s)
-        known = self._known
-        makes_way = other.name != name_of(known.watched_id(follower), known.leader_id)
         urgent = straight_out(flown, other, others, answer, self._least_m, own_mps)
         flies = _redirected(follower, here, plan, (wanted, flown), urgent)
-        return replace(flies, gives_way_to=other.name, makes_way=makes_way)
+        return replace(flies, gives_way_to=other.name, makes_way=not other.watched)
 
     def _wanted_mps(
         self, follower: FollowerState, here: GlobalPosition, plan: Plan, now_s: float
@@ -73,19 +71,25 @@ class Spacing:
             pace = follower.handling.closing.pace_per_s(far_m)
             return feed_north + pace * north, feed_east + pace * east, 0.0
         pace = min(HOLD_PER_S, FASTEST_MPS / max(far_m, 1e-9))
-        back_mps = self._not_flown_back_mps(follower, plan, (pace * north, pace * east), now_s)
+        correction_mps = pace * north, pace * east
+        if self._known.ahead_of(follower) is None:
+            return feed_north + correction_mps[0], feed_east + correction_mps[1], 0.0
+        back_mps = self._not_flown_back_mps(follower, plan.velocity_mps, correction_mps, now_s)
         return feed_north + pace * north + back_mps[0], feed_east + pace * east + back_mps[1], 0.0
 
     def _not_flown_back_mps(
-        self, follower: FollowerState, plan: Plan, correction_mps: Horizontal, now_s: float
+        self,
+        follower: FollowerState,
+        point_mps: Horizontal,
+        correction_mps: Horizontal,
+        now_s: float,
     ) -> Horizontal:
         """What the applet of one in a line takes off a correction that leads back."""
         bearing = self._known.bearing_of_watched(follower, now_s)
-        in_line = self._known.ahead_of(follower) is not None
-        if plan.velocity_mps is None or bearing is None or not in_line:
+        if bearing is None:
             return 0.0, 0.0
         north, east = math.cos(bearing), math.sin(bearing)
-        feed_mps = plan.velocity_mps[0] * north + plan.velocity_mps[1] * east
+        feed_mps = point_mps[0] * north + point_mps[1] * east
         flown_mps = feed_mps + correction_mps[0] * north + correction_mps[1] * east
         less_mps = max(0.0, min(0.0, feed_mps) - LINE_BACK_MPS - flown_mps)
         return less_mps * north, less_mps * east
@@ -139,6 +143,7 @@ class Spacing:
                 else unsure_m,
                 known.leader_age_s(arrives_s),
                 brakes_mps2=0.0 if self._looks_for_it(follower, now_s) else OTHERS_MPS2,
+                watched=ranged,
             )
 
     def _looks_for_it(self, follower: FollowerState, now_s: float) -> bool:
@@ -189,6 +194,7 @@ class Spacing:
                 is_in_the_way(ned_between(here, place), to_goal_m),
                 # Its applet flies it, and knows of nobody beside it.
                 led=other.standing.sent_to and not by_itself,
+                watched=self._known.ahead_of(follower) is other,
             )
 
 

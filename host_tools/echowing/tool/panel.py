@@ -324,8 +324,8 @@ def _separation_m(session: FollowSession, follower: FollowerState, now_s: float)
         return None
     if session.guard is None:
         return distance_m(follower.position, watched)
-    here = known.in_height(follower.plan.system_id, follower.position)
-    return distance_m(here, known.in_height(known.watched_id(follower), watched))
+    watched_id = known.watched_id(follower)
+    return math.hypot(*known.from_it_m(watched_id, watched, follower, follower.position))
 
 
 def _slot_error_m(follower: FollowerState) -> float | None:
