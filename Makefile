@@ -4,11 +4,11 @@
 .DEFAULT_GOAL := help
 BIN := .venv/bin
 export PATH := $(CURDIR)/$(BIN):$(PATH)
-# A file is one worker's, in the order of tests/conftest.py. Two cores carry four workers: the tests
+# Who runs what, and in which order, is in tests/conftest.py. Two cores carry four workers: the tests
 # of processes in real time mostly wait.
-WORKERS := -n 4 --dist loadfile --no-loadscope-reorder
+WORKERS := -n 4 --dist loadgroup --no-loadscope-reorder
 
-.PHONY: help demo campaign test test-sitl bench release monitor fuzz lint format pages setup setup-test core clean
+.PHONY: help demo campaign test test-long test-sitl bench release monitor fuzz lint format pages setup setup-test core clean
 
 help: ## list the targets
 	@grep -hE '^[a-z0-9-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z0-9-]+):.*## /\1\t/' | expand -t 16
@@ -20,8 +20,11 @@ campaign: setup core ## fly 10,000 drawn flights with faults: FLIGHTS=10000 SEED
 	@$(BIN)/echowing campaign --flights $(or $(FLIGHTS),10000) --seed $(or $(SEED),1) --resume \
 		--out out/campaign-$(or $(SEED),1)
 
-test: setup-test core emulated lint ## every check and every test
+test: setup-test core emulated lint ## every check, and every test that is not long
 	$(BIN)/pytest $(WORKERS)
+
+test-long: setup-test core emulated ## the tests that take minutes: many seeds, a campaign of forty, fifty followers
+	$(BIN)/pytest $(WORKERS) -m long
 
 test-sitl: setup-test core emulated ## fly it on ArduCopter SITL: ARDUCOPTER="PATH …" [CASES="NAME or NAME"]
 	$(BIN)/python -m tests.sitl $(ARDUCOPTER) -- $(if $(CASES),-k "$(CASES)")

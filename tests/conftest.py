@@ -1,4 +1,4 @@
-"""What all tests share: the order in which they begin, and Ctrl-C."""
+"""What all tests share: the order in which they begin, who runs them, and Ctrl-C."""
 
 import signal
 
@@ -8,10 +8,20 @@ import pytest
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
+# Folders whose files look at the same solids, which OpenSCAD makes in a quarter of a minute.
+OF_ONE_WORKER = {"hw"}
+
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The longest files come first: begun last, each would keep one worker alone at the end."""
+    """A file is one worker's, or a folder. The longest come first.
+
+    Begun last, each would keep one worker alone at the end.
+    """
     items.sort(key=_seconds, reverse=True)
+    for item in items:
+        folder = item.path.parent.name
+        group = folder if folder in OF_ONE_WORKER else str(item.path)
+        item.add_marker(pytest.mark.xdist_group(group))
 
 
 def _seconds(item: pytest.Item) -> float:

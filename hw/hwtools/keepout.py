@@ -85,7 +85,7 @@ def off_axis_deg(rig: Rig, points: Points, aim: Aim) -> float:
     axis = rotation(aim) @ np.array([1.0, 0.0, 0.0])
     away = points - (rig.pivot + rig.face_x * axis)
     along = away @ axis
-    across = np.linalg.norm(away - np.outer(along, axis), axis=1)
+    across = np.sqrt(np.maximum(np.einsum("ij,ij->i", away, away) - along**2, 0.0))
     beside = np.maximum(across - mount.number("sonar_transducer_diameter_mm") / 2, 0.0)
     return float(np.degrees(np.arctan2(beside, along)).min())
 

@@ -28,6 +28,7 @@ def test_what_was_fixed_stays_fixed() -> None:
     assert again == {}
 
 
+@pytest.mark.long
 def test_open_finds_can_be_flown_again() -> None:
     for path in sorted(OPEN.glob("*.toml")):
         assert "crashed" not in broken(path), path.name

@@ -1,4 +1,4 @@
-"""Forty flights of the shipped campaign, with a fixed seed."""
+"""Flights of the shipped campaign, with a fixed seed: eight, and forty in `make test-long`."""
 
 import pytest
 
@@ -6,23 +6,23 @@ from echowing.campaign.draw import load_description
 from echowing.campaign.fly import CRASHED, LOGS, Row, fly_one
 from echowing.campaign.properties import BLOWN, BLOWN_ON, MISLED
 
-pytestmark = pytest.mark.seconds(130)
+pytestmark = pytest.mark.seconds(40)
 
-SEED, FLIGHTS = 1, 40
+SEED = 1
 # Two of the forty came too near when this was written: in 2 a receiver jumps and the sonar is
 # unplugged, in 26 receivers disagree by 5.5 m, more than anything allows for, and the leader is
 # never heard. One more may on another machine: a flight amplifies the last digit.
-MOST_TOO_NEAR = 3
+MOST_TOO_NEAR = {8: 2, 40: 3}
 SEPARATION = "separation"
 # No law can help it: the wind has taken all the lean that there is.
 OF_THE_WIND = {BLOWN, BLOWN_ON}
 TOO_NEAR = {SEPARATION, MISLED}
 
 
-@pytest.fixture(scope="module")
-def rows() -> list[Row]:
+@pytest.fixture(scope="module", params=[8, pytest.param(40, marks=pytest.mark.long)])
+def rows(request: pytest.FixtureRequest) -> list[Row]:
     description = load_description()
-    return [fly_one(description, SEED, index) for index in range(FLIGHTS)]
+    return [fly_one(description, SEED, index) for index in range(request.param)]
 
 
 def test_no_flight_breaks_a_promise_but_for_the_known_share_that_comes_too_near(
@@ -32,7 +32,7 @@ def test_no_flight_breaks_a_promise_but_for_the_known_share_that_comes_too_near(
     too_near = [index for index, names in broken.items() if TOO_NEAR & names]
 
     assert {index: names - TOO_NEAR for index, names in broken.items() if names - TOO_NEAR} == {}
-    assert len(too_near) <= MOST_TOO_NEAR, too_near
+    assert len(too_near) <= MOST_TOO_NEAR[len(rows)], too_near
 
 
 def test_every_flight_ends_and_its_logs_are_read(rows: list[Row]) -> None:

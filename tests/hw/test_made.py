@@ -15,7 +15,7 @@ from hwtools import made, mount, wiring
 from hwtools.facts import HW, MOUNT, PICTURES
 from hwtools.rig import Rig, read_stl
 
-pytestmark = pytest.mark.seconds(18)
+pytestmark = pytest.mark.seconds(60)  # with its folder
 
 
 def label_of(item: made.Made | made.Text) -> str:

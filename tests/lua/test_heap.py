@@ -38,6 +38,16 @@ def needs(tmp_path: Path) -> Measure:
     return measured
 
 
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """A flight of each applet, to be flown again in any heap."""
+    folder = tmp_path_factory.mktemp("flights")
+    records = {applet.file: folder / applet.name for applet in APPLETS}
+    for file, record in records.items():
+        heap.record_flight(lua_folder() / file, record)
+    return records
+
+
 def test_each_applet_on_a_card_has_its_heap() -> None:
     assert {applet.file for applet in APPLETS} == {file.name for file in lua_folder().glob("*.lua")}
 
@@ -45,11 +55,10 @@ def test_each_applet_on_a_card_has_its_heap() -> None:
 @pytest.mark.parametrize("firmware", heap.FIRMWARES)
 @pytest.mark.parametrize("applet", APPLETS, ids=[applet.name for applet in APPLETS])
 def test_an_applet_loads_and_flies_in_its_heap(
-    tmp_path: Path, applet: Applet, firmware: str
+    recorded: dict[str, Path], applet: Applet, firmware: str
 ) -> None:
     """And in the next larger ones, where blocks lie elsewhere and holes are others."""
-    script, record = lua_folder() / applet.file, tmp_path / "record"
-    heap.record_flight(script, record)
+    script, record = lua_folder() / applet.file, recorded[applet.file]
     allowed = applet.needs_bytes(VERSIONS[firmware])
     for heap_bytes in range(allowed, allowed + 1025, 512):
         flight = heap.fly_recorded(script, record, heap_bytes, firmware)

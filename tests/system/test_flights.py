@@ -28,6 +28,7 @@ def test_a_hostile_leader_is_kept_at_a_distance(seed: int) -> None:
     assert min(phases.values()) > 1.0, phases
 
 
+@pytest.mark.long
 def test_fifty_followers_stay_apart() -> None:
     many = flown("many", 1, "duration_s=30")
 
