@@ -49,7 +49,7 @@ def test_help_lists_the_verbs_without_importing_what_they_need() -> None:
         (["sim", "grey"], "no scenario 'grey'"),
         (
             ["sim", "--set", "gps.sigma=1"],
-            "gps.sigma: no such key; allowed here: follows_s, multipath_m, ",
+            "gps.sigma: no such key; allowed here: follows_s, height_follows_s, ",
         ),
         (["sim", "--seed", "many"], "--seed 'many': give a whole number"),
         (["sim", "--seed", "5-1"], "the range is empty"),

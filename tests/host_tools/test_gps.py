@@ -47,7 +47,7 @@ def test_it_starts_spread_out_as_it_goes_on() -> None:
 def test_it_glides() -> None:
     steps = [abs(b - a) for a, b in itertools.pairwise(series(5, 2_000))]
 
-    # A filter lag of 1 s leaves well under 10 cm in half a second.
+    # A filter lag of 1.5 s leaves well under 10 cm in half a second.
     assert max(steps) < 0.2
 
 

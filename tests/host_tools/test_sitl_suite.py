@@ -16,9 +16,11 @@ import pytest
 from echowing.sim import flight
 from echowing.sim.hangar import Hangar
 from echowing.sim.scenario import load_scenario
+from echowing.sim.world import gps
 
 from ..sitl import loopback, truth
 from ..sitl.drift import METRES_PER_DEGREE, STEP_S, Drift
+from ..sitl.follows import fitted
 from ..sitl.names import SPEED, Version
 from ..sitl.relay import Link, Queue
 from ..sitl.table import Entry, Figures, agrees, lines
@@ -81,6 +83,20 @@ def test_drift_is_that_of_the_simulators_receiver() -> None:
         north_m += blend * (drift.north_m - north_m)
         east_m += blend * (drift.east_m - east_m)
         assert simulated.step(STEP_S)[:2] == pytest.approx((north_m, east_m))
+
+
+@pytest.mark.parametrize("later_s", [0.3, 1.5, 4.0])
+def test_how_much_later_an_estimate_follows_is_found(later_s: float) -> None:
+    receiver = gps.Drift(gps.Errors(0.8, follows_s=1e-3), lambda name: random.Random(f"1{name}"))
+    errors_m = np.array([receiver.step(0.1)[0] for _ in range(2000)])
+    keep, believed_m = math.exp(-0.1 / later_s), errors_m.copy()
+    for k in range(1, len(errors_m)):
+        believed_m[k] = keep * believed_m[k - 1] + (1.0 - keep) * errors_m[k]
+
+    found = fitted("north", errors_m, believed_m)
+
+    assert found.later_s == pytest.approx(later_s, rel=0.01)
+    assert found.left_m < 0.001 < found.of_m
 
 
 def test_drift_in_degrees_is_the_same_length_north_and_east() -> None:

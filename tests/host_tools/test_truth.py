@@ -129,6 +129,7 @@ def test_the_far_end_of_a_beam_alone_leaves_the_near_one_as_drawn() -> None:
         ("vertical_tau_s", "height_tau_s"),
         ("receiver_vertical_sigma_m", "receiver_height_sigma_m"),
         ("follows_s", "follows_s"),
+        ("height_follows_s", "height_follows_s"),
     ],
 )
 def test_errors_are_drawn_around_what_is_given(key: str, name: str) -> None:

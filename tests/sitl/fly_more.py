@@ -15,7 +15,6 @@ from .formation import (
     RADIUS_M,
     SERIAL,
     Follower,
-    Formation,
     Kit,
     copied,
     rectangle,
@@ -99,14 +98,11 @@ def test_analyze_agrees_with_the_truth(start: Start, table: list[Entry]) -> None
     rest(AFTER_S)
     assert tool.end() == 0
     flown = formation.measured(began_s, time.monotonic())
-    binaries = [
-        str(_newest(formation, f"{who}/logs", "*.BIN"))
-        for who in ("leader", f"follower-{FOLLOWER}")
-    ]
+    binaries = [str(vehicle.newest_log()) for vehicle in formation.everybody]
     logs = {
         "BIN logs": (binaries, began_s - formation.armed_s),
         "follow's table": ([str(formation.folder / "log")], began_s - opened_s),
-        "follow's tlog": ([str(_newest(formation, "log", "*.tlog"))], began_s - opened_s),
+        "follow's tlog": ([str(max(formation.folder.glob("log/*.tlog")))], began_s - opened_s),
     }
     for name, (files, before_s) in logs.items():
         options = ("--radius", f"{RADIUS_M:g}", "--settle", f"{before_s:.1f}", "--json")
@@ -185,7 +181,3 @@ def sign(kit: Kit, case_folder: Path, keys: Path) -> Signed:
         return Signed(folder, options, said, True)
     finally:
         board.close()
-
-
-def _newest(formation: Formation, folder: str, pattern: str) -> Path:
-    return max((formation.folder / folder).glob(pattern))

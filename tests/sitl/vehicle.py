@@ -340,6 +340,10 @@ class Vehicle:
         """Wait for a status text."""
         self.until(f"said {text!r}", lambda: any(text in t for t in self.said(since_s)), within_s)
 
+    def newest_log(self) -> Path:
+        """The log that it has written last, or writes."""
+        return max((self.folder / "logs").glob("*.BIN"))
+
     def console(self) -> str:
         """The end of what its process has printed."""
         return (self.folder / "console.txt").read_text(errors="replace")[-2000:]

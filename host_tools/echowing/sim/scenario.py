@@ -199,10 +199,13 @@ class GpsSection(Section):
     receiver_vertical_sigma_m: NotNegative = 1.6
     """Standard deviation of the receiver's own height: about twice a horizontal axis (13 m against
     8 m at 95 %, GPS SPS Performance Standard, 2020)."""
-    follows_s: Positive = 1.0
-    """How much later what the vehicle reports, and flies by, follows its receiver and barometer."""
+    follows_s: Positive = 1.5
+    """How much later the position that it reports and flies by follows its receiver: EKF3's, on
+    ArduCopter SITL."""
+    height_follows_s: Positive = 2.8
+    """How much later the height that it reports and flies by follows its barometer: likewise."""
     spread: NotNegative = 0.25
-    """Standard deviation, as a share, of how far these six are off in each vehicle; 0: not."""
+    """Standard deviation, as a share, of how far these seven are off in each vehicle; 0: not."""
     step_m: NotNegative = 0.0
     """Standard deviation of a step per horizontal axis, as another satellite counts."""
     step_every_s: Positive = 30.0

@@ -14,8 +14,10 @@ class Errors:
 
     sigma_m, tau_s: each horizontal axis of the receiver, which wanders slowly. height_sigma_m,
     height_tau_s: the height that the autopilot reports and flies by, which is its barometer's.
-    receiver_height_sigma_m: the receiver's own. follows_s: how much later the autopilot's filter
-    follows, so that its estimate glides where the receiver's position would jitter. step_m,
+    receiver_height_sigma_m: the receiver's own. follows_s, height_follows_s: how much later the
+    autopilot's filter follows, so that its estimate glides where the receiver's position, or the
+    barometer's height, would jitter: first order, as EKF3 does on ArduCopter SITL
+    (tests/sitl/follows.py). step_m,
     step_every_s: each axis of a step as another satellite counts, which fades with `tau_s`, and how
     often one comes (infinite: never). multipath_m, multipath_s: each axis of what echoes of the
     satellites' signals add.
@@ -26,7 +28,8 @@ class Errors:
     height_sigma_m: float = 0.0
     height_tau_s: float = 60.0
     receiver_height_sigma_m: float = 0.0
-    follows_s: float = 1.0
+    follows_s: float = 1.5
+    height_follows_s: float = 2.8
     step_m: float = 0.0
     step_every_s: float = math.inf
     multipath_m: float = 0.0
@@ -127,7 +130,9 @@ class Drift:
         self._receiver_height = _Wander(
             errors.receiver_height_sigma_m, errors.tau_s, chance("receiver height")
         )
-        self._height = _Estimate(follows_s, self._receiver_height if by_receiver else barometer)
+        self._height = _Estimate(
+            errors.height_follows_s, self._receiver_height if by_receiver else barometer
+        )
         self._by_receiver = by_receiver
         self.jump_ned_m: Ned = (0.0, 0.0, 0.0)
 

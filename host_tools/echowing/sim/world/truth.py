@@ -106,6 +106,7 @@ def true_errors(given: "GpsSection", chance: Stream) -> Errors:
             "receiver height sigma", given.receiver_vertical_sigma_m
         ),
         follows_s=draw.around("follows", given.follows_s),
+        height_follows_s=draw.around("height follows", given.height_follows_s),
         step_m=given.step_m,
         step_every_s=given.step_every_s if given.step_m > 0.0 else math.inf,
         multipath_m=given.multipath_m,

@@ -1,0 +1,108 @@
+"""How much later an autopilot's estimate follows its receiver and its barometer.
+
+    python -m tests.sitl.follows LOG.BIN…
+
+The log of an autopilot in SITL has the truth, too (SIM). What its receiver and its barometer err by
+(GPS, BARO) is passed through a filter of the first order, as in the built-in simulator
+(`echowing.sim.world.gps`), whose time constant is fitted to what the estimate errs by (POS).
+"""
+
+import math
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pymap3d
+from numpy.typing import NDArray
+from pymavlink import DFReader
+from scipy.optimize import minimize_scalar
+from scipy.signal import lfilter, lfiltic
+
+Floats = NDArray[np.float64]
+FIELDS = {
+    "SIM": ("Lat", "Lng", "Alt"),
+    "POS": ("Lat", "Lng", "Alt"),
+    "GPS": ("Lat", "Lng", "Alt"),
+    "BARO": ("Alt",),
+}
+STEP_S = 0.1
+# On the ground, and while a filter that begins at rest settles.
+LEFT_OUT_S, SETTLES_S = 40.0, 20.0
+# SITL's receiver tells where it was a tenth of a second ago (SIM_GPS1_LAG_MS 100).
+RECEIVER_LATE_S = 0.1
+LONGEST_S = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Follows:
+    """How much later one axis follows, and what the fit leaves of its error (metres)."""
+
+    axis: str
+    later_s: float
+    left_m: float
+    of_m: float
+    """Standard deviation of the estimate's error."""
+
+
+def fitted(axis: str, told_m: Floats, believed_m: Floats) -> Follows:
+    """The filter that makes of a sensor's error the estimate's: both every `STEP_S`, (n,)."""
+
+    def left_m(later_s: float) -> float:
+        keep = math.exp(-STEP_S / later_s)
+        begins = lfiltic([1.0 - keep], [1.0, -keep], [told_m[0]])
+        filtered, _ = lfilter([1.0 - keep], [1.0, -keep], told_m, zi=begins)
+        return float(np.std((believed_m - filtered)[round(SETTLES_S / STEP_S) :]))
+
+    found = minimize_scalar(left_m, bounds=(STEP_S / 2.0, LONGEST_S), method="bounded")
+    return Follows(axis, float(found.x), float(found.fun), float(np.std(believed_m)))
+
+
+def follows(log: Path) -> list[Follows]:
+    """North and east behind the receiver, height behind the barometer."""
+    told = _read(log)
+    origin = told["SIM"][0, 1:]
+    sim, pos, gps = (_ned_m(told[name], origin) for name in ("SIM", "POS", "GPS"))
+    times_s = np.arange(pos[0, 0] + LEFT_OUT_S, pos[-1, 0], STEP_S)
+
+    def errs_m(track: Floats, axis: int, late_s: float = 0.0) -> Floats:
+        true_m = np.interp(track[:, 0] - late_s, sim[:, 0], sim[:, axis])
+        return np.interp(times_s, track[:, 0], track[:, axis] - true_m)
+
+    level = [
+        fitted(name, errs_m(gps, axis, RECEIVER_LATE_S), errs_m(pos, axis))
+        for axis, name in enumerate(("north", "east"), start=1)
+    ]
+    barometer = told["BARO"]
+    down = np.column_stack([barometer[:, :1], np.zeros((len(barometer), 2)), -barometer[:, 1:]])
+    return [*level, fitted("height", errs_m(down, 3), errs_m(pos, 3))]
+
+
+def _read(log: Path) -> dict[str, Floats]:
+    """Rows of (seconds, fields): of the first receiver and barometer."""
+    rows: dict[str, list[list[float]]] = {kind: [] for kind in FIELDS}
+    reader: Any = DFReader.DFReader_binary(str(log))
+    while (message := reader.recv_match(type=list(FIELDS))) is not None:
+        kind = message.get_type()
+        if getattr(message, "I", 0) == 0:
+            values = [getattr(message, field) for field in FIELDS[kind]]
+            rows[kind].append([message.TimeUS / 1e6, *values])
+    return {kind: np.array(values) for kind, values in rows.items()}
+
+
+def _ned_m(track: Floats, origin: Floats) -> Floats:
+    """(seconds, latitude, longitude, altitude) as (seconds, north, east, down) about the origin."""
+    return np.column_stack([track[:, 0], *pymap3d.geodetic2ned(*track[:, 1:].T, *origin)])
+
+
+def main() -> None:
+    """Print it for each log."""
+    for name in sys.argv[1:]:
+        for one in follows(Path(name)):
+            left = f"{one.left_m:.3f} m left of {one.of_m:.2f} m"
+            print(f"{name}: {one.axis} {one.later_s:.2f} s later, {left}")
+
+
+if __name__ == "__main__":
+    main()
