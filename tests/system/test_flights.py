@@ -18,7 +18,9 @@ from .flown import flown
 pytestmark = pytest.mark.seconds(90)
 
 
-@pytest.mark.parametrize("seed", range(1, 6))
+@pytest.mark.parametrize(
+    "seed", [1, 2, 3, *(pytest.param(seed, marks=pytest.mark.long) for seed in (4, 5))]
+)
 def test_a_hostile_leader_is_kept_at_a_distance(seed: int) -> None:
     phases = dict(flown("hostile", seed).phases)
 
