@@ -106,7 +106,10 @@ def run(args: argparse.Namespace) -> int:
     tasks = plan(args.seeds)
     flown = _fly_all(tasks, args)
     _write_json(folder / "results.json", flown)
-    _present(folder, tasks, flown)
+    with ProcessPoolExecutor(args.jobs) as pool:
+        walls = [task for task in tasks if task.scenario == "wall"]
+        stops_mps = dict(zip(walls, pool.map(_stops_up_to_mps, walls), strict=True))
+    _present(folder, tasks, flown, stops_mps)
     return 0
 
 
@@ -211,12 +214,25 @@ def _fly(task: Task, out: Path, firmware: str) -> "FlownScenario":
     return fly(scenario, task.seed, out=folder, firmware=firmware if task.as_flashed else "native")
 
 
+def _stops_up_to_mps(task: Task) -> float:
+    """Up to which speed the law of a wall's flight stops, in a process of its own."""
+    from echowing.sim.scenario import load_scenario  # noqa: PLC0415
+    from echowing.sim.wall import highest_stopping_speed_mps  # noqa: PLC0415
+
+    return highest_stopping_speed_mps(load_scenario(task.scenario, task.changes), task.seed)
+
+
 def _write_json(path: Path, flown: "Sequence[FlownScenario]") -> None:
     rows = [summary for one in flown for summary in one.summaries]
     path.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
 
 
-def _present(folder: Path, tasks: Sequence[Task], flown: "Sequence[FlownScenario]") -> None:
+def _present(
+    folder: Path,
+    tasks: Sequence[Task],
+    flown: "Sequence[FlownScenario]",
+    stops_mps: dict[Task, float],
+) -> None:
     """The tables on the terminal and as Markdown, the report, and where they are."""
     from rich.console import Console  # noqa: PLC0415 (imported when the verb is used)
 
@@ -232,7 +248,7 @@ def _present(folder: Path, tasks: Sequence[Task], flown: "Sequence[FlownScenario
         if task.scenario == name and not task.changes
         for result in one.results()
     ]
-    notes = [*_apart(by_task), *_walked(by_task), *_walls(by_task), *_hostile(flown)]
+    notes = [*_apart(by_task), *_walked(by_task), *_walls(by_task, stops_mps), *_hostile(flown)]
     console = Console() if sys.stdout.isatty() else Console(width=100)
     console.print(terminal_table(results))
     for note in notes:
@@ -277,19 +293,15 @@ def _walked(flown: "dict[Task, FlownScenario]") -> list[str]:
     ]
 
 
-def _walls(flown: "dict[Task, FlownScenario]") -> list[str]:
+def _walls(flown: "dict[Task, FlownScenario]", stops_mps: dict[Task, float]) -> list[str]:
     """How near each law came to the wall, and up to which speed it stops."""
     from echowing.sim.scenario import load_scenario  # noqa: PLC0415
-    from echowing.sim.wall import highest_stopping_speed_mps  # noqa: PLC0415
 
     parts = []
-    for task, one in flown.items():
-        if task.scenario != "wall":
-            continue
-        scenario = load_scenario(task.scenario, task.changes)
-        limit_mps = highest_stopping_speed_mps(scenario, task.seed)
+    for task, limit_mps in stops_mps.items():
+        one, wall = flown[task], load_scenario(task.scenario, task.changes).wall
         parts.append(
-            f"{one.law} law nearest {one.closest_m:.2f} m at {scenario.wall.speed_mps:g} m/s, "
+            f"{one.law} law nearest {one.closest_m:.2f} m at {wall.speed_mps:g} m/s, "
             f"stops up to {limit_mps:g} m/s"
         )
     return [
