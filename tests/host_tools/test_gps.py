@@ -2,6 +2,7 @@ import itertools
 import math
 import random
 import statistics
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -51,10 +52,12 @@ def test_it_glides() -> None:
     assert max(steps) < 0.2
 
 
-def test_an_autopilot_that_follows_later_glides_more() -> None:
+@pytest.mark.parametrize(("axis", "key"), [(0, "follows_s"), (2, "height_follows_s")])
+def test_an_autopilot_that_follows_later_glides_more(axis: int, key: str) -> None:
+    wanders = Errors(0.8, 60.0, height_sigma_m=0.8, height_tau_s=60.0)
     moved_m = {}
     for follows_s in (1.0, 3.0):
-        values = np.array(series(5, 40_000, Errors(0.8, 60.0, follows_s=follows_s)))
+        values = np.array(series(5, 40_000, replace(wanders, **{key: follows_s}), axis))
         moved_m[follows_s] = float(np.diff(values).std())
         # Behind a drift of 60 s it sees that share of its square.
         assert values.std() == pytest.approx(0.8 * math.sqrt(60.0 / (60.0 + follows_s)), rel=0.12)
