@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import pytest
 
-from echowing.analysis.flight import Flight
+from echowing.analysis.metrics import dead_locked
 from echowing.sim.summary import FlownScenario
 
 from .flown import flown
@@ -14,8 +14,7 @@ pytestmark = pytest.mark.seconds(60)
 FEW, SEEDS = range(1, 4), range(1, 8)
 SHORT = "duration_s=130"
 GRAY_SEEDS = range(1, 13)
-LOST_M = 10.0  # mean error of a follower that lost its leader for good; else it is under 3.2
-LEADER_MPS = 2.0
+LOCKED_S = 100.0
 GUARD_MPS = 5.0  # ECHO_SPD_MAX, with which the guard backs off
 
 
@@ -40,16 +39,16 @@ def test_the_thesis_law_flown_unchanged_dead_locks() -> None:
     The guard backs off from a ghost now and then, so the command is not low all the time: after
     it, the law is where it was.
     """
-    locked = [seed for seed in SEEDS if _is_locked(flown("thesis", seed).flights[0])]
+    flights = [flown("thesis", seed).flights[0] for seed in SEEDS]
+    locked = [one for one in flights if dead_locked(one, LOCKED_S)]
 
-    assert len(locked) >= 2, locked
-
-
-def _is_locked(flight: Flight) -> bool:
-    late_mps = flight.speed_command_mps[flight.time_s > flight.time_s[-1] - 100.0]
-    low_mps = min(late_mps)
-    stays = {float(one) for one in late_mps} <= {low_mps, GUARD_MPS}
-    return bool(stays and low_mps < LEADER_MPS and flight.separation_m[-1] > 15.0)
+    assert len(locked) >= 2  # 3 of 7, and a fourth for the last 82 s
+    for flight in locked:
+        late_mps = flight.speed_command_mps[flight.time_s > flight.time_s[-1] - LOCKED_S]
+        low_mps = min(late_mps)
+        assert low_mps < 2.0  # the leader's speed
+        assert {float(one) for one in late_mps} <= {low_mps, GUARD_MPS}
+        assert flight.separation_m[-1] > 15.0
 
 
 @pytest.mark.parametrize(
@@ -62,7 +61,7 @@ def test_echowing_is_ahead_of_gray_and_of_the_thesis(
     ours, gray, thesis = (
         [flown(law, seed, *changes) for seed in seeds] for law in ("echowing", "gray", "thesis")
     )
-    unlocked = [one for one in thesis if one.metrics[0].mean_abs_error_m < LOST_M]
+    unlocked = [one for one in thesis if not one.dead_locked]
 
     # Even leaving out the flights that the thesis law lost.
     for others in (gray, thesis, unlocked):

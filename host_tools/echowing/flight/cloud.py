@@ -230,7 +230,8 @@ class Cloud:
     def _moved(self, elapsed_s: float, chance: Array) -> tuple[Array, Array]:
         """What autopilots believe after so long, and the drift that they follow.
 
-        Height follows its barometer as the place its receiver: by one filter.
+        Height counts as following its barometer as soon as the place follows its receiver; EKF3's
+        takes twice as long (tests/sitl/follows.py).
         """
         receivers = self._receivers
         kept, left, part = passing(elapsed_s, receivers.tau_s, receivers.follows_s)

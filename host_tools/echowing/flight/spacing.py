@@ -71,11 +71,14 @@ class Spacing:
             pace = follower.handling.closing.pace_per_s(far_m)
             return feed_north + pace * north, feed_east + pace * east, 0.0
         pace = min(HOLD_PER_S, FASTEST_MPS / max(far_m, 1e-9))
-        correction_mps = pace * north, pace * east
+        north_mps, east_mps = pace * north, pace * east
+        wanted = feed_north + north_mps, feed_east + east_mps, 0.0
         if self._known.ahead_of(follower) is None:
-            return feed_north + correction_mps[0], feed_east + correction_mps[1], 0.0
-        back_mps = self._not_flown_back_mps(follower, plan.velocity_mps, correction_mps, now_s)
-        return feed_north + pace * north + back_mps[0], feed_east + pace * east + back_mps[1], 0.0
+            return wanted
+        back_mps = self._not_flown_back_mps(
+            follower, plan.velocity_mps, (north_mps, east_mps), now_s
+        )
+        return wanted[0] + back_mps[0], wanted[1] + back_mps[1], 0.0
 
     def _not_flown_back_mps(
         self,

@@ -17,10 +17,9 @@ class Errors:
     receiver_height_sigma_m: the receiver's own. follows_s, height_follows_s: how much later the
     autopilot's filter follows, so that its estimate glides where the receiver's position, or the
     barometer's height, would jitter: first order, as EKF3 does on ArduCopter SITL
-    (tests/sitl/follows.py). step_m,
-    step_every_s: each axis of a step as another satellite counts, which fades with `tau_s`, and how
-    often one comes (infinite: never). multipath_m, multipath_s: each axis of what echoes of the
-    satellites' signals add.
+    (tests/sitl/follows.py). step_m, step_every_s: each axis of a step as another satellite counts,
+    which fades with `tau_s`, and how often one comes (infinite: never). multipath_m, multipath_s:
+    each axis of what echoes of the satellites' signals add.
     """
 
     sigma_m: float = 0.0
