@@ -115,6 +115,25 @@ def test_the_speed_of_a_line_does_not_fade_between_two_reports() -> None:
     assert second.velocity_mps[0] == pytest.approx(2.0)
 
 
+@pytest.mark.parametrize(("followers", "buckles"), [(1, True), (3, False)])
+def test_a_leader_pushes_its_formation_back_as_it_is(followers: int, buckles: bool) -> None:
+    """20 degrees off straight back, 2 m/s, 3 s: a lone one comes round, a line stays a line."""
+    there = known([Slot(3.0, behind=n - 1 if n else None) for n in range(followers)])
+    last, velocity = list(there.followers.values())[-1], (2.0, 0.0, 0.0)
+    for tick in range(33):
+        now_s = 10.0 + 0.125 * tick
+        if tick == 8:
+            velocity = (2.0 * math.cos(math.radians(160.0)), 2.0 * math.sin(math.radians(160.0)), 0)
+        fix = there.leader.fix = LeaderFix(now_s, HERE, velocity, 0.0)
+        for one in there.followers.values():
+            one.guided = planned(there, one, fix, now_s)
+    assert last.guided is not None
+    turned_deg = math.degrees(last.guided.course_rad)
+    # A trailer's bearing falls from 160 degrees to 74 in 3 s at 2 m/s (`test_tow_bar`).
+    assert turned_deg == pytest.approx(160.0 - 74.0 if buckles else 0.0, abs=6.0)
+    assert (last.guided.slot_mps == pytest.approx(velocity[:2])) is not buckles
+
+
 @pytest.mark.parametrize(("slots", "most_mps"), [([Slot(3.0)], 0.0), ([Slot(3.0)] * 2, 1.0)])
 def test_who_has_another_behind_goes_back_no_faster_than_it_comes(
     slots: list[Slot], most_mps: float

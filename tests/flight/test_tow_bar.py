@@ -141,6 +141,46 @@ def test_a_leader_that_flies_back_pushes_straight_back() -> None:
         assert point.velocity_mps == pytest.approx((-2.0, 0.0), abs=0.02)
 
 
+@pytest.mark.parametrize("aside_rad", [0.2, 0.7, -0.7])
+def test_a_formations_bar_does_not_turn_while_it_is_pushed(aside_rad: float) -> None:
+    """It would buckle: a lone follower's bar does, and is behind its leader again."""
+    leader, formations, lone = Leader(), TowBar(Slot(3.0)), TowBar(Slot(3.0))
+    for bar in (formations, lone):
+        bar.update(leader.fix(), leader.now_s)  # both begin north
+    leader.course_rad, leader.speed_mps = SOUTH + aside_rad, 2.0
+    for _ in range(80):
+        point = formations.update(leader.fix(), leader.now_s, formation_mps=leader.velocity)
+        assert point.course_rad == NORTH
+        assert point.velocity_mps == pytest.approx(leader.velocity)
+        alone = lone.update(leader.fix(), leader.now_s)
+        leader.step()
+    # From 168 degrees, the furthest here, a trailer's bar is within 0.03 rad after 10 s.
+    assert wrap_angle_rad(alone.course_rad - leader.course_rad) == pytest.approx(0.0, abs=0.05)
+
+
+def test_at_a_corner_the_slot_ahead_flies_back_and_pushes_nobody() -> None:
+    """In a vee the slot inside a corner does, by the turn; the leader flies across."""
+    ahead, bar = Leader(), TowBar(Slot(3.0))
+    bar.update(ahead.fix(), ahead.now_s)
+    ahead.course_rad, ahead.speed_mps = SOUTH + 0.4, 1.5
+    for _ in range(8):
+        point = bar.update(ahead.fix(), ahead.now_s, formation_mps=(0.0, 2.0))
+        ahead.step()
+    assert point.course_rad != pytest.approx(NORTH, abs=0.05)
+
+
+def test_a_formations_bar_is_pulled_round_by_a_sharp_corner() -> None:
+    """A mission's corner of 120 degrees is no way back: nobody is left ahead of the leader."""
+    leader, bar = Leader(), TowBar(Slot(3.0))
+    bar.update(leader.fix(), leader.now_s)
+    leader.course_rad, leader.speed_mps = math.radians(120.0), 2.0
+    for _ in range(80):
+        point = bar.update(leader.fix(), leader.now_s, formation_mps=leader.velocity)
+        leader.step()
+
+    assert wrap_angle_rad(point.course_rad - leader.course_rad) == pytest.approx(0.0, abs=0.05)
+
+
 def test_a_formation_turns_as_one_body() -> None:
     slots = [Slot(3.0), Slot(6.0, math.radians(40.0)), Slot(4.0, math.radians(-30.0))]
     bars = [TowBar(slot, 6.0) for slot in slots]

@@ -45,16 +45,20 @@ def test_column_in_a_worse_world(start: Start, table: list[Entry], name: str) ->
     _lap(*_in_formation(start, "column", 2, WORLDS[name]), table, f"column, {name}")
 
 
-@pytest.mark.parametrize("manoeuvre", ["stops", "reverses-2mps"])
-def test_leader_of_a_column(start: Start, table: list[Entry], manoeuvre: str) -> None:
-    formation, tool = _in_formation(start, "column", 2)
+@pytest.mark.parametrize(
+    ("manoeuvre", "followers"), [("stops", 2), ("reverses-2mps", 2), ("reverses-2mps", 3)]
+)
+def test_leader_of_a_column(
+    start: Start, table: list[Entry], manoeuvre: str, followers: int
+) -> None:
+    formation, tool = _in_formation(start, "column", followers)
     began_s = time.monotonic()
     MANOEUVRES[manoeuvre](formation)
     ended_s = time.monotonic()
     assert tool.running
     least_m = formation.least_m(began_s, ended_s)
     gaps = _gaps(formation, began_s, ended_s)
-    table.extend(_entries(formation, f"column, {manoeuvre}", gaps, least_m, began_s))
+    table.extend(_entries(formation, f"column of {followers}, {manoeuvre}", gaps, least_m, began_s))
     assert least_m >= LEAST_M
 
 

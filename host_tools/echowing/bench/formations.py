@@ -25,7 +25,9 @@ TWELVE = ("formation.followers=12", "duration_s=200")
 JOINED_S, TWELVE_JOINED_S = 60.0, 120.0
 SLOW, QUICK = "radio.leader.latency_s=0.46", "radio.leader.latency_s=0.05"
 WINDY = ("wind.speed_mps=6", "gps.vertical_sigma_m=0.5")
+VEE = ("formation.shape=vee", "formation.followers=4")
 KEPT = Goal(0.15, 0.25, 1.2)
+TURNS_ROUND = Goal(math.inf, math.inf, 1.0)
 
 
 @dataclass(frozen=True)
@@ -47,7 +49,8 @@ ROWS = (
     Row("diamond of 3", "diamond", (SLOW,), KEPT),
     Row("column of 12", "column", (SLOW, *TWELVE), Goal(0.20, 0.35, 1.2), TWELVE_JOINED_S),
     Row("vee of 4, 6 m/s of wind", "vee", (SLOW, *WINDY), Goal(0.25, 0.40, 1.0)),
-    Row("leader turns round, column of 5", "column-back", (SLOW,), Goal(math.inf, math.inf, 1.0)),
+    Row("leader turns round, column of 5", "column-back", (SLOW,), TURNS_ROUND),
+    Row("leader turns round, vee of 4", "column-back", (SLOW, *VEE), TURNS_ROUND),
 )
 
 

@@ -1,6 +1,6 @@
 """Gray's slot: fixed to the leader's tail, on its course as it is reported (thesis 3.4.1). Pure."""
 
-from echowing.flight.guidance import Course, GuidedPoint, LeaderFix, Slot, at_slot
+from echowing.flight.guidance import Course, GuidedPoint, Horizontal, LeaderFix, Slot, at_slot
 from echowing.geo import GlobalPosition
 
 
@@ -21,6 +21,7 @@ class TailSlot:
         now_s: float,
         follower: GlobalPosition | None = None,
         least_radius_m: float = 0.0,
+        formation_mps: Horizontal | None = None,
     ) -> GuidedPoint:
-        """As `TowBar.update`; neither the follower nor a least radius changes anything."""
+        """As `TowBar.update`; only the leader changes anything."""
         return at_slot(self.slot, leader, self._course.update(leader), follower)

@@ -6,6 +6,10 @@ the tail never moves faster than the leader, the distance is kept through corner
 turns its nose moves nobody, and one that flies back pushes its follower straight back instead of
 sending it round. The slots of a formation hang on one bar as long as the outermost slot's, so that
 it turns as one body.
+
+A bar that is pushed buckles, as a trailer's does. So a lone follower comes round its leader, and is
+behind it again. In a formation the bars would buckle to both sides, and send followers across each
+other's way; so its leader pushes them straight back as they are, and they fly ahead of it.
 """
 
 import math
@@ -13,6 +17,7 @@ from dataclasses import replace
 
 from echowing.flight.guidance import (
     GuidedPoint,
+    Horizontal,
     LeaderFix,
     Slot,
     at_slot,
@@ -28,6 +33,9 @@ STILL_MPS = 0.1
 # A slot waits for its follower: it is never further round the leader than this, so that the
 # straight way to it stays clear of the leader (3 m x cos 30 deg = 2.6 m in a 3 m formation).
 FURTHEST_ROUND_RAD = math.radians(60.0)
+# A leader that flies within this of straight back pushes its formation: halfway between that and
+# across, as at a mission's corner.
+PUSHED_RAD = math.radians(45.0)
 # Ticks come at 8 Hz; after a longer pause the bar begins from where it is.
 LONGEST_STEP_S = 1.0
 
@@ -55,23 +63,31 @@ class TowBar:
         now_s: float,
         follower: GlobalPosition | None = None,
         least_radius_m: float = 0.0,
+        formation_mps: Horizontal | None = None,
     ) -> GuidedPoint:
         """The slot and its velocity, for a leader that is already carried on to its moment.
 
         follower: where the follower is then (the slot, where that is not known); the slot is
-        `least_radius_m` from the leader at least.
+        `least_radius_m` from the leader at least. formation_mps: the velocity, (north, east), of
+        the leader of a formation, also for a slot that is behind another one; None: a lone
+        follower's bar.
         """
         slot = self.slot
         if slot.radius_m < least_radius_m:
             slot = replace(slot, radius_m=least_radius_m)
         length_m = self.length_m * slot.radius_m / self.slot.radius_m
-        course_rad, rate_rps = self._turn(leader, now_s, follower, length_m)
+        course_rad, rate_rps = self._turn(leader, now_s, follower, length_m, formation_mps)
         guided = at_slot(slot, leader, course_rad, follower)
         velocity_mps = carried_round(guided.velocity_mps, rate_rps, guided.offset_m)
         return replace(guided, velocity_mps=velocity_mps)
 
     def _turn(
-        self, leader: LeaderFix, now_s: float, follower: GlobalPosition | None, length_m: float
+        self,
+        leader: LeaderFix,
+        now_s: float,
+        follower: GlobalPosition | None,
+        length_m: float,
+        formation_mps: Horizontal | None,
     ) -> tuple[float, float]:
         """The bearing in which the bar points, and the rate at which it turns."""
         elapsed_s = min(LONGEST_STEP_S, max(0.0, now_s - self._at_s))
@@ -81,12 +97,20 @@ class TowBar:
             own_rad = bearing_rad(leader.position, follower) + math.pi + self.slot.angle_rad
         if self._course_rad is None:
             self._course_rad = leader.heading_rad if own_rad is None else own_rad
-        rate_rps = _turn_rate_rps(leader, self._course_rad, length_m)
+        pushed = formation_mps is not None and _is_pushed(formation_mps, self._course_rad)
+        rate_rps = 0.0 if pushed else _turn_rate_rps(leader, self._course_rad, length_m)
         turned_rad = wrap_angle_rad(self._course_rad + rate_rps * elapsed_s)
         if own_rad is not None:
             turned_rad = turned_towards(own_rad, turned_rad, FURTHEST_ROUND_RAD)
         self._course_rad = turned_rad
         return turned_rad, rate_rps
+
+
+def _is_pushed(leader_mps: Horizontal, course_rad: float) -> bool:
+    """Whether the leader of a formation flies back at it."""
+    north_mps, east_mps = leader_mps
+    back_mps = -north_mps * math.cos(course_rad) - east_mps * math.sin(course_rad)
+    return back_mps > math.cos(PUSHED_RAD) * math.hypot(north_mps, east_mps)
 
 
 def _turn_rate_rps(leader: LeaderFix, course_rad: float, length_m: float) -> float:
