@@ -340,7 +340,7 @@ def test_an_echo_of_another_vehicle_moves_nothing_wherever_the_receivers_put_bot
     Where the other is, is known from the leader: what is wrong of one is wrong of both.
     """
     cloud, off_m = Cloud(shipped_sonar(), alone=False), 1.5
-    believed, other = (3.0 + off_m, 0.0, 0.0), Bystander((3.0 + off_m, 3.0, 0.0), 0.1)
+    believed, other = (3.0 + off_m, 0.0, 0.0), Bystander(3, (3.0 + off_m, 3.0, 0.0), 0.1)
     for number in range(60):
         cloud.heard(0.3 * number, 3.0, Axis(0.2 * math.sin(number)), believed, [other])
     before = cloud.north_m, cloud.east_m
@@ -360,5 +360,34 @@ def test_an_echo_may_be_of_one_that_is_believed_out_of_reach_and_unsure() -> Non
     for number in range(60):
         cloud.heard(0.3 * number, 3.0, Axis(0.2 * math.sin(number)), believed)
     for sigma_m, its in ((1.5, True), (0.2, False)):
-        other = Bystander((7.0, 0.0, 0.0), sigma_m)
+        other = Bystander(3, (7.0, 0.0, 0.0), sigma_m)
         assert cloud.is_of_another(4.2, Axis(0.0), believed, [other]) is its
+
+
+def test_one_that_is_unsure_is_heard_where_it_is_again_and_again() -> None:
+    """The leader is believed out of reach, another one near; the sonar hears 3.9 m again and again.
+
+    The other one is half a metre nearer than it was taken to be, one standard deviation. For the
+    leader it would be more than one of two receivers'. Were the other's error anew by chance for
+    each reading, each would speak for the leader, and by now it would be certain.
+    """
+    cloud, believed = Cloud(shipped_sonar(), alone=False), (5.5, 0.0, 0.0)
+    other = Bystander(3, (4.4, 0.0, 0.0), 0.5, moves=False)
+    for number in range(60):
+        cloud.heard(0.3 * number, 3.9, Axis(0.1 * math.sin(number)), believed, [other])
+    assert math.isinf(cloud.unheard_s(18.0))
+    assert abs(cloud.north_m) < 0.8
+    assert cloud.sigma_m(0.0) > 1.0, "of the leader nothing is known yet"
+
+
+def test_silence_speaks_against_any_vehicle_that_would_be_heard() -> None:
+    """Who is looked for is out of reach, another one 3 m ahead: nobody is heard, for 6 s."""
+    other = Bystander(3, (3.0, 0.0, 0.0), 0.1, moves=False)
+    deaf = []
+    for others in ([], [other]):
+        cloud = Cloud(shipped_sonar(), alone=False)
+        for number in range(20):
+            cloud.silent(0.3 * number, Axis(0.0), (8.0, 0.0, 0.0), others)
+        deaf.append(cloud.deaf_share)
+    assert deaf[0] < 0.1
+    assert deaf[1] > 0.5, "nothing else explains it"

@@ -228,7 +228,7 @@ def test_a_range_that_another_vehicle_explains_better_is_not_the_leaders(
     other = History()
     for number in range(reports):
         other.add(Report(number * 0.25, displace(START, (0.0, 3.0, 0.0)), (0.0, 0.0), 0.0))
-    others = [Beside(other, (0.0, 0.0), 0.1)] if beside else []
+    others = [Beside(3, other, (0.0, 0.0), 0.1)] if beside else []
     for number in range(80):
         estimate.heard(1.0 + number * 0.1, swaying_m(2.8, number), number)
         estimate.pointed(number, Axis(math.pi / 2.0, 0.0), 1.0 + number * 0.1)
@@ -242,11 +242,11 @@ def test_one_whose_report_is_old_may_be_elsewhere_by_what_it_has_changed_its_spe
     estimate, _ = listening()
     other = History()
     other.add(Report(7.0, displace(START, (0.0, 3.0, 0.0)), (0.0, 1.0), 0.0))
-    (one,) = estimate._bystanders([Beside(other, (0.0, 0.0), 0.1)], 8.0)
+    (one,) = estimate._bystanders([Beside(3, other, (0.0, 0.0), 0.1)], 8.0)
     assert one.to_it_m == pytest.approx((0.0, 4.0, 0.0), abs=0.01)
     # ArduCopter's 2.5 m/s2 for a second are 2.5 standard deviations.
     assert one.sigma_m == pytest.approx(math.hypot(0.1, 0.5))
-    assert estimate._bystanders([Beside(other, (0.0, 0.0), 0.1)], 10.5) == []
+    assert estimate._bystanders([Beside(3, other, (0.0, 0.0), 0.1)], 10.5) == []
 
 
 def hear_nothing(estimate: Estimate, leader: History) -> None:

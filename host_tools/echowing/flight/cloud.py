@@ -82,11 +82,13 @@ class Wandering:
 class Bystander:
     """Another vehicle that the sonar may hear.
 
-    to_it_m: from the follower, (north, east, up), by the receiver of whom the sonar looks at, so
-    that a guess moves it as it moves that one; where not `moves`, by the follower's own. sigma_m:
-    how unsure the way from that receiver to its own is, standard deviation.
+    system_id: its own. to_it_m: from the follower, (north, east, up), by the receiver of whom the
+    sonar looks at, so that a guess moves it as it moves that one; where not `moves`, by the
+    follower's own. sigma_m: how unsure the way from that receiver to its own is, standard
+    deviation.
     """
 
+    system_id: int
     to_it_m: Between
     sigma_m: float
     moves: bool = True
@@ -117,6 +119,9 @@ class Cloud:
         self._wide, self._far = chance.random(count), chance.random(count)
         self._hears = chance.uniform(*HEARS, count)
         self._deaf = chance.random(count) < wandering.deaf_share
+        # By how much another vehicle is not where it is taken to be, (north, east), as a share of
+        # what is unsure of it; by its system id.
+        self._astray: dict[int, Array] = {}
         # What both receivers' drift differs by.
         self._drift = self._opposites() * self._wanders_m
         # What their autopilots' beliefs differ by, which follow the drift.
@@ -220,6 +225,10 @@ class Cloud:
             return False
         self._advanced_s = to_s
         self._off, self._drift = self._moved(elapsed_s, self._opposites())
+        kept = math.exp(-elapsed_s / self._receivers.tau_s)
+        for who, astray in self._astray.items():
+            changed = math.sqrt(1.0 - kept * kept) * self._normal(2)
+            self._astray[who] = kept * astray + changed
         changes = self._chance.random(GUESSES)
         mixed = -math.expm1(-elapsed_s * (1.0 / DEAFENS_S + 1.0 / RECOVERS_S))
         deaf_share = RECOVERS_S / (DEAFENS_S + RECOVERS_S)
@@ -307,23 +316,27 @@ class Cloud:
         far_m, detected = self._detected(axis, np.array(believed)[:, np.newaxis] - self._off)
         fits, of_others = self._density(far_m, distance_m) * detected, np.zeros(GUESSES)
         for other in others:
-            there = np.array(other.to_it_m)[:, np.newaxis]
-            to_it = there - self._off if other.moves else there
-            # If the echo is its own, it is as far away as that says: also one that is unsure, and
-            # believed to be out of reach. The nearer echo is the one that is reported.
-            its_m, its = self._detected(axis, to_it, other.sigma_m, distance_m)
-            its = its * (1.0 - detected * (far_m < distance_m))
-            of_others += self._density(its_m, distance_m, other.sigma_m) * its
+            its_m, its = self._detected(axis, self._to_other(other))
+            # Of two that are heard the nearer one's echo is the one that is reported.
+            fits *= 1.0 - its * (its_m < far_m)
+            of_others += self._density(its_m, distance_m) * its * (1.0 - detected * (far_m < its_m))
         return fits, of_others
 
-    def _density(self, far_m: Array, distance_m: float, unsure_m: float = 0.0) -> Array:
-        """Of a range, with a vehicle so far away, which may be elsewhere by `unsure_m`.
+    def _to_other(self, other: Bystander) -> Array:
+        """Where each guess has another vehicle, by itself and by what is unsure of that one.
 
-        Each echo of an unsure one is less likely, though it is elsewhere by as much for all of
-        them. That every one is as likely was tried: too many of the leader's went to others (vee of
-        four, seeds 1204 to 1209: a second follower was off by 1.0 m in place of 0.4).
+        A guess keeps the latter, as it is the same from reading to reading: one that is unsure is
+        heard where it is again and again, as whom the sonar looks at.
         """
-        sigma_m = math.hypot(self._range_sigma_m, unsure_m)
+        if other.system_id not in self._astray:
+            self._astray[other.system_id] = self._opposites()[:2]
+        to_it: Array = np.array(other.to_it_m)[:, np.newaxis] - other.moves * self._off
+        to_it[:2] += other.sigma_m * self._astray[other.system_id]
+        return to_it
+
+    def _density(self, far_m: Array, distance_m: float) -> Array:
+        """Of a range, with a vehicle so far away."""
+        sigma_m = self._range_sigma_m
         density: Array = np.exp(-0.5 * ((far_m - distance_m) / sigma_m) ** 2)
         return density / (sigma_m * math.sqrt(2.0 * math.pi))
 
@@ -347,37 +360,34 @@ class Cloud:
         self._weight[:] = 1.0 / GUESSES
         self._unforetold = 0
 
-    def silent(self, time_s: float, axis: Axis, believed: Between) -> None:
-        """Take a reading without an echo; arguments as for `heard`."""
+    def silent(
+        self, time_s: float, axis: Axis, believed: Between, others: Sequence[Bystander] = ()
+    ) -> None:
+        """Take a reading without an echo, of anybody; arguments as for `heard`."""
         if time_s - max(self._silent_at_s, self._heard_at_s) < UPDATE_PERIOD_S:
             return
         self._silent_at_s = time_s
         self._wandered(time_s)
         _, detected = self._detected(axis, np.array(believed)[:, np.newaxis] - self._off)
-        self._update(1.0 - detected)
+        unheard = 1.0 - detected
+        for other in others:
+            unheard *= 1.0 - self._detected(axis, self._to_other(other))[1]
+        self._update(unheard)
 
-    def _detected(
-        self, axis: Axis, to_it: Array, unsure_m: float = 0.0, heard_m: float | None = None
-    ) -> tuple[Array, Array]:
-        """How far a vehicle there is, for each guess, and how likely it is heard.
-
-        unsure_m: it may be elsewhere by that. heard_m: it is heard at that distance, in the same
-        direction; None: where it is.
-        """
+    def _detected(self, axis: Axis, to_it: Array) -> tuple[Array, Array]:
+        """How far a vehicle there is, for each guess, and how likely it is heard."""
         sonar = self._sonar
         far_m = np.sqrt((to_it * to_it).sum(axis=0))
         north, east, down = axis.unit_ned
         ahead = np.array((north, east, -down)) @ to_it / np.maximum(far_m, PLACED_SIGMA_M)
         off_rad = np.arccos(np.clip(ahead, -1.0, 1.0))
-        at_m = far_m if heard_m is None else heard_m
-        narrowest = sonar.narrowest_rad.at(at_m)
-        half_rad = narrowest + self._wide * (sonar.widest_rad.at(at_m) - narrowest)
-        edge_rad = np.hypot(sonar.edge_rad, unsure_m / np.maximum(at_m, PLACED_SIGMA_M))
-        beyond = np.minimum((off_rad - half_rad) / (0.5 * edge_rad), 80.0)
+        narrowest = sonar.narrowest_rad.at(far_m)
+        half_rad = narrowest + self._wide * (sonar.widest_rad.at(far_m) - narrowest)
+        beyond = np.minimum((off_rad - half_rad) / (0.5 * sonar.edge_rad), 80.0)
         surely_m = LEAST_FAR * sonar.heard_to_m
         to_m = surely_m + self._far * (sonar.reach_m - surely_m)
-        share = np.minimum(MOST_HEARD, self._hears * sonar.heard.at(at_m))
-        share = share * (at_m < to_m + sonar.inset_m) * ~self._deaf
+        share = np.minimum(MOST_HEARD, self._hears * sonar.heard.at(far_m))
+        share = share * (far_m < to_m + sonar.inset_m) * ~self._deaf
         return far_m, share / (1.0 + np.exp(beyond))
 
     def _update(self, likelihood: Array) -> None:
@@ -397,6 +407,7 @@ class Cloud:
         self._far = np.clip(self._changed(self._far[chosen]), 0.0, 1.0)
         self._hears = np.clip(self._changed(self._hears[chosen]), *HEARS)
         self._deaf = self._deaf[chosen]
+        self._astray = {who: astray[:, chosen] for who, astray in self._astray.items()}
         self._weight = np.full(GUESSES, 1.0 / GUESSES)
 
     def _changed(self, values: Array) -> Array:

@@ -74,6 +74,7 @@ class Beside:
     not `moves`: its receiver and ours. sigma_m: standard deviation of that.
     """
 
+    system_id: int
     history: History
     shift_m: Horizontal
     sigma_m: float
@@ -192,12 +193,11 @@ class Estimate:
         for one in self._alignment.due(leader, self.history):
             if not one.told and self.points(one.time_s):
                 continue  # what it said of its axis was lost
-            believed_m = self._believed_m(one)
+            believed_m, bystanders = self._believed_m(one), self._bystanders(others, one.time_s)
             if one.distance_m is not None:
-                bystanders = self._bystanders(others, one.time_s)
                 self.offset.heard(one.time_s, one.distance_m, one.axis, believed_m, bystanders)
             elif one.told or one.lean_rad < LEVEL_RAD:
-                self.offset.silent(one.time_s, one.axis, believed_m)
+                self.offset.silent(one.time_s, one.axis, believed_m, bystanders)
         if math.isfinite(self._used_to_s):
             self.offset.advance(self._used_to_s)
         for one in self._every.due(leader, self.history):
@@ -236,7 +236,7 @@ class Estimate:
             place = (north_m, east_m, to_it_m[2])
             strayed_m = strays_m(max(0.0, time_s - other.history.newest_s))
             sigma_m = math.hypot(other.sigma_m, strayed_m / SURE_SIGMAS)
-            found.append(Bystander(place, sigma_m, other.moves))
+            found.append(Bystander(other.system_id, place, sigma_m, other.moves))
         return found
 
     def _to_leader_m(self, one: AlignedReading) -> Horizontal:

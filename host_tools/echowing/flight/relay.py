@@ -60,6 +60,7 @@ class RelayGuide(Guide):
         now_s: float,
         follower: GlobalPosition | None = None,
         least_radius_m: float = 0.0,
+        formation_mps: Horizontal | None = None,
     ) -> GuidedPoint:
         """As `TowBar.update`; the relay's own place only decides which side it takes."""
         remote = leader.position

@@ -88,6 +88,7 @@ class Guide(Protocol):
         now_s: float,
         follower: GlobalPosition | None = None,
         least_radius_m: float = 0.0,
+        formation_mps: Horizontal | None = None,
     ) -> GuidedPoint:
         """See `TowBar.update`."""
 
@@ -485,7 +486,8 @@ class Known:
         if ahead is not None and _near(here, fix.position):
             links = list(self.chain(ahead))
             north_m, east_m = _shift_m(links)
-            yield Beside(self.leader_history, (-north_m, -east_m), self.sigma_m(links))
+            shift_m = -north_m, -east_m
+            yield Beside(self.leader_id, self.leader_history, shift_m, self.sigma_m(links))
         for other in self.followers.values():
             there = other.position
             if other is follower or other is ahead or there is None or not _near(here, there):
@@ -495,8 +497,13 @@ class Known:
             links = [one for one in mine if one is not follower]
             (north_m, east_m), (its_north_m, its_east_m) = _shift_m(links), _shift_m(its)
             shift_m = its_north_m - north_m, its_east_m - east_m
-            sigma_m = self.sigma_m((*links, *its))
-            yield Beside(other.estimate.history, shift_m, sigma_m, moves=len(links) < len(mine))
+            yield Beside(
+                other.plan.system_id,
+                other.estimate.history,
+                shift_m,
+                self.sigma_m((*links, *its)),
+                moves=len(links) < len(mine),
+            )
 
     def sigma_m(self, links: Iterable[FollowerState]) -> float:
         """Standard deviation of what is known over the sonars of these followers."""
