@@ -12,10 +12,12 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 OF_ONE_WORKER = {"hw"}
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """A file is one worker's, or a folder. The longest come first.
 
-    Begun last, each would keep one worker alone at the end.
+    Begun last, each would keep one worker alone at the end. pytest-xdist reads the groups in this
+    hook, too: after it, each test would go to any worker, and two would build in one folder.
     """
     items.sort(key=_seconds, reverse=True)
     for item in items:
