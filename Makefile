@@ -4,9 +4,9 @@
 .DEFAULT_GOAL := help
 BIN := .venv/bin
 export PATH := $(CURDIR)/$(BIN):$(PATH)
-# Who runs what, and in which order, is in tests/conftest.py. Two cores carry four workers: the tests
+# A file is one worker's, in the order of tests/conftest.py. Two cores carry four workers: the tests
 # of processes in real time mostly wait.
-WORKERS := -n 4 --dist loadgroup --no-loadscope-reorder
+WORKERS := -n 4 --dist loadfile --no-loadscope-reorder
 
 .PHONY: help demo campaign test test-long test-sitl bench release monitor fuzz lint format pages setup setup-test core clean
 
