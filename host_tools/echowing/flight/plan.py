@@ -183,7 +183,7 @@ def planned(known: Known, follower: FollowerState, fix: LeaderFix, now_s: float)
         if _is_lost(follower, now_s):
             least_m = max(least_m, _reversal_by_radio_m(known, follower, fix))
     least_m = _closing_slowly(follower, least_m, now_s)
-    formation_mps = known.formation_mps(follower, fix, arrives_s)
+    formation_mps = known.formation_mps(fix, arrives_s)
     guided = follower.guide.update(leader, arrives_s, here, least_m, formation_mps)
     age_s = max(0.0, now_s - fix.time_s)
     guided = replace(guided, age_s=age_s, at_s=arrives_s, slot_mps=guided.velocity_mps)

@@ -429,14 +429,11 @@ class Known:
             place = follower.estimate.as_seen(place)
         return LeaderFix(fix.time_s, place, (*velocity_mps, 0.0), heading_rad)
 
-    def formation_mps(
-        self, follower: FollowerState, fix: LeaderFix, at_s: float
-    ) -> Horizontal | None:
+    def formation_mps(self, fix: LeaderFix, at_s: float) -> Horizontal | None:
         """The leader's velocity at a moment, (north, east); None: it has one follower only."""
         if len(self.followers) == 1:
             return None
-        leader = self.leader_then(follower, at_s) or fix
-        return leader.velocity_ned_mps[:2]
+        return carried_on(fix, at_s).velocity_ned_mps[:2]
 
     def apart(
         self, follower: FollowerState, other: FollowerState, there: GlobalPosition
