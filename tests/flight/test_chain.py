@@ -12,7 +12,6 @@ from echowing.flight.guidance import (
     GuidedPoint,
     LeaderFix,
     Slot,
-    lead_share,
 )
 from echowing.flight.plan import planned
 from echowing.flight.session import FollowSession
@@ -103,16 +102,6 @@ def test_a_slot_behind_another_moves_as_that_one_wherever_who_flies_in_it_is_not
     fix = there.followed_then(second, LeaderFix(10.0, HERE, (2.0, 0.0, 0.0), 0.0), 10.5)
     assert ned_between(HERE, fix.position)[:2] == pytest.approx((6.0, 0.0), abs=0.05)
     assert fix.velocity_ned_mps == (2.0, 0.0, 0.0)
-
-
-def test_the_speed_of_a_line_does_not_fade_between_two_reports() -> None:
-    """0.75 s after a report: the first follower is slowed, as its sonar knows better."""
-    there = known([Slot(3.0), Slot(3.0, behind=0)])
-    fix = LeaderFix(10.0, HERE, (2.0, 0.0, 0.0), 0.0)
-    there.leader.fix = fix
-    first, second = (planned(there, one, fix, 10.75) for one in there.followers.values())
-    assert first.velocity_mps[0] == pytest.approx(2.0 * lead_share(0.75, there.settings))
-    assert second.velocity_mps[0] == pytest.approx(2.0)
 
 
 @pytest.mark.parametrize(("followers", "buckles"), [(1, True), (3, False)])

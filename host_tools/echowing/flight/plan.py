@@ -188,7 +188,7 @@ def planned(known: Known, follower: FollowerState, fix: LeaderFix, now_s: float)
     age_s = max(0.0, now_s - fix.time_s)
     guided = replace(guided, age_s=age_s, at_s=arrives_s, slot_mps=guided.velocity_mps)
     if settings.feed_forward:
-        guided = _gently(known, follower, _fading(known, follower, guided), now_s)
+        guided = _gently(known, follower, guided, now_s)
     elif settings.lead_time_s > 0.0:
         guided = _led(guided, leader, settings)
     return guided if settings.face_leader else replace(guided, yaw_rad=None)
@@ -252,19 +252,6 @@ def quickens_mps2(known: Known, follower: FollowerState, now_s: float) -> float:
     ) / far_m
     quickens = share * (along_mps2 + across_mps * across_mps / far_m)
     return max(-MOST_MPS2, min(MOST_MPS2, quickens))
-
-
-def _fading(known: Known, follower: FollowerState, guided: GuidedPoint) -> GuidedPoint:
-    """The velocity to fly, which fades as the leader's report grows old.
-
-    In a line behind another follower just that is flown (`Manner.KEEP_PACE`): fading, it would go
-    up and down with each report of a slow radio, and fall behind.
-    """
-    if known.ahead_of(follower) is not None:
-        return guided
-    share = lead_share(guided.age_s, known.settings)
-    north, east = guided.velocity_mps
-    return replace(guided, velocity_mps=(share * north, share * east))
 
 
 def _led(guided: GuidedPoint, leader: LeaderFix, settings: GuidanceSettings) -> GuidedPoint:

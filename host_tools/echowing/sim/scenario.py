@@ -125,7 +125,7 @@ class GuidanceSection(Section):
     feed_forward: bool = _OURS.feed_forward
     """Points carry the slot's velocity, and no lead."""
     fresh_age_s: Positive | None = _OURS.fresh_age_s
-    """Age of the leader's report from which the velocity fades out."""
+    """Of points without a velocity: age of the leader's report from which the lead shrinks."""
     stale_age_s: Positive | None = _OURS.stale_age_s
     """Age beyond which the follower stops."""
     gray: bool = False
