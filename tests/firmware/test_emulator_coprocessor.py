@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from echowing.errors import EchowingError
 from echowing.flight.sonar import PAN_CENTRE_US, TILT_CENTRE_US
-from echowing.sim.boards.avr import AvrCoprocessor
+from echowing.sim.boards.avr import avr_coprocessor
 from echowing.sim.boards.coprocessor import AUTOPILOT_PORT, Coprocessor, NativeCoprocessor
 
 from .bench import BenchSonar
@@ -40,7 +40,7 @@ def reports(core: Coprocessor, until_us: int, start_us: int = 0) -> list[Any]:
 def test_native_and_emulated_core_tell_the_same(mega_elf: Path) -> None:
     cores = (
         NativeCoprocessor(BenchSonar(moving_target)),
-        AvrCoprocessor(BenchSonar(moving_target), elf=mega_elf),
+        avr_coprocessor(BenchSonar(moving_target), elf=mega_elf),
     )
     native, emulated = ([m.current_distance for m in reports(c, 20_000_000)] for c in cores)
     assert len(emulated) == pytest.approx(len(native), rel=0.02)
@@ -60,26 +60,26 @@ def test_pulses_are_those_of_the_native_core(mega_elf: Path) -> None:
         return [aim for aim, _ in itertools.groupby(seen[5:])]
 
     native = aims(NativeCoprocessor(BenchSonar()))
-    emulated = aims(AvrCoprocessor(BenchSonar(), elf=mega_elf))
+    emulated = aims(avr_coprocessor(BenchSonar(), elf=mega_elf))
     # A frame of the servo signal later, the last aim may not have been reached.
     assert emulated[: len(native) - 1] == native[:-1]
 
 
 def test_servos_stand_straight_until_the_first_pulse(mega_elf: Path) -> None:
-    core = AvrCoprocessor(BenchSonar(), elf=mega_elf)
+    core = avr_coprocessor(BenchSonar(), elf=mega_elf)
     assert (core.pan_us, core.tilt_us) == (PAN_CENTRE_US, TILT_CENTRE_US)
 
 
 def test_power_comes_on_when_it_is_told(mega_elf: Path) -> None:
     sonar = BenchSonar(2.0)
-    core = AvrCoprocessor(sonar, elf=mega_elf, start_us=START_US)
+    core = avr_coprocessor(sonar, elf=mega_elf, start_us=START_US)
     told = reports(core, START_US + 1_000_000, START_US)
     assert min(sonar.triggers_us) > START_US
     assert told[-1].current_distance == 200
 
 
 def told_with(elf: Path, parameters: Mapping[str, float]) -> list[int]:
-    core = AvrCoprocessor(BenchSonar(2.0), elf=elf, parameters=parameters)
+    core = avr_coprocessor(BenchSonar(2.0), elf=elf, parameters=parameters)
     return [m.current_distance for m in reports(core, 2_000_000)]
 
 
@@ -92,18 +92,18 @@ def test_parameters_are_in_force_from_the_start(mega_elf: Path) -> None:
 
 def test_unknown_parameter_is_refused(mega_elf: Path) -> None:
     with pytest.raises(EchowingError, match="no parameter 'TRACK_RANG'"):
-        AvrCoprocessor(BenchSonar(), elf=mega_elf, parameters={"TRACK_RANG": 1})
+        avr_coprocessor(BenchSonar(), elf=mega_elf, parameters={"TRACK_RANG": 1})
 
 
 def test_parameter_out_of_range_is_refused(mega_elf: Path) -> None:
     with pytest.raises(EchowingError, match="TRACK_RANGE: 9999 is not accepted"):
-        AvrCoprocessor(BenchSonar(), elf=mega_elf, parameters={"TRACK_RANGE": 9999})
+        avr_coprocessor(BenchSonar(), elf=mega_elf, parameters={"TRACK_RANGE": 9999})
 
 
 def test_same_seed_same_bytes(mega_elf: Path) -> None:
     def told(seed: int) -> bytes:
         sonar = BenchSonar(moving_target)
-        core = AvrCoprocessor(sonar, elf=mega_elf, seed=seed)
+        core = avr_coprocessor(sonar, elf=mega_elf, seed=seed)
         core.run_until(6_000_000)
         return core.take(AUTOPILOT_PORT) + repr(sonar.triggers_us).encode()
 

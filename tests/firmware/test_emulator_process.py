@@ -38,8 +38,12 @@ def report(link: Any, wanted: Callable[[Any], bool] = lambda _: True) -> Any:
 
 
 class TestProcess:
-    def test_listens_on_tcp_and_opens_a_terminal(self, start: Callable[..., Emulator]) -> None:
-        emulator = start("--link", "tcpin:0", "--usb", "pty", "--range-cm", "321")
+    @pytest.mark.parametrize("board", ["mega", "native"])
+    def test_listens_on_tcp_and_opens_a_terminal(
+        self, start: Callable[..., Emulator], board: str
+    ) -> None:
+        options = ("--link", "tcpin:0", "--usb", "pty", "--range-cm", "321")
+        emulator = start("--board", board, *options)
         port = emulator.told(r"autopilot port: tcp 127\.0\.0\.1:(\d+)")
         usb = emulator.told(r"USB port: (/dev/\S+)")
         for where in (f"tcp:127.0.0.1:{port}", usb):
@@ -91,6 +95,7 @@ class TestProcess:
         ("options", "words"),
         [
             (["--board", "uno"], "no board 'uno': BOARD is one of mega, blackpill_f411"),
+            (["--board", "native", "--eeprom", "x"], "runs no --elf and stores nothing"),
             (["--link", "serial"], "write tcp:HOST:PORT, tcpin:PORT or pty"),
             (["--link", "tcp:localhost:http"], "the port has to be a number"),
             (["--range-cm", "-1"], "0 to 10000"),

@@ -184,7 +184,7 @@ def test_command_numbers_are_mavlinks() -> None:
         assert (ack.command, ack.result) == (command, mavlink.MAV_RESULT_ACCEPTED)
         bench.sonar.plugged = False  # the change of address shall not reach the fake
     bench.run(0.5)
-    assert bench.device.reboots == 1
+    assert bench.device.restarts == 1
 
 
 def test_an_unplugged_sonar_is_told() -> None:

@@ -63,10 +63,10 @@ def copied(prepared: Path, folder: Path) -> Path:
     return folder
 
 
-def emulator_of(follower: Vehicle, *more: str) -> Tool:
-    """The co-processor's binary, plugged into the follower's SERIAL2."""
+def emulator_of(follower: Vehicle, *more: str, board: str = "mega") -> Tool:
+    """The co-processor's binary, or its core (native), plugged into the follower's SERIAL2."""
     link = f"tcp:{LOOPBACK}:{follower.coprocessor}"
-    return Tool("emulator", "--board", "mega", "--link", link, "--target", "udp:0", *more)
+    return Tool("emulator", "--board", board, "--link", link, "--target", "udp:0", *more)
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,13 +100,16 @@ def prepare(binary: Path, folder: Path) -> Preparation:
 class Follower:
     """A follower with its co-processor.
 
-    sonar: what it truly hears, keys of a scenario's [sonar]; none: all within 20 degrees.
+    sonar: what it truly hears, keys of a scenario's [sonar]; none: all within 20 degrees. board:
+    that `echowing emulator` runs.
     """
 
-    def __init__(self, vehicle: Vehicle, scene: Scene, sonar: Sequence[str] = ()) -> None:
-        self.vehicle = vehicle
+    def __init__(
+        self, vehicle: Vehicle, scene: Scene, sonar: Sequence[str] = (), board: str = "mega"
+    ) -> None:
+        self.vehicle, self._board = vehicle, board
         self._sonar = [word for change in sonar for word in ("--sonar", change)]
-        self.emulator = emulator_of(vehicle, *self._sonar)
+        self.emulator = emulator_of(vehicle, *self._sonar, board=board)
         self.feeder = Feeder(vehicle, port_told(self.emulator), scene)
 
     def unplug(self) -> None:
@@ -117,7 +120,7 @@ class Follower:
     def plug_in(self) -> None:
         """Put it back; the board starts anew."""
         scene = self.feeder.scene
-        self.emulator = emulator_of(self.vehicle, *self._sonar)
+        self.emulator = emulator_of(self.vehicle, *self._sonar, board=self._board)
         self.feeder = Feeder(self.vehicle, port_told(self.emulator), scene)
 
     def close(self) -> None:
@@ -225,7 +228,9 @@ class Formation:
         system_id = FOLLOWER + number
         folder = copied(self.kit.prepared, self.folder / f"follower-{system_id}")
         vehicle = self._vehicle(system_id, folder, at_ned_m, fresh=False)
-        follower = Follower(vehicle, silence, self._sonar)
+        # Two cores carry two autopilots and one board's binary in real time, and not more.
+        board = "mega" if len(self._ahead) == 1 else "native"
+        follower = Follower(vehicle, silence, self._sonar, board)
         self._stack.callback(follower.unplug)
         return follower
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from echowing.errors import EchowingError
 
 if TYPE_CHECKING:
+    from echowing.sim.boards.coprocessor import Coprocessor, SonarBus
     from echowing.sim.world.sonar import TrueSonar
 
 EXAMPLES = """\
@@ -27,6 +28,8 @@ examples:
 
 # An STM32's processor at a quarter of its pace: one core of a usual machine then keeps up with it.
 _SLOWNESS = 4
+# No board: `make core`'s library.
+_NATIVE = "native"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -35,7 +38,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--board",
         default="mega",
-        help="the board to emulate: mega (default), blackpill_f411, bluepill_f103, nucleo_f446",
+        help="the board to emulate: mega (default), blackpill_f411, bluepill_f103, nucleo_f446; or "
+        "native: no board but its core built for this computer, a tenth of the work",
     )
     parser.add_argument("--elf", type=Path, help="run this binary (build/firmware's)")
     parser.add_argument(
@@ -80,7 +84,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run until stopped."""
-    from echowing.sim.boards.by_name import emulated_board  # noqa: PLC0415
     from echowing.sim.boards.coprocessor import AUTOPILOT_PORT, USB_PORT  # noqa: PLC0415
     from echowing.sim.boards.desk import Desk, Scene  # noqa: PLC0415
     from echowing.sim.boards.sitl_scene import SitlScene  # noqa: PLC0415
@@ -96,18 +99,7 @@ def run(args: argparse.Namespace) -> int:
             watched = sitl.leader_body_m
         scene = Scene(args.range_cm, args.target, watched, _sonar(args.sonar))
         stack.callback(scene.close)
-        board = emulated_board(
-            scene.sensor,
-            board=args.board,
-            elf=args.elf,
-            eeprom=_load(args.eeprom),
-            slowness=_SLOWNESS,
-        )
-        if args.usb and not board.has_port(USB_PORT):
-            raise EchowingError(
-                f"the emulated {args.board} has no USB port (nothing is plugged into its socket): "
-                "leave --usb out"
-            )
+        board = _board(args, scene.sensor, stack)
         wires = {AUTOPILOT_PORT: open_wire(args.link)}
         stack.callback(wires[AUTOPILOT_PORT].close)
         print(f"autopilot port: {wires[AUTOPILOT_PORT].describe()}", flush=True)
@@ -117,10 +109,35 @@ def run(args: argparse.Namespace) -> int:
             print(f"USB port: {wires[USB_PORT].describe()}", flush=True)
         if scene.udp_port is not None:
             print(f"target datagrams: udp 127.0.0.1:{scene.udp_port}", flush=True)
-        if args.eeprom:
-            stack.callback(lambda: _save(args.eeprom, board.eeprom()))
         Desk(board, wires, scene).run(args.duration)
     return 0
+
+
+def _board(
+    args: argparse.Namespace, sonar: "SonarBus", stack: contextlib.ExitStack
+) -> "Coprocessor":
+    """What runs; what it stored is kept when `stack` ends."""
+    from echowing.sim.boards.by_name import emulated_board  # noqa: PLC0415
+    from echowing.sim.boards.coprocessor import USB_PORT, NativeCoprocessor  # noqa: PLC0415
+
+    if args.board == _NATIVE:
+        if args.elf is not None or args.eeprom is not None:
+            raise EchowingError(
+                f"--board {_NATIVE} is the core built for this computer: it runs no --elf and "
+                "stores nothing in an --eeprom; leave them out"
+            )
+        return NativeCoprocessor(sonar)
+    board = emulated_board(
+        sonar, board=args.board, elf=args.elf, eeprom=_load(args.eeprom), slowness=_SLOWNESS
+    )
+    if args.usb and not board.has_port(USB_PORT):
+        raise EchowingError(
+            f"the emulated {args.board} has no USB port (nothing is plugged into its socket): "
+            "leave --usb out"
+        )
+    if args.eeprom:
+        stack.callback(lambda: _save(args.eeprom, board.eeprom()))
+    return board
 
 
 def _sonar(changes: list[str]) -> "TrueSonar":

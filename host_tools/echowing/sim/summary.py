@@ -13,7 +13,7 @@ from echowing.analysis.metrics import Metrics, approach_s, dead_locked, metrics
 from echowing.analysis.tables import Result
 from echowing.errors import EchowingError
 from echowing.sim.aircraft import MakeCoprocessor, SimFollower
-from echowing.sim.boards.coprocessor import SonarBus
+from echowing.sim.boards.coprocessor import Coprocessor, SonarBus
 from echowing.sim.flight import FormationFlight, Progress
 from echowing.sim.hangar import board_parameters
 from echowing.sim.scenario import Scenario
@@ -124,10 +124,10 @@ def _coprocessors(scenario: Scenario, seed: int, firmware: str) -> MakeCoprocess
         return None
     if firmware != "avr":
         raise EchowingError(f"--firmware {firmware!r}: native or avr")
-    from echowing.sim.boards.avr import AvrCoprocessor  # noqa: PLC0415 (needs the emulator built)
+    from echowing.sim.boards.avr import avr_coprocessor  # noqa: PLC0415 (needs the emulator built)
 
-    def make(bus: SonarBus, system_id: int) -> AvrCoprocessor:
-        return AvrCoprocessor(bus, seed=seed, parameters=board_parameters(system_id, scenario))
+    def make(bus: SonarBus, system_id: int) -> Coprocessor:
+        return avr_coprocessor(bus, seed=seed, parameters=board_parameters(system_id, scenario))
 
     return make
 

@@ -1,7 +1,6 @@
 """The co-processor as it is flashed on an AVR board: the binary on simavr, in lock step.
 
-`AvrBoard` is the board with its ports, pins and memory; `AvrCoprocessor` wraps it in the interface
-of the native core, so that the simulator flies either.
+The simulator flies it in place of the native core (`avr_coprocessor`).
 """
 
 from collections.abc import Mapping
@@ -12,7 +11,6 @@ from typing import Any, ClassVar
 from pymavlink.dialects.v20 import common as mavlink
 
 from echowing.errors import EchowingError
-from echowing.flight.sonar import PAN_CENTRE_US, TILT_CENTRE_US
 from echowing.sim.boards import firmware
 from echowing.sim.boards.coprocessor import USB_PORT, SonarBus
 from echowing.sim.boards.emulated import EMULATORS, EmulatedBoard
@@ -93,53 +91,24 @@ def _stored(
     return _Bench(elf, board).store(dict(parameters))
 
 
-class AvrCoprocessor:
-    """The flashed co-processor in the simulator's clothes: the interface of `NativeCoprocessor`.
+def avr_coprocessor(
+    bus: SonarBus,
+    *,
+    elf: Path | None = None,
+    board: str = "mega",
+    seed: int = 0,
+    parameters: Mapping[str, float] | None = None,
+    start_us: int = 0,
+) -> AvrBoard:
+    """The flashed co-processor, as the simulator takes the native one.
 
     Power comes on at `start_us`. `parameters` are set over MAVLink beforehand, so that the board
     boots with them stored. `seed` sets the voltage that the board's random numbers begin with:
     it counts modulo 1024.
     """
-
-    def __init__(
-        self,
-        bus: SonarBus,
-        *,
-        elf: Path | None = None,
-        board: str = "mega",
-        seed: int = 0,
-        parameters: Mapping[str, float] | None = None,
-        start_us: int = 0,
-    ) -> None:
-        elf = elf or firmware.elf_path(board)
-        firmware.check_elf(elf, board)
-        wanted = tuple((parameters or {}).items())
-        eeprom = _stored(elf, board, elf.stat().st_mtime_ns, wanted) if wanted else None
-        self.board = AvrBoard(
-            bus, board=board, elf=elf, eeprom=eeprom, offset_us=start_us, noise=seed % _NOISE_STEPS
-        )
-        self._pan, self._tilt = self.board.type.pan, self.board.type.tilt
-        self.board.pin(self._pan)
-        self.board.pin(self._tilt)
-
-    @property
-    def pan_us(self) -> float:
-        """Pan pulse; straight ahead until the first one, as the servo stands where it was put."""
-        return self.board.pin(self._pan).width_us or PAN_CENTRE_US
-
-    @property
-    def tilt_us(self) -> float:
-        """Tilt pulse, likewise."""
-        return self.board.pin(self._tilt).width_us or TILT_CENTRE_US
-
-    def feed(self, port: int, data: bytes) -> None:
-        """UART in: 0 autopilot, 1 USB."""
-        self.board.feed(port, data)
-
-    def take(self, port: int) -> bytes:
-        """UART out."""
-        return self.board.take(port)
-
-    def run_until(self, t_us: int) -> None:
-        """Run the program up to that time."""
-        self.board.run_until(t_us)
+    elf = elf or firmware.elf_path(board)
+    firmware.check_elf(elf, board)
+    wanted = tuple((parameters or {}).items())
+    eeprom = _stored(elf, board, elf.stat().st_mtime_ns, wanted) if wanted else None
+    noise = seed % _NOISE_STEPS
+    return AvrBoard(bus, board=board, elf=elf, eeprom=eeprom, offset_us=start_us, noise=noise)

@@ -48,6 +48,10 @@ class Coprocessor(Protocol):
     def tilt_us(self) -> float:
         """Tilt servo pulse commanded now, microseconds."""
 
+    @property
+    def restarts(self) -> int:
+        """How often it has restarted, or asked to be."""
+
     def feed(self, port: int, data: bytes) -> None:
         """Give bytes to a port's receiver."""
 
@@ -136,7 +140,7 @@ class NativeCoprocessor:
         return bool(self._library.ew_led(self._handle))
 
     @property
-    def reboots(self) -> int:
+    def restarts(self) -> int:
         """How often the core has asked for a restart."""
         return int(self._library.ew_reboots(self._handle))
 

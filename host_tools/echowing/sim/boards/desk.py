@@ -1,4 +1,4 @@
-"""The emulated board on a desk: real time, ports wired to other programs, a leader to hear."""
+"""The co-processor on a desk: real time, ports wired to other programs, a leader to hear."""
 
 import json
 import math
@@ -7,9 +7,8 @@ import time
 from collections.abc import Callable, Mapping
 
 from echowing.errors import EchowingError
-from echowing.flight.sonar import PAN_CENTRE_US, TILT_CENTRE_US
 from echowing.geo import Ned
-from echowing.sim.boards.emulated import EmulatedBoard
+from echowing.sim.boards.coprocessor import Coprocessor
 from echowing.sim.boards.wires import Wire, open_udp
 from echowing.sim.world.sonar import (
     LEVER_ARM_M,
@@ -70,7 +69,7 @@ class Scene:
 
     def step(self, dt_s: float, pan_us: float, tilt_us: float) -> None:
         """Turn the gimbal, and take the newest datagram; a senseless one is reported and left."""
-        self._gimbal.step(dt_s, pan_us or PAN_CENTRE_US, tilt_us or TILT_CENTRE_US)
+        self._gimbal.step(dt_s, pan_us, tilt_us)
         if self._watched is not None:
             self._leader_body_m = self._watched()
         while self._datagrams is not None:
@@ -109,7 +108,7 @@ class Desk:
 
     def __init__(
         self,
-        board: EmulatedBoard,
+        board: Coprocessor,
         wires: Mapping[int, Wire],
         scene: Scene,
         *,
@@ -137,17 +136,14 @@ class Desk:
 
     def _slice(self, t_s: float) -> None:
         board = self._board
-        board.run_until(t_s * 1e6)
-        self._scene.step(
-            SLICE_S, board.pin(board.type.pan).width_us, board.pin(board.type.tilt).width_us
-        )
+        board.run_until(round(t_s * 1e6))
+        self._scene.step(SLICE_S, board.pan_us, board.tilt_us)
         for port, wire in self._wires.items():
             arrived = wire.exchange(board.take(port), t_s)
             if arrived:
                 board.feed(port, arrived)
-        restarts = board.meters().restarts
-        if restarts != self._restarts:
-            self._restarts = restarts
+        if board.restarts != self._restarts:
+            self._restarts = board.restarts
             print("the board has restarted", flush=True)
 
     def _tell_slow(self) -> None:

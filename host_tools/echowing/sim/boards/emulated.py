@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from echowing.errors import EchowingError
+from echowing.flight.sonar import PAN_CENTRE_US, TILT_CENTRE_US
 from echowing.sim.boards import firmware
 from echowing.sim.boards.coprocessor import SonarBus
 
@@ -326,6 +327,16 @@ class EmulatedBoard(ABC):
 
     # ---- pins
 
+    @property
+    def pan_us(self) -> float:
+        """Pan pulse; straight ahead until the first one, as the servo stands where it was put."""
+        return self.pin(self.type.pan).width_us or PAN_CENTRE_US
+
+    @property
+    def tilt_us(self) -> float:
+        """Tilt pulse, likewise."""
+        return self.pin(self.type.tilt).width_us or TILT_CENTRE_US
+
     def _watch(self, pin: Pin) -> int:
         if pin not in self._pins:
             index = self._library.board_watch_pin(self._board, pin.port.encode(), pin.bit)
@@ -352,6 +363,11 @@ class EmulatedBoard(ABC):
         return [(self._to_us(edge.tick), bool(edge.level)) for edge in edges[:count]]
 
     # ---- memory and meters
+
+    @property
+    def restarts(self) -> int:
+        """How often it has restarted."""
+        return self.meters().restarts
 
     def eeprom(self) -> bytes:
         """The parameters' memory, as a power cut now would leave it: what is being written is lost.
