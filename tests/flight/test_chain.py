@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 
 from echowing.flight.axis import Axis
+from echowing.flight.envelope import Answer
 from echowing.flight.guidance import (
     GuidanceSettings,
     GuidedPoint,
@@ -21,7 +22,7 @@ from echowing.geo import GlobalPosition, displace, ned_between
 from echowing.mavlink.messages import ForApplet, Manner
 from echowing.sonar_file import shipped_sonar
 
-LEADER = 1
+LEADER, AUTO = 1, 3
 HERE = GlobalPosition(39.34, -86.03, 250.0)
 
 
@@ -104,10 +105,40 @@ def test_a_slot_behind_another_moves_as_that_one_wherever_who_flies_in_it_is_not
     assert fix.velocity_ned_mps == (2.0, 0.0, 0.0)
 
 
+@pytest.mark.parametrize(
+    ("speed_mps", "ago_s", "deaf", "least_m"),
+    [
+        # A report of 0.7 s and 0.2 s on its way are noticed after 0.9 s, the dead time is 0.5 s; it
+        # brakes with 5 m/s2 and the leader with 2.5, so it stops shorter: by 0.1 and 0.4 m.
+        (1.0, 10.0, False, 1.0 + 1.4 - 0.1),
+        (2.0, 10.0, False, 1.0 + 2.8 - 0.4),
+        (2.0, 1.0, False, 0.0),
+        # With a sonar that is likely deaf, the leader may turn round: twice the change of speed.
+        (1.0, 10.0, True, 1.0 + 2.8 - 0.4),
+        # 1 + 5.6 - 1.6 m would be beyond the sonar's reach, where no leader is ever heard again.
+        (4.0, 10.0, False, 3.8),
+    ],
+)
+def test_a_leader_that_is_not_heard_gets_room_to_stop_in(
+    speed_mps: float, ago_s: float, deaf: bool, least_m: float
+) -> None:
+    there = known([Slot(3.0)])
+    (one,) = there.followers.values()
+    one.handling.answer_in_calm = Answer(0.5, 5.0)
+    taught(one, 0.0)
+    one.estimate.offset._deaf[:] = deaf
+    now_s = one.estimate._used_to_s = 59.7 + ago_s
+    there.leader.oldest_s, there.leader_mode = 0.7, AUTO
+    fix = there.leader.fix = LeaderFix(now_s, HERE, (speed_mps, 0.0, 0.0), 0.0)
+    planned(there, one, fix, now_s)
+    assert one.least_m == pytest.approx(least_m, abs=0.05)
+
+
 @pytest.mark.parametrize(("followers", "buckles"), [(1, True), (3, False)])
 def test_a_leader_pushes_its_formation_back_as_it_is(followers: int, buckles: bool) -> None:
     """20 degrees off straight back, 2 m/s, 3 s: a lone one comes round, a line stays a line."""
     there = known([Slot(3.0, behind=n - 1 if n else None) for n in range(followers)])
+    there.settings = replace(there.settings, learn_offset=False)  # no room for what is not heard
     last, velocity = list(there.followers.values())[-1], (2.0, 0.0, 0.0)
     for tick in range(33):
         now_s = 10.0 + 0.125 * tick

@@ -191,19 +191,22 @@ def test_a_leader_that_stands_turns_no_way() -> None:
     assert math.isfinite(least_slot_m(20.0, Answer(2.0, 0.5)))
 
 
-def test_the_least_slot_is_what_flying_the_reversal_step_by_step_loses() -> None:
-    """In steps of 1 ms: braking harder than the leader, alike, less hard, and knowing very late."""
+@pytest.mark.parametrize("stops", [True, False])
+def test_the_least_slot_is_what_flying_the_reversal_step_by_step_loses(stops: bool) -> None:
+    """Or the stop. In steps of 1 ms: braking harder than the leader, alike, less, and very late."""
     for decel_mps2, noticed_s in ((5.0, 0.3), (4.0, 1.0), (2.5, 0.3), (1.0, 0.3), (8.0, 4.0)):
         for speed_mps in (0.3, 2.0, 8.0):
             leader_mps = follower_mps = speed_mps
+            end_mps = 0.0 if stops else -speed_mps
             lost_m = most_m = 0.0
             for step in range(40_000):
-                leader_mps = max(-speed_mps, leader_mps - 2.5e-3)
+                leader_mps = max(end_mps, leader_mps - 2.5e-3)
                 if step * 1e-3 > noticed_s + 0.5:
-                    follower_mps = max(-speed_mps, follower_mps - decel_mps2 * 1e-3)
+                    follower_mps = max(end_mps, follower_mps - decel_mps2 * 1e-3)
                 lost_m += (follower_mps - leader_mps) * 1e-3
                 most_m = max(most_m, lost_m)
-            least_m = least_slot_m(speed_mps, Answer(0.5, decel_mps2), 1.0, noticed_s, 2.5)
+            answer = Answer(0.5, decel_mps2)
+            least_m = least_slot_m(speed_mps, answer, 1.0, noticed_s, 2.5, stops=stops)
             assert least_m == pytest.approx(1.0 + most_m, abs=0.02)
 
 

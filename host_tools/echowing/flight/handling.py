@@ -160,27 +160,28 @@ def least_slot_m(
     least_m: float = LEAST_M,
     noticed_s: float = NOTICED_S,
     brakes_mps2: float = OTHERS_MPS2,
+    *,
+    stops: bool = False,
 ) -> float:
     """The nearest slot from which a reversal of the leader leaves `least_m`; inf: none does.
 
-    speed_mps: the leader's; it reverses to the same speed the other way at `brakes_mps2`. After
-    `noticed_s` the sonar, or a report, shows it to the follower, which then reverses by its own
-    `answer`.
+    speed_mps: the leader's; it reverses to the same speed the other way at `brakes_mps2`, or
+    `stops`. After `noticed_s` the sonar, or a report, shows it to the follower, which then does the
+    same by its own `answer`.
     """
-    speed_mps, decel_mps2 = abs(speed_mps), answer.decel_mps2
+    change_mps, decel_mps2 = abs(speed_mps) * (1.0 if stops else 2.0), answer.decel_mps2
     unaware_s = noticed_s + answer.dead_s
-    if speed_mps == 0.0:
+    if change_mps == 0.0:
         return least_m
-    if not (decel_mps2 > 0.0 and brakes_mps2 > 0.0 and math.isfinite(speed_mps + unaware_s)):
+    if not (decel_mps2 > 0.0 and brakes_mps2 > 0.0 and math.isfinite(change_mps + unaware_s)):
         return math.inf
-    # Both fly back at `speed_mps` in the end: the later one was so much longer on its way out.
-    later_s = unaware_s + speed_mps / decel_mps2 - speed_mps / brakes_mps2
-    lost_m = 2.0 * speed_mps * later_s
+    # Both are as fast in the end: the later one flew so much longer at the other speed.
+    lost_m = change_mps * unaware_s + 0.5 * change_mps**2 * (1.0 / decel_mps2 - 1.0 / brakes_mps2)
     gains_mps2 = decel_mps2 - brakes_mps2
     if gains_mps2 > 0.0:
         # One that brakes harder is as fast as the leader sooner, if that is before the end.
         closing_mps = brakes_mps2 * unaware_s
         equal_s = unaware_s + closing_mps / gains_mps2
-        if equal_s * brakes_mps2 <= 2.0 * speed_mps:
+        if equal_s * brakes_mps2 <= change_mps:
             lost_m = 0.5 * closing_mps * equal_s
     return least_m + lost_m

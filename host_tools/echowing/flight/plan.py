@@ -180,8 +180,8 @@ def planned(known: Known, follower: FollowerState, fix: LeaderFix, now_s: float)
             watched = known.watched_then(follower, arrives_s) or leader
             to_it_m = ned_between(here, watched.position)[:2]
             least_m = max(least_m, known.nearest_m(follower, to_it_m, settings.clearance_m))
-        if _is_lost(follower, now_s):
-            least_m = max(least_m, _reversal_by_radio_m(known, follower, fix))
+        if not follower.estimate.hears(now_s):
+            least_m = max(least_m, _by_radio_m(known, follower, fix))
     least_m = _closing_slowly(follower, least_m, now_s)
     formation_mps = known.formation_mps(fix, arrives_s)
     guided = follower.guide.update(leader, arrives_s, here, least_m, formation_mps)
@@ -194,28 +194,19 @@ def planned(known: Known, follower: FollowerState, fix: LeaderFix, now_s: float)
     return guided if settings.face_leader else replace(guided, yaw_rad=None)
 
 
-def _is_lost(follower: FollowerState, now_s: float) -> bool:
-    """Whether a leader that was heard is not heard, wherever it may be: the sonar is deaf.
+def _by_radio_m(known: Known, follower: FollowerState, fix: LeaderFix) -> float:
+    """The nearest slot from which it still stops if its leader does and only reports show that.
 
-    One that may be out of reach, because the follower fell behind at a corner, is heard again on
-    the way to the slot. If the slot opened meanwhile, it would stay out of reach.
-    """
-    estimate = follower.estimate
-    silent = math.isfinite(estimate.missed_s) and not estimate.hears(now_s)
-    return silent and estimate.offset.deaf_share > 0.5
-
-
-def _reversal_by_radio_m(known: Known, follower: FollowerState, fix: LeaderFix) -> float:
-    """The nearest slot from which it gets away from a reversal that only reports show.
-
-    No further than the sonar's reach, less what the receivers may be off: beyond, the leader would
+    With a sonar that has heard the leader and is likely deaf now: gets away from a reversal. No
+    further than the sonar's reach, less what the receivers may be off: beyond, the leader would
     never be heard again.
     """
+    estimate = follower.estimate
+    stops = math.isinf(estimate.missed_s) or estimate.offset.deaf_share <= 0.5
     noticed_s = round(known.leader.oldest_s + follower.way_s, 1)
-    speed_mps, answer = round(fix.speed_mps, 1), follower.handling.answer
-    least_m = least_slot_m(
-        speed_mps, answer, known.settings.clearance_m, noticed_s, known.leader_brakes_mps2
-    )
+    speed_mps, brakes_mps2 = round(fix.speed_mps, 1), known.leader_brakes_mps2
+    answer, clear_m = follower.handling.answer, known.settings.clearance_m
+    least_m = least_slot_m(speed_mps, answer, clear_m, noticed_s, brakes_mps2, stops=stops)
     return min(follower.plan.sonar.reach_m - WITHIN_REACH_M, least_m)
 
 
