@@ -166,8 +166,10 @@ def test_what_a_broken_sonar_hears(fault: dict[str, object], heard: str) -> None
     else:
         assert np.isfinite(ranges_m).all()
     # And afterwards it is well: the leader is ranged again, from face to body.
-    after_m = record.sonar_m[between(record, 18.5, 24.0), 0]
-    assert 1.5 < np.nanmedian(after_m) < 4.5
+    after = between(record, 18.5, 24.0)
+    leader_m, follower_m = (record.position_ned_m[after, vehicle] for vehicle in (0, 1))
+    short_m = np.linalg.norm(leader_m - follower_m, axis=1) - record.sonar_m[after, 0]
+    assert np.nanmedian(short_m) == pytest.approx(0.2, abs=0.1)
 
 
 def test_an_unplugged_sonar_and_a_dead_board_are_announced() -> None:
