@@ -175,6 +175,7 @@ def opens_to_m(behind_m: float, *, heard: bool = True, deaf: bool = False) -> fl
 def test_one_that_fell_behind_closes_to_where_its_sonar_hears_the_leader() -> None:
     """5 m behind it cannot hear it: as far off as its sonar reaches, less what receivers err by."""
     assert opens_to_m(5.0) == pytest.approx(3.8)
+    assert opens_to_m(4.0, deaf=True) > 3.5, "within reach, and not heard"
 
 
 def test_a_slot_that_was_opened_closes_slowly() -> None:

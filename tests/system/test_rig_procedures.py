@@ -56,7 +56,7 @@ def start(*arguments: str | Path) -> "subprocess.Popen[str]":
 class Emulator:
     """The co-processor, its USB port on a terminal, its target where it is put.
 
-    Its core, built for this computer, is a tenth of the work of the Mega's binary: that one is
+    Its core, built for this computer, is a third of the work of the Mega's binary: that one is
     spoken to in `test_rig`, and here where the board itself restarts.
     """
 

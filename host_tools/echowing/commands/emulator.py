@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--board",
         default="mega",
         help="the board to emulate: mega (default), blackpill_f411, bluepill_f103, nucleo_f446; or "
-        "native: no board but its core built for this computer, a tenth of the work",
+        "native: no board but its core built for this computer, a third of the work",
     )
     parser.add_argument("--elf", type=Path, help="run this binary (build/firmware's)")
     parser.add_argument(
