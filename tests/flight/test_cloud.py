@@ -391,3 +391,22 @@ def test_silence_speaks_against_any_vehicle_that_would_be_heard() -> None:
         deaf.append(cloud.deaf_share)
     assert deaf[0] < 0.1
     assert deaf[1] > 0.5, "nothing else explains it"
+
+
+def test_how_many_readings_are_wrong_is_learnt() -> None:
+    """A stranger's sonar is heard: from then on a range alone moves the leader less."""
+    moved_m = []
+    for wrong in (False, True):
+        sonar = Sonar()
+        for number in range(40):
+            sonar.looks(Axis(NORTH))
+            if wrong and number % 2:
+                sonar.now_s += READING_S
+                sonar.cloud.heard(sonar.now_s, 1.0 + 0.05 * number, Axis(NORTH), (FAR_M, 0.0, 0.0))
+        sonar.now_s += 60.0  # it is lost, and may be a metre off
+        before_m, sonar.true_m = sonar.cloud.north_m, (1.0, 0.0, 0.0)
+        sonar.looks(Axis(NORTH), to_it_m=(FAR_M - 1.0, 0.0, 0.0))
+        moved_m.append(abs(sonar.cloud.north_m - before_m))
+
+    assert moved_m[0] > 0.8
+    assert moved_m[1] < 0.7 * moved_m[0]

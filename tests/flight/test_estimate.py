@@ -6,12 +6,13 @@ import pytest
 
 from echowing.flight.alignment import History, Report
 from echowing.flight.axis import Axis
-from echowing.flight.cloud import Cloud
+from echowing.flight.cloud import PLACED_SIGMA_M, UPDATE_PERIOD_S, Cloud
 from echowing.flight.estimate import (
     CLOCK_WINDOW_S,
     LONGEST_CARRY_S,
     SONAR_AGE_S,
     STUCK_S,
+    UNTOUCHED_S,
     Beside,
     Estimate,
     SenderClock,
@@ -86,24 +87,48 @@ def swaying_m(range_m: float, number: int) -> float:
     return range_m + 0.01 * (number // 4 % 2)
 
 
-def test_what_a_stuck_sensor_taught_is_forgotten_and_it_is_believed_once_it_moves() -> None:
-    """3 s after its last change; a formation in the air repeats a centimetre five times."""
-    estimate, leader = listening()
-    unknown_m = estimate.offset.sigma_m(0.0)
-    believed = 16 + round(STUCK_S * shipped_sonar().rate_hz) - 1
-    for number in range(52):
-        if number == believed:
-            assert estimate.is_believed
-            assert estimate.offset.sigma_m(0.0) < 0.5 * unknown_m
-        estimate.heard(4.5 + number * 0.1, swaying_m(2.8, min(number, 19)))
-        estimate.learn(leader)
-    assert not estimate.is_believed
-    assert estimate.offset.unheard_s(10.0) == math.inf
-    assert estimate.offset.sigma_m(0.0) == pytest.approx(unknown_m, rel=0.05)
-
-    estimate.heard(9.7, 2.9)
+def read(estimate: Estimate, leader: History, tenth: int, range_m: float) -> None:
+    """A reading after so many tenths of a second, with both vehicles' reports, 3 m apart."""
+    time_s = 0.1 * tenth
+    leader.add(Report(time_s, displace(START, (3.0, 0.0, 0.0)), (0.0, 0.0), 0.0))
+    estimate.reported(Report(time_s, START, (0.0, 0.0), 0.0))
+    estimate.heard(time_s, range_m)
     estimate.learn(leader)
-    assert estimate.offset.unheard_s(10.0) == pytest.approx(0.3 + SONAR_AGE_S)
+
+
+def test_what_a_stuck_sensor_taught_is_forgotten_and_what_was_known_before_is_not() -> None:
+    """3 s after its last change; a formation in the air repeats a centimetre five times."""
+    estimate, leader = Estimate(shipped_sonar()), History()
+    unknown_m = estimate.offset.sigma_m(0.0)
+    for tenth in range(60):  # half a metre nearer than receivers say
+        read(estimate, leader, tenth, swaying_m(2.3, tenth))
+    known_m = estimate.offset.north_m
+    assert known_m == pytest.approx(0.5, abs=PLACED_SIGMA_M)
+    for tenth in range(60, 60 + round(STUCK_S * estimate.sonar.rate_hz)):
+        read(estimate, leader, tenth, 3.2)
+        assert estimate.is_believed
+    assert estimate.offset.north_m < 0.0
+
+    read(estimate, leader, 90, 3.2)
+    assert not estimate.is_believed
+    assert estimate.offset.north_m == pytest.approx(known_m, abs=PLACED_SIGMA_M)
+    assert estimate.offset.sigma_m(0.0) < 0.4 * unknown_m
+    assert 3.0 < estimate.offset.unheard_s(9.0) < UNTOUCHED_S + 1.5
+
+    read(estimate, leader, 91, 2.3)
+    read(estimate, leader, 92, 2.31)
+    assert estimate.is_believed
+    assert estimate.offset.unheard_s(9.2) < UPDATE_PERIOD_S + SONAR_AGE_S
+
+
+def test_a_sensor_that_is_stuck_from_the_start_teaches_nothing() -> None:
+    estimate, leader = Estimate(shipped_sonar()), History()
+    unknown_m = estimate.offset.sigma_m(0.0)
+    for tenth in range(round(STUCK_S * estimate.sonar.rate_hz) + 1):
+        read(estimate, leader, tenth, 2.5)
+    assert not estimate.is_believed
+    assert estimate.offset.unheard_s(5.0) == math.inf
+    assert estimate.offset.sigma_m(0.0) == pytest.approx(unknown_m, rel=0.05)
 
 
 def test_a_sonar_that_hears_anything_teaches_nothing_and_is_believed_once_it_agrees() -> None:
@@ -122,10 +147,8 @@ def test_a_sonar_that_hears_anything_teaches_nothing_and_is_believed_once_it_agr
     for number in range(30):
         estimate.heard(6.0 + number * 0.1, swaying_m(2.8, number))
     assert not estimate.is_wild
-    estimate.heard(9.8, 2.8)
-    estimate.heard(9.9, 2.8)
     estimate.learn(leader)
-    assert estimate.offset.unheard_s(10.0) == pytest.approx(0.1 + SONAR_AGE_S)
+    assert estimate.offset.unheard_s(9.0) < UPDATE_PERIOD_S + SONAR_AGE_S
 
 
 @pytest.mark.parametrize("wild_share", [0.01, 0.03])
@@ -153,26 +176,15 @@ def test_nothing_in_reach_is_the_same_for_as_long_as_it_likes() -> None:
     assert estimate.offset.sigma_m(0.0) != known_m
 
 
-def test_two_readings_alike_are_the_leader() -> None:
+def test_a_reading_that_fits_is_the_leader() -> None:
+    """It waits for no other: where the leader is rarely heard, none may come."""
     estimate, leader = listening()
-
-    estimate.heard(9.0, 2.8)
-    estimate.learn(leader)
-    assert estimate.offset.unheard_s(10.0) == math.inf
+    unknown_m = estimate.offset.sigma_m(0.0)
 
     estimate.heard(9.1, 2.8)
     estimate.learn(leader)
     assert estimate.offset.unheard_s(10.0) == pytest.approx(0.9 + SONAR_AGE_S)
-
-
-def test_a_sonar_that_hears_four_pings_of_ten_is_believed() -> None:
-    """Two ranges that agree are of one vehicle, though nothing was heard between them."""
-    estimate, leader = listening()
-    for time_s, range_m in ((8.9, 2.8), (9.0, 7.65), (9.1, 7.65), (9.2, 2.9), (9.3, 7.65)):
-        estimate.heard(time_s, range_m)
-    estimate.learn(leader)
-
-    assert estimate.offset.unheard_s(10.0) == pytest.approx(0.8 + SONAR_AGE_S)
+    assert estimate.offset.sigma_m(0.0) < 0.6 * unknown_m
 
 
 def test_a_leader_is_missed_by_the_readings_that_were_used_and_not_by_now() -> None:
@@ -182,7 +194,6 @@ def test_a_leader_is_missed_by_the_readings_that_were_used_and_not_by_now() -> N
     estimate.learn(leader)
     assert estimate.missed_s == math.inf  # never heard
 
-    estimate.heard(9.0, 2.8)
     estimate.heard(9.1, 2.8)
     estimate.learn(leader)
     assert estimate.missed_s == pytest.approx(0.9 + SONAR_AGE_S)
@@ -195,24 +206,35 @@ def test_a_leader_is_missed_by_the_readings_that_were_used_and_not_by_now() -> N
     assert estimate.missed_s == pytest.approx(2.4 + SONAR_AGE_S)
 
 
-@pytest.mark.parametrize(
-    ("first", "second"),
-    [
-        ((9.0, 1.1), (9.1, 2.8)),  # one wild reading
-        ((8.5, 2.8), (9.1, 2.8)),  # too long ago to confirm anything
-        ((9.0, 7.65), (9.1, 2.8)),  # nothing, then something
-        ((9.0, -1.0), (9.1, -1.0)),
-    ],
-)
-def test_a_reading_alone_is_not(first: tuple[float, float], second: tuple[float, float]) -> None:
+def test_a_wild_reading_does_not_outlast_the_leaders_own() -> None:
+    """Of a leader that was not heard before: it may be wrong, and that stays open."""
     estimate, leader = listening()
-    before = (estimate.offset.north_m, estimate.offset.sigma_m(0.0))
-
-    estimate.heard(*first)
-    estimate.heard(*second)
+    for time_s, range_m in ((8.0, 1.1), (8.3, 2.8), (8.6, 2.82), (8.9, 2.79)):
+        estimate.heard(time_s, range_m)
     estimate.learn(leader)
 
-    assert (estimate.offset.north_m, estimate.offset.sigma_m(0.0)) == before
+    assert estimate.offset.north_m == pytest.approx(0.0, abs=2.0 * PLACED_SIGMA_M)
+
+
+def test_a_wild_reading_moves_no_leader_that_is_heard() -> None:
+    estimate, leader = Estimate(shipped_sonar()), History()
+    for tenth in range(60):
+        read(estimate, leader, tenth, swaying_m(2.8, tenth))
+    before_m = estimate.offset.north_m
+    read(estimate, leader, 63, 1.1)
+    read(estimate, leader, 66, 2.8)
+
+    assert estimate.offset.north_m == pytest.approx(before_m, abs=PLACED_SIGMA_M / 3.0)
+
+
+def test_no_range_is_no_reading() -> None:
+    """A co-processor without a sonar reports a range of zero or less."""
+    estimate, leader = listening()
+    estimate.heard(9.0, -1.0)
+    estimate.heard(9.1, 0.0)
+    estimate.learn(leader)
+
+    assert estimate.offset.unheard_s(10.0) == math.inf
 
 
 @pytest.mark.parametrize(("beside", "reports"), [(True, 41), (True, 33), (False, 41)])
@@ -259,7 +281,8 @@ def hear_nothing(estimate: Estimate, leader: History) -> None:
     ("so", "within_m"),
     [
         ({"lean_mps2": 2.5}, 0.0),  # it leans by 14 degrees, though the leader is straight ahead
-        ({"above_m": 3.0}, 0.01),  # 3 m away the beam reaches 1 m up
+        # 3 m away the beam reaches 1 m up; 4,000 guesses tell 1.4 m to 2 cm.
+        ({"above_m": 3.0}, 0.04),
     ],
     ids=["leaning", "below"],
 )

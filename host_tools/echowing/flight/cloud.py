@@ -50,6 +50,9 @@ AGREE, LOST_S = 3, 3.0
 # A sonar hears its leader somewhat more seldom than its file says at the least, or in nearly all
 # readings.
 HEARS, MOST_HEARD = (0.6, 1.9), 0.98
+# Of its readings a third of what its file says are wrong, or ten times as many: single wild ones
+# near propellers, or a stranger's sonar. It is learnt, so a range needs no second one to count.
+WRONG, MOST_WRONG = (0.3, 10.0), 0.5
 # A leader is heard to this share of what its legs promise: those of a stock X8 to 0.7 of those with
 # foil (thesis Table 5).
 LEAST_FAR = 0.7
@@ -128,6 +131,8 @@ class Cloud:
         self._off = self._drift.copy()
         # By what chance it is foretold: always the same, so that asking twice gives one answer.
         self._ahead = self._opposites()
+        # How many of its readings are wrong: between `WRONG`, in equal steps of the logarithm.
+        self._wrong = chance.random(count)
         self._weight = np.full(count, 1.0 / count)
         self._advanced_s: float | None = None
         self._then_s = -math.inf
@@ -278,7 +283,9 @@ class Cloud:
             return
         self._wandered(time_s)
         fits, of_others = self._explained(distance_m, axis, believed, others)
-        wrong = self._sonar.wrong_share / self._sonar.reach_m + of_others
+        wrong_share = self._wrong_share()
+        fits *= 1.0 - wrong_share
+        wrong = wrong_share / self._sonar.reach_m + of_others
         foretold = float(self._weight @ (fits - wrong)) > 0.0
         self._unforetold = 0 if foretold else self._unforetold + 1
         if foretold:
@@ -334,6 +341,12 @@ class Cloud:
         to_it[:2] += other.sigma_m * self._astray[other.system_id]
         return to_it
 
+    def _wrong_share(self) -> Array:
+        """How many of its readings are wrong, for each guess."""
+        least, most = WRONG
+        share = self._sonar.wrong_share * least * (most / least) ** self._wrong
+        return np.minimum(share, MOST_WRONG)
+
     def _density(self, far_m: Array, distance_m: float) -> Array:
         """Of a range, with a vehicle so far away."""
         sigma_m = self._range_sigma_m
@@ -369,7 +382,7 @@ class Cloud:
         self._silent_at_s = time_s
         self._wandered(time_s)
         _, detected = self._detected(axis, np.array(believed)[:, np.newaxis] - self._off)
-        unheard = 1.0 - detected
+        unheard = (1.0 - detected) * (1.0 - self._wrong_share())
         for other in others:
             unheard *= 1.0 - self._detected(axis, self._to_other(other))[1]
         self._update(unheard)
@@ -405,6 +418,7 @@ class Cloud:
         self._off, self._drift = self._off[:, chosen] + moves_m, self._drift[:, chosen] + moves_m
         self._wide = np.clip(self._changed(self._wide[chosen]), 0.0, 1.0)
         self._far = np.clip(self._changed(self._far[chosen]), 0.0, 1.0)
+        self._wrong = np.clip(self._changed(self._wrong[chosen]), 0.0, 1.0)
         self._hears = np.clip(self._changed(self._hears[chosen]), *HEARS)
         self._deaf = self._deaf[chosen]
         self._astray = {who: astray[:, chosen] for who, astray in self._astray.items()}

@@ -1,5 +1,6 @@
 """Where the leader is, as seen by one follower: receivers, sonar, and their times. Pure."""
 
+import copy
 import math
 from collections import deque
 from collections.abc import Sequence
@@ -14,17 +15,15 @@ from echowing.flight.guidance import Horizontal, LeaderFix, predicted
 from echowing.flight.hearing import Hearing, Reading
 from echowing.geo import GlobalPosition, displace
 
-# Propellers cause single wild readings: a reading counts if the last one of its kind, a range or
-# silence, says the same and is no older than this. Where four pings of ten are heard, ranges and
-# silences mostly take turns.
-CONFIRM_S, CONFIRM_M = 0.45, 0.5
 # Between two vehicles in flight a range in centimetres changes within this time: if not, the sensor
 # is stuck.
 STUCK_S = 3.0
 # A sonar that hears anything at all, an engine or another sonar, gives ranges of which four in ten
-# within reach are by chance like one of the two before. A healthy one gives one wild reading in a
-# hundred: two of ten are a fault.
-WILD_SHARE, WILD_S = 0.2, 3.0
+# within reach are by chance like (`ALIKE_M`) one of the two before. A healthy one gives one wild
+# reading in a hundred: two of ten are a fault.
+WILD_SHARE, WILD_S, ALIKE_M = 0.2, 3.0, 0.5
+# What was learnt up to so long ago no such fault had touched: it is noted so often.
+UNTOUCHED_S, NOTED_EVERY_S = max(STUCK_S, WILD_S) + 0.5, 1.0
 # Readings come several times a second, over a radio that may lose some.
 LISTENS_S = 3.0
 # A sonar that has detected the leader within this (readings are used a second late) is sure of it.
@@ -88,16 +87,15 @@ class Estimate:
         self.sonar, self._alone = sonar, alone
         self.history = History()
         self.offset = Cloud(sonar, alone=alone)
+        self._noted: deque[tuple[float, Cloud]] = deque()
+        """What was learnt, as it was before: when, and what."""
         self.hearing = Hearing(sonar)
         self.sonar_clock = SenderClock()
         self._alignment = Alignment()
-        self._every = Alignment()
-        """Each reading, whether another confirms it or not: for `hearing`."""
         self._before = (-math.inf, math.nan)
         self._alike = 0
-        self._ranges: deque[tuple[float, float]] = deque(maxlen=2)
-        """The last readings of something in reach: when, and how far."""
-        self._silent_at_s = -math.inf
+        self._ranges: deque[float] = deque(maxlen=2)
+        """The last readings of something in reach."""
         self._scattered: deque[bool] = deque(maxlen=round(WILD_S * sonar.rate_hz))
         self.jumped_m: Horizontal = (0.0, 0.0)
         """Receivers' jumps that are allowed for: the leader's, less the follower's."""
@@ -143,7 +141,6 @@ class Estimate:
         """Take where the sonar looked for the reading with this stamp."""
         self._pointed_at_s = now_s
         self._alignment.point(stamp_ms, axis)
-        self._every.point(stamp_ms, axis)
 
     def points(self, now_s: float) -> bool:
         """Whether the sonar says where it looks."""
@@ -155,33 +152,38 @@ class Estimate:
         was_believed = self.is_believed
         self._before = (time_s, range_m)
         self._alike = self._alike + 1 if range_m == before_m else 0
-        reading_s, silent = time_s - SONAR_AGE_S, range_m >= self.sonar.reach_m
-        self._every.add(reading_s, None if silent else range_m, stamp_ms)
-        confirmed = self._confirmed(time_s, range_m)
-        self._compare(time_s, range_m)
+        self._compare(range_m)
         if not self.is_believed:
             if was_believed:  # it was wrong before that showed
-                self._unlearn()
-        elif confirmed and silent:
-            self._alignment.add(reading_s, None, stamp_ms)
-        elif confirmed and range_m > 0.0:
-            self._alignment.add(reading_s, range_m + self.sonar.inset_m, stamp_ms)
+                self._back_to_untouched(time_s)
+            return
+        self._note(time_s)
+        if range_m > 0.0:
+            silent = range_m >= self.sonar.reach_m
+            heard_m = None if silent else range_m + self.sonar.inset_m
+            self._alignment.add(time_s - SONAR_AGE_S, heard_m, stamp_ms)
 
-    def _confirmed(self, time_s: float, range_m: float) -> bool:
-        """Whether the last reading of its kind, a range or silence, says the same."""
-        if range_m >= self.sonar.reach_m:
-            last_s, self._silent_at_s = self._silent_at_s, time_s
-            return time_s - last_s < CONFIRM_S
-        last_s, last_m = self._ranges[-1] if self._ranges else (-math.inf, math.nan)
-        return time_s - last_s < CONFIRM_S and _agree(last_m, range_m)
+    def _note(self, time_s: float) -> None:
+        """Keep what is known now, and of what was known before no more than is needed."""
+        if not self._noted or time_s - self._noted[-1][0] >= NOTED_EVERY_S:
+            self._noted.append((time_s, copy.deepcopy(self.offset)))
+        while len(self._noted) > 1 and self._noted[1][0] <= time_s - UNTOUCHED_S:
+            self._noted.popleft()
 
-    def _compare(self, time_s: float, range_m: float) -> None:
+    def _back_to_untouched(self, time_s: float) -> None:
+        """Go back to what was known before the sonar's fault began."""
+        noted_s, known = self._noted[0] if self._noted else (math.inf, None)
+        self._unlearn()
+        if known is not None and noted_s <= time_s - UNTOUCHED_S:
+            self.offset = known
+
+    def _compare(self, range_m: float) -> None:
         """Note whether a range is like one of the two before it."""
-        in_reach = range_m < self.sonar.reach_m
-        scattered = len(self._ranges) == 2 and not any(_agree(m, range_m) for _, m in self._ranges)
-        self._scattered.append(in_reach and scattered)
+        in_reach, before_m = range_m < self.sonar.reach_m, self._ranges
+        alike = len(before_m) < 2 or any(abs(one - range_m) < ALIKE_M for one in before_m)
+        self._scattered.append(in_reach and not alike)
         if in_reach:
-            self._ranges.append((time_s, range_m))
+            self._ranges.append(range_m)
 
     def learn(self, leader: History, others: Sequence[Beside] = ()) -> None:
         """Use the readings for which later reports of both vehicles have come.
@@ -191,33 +193,27 @@ class Estimate:
         """
         self._used_to_s = min(leader.newest_s, self.history.newest_s)
         for one in self._alignment.due(leader, self.history):
-            if not one.told and self.points(one.time_s):
-                continue  # what it said of its axis was lost
-            believed_m, bystanders = self._believed_m(one), self._bystanders(others, one.time_s)
-            if one.distance_m is not None:
-                self.offset.heard(one.time_s, one.distance_m, one.axis, believed_m, bystanders)
-            elif one.told or one.lean_rad < LEVEL_RAD:
-                self.offset.silent(one.time_s, one.axis, believed_m, bystanders)
+            if one.told or not self.points(one.time_s):  # else what it said of its axis was lost
+                self._learn_from(one, self._bystanders(others, one.time_s))
         if math.isfinite(self._used_to_s):
             self.offset.advance(self._used_to_s)
-        for one in self._every.due(leader, self.history):
-            straight = one.told or (one.lean_rad < LEVEL_RAD and not self.points(one.time_s))
-            if straight and not self._is_of_another(one, others):
-                self.hearing.take(self._beside_leader(one))
+
+    def _learn_from(self, one: AlignedReading, others: Sequence[Bystander]) -> None:
+        believed_m, heard_m = self._believed_m(one), one.distance_m
+        ahead = one.told or one.lean_rad < LEVEL_RAD
+        if heard_m is not None:
+            self.offset.heard(one.time_s, heard_m, one.axis, believed_m, others)
+        elif ahead:
+            self.offset.silent(one.time_s, one.axis, believed_m, others)
+        if not ahead:
+            return
+        if heard_m is None or not self.offset.is_of_another(heard_m, one.axis, believed_m, others):
+            self.hearing.take(self._beside_leader(one))
 
     def _believed_m(self, one: AlignedReading) -> tuple[float, float, float]:
         """From here to the leader at a reading, the receivers' jumps allowed for."""
         north_m, east_m = one.believed_m
         return north_m - self.jumped_m[0], east_m - self.jumped_m[1], one.above_m
-
-    def _is_of_another(self, one: AlignedReading, others: Sequence[Beside]) -> bool:
-        """Whether a range is rather one of the others' than that of whom it looks at."""
-        if one.distance_m is None or not others:
-            return False
-        bystanders = self._bystanders(others, one.time_s)
-        return self.offset.is_of_another(
-            one.distance_m, one.axis, self._believed_m(one), bystanders
-        )
 
     def _bystanders(self, others: Sequence[Beside], time_s: float) -> list[Bystander]:
         """Where the others were at a reading.
@@ -255,7 +251,7 @@ class Estimate:
         unsure_m = max(across_m, offset.up_sigma_m)
         return Reading(
             one.time_s,
-            one.distance_m,
+            None if one.distance_m is None else one.distance_m - self.sonar.inset_m,
             far_m - self.sonar.inset_m,
             off_rad,
             math.atan2(unsure_m, max(far_m, self.sonar.shortest_m)),
@@ -269,6 +265,7 @@ class Estimate:
     def _unlearn(self) -> None:
         """Drop what the sonar taught; the receivers' jumps stay allowed for."""
         self.offset = Cloud(self.sonar, alone=self._alone)
+        self._noted.clear()
         self._alignment = Alignment()
 
     def jumped(self, moved_m: tuple[float, float]) -> None:
@@ -290,8 +287,3 @@ class Estimate:
 def carried_on(leader: LeaderFix, to_s: float) -> LeaderFix:
     """The leader at a moment, from its newest report (see `guidance.predicted`)."""
     return predicted(leader, min(LONGEST_CARRY_S, max(0.0, to_s - leader.time_s)))
-
-
-def _agree(one_m: float, other_m: float) -> bool:
-    """Whether two ranges may be of one vehicle."""
-    return abs(one_m - other_m) < CONFIRM_M
