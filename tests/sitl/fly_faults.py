@@ -4,7 +4,7 @@ import time
 
 import pytest
 
-from .formation import Formation, rest, still
+from .formation import FOLLOWER, LEADER, Formation, rest, still
 from .plugin import Start
 from .sonar import silence
 from .table import Entry, Figures
@@ -17,6 +17,8 @@ LEAST_M = 1.0
 SPEED_MPS = 1.5
 SETTLE_S = 12.0
 AFTER_S = 10.0
+# Within what EKF3 takes at once (EK3_POS_I_GATE): 3.3 m.
+STEP_M = 3.0
 # ECHO_STATE. What comes and goes is not said again at once, so the state is watched.
 SEARCHING, TRACKING, NO_SONAR, HOLDING = 1.0, 2.0, 4.0, 7.0
 
@@ -118,6 +120,18 @@ def test_followers_link_lost_for_4_s(start: Start, table: list[Entry]) -> None:
     _again(tool, back)
     rest(AFTER_S)
     _enter(table, formation, "follower's link lost for 4 s", began_s, stood_s)
+
+
+@pytest.mark.parametrize(("whose", "north_m"), [(LEADER, STEP_M), (FOLLOWER, -STEP_M)])
+def test_a_receiver_steps(start: Start, table: list[Entry], whose: int, north_m: float) -> None:
+    """As another satellite counts: the follower takes its leader for further ahead than it is."""
+    formation = start()
+    _following(formation)
+    began_s = time.monotonic()
+    formation.drifts[whose].north_m += north_m
+    rest(AFTER_S)
+    who = "leader" if whose == LEADER else "follower"
+    _enter(table, formation, f"{who}'s receiver steps by {STEP_M:g} m", began_s)
 
 
 def test_follow_is_killed(start: Start, table: list[Entry]) -> None:

@@ -162,6 +162,8 @@ class Formation:
     ) -> None:
         self.kit, self.folder, self._key = kit, folder, key
         self._seed, self._wandering = seed, wandering
+        self.drifts: dict[int, Drift] = {}
+        """Of each vehicle's receiver, by system id."""
         self._ahead = [slot.behind for slot in slots] or [None] * followers
         parked = [place_m(flown_up(slots, LEAST_M), n) for n in range(len(slots))]
         self._sonar, self._height_sigma_m = sonar, height_sigma_m
@@ -208,7 +210,7 @@ class Formation:
         self._wandering = True
 
     def _let_drift(self, vehicle: Vehicle, name: str) -> None:
-        drift = Drift.of_receiver(SIGMA_M, TAU_S, self._seed, name)
+        drift = self.drifts[vehicle.system_id] = Drift.of_receiver(SIGMA_M, TAU_S, self._seed, name)
         height = Drift.of_receiver(self._height_sigma_m, TAU_S, self._seed, f"{name} height")
         starts_at_m = height.north_m  # a barometer is set to zero where it stands
         north, east = vehicle.name_of(DRIFT_NORTH), vehicle.name_of(DRIFT_EAST)
