@@ -61,13 +61,14 @@ class Rig:
 
 
 def load_rig(folder: Path, names: Sequence[str] = (*STANDING, PANNING, TILTING, *BODIES)) -> Rig:
-    """Have OpenSCAD write the solids into `folder` and read them back."""
+    """Have OpenSCAD write the solids that are not in `folder` yet, and read all back."""
     return Rig({name: _solid(name, folder) for name in names}, mount.derived(folder))
 
 
 def _solid(name: str, folder: Path) -> trimesh.Trimesh:
     path = folder / f"{name}.stl"
-    mount.export_stl(name, path)
+    if not path.exists():
+        mount.export_stl(name, path)
     return read_stl(path)
 
 

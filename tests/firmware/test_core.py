@@ -41,6 +41,7 @@ def test_core_behaves_and_the_sanitizers_are_silent() -> None:
     build_and_test(ROOT / "build" / "core_tests")
 
 
+@pytest.mark.long
 def test_core_behaves_the_same_on_a_cortex_m3() -> None:
     toolchain = ROOT / "tests" / "firmware" / "cortex_m3" / "toolchain.cmake"
     build_and_test(ROOT / "build" / "core_tests_m3", "--toolchain", toolchain)

@@ -1,3 +1,5 @@
+import fcntl
+import os
 import sys
 from pathlib import Path
 
@@ -10,8 +12,13 @@ from hwtools import mount, rig
 
 @pytest.fixture(scope="session")
 def solids(tmp_path_factory: pytest.TempPathFactory) -> rig.Rig:
-    """The mount's solids, made afresh from mount.scad."""
-    return rig.load_rig(tmp_path_factory.mktemp("solids"))
+    """The mount's solids, made afresh from mount.scad: by the first of the workers that asks."""
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "solids"
+    folder.mkdir(exist_ok=True)
+    with (folder / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        return rig.load_rig(folder)
 
 
 @pytest.fixture(scope="session")

@@ -4,6 +4,7 @@ import math
 import statistics
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -19,7 +20,7 @@ pytestmark = pytest.mark.seconds(90)
 
 
 @pytest.mark.parametrize(
-    "seed", [1, 2, 3, *(pytest.param(seed, marks=pytest.mark.long) for seed in (4, 5))]
+    "seed", [1, *(pytest.param(seed, marks=pytest.mark.long) for seed in (2, 3, 4, 5))]
 )
 def test_a_hostile_leader_is_kept_at_a_distance(seed: int) -> None:
     phases = dict(flown("hostile", seed).phases)
@@ -38,22 +39,29 @@ def test_fifty_followers_stay_apart() -> None:
     assert many.closest_m > 1.0
 
 
-def test_a_vee_of_two_that_both_hear_the_leader_keeps_its_slots() -> None:
+ONE_OR_THREE = [(701,), pytest.param((701, 703, 704), marks=pytest.mark.long)]
+
+
+@pytest.mark.parametrize("seeds", ONE_OR_THREE)
+def test_a_vee_of_two_that_both_hear_the_leader_keeps_its_slots(seeds: Sequence[int]) -> None:
     """Each knows by the leader where the other is. By their receivers alone it was 0.68 m.
 
-    Mean error over both followers and three seeds, and no two vehicles nearer than 1 m.
+    Mean error over both followers, and no two vehicles nearer than 1 m.
     """
     two = "duration_s=90", "formation.followers=2", "follower.target=stock"
-    flights = [flown("vee", seed, *two) for seed in (701, 703, 704)]
+    flights = [flown("vee", seed, *two) for seed in seeds]
     errors_m = [one.mean_abs_error_m for vee in flights for one in vee.metrics]
     assert statistics.mean(errors_m) < 0.45
     assert min(vee.closest_m for vee in flights) > 1.0
 
 
-def test_in_a_column_of_two_the_second_keeps_its_distance_by_its_own_sonar() -> None:
+@pytest.mark.parametrize("seeds", ONE_OR_THREE)
+def test_in_a_column_of_two_the_second_keeps_its_distance_by_its_own_sonar(
+    seeds: Sequence[int],
+) -> None:
     """3 m behind the first, where it had 0.6 to 0.7 m of error as a session of its own."""
     two = "duration_s=90", "formation.followers=2"
-    flights = [flown("column", seed, *two) for seed in (701, 703, 704)]
+    flights = [flown("column", seed, *two) for seed in seeds]
     errors_m = [column.metrics[1].mean_abs_error_m for column in flights]
     assert statistics.mean(errors_m) < 0.55
     assert min(column.closest_m for column in flights) > 1.0
