@@ -6,6 +6,7 @@ off by 0.02 m, and the guesses of a flight's first readings are fewer.
 
 import math
 import statistics
+from collections.abc import Sequence
 
 import pytest
 
@@ -410,3 +411,15 @@ def test_how_many_readings_are_wrong_is_learnt() -> None:
 
     assert moved_m[0] > 0.8
     assert moved_m[1] < 0.7 * moved_m[0]
+
+
+@pytest.mark.parametrize(("ranges_m", "moves"), [((1.0, 2.6, 4.0), False), ((2.5, 2.6, 2.4), True)])
+def test_the_guesses_begin_anew_where_readings_agree_and_not_where_they_are_wild(
+    ranges_m: Sequence[float], *, moves: bool
+) -> None:
+    """Of a leader that is believed 9 m away, and was never heard."""
+    cloud, believed = Cloud(shipped_sonar()), (9.0, 0.0, 0.0)
+    for number, range_m in enumerate(ranges_m):
+        cloud.heard(5.0 + number, range_m, Axis(NORTH), believed)
+
+    assert (cloud.north_m > 2.0) is moves

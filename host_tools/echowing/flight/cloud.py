@@ -44,9 +44,11 @@ PLACED_SIGMA_M = 0.15
 # Readings nearer in time share their errors, and must not count twice. Guesses move by centimetres
 # in this time.
 UPDATE_PERIOD_S = 0.25
-# So many readings in a row that nothing had foretold, while the leader has not been heard for so
-# long, are its own.
+# So many readings in a row that nothing had foretold and that agree, to `ALIKE_M`, are the leader's
+# own, if it has not been heard for so long.
 AGREE, LOST_S = 3, 3.0
+# From one reading to the next a vehicle's range changes by no more.
+ALIKE_M = 0.5
 # A sonar hears its leader somewhat more seldom than its file says at the least, or in nearly all
 # readings.
 HEARS, MOST_HEARD = (0.6, 1.9), 0.98
@@ -138,7 +140,7 @@ class Cloud:
         self._then_s = -math.inf
         self._heard_at_s = -math.inf
         self._silent_at_s = -math.inf
-        self._unforetold = 0
+        self._unforetold, self._unforetold_m = 0, math.inf
         self._asked: tuple[Horizontal, float, float] | None = None
         self._nearest_m = 0.0
         self._summarise()
@@ -287,13 +289,18 @@ class Cloud:
         fits *= 1.0 - wrong_share
         wrong = wrong_share / self._sonar.reach_m + of_others
         foretold = float(self._weight @ (fits - wrong)) > 0.0
-        self._unforetold = 0 if foretold else self._unforetold + 1
         if foretold:
-            self._heard_at_s = time_s
+            self._heard_at_s, self._unforetold = time_s, 0
             self._compare(time_s, distance_m, believed)
-        elif self._alone and self._unforetold >= AGREE and self.unheard_s(time_s) > LOST_S:
+        elif self._agrees(distance_m) and self._alone and self.unheard_s(time_s) > LOST_S:
             self._guess_anew(distance_m, axis, believed)
         self._update(fits + wrong)
+
+    def _agrees(self, distance_m: float) -> bool:
+        """Whether a reading that was not foretold is like enough of those before it."""
+        alike = abs(distance_m - self._unforetold_m) < ALIKE_M
+        self._unforetold, self._unforetold_m = (self._unforetold if alike else 0) + 1, distance_m
+        return self._unforetold >= AGREE
 
     def _compare(self, time_s: float, distance_m: float, believed: Between) -> None:
         """Show `receivers` what they disagree by along the way to the leader."""

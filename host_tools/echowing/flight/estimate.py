@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from echowing.flight.alignment import AlignedReading, Alignment, History, Report, between_m
 from echowing.flight.axis import Axis
 from echowing.flight.belief import SonarBelief
-from echowing.flight.cloud import Bystander, Cloud
+from echowing.flight.cloud import ALIKE_M, Bystander, Cloud
 from echowing.flight.envelope import SURE_SIGMAS, strays_m
 from echowing.flight.guidance import Horizontal, LeaderFix, predicted
 from echowing.flight.hearing import Hearing, Reading
@@ -21,7 +21,7 @@ STUCK_S = 3.0
 # A sonar that hears anything at all, an engine or another sonar, gives ranges of which four in ten
 # within reach are by chance like (`ALIKE_M`) one of the two before. A healthy one gives one wild
 # reading in a hundred: two of ten are a fault.
-WILD_SHARE, WILD_S, ALIKE_M = 0.2, 3.0, 0.5
+WILD_SHARE, WILD_S = 0.2, 3.0
 # What was learnt up to so long ago no such fault had touched: it is noted so often.
 UNTOUCHED_S, NOTED_EVERY_S = max(STUCK_S, WILD_S) + 0.5, 1.0
 # Readings come several times a second, over a radio that may lose some.
