@@ -122,7 +122,7 @@ def test_a_slot_behind_another_moves_as_that_one_wherever_who_flies_in_it_is_not
 def test_a_leader_that_is_not_heard_gets_room_to_stop_in(
     speed_mps: float, ago_s: float, deaf: bool, least_m: float
 ) -> None:
-    there = known([Slot(3.0)])
+    there = known([Slot(2.0)])
     (one,) = there.followers.values()
     one.handling.answer_in_calm = Answer(0.5, 5.0)
     taught(one, 0.0)
@@ -130,8 +130,8 @@ def test_a_leader_that_is_not_heard_gets_room_to_stop_in(
     now_s = one.estimate._used_to_s = 59.7 + ago_s
     there.leader.oldest_s, there.leader_mode = 0.7, AUTO
     fix = there.leader.fix = LeaderFix(now_s, HERE, (speed_mps, 0.0, 0.0), 0.0)
-    planned(there, one, fix, now_s)
-    assert one.least_m == pytest.approx(least_m, abs=0.05)
+    guided = planned(there, one, fix, now_s)
+    assert math.hypot(*guided.offset_m) == pytest.approx(max(2.0, least_m), abs=0.05)
 
 
 @pytest.mark.parametrize(("followers", "buckles"), [(1, True), (3, False)])

@@ -10,7 +10,7 @@ from echowing.flight.guard import Limits
 from echowing.flight.guidance import GRAY, GuidanceSettings, Slot
 from echowing.flight.jumps import AGREEING_REPORTS
 from echowing.flight.leader_track import CLOCKS_AGREE_S, VehicleClock
-from echowing.flight.plan import CLOSES_MPS, planned, quickens_mps2
+from echowing.flight.plan import planned, quickens_mps2
 from echowing.flight.session import FollowSession
 from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.flight.state import FollowerPlan
@@ -87,9 +87,10 @@ def test_a_point_with_a_velocity_is_sent_behind_the_leader_at_the_planned_altitu
 
     (target,) = targets(follow, 1.0)
 
-    # 3 m behind where the leader is when the point arrives: a quarter of a second at 1.6 m/s.
-    assert metres_from_here(target) == pytest.approx((-2.6, 0.0), abs=0.03)
-    assert (target.vx, target.vy, target.vz) == pytest.approx((1.6, 0.0, 0.0), abs=0.01)
+    # The slot is 3 m behind where the leader is when the point arrives, a quarter of a second on at
+    # 1.6 m/s: 0.2 m ahead of the follower, which closes half of that in a second.
+    assert metres_from_here(target) == pytest.approx((-2.8, 0.0), abs=0.03)
+    assert (target.vx, target.vy, target.vz) == pytest.approx((1.7, 0.0, 0.0), abs=0.01)
     assert target.alt == pytest.approx(12.0)
     assert target.coordinate_frame == mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT
     assert target.target_system == FOLLOWER
@@ -110,44 +111,25 @@ def test_a_point_without_a_velocity_runs_ahead() -> None:
     assert target.type_mask & mavlink.POSITION_TARGET_TYPEMASK_VX_IGNORE
 
 
-def test_a_leader_that_is_not_heard_is_approached_slowly() -> None:
-    """From 5 m behind its slot: at 1.5 m/s, and no place ahead that it would overshoot."""
+@pytest.mark.parametrize(("behind_m", "mps"), [(5.0, 1.5), (1.0, 0.5)])
+@pytest.mark.parametrize("unheard_s", [0.0, 2.0, math.inf])
+def test_a_slot_is_closed_on_by_speed(behind_m: float, mps: float, unheard_s: float) -> None:
+    """Guided would close 1 m by 2 m/s and more, where the envelope reckons with 1 m/s.
+
+    No place ahead, that it would overshoot. With or without an echo of the leader, which stands.
+    """
     follow = session()
-    follow.receive(from_vehicle(FOLLOWER, position(0.9, displace(HERE, (-8.0, 0.0, 0.0)))), 0.9)
-    follow.receive(from_vehicle(LEADER, position(1.0, HERE)), 1.0)
-
-    (target,) = targets(follow, 1.0)
-    assert metres_from_here(target)[0] == pytest.approx(-8.0, abs=0.03)
-    assert target.vx == pytest.approx(1.5, abs=0.02)
-
-
-def one_metre_behind_its_slot(unheard_s: float) -> Any:
-    """The point of a follower whose sonar heard the standing leader last so long ago."""
-    follow = session()
-    state = follow.followers[FOLLOWER]
+    state, at = follow.followers[FOLLOWER], displace(HERE, (-3.0 - behind_m, 0.0, 0.0))
     state.estimate.offset._heard_at_s = 1.0 - unheard_s
-    follow.receive(from_vehicle(FOLLOWER, position(0.9, displace(HERE, (-4.0, 0.0, 0.0)))), 0.9)
+    follow.receive(from_vehicle(FOLLOWER, position(0.9, at)), 0.9)
     follow.receive(from_vehicle(LEADER, position(1.0, HERE)), 1.0)
+
     (target,) = targets(follow, 1.0)
-    return target
+    assert metres_from_here(target)[0] == pytest.approx(-3.0 - behind_m, abs=0.03)
+    assert target.vx == pytest.approx(mps, abs=0.02)
 
 
-@pytest.mark.parametrize("unheard_s", [2.0, 10.0])
-def test_the_last_metre_to_a_leader_that_is_not_heard_is_a_velocity_too(unheard_s: float) -> None:
-    """0.5 m/s: Guided would close 1 m by 2 m/s and more, where the envelope reckons with 1 m/s."""
-    target = one_metre_behind_its_slot(unheard_s)
-    assert metres_from_here(target)[0] == pytest.approx(-4.0, abs=0.03)
-    assert target.vx == pytest.approx(0.5, abs=0.02)
-
-
-def test_a_leader_is_heard_until_the_reports_have_come_and_gone() -> None:
-    """A quarter of a second a way: 0.5 s and five ways after the last echo. 0.3 m by the point."""
-    target = one_metre_behind_its_slot(unheard_s=1.5)
-    assert metres_from_here(target)[0] == pytest.approx(-3.7, abs=0.03)
-    assert target.vx == pytest.approx(0.49, abs=0.02)
-
-
-def opens_to_m(behind_m: float, *, heard: bool = True, deaf: bool = False) -> float:
+def opens_to_m(behind_m: float, *, deaf: bool = False) -> float:
     """The widest slot of one that hears a leader at 4 m/s, 3 m ahead, and then is so far behind.
 
     deaf: what it does not hear then would have been heard, wherever it is.
@@ -157,7 +139,7 @@ def opens_to_m(behind_m: float, *, heard: bool = True, deaf: bool = False) -> fl
     widest_m, lost_s = 0.0, 4.0
     for tick in range(100):
         now_s = 1.0 + 0.1 * tick
-        hears = heard and now_s < lost_s
+        hears = now_s < lost_s
         leader, flown = displace(HERE, (4.0 * now_s, 0.0, 0.0)), (4.0, 0.0)
         at = displace(leader, (-3.0 if hears else -behind_m, 0.0, 0.0))
         follow.receive(from_vehicle(FOLLOWER, position(now_s, at, flown)), now_s)
@@ -178,21 +160,21 @@ def test_one_that_fell_behind_closes_to_where_its_sonar_hears_the_leader() -> No
     assert opens_to_m(4.0, deaf=True) > 3.5, "within reach, and not heard"
 
 
-def test_a_slot_that_was_opened_closes_slowly() -> None:
+def test_a_slot_that_was_opened_closes_at_once_and_is_flown_to_by_speed() -> None:
     follow = session()
-    state = follow.followers[FOLLOWER]
-    follow.receive(from_vehicle(LEADER, position(1.0, HERE)), 1.0)
-    far_m = []
-    for tick in range(17):
+    state, at = follow.followers[FOLLOWER], displace(HERE, (-5.0, 0.0, 0.0))
+    ways = []
+    for tick in range(8):
         now_s = 1.0 + 0.125 * tick
         state.reversal_m = 5.0 if tick < 4 else 0.0
+        follow.receive(from_vehicle(FOLLOWER, position(now_s, at)), now_s)
         follow.receive(from_vehicle(LEADER, position(now_s, HERE)), now_s)
-        follow.tick(now_s)
+        (target,) = targets(follow, now_s)
         assert state.guided is not None
-        far_m.append(math.hypot(*state.guided.offset_m))
-    assert far_m[:4] == pytest.approx([5.0] * 4, abs=0.01)  # it opens at once
-    closing_mps = [(before - after) / 0.125 for before, after in pairwise(far_m[4:])]
-    assert closing_mps == pytest.approx([CLOSES_MPS] * len(closing_mps), abs=0.01)
+        ways.append((math.hypot(*state.guided.offset_m), target.vx))
+    assert ways[3] == pytest.approx((5.0, 0.0), abs=0.02)
+    # 3 m of slot, and half of the 2 m in a second.
+    assert ways[4] == pytest.approx((3.0, 1.0), abs=0.02)
 
 
 @pytest.mark.parametrize(
@@ -751,16 +733,16 @@ def go_on(
             follow.receive(from_vehicle(LEADER, position(t_s, HERE)), t_s)
 
 
-def test_single_wild_readings_teach_nothing() -> None:
-    """Each unlike the one before it, and a leader that is heard all the time: nothing is silent."""
+def test_single_wild_readings_move_nobody() -> None:
+    """One in four, each unlike the one before it, of a leader that is heard all the time."""
     follow = listening_session(2.8)
     offset = follow.followers[FOLLOWER].estimate.offset
     before_m = offset.north_m
 
-    go_on(follow, 30.0, [1.0, 7.66, 3.9, 2.1, 1.0, 3.7, 2.0])
+    go_on(follow, 30.0, [1.0, 2.8, 2.81, 2.8, 3.9, 2.81, 2.8, 2.79, 1.6, 2.8, 2.81, 2.8])
 
-    assert offset.north_m == pytest.approx(before_m, abs=0.02)
-    assert offset.unheard_s(30.7) > 0.7
+    assert offset.north_m == pytest.approx(before_m, abs=0.05)
+    assert offset.unheard_s(31.2) < 1.0
 
 
 def yaws_deg(follow: FollowSession, start_s: float, every: int = 1) -> list[float]:
@@ -780,8 +762,8 @@ def test_a_leader_heard_somewhere_in_the_beam_is_looked_at_from_side_to_side() -
     """The bearing is not sure to 7 degrees: where the beam's edge passes over it, it will be."""
     yaws = yaws_deg(listening_session(2.8), 30.0)
 
-    assert max(yaws) > 5.0
-    assert min(yaws) < -5.0
+    assert max(yaws) > 4.0
+    assert min(yaws) < -4.0
     assert max(map(abs, yaws)) <= 15.0
 
 

@@ -22,42 +22,23 @@ from echowing.flight.steps import Plan
 from echowing.flight.swarm import Swarm
 from echowing.geo import displace, distance_m, ned_between
 
-# A leader that the sonar does not hear is approached no faster than this. A copter stops from it
-# within the beam's reach, even if the receivers are wrong.
-JOIN_MPS, QUIET_S = 1.5, 0.5
-# One that was never heard is approached more slowly, once it is believed in reach: from there
-# (4.6 m) to a slot at 3 m the sonar looks once all round (`look.FIGURE_S`, 3.6 s).
-LOOKS_MPS = 0.4
-# The tool learns late where a follower flies, and its answer takes as long again. With slow radios
-# a leader therefore counts as heard for longer: by so many times the radio's delay.
-QUIET_WAYS = 5.0
-# It closes half of what is left in a second. With all of it in a second a follower on 4.8 still
-# went back and forth by a metre, as its answer comes half a second late.
-CATCH_UP_PER_S = 0.5
-# To a leader that is heard: the point lies at most so far away, and the rest of the way is flown by
-# speed. The first echoes often move the leader by a metre. Guided would close that with 20 degrees
-# of roll, and the sonar would lose it again (SITL 4.8; one that turned round then came to 0.98 m).
-NEAR_M, HEARD_PER_S = 0.3, 0.7
+# A slot is approached no faster than this, beside its own velocity: a copter stops from it within
+# the beam's reach, even if the receivers are wrong. Half of what is left is closed in a second.
+# With all of it a follower on 4.8 went back and forth by a metre: its answer comes half a second
+# late.
+JOIN_MPS, CATCH_UP_PER_S = 1.5, 0.5
 # A leader that is not heard gets more room, the less its place is known; but the follower stays so
 # far within the sonar's reach.
 WITHIN_REACH_M = 0.7
-# A slot that was opened closes slowly: one that leans to catch up loses its leader.
-CLOSES_MPS = 0.6
 # Within this time a leader's acceleration is another: ArduCopter changes it by 5 m/s3
 # (PSC_JERK_NE), all of its 2.5 m/s2 in half a second.
 QUICKENS_S = 0.5
-# Nearer to its slot, a follower has arrived.
-AT_SLOT_M = 0.05
-
-
 # The speed sent for a slot that stands: the applet takes a point without any velocity for a hold.
 LEAST_MPS = 0.001
 # A slot that opened for a fast leader counts as closed when it needs less than its radius by this.
 SLACK_M = 0.3
 # A sonar that hears worse than believed is told of once it has for so long, then after so long.
 WORSE_LASTS_S, WORSE_AGAIN_S = 5.0, 120.0
-
-
 # At most as long as what `hearing` tells pilots.
 UNDIRECTED = "sonar axis unknown: update firmware"
 
@@ -182,7 +163,6 @@ def planned(known: Known, follower: FollowerState, fix: LeaderFix, now_s: float)
             least_m = max(least_m, known.nearest_m(follower, to_it_m, settings.clearance_m))
         if not follower.estimate.hears(now_s):
             least_m = max(least_m, _by_radio_m(known, follower, fix))
-    least_m = _closing_slowly(follower, least_m, now_s)
     formation_mps = known.formation_mps(fix, arrives_s)
     guided = follower.guide.update(leader, arrives_s, here, least_m, formation_mps)
     age_s = max(0.0, now_s - fix.time_s)
@@ -208,14 +188,6 @@ def _by_radio_m(known: Known, follower: FollowerState, fix: LeaderFix) -> float:
     answer, clear_m = follower.handling.answer, known.settings.clearance_m
     least_m = least_slot_m(speed_mps, answer, clear_m, noticed_s, brakes_mps2, stops=stops)
     return min(follower.plan.sonar.reach_m - WITHIN_REACH_M, least_m)
-
-
-def _closing_slowly(follower: FollowerState, least_m: float, now_s: float) -> float:
-    """The least radius, which opens at once and closes at `CLOSES_MPS`."""
-    elapsed_s = now_s - follower.least_at_s
-    follower.least_m = max(least_m, follower.least_m - CLOSES_MPS * elapsed_s)
-    follower.least_at_s = now_s
-    return follower.least_m
 
 
 def quickens_mps2(known: Known, follower: FollowerState, now_s: float) -> float:
@@ -265,30 +237,23 @@ def _led(guided: GuidedPoint, leader: LeaderFix, settings: GuidanceSettings) -> 
 def _gently(
     known: Known, follower: FollowerState, guided: GuidedPoint, now_s: float
 ) -> GuidedPoint:
-    """Send the way to a slot as a velocity: all of it to a leader that is not heard.
+    """Send the way to a slot as a velocity.
 
     A place ahead would be overshot: it moves on with the vehicle that flies towards it, and Guided
     closes the last metre so hard that the sonar, which leans with its vehicle, loses the leader.
     """
-    here, unheard_s = follower.on_arrival(now_s), follower.estimate.offset.unheard_s(now_s)
+    here = follower.on_arrival(now_s)
     if here is None:
         return guided
-    heard = unheard_s < QUIET_S + QUIET_WAYS * follower.way_s
-    near_m = NEAR_M if heard else 0.0
-    north, east, down = ned_between(here, guided.point)
-    far_m = math.hypot(north, east)
     # Away from the leader nothing is too fast, unless somebody is behind.
     away = distance_m(guided.point, guided.leader) >= distance_m(here, guided.leader)
-    if (away and not known.is_watched(follower)) or far_m <= max(near_m, AT_SLOT_M):
+    if away and not known.is_watched(follower):
         return guided
-    slot_north, slot_east = guided.velocity_mps
-    per_s = HEARD_PER_S if heard else CATCH_UP_PER_S
-    looks = not away and distance_m(here, guided.leader) < follower.plan.sonar.reach_m
-    most_mps = LOOKS_MPS if looks and math.isinf(unheard_s) else JOIN_MPS
-    pace = min(most_mps, per_s * (far_m - near_m)) / far_m
-    ahead = near_m / far_m
+    north_m, east_m, down_m = ned_between(here, guided.point)
+    per_s = JOIN_MPS / max(math.hypot(north_m, east_m), JOIN_MPS / CATCH_UP_PER_S)
+    slot_north_mps, slot_east_mps = guided.velocity_mps
     return replace(
         guided,
-        point=displace(here, (ahead * north, ahead * east, down)),
-        velocity_mps=(slot_north + pace * north, slot_east + pace * east),
+        point=displace(here, (0.0, 0.0, down_m)),
+        velocity_mps=(slot_north_mps + per_s * north_m, slot_east_mps + per_s * east_m),
     )

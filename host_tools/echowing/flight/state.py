@@ -104,13 +104,12 @@ class FollowerState:
     lasts until its pilot has left Guided; hold: where it is held; guided: where it was led last;
     in_guided: flies in Guided; position_at_s: when it was there by TIMESYNC, else when the report
     came; proven_m: the part of `Known.doubted_m` that the sonar has settled; reversal_m: the
-    nearest slot from which it gets away if the leader turns round now; least_m, least_at_s: the
-    nearest slot it was given last, and when; opens: it was said that the slot opens for a reversal;
-    unsure: its newest report may be another vehicle's, with its id; away_beats: heartbeats in a row
-    that were not of one that flies in Guided; level_m, levelled_at_s: by how much it flies higher
-    than planned, to be level with its leader, and when that was set; sonar_id: the component that
-    sends its sonar's readings; worse_since_s, worse_said_s: since when its sonar hears worse than
-    believed, and when that was said.
+    nearest slot from which it gets away if the leader turns round now; opens: it was said that the
+    slot opens for a reversal; unsure: its newest report may be another vehicle's, with its id;
+    away_beats: heartbeats in a row that were not of one that flies in Guided; level_m,
+    levelled_at_s: by how much it flies higher than planned, to be level with its leader, and when
+    that was set; sonar_id: the component that sends its sonar's readings; worse_since_s,
+    worse_said_s: since when its sonar hears worse than believed, and when that was said.
     """
 
     plan: FollowerPlan
@@ -130,8 +129,6 @@ class FollowerState:
     unsure: bool = False
     proven_m: Horizontal = (0.0, 0.0)
     reversal_m: float = 0.0
-    least_m: float = 0.0
-    least_at_s: float = 0.0
     opens: bool = False
     level_m: float = 0.0
     levelled_at_s: float = -math.inf
