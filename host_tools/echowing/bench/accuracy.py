@@ -243,6 +243,10 @@ class Known(Cloud):
         self._truth = truth
         self._covariance = (0.0, 0.0, 0.0)
 
+    def copy(self) -> "Known":
+        """Nothing that anybody could forget."""
+        return self
+
     def foretell(self, then_s: float) -> None:
         """As good as heard at this moment."""
         self._heard_at_s = then_s

@@ -18,6 +18,7 @@ A reading is used about a second late, once both vehicles' next reports are ther
 of that moment; `foretell` carries a copy of them on to when an order arrives.
 """
 
+import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -144,6 +145,10 @@ class Cloud:
         self._asked: tuple[Horizontal, float, float] | None = None
         self._nearest_m = 0.0
         self._summarise()
+
+    def copy(self) -> "Cloud":
+        """What is known now, for later."""
+        return copy.deepcopy(self)
 
     # ---- what is known ----
 

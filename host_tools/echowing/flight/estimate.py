@@ -1,6 +1,5 @@
 """Where the leader is, as seen by one follower: receivers, sonar, and their times. Pure."""
 
-import copy
 import math
 from collections import deque
 from collections.abc import Sequence
@@ -166,7 +165,7 @@ class Estimate:
     def _note(self, time_s: float) -> None:
         """Keep what is known now, and of what was known before no more than is needed."""
         if not self._noted or time_s - self._noted[-1][0] >= NOTED_EVERY_S:
-            self._noted.append((time_s, copy.deepcopy(self.offset)))
+            self._noted.append((time_s, self.offset.copy()))
         while len(self._noted) > 1 and self._noted[1][0] <= time_s - UNTOUCHED_S:
             self._noted.popleft()
 
