@@ -4,7 +4,8 @@
 
 The log of an autopilot in SITL has the truth, too (SIM). What its receiver and its barometer err by
 (GPS, BARO) is passed through a filter of the first order, as in the built-in simulator
-(`echowing.sim.world.gps`), whose time constant is fitted to what the estimate errs by (POS).
+(`echowing.sim.world.gps`), whose time constant is fitted to what the estimate errs by (POS). Its
+velocity (XKF1), which is right in the simulator, is compared with the true one (SIM2).
 """
 
 import math
@@ -26,6 +27,8 @@ FIELDS = {
     "POS": ("Lat", "Lng", "Alt"),
     "GPS": ("Lat", "Lng", "Alt"),
     "BARO": ("Alt",),
+    "SIM2": ("VN", "VE"),
+    "XKF1": ("VN", "VE"),
 }
 STEP_S = 0.1
 # On the ground, and while a filter that begins at rest settles.
@@ -79,13 +82,22 @@ def follows(log: Path) -> list[Follows]:
     return [*level, fitted("height", errs_m(down, 3), errs_m(pos, 3))]
 
 
+def velocity_errs_mps(log: Path) -> Floats:
+    """By how much the estimated velocity is off, north and east, after take-off: (n, 2)."""
+    told = _read(log)
+    true, believed = told["SIM2"], told["XKF1"]
+    flown = believed[believed[:, 0] > believed[0, 0] + LEFT_OUT_S]
+    true_mps = (np.interp(flown[:, 0], true[:, 0], true[:, axis]) for axis in (1, 2))
+    return np.array(flown[:, 1:] - np.column_stack(list(true_mps)))
+
+
 def _read(log: Path) -> dict[str, Floats]:
-    """Rows of (seconds, fields): of the first receiver and barometer."""
+    """Rows of (seconds, fields): of the first receiver, barometer and core of the filter."""
     rows: dict[str, list[list[float]]] = {kind: [] for kind in FIELDS}
     reader: Any = DFReader.DFReader_binary(str(log))
     while (message := reader.recv_match(type=list(FIELDS))) is not None:
         kind = message.get_type()
-        if getattr(message, "I", 0) == 0:
+        if getattr(message, "I", 0) == getattr(message, "C", 0) == 0:
             values = [getattr(message, field) for field in FIELDS[kind]]
             rows[kind].append([message.TimeUS / 1e6, *values])
     return {kind: np.array(values) for kind, values in rows.items()}
@@ -102,6 +114,9 @@ def main() -> None:
         for one in follows(Path(name)):
             left = f"{one.left_m:.3f} m left of {one.of_m:.2f} m"
             print(f"{name}: {one.axis} {one.later_s:.2f} s later, {left}")
+        off_mps = velocity_errs_mps(Path(name))
+        usual_mps, most_mps = np.std(off_mps), np.abs(off_mps).max()
+        print(f"{name}: velocity off by {usual_mps:.2f} m/s, at most {most_mps:.2f} m/s")
 
 
 if __name__ == "__main__":
