@@ -394,11 +394,15 @@ def test_silence_speaks_against_any_vehicle_that_would_be_heard() -> None:
     assert deaf[1] > 0.5, "nothing else explains it"
 
 
-def test_how_many_readings_are_wrong_is_learnt() -> None:
-    """A stranger's sonar is heard: from then on a range alone moves the leader less."""
+@pytest.mark.parametrize("before", [0, 1000])
+def test_how_many_readings_are_wrong_is_learnt(before: int) -> None:
+    """A stranger's sonar is heard: from then on a range alone moves the leader less.
+
+    At first, or after five minutes without one.
+    """
     moved_m = []
     for wrong in (False, True):
-        sonar = Sonar()
+        sonar = Sonar().looks(Axis(NORTH), before)
         for number in range(40):
             sonar.looks(Axis(NORTH))
             if wrong and number % 2:
@@ -413,13 +417,16 @@ def test_how_many_readings_are_wrong_is_learnt() -> None:
     assert moved_m[1] < 0.7 * moved_m[0]
 
 
-@pytest.mark.parametrize(("ranges_m", "moves"), [((1.0, 2.6, 4.0), False), ((2.5, 2.6, 2.4), True)])
+@pytest.mark.parametrize(
+    ("ranges_m", "every_s", "moves"),
+    [((1.0, 2.6, 4.0), 1.0, False), ((2.5, 2.6, 2.4), 20.0, False), ((2.5, 2.6, 2.4), 1.0, True)],
+)
 def test_the_guesses_begin_anew_where_readings_agree_and_not_where_they_are_wild(
-    ranges_m: Sequence[float], *, moves: bool
+    ranges_m: Sequence[float], every_s: float, *, moves: bool
 ) -> None:
     """Of a leader that is believed 9 m away, and was never heard."""
     cloud, believed = Cloud(shipped_sonar()), (9.0, 0.0, 0.0)
     for number, range_m in enumerate(ranges_m):
-        cloud.heard(5.0 + number, range_m, Axis(NORTH), believed)
+        cloud.heard(5.0 + number * every_s, range_m, Axis(NORTH), believed)
 
     assert (cloud.north_m > 2.0) is moves

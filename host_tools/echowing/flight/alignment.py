@@ -38,7 +38,7 @@ class AlignedReading:
     distance_m: between the vehicles' centres, None: nothing was heard; axis: where the sonar looked
     (`told`), or level along the follower's nose; believed_m: from follower to leader by their own
     receivers, (north, east); above_m: how much higher the leader was; lean_rad: of the follower,
-    from its change of velocity.
+    from its change of velocity; counts: the sonar was believed.
     """
 
     time_s: float
@@ -48,6 +48,7 @@ class AlignedReading:
     believed_m: Horizontal
     above_m: float
     lean_rad: float
+    counts: bool
 
 
 class History:
@@ -99,6 +100,7 @@ class _Reading:
     time_s: float
     distance_m: float | None
     stamp_ms: int | None
+    counts: bool
     axis: Axis | None = None
 
 
@@ -121,12 +123,23 @@ class Alignment:
     def __init__(self) -> None:
         self._waiting: deque[_Reading] = deque()
 
-    def add(self, time_s: float, distance_m: float | None, stamp_ms: int | None = None) -> None:
+    def add(
+        self,
+        time_s: float,
+        distance_m: float | None,
+        stamp_ms: int | None = None,
+        *,
+        counts: bool = True,
+    ) -> None:
         """Take a reading: when it was taken, the distance between the centres (None: nothing).
 
-        stamp_ms: of the message that brought it, None: it names none.
+        stamp_ms: of the message that brought it, None: it names none. counts: the sonar is
+        believed; if not, nor are those that wait.
         """
-        self._waiting.append(_Reading(time_s, distance_m, stamp_ms))
+        self._waiting.append(_Reading(time_s, distance_m, stamp_ms, counts))
+        if not counts:
+            for reading in self._waiting:
+                reading.counts = False
 
     def point(self, stamp_ms: int, axis: Axis) -> None:
         """Take where the sonar looked for the newest reading, if that has this stamp."""
@@ -164,6 +177,7 @@ def _aligned(
         believed_m=(leader_m[0] - follower_m[0], leader_m[1] - follower_m[1]),
         above_m=_altitude_m(leader, time_s) - _altitude_m(follower, time_s),
         lean_rad=_lean_rad(before, after),
+        counts=reading.counts,
     )
 
 

@@ -45,17 +45,17 @@ PLACED_SIGMA_M = 0.15
 # Readings nearer in time share their errors, and must not count twice. Guesses move by centimetres
 # in this time.
 UPDATE_PERIOD_S = 0.25
-# So many readings in a row that nothing had foretold and that agree, to `ALIKE_M`, are the leader's
-# own, if it has not been heard for so long.
+# So many readings that nothing had foretold and that agree, to `ALIKE_M`, are the leader's own, if
+# it has not been heard for so long and none of them is older than this.
 AGREE, LOST_S = 3, 3.0
 # From one reading to the next a vehicle's range changes by no more.
 ALIKE_M = 0.5
 # A sonar hears its leader somewhat more seldom than its file says at the least, or in nearly all
 # readings.
 HEARS, MOST_HEARD = (0.6, 1.9), 0.98
-# Of its readings a third of what its file says are wrong, or ten times as many: single wild ones
-# near propellers, or a stranger's sonar. It is learnt, so a range needs no second one to count.
-WRONG, MOST_WRONG = (0.3, 10.0), 0.5
+# This share of its readings is wrong: single wild ones near propellers, or a stranger's sonar. It
+# is learnt, so that a range needs no second one to count.
+WRONG = (0.003, 0.3)
 # A leader is heard to this share of what its legs promise: those of a stock X8 to 0.7 of those with
 # foil (thesis Table 5).
 LEAST_FAR = 0.7
@@ -64,7 +64,8 @@ CLOSE_M = 0.1
 # How a guess changes when it is repeated (Liu and West's discount of 0.98, for which 0.2 is the
 # share of the spread), and by how far it moves.
 KEPT_OF_SPREAD, NEW_OF_SPREAD, MOVES_M = 0.98, 0.2, 0.03
-# A sonar falls deaf, and hears again, once in so long.
+# A sonar falls deaf, and hears again, once in so long; how many of its readings are wrong changes
+# as often as it falls deaf.
 DEAFENS_S, RECOVERS_S = 600.0, 60.0
 
 
@@ -134,14 +135,15 @@ class Cloud:
         self._off = self._drift.copy()
         # By what chance it is foretold: always the same, so that asking twice gives one answer.
         self._ahead = self._opposites()
-        # How many of its readings are wrong: between `WRONG`, in equal steps of the logarithm.
+        # How many of its readings are wrong: between `WRONG`, by the logarithm.
         self._wrong = chance.random(count)
         self._weight = np.full(count, 1.0 / count)
         self._advanced_s: float | None = None
         self._then_s = -math.inf
         self._heard_at_s = -math.inf
         self._silent_at_s = -math.inf
-        self._unforetold, self._unforetold_m = 0, math.inf
+        self._unforetold: list[tuple[float, float]] = []
+        """Readings in a row that nothing had foretold and that agree: when, and how far."""
         self._asked: tuple[Horizontal, float, float] | None = None
         self._nearest_m = 0.0
         self._summarise()
@@ -246,6 +248,8 @@ class Cloud:
         deaf_share = RECOVERS_S / (DEAFENS_S + RECOVERS_S)
         deafens, recovers = mixed * deaf_share, mixed * (1.0 - deaf_share)
         self._deaf = np.where(self._deaf, changes > recovers, changes < deafens)
+        others = np.flatnonzero(self._chance.random(GUESSES) < elapsed_s / DEAFENS_S)
+        self._wrong[others] = self._chance.random(len(others))
         return True
 
     def _moved(self, elapsed_s: float, chance: Array) -> tuple[Array, Array]:
@@ -295,17 +299,19 @@ class Cloud:
         wrong = wrong_share / self._sonar.reach_m + of_others
         foretold = float(self._weight @ (fits - wrong)) > 0.0
         if foretold:
-            self._heard_at_s, self._unforetold = time_s, 0
+            self._heard_at_s, self._unforetold = time_s, []
             self._compare(time_s, distance_m, believed)
-        elif self._agrees(distance_m) and self._alone and self.unheard_s(time_s) > LOST_S:
+        elif self._agrees(time_s, distance_m) and self._alone and self.unheard_s(time_s) > LOST_S:
             self._guess_anew(distance_m, axis, believed)
+            return
         self._update(fits + wrong)
 
-    def _agrees(self, distance_m: float) -> bool:
-        """Whether a reading that was not foretold is like enough of those before it."""
-        alike = abs(distance_m - self._unforetold_m) < ALIKE_M
-        self._unforetold, self._unforetold_m = (self._unforetold if alike else 0) + 1, distance_m
-        return self._unforetold >= AGREE
+    def _agrees(self, time_s: float, distance_m: float) -> bool:
+        """Whether a reading that was not foretold agrees with enough others of late."""
+        lately = [one for one in self._unforetold if time_s - one[0] <= LOST_S]
+        alike = bool(lately) and abs(distance_m - lately[-1][1]) < ALIKE_M
+        self._unforetold = [*(lately if alike else []), (time_s, distance_m)][-AGREE:]
+        return len(self._unforetold) == AGREE
 
     def _compare(self, time_s: float, distance_m: float, believed: Between) -> None:
         """Show `receivers` what they disagree by along the way to the leader."""
@@ -356,8 +362,8 @@ class Cloud:
     def _wrong_share(self) -> Array:
         """How many of its readings are wrong, for each guess."""
         least, most = WRONG
-        share = self._sonar.wrong_share * least * (most / least) ** self._wrong
-        return np.minimum(share, MOST_WRONG)
+        share: Array = least * (most / least) ** self._wrong
+        return share
 
     def _density(self, far_m: Array, distance_m: float) -> Array:
         """Of a range, with a vehicle so far away."""
@@ -382,8 +388,10 @@ class Cloud:
         )
         self._off[:, ::2] = self._drift[:, ::2] = np.array(believed)[:, np.newaxis] - to_it
         self._deaf[::2] = False
+        self._wrong[::2] = self._chance.random(count)  # those readings counted as wrong
         self._weight[:] = 1.0 / GUESSES
-        self._unforetold = 0
+        self._unforetold = []
+        self._summarise()
 
     def silent(
         self, time_s: float, axis: Axis, believed: Between, others: Sequence[Bystander] = ()

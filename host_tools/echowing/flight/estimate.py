@@ -21,8 +21,8 @@ STUCK_S = 3.0
 # within reach are by chance like (`ALIKE_M`) one of the two before. A healthy one gives one wild
 # reading in a hundred: two of ten are a fault.
 WILD_SHARE, WILD_S = 0.2, 3.0
-# What was learnt up to so long ago no such fault had touched: it is noted so often.
-UNTOUCHED_S, NOTED_EVERY_S = max(STUCK_S, WILD_S) + 0.5, 1.0
+# What is known is noted so often, to go back to.
+NOTED_EVERY_S = 1.0
 # Readings come several times a second, over a radio that may lose some.
 LISTENS_S = 3.0
 # A sonar that has detected the leader within this (readings are used a second late) is sure of it.
@@ -93,9 +93,11 @@ class Estimate:
         self._alignment = Alignment()
         self._before = (-math.inf, math.nan)
         self._alike = 0
+        self._alike_since_s = -math.inf
         self._ranges: deque[float] = deque(maxlen=2)
         """The last readings of something in reach."""
-        self._scattered: deque[bool] = deque(maxlen=round(WILD_S * sonar.rate_hz))
+        self._scattered: deque[tuple[float, bool]] = deque(maxlen=round(WILD_S * sonar.rate_hz))
+        """Whether a reading was like none of the two before it: when, and whether."""
         self.jumped_m: Horizontal = (0.0, 0.0)
         """Receivers' jumps that are allowed for: the leader's, less the follower's."""
         self._used_to_s = -math.inf
@@ -105,13 +107,13 @@ class Estimate:
     def is_stuck(self) -> bool:
         """Whether the sonar keeps giving the same range."""
         readings = round(STUCK_S * self.sonar.rate_hz)
-        return self._alike >= readings and self._before[1] < self.sonar.reach_m
+        return self._alike >= readings
 
     @property
     def is_wild(self) -> bool:
         """Whether the sonar's ranges do not agree with each other."""
         most = self._scattered.maxlen or 0
-        return sum(self._scattered) >= round(WILD_SHARE * most)
+        return sum(scattered for _, scattered in self._scattered) >= round(WILD_SHARE * most)
 
     @property
     def is_believed(self) -> bool:
@@ -150,39 +152,51 @@ class Estimate:
         _, before_m = self._before
         was_believed = self.is_believed
         self._before = (time_s, range_m)
-        self._alike = self._alike + 1 if range_m == before_m else 0
-        self._compare(range_m)
-        if not self.is_believed:
-            if was_believed:  # it was wrong before that showed
-                self._back_to_untouched(time_s)
-            return
-        self._note(time_s)
+        if range_m != before_m or range_m >= self.sonar.reach_m:
+            self._alike, self._alike_since_s = 0, time_s
+        else:
+            self._alike += 1
+        self._compare(time_s, range_m)
         if range_m > 0.0:
             silent = range_m >= self.sonar.reach_m
             heard_m = None if silent else range_m + self.sonar.inset_m
-            self._alignment.add(time_s - SONAR_AGE_S, heard_m, stamp_ms)
+            self._alignment.add(time_s - SONAR_AGE_S, heard_m, stamp_ms, counts=self.is_believed)
+        if self.is_believed:
+            self._note(time_s)
+        elif was_believed:  # it was wrong before that showed
+            self._go_back()
 
-    def _note(self, time_s: float) -> None:
-        """Keep what is known now, and of what was known before no more than is needed."""
-        if not self._noted or time_s - self._noted[-1][0] >= NOTED_EVERY_S:
-            self._noted.append((time_s, self.offset.copy()))
-        while len(self._noted) > 1 and self._noted[1][0] <= time_s - UNTOUCHED_S:
-            self._noted.popleft()
-
-    def _back_to_untouched(self, time_s: float) -> None:
-        """Go back to what was known before the sonar's fault began."""
-        noted_s, known = self._noted[0] if self._noted else (math.inf, None)
-        self._unlearn()
-        if known is not None and noted_s <= time_s - UNTOUCHED_S:
-            self.offset = known
-
-    def _compare(self, range_m: float) -> None:
+    def _compare(self, time_s: float, range_m: float) -> None:
         """Note whether a range is like one of the two before it."""
         in_reach, before_m = range_m < self.sonar.reach_m, self._ranges
         alike = len(before_m) < 2 or any(abs(one - range_m) < ALIKE_M for one in before_m)
-        self._scattered.append(in_reach and not alike)
+        self._scattered.append((time_s, in_reach and not alike))
         if in_reach:
             self._ranges.append(range_m)
+
+    @property
+    def _wrong_since_s(self) -> float:
+        """When a fault of the sonar began, if there is one."""
+        scattered_s = (at_s for at_s, scattered in self._scattered if scattered)
+        return self._alike_since_s if self.is_stuck else next(scattered_s, math.inf)
+
+    def _note(self, time_s: float) -> None:
+        """Keep what is known now, and of what was known before what a fault may go back to."""
+        if not self._noted or time_s - self._noted[-1][0] >= NOTED_EVERY_S:
+            self._noted.append((time_s, self.offset.copy()))
+        needed_s = min(self._alike_since_s, self._scattered[0][0])
+        while len(self._noted) > 1 and self._noted[1][0] <= needed_s:
+            self._noted.popleft()
+
+    def _go_back(self) -> None:
+        """Go back to what was known before the sonar's fault began; the note stays for the next."""
+        since_s = self._wrong_since_s
+        while self._noted and self._noted[-1][0] > since_s:
+            self._noted.pop()
+        if self._noted:
+            self.offset = self._noted[-1][1].copy()
+        else:
+            self.offset = Cloud(self.sonar, alone=self._alone)
 
     def learn(self, leader: History, others: Sequence[Beside] = ()) -> None:
         """Use the readings for which later reports of both vehicles have come.
@@ -200,7 +214,9 @@ class Estimate:
     def _learn_from(self, one: AlignedReading, others: Sequence[Bystander]) -> None:
         believed_m, heard_m = self._believed_m(one), one.distance_m
         ahead = one.told or one.lean_rad < LEVEL_RAD
-        if heard_m is not None:
+        if not one.counts:
+            pass  # for `hearing` only
+        elif heard_m is not None:
             self.offset.heard(one.time_s, heard_m, one.axis, believed_m, others)
         elif ahead:
             self.offset.silent(one.time_s, one.axis, believed_m, others)
@@ -258,14 +274,10 @@ class Estimate:
 
     def forget(self) -> None:
         """Drop what was learnt: a receiver has started anew."""
-        self._unlearn()
-        self.jumped_m = (0.0, 0.0)
-
-    def _unlearn(self) -> None:
-        """Drop what the sonar taught; the receivers' jumps stay allowed for."""
         self.offset = Cloud(self.sonar, alone=self._alone)
         self._noted.clear()
         self._alignment = Alignment()
+        self.jumped_m = (0.0, 0.0)
 
     def jumped(self, moved_m: tuple[float, float]) -> None:
         """The leader's receiver has jumped by (north, east), or the follower's by the opposite."""
