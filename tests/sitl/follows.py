@@ -33,6 +33,7 @@ FIELDS = {
 STEP_S = 0.1
 # On the ground, and while a filter that begins at rest settles.
 LEFT_OUT_S, SETTLES_S = 40.0, 20.0
+LEAST_S = LEFT_OUT_S + 3.0 * SETTLES_S
 # SITL's receiver tells where it was a tenth of a second ago (SIM_GPS1_LAG_MS 100).
 RECEIVER_LATE_S = 0.1
 LONGEST_S = 10.0
@@ -63,8 +64,16 @@ def fitted(axis: str, told_m: Floats, believed_m: Floats) -> Follows:
 
 
 def follows(log: Path) -> list[Follows]:
-    """North and east behind the receiver, height behind the barometer."""
+    """North and east behind the receiver, height behind the barometer.
+
+    Raises:
+        ValueError: too short a flight for that.
+
+    """
     told = _read(log)
+    logged_s = np.ptp(told["POS"][:, 0])
+    if logged_s < LEAST_S:
+        raise ValueError(f"{logged_s:.0f} s logged, {LEAST_S:.0f} s are needed for a fit")
     origin = told["SIM"][0, 1:]
     sim, pos, gps = (_ned_m(told[name], origin) for name in ("SIM", "POS", "GPS"))
     times_s = np.arange(pos[0, 0] + LEFT_OUT_S, pos[-1, 0], STEP_S)
@@ -111,7 +120,11 @@ def _ned_m(track: Floats, origin: Floats) -> Floats:
 def main() -> None:
     """Print it for each log."""
     for name in sys.argv[1:]:
-        for one in follows(Path(name)):
+        try:
+            found = follows(Path(name))
+        except ValueError as error:
+            sys.exit(f"{name}: {error}")
+        for one in found:
             left = f"{one.left_m:.3f} m left of {one.of_m:.2f} m"
             print(f"{name}: {one.axis} {one.later_s:.2f} s later, {left}")
         off_mps = velocity_errs_mps(Path(name))
