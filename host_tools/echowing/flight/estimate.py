@@ -106,8 +106,7 @@ class Estimate:
     @property
     def is_stuck(self) -> bool:
         """Whether the sonar keeps giving the same range."""
-        readings = round(STUCK_S * self.sonar.rate_hz)
-        return self._alike >= readings
+        return self._alike >= round(STUCK_S * self.sonar.rate_hz)
 
     @property
     def is_wild(self) -> bool:
@@ -214,11 +213,9 @@ class Estimate:
     def _learn_from(self, one: AlignedReading, others: Sequence[Bystander]) -> None:
         believed_m, heard_m = self._believed_m(one), one.distance_m
         ahead = one.told or one.lean_rad < LEVEL_RAD
-        if not one.counts:
-            pass  # for `hearing` only
-        elif heard_m is not None:
+        if one.counts and heard_m is not None:
             self.offset.heard(one.time_s, heard_m, one.axis, believed_m, others)
-        elif ahead:
+        elif one.counts and ahead:
             self.offset.silent(one.time_s, one.axis, believed_m, others)
         if not ahead:
             return
