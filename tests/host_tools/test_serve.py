@@ -254,4 +254,24 @@ def test_a_served_column_is_flown_as_simulated(capsys: pytest.CaptureFixture[str
     options_of([*FOLLOW_TWO, "--formation", "column", "--simulated"])
 
 
+def test_gaps_close_as_the_command_or_the_file_asks(tmp_path: Path) -> None:
+    column = [*FOLLOW_TWO, "--simulated", "--formation"]
+    assert not options_of([*column, "column"]).settings.close_gaps
+    assert options_of([*column, "column", "--close-gaps"]).settings.close_gaps
+    path = tmp_path / "formation.toml"
+    slots = "close_gaps = true\n[[slots]]\nradius_m = 3.0\n[[slots]]\nradius_m = {}\nbehind = 1\n"
+    path.write_text(slots.format(3.0), encoding="utf-8")
+    assert options_of([*column, str(path)]).settings.close_gaps
+    path.write_text(slots.format(4.0), encoding="utf-8")
+    with pytest.raises(EchowingError, match="gaps cannot close: slot 2 has a radius of 4 m"):
+        options_of([*column, str(path)])
+
+
+def test_a_served_formation_that_closes_gaps_is_flown_so(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    say_how_to_go_on(load_scenario("column", ["formation.close_gaps=true"]), 5760)
+    assert "--formation column --spacing 3 --close-gaps" in capsys.readouterr().out
+
+
 FIVE_M = "formation.spacing_m=5"

@@ -117,6 +117,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="of a shape: distance from each follower to the vehicle that its sonar looks at (3)",
     )
     place.add_argument(
+        "--close-gaps",
+        action="store_true",
+        help="who flies behind a follower that has left takes its slot after 5 s; without it who "
+        "is behind holds",
+    )
+    place.add_argument(
         "--altitude",
         type=float,
         metavar="M",
@@ -335,7 +341,11 @@ def _options(args: argparse.Namespace) -> "FollowOptions":
     return FollowOptions(
         seats=seats,
         slots=slots,
-        settings=GuidanceSettings(lead_time_s=args.lead_time, feed_forward=not args.position_only),
+        settings=GuidanceSettings(
+            lead_time_s=args.lead_time,
+            feed_forward=not args.position_only,
+            close_gaps=args.close_gaps,
+        ),
         sonar=sonar,
         altitude_m=altitude_m,
         rate_hz=args.rate,
@@ -452,7 +462,12 @@ def _slots(
     try:
         for one in [slots, *(scaled(slots, one_m) for one_m in radii_m)]:
             said = check_to_be_led(
-                one, sonar, args.min_separation, separation_m, simulated=args.simulated
+                one,
+                sonar,
+                args.min_separation,
+                separation_m,
+                simulated=args.simulated,
+                close_gaps=args.close_gaps,
             )
     except EchowingError as error:
         where = "" if args.formation is None else f"--formation {args.formation}: "
@@ -496,4 +511,5 @@ def _wanted(args: argparse.Namespace) -> "tuple[Sequence[Slot], float | None]":
     slots = [section.slot() for section in formation.slots]
     if len(slots) != followers:
         raise EchowingError(f"--formation {name}: {len(slots)} slots for {followers} followers")
+    args.close_gaps = args.close_gaps or formation.close_gaps
     return slots, formation.slot_separation_m

@@ -115,7 +115,7 @@ def _same(a: float | None, b: float | None) -> bool:
 
 
 class BuildUp:
-    """The radii of one flight, the widest first; `slots` are the formation's at the widest.
+    """The radii of one flight, the widest first; `slots` are the formation's.
 
     A radius is the nearest slot's distance from the leader; the others keep their proportion.
     radius_m: where the slots are now.
@@ -124,7 +124,6 @@ class BuildUp:
     def __init__(self, radii_m: Sequence[float], slots: Sequence[Slot]) -> None:
         self.radii_m = tuple(radii_m)
         self.radius_m = self.radii_m[0]
-        self._slots = list(slots)
         radii = [slot.radius_m for slot in slots]
         self._spread = max(radii) / min(radii)
         self._step = 0
@@ -173,7 +172,7 @@ class BuildUp:
         for follower in led:
             if follower.standing.held:
                 return f"follower {follower.plan.system_id} holds: {follower.standing.why}"
-        slots = scaled(self._slots, self.nearer_m)
+        slots = _scaled(followers, self.nearer_m)
         for follower, slot in zip(followers.values(), slots, strict=True):
             text = objection_to_radius(follower, slot.radius_m)
             if text is not None:
@@ -194,7 +193,7 @@ class BuildUp:
 
     def _aim(self, followers: Followers, step: int) -> None:
         self._step, self._told = step, False
-        slots = scaled(self._slots, self.target_m)
+        slots = _scaled(followers, self.target_m)
         for system_id, slot in zip(followers, slots, strict=True):
             wanted_m = min(MOST_DIST_M, max(LEAST_DIST_M, slot.radius_m))
             self.distances.setdefault(system_id, AppletDistance()).want(wanted_m)
@@ -244,7 +243,7 @@ class BuildUp:
             self._waits = False
 
     def _place(self, followers: Followers) -> None:
-        slots = scaled(self._slots, self.radius_m)
+        slots = _scaled(followers, self.radius_m)
         longest_m = max(slot.radius_m for slot in slots)
         for follower, slot in zip(followers.values(), slots, strict=True):
             follower.plan.slot = slot
@@ -279,6 +278,11 @@ class BuildUp:
                 )
             texts.append((text, distance.is_set))
         return texts
+
+
+def _scaled(followers: Followers, radius_m: float) -> list[Slot]:
+    """The slots that they have now, the nearest of them `radius_m` from the leader."""
+    return scaled([follower.plan.slot for follower in followers.values()], radius_m)
 
 
 def scaled(slots: Sequence[Slot], radius_m: float) -> list[Slot]:

@@ -75,6 +75,7 @@ class GuidanceSettings:
         leader by it, and stand off so far that `clearance_m` is left for certain
         (`cloud.Cloud.nearest_m`).
     swarm: how followers without slots are led; None: all have slots.
+    close_gaps: who flies behind one that has left takes its slot (`flight.gaps`).
     fresh_age_s, stale_age_s: the lead shrinks to nothing between these ages of the report; beyond
         the second the follower is stopped. A velocity does not shrink: reports by telemetry radio
         are 0.46 to 0.71 s old, and who was told an eighth less than the leader's speed stayed half
@@ -91,6 +92,7 @@ class GuidanceSettings:
     face_leader: bool = True
     learn_offset: bool = True
     swarm: Weights | None = None
+    close_gaps: bool = False
     fresh_age_s: float | None = 0.5
     stale_age_s: float | None = 1.0
 

@@ -21,6 +21,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.flight.engage import Engagement
+from echowing.flight.gaps import Gaps
 from echowing.flight.guard import Guard, Limits
 from echowing.flight.guidance import GuidanceSettings, LeaderFix
 from echowing.flight.heights import Heights
@@ -116,6 +117,7 @@ class FollowSession:
         self._planner = Planner(
             self.known, self._say, self.alert, reverses=reverses, swarm=self.swarm
         )
+        self._gaps = Gaps(self.known, self._say, self.alert) if settings.close_gaps else None
         self._spacing = Spacing(self.known, self.guard, self._gives_way)
         wanted = positions(self.known, leader_rate_hz)
         if self.guard is not None:
@@ -201,6 +203,8 @@ class FollowSession:
             messages.extend(self._lift(self.take_offs, now_s))
         if self.swarm is not None:
             self.swarm.prepare(now_s)
+        if self._gaps is not None:
+            self._gaps.close(now_s)
         for follower in self.followers.values():
             self._trust.settle(follower, now_s)
             self.known.feel_wind(follower, now_s)

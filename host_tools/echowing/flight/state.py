@@ -374,6 +374,27 @@ class Known:
         self._ways.clear()
         follower.estimate.forget()
 
+    def move_up(self, line: Sequence[FollowerState]) -> None:
+        """Give each of a line the slot of the one before it, and the first one the last one's.
+
+        A slot keeps its bar, and is behind the same other slot as before, whoever flies there.
+        """
+        takes = {
+            had.plan.system_id: has for had, has in zip(line, (*line[1:], line[0]), strict=True)
+        }
+        numbers = {system_id: number for number, system_id in enumerate(self.followers)}
+        had = {
+            system_id: (one.plan.slot, one.guide, self.ahead_of(one))
+            for system_id, one in self.followers.items()
+        }
+        for system_id, (slot, guide, was_ahead) in had.items():
+            one = takes.get(system_id, self.followers[system_id])
+            ahead = was_ahead and takes.get(was_ahead.plan.system_id, was_ahead)
+            behind = None if ahead is None else numbers[ahead.plan.system_id]
+            one.plan.slot, one.guide = replace(slot, behind=behind), guide
+            if ahead is not self.ahead_of(one):
+                self.watch(one, ahead)
+
     def chain(self, follower: FollowerState) -> Iterator[FollowerState]:
         """A follower, the one its sonar looks at, and so on up to the one behind the leader."""
         one: FollowerState | None = follower

@@ -16,6 +16,7 @@ from echowing.flight.belief import SonarBelief
 from echowing.flight.build_up import LEAST_DIST_M, MOST_DIST_M
 from echowing.flight.envelope import LEAST_M
 from echowing.flight.formation import check_formation
+from echowing.flight.gaps import check_gaps
 from echowing.flight.guidance import GRAY, SMALLEST_RADIUS_M, GuidanceSettings, Slot
 from echowing.flight.swarm_rules import Weights
 from echowing.section import NotNegative, Positive, Section, Share, section_of
@@ -534,7 +535,7 @@ class Scenario(Section):
 
     def guidance_settings(self) -> GuidanceSettings:
         """How points are made; those of a speed law have no velocity."""
-        settings = self.guidance.settings()
+        settings = replace(self.guidance.settings(), close_gaps=self.formation.close_gaps)
         if self.swarm.followers:
             settings = replace(settings, swarm=self.swarm.weights())
         return settings if self.takes_velocity else replace(settings, feed_forward=False)
@@ -556,6 +557,8 @@ class Scenario(Section):
     def check_formation(self) -> list[str]:
         """As the flight core's `check_formation`."""
         separation_m = self.formation.slot_separation_m
+        if self.formation.close_gaps:
+            check_gaps(self.slots())
         return check_formation(self.slots(), self.sonar_belief, LEAST_M, separation_m)
 
     def echo_dist_m(self, index: int) -> float | None:

@@ -222,6 +222,11 @@ def _indices(scenario: Scenario) -> range:
 
 def _places(scenario: Scenario, port: int) -> str:
     """The options of `follow` that say where; several slots go into a file."""
+    gaps = " --close-gaps" if scenario.formation.close_gaps else ""
+    return _slots_option(scenario, port) + gaps
+
+
+def _slots_option(scenario: Scenario, port: int) -> str:
     formation, slots = scenario.formation, scenario.formation.slots
     if formation.shape is not None and _stricter_m(formation) is None:
         return f"--formation {formation.shape} --spacing {formation.spacing_m:g}"

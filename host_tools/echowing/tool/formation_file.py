@@ -11,6 +11,7 @@ from pydantic import Field, model_validator
 from echowing.errors import EchowingError
 from echowing.flight.belief import SonarBelief
 from echowing.flight.formation import check_formation
+from echowing.flight.gaps import check_gaps
 from echowing.flight.guidance import SMALLEST_RADIUS_M, Slot
 from echowing.flight.shapes import MOST_FOLLOWERS, Shape, shape
 from echowing.section import Positive, Section, section_of
@@ -76,6 +77,8 @@ class FormationSection(Section):
     slot_separation_m: Positive | None = None
     """Slots whose followers do not range each other are refused if they are nearer than this; none:
     than what sonars between them leave certain, and without sonars the receivers (4.83 m)."""
+    close_gaps: bool = False
+    """Who flies behind a follower that has left takes its slot (`--close-gaps`); else it holds."""
 
     @model_validator(mode="after")
     def _by_shape_or_by_slots(self) -> "FormationSection":
@@ -94,10 +97,13 @@ def check_to_be_led(
     separation_m: float | None = None,
     *,
     simulated: bool = False,
+    close_gaps: bool = False,
 ) -> list[str]:
     """As `check_formation`, for real vehicles, unless they are `simulated`."""
     if not simulated and any(slot.behind is not None for slot in slots):
         raise EchowingError(ONLY_SIMULATED)
+    if close_gaps:
+        check_gaps(slots)
     return check_formation(slots, sonar, least_m, separation_m)
 
 
