@@ -1,6 +1,7 @@
 """Drawing, flying over workers, keeping, shrinking, reporting: the campaign around its flights."""
 
 import json
+import math
 import os
 import signal
 import subprocess
@@ -27,6 +28,8 @@ from echowing.campaign.shrink import shrink, table_of
 from echowing.campaign.workers import WorkersDied, connected, done_by_workers
 from echowing.cli import main
 from echowing.errors import EchowingError
+from echowing.flight.guidance import Slot
+from echowing.flight.shapes import SHAPES, shape
 from echowing.sim.aircraft import SimFollower
 from echowing.sim.scenario import Scenario, load_scenario, scenario_of
 from echowing.sim.summary import fly
@@ -104,6 +107,30 @@ def test_the_field_draws_sonars_and_receivers_within_their_spans(
 def drawn_fields() -> list[Scenario]:
     description = load_description()
     return [draw(description, 1, index) for index in range(300)]
+
+
+def test_formations_are_drawn_as_they_are_flown_by_name() -> None:
+    drawn = [draw(load_description("formations"), 1, index) for index in range(120)]
+    assert {len(one.formation.slots) for one in drawn} == {2, 3, 4}
+    assert {one.formation.close_gaps for one in drawn} == {True, False}
+    shapes = {
+        tuple((round(slot.angle_deg), slot.behind) for slot in one.formation.slots)
+        for one in drawn
+        if len(one.formation.slots) == 3
+    }
+    assert shapes == {
+        tuple(
+            (round(math.degrees(slot.angle_rad)), behind_of(slot)) for slot in shape(name, 3, 3.0)
+        )
+        for name in SHAPES
+    }
+    spacings_m = [one.formation.slots[0].radius_m for one in drawn]
+    assert 3.0 <= min(spacings_m) < 3.2
+    assert 3.8 < max(spacings_m) <= 4.0
+
+
+def behind_of(slot: Slot) -> int | None:
+    return None if slot.behind is None else slot.behind + 1
 
 
 def test_a_flight_is_drawn_the_same_wherever_it_is_drawn() -> None:

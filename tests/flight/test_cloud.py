@@ -340,7 +340,7 @@ def test_an_echo_of_another_vehicle_moves_nothing_wherever_the_receivers_put_bot
 
     Where the other is, is known from the leader: what is wrong of one is wrong of both.
     """
-    cloud, off_m = Cloud(shipped_sonar(), alone=False), 1.5
+    cloud, off_m = Cloud(shipped_sonar()), 1.5
     believed, other = (3.0 + off_m, 0.0, 0.0), Bystander(3, (3.0 + off_m, 3.0, 0.0), 0.1)
     for number in range(60):
         cloud.heard(0.3 * number, 3.0, Axis(0.2 * math.sin(number)), believed, [other])
@@ -357,7 +357,7 @@ def test_an_echo_of_another_vehicle_moves_nothing_wherever_the_receivers_put_bot
 
 def test_an_echo_may_be_of_one_that_is_believed_out_of_reach_and_unsure() -> None:
     """The leader is 3 m north. Another is 7 m north, give or take 1.5 m, and is heard at 4.2 m."""
-    cloud, believed = Cloud(shipped_sonar(), alone=False), (3.0, 0.0, 0.0)
+    cloud, believed = Cloud(shipped_sonar()), (3.0, 0.0, 0.0)
     for number in range(60):
         cloud.heard(0.3 * number, 3.0, Axis(0.2 * math.sin(number)), believed)
     for sigma_m, its in ((1.5, True), (0.2, False)):
@@ -372,7 +372,7 @@ def test_one_that_is_unsure_is_heard_where_it_is_again_and_again() -> None:
     leader it would be more than one of two receivers'. Were the other's error anew by chance for
     each reading, each would speak for the leader, and by now it would be certain.
     """
-    cloud, believed = Cloud(shipped_sonar(), alone=False), (5.5, 0.0, 0.0)
+    cloud, believed = Cloud(shipped_sonar()), (5.5, 0.0, 0.0)
     other = Bystander(3, (4.4, 0.0, 0.0), 0.5, moves=False)
     for number in range(60):
         cloud.heard(0.3 * number, 3.9, Axis(0.1 * math.sin(number)), believed, [other])
@@ -386,7 +386,7 @@ def test_silence_speaks_against_any_vehicle_that_would_be_heard() -> None:
     other = Bystander(3, (3.0, 0.0, 0.0), 0.1, moves=False)
     deaf = []
     for others in ([], [other]):
-        cloud = Cloud(shipped_sonar(), alone=False)
+        cloud = Cloud(shipped_sonar())
         for number in range(20):
             cloud.silent(0.3 * number, Axis(0.0), (8.0, 0.0, 0.0), others)
         deaf.append(cloud.deaf_share)

@@ -272,7 +272,7 @@ def test_a_range_that_another_vehicle_explains_better_is_not_the_leaders(
     The other one's reports may come later than those of the two: over a slow radio.
     """
     estimate, leader = listening()
-    estimate.offset = Cloud(shipped_sonar(), alone=not beside)
+    estimate.offset = Cloud(shipped_sonar())
     other = History()
     for number in range(reports):
         other.add(Report(number * 0.25, displace(START, (0.0, 3.0, 0.0)), (0.0, 0.0), 0.0))

@@ -25,7 +25,10 @@ SHIPPED = ("field", "many", "formations")
 _SHAPES = (*SHAPES, "wedge")
 # Without a word from the description; nearer than 4.83 m is refused (receivers_demand_m).
 SPACING_M = 6.0
-_FORMATION = {"followers", "shape", "radius_m", "spacing_m", "altitude_step_m", "crossing"}
+_FORMATION = {
+    *("followers", "shape", "radius_m", "spacing_m", "altitude_step_m", "crossing"),
+    *("ranged", "close_gaps", "slot_separation_m"),
+}
 _ABSENT = object()
 
 
@@ -143,7 +146,8 @@ def _formation(wish: Mapping[str, Any], source: str) -> dict[str, Any]:
     """Slots of a formation: who is where, and where each starts.
 
     The first is `radius_m` behind the leader, the others are in the shape behind the first. All
-    hang on the leader: only the sonar of who is near enough hears him.
+    hang on the leader: only the sonar of who is near enough hears him. Where it is `ranged`, all
+    are in the shape behind the leader, and each sonar looks at the one a step ahead.
     """
     unknown = set(wish) - _FORMATION
     if unknown:
@@ -158,17 +162,22 @@ def _formation(wish: Mapping[str, Any], source: str) -> dict[str, Any]:
         replace(one, behind=0 if one.behind is None else one.behind + 1)
         for one in arranged(shape, count - 1, spacing_m)
     ]
+    ranged = wish.get("ranged", False)
+    places = arranged(shape, count, spacing_m) if ranged else hung_on_leader([first, *others])
     slots = []
-    for number, place in enumerate(hung_on_leader([first, *others])):
-        slot = {
+    for number, place in enumerate(places):
+        slot: dict[str, Any] = {
             "radius_m": round(place.radius_m, 3),
             "angle_deg": round(math.degrees(place.angle_rad), 3),
             "altitude_step_m": round(number * wish.get("altitude_step_m", 0.0), 3),
         }
+        if place.behind is not None:
+            slot["behind"] = place.behind + 1
         if wish.get("crossing") and count > 1:
             slot["starts_at"] = count - number
         slots.append(slot)
-    return {"slots": slots}
+    told = {key: wish[key] for key in ("close_gaps", "slot_separation_m") if key in wish}
+    return {"slots": slots, **told}
 
 
 class _Chance:

@@ -45,11 +45,9 @@ PLACED_SIGMA_M = 0.15
 # Readings nearer in time share their errors, and must not count twice. Guesses move by centimetres
 # in this time.
 UPDATE_PERIOD_S = 0.25
-# So many readings that nothing had foretold and that agree, to `ALIKE_M`, are the leader's own, if
-# it has not been heard for so long and none of them is older than this.
-AGREE, LOST_S = 3, 3.0
-# From one reading to the next a vehicle's range changes by no more.
-ALIKE_M = 0.5
+# Of a leader that was not heard for so long, this share of the ranges that nothing had foretold is
+# its own: the receivers disagree by more than anybody thought. Three that agree outweigh all else.
+STEPPED, LOST_S = 0.005, 3.0
 # A sonar hears its leader somewhat more seldom than its file says at the least, or in nearly all
 # readings.
 HEARS, MOST_HEARD = (0.6, 1.9), 0.98
@@ -102,16 +100,11 @@ class Bystander:
 
 
 class Cloud:
-    """Leader's minus follower's position error, (north, east, up) metres, with its uncertainty.
+    """Leader's minus follower's position error, (north, east, up) metres, with its uncertainty."""
 
-    alone: there is no other vehicle whose echo could be taken for the leader's.
-    """
-
-    def __init__(
-        self, sonar: SonarBelief, wandering: Wandering | None = None, *, alone: bool = True
-    ) -> None:
+    def __init__(self, sonar: SonarBelief, wandering: Wandering | None = None) -> None:
         wandering = wandering or Wandering()
-        self._sonar, self._alone = sonar, alone
+        self._sonar = sonar
         self._range_sigma_m = math.hypot(PLACED_SIGMA_M, sonar.noise_m)
         self._chance = chance = np.random.Generator(np.random.PCG64(0))
         count = GUESSES
@@ -142,8 +135,6 @@ class Cloud:
         self._then_s = -math.inf
         self._heard_at_s = -math.inf
         self._silent_at_s = -math.inf
-        self._unforetold: list[tuple[float, float]] = []
-        """Readings in a row that nothing had foretold and that agree: when, and how far."""
         self._asked: tuple[Horizontal, float, float] | None = None
         self._nearest_m = 0.0
         self._summarise()
@@ -296,22 +287,16 @@ class Cloud:
         fits, of_others = self._explained(distance_m, axis, believed, others)
         wrong_share = self._wrong_share()
         fits *= 1.0 - wrong_share
-        wrong = wrong_share / self._sonar.reach_m + of_others
+        wild = wrong_share / self._sonar.reach_m
+        wrong = wild + of_others
         foretold = float(self._weight @ (fits - wrong)) > 0.0
         if foretold:
-            self._heard_at_s, self._unforetold = time_s, []
+            self._heard_at_s = time_s
             self._compare(time_s, distance_m, believed)
-        elif self._agrees(time_s, distance_m) and self._alone and self.unheard_s(time_s) > LOST_S:
-            self._guess_anew(distance_m, axis, believed)
-            return
+        of_nobody = float(self._weight @ (wild - of_others)) > 0.0
         self._update(fits + wrong)
-
-    def _agrees(self, time_s: float, distance_m: float) -> bool:
-        """Whether a reading that was not foretold agrees with enough others of late."""
-        lately = [one for one in self._unforetold if time_s - one[0] <= LOST_S]
-        alike = bool(lately) and abs(distance_m - lately[-1][1]) < ALIKE_M
-        self._unforetold = [*(lately if alike else []), (time_s, distance_m)][-AGREE:]
-        return len(self._unforetold) == AGREE
+        if not foretold and of_nobody and self.unheard_s(time_s) > LOST_S:
+            self._guess_stepped(distance_m, axis, believed)
 
     def _compare(self, time_s: float, distance_m: float, believed: Between) -> None:
         """Show `receivers` what they disagree by along the way to the leader."""
@@ -371,14 +356,14 @@ class Cloud:
         density: Array = np.exp(-0.5 * ((far_m - distance_m) / sigma_m) ** 2)
         return density / (sigma_m * math.sqrt(2.0 * math.pi))
 
-    def _guess_anew(self, distance_m: float, axis: Axis, believed: Between) -> None:
-        """Put every other guess where readings say the leader is, though none had foretold it.
+    def _guess_stepped(self, distance_m: float, axis: Axis, believed: Between) -> None:
+        """Put a few guesses where a range says the leader is, though none had foretold it.
 
-        The receivers disagree by more than anybody thought.
+        The next readings show whether the receivers disagree by so much (`STEPPED`).
         """
-        count = GUESSES // 2
-        aside, above, far = self._normal(3)[:, :count]
+        count = round(STEPPED * GUESSES)
         half_rad = 0.5 * self._sonar.widest_rad.at(distance_m)
+        aside, above, far = self._chance.standard_normal((3, count))
         azimuth = axis.azimuth_rad + half_rad * aside
         elevation = axis.elevation_rad + half_rad * above
         far = distance_m + self._range_sigma_m * far
@@ -386,11 +371,11 @@ class Cloud:
         to_it = np.array(
             (level * np.cos(azimuth), level * np.sin(azimuth), far * np.sin(elevation))
         )
-        self._off[:, ::2] = self._drift[:, ::2] = np.array(believed)[:, np.newaxis] - to_it
-        self._deaf[::2] = False
-        self._wrong[::2] = self._chance.random(count)  # those readings counted as wrong
-        self._weight[:] = 1.0 / GUESSES
-        self._unforetold = []
+        them = self._chance.choice(GUESSES, count, replace=False)
+        self._off[:, them] = self._drift[:, them] = np.array(believed)[:, np.newaxis] - to_it
+        self._deaf[them] = False
+        self._weight[them] = 1.0 / GUESSES
+        self._weight /= self._weight.sum()
         self._summarise()
 
     def silent(

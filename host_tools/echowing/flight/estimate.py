@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from echowing.flight.alignment import AlignedReading, Alignment, History, Report, between_m
 from echowing.flight.axis import Axis
 from echowing.flight.belief import SonarBelief
-from echowing.flight.cloud import ALIKE_M, Bystander, Cloud
+from echowing.flight.cloud import Bystander, Cloud
 from echowing.flight.envelope import SURE_SIGMAS, strays_m
 from echowing.flight.guidance import Horizontal, LeaderFix, predicted
 from echowing.flight.hearing import Hearing, Reading
@@ -21,6 +21,8 @@ STUCK_S = 3.0
 # within reach are by chance like (`ALIKE_M`) one of the two before. A healthy one gives one wild
 # reading in a hundred: two of ten are a fault.
 WILD_SHARE, WILD_S = 0.2, 3.0
+# From one reading to the next a vehicle's range changes by no more.
+ALIKE_M = 0.5
 # What is known is noted so often, to go back to.
 NOTED_EVERY_S = 1.0
 # Readings come several times a second, over a radio that may lose some.
@@ -82,10 +84,10 @@ class Beside:
 class Estimate:
     """One follower's view of its leader: the receivers' disagreement, learnt from the sonar."""
 
-    def __init__(self, sonar: SonarBelief, *, alone: bool = True) -> None:
-        self.sonar, self._alone = sonar, alone
+    def __init__(self, sonar: SonarBelief) -> None:
+        self.sonar = sonar
         self.history = History()
-        self.offset = Cloud(sonar, alone=alone)
+        self.offset = Cloud(sonar)
         self._noted: deque[tuple[float, Cloud]] = deque()
         """What was learnt, as it was before: when, and what."""
         self.hearing = Hearing(sonar)
@@ -195,7 +197,7 @@ class Estimate:
         if self._noted:
             self.offset = self._noted[-1][1].copy()
         else:
-            self.offset = Cloud(self.sonar, alone=self._alone)
+            self.offset = Cloud(self.sonar)
 
     def learn(self, leader: History, others: Sequence[Beside] = ()) -> None:
         """Use the readings for which later reports of both vehicles have come.
@@ -271,7 +273,7 @@ class Estimate:
 
     def forget(self) -> None:
         """Drop what was learnt: a receiver has started anew."""
-        self.offset = Cloud(self.sonar, alone=self._alone)
+        self.offset = Cloud(self.sonar)
         self._noted.clear()
         self._alignment = Alignment()
         self.jumped_m = (0.0, 0.0)

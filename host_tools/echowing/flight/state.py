@@ -327,7 +327,7 @@ class Known:
             plan.system_id: FollowerState(
                 plan,
                 _guide(plan.slot, plans) if settings.tow_bar else TailSlot(plan.slot),
-                Estimate(plan.sonar, alone=len(plans) == 1),
+                Estimate(plan.sonar),
             )
             for plan in plans
         }
