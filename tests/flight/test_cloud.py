@@ -421,7 +421,7 @@ def test_how_many_readings_are_wrong_is_learnt(before: int) -> None:
     ("ranges_m", "every_s", "moves"),
     [((1.0, 2.6, 4.0), 1.0, False), ((2.5, 2.6, 2.4), 20.0, False), ((2.5, 2.6, 2.4), 1.0, True)],
 )
-def test_the_guesses_begin_anew_where_readings_agree_and_not_where_they_are_wild(
+def test_ranges_that_nothing_foretold_are_believed_where_they_agree_and_not_where_they_are_wild(
     ranges_m: Sequence[float], every_s: float, *, moves: bool
 ) -> None:
     """Of a leader that is believed 9 m away, and was never heard."""
@@ -430,3 +430,12 @@ def test_the_guesses_begin_anew_where_readings_agree_and_not_where_they_are_wild
         cloud.heard(5.0 + number * every_s, range_m, Axis(NORTH), believed)
 
     assert (cloud.north_m > 2.0) is moves
+
+
+def test_echoes_of_another_vehicle_alone_bring_nobody_to_where_it_is() -> None:
+    """For 15 s, while the leader is out of reach."""
+    cloud, beside = Cloud(shipped_sonar()), Bystander(3, (0.0, 3.0, 0.0), 0.2, moves=False)
+    for number in range(60):
+        cloud.heard(5.0 + READING_S * number, 3.0, Axis(EAST, 0.0), (9.0, 0.0, 0.0), [beside])
+
+    assert math.hypot(cloud.north_m, cloud.east_m) < 0.5
