@@ -13,7 +13,7 @@ from echowing.campaign.fly import Row
 from echowing.campaign.record import FlightRecord, fly_recorded
 from echowing.campaign.report import write_report
 from echowing.campaign.swarm import swarm
-from echowing.sim.scenario import scenario_of
+from echowing.sim.scenario import load_scenario, scenario_of
 
 SLOTS_M = [(3.0, 0.0), (9.0, 0.0), (9.0, 90.0), (9.0, -90.0)]
 
@@ -72,6 +72,15 @@ def test_twice_as_far_apart_is_twice_the_spread_however_it_points() -> None:
 
     assert figures is not None
     assert figures.spread == pytest.approx(2.0)
+
+
+def test_a_line_of_which_each_slot_is_behind_the_one_before_is_whole_too() -> None:
+    line = made_up([(-3.0 * place, 0.0) for place in (1, 2, 3, 4)], [(2.0, 0.0)] * 4)
+    column = load_scenario("column", ["formation.followers=4"])
+    figures = swarm(replace(line, scenario=column))
+
+    assert figures is not None
+    assert figures.spread == pytest.approx(1.0)
 
 
 def test_who_hardly_moves_has_no_direction_and_who_is_held_is_counted() -> None:

@@ -353,7 +353,8 @@ def _making_room(record: FlightRecord, vehicle: int) -> Bools:
         apart = record.position_ned_m[:, vehicle] - record.position_ned_m[:, other]
         distance_m = np.linalg.norm(apart, axis=1)
         leaves = np.sum(record.velocity_ned_mps[:, vehicle] * apart, axis=1) > 0.0
-        near_m = MAKING_ROOM_M + (slot.radius_m if other == 0 else BETWEEN_FOLLOWERS_M)
+        watched = other == (slot.behind or 0)
+        near_m = MAKING_ROOM_M + (slot.radius_m if watched else BETWEEN_FOLLOWERS_M)
         room |= leaves & (distance_m < near_m)
     return room
 

@@ -13,6 +13,7 @@ import numpy as np
 from echowing.analysis.flight import Floats
 from echowing.analysis.flock import FLIES_MPS, extent_m, nearest_m, polarisation, rotation
 from echowing.campaign.record import FlightRecord
+from echowing.flight.formation import place_m
 
 # Two are a pair; three are a group.
 LEAST_FOLLOWERS = 3
@@ -43,9 +44,9 @@ def swarm(record: FlightRecord) -> Swarm | None:
     settled = record.time_s >= SETTLED_S
     if record.follower_count < LEAST_FOLLOWERS or not settled.any():
         return None
-    place_m = record.position_ned_m[settled, 1:, :2]
+    there_m = record.position_ned_m[settled, 1:, :2]
     velocity_mps = record.velocity_ned_mps[settled, 1:, :2]
-    from_centre_m = place_m - place_m.mean(axis=1, keepdims=True)
+    from_centre_m = there_m - there_m.mean(axis=1, keepdims=True)
     against_mps = velocity_mps - velocity_mps.mean(axis=1, keepdims=True)
     held = np.array(record.hold, dtype=object)[settled] != ""
     directions = [
@@ -57,7 +58,7 @@ def swarm(record: FlightRecord) -> Swarm | None:
         return None
     polarised, turning = np.mean(directions, axis=0)
     return Swarm(
-        nearest_m=float(np.mean([nearest_m(one) for one in place_m])),
+        nearest_m=float(np.mean([nearest_m(one) for one in there_m])),
         misaligned_mps=float(np.linalg.norm(against_mps, axis=2).mean()),
         spread=extent_m(from_centre_m) / extent_m(_slots_m(record)),
         polarisation=float(polarised),
@@ -69,7 +70,5 @@ def swarm(record: FlightRecord) -> Swarm | None:
 def _slots_m(record: FlightRecord) -> Floats:
     """The slots from their centre, (f, 2); which way the formation points does not matter."""
     slots = record.scenario.slots()
-    angles_rad = np.array([slot.angle_rad for slot in slots])
-    radii_m = np.array([slot.radius_m for slot in slots])
-    place_m = radii_m[:, None] * np.stack([np.cos(angles_rad), np.sin(angles_rad)], axis=1)
-    return np.asarray(place_m - place_m.mean(axis=0))
+    places_m = np.array([place_m(slots, number)[:2] for number in range(len(slots))])
+    return np.asarray(places_m - places_m.mean(axis=0))
