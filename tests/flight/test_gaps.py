@@ -1,21 +1,25 @@
 """A follower that has left: who is behind it takes its slot, or holds."""
 
 import math
+from copy import deepcopy
 
 import pytest
 
 from echowing.errors import EchowingError
 from echowing.flight.formation import place_m
 from echowing.flight.gaps import LEAVES_S, Gaps, check_gaps
-from echowing.flight.guidance import Slot
+from echowing.flight.guidance import GuidanceSettings, LeaderFix, Slot
+from echowing.flight.joining import Joining
 from echowing.flight.shapes import shape
 from echowing.flight.state import Known
 from echowing.flight.steps import Phase, Standing
+from echowing.geo import displace, ned_between
 from echowing.sim.fault_section import FaultSection
 from echowing.sim.flight import FormationFlight
 from echowing.sim.scenario import load_scenario
 
-from .test_chain import known
+from .test_chain import HERE, known
+from .yard import FOLLOWER, LEADER, LOITER, SECOND, Vehicle, Yard
 
 LED, GONE, HELD = Standing(Phase.LED), Standing(Phase.WATCHED), Standing(Phase.HELD)
 
@@ -58,14 +62,12 @@ class Line:
 
 def test_who_is_behind_moves_up_to_the_end_of_the_line() -> None:
     line = Line(shape("column", 4, 3.0))
-    bars = {one: state.guide for one, state in line.known.followers.items()}
     line.stands(GONE, 3)
     assert line.ahead() == {2: 1, 4: 2, 5: 4, 3: 5}
     north_m = {one: north for one, (north, _) in line.places_m().items()}
     assert north_m == pytest.approx({2: -3.0, 4: -6.0, 5: -9.0, 3: -12.0})
-    # A slot's bar swings on as before, whoever flies behind it.
-    assert line.known.followers[4].guide is bars[3]
-    assert line.alerted == [4, 5]
+    # The pilot of the one that has left reads it, too.
+    assert line.alerted == [3, 4, 5]
     assert line.said == [
         "follower 4: takes the slot of follower 3, which has left",
         "follower 5: takes the slot of follower 4, which has left",
@@ -99,7 +101,8 @@ def test_of_two_that_are_behind_one_the_other_ranges_who_has_moved_up() -> None:
     slots = (Slot(3.0), Slot(3.0, 0.8, behind=0), Slot(3.0, -0.8, behind=0))
     line = Line(slots)
     line.stands(GONE, 2)
-    assert line.ahead() == {3: 1, 4: 3, 2: 1} | {2: 3}
+    assert line.ahead() == {3: 1, 4: 3, 2: 3}
+    assert not line.known.followers[4].turn.joined, "it knows nothing of that one"
     assert math.dist(line.places_m()[3], (-3.0, 0.0)) < 1e-9
 
 
@@ -131,18 +134,96 @@ def test_who_was_never_led_has_not_left() -> None:
     assert line.ahead() == {2: 1, 3: 2}
 
 
-def test_who_comes_back_flies_at_the_end() -> None:
+def test_who_comes_back_flies_at_the_end_once_its_pilot_has_said_so() -> None:
     line = Line(shape("column", 3, 3.0))
     line.stands(GONE, 2)
+    assert line.known.followers[2].turn.latched is not None
     line.stands(LED, 2)
     line.stands(LED, seconds=60.0)
     assert line.ahead() == {3: 1, 4: 3, 2: 4}
 
 
+def test_who_is_stopped_for_another_reason_stays_where_it_is() -> None:
+    line = Line(shape("column", 3, 3.0))
+    line.known.followers[3].turn.latched = "its position jumped"
+    line.stands(GONE, 2)
+    assert line.ahead() == {2: 1, 3: 2, 4: 3}
+
+
+def test_once_all_have_left_the_next_flight_begins_anew() -> None:
+    line = Line(shape("column", 2, 3.0))
+    line.stands(GONE, 2, 3)
+    line.stands(GONE, seconds=60.0)
+    line.stands(HELD, 3)
+    line.stands(HELD, seconds=60.0)
+    assert line.ahead() == {2: 1, 3: 2}
+
+
+def test_where_one_has_been_flown_to_swings_no_bar() -> None:
+    """Its pilot flies it to the leader's side; who takes its slot is behind the leader."""
+    line = Line(shape("column", 2, 3.0))
+    ahead, behind = line.known.followers.values()
+    still = LeaderFix(0.0, HERE, (0.0, 0.0, 0.0), 0.0)
+    for now_s in range(5):
+        for one, at_m in ((ahead, (2.0, 2.0)), (behind, (-6.0, 0.0))):
+            one.guide.update(still, float(now_s), displace(HERE, (*at_m, 0.0)))
+    line.stands(GONE, 2)
+    slot = behind.guide.update(still, 6.0, displace(HERE, (-6.0, 0.0, 0.0))).slot
+    assert ned_between(HERE, slot)[:2] == pytest.approx((-3.0, 0.0), abs=0.1)
+
+
+def test_who_moved_to_the_end_comes_in_after_those_before_it() -> None:
+    line = Line(shape("column", 3, 3.0))
+    line.stands(GONE, 2)
+    line.stands(LED, 2)
+    for one in line.known.followers.values():
+        one.turn.joined = one.plan.system_id == 3
+        one.estimate.heard(line.now_s, 7.65)  # its sonar works, and hears nobody
+    joining = Joining(line.known)
+    last, first, middle = line.known.followers.values()
+    assert joining.waits_for(middle, line.now_s) is None
+    assert joining.waits_for(last, line.now_s) is middle
+    assert joining.waits_for(first, line.now_s) is None
+
+
+def test_who_was_stopped_for_good_takes_no_slot() -> None:
+    vehicles = {
+        LEADER: Vehicle((0.0, 0.0)),
+        FOLLOWER: Vehicle((-8.0, 0.0)),
+        SECOND: Vehicle((-16.0, 0.0)),
+    }
+    settings = GuidanceSettings(learn_offset=False, close_gaps=True)
+    slots = (Slot(8.0), Slot(8.0, behind=0))
+    for stops in (False, True):
+        yard = Yard(vehicles=deepcopy(vehicles), slots=slots, settings=settings)
+        yard.fly(5.0)
+        if stops:
+            yard.session.stop("STOP")
+        yard.fly(2.0)
+        yard.vehicles[FOLLOWER].mode = LOITER
+        yard.fly(LEAVES_S + 3.0)
+        assert yard.said("follower 3: takes the slot of follower 2") is not stops
+
+
+def test_who_has_fallen_silent_is_not_taken_for_the_leader() -> None:
+    """It stands where it was; who moves up past it has only just begun to learn of the leader."""
+    told = ["formation.followers=2", "duration_s=95", "formation.close_gaps=true"]
+    scenario = load_scenario("column", [*told, "leader.path=stop-and-go", "leader.speed_mps=1"])
+    silent = FaultSection(kind="outage", at_s=60.0, for_s=25.0, vehicle=2)
+    flight = FormationFlight(scenario.model_copy(update={"fault": (silent,)}), 4)
+    flight.run()
+    second = flight.ground.session.followers[3]
+    assert flight.ground.session.known.ahead_of(second) is None
+    offset = second.estimate.offset
+    assert math.hypot(offset.north_m, offset.east_m) < 3.0, "of two receivers of 0.8 m"
+    assert flight.closest_m > 1.0
+
+
 def test_slots_that_another_ones_applet_does_not_hold_are_refused() -> None:
     check_gaps(shape("diamond", 8, 3.0))
-    with pytest.raises(EchowingError, match=r"slot 2 has a radius of 4 m, and slot 1.* of 3 m"):
-        check_gaps([Slot(3.0), Slot(4.0, behind=0)])
+    for other in (Slot(4.0, behind=0), Slot(3.0, altitude_step_m=1.0, behind=0)):
+        with pytest.raises(EchowingError, match=r"slot 2 and slot 1, .* differ in radius or alt"):
+            check_gaps([Slot(3.0), other])
 
 
 @pytest.mark.parametrize("close_gaps", [True, False])
@@ -156,6 +237,9 @@ def test_flown(close_gaps: bool) -> None:
     behind_m = math.dist(flight.leader.position_ned_m, flight.followers[1].position_ned_m)
     if close_gaps:
         assert behind_m == pytest.approx(3.0, abs=0.5)
+        # The record says who flew behind whom.
+        recorded = flight.recorders[1].samples[-1]
+        assert math.dist(recorded.leader, recorded.follower) == pytest.approx(behind_m, abs=0.1)
     else:
         assert behind_m > 20.0
         assert flight.ground.session.followers[3].standing.phase is Phase.HELD

@@ -263,7 +263,7 @@ def test_gaps_close_as_the_command_or_the_file_asks(tmp_path: Path) -> None:
     path.write_text(slots.format(3.0), encoding="utf-8")
     assert options_of([*column, str(path)]).settings.close_gaps
     path.write_text(slots.format(4.0), encoding="utf-8")
-    with pytest.raises(EchowingError, match="gaps cannot close: slot 2 has a radius of 4 m"):
+    with pytest.raises(EchowingError, match="gaps cannot close: slot 2 and slot 1"):
         options_of([*column, str(path)])
 
 

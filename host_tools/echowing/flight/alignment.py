@@ -19,6 +19,9 @@ from echowing.geo import GRAVITY_MPS2, GlobalPosition, displace, ned_between, wr
 LONGEST_WAIT_S = 3.0
 # No interpolation over a longer gap between reports: 5 reports of a 4 Hz stream are lost.
 LONGEST_GAP_S = 1.5
+# A follower whose link is lost flies on for ECHO_STREAM_T (1 s). Then it stops within a second, in
+# which it flies half as far as at full speed.
+STOPS_AFTER_S = 1.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,13 +86,15 @@ class History:
         return None
 
     def carried_on(self, time_s: float) -> tuple[Report, Report] | None:
-        """The newest report and how it goes on, for a moment after it; None: it is too old."""
-        since_s = time_s - self.newest_s
-        if not 0.0 <= since_s <= LONGEST_WAIT_S:
+        """The newest report and how it goes on, for a moment after it; None: there is none.
+
+        One that has fallen silent stands: its applet stops it.
+        """
+        if not self._reports or time_s < self.newest_s:
             return None
-        newest = self._reports[-1]
+        newest, flies_s = self._reports[-1], min(time_s - self.newest_s, STOPS_AFTER_S)
         north_mps, east_mps = newest.velocity_mps
-        place = displace(newest.position, (north_mps * since_s, east_mps * since_s, 0.0))
+        place = displace(newest.position, (north_mps * flies_s, east_mps * flies_s, 0.0))
         return newest, replace(newest, time_s=time_s, position=place)
 
 

@@ -5,7 +5,14 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from echowing.flight.alignment import AlignedReading, Alignment, History, Report, between_m
+from echowing.flight.alignment import (
+    STOPS_AFTER_S,
+    AlignedReading,
+    Alignment,
+    History,
+    Report,
+    between_m,
+)
 from echowing.flight.axis import Axis
 from echowing.flight.belief import SonarBelief
 from echowing.flight.cloud import Bystander, Cloud
@@ -244,7 +251,7 @@ class Estimate:
             north_m = to_it_m[0] + other.shift_m[0] - jumped_m[0]
             east_m = to_it_m[1] + other.shift_m[1] - jumped_m[1]
             place = (north_m, east_m, to_it_m[2])
-            strayed_m = strays_m(max(0.0, time_s - other.history.newest_s))
+            strayed_m = strays_m(min(STOPS_AFTER_S, max(0.0, time_s - other.history.newest_s)))
             sigma_m = math.hypot(other.sigma_m, strayed_m / SURE_SIGMAS)
             found.append(Bystander(other.system_id, place, sigma_m, other.moves))
         return found

@@ -2,7 +2,7 @@
 
 Who ranges it holds, and so does everybody behind. Where gaps are closed, one of them takes its
 slot, the next one takes that one's, and so on to the end of the line. The last slot then belongs to
-the one that has left, should its pilot bring it back.
+the one that has left, once its pilot brings it back.
 """
 
 import math
@@ -15,6 +15,7 @@ from echowing.errors import EchowingError
 from echowing.flight.guidance import Slot
 from echowing.flight.state import FollowerState, Known, Say
 
+NOTICE = mavlink.MAV_SEVERITY_NOTICE
 # A pilot who takes a follower for a moment, or a radio that is silent for one, leaves no gap.
 LEAVES_S = 5.0
 
@@ -33,9 +34,11 @@ class Gaps:
     def close(self, now_s: float) -> None:
         """Let who is behind one that has left move up; once a tick."""
         followers = list(self._known.followers.values())
-        for one in followers:
-            if one.standing.sent_to:
-                self._led_at_s[one.plan.system_id] = now_s
+        led = [one for one in followers if one.standing.sent_to]
+        if not led:  # the flight is over, or has not begun
+            self._led_at_s.clear()
+        for one in led:
+            self._led_at_s[one.plan.system_id] = now_s
         for one in reversed(followers):
             if now_s - self._led_at_s.get(one.plan.system_id, math.inf) >= LEAVES_S:
                 self._close(one, now_s)
@@ -45,18 +48,23 @@ class Gaps:
         if len(line) == 1:
             return
         self._known.move_up(line)
-        line[1].turn.joined, line[1].turn.joins_at_s = False, math.inf
+        # Nobody flies back past the others by itself, as a link comes back.
+        left.turn.latched = "its slot was taken, until it leaves Guided"
+        self._alert(left.plan.system_id, "its slot is the last one now", NOTICE)
         for ahead, one in pairwise(line):
             text = f"takes the slot of follower {ahead.plan.system_id}"
-            self._alert(one.plan.system_id, text, mavlink.MAV_SEVERITY_NOTICE)
+            self._alert(one.plan.system_id, text, NOTICE)
             self._say(now_s, f"follower {one.plan.system_id}: {text}, which has left")
 
     def _line_behind(self, one: FollowerState) -> Iterator[FollowerState]:
-        """The first that is led and ranges it, the first that ranges that one, and so on."""
+        """The first that ranges it and may be led, the first that ranges that one, and so on."""
         behind = (
             other
             for other in self._known.followers.values()
-            if self._known.ahead_of(other) is one and other.standing.sent_to
+            if self._known.ahead_of(other) is one
+            and other.standing.sent_to
+            # Who was stopped for another reason stays where it is.
+            and other.turn.latched is None
         )
         follower = next(behind, None)
         if follower is not None:
@@ -67,13 +75,15 @@ class Gaps:
 def check_gaps(slots: Sequence[Slot]) -> None:
     """Raise EchowingError unless a follower may take any other slot of its line.
 
-    Its applet holds it at `ECHO_DIST` from whom it ranges, which no one changes in flight.
+    Its applet holds it at `ECHO_DIST` from whom it ranges, which no one changes in flight; and
+    nobody climbs or sinks past another one.
     """
     for number, slot in enumerate(slots, 1):
         ahead = None if slot.behind is None else slots[slot.behind]
-        if ahead is not None and slot.radius_m != ahead.radius_m:
+        if ahead is None:
+            continue
+        if (slot.radius_m, slot.altitude_step_m) != (ahead.radius_m, ahead.altitude_step_m):
             raise EchowingError(
-                f"gaps cannot close: slot {number} has a radius of {slot.radius_m:g} m, and slot "
-                f"{(slot.behind or 0) + 1}, behind which it is, of {ahead.radius_m:g} m; give both "
-                "the same"
+                f"gaps cannot close: slot {number} and slot {(slot.behind or 0) + 1}, behind which "
+                "it is, differ in radius or altitude step; give both the same"
             )

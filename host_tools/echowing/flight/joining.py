@@ -55,11 +55,16 @@ class Joining:
         """The first neighbour before it in the formation that is led and has not joined."""
         followers = list(self._known.followers.values())
         slots = [one.plan.slot for one in followers]
-        number = followers.index(follower)
         apart_m = receivers_demand_m(self._known.settings.clearance_m)
-        here_m = place_m(slots, number)
-        for other, one in enumerate(followers[:number]):
+        here_m = place_m(slots, followers.index(follower))
+        for one in sorted(followers, key=self._links):  # those with as many stay in order
+            if one is follower:
+                break
             joins = one.standing.phase is Phase.LED and not (one.turn.joined or one.turn.gave_up)
-            if joins and math.dist(place_m(slots, other), here_m) < apart_m:
+            if joins and math.dist(place_m(slots, followers.index(one)), here_m) < apart_m:
                 return one
         return None
+
+    def _links(self, follower: FollowerState) -> int:
+        """How many sonars it is behind the leader."""
+        return len(list(self._known.chain(follower)))

@@ -203,7 +203,7 @@ class FollowSession:
             messages.extend(self._lift(self.take_offs, now_s))
         if self.swarm is not None:
             self.swarm.prepare(now_s)
-        if self._gaps is not None:
+        if self._gaps is not None and self._supervisor.stopping is None:
             self._gaps.close(now_s)
         for follower in self.followers.values():
             self._trust.settle(follower, now_s)

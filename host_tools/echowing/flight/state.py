@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.flight.alignment import History, Report
+from echowing.flight.alignment import STOPS_AFTER_S, History, Report
 from echowing.flight.axis import axis_of
 from echowing.flight.belief import SonarBelief
 from echowing.flight.cloud import Wandering
@@ -53,9 +53,6 @@ RAW_FRESH_S = 1.0
 AVERAGE_AGE_S = 0.225
 # Two reports further apart do not tell how the velocity changes now.
 LONGEST_CHANGE_S = 0.5
-# A follower whose link is lost flies on for ECHO_STREAM_T (1 s). Then it stops within a second, in
-# which it flies half as far as at full speed.
-STOPS_AFTER_S = 1.5
 # Of how far the one ahead is off its slot, so much counts for the next slot: 0.4 after four.
 FLOWN_SHARE = 0.8
 # A longer delay to the vehicle is not predicted: the leader may have turned by then.
@@ -373,27 +370,31 @@ class Known:
             self._ahead[follower.plan.system_id] = ahead
         self._ways.clear()
         follower.estimate.forget()
+        follower.turn.joined, follower.turn.joins_at_s = False, math.inf
 
     def move_up(self, line: Sequence[FollowerState]) -> None:
         """Give each of a line the slot of the one before it, and the first one the last one's.
 
-        A slot keeps its bar, and is behind the same other slot as before, whoever flies there.
+        A slot is behind the same other slot as before, whoever flies there.
         """
         takes = {
             had.plan.system_id: has for had, has in zip(line, (*line[1:], line[0]), strict=True)
         }
         numbers = {system_id: number for number, system_id in enumerate(self.followers)}
         had = {
-            system_id: (one.plan.slot, one.guide, self.ahead_of(one))
+            system_id: (one.plan.slot, self.ahead_of(one))
             for system_id, one in self.followers.items()
         }
-        for system_id, (slot, guide, was_ahead) in had.items():
+        for system_id, (slot, was_ahead) in had.items():
             one = takes.get(system_id, self.followers[system_id])
             ahead = was_ahead and takes.get(was_ahead.plan.system_id, was_ahead)
             behind = None if ahead is None else numbers[ahead.plan.system_id]
-            one.plan.slot, one.guide = replace(slot, behind=behind), guide
+            one.plan.slot = replace(slot, behind=behind)
             if ahead is not self.ahead_of(one):
                 self.watch(one, ahead)
+        plans = [one.plan for one in self.followers.values()]
+        for one in self.followers.values():
+            one.guide.place(one.plan.slot, _longest_m(one.plan.slot, plans))
 
     def chain(self, follower: FollowerState) -> Iterator[FollowerState]:
         """A follower, the one its sonar looks at, and so on up to the one behind the leader."""
@@ -655,9 +656,12 @@ class Known:
 
 
 def _guide(slot: Slot, plans: Sequence[FollowerPlan]) -> TowBar:
-    """A slot's bar; those behind the same vehicle hang on one, and turn as one body."""
-    longest_m = max(one.slot.radius_m for one in plans if one.slot.behind == slot.behind)
-    return TowBar(slot, longest_m)
+    return TowBar(slot, _longest_m(slot, plans))
+
+
+def _longest_m(slot: Slot, plans: Sequence[FollowerPlan]) -> float:
+    """Of a slot's bar: those behind the same vehicle hang on one, and turn as one body."""
+    return max(one.slot.radius_m for one in plans if one.slot.behind == slot.behind)
 
 
 def _near(one: GlobalPosition, other: GlobalPosition) -> bool:

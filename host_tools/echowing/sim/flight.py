@@ -259,9 +259,9 @@ class FormationFlight(FormationWorld):
         body = self.leader.body
         if math.hypot(body.vn_mps, body.ve_mps) >= MOVING_MPS:
             self._course_rad = math.atan2(body.ve_mps, body.vn_mps)
-        slots = self.scenario.slots()
-        for follower, slot, recorder in zip(self.followers, slots, self.recorders, strict=True):
-            recorder.samples.append(self._sample(follower, self.watched(slot)))
+        states = self.ground.session.followers.values()
+        for follower, state, recorder in zip(self.followers, states, self.recorders, strict=True):
+            recorder.samples.append(self._sample(follower, self.watched(state.plan.slot)))
         self._commanded_slot_m.append(self._commanded_slot())
 
     def _commanded_slot(self) -> float:
