@@ -432,7 +432,7 @@ def test_ranges_that_nothing_foretold_are_believed_where_they_agree_and_not_wher
     assert (cloud.north_m > 2.0) is moves
 
 
-def test_echoes_of_another_vehicle_alone_bring_nobody_to_where_it_is() -> None:
+def test_echoes_of_another_vehicle_bring_nobody_to_where_it_is() -> None:
     """For 15 s, while the leader is out of reach."""
     cloud, beside = Cloud(shipped_sonar()), Bystander(3, (0.0, 3.0, 0.0), 0.2, moves=False)
     for number in range(60):

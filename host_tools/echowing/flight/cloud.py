@@ -47,6 +47,7 @@ PLACED_SIGMA_M = 0.15
 UPDATE_PERIOD_S = 0.25
 # Of a leader that was not heard for so long, this share of the ranges that nothing had foretold is
 # its own: the receivers disagree by more than anybody thought. Three that agree outweigh all else.
+# With others near they are taken for theirs: a vee lost its leader to them (ArduCopter SITL).
 STEPPED, LOST_S = 0.005, 3.0
 # A sonar hears its leader somewhat more seldom than its file says at the least, or in nearly all
 # readings.
@@ -287,15 +288,13 @@ class Cloud:
         fits, of_others = self._explained(distance_m, axis, believed, others)
         wrong_share = self._wrong_share()
         fits *= 1.0 - wrong_share
-        wild = wrong_share / self._sonar.reach_m
-        wrong = wild + of_others
+        wrong = wrong_share / self._sonar.reach_m + of_others
         foretold = float(self._weight @ (fits - wrong)) > 0.0
         if foretold:
             self._heard_at_s = time_s
             self._compare(time_s, distance_m, believed)
-        of_nobody = float(self._weight @ (wild - of_others)) > 0.0
         self._update(fits + wrong)
-        if not foretold and of_nobody and self.unheard_s(time_s) > LOST_S:
+        if not (foretold or others) and self.unheard_s(time_s) > LOST_S:
             self._guess_stepped(distance_m, axis, believed)
 
     def _compare(self, time_s: float, distance_m: float, believed: Between) -> None:
