@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.flight.build_up import ASK_PERIOD_S, SLOT_MPS, TRIES, BuildUp
+from echowing.flight.build_up import ASK_PERIOD_S, SLOT_MPS, TRIES, BuildUp, scaled
 from echowing.flight.engage import DIST
 from echowing.flight.guidance import GuidanceSettings, Slot
 from echowing.flight.orders import HELD, Orders
@@ -209,9 +209,7 @@ def test_a_formation_keeps_its_shape() -> None:
     assert (field.distance(), field.distance(SECOND)) == (4.0, 6.0)
     field.radii.clear()
     field.fly(16.0)
-    now = [field.slot(one) for one in (FOLLOWER, SECOND)]
-    assert [one.radius_m for one in now] == pytest.approx([4.0, 6.0])
-    assert [one.angle_rad for one in now] == [one.angle_rad for one in slots]
+    assert [field.slot(one) for one in (FOLLOWER, SECOND)] == scaled(slots, 4.0)
     assert field.slot(SECOND).radius_m == pytest.approx(6.0)
     # The outermost slot, which has the longer way, keeps the rate.
     fastest_m = max(a - b for a, b in zip(field.radii, field.radii[1:], strict=False))

@@ -6,8 +6,8 @@ from copy import deepcopy
 import pytest
 
 from echowing.errors import EchowingError
-from echowing.flight.formation import place_m
-from echowing.flight.gaps import LEAVES_S, Gaps, check_gaps
+from echowing.flight.formation import check_gaps, place_m
+from echowing.flight.gaps import LEAVES_S, Gaps
 from echowing.flight.guidance import GuidanceSettings, LeaderFix, Slot
 from echowing.flight.joining import Joining
 from echowing.flight.shapes import shape

@@ -157,13 +157,14 @@ def _formation(wish: Mapping[str, Any], source: str) -> dict[str, Any]:
         raise EchowingError(f"{source}: formation.shape: one of {', '.join(_SHAPES)}, not {shape}")
     count = int(wish.get("followers", 1))
     spacing_m, radius_m = wish.get("spacing_m", SPACING_M), wish.get("radius_m", 3.0)
-    first = Slot(radius_m)
-    others = [
-        replace(one, behind=0 if one.behind is None else one.behind + 1)
-        for one in arranged(shape, count - 1, spacing_m)
-    ]
-    ranged = wish.get("ranged", False)
-    places = arranged(shape, count, spacing_m) if ranged else hung_on_leader([first, *others])
+    if wish.get("ranged"):
+        places = arranged(shape, count, spacing_m)
+    else:
+        others = arranged(shape, count - 1, spacing_m)
+        behind_first = [
+            replace(one, behind=0 if one.behind is None else one.behind + 1) for one in others
+        ]
+        places = tuple(hung_on_leader([Slot(radius_m), *behind_first]))
     slots = []
     for number, place in enumerate(places):
         slot: dict[str, Any] = {

@@ -8,7 +8,7 @@ import time
 from contextlib import nullcontext
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from echowing.errors import EchowingError
 from echowing.flight.lowest import LOWEST_M
@@ -334,7 +334,8 @@ def _options(args: argparse.Namespace) -> "FollowOptions":
     VehicleFinder(seats)  # refuses what could never be distinguished
     radii_m = _build_up(args)
     sonar = load_sonar(args.sonar).belief(args.legs)
-    slots = _slots(args, radii_m, sonar)
+    wanted = _wanted(args)
+    slots = _slots(args, wanted, radii_m, sonar)
     altitude_m = CARRIED_ALTITUDE_M if args.carried_leader else None
     altitude_m = altitude_m if args.altitude is None else args.altitude
     _check_heights(slots, altitude_m)
@@ -344,7 +345,7 @@ def _options(args: argparse.Namespace) -> "FollowOptions":
         settings=GuidanceSettings(
             lead_time_s=args.lead_time,
             feed_forward=not args.position_only,
-            close_gaps=args.close_gaps,
+            close_gaps=wanted.close_gaps,
         ),
         sonar=sonar,
         altitude_m=altitude_m,
@@ -452,22 +453,25 @@ def _build_up(args: argparse.Namespace) -> tuple[float, ...]:
 
 
 def _slots(
-    args: argparse.Namespace, radii_m: tuple[float, ...], sonar: "SonarBelief"
+    args: argparse.Namespace,
+    wanted: "_Wanted",
+    radii_m: tuple[float, ...],
+    sonar: "SonarBelief",
 ) -> "list[Slot]":
     """A checked slot for each follower; of a build-up at its widest."""
     from echowing.flight.build_up import scaled  # noqa: PLC0415
     from echowing.tool.formation_file import check_to_be_led  # noqa: PLC0415
 
-    slots, separation_m = _wanted(args)
+    slots = wanted.slots
     try:
         for one in [slots, *(scaled(slots, one_m) for one_m in radii_m)]:
             said = check_to_be_led(
                 one,
                 sonar,
                 args.min_separation,
-                separation_m,
+                wanted.separation_m,
                 simulated=args.simulated,
-                close_gaps=args.close_gaps,
+                close_gaps=wanted.close_gaps,
             )
     except EchowingError as error:
         where = "" if args.formation is None else f"--formation {args.formation}: "
@@ -487,8 +491,15 @@ def _slots(
     return scaled(slots, radii_m[0]) if radii_m else list(slots)
 
 
-def _wanted(args: argparse.Namespace) -> "tuple[Sequence[Slot], float | None]":
-    """The slots as they are asked for, and how far apart they have to be, if that is told."""
+class _Wanted(NamedTuple):
+    """The slots as they are asked for, how far apart they have to be, and whether gaps close."""
+
+    slots: "Sequence[Slot]"
+    separation_m: float | None
+    close_gaps: bool
+
+
+def _wanted(args: argparse.Namespace) -> _Wanted:
     from echowing.flight.guidance import Slot  # noqa: PLC0415
     from echowing.flight.shapes import SHAPES, shape  # noqa: PLC0415
     from echowing.tool.formation_file import load_formation  # noqa: PLC0415
@@ -496,7 +507,7 @@ def _wanted(args: argparse.Namespace) -> "tuple[Sequence[Slot], float | None]":
     followers, name = len(args.follower), args.formation
     if name in SHAPES:
         spacing_m = RADIUS_M if args.spacing is None else args.spacing
-        return shape(name, followers, spacing_m), None
+        return _Wanted(shape(name, followers, spacing_m), None, args.close_gaps)
     if args.spacing is not None:
         raise EchowingError(f"--spacing needs --formation {' or '.join(SHAPES)}")
     if name is None:
@@ -506,10 +517,10 @@ def _wanted(args: argparse.Namespace) -> "tuple[Sequence[Slot], float | None]":
                 "slot for each"
             )
         radius_m = RADIUS_M if args.radius is None else args.radius
-        return [Slot(radius_m, math.radians(args.angle))], None
+        return _Wanted([Slot(radius_m, math.radians(args.angle))], None, args.close_gaps)
     formation = load_formation(Path(name))
     slots = [section.slot() for section in formation.slots]
     if len(slots) != followers:
         raise EchowingError(f"--formation {name}: {len(slots)} slots for {followers} followers")
-    args.close_gaps = args.close_gaps or formation.close_gaps
-    return slots, formation.slot_separation_m
+    closes = args.close_gaps or formation.close_gaps
+    return _Wanted(slots, formation.slot_separation_m, closes)

@@ -115,7 +115,7 @@ def _same(a: float | None, b: float | None) -> bool:
 
 
 class BuildUp:
-    """The radii of one flight, the widest first; `slots` are the formation's.
+    """The radii of one flight, the widest first; `slots` are the formation's at the widest.
 
     A radius is the nearest slot's distance from the leader; the others keep their proportion.
     radius_m: where the slots are now.
@@ -124,6 +124,7 @@ class BuildUp:
     def __init__(self, radii_m: Sequence[float], slots: Sequence[Slot]) -> None:
         self.radii_m = tuple(radii_m)
         self.radius_m = self.radii_m[0]
+        self._slots = list(slots)
         radii = [slot.radius_m for slot in slots]
         self._spread = max(radii) / min(radii)
         self._step = 0
@@ -172,7 +173,7 @@ class BuildUp:
         for follower in led:
             if follower.standing.held:
                 return f"follower {follower.plan.system_id} holds: {follower.standing.why}"
-        slots = _scaled(followers, self.nearer_m)
+        slots = scaled(self._slots, self.nearer_m)
         for follower, slot in zip(followers.values(), slots, strict=True):
             text = objection_to_radius(follower, slot.radius_m)
             if text is not None:
@@ -193,7 +194,7 @@ class BuildUp:
 
     def _aim(self, followers: Followers, step: int) -> None:
         self._step, self._told = step, False
-        slots = _scaled(followers, self.target_m)
+        slots = scaled(self._slots, self.target_m)
         for system_id, slot in zip(followers, slots, strict=True):
             wanted_m = min(MOST_DIST_M, max(LEAST_DIST_M, slot.radius_m))
             self.distances.setdefault(system_id, AppletDistance()).want(wanted_m)
@@ -243,11 +244,12 @@ class BuildUp:
             self._waits = False
 
     def _place(self, followers: Followers) -> None:
-        slots = _scaled(followers, self.radius_m)
+        slots = scaled(self._slots, self.radius_m)
         longest_m = max(slot.radius_m for slot in slots)
         for follower, slot in zip(followers.values(), slots, strict=True):
-            follower.plan.slot = slot
-            follower.guide.place(slot, longest_m)
+            # Who has moved up (`gaps`) is in another slot of its line, of the same radius.
+            follower.plan.slot = replace(follower.plan.slot, radius_m=slot.radius_m)
+            follower.guide.place(follower.plan.slot, longest_m)
 
     # ---- the end --------------------------------------------------------------------------------
 
@@ -278,11 +280,6 @@ class BuildUp:
                 )
             texts.append((text, distance.is_set))
         return texts
-
-
-def _scaled(followers: Followers, radius_m: float) -> list[Slot]:
-    """The slots that they have now, the nearest of them `radius_m` from the leader."""
-    return scaled([follower.plan.slot for follower in followers.values()], radius_m)
 
 
 def scaled(slots: Sequence[Slot], radius_m: float) -> list[Slot]:

@@ -85,17 +85,21 @@ def check_formation(
     sonar: SonarBelief,
     least_m: float,
     separation_m: float | None = None,
+    *,
+    close_gaps: bool = False,
 ) -> list[str]:
     """Raise EchowingError unless every slot can be flown; returns what only costs accuracy.
 
     least_m: the distance that has to be certain between any two. separation_m: how far slots have
     to be apart whose followers do not range each other; None: as far as sonars and receivers
-    demand.
+    demand. close_gaps: followers may take each other's slots (`check_gaps`).
     """
     if not slots:
         raise EchowingError("formation: no slots; give at least one (radius, angle, altitude step)")
     for number, slot in enumerate(slots, 1):
         _check_slot(number, slot)
+    if close_gaps:
+        check_gaps(slots)
     layout = _Layout(slots, sonar)
     for pair in combinations(range(len(slots) + 1), 2):
         layout.check_wash(*pair)
@@ -103,6 +107,23 @@ def check_formation(
         layout.check_tone(*pair)
     layout.check_beams()
     return layout.warnings()
+
+
+def check_gaps(slots: Sequence[Slot]) -> None:
+    """Raise EchowingError unless a follower may take any other slot of its line.
+
+    Its applet holds it at `ECHO_DIST` from whom it ranges, which no one changes in flight; and
+    nobody climbs or sinks past another one.
+    """
+    for number, slot in enumerate(slots, 1):
+        ahead = None if slot.behind is None else slots[slot.behind]
+        if ahead is None:
+            continue
+        if (slot.radius_m, slot.altitude_step_m) != (ahead.radius_m, ahead.altitude_step_m):
+            raise EchowingError(
+                f"gaps cannot close: slot {number} and slot {(slot.behind or 0) + 1}, behind which "
+                "it is, differ in radius or altitude step; give both the same"
+            )
 
 
 def _check_slot(number: int, slot: Slot) -> None:

@@ -6,13 +6,11 @@ the one that has left, once its pilot brings it back.
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from itertools import pairwise
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.errors import EchowingError
-from echowing.flight.guidance import Slot
 from echowing.flight.state import FollowerState, Known, Say
 
 NOTICE = mavlink.MAV_SEVERITY_NOTICE
@@ -70,20 +68,3 @@ class Gaps:
         if follower is not None:
             yield follower
             yield from self._line_behind(follower)
-
-
-def check_gaps(slots: Sequence[Slot]) -> None:
-    """Raise EchowingError unless a follower may take any other slot of its line.
-
-    Its applet holds it at `ECHO_DIST` from whom it ranges, which no one changes in flight; and
-    nobody climbs or sinks past another one.
-    """
-    for number, slot in enumerate(slots, 1):
-        ahead = None if slot.behind is None else slots[slot.behind]
-        if ahead is None:
-            continue
-        if (slot.radius_m, slot.altitude_step_m) != (ahead.radius_m, ahead.altitude_step_m):
-            raise EchowingError(
-                f"gaps cannot close: slot {number} and slot {(slot.behind or 0) + 1}, behind which "
-                "it is, differ in radius or altitude step; give both the same"
-            )

@@ -16,7 +16,6 @@ from echowing.flight.belief import SonarBelief
 from echowing.flight.build_up import LEAST_DIST_M, MOST_DIST_M
 from echowing.flight.envelope import LEAST_M
 from echowing.flight.formation import check_formation
-from echowing.flight.gaps import check_gaps
 from echowing.flight.guidance import GRAY, SMALLEST_RADIUS_M, GuidanceSettings, Slot
 from echowing.flight.swarm_rules import Weights
 from echowing.section import NotNegative, Positive, Section, Share, section_of
@@ -556,10 +555,14 @@ class Scenario(Section):
 
     def check_formation(self) -> list[str]:
         """As the flight core's `check_formation`."""
-        separation_m = self.formation.slot_separation_m
-        if self.formation.close_gaps:
-            check_gaps(self.slots())
-        return check_formation(self.slots(), self.sonar_belief, LEAST_M, separation_m)
+        formation = self.formation
+        return check_formation(
+            self.slots(),
+            self.sonar_belief,
+            LEAST_M,
+            formation.slot_separation_m,
+            close_gaps=formation.close_gaps,
+        )
 
     def echo_dist_m(self, index: int) -> float | None:
         """`ECHO_DIST` of follower `index` (from 0): its slot's radius unless told otherwise.

@@ -11,7 +11,6 @@ from pydantic import Field, model_validator
 from echowing.errors import EchowingError
 from echowing.flight.belief import SonarBelief
 from echowing.flight.formation import check_formation
-from echowing.flight.gaps import check_gaps
 from echowing.flight.guidance import SMALLEST_RADIUS_M, Slot
 from echowing.flight.shapes import MOST_FOLLOWERS, Shape, shape
 from echowing.section import Positive, Section, section_of
@@ -102,9 +101,7 @@ def check_to_be_led(
     """As `check_formation`, for real vehicles, unless they are `simulated`."""
     if not simulated and any(slot.behind is not None for slot in slots):
         raise EchowingError(ONLY_SIMULATED)
-    if close_gaps:
-        check_gaps(slots)
-    return check_formation(slots, sonar, least_m, separation_m)
+    return check_formation(slots, sonar, least_m, separation_m, close_gaps=close_gaps)
 
 
 def load_formation(path: Path) -> FormationSection:
