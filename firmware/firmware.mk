@@ -53,6 +53,9 @@ build/firmware/git-hash: git-hash
 	@hash=$$(git rev-parse --short=8 HEAD 2>/dev/null || echo 00000000); \
 		[ "$$(cat $@ 2>/dev/null)" = "$$hash" ] || echo $$hash >$@
 
+# Made here only, before anything is compiled: tests build the core in several processes.
+core fuzz: $(MAVLINK_HEADERS)
+
 $(MAVLINK_HEADERS): firmware/dialect/echowing.xml | setup
 	@rm -rf firmware/echowing/src/mavlink
 	@$(BIN)/python -m pymavlink.tools.mavgen --lang C --wire-protocol 2.0 \
