@@ -1,5 +1,6 @@
 """`echowing emulator`: a process whose ports other programs open."""
 
+import json
 import math
 import socket
 from collections.abc import Callable
@@ -14,7 +15,7 @@ from echowing.errors import EchowingError
 from echowing.flight.belief import Curve
 from echowing.flight.sonar import PAN_CENTRE_US, TILT_CENTRE_US
 from echowing.sim.boards.avr import AvrBoard
-from echowing.sim.boards.desk import Desk, Scene, leader_from
+from echowing.sim.boards.desk import Desk, Scene, targets_from
 from echowing.sim.boards.wires import PtyWire, TcpServerWire, open_udp, open_wire
 from echowing.sim.world.sonar import (
     COMMAND_RANGE,
@@ -131,6 +132,20 @@ def test_a_scene_hears_as_the_sonar_that_it_is_given() -> None:
     assert heard_m(0.0, narrow) == pytest.approx(3.0 - 0.2, abs=0.05)
 
 
+def test_of_several_told_the_nearest_in_the_beam_is_heard() -> None:
+    """One that is nearer but beside the beam hides nobody."""
+    scene = Scene(target="udp:0", sonar=replace(ON_A_DESK, wild_share=0.0))
+    places = [(1.0, 2.0, 0.0), (4.2, 0.0, 0.0), (3.2, 0.0, 0.0)]
+    names = ("forward_m", "right_m", "down_m")
+    told = json.dumps([dict(zip(names, place, strict=True)) for place in places])
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        sender.sendto(told.encode(), ("127.0.0.1", scene.udp_port or 0))
+    scene.step(0.02, PAN_CENTRE_US, TILT_CENTRE_US)
+    scene.sensor.write(0, DEFAULT_ADDRESS, bytes([COMMAND_RANGE]))
+    scene.close()
+    assert scene.sensor.last_range_m == pytest.approx(3.2 - ON_A_DESK.inset_m, abs=0.05)
+
+
 class TestWires:
     def test_terminal_that_nobody_reads_loses_bytes_and_does_not_block(self) -> None:
         wire = PtyWire()
@@ -168,7 +183,9 @@ class TestWires:
 class TestDatagrams:
     def test_place(self) -> None:
         told = b'{"forward_m": 3.5, "right_m": -1, "down_m": 0.25}'
-        assert leader_from(told) == (3.5, -1.0, 0.25)
+        assert targets_from(told) == [(3.5, -1.0, 0.25)]
+        assert targets_from(b"[" + told + b"," + told + b"]") == 2 * [(3.5, -1.0, 0.25)]
+        assert targets_from(b"[]") == []
 
     @pytest.mark.parametrize(
         "told",
@@ -184,7 +201,7 @@ class TestDatagrams:
     )
     def test_nonsense_says_what_is_wanted(self, told: bytes) -> None:
         with pytest.raises(EchowingError, match=r"forward_m.*right_m.*down_m"):
-            leader_from(told)
+            targets_from(told)
 
 
 class TestPace:

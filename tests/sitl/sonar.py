@@ -1,7 +1,6 @@
 """What the emulated sonar hears: datagrams for `echowing emulator --target`, from the truth."""
 
 import json
-import math
 import socket
 import threading
 from collections.abc import Callable, Sequence
@@ -15,18 +14,12 @@ from .relay import LOOPBACK
 from .truth import body_frame
 from .vehicle import ORIGIN, State, Vehicle
 
-# Farther than any sonar hears: the emulator takes the last datagram for true until the next.
-NOTHING_BODY_M = (1_000.0, 0.0, 0.0)
-# As far as the gimbal pans (the board's `PAN_REACH`), and half a beam.
-PAN_REACH_RAD = math.radians(70.0)
-Scene = Callable[[State], Floats | None]
+# Vectors from a follower to all that its sonar may hear, NED metres.
+Scene = Callable[[State], Sequence[Floats]]
 
 
 class Feeder:
-    """Tells an emulator at each truth of its follower what is to be heard there.
-
-    scene: a vector to it from the follower, NED metres; None: nothing.
-    """
+    """Tells an emulator at each truth of its follower what may be heard there."""
 
     def __init__(self, follower: Vehicle, port: int, scene: Scene) -> None:
         self.scene = scene
@@ -38,14 +31,13 @@ class Feeder:
         follower.on_truth = self._tell
 
     def _tell(self, state: State) -> None:
-        vector_ned_m = self.scene(state)
-        place = NOTHING_BODY_M
-        if vector_ned_m is not None:
-            angles = (state.roll_rad, state.pitch_rad, state.yaw_rad)
-            forward_m, right_m, down_m = body_frame(vector_ned_m, *angles)
-            place = float(forward_m), float(right_m), float(down_m)
+        angles = (state.roll_rad, state.pitch_rad, state.yaw_rad)
         names = ("forward_m", "right_m", "down_m")
-        told = json.dumps(dict(zip(names, place, strict=True))).encode()
+        places = [
+            dict(zip(names, map(float, body_frame(vector_ned_m, *angles)), strict=True))
+            for vector_ned_m in self.scene(state)
+        ]
+        told = json.dumps(places).encode()
         with self._in_use:
             if self._socket.fileno() >= 0:
                 self._socket.sendto(told, self._to)
@@ -57,30 +49,19 @@ class Feeder:
             self._socket.close()
 
 
-def silence(state: State) -> Floats | None:
+def silence(state: State) -> Sequence[Floats]:
     """A sonar that hears nothing."""
-    return None
+    return ()
 
 
 def vehicles(others: Sequence[Vehicle]) -> Scene:
-    """The nearest of the other vehicles before which the gimbal comes, where it is by now."""
+    """The other vehicles, where they are by now."""
 
-    def hear(state: State) -> Floats | None:
+    def hear(state: State) -> Sequence[Floats]:
         seen = [_ahead(other.state, state.time_s) for other in others if other.heard.truth]
-        vectors = [
-            np.array(ned_between(state.position, one.position)) + ahead for one, ahead in seen
-        ]
-        reached = [vector for vector in vectors if _off_nose_rad(vector, state) <= PAN_REACH_RAD]
-        return min(reached, key=lambda vector: float(np.linalg.norm(vector)), default=None)
+        return [np.array(ned_between(state.position, one.position)) + ahead for one, ahead in seen]
 
     return hear
-
-
-def _off_nose_rad(vector_ned_m: Floats, state: State) -> float:
-    """How far to the side something is, seen from above."""
-    north_m, east_m, _ = vector_ned_m
-    off_rad = math.atan2(east_m, north_m) - state.yaw_rad
-    return abs(math.remainder(off_rad, math.tau))
 
 
 def _ahead(state: State, now_s: float) -> tuple[State, Floats]:
@@ -91,8 +72,8 @@ def _ahead(state: State, now_s: float) -> tuple[State, Floats]:
 def wall(north_m: float) -> Scene:
     """A wall across the way north, heard where the sonar's axis meets it squarely."""
 
-    def hear(state: State) -> Floats | None:
+    def hear(state: State) -> Sequence[Floats]:
         follower_north_m = ned_between(ORIGIN, state.position)[0]
-        return np.array([north_m - follower_north_m, 0.0, 0.0])
+        return [np.array([north_m - follower_north_m, 0.0, 0.0])]
 
     return hear

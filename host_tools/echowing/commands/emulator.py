@@ -21,7 +21,7 @@ examples:
   echowing emulator --link tcp:127.0.0.1:5773 --target udp:9005
       the same from a program of your own; each datagram
       {"forward_m": 3.5, "right_m": 0.2, "down_m": -0.1} says where the leader is
-      in the follower's body frame
+      in the follower's body frame; a list of these: where all are that may be heard
   echowing emulator --link tcpin:5770 --usb pty --eeprom board.eep
   echowing emulator --board blackpill_f411 --elf build/firmware/blackpill_f411/echowing.elf
 """
@@ -58,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     seen.add_argument(
         "--target",
         metavar="udp:PORT",
-        help="the sonar detects the leader at the place that datagrams give",
+        help="the sonar detects the leader, or several vehicles, where datagrams say",
     )
     seen.add_argument(
         "--vehicles",

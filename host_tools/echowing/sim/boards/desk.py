@@ -1,10 +1,11 @@
 """The co-processor on a desk: real time, ports wired to other programs, a leader to hear."""
 
+import itertools
 import json
 import math
 import random
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 from echowing.errors import EchowingError
 from echowing.geo import Ned
@@ -30,10 +31,10 @@ _DATAGRAM_BYTES = 2048
 
 
 class Scene:
-    """What the sonar hears: a fixed range, a leader told of in datagrams or watched, or nothing.
+    """What the sonar hears: a fixed range, vehicles told of, a leader watched, or nothing.
 
-    A leader stays where it was told to be until the next datagram. watched: where it is in the
-    follower's body frame, asked for at every step. sonar: what it truly hears of a leader.
+    Vehicles stay where the last datagram has put them. watched: where the leader is in the
+    follower's body frame, asked for at every step. sonar: what it truly hears of a vehicle.
     """
 
     def __init__(
@@ -48,7 +49,7 @@ class Scene:
         self.sensor = MaxSonar(self._listen)
         self._range_m = None if range_cm is None else range_cm / 100.0
         self._datagrams = open_udp(target) if target else None
-        self._leader_body_m: Ned | None = None
+        self._targets_body_m: Sequence[Ned] = ()
         self._watched = watched
         self._gimbal = Gimbal()
         self._ear = Ear(lambda name: random.Random(f"0 {name}"), sonar)
@@ -62,23 +63,24 @@ class Scene:
         if self._datagrams is None and self._watched is None:
             return self._range_m
         pose = Pose((0.0, 0.0, 0.0), self._gimbal.axis_body())
-        sonar, at_m = self._ear.sonar, self._leader_body_m
+        sonar = self._ear.sonar
         legs_m = sonar.inset_m - LEVER_ARM_M
-        targets = [] if at_m is None else [Target(at_m, sonar.foil_m, legs_m)]
+        targets = [Target(at_m, sonar.foil_m, legs_m) for at_m in self._targets_body_m]
         return self._ear.ping(t_s, pose, targets, surfaces=())
 
     def step(self, dt_s: float, pan_us: float, tilt_us: float) -> None:
         """Turn the gimbal, and take the newest datagram; a senseless one is reported and left."""
         self._gimbal.step(dt_s, pan_us, tilt_us)
         if self._watched is not None:
-            self._leader_body_m = self._watched()
+            leader_body_m = self._watched()
+            self._targets_body_m = () if leader_body_m is None else (leader_body_m,)
         while self._datagrams is not None:
             try:
                 datagram = self._datagrams.recv(_DATAGRAM_BYTES)
             except BlockingIOError:
                 return
             try:
-                self._leader_body_m = leader_from(datagram)
+                self._targets_body_m = targets_from(datagram)
             except EchowingError as error:
                 print(f"echowing emulator: {error}", flush=True)
 
@@ -88,19 +90,25 @@ class Scene:
             self._datagrams.close()
 
 
-def leader_from(datagram: bytes) -> Ned:
-    """The leader's place in the follower's body frame (forward, right, down), metres, from JSON."""
+def targets_from(datagram: bytes) -> list[Ned]:
+    """Places in the follower's body frame (forward, right, down), metres, from JSON."""
     try:
         told = json.loads(datagram)
-        place = float(told["forward_m"]), float(told["right_m"]), float(told["down_m"])
+        places = [
+            (float(one["forward_m"]), float(one["right_m"]), float(one["down_m"]))
+            for one in (told if isinstance(told, list) else [told])
+        ]
     except (ValueError, KeyError, TypeError) as error:
         raise EchowingError(f"{_WANTED}; this came: {datagram[:80]!r}") from error
-    if not all(map(math.isfinite, place)):
+    if not all(map(math.isfinite, itertools.chain(*places))):
         raise EchowingError(f"{_WANTED}; this came: {datagram[:80]!r}")
-    return place
+    return places
 
 
-_WANTED = 'a datagram has to be {"forward_m": number, "right_m": number, "down_m": number}'
+_WANTED = (
+    'a datagram has to be {"forward_m": number, "right_m": number, "down_m": number}, '
+    "or a list of these"
+)
 
 
 class Desk:
