@@ -34,6 +34,7 @@ def run(*command: str | Path) -> str:
 
 def build_and_test(build: Path, *options: str | Path) -> None:
     """Build and run them; the headers, which other tests compile with, stay as they are."""
+    assert MAVLINK_HEADERS.exists(), "run `make core` first: it makes the MAVLink headers"
     headers_made = MAVLINK_HEADERS.stat().st_mtime_ns
     run("cmake", "-S", "tests/firmware", "-B", build, "-G", "Ninja", *options)
     run("cmake", "--build", build)

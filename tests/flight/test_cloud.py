@@ -439,3 +439,12 @@ def test_echoes_of_another_vehicle_bring_nobody_to_where_it_is() -> None:
         cloud.heard(5.0 + READING_S * number, 3.0, Axis(EAST, 0.0), (9.0, 0.0, 0.0), [beside])
 
     assert math.hypot(cloud.north_m, cloud.east_m) < 0.5
+
+
+def test_a_cloud_that_turns_to_another_leader_is_as_sure_as_it_is_told() -> None:
+    cloud = Cloud(shipped_sonar())
+    cloud.turn_to((1.0, -2.0, 0.3), 0.4, 0.2)
+    assert (cloud.north_m, cloud.east_m, cloud.up_m) == pytest.approx((1.0, -2.0, 0.3), abs=0.02)
+    assert cloud.sigma_m(0.0) == pytest.approx(0.4, rel=0.05)
+    assert cloud.up_sigma_m == pytest.approx(0.2, rel=0.05)
+    assert not cloud.has_heard

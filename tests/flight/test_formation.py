@@ -14,11 +14,10 @@ from echowing.flight.formation import (
     IN_SLOT_M,
     check_formation,
     flown_up,
-    place_m,
     receivers_demand_m,
     sonars_demand_m,
 )
-from echowing.flight.guidance import Slot
+from echowing.flight.guidance import Slot, place_m
 from echowing.flight.shapes import SHAPES, shape
 from echowing.flight.state import UNRANGED_SIGMA_M
 from echowing.sim.scenario import load_scenario

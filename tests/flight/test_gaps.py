@@ -6,9 +6,9 @@ from copy import deepcopy
 import pytest
 
 from echowing.errors import EchowingError
-from echowing.flight.formation import check_gaps, place_m
+from echowing.flight.formation import check_gaps
 from echowing.flight.gaps import LEAVES_S, Gaps
-from echowing.flight.guidance import GuidanceSettings, LeaderFix, Slot
+from echowing.flight.guidance import GuidanceSettings, LeaderFix, Slot, place_m
 from echowing.flight.joining import Joining
 from echowing.flight.shapes import shape
 from echowing.flight.state import Known
@@ -18,7 +18,7 @@ from echowing.sim.fault_section import FaultSection
 from echowing.sim.flight import FormationFlight
 from echowing.sim.scenario import load_scenario
 
-from .test_chain import HERE, known
+from .test_chain import HERE, known, taught
 from .yard import FOLLOWER, LEADER, LOITER, SECOND, Vehicle, Yard
 
 LED, GONE, HELD = Standing(Phase.LED), Standing(Phase.WATCHED), Standing(Phase.HELD)
@@ -77,14 +77,33 @@ def test_who_is_behind_moves_up_to_the_end_of_the_line() -> None:
     assert line.known.followers[5].turn.joined
 
 
-def test_what_a_sonar_taught_of_another_vehicle_is_forgotten_and_of_the_same_one_kept() -> None:
+def test_what_sonars_taught_on_the_way_to_the_one_that_is_watched_now_stays_known() -> None:
+    """Of the one that has left, too: its receiver tied the two that are neighbours now."""
     line = Line(shape("column", 4, 3.0))
-    estimates = {one: state.estimate.offset for one, state in line.known.followers.items()}
+    followers = line.known.followers
+    for one, north_m in ((3, 1.0), (4, 0.5), (5, -1.0)):
+        taught(followers[one], north_m)
     line.stands(GONE, 3)
-    same = [
-        one for one, was in estimates.items() if line.known.followers[one].estimate.offset is was
-    ]
-    assert same == [2, 5]
+    assert followers[4].estimate.offset.north_m == pytest.approx(1.5, abs=0.4)
+    assert followers[4].turn.joined, "it is known well enough to come in at once"
+    assert followers[5].estimate.hears(60.0), "it looks at the same one as before"
+    assert followers[5].estimate.offset.north_m == pytest.approx(-1.0, abs=0.2)
+
+
+def test_gaps_wait_while_the_shape_changes_and_a_short_one_then_is_none() -> None:
+    line = Line(shape("column", 4, 3.0))
+    for _ in range(3):
+        line.now_s += LEAVES_S
+        line.gaps.close(line.now_s, reshapes=True)
+    line.known.followers[3].standing = GONE
+    line.now_s += LEAVES_S - 1.0
+    line.gaps.close(line.now_s)
+    assert not line.said
+    line.now_s += 1.0
+    line.gaps.close(line.now_s, reshapes=True)
+    assert not line.said
+    line.gaps.close(line.now_s)
+    assert line.said
 
 
 def test_an_arm_closes_by_itself() -> None:

@@ -1,16 +1,17 @@
 """Followers come into their slots one after the other."""
 
+import math
 from dataclasses import replace
 
 import pytest
-from tests.flight.test_chain import HERE, known
+from tests.flight.test_chain import HERE, known, taught
 
 from echowing.flight.formation import receivers_demand_m
 from echowing.flight.guidance import LeaderFix, Slot
 from echowing.flight.joining import JOINS_WITHIN_S, Joining
 from echowing.flight.plan import planned
 from echowing.flight.state import FollowerState, Known
-from echowing.flight.steps import Phase, Standing
+from echowing.flight.steps import Phase, Standing, Turn
 
 # The third is 3 m behind the first, and 6 m from the second.
 VEE = [Slot(3.0, 0.6), Slot(3.0, -0.6), Slot(3.0, 0.6, behind=0)]
@@ -54,6 +55,23 @@ def test_nobody_waits_for_one_that_is_not_led(phase: Phase) -> None:
     first, second, _ = led(there)
     first.standing = Standing(phase)
     assert Joining(there).waits_for(second, 1.0) is None
+
+
+def test_who_comes_in_expects_what_the_others_sonars_tell_and_that_is_no_reading() -> None:
+    """Of two receivers that disagree by 3 m each is off by half of it, the first to the south."""
+    there = known([Slot(3.0), Slot(3.0, behind=0), Slot(3.0, behind=1)])
+    first, second, third = led(there)
+    taught(first, 3.0)
+    first.turn.joined = True
+    joining = Joining(there)
+    for now_s in (60.0, 60.1, 60.2):  # as its pilot leaves Guided and comes back
+        second.turn = Turn()
+        joining.waits_for(second, now_s)
+        offset = second.estimate.offset
+        assert offset.north_m == pytest.approx(-1.5, abs=0.2)
+        assert offset.level_sigma_m == pytest.approx(math.sqrt(1.5) * 0.8, abs=0.1)
+    there.expect(third)
+    assert third.estimate.offset.north_m == pytest.approx(0.0, abs=0.1)
 
 
 def test_who_does_not_find_his_leader_keeps_off_for_a_while_and_tries_again() -> None:

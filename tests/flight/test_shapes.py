@@ -6,8 +6,8 @@ from itertools import combinations, pairwise
 import pytest
 
 from echowing.errors import EchowingError
-from echowing.flight.formation import check_formation, hung_on_leader, place_m
-from echowing.flight.guidance import Slot
+from echowing.flight.formation import check_formation, hung_on_leader
+from echowing.flight.guidance import Slot, place_m
 from echowing.flight.shapes import MOST_FOLLOWERS, SHAPES, shape
 from echowing.sonar_file import shipped_sonar
 

@@ -130,7 +130,7 @@ def test_one_that_its_sonar_looks_at_is_its_applets_and_others_are_the_tools() -
     """The applet knows that one alone: led past it by the tool it flew back at 1.9 m/s (SITL)."""
     told = beside_a_second()
     assert into_the_second(told, spacing(told), 0.2).makes_way
-    told.known.watch(told.follower, told.known.followers[SECOND])
+    told.known.watch({told.follower.plan.system_id: told.known.followers[SECOND]})
     watched = into_the_second(told, spacing(told), 0.4)
     assert watched.gives_way_to == "follower 3"
     assert not watched.makes_way
@@ -147,7 +147,7 @@ def test_a_point_far_back_does_not_count_as_flown_to_by_the_applet_of_one_in_a_l
     monkeypatch.setattr(
         type(told.known), "seen", lambda self, one, here, other, there, m: (there, 0.3)
     )
-    told.known.watch(follower, second)
+    told.known.watch({follower.plan.system_id: second})
     told.vehicles[SECOND].at_m, told.vehicles[SECOND].velocity_mps = (-3.8, -40.0), (-1.5, 0.0)
     told.now_s += 0.1
     for system_id in told.vehicles:

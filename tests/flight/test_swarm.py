@@ -217,14 +217,15 @@ def test_it_looks_at_whom_it_watches_and_flies_no_faster_than_is_flown() -> None
     assert math.hypot(*guided.velocity_mps) == pytest.approx(FASTEST_MPS)
 
 
-def test_what_was_learnt_of_one_is_not_believed_of_the_next() -> None:
+def test_what_is_known_of_the_receivers_goes_with_a_sonar_to_the_next_one() -> None:
+    """The second's own receiver jumped: it sees everybody off by as much."""
     told = three((-4.0, 0.0), (-8.0, 0.0), (-30.0, 0.0))
     first, second, _ = told.known.followers.values()
     second.estimate.jumped((1.0, 0.0))
-    told.known.watch(second, first)
-    assert second.estimate.shift_m == pytest.approx(STILL, abs=1e-9)
+    told.known.watch({second.plan.system_id: first})
+    assert second.estimate.shift_m == pytest.approx((1.0, 0.0), abs=1e-9)
     assert list(told.known.chain(second)) == [second, first]
-    told.known.watch(second, None)
+    told.known.watch({second.plan.system_id: None})
     assert list(told.known.chain(second)) == [second]
 
 

@@ -1,6 +1,7 @@
 """Keys of the live view: what they order, what asks first, and what becomes of the terminal."""
 
 import io
+import math
 import os
 import pty
 import signal
@@ -16,12 +17,15 @@ from rich.console import Console
 from echowing.cli import main
 from echowing.commands.follow import options_of
 from echowing.errors import EchowingError
+from echowing.flight.orders import Orders
+from echowing.flight.shapes import shape
 from echowing.terminal import Keyboard
 from echowing.tool.background import BackgroundView
 from echowing.tool.keys import QUESTION_S, KeyDesk
 from echowing.tool.view import LiveView
 
 from ..flight.test_build_up import Field
+from ..flight.yard import FOLLOWER
 from .test_background import DEADLINE_S, StoppedScreen, Vehicles, read_until
 from .test_follow_end import NEVER_S, Flight, Screen
 from .test_health import Watched
@@ -96,6 +100,35 @@ def test_nearer_asks_back_out_does_not_and_the_line_shows_the_radius() -> None:
     desk.press(b"b")
     assert desk.field.build_up.target_m == 8.0
     assert desk.field.said("back out, to 8 m by key")
+
+
+def test_another_shape_asks_first_and_the_line_shows_which() -> None:
+    """A line abreast of one is beside its leader."""
+    desk = Desk()
+    shapes = [(name, shape(name, 1, 8.0)) for name in ("column", "abreast")]
+    desk.field.orders = Orders(desk.field.session, None, shapes)
+    desk.desk = KeyDesk(desk.field.orders, lambda _, text: desk.said.append(text))
+    assert desk.line() == "keys: e engage  h hold  f form abreast  s stop all"
+    desk.press(b"f")
+    assert desk.said == ["form abreast? press y within 5 s"]
+    assert not desk.field.session.reshape.moves
+    desk.press(b"y")
+    assert desk.field.session.reshape.moves
+    assert desk.line() == "keys: e engage  h hold  f form column  s stop all"
+    desk.press(b"f")
+    assert desk.said[-1] == "no other shape: still on the way to abreast"
+    desk.press(b"h", b"f")
+    assert desk.said[-1] == "no other shape: not engaged"
+    desk.press(b"e", b"y")
+    desk.field.fly(30.0)
+    assert desk.field.said("in abreast")
+    assert desk.field.slot(FOLLOWER).angle_rad == pytest.approx(math.pi / 2.0)
+
+
+def test_without_another_shape_the_key_says_how_to_give_one() -> None:
+    desk = Desk()
+    desk.press(b"f")
+    assert desk.said == ["no other shape: one shape only was given (--formation column,vee)"]
 
 
 @pytest.mark.parametrize("key", [b"s", b"S", b" "])

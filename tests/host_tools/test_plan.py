@@ -13,7 +13,7 @@ import pytest
 from echowing.cli import main
 from echowing.errors import EchowingError
 from echowing.flight.envelope import LEAST_M
-from echowing.flight.formation import place_m
+from echowing.flight.guidance import place_m
 from echowing.flight.state import UNRANGED_SIGMA_M
 from echowing.planning.cost import Formation, Limits
 from echowing.planning.optimise import METHODS, Counted, SpentError, best_of, compare

@@ -274,4 +274,40 @@ def test_a_served_formation_that_closes_gaps_is_flown_so(
     assert "--formation column --spacing 3 --close-gaps" in capsys.readouterr().out
 
 
+def test_shapes_to_take_later_are_flown_as_the_command_or_the_file_asks(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    column = [*FOLLOW_TWO, "--simulated", "--formation"]
+    assert not options_of([*column, "column"]).shapes
+    assert [name for name, _ in options_of([*column, "column,vee"]).shapes] == ["column", "vee"]
+    changed = "formation.changes=[{shape='vee', at_s=60}]"
+    say_how_to_go_on(load_scenario("column", ["formation.followers=2", changed]), 5760)
+    assert "--formation column,vee --spacing 3 --simulated" in capsys.readouterr().out
+    path = tmp_path / "formation.toml"
+    path.write_text(
+        'shape = "column"\nfollowers = 2\nspacing_m = 3\n[[changes]]\nshape = "vee"\nat_s = 60\n',
+        encoding="utf-8",
+    )
+    assert [name for name, _ in options_of([*column, str(path)]).shapes] == ["column", "vee"]
+    with pytest.raises(EchowingError, match="no shape 'vea'"):
+        options_of([*column, "column,vea"])
+    assert [name for name, _ in options_of([*column, "column, vee"]).shapes] == ["column", "vee"]
+    with pytest.raises(EchowingError, match="--build-up takes one shape"):
+        options_of([*column, "column,vee", "--build-up", "8,4"])
+    path.write_text("[[slots]]\nradius_m = 3\n[[changes]]\nshape = 'vee'\nat_s = 60\n")
+    with pytest.raises(EchowingError, match="changes are from a shape"):
+        options_of([*column, str(path)])
+    falls = "formation.changes=[{shape='vee', at_s=60}, {shape='column', at_s=20}]"
+    with pytest.raises(EchowingError, match="at_s has to rise"):
+        load_scenario("column", ["formation.followers=2", falls])
+
+
+def test_shapes_whose_slots_meet_on_the_way_are_refused() -> None:
+    near = ["formation.shape=vee", "formation.followers=2", "formation.spacing_m=1.8"]
+    allowed = "formation.slot_separation_m=1"
+    changed = "formation.changes=[{shape='column', at_s=60}]"
+    with pytest.raises(EchowingError, match="from vee to column two slots come to"):
+        load_scenario("column", [*near, allowed, changed])
+
+
 FIVE_M = "formation.spacing_m=5"

@@ -14,8 +14,8 @@ import pytest
 
 from echowing.analysis.metrics import Metrics
 from echowing.flight.envelope import LEAST_M
-from echowing.flight.formation import flown_up, place_m
-from echowing.flight.guidance import Slot
+from echowing.flight.formation import flown_up
+from echowing.flight.guidance import Slot, place_m
 from echowing.geo import GlobalPosition, Ned, displace
 
 from . import truth

@@ -49,6 +49,7 @@ ROWS = (
     Row("diamond of 3", "diamond", (SLOW,), KEPT),
     Row("column of 12", "column", (SLOW, *TWELVE), Goal(0.20, 0.35, 1.2), TWELVE_JOINED_S),
     Row("vee of 4, 6 m/s of wind", "vee", (SLOW, *WINDY), Goal(0.25, 0.40, 1.0)),
+    Row("four change their shape, four times", "reshape", (SLOW,), TURNS_ROUND),
     Row("leader turns round, column of 5", "column-back", (SLOW,), TURNS_ROUND),
     Row("leader turns round, vee of 4", "column-back", (SLOW, *VEE), TURNS_ROUND),
 )

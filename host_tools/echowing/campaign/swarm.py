@@ -13,7 +13,7 @@ import numpy as np
 from echowing.analysis.flight import Floats
 from echowing.analysis.flock import FLIES_MPS, extent_m, nearest_m, polarisation, rotation
 from echowing.campaign.record import FlightRecord
-from echowing.flight.formation import place_m
+from echowing.flight.guidance import place_m
 
 # Two are a pair; three are a group.
 LEAST_FOLLOWERS = 3

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from echowing.flight.belief import SonarBelief
     from echowing.flight.guidance import Slot
+    from echowing.flight.reshape import Named
     from echowing.flight.take_off import TakeOff
     from echowing.mavlink.seats import Seat
     from echowing.tool.run import FollowOptions, Page
@@ -107,8 +108,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     place.add_argument(
         "--formation",
-        metavar="SHAPE|FILE",
-        help=f"a shape: {', '.join(SHAPES)}; or a TOML file with one slot per follower",
+        metavar="SHAPE,…|FILE",
+        help=f"a shape: {', '.join(SHAPES)}; or a TOML file with one slot per follower. Of several "
+        "shapes the first is flown, and key f of the live view lets all fly into the next",
     )
     place.add_argument(
         "--spacing",
@@ -301,8 +303,9 @@ def fly(
 
     pressed = Keyboard()
     seen = pressed.is_there and sys.stdout.isatty() and not as_json
-    if options.build_up and not seen:
-        raise EchowingError("--build-up needs keys: run it on a terminal, without --json")
+    for option, given in (("--build-up", options.build_up), ("another shape", options.shapes)):
+        if given and not seen:
+            raise EchowingError(f"{option} needs keys: run it on a terminal, without --json")
     keyboard = pressed if seen else None
     with stop_on_signals(PATIENCE_S) as stop, page or nullcontext() as shown:
         keys = None if keyboard is None else keyboard.read
@@ -369,6 +372,7 @@ def _options(args: argparse.Namespace) -> "FollowOptions":
         log=log_folder(args),
         signing_key=read_key(args.signing_key_file),
         build_up=radii_m,
+        shapes=wanted.shapes,
     )
 
 
@@ -460,11 +464,15 @@ def _slots(
 ) -> "list[Slot]":
     """A checked slot for each follower; of a build-up at its widest."""
     from echowing.flight.build_up import scaled  # noqa: PLC0415
+    from echowing.flight.reshape import check_changes  # noqa: PLC0415
     from echowing.tool.formation_file import check_to_be_led  # noqa: PLC0415
 
     slots = wanted.slots
+    if wanted.shapes and radii_m:
+        raise EchowingError("--build-up takes one shape: leave the others out of --formation")
+    later = [shape for _, shape in wanted.shapes]
     try:
-        for one in [slots, *(scaled(slots, one_m) for one_m in radii_m)]:
+        for one in [slots, *later, *(scaled(slots, one_m) for one_m in radii_m)]:
             said = check_to_be_led(
                 one,
                 sonar,
@@ -473,6 +481,7 @@ def _slots(
                 simulated=args.simulated,
                 close_gaps=wanted.close_gaps,
             )
+        check_changes([*wanted.shapes, *wanted.shapes[:1]])
     except EchowingError as error:
         where = "" if args.formation is None else f"--formation {args.formation}: "
         raise EchowingError(f"{where}{error}") from error
@@ -492,11 +501,15 @@ def _slots(
 
 
 class _Wanted(NamedTuple):
-    """The slots as they are asked for, how far apart they have to be, and whether gaps close."""
+    """The slots as they are asked for, how far apart they have to be, and whether gaps close.
+
+    shapes: if there are several, all of them, the first one too.
+    """
 
     slots: "Sequence[Slot]"
     separation_m: float | None
     close_gaps: bool
+    shapes: "Sequence[Named]" = ()
 
 
 def _wanted(args: argparse.Namespace) -> _Wanted:
@@ -505,9 +518,12 @@ def _wanted(args: argparse.Namespace) -> _Wanted:
     from echowing.tool.formation_file import load_formation  # noqa: PLC0415
 
     followers, name = len(args.follower), args.formation
-    if name in SHAPES:
+    names = [] if name is None else [one.strip() for one in name.split(",")]
+    if any(one in SHAPES for one in names):
         spacing_m = RADIUS_M if args.spacing is None else args.spacing
-        return _Wanted(shape(name, followers, spacing_m), None, args.close_gaps)
+        formed = [(one, shape(one, followers, spacing_m)) for one in names]
+        several = formed if len(formed) > 1 else []
+        return _Wanted(formed[0][1], None, args.close_gaps, several)
     if args.spacing is not None:
         raise EchowingError(f"--spacing needs --formation {' or '.join(SHAPES)}")
     if name is None:
@@ -523,4 +539,5 @@ def _wanted(args: argparse.Namespace) -> _Wanted:
     if len(slots) != followers:
         raise EchowingError(f"--formation {name}: {len(slots)} slots for {followers} followers")
     closes = args.close_gaps or formation.close_gaps
-    return _Wanted(slots, formation.slot_separation_m, closes)
+    shapes = formation.shapes() if formation.changes else []
+    return _Wanted(slots, formation.slot_separation_m, closes, shapes)

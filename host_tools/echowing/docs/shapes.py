@@ -3,7 +3,7 @@
 import sys
 from pathlib import Path
 
-from echowing.flight.formation import place_m
+from echowing.flight.guidance import place_m
 from echowing.flight.shapes import shape
 
 SHOWN = (("column", 3), ("vee", 4), ("echelon", 4), ("abreast", 3), ("diamond", 3))

@@ -15,7 +15,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.flight.engage import DIST
 from echowing.flight.guidance import Slot
-from echowing.flight.state import FollowerState, Say
+from echowing.flight.state import FollowerState, Say, place_guides
 from echowing.mavlink.messages import read_parameter
 
 Followers = Mapping[int, FollowerState]
@@ -245,11 +245,10 @@ class BuildUp:
 
     def _place(self, followers: Followers) -> None:
         slots = scaled(self._slots, self.radius_m)
-        longest_m = max(slot.radius_m for slot in slots)
         for follower, slot in zip(followers.values(), slots, strict=True):
             # Who has moved up (`gaps`) is in another slot of its line, of the same radius.
             follower.plan.slot = replace(follower.plan.slot, radius_m=slot.radius_m)
-            follower.guide.place(follower.plan.slot, longest_m)
+        place_guides(followers.values())
 
     # ---- the end --------------------------------------------------------------------------------
 

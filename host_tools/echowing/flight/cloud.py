@@ -47,7 +47,6 @@ PLACED_SIGMA_M = 0.15
 UPDATE_PERIOD_S = 0.25
 # Of a leader that was not heard for so long, this share of the ranges that nothing had foretold is
 # its own: the receivers disagree by more than anybody thought. Three that agree outweigh all else.
-# With others near they are taken for theirs: a vee lost its leader to them (ArduCopter SITL).
 STEPPED, LOST_S = 0.005, 3.0
 # A sonar hears its leader somewhat more seldom than its file says at the least, or in nearly all
 # readings.
@@ -140,11 +139,32 @@ class Cloud:
         self._nearest_m = 0.0
         self._summarise()
 
+    def turn_to(self, off_m: Between, level_sigma_m: float, up_sigma_m: float) -> None:
+        """Be of another leader, of which is known so much; what is learnt of the sonar stays."""
+        # As far as its receivers wander, each guess has more or less of it.
+        wanders_m = self._wanders_m / np.sqrt(self._wanders_m**2 @ self._weight)[:, np.newaxis]
+        sigma_m = np.array(((level_sigma_m,), (level_sigma_m,), (up_sigma_m,)))
+        self._off = np.array(off_m)[:, np.newaxis] + sigma_m * wanders_m * self._opposites()
+        self._drift = self._off.copy()
+        self._astray.clear()
+        self._heard_at_s = self._silent_at_s = -math.inf
+        self._summarise()
+
     def copy(self) -> "Cloud":
         """What is known now, for later."""
         return copy.deepcopy(self)
 
     # ---- what is known ----
+
+    @property
+    def has_heard(self) -> bool:
+        """Whether there was a reading that was the leader's."""
+        return math.isfinite(self._heard_at_s)
+
+    @property
+    def mean_m(self) -> Between:
+        """What the vehicles' positions disagree by."""
+        return self.north_m, self.east_m, self.up_m
 
     def unheard_s(self, now_s: float) -> float:
         """Time since the last reading that was the leader's; infinite at first."""
@@ -288,13 +308,14 @@ class Cloud:
         fits, of_others = self._explained(distance_m, axis, believed, others)
         wrong_share = self._wrong_share()
         fits *= 1.0 - wrong_share
-        wrong = wrong_share / self._sonar.reach_m + of_others
-        foretold = float(self._weight @ (fits - wrong)) > 0.0
-        if foretold:
+        wrong = wrong_share / self._sonar.reach_m
+        of_leader = float(self._weight @ (fits - wrong))
+        of_another = float(self._weight @ of_others)
+        if of_leader > of_another:
             self._heard_at_s = time_s
             self._compare(time_s, distance_m, believed)
-        self._update(fits + wrong)
-        if not (foretold or others) and self.unheard_s(time_s) > LOST_S:
+        self._update(fits + of_others + wrong)
+        if of_leader + of_another <= 0.0 and self.unheard_s(time_s) > LOST_S:
             self._guess_stepped(distance_m, axis, believed)
 
     def _compare(self, time_s: float, distance_m: float, believed: Between) -> None:

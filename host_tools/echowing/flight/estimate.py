@@ -15,7 +15,7 @@ from echowing.flight.alignment import (
 )
 from echowing.flight.axis import Axis
 from echowing.flight.belief import SonarBelief
-from echowing.flight.cloud import Bystander, Cloud
+from echowing.flight.cloud import Between, Bystander, Cloud
 from echowing.flight.envelope import SURE_SIGMAS, strays_m
 from echowing.flight.guidance import Horizontal, LeaderFix, predicted
 from echowing.flight.hearing import Hearing, Reading
@@ -86,6 +86,21 @@ class Beside:
     shift_m: Horizontal
     sigma_m: float
     moves: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Tie:
+    """What sonars on the way from one vehicle to another tell of their receivers.
+
+    off_m: what they disagree by, (north, east, up), with standard deviations; jumped_m: as
+    `Estimate.jumped_m`; proven_m: as `FollowerState.proven_m`.
+    """
+
+    off_m: Between
+    level_sigma_m: float
+    up_sigma_m: float
+    jumped_m: Horizontal
+    proven_m: Horizontal
 
 
 class Estimate:
@@ -281,9 +296,17 @@ class Estimate:
     def forget(self) -> None:
         """Drop what was learnt: a receiver has started anew."""
         self.offset = Cloud(self.sonar)
+        self._begin_anew((0.0, 0.0))
+
+    def turn_to(self, tie: Tie) -> None:
+        """Look at another vehicle, of which the others' sonars tell so much."""
+        self.offset.turn_to(tie.off_m, tie.level_sigma_m, tie.up_sigma_m)
+        self._begin_anew(tie.jumped_m)
+
+    def _begin_anew(self, jumped_m: Horizontal) -> None:
         self._noted.clear()
         self._alignment = Alignment()
-        self.jumped_m = (0.0, 0.0)
+        self.jumped_m = jumped_m
 
     def jumped(self, moved_m: tuple[float, float]) -> None:
         """The leader's receiver has jumped by (north, east), or the follower's by the opposite."""

@@ -9,9 +9,8 @@ from itertools import combinations
 from echowing.errors import EchowingError
 from echowing.flight.belief import SonarBelief
 from echowing.flight.envelope import SURE_SIGMAS
-from echowing.flight.guidance import SMALLEST_RADIUS_M, Slot, slot_offset_m
+from echowing.flight.guidance import SMALLEST_RADIUS_M, Slot, place_m
 from echowing.flight.state import UNRANGED_SIGMA_M
-from echowing.geo import Ned
 
 # Each of two followers may be this far off its slot and still be in it.
 IN_SLOT_M = 0.5
@@ -23,16 +22,6 @@ WASH_M = 1.0 + 2.0 * IN_SLOT_M
 # Two copters are not below each other within this height.
 LEVEL_M = 0.5
 LEADER = 0
-
-
-def place_m(slots: Sequence[Slot], number: int, course_rad: float = 0.0) -> Ned:
-    """Where a slot is, NED from the leader, while the formation flies straight on."""
-    slot = slots[number]
-    north_m, east_m = slot_offset_m(slot, course_rad)
-    if slot.behind is not None:
-        ahead_north_m, ahead_east_m, _ = place_m(slots, slot.behind, course_rad)
-        north_m, east_m = north_m + ahead_north_m, east_m + ahead_east_m
-    return north_m, east_m, -slot.altitude_step_m
 
 
 def hung_on_leader(slots: Sequence[Slot]) -> list[Slot]:

@@ -29,15 +29,18 @@ class Gaps:
         self._led_at_s: dict[int, float] = {}
         """When each that was led at any time was led last."""
 
-    def close(self, now_s: float) -> None:
-        """Let who is behind one that has left move up; once a tick."""
+    def close(self, now_s: float, *, reshapes: bool = False) -> None:
+        """Let who is behind one that has left move up; once a tick.
+
+        reshapes: the formation is on its way into another shape, and gaps wait.
+        """
         followers = list(self._known.followers.values())
         led = [one for one in followers if one.standing.sent_to]
         if not led:  # the flight is over, or has not begun
             self._led_at_s.clear()
         for one in led:
             self._led_at_s[one.plan.system_id] = now_s
-        for one in reversed(followers):
+        for one in () if reshapes else reversed(followers):
             if now_s - self._led_at_s.get(one.plan.system_id, math.inf) >= LEAVES_S:
                 self._close(one, now_s)
 

@@ -8,6 +8,7 @@ frame mix-up behind the thesis's north-south fault (Table 8).
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from echowing.flight.swarm_rules import Weights
@@ -153,6 +154,16 @@ def slot_offset_m(slot: Slot, course_rad: float) -> Horizontal:
     """
     bearing_rad = course_rad + math.pi - slot.angle_rad
     return slot.radius_m * math.cos(bearing_rad), slot.radius_m * math.sin(bearing_rad)
+
+
+def place_m(slots: Sequence[Slot], number: int, course_rad: float = 0.0) -> Ned:
+    """Where a slot is, NED from the leader, while the formation flies straight on."""
+    slot = slots[number]
+    north_m, east_m = slot_offset_m(slot, course_rad)
+    if slot.behind is not None:
+        ahead_north_m, ahead_east_m, _ = place_m(slots, slot.behind, course_rad)
+        north_m, east_m = north_m + ahead_north_m, east_m + ahead_east_m
+    return north_m, east_m, -slot.altitude_step_m
 
 
 def at_slot(

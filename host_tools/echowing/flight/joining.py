@@ -9,13 +9,17 @@ there and lets the next one come in, and tries again later: never found, it is n
 
 import math
 
-from echowing.flight.formation import place_m, receivers_demand_m
+from echowing.flight.formation import receivers_demand_m
+from echowing.flight.guidance import place_m
 from echowing.flight.state import UNRANGED_SIGMA_M, FollowerState, Known
 from echowing.flight.steps import Phase
 
 # A follower finds its leader within 7 s, with most sonars that are worse than believed within 20
 # (`echowing bench --only robust`). So long it tries, and then keeps off before it tries again.
 JOINS_WITHIN_S = 20.0
+# Whose sonar knows twice as much as receivers tell. Where the first of a vee was known less well,
+# the next one took its echo for the leader's.
+FOUND_SIGMA_M = 0.5 * UNRANGED_SIGMA_M
 
 
 class Joining:
@@ -34,6 +38,8 @@ class Joining:
             return None
         before = self._before(follower)
         if before is None:
+            if math.isinf(turn.joins_at_s) and not follower.estimate.offset.has_heard:
+                self._known.expect(follower)
             turn.joins_at_s = min(turn.joins_at_s, now_s)
             tries = int((now_s - turn.joins_at_s) / JOINS_WITHIN_S)
             turn.joined = self._has_found(follower, now_s) or (self._alone and tries > 0)
@@ -47,9 +53,9 @@ class Joining:
         return len(self._known.followers) == 1
 
     def _has_found(self, follower: FollowerState, now_s: float) -> bool:
-        """Whether its sonar tells more of the one that it looks at than receivers do."""
+        """Whether its sonar tells much more of the one that it looks at than receivers do."""
         estimate = follower.estimate
-        return estimate.hears(now_s) and estimate.offset.level_sigma_m < UNRANGED_SIGMA_M
+        return estimate.hears(now_s) and estimate.offset.level_sigma_m < FOUND_SIGMA_M
 
     def _before(self, follower: FollowerState) -> FollowerState | None:
         """The first neighbour before it in the formation that is led and has not joined."""

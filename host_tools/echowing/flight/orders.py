@@ -1,14 +1,18 @@
-"""What the operator orders in flight: engage, hold, come nearer, back out, stop all. Pure.
+"""What the operator orders in flight: engage, hold, come nearer, back out, another shape, stop all.
+
+Pure.
 
 `prepare` is called before each tick of the session. `engage` ends a hold; nothing ends a stop.
 Neither affects a follower that its pilot flies by hand.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.flight.build_up import BuildUp
+from echowing.flight.reshape import Named
 from echowing.flight.session import FollowSession
 from echowing.flight.state import FollowerState
 
@@ -17,10 +21,20 @@ STOPPED = "stopped by the operator"
 
 
 class Orders:
-    """The operator's orders to one session; `build_up` None: the radius stays."""
+    """The operator's orders to one session.
 
-    def __init__(self, session: FollowSession, build_up: BuildUp | None = None) -> None:
+    build_up None: the radius stays; shapes: that it takes one after the other, the first once more
+    after the last.
+    """
+
+    def __init__(
+        self,
+        session: FollowSession,
+        build_up: BuildUp | None = None,
+        shapes: Sequence[Named] = (),
+    ) -> None:
         self.build_up = build_up
+        self._shapes, self._in_shape = shapes, 0
         self.held = self.stopped = False
         self._session = session
 
@@ -94,6 +108,31 @@ class Orders:
             return
         self.build_up.further(self._session.followers)
         self._say_radius(now_s, "back out", self.build_up)
+
+    @property
+    def next_shape(self) -> Named | None:
+        """The shape that `reshape` lets them fly into; None: there is one only."""
+        several = len(self._shapes) > 1
+        return self._shapes[(self._in_shape + 1) % len(self._shapes)] if several else None
+
+    def objection_to_reshape(self) -> str | None:
+        """Why the shape cannot change now; None: it can."""
+        shape = self.next_shape
+        if shape is None:
+            return "one shape only was given (--formation column,vee)"
+        if self.stopped or self.held or not self._session.engaged:
+            return "not engaged"
+        return self._session.reshape.objection(shape)
+
+    def reshape(self, now_s: float) -> None:
+        """Let all fly into the next shape."""
+        objection, shape = self.objection_to_reshape(), self.next_shape
+        if objection is not None or shape is None:
+            self._say(now_s, f"no other shape: {objection}")
+            return
+        self._in_shape = (self._in_shape + 1) % len(self._shapes)
+        self._session.reshape.begin(shape, now_s)
+        self._show_pilots(f"to {shape[0]}")
 
     def objection_to_nearer(self, now_s: float) -> str | None:
         """Why they cannot come nearer now; None: they can."""

@@ -114,7 +114,7 @@ class Planner:
             for answer in (handling.answer, handling.answer_in_calm)
         )
         follower.reversal_m = needs_m
-        opens = follower.opens_m > 0.0
+        opens = needs_m > radius_m
         if opens and not follower.opens:
             why = f"leader at {speed_mps:.1f} m/s"
             if calm_m <= radius_m:
@@ -151,7 +151,7 @@ def planned(known: Known, follower: FollowerState, fix: LeaderFix, now_s: float)
 
     With feed-forward: the slot and its velocity. Position alone: a point ahead of the slot.
     """
-    settings, least_m = known.settings, follower.reversal_m
+    settings, least_m = known.settings, follower.least_m
     if follower.turn.waits:
         least_m = max(least_m, receivers_demand_m(settings.clearance_m))
     arrives_s = now_s + follower.way_s

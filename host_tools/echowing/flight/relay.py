@@ -73,7 +73,7 @@ class RelayGuide(Guide):
         place = displace(middle, shift_m)
         return GuidedPoint(point=place, slot=place, leader=remote, yaw_rad=None)
 
-    def place(self, slot: Slot, longest_m: float) -> None:
+    def place(self, slot: Slot, bar_m: float) -> None:
         """As `TowBar.place`; a relay has no slot."""
 
     def _beside(

@@ -30,6 +30,7 @@ from echowing.flight.leader_track import LeaderTrack
 from echowing.flight.look import Look, look_at
 from echowing.flight.plan import Planner, quickens_mps2
 from echowing.flight.requests import Rate, Requests, positions
+from echowing.flight.reshape import Reshape
 from echowing.flight.spacing import Spacing
 from echowing.flight.state import FollowerPlan, FollowerState, Known
 from echowing.flight.steps import Allowed, Command, Plan
@@ -118,6 +119,7 @@ class FollowSession:
             self.known, self._say, self.alert, reverses=reverses, swarm=self.swarm
         )
         self._gaps = Gaps(self.known, self._say, self.alert) if settings.close_gaps else None
+        self.reshape = Reshape(self.known, self._say)
         self._spacing = Spacing(self.known, self.guard, self._gives_way)
         wanted = positions(self.known, leader_rate_hz)
         if self.guard is not None:
@@ -203,8 +205,10 @@ class FollowSession:
             messages.extend(self._lift(self.take_offs, now_s))
         if self.swarm is not None:
             self.swarm.prepare(now_s)
-        if self._gaps is not None and self._supervisor.stopping is None:
-            self._gaps.close(now_s)
+        if self._supervisor.stopping is None:
+            self.reshape.advance(now_s)
+            if self._gaps is not None:
+                self._gaps.close(now_s, reshapes=self.reshape.moves)
         for follower in self.followers.values():
             self._trust.settle(follower, now_s)
             self.known.feel_wind(follower, now_s)

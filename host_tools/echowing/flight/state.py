@@ -4,7 +4,7 @@ The first step of a tick: messages come in here, and every later step reads from
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
@@ -15,7 +15,7 @@ from echowing.flight.axis import axis_of
 from echowing.flight.belief import SonarBelief
 from echowing.flight.cloud import Wandering
 from echowing.flight.envelope import SURE_SIGMAS
-from echowing.flight.estimate import LONGEST_CARRY_S, Beside, Estimate, carried_on
+from echowing.flight.estimate import LONGEST_CARRY_S, Beside, Estimate, Tie, carried_on
 from echowing.flight.guidance import (
     GuidanceSettings,
     GuidedPoint,
@@ -24,6 +24,7 @@ from echowing.flight.guidance import (
     Slot,
     bearing_rad,
     is_stale,
+    place_m,
     predicted,
 )
 from echowing.flight.handling import Handling, leader_brakes_mps2
@@ -33,6 +34,7 @@ from echowing.flight.leader_track import LeaderTrack, VehicleClock, changes_mps2
 from echowing.flight.own_motion import OwnMotion
 from echowing.flight.steps import Allowed, Command, Hold, Phase, Standing, Turn
 from echowing.flight.tail import TailSlot
+from echowing.flight.ties import Link, errors
 from echowing.flight.tow_bar import TowBar
 from echowing.flight.wind import Wind
 from echowing.geo import GlobalPosition, Ned, displace, ned_between
@@ -41,8 +43,9 @@ from echowing.mavlink.messages import FORWARD, gimbal_attitude, heading_of, sona
 GUIDED_MODE = 4
 # A vehicle further off is not heard: the sonar's longest range, and what receivers may be off.
 MAY_BE_HEARD_M = 9.0
-# Two receivers between which no sonar measures.
+# Two receivers, and two barometers, between which no sonar measures.
 UNRANGED_SIGMA_M = math.sqrt(2.0) * Wandering().sigma_m
+UNRANGED_UP_SIGMA_M = math.sqrt(2.0) * Wandering().height_sigma_m
 NOT_SEEN = Standing(Phase.WATCHED, "no report yet")
 
 # The co-processor's newest single reading (firmware/README.md). If none has come for so long (a
@@ -89,7 +92,7 @@ class Guide(Protocol):
     ) -> GuidedPoint:
         """See `TowBar.update`."""
 
-    def place(self, slot: Slot, longest_m: float) -> None:
+    def place(self, slot: Slot, bar_m: float) -> None:
         """See `TowBar.place`."""
 
 
@@ -101,7 +104,8 @@ class FollowerState:
     lasts until its pilot has left Guided; hold: where it is held; guided: where it was led last;
     in_guided: flies in Guided; position_at_s: when it was there by TIMESYNC, else when the report
     came; proven_m: the part of `Known.doubted_m` that the sonar has settled; reversal_m: the
-    nearest slot from which it gets away if the leader turns round now; opens: it was said that the
+    nearest slot from which it gets away if the leader turns round now; on_way_m: how far its slot
+    is on the way into another shape (`reshape`); opens: it was said that the
     slot opens for a reversal; unsure: its newest report may be another vehicle's, with its id;
     away_beats: heartbeats in a row that were not of one that flies in Guided; level_m,
     levelled_at_s: by how much it flies higher than planned, to be level with its leader, and when
@@ -126,6 +130,7 @@ class FollowerState:
     unsure: bool = False
     proven_m: Horizontal = (0.0, 0.0)
     reversal_m: float = 0.0
+    on_way_m: float = 0.0
     opens: bool = False
     level_m: float = 0.0
     levelled_at_s: float = -math.inf
@@ -153,8 +158,19 @@ class FollowerState:
 
     @property
     def opens_m(self) -> float:
-        """The distance its slot has opened to, for a leader that may turn round; 0: it has not."""
-        return self.reversal_m if self.reversal_m > self.plan.slot.radius_m else 0.0
+        """The distance its slot has opened to; 0: it has not."""
+        return self.least_m if self.least_m > self.plan.slot.radius_m else 0.0
+
+    @property
+    def least_m(self) -> float:
+        """The least distance of its slot: for a leader that may turn round, or on the way to it."""
+        return max(self.reversal_m, self.on_way_m)
+
+    @property
+    def slot(self) -> Slot:
+        """Its slot as it is now, also on the way into another shape."""
+        slot = self.plan.slot
+        return replace(slot, radius_m=max(slot.radius_m, self.on_way_m))
 
     @property
     def doubted(self) -> bool:
@@ -217,6 +233,19 @@ class FollowerState:
         )
         place = displace(self.position, (north_m, east_m, -self.climb_mps * since_s))
         return place, velocity_mps
+
+    @property
+    def told(self) -> list[float]:
+        """What its sonar tells of two receivers: off (north, east, up), jumped and proven."""
+        return [*self.estimate.offset.mean_m, *self.estimate.jumped_m, *self.proven_m]
+
+    def turn_to(self, tie: Tie) -> None:
+        """Let its sonar look at another vehicle."""
+        self.estimate.turn_to(tie)
+        self.ranges = RangeMemory()
+        self.proven_m = tie.proven_m
+        if tie.level_sigma_m >= UNRANGED_SIGMA_M:
+            self.turn.joined, self.turn.joins_at_s = False, math.inf
 
     def beat(self, heartbeat: Any, now_s: float, *, flying: bool) -> None:
         """Take a HEARTBEAT of its autopilot."""
@@ -313,6 +342,7 @@ class Known:
         homes: Homes | None = None,
     ) -> None:
         plans = list(plans)
+        slots = [plan.slot for plan in plans]
         self.leader_id = leader_id
         self.settings = settings
         self.leader = LeaderTrack()
@@ -323,7 +353,9 @@ class Known:
         self.followers = {
             plan.system_id: FollowerState(
                 plan,
-                _guide(plan.slot, plans) if settings.tow_bar else TailSlot(plan.slot),
+                TowBar(plan.slot, _bar_m(plan.slot, slots))
+                if settings.tow_bar
+                else TailSlot(plan.slot),
                 Estimate(plan.sonar),
             )
             for plan in plans
@@ -363,14 +395,87 @@ class Known:
         """Whether another follower's sonar looks at it."""
         return any(one is follower for one in self._ahead.values())
 
-    def watch(self, follower: FollowerState, ahead: FollowerState | None) -> None:
-        """Let its sonar look at another vehicle, of which it knows nothing; None: the leader."""
-        self._ahead.pop(follower.plan.system_id, None)
-        if ahead is not None:
-            self._ahead[follower.plan.system_id] = ahead
-        self._ways.clear()
-        follower.estimate.forget()
-        follower.turn.joined, follower.turn.joins_at_s = False, math.inf
+    def watch(self, ahead: Mapping[int, FollowerState | None]) -> None:
+        """Let followers' sonars look at these vehicles, by follower; None: the leader.
+
+        What the sonars between a follower and that vehicle have told of the receivers stays known.
+        """
+        changed = {
+            system_id: one
+            for system_id, one in ahead.items()
+            if one is not self.ahead_of(self.followers[system_id])
+        }
+        ties = {
+            system_id: self._tie(self.followers[system_id], one)
+            for system_id, one in changed.items()
+        }
+        for system_id, one in changed.items():
+            self._ahead.pop(system_id, None)
+            if one is not None:
+                self._ahead[system_id] = one
+            self.followers[system_id].turn_to(ties[system_id])
+        if changed:
+            self._ways.clear()
+
+    def _tie(self, follower: FollowerState, other: FollowerState | None) -> Tie:
+        """What is known of a follower's and another one's receivers; other None: the leader's."""
+        mine, its = list(self.chain(follower)), list[FollowerState]()
+        if other is not None:
+            mine, its = self._way_between(follower, other)
+        told = [one.told for one in mine] + [[-value for value in one.told] for one in its]
+        north, east, up, *jumps = (math.fsum(one) for one in zip(*told, strict=True))
+        offsets = [one.estimate.offset for one in (*mine, *its)]
+        sigma_m = self.sigma_m((*mine, *its))
+        if sigma_m >= UNRANGED_SIGMA_M:
+            north = east = 0.0
+        return Tie(
+            (north, east, up),
+            min(UNRANGED_SIGMA_M, sigma_m),
+            min(UNRANGED_UP_SIGMA_M, math.hypot(*(one.up_sigma_m for one in offsets))),
+            (jumps[0], jumps[1]),
+            (jumps[2], jumps[3]),
+        )
+
+    def expect(self, follower: FollowerState) -> None:
+        """Begin the search for whom its sonar looks at with what the others' sonars tell."""
+        offset, links = follower.estimate.offset, self._links()
+        if not links:
+            return
+        found = errors([self.leader_id, *self.followers], links, Wandering().sigma_m)
+        own_id, its_id = follower.plan.system_id, self.watched_id(follower)
+        north_m, east_m, sigma_m = found.between(its_id, own_id)
+        offset.turn_to((north_m, east_m, offset.up_m), sigma_m, offset.up_sigma_m)
+
+    def _links(self) -> list[Link]:
+        """What each sonar tells that has heard whom it looks at."""
+        offsets = [(one, one.estimate.offset) for one in self.followers.values()]
+        return [
+            Link(
+                one.plan.system_id,
+                self.watched_id(one),
+                offset.north_m,
+                offset.east_m,
+                offset.level_sigma_m,
+            )
+            for one, offset in offsets
+            if offset.has_heard
+        ]
+
+    def take(self, slots: Mapping[int, Slot]) -> None:
+        """Give followers these slots, by system id; a slot is `behind` a follower's number.
+
+        A slot on its way into another shape has its radius there (see `FollowerState.slot`).
+        """
+        everybody = list(self.followers.values())
+        for system_id, slot in slots.items():
+            self.followers[system_id].plan.slot = slot
+        self.watch(
+            {
+                system_id: None if slot.behind is None else everybody[slot.behind]
+                for system_id, slot in slots.items()
+            }
+        )
+        place_guides(everybody)
 
     def move_up(self, line: Sequence[FollowerState]) -> None:
         """Give each of a line the slot of the one before it, and the first one the last one's.
@@ -381,20 +486,14 @@ class Known:
             had.plan.system_id: has for had, has in zip(line, (*line[1:], line[0]), strict=True)
         }
         numbers = {system_id: number for number, system_id in enumerate(self.followers)}
-        had = {
-            system_id: (one.plan.slot, self.ahead_of(one))
-            for system_id, one in self.followers.items()
-        }
-        for system_id, (slot, was_ahead) in had.items():
-            one = takes.get(system_id, self.followers[system_id])
-            ahead = was_ahead and takes.get(was_ahead.plan.system_id, was_ahead)
+        slots = {}
+        for system_id, had in self.followers.items():
+            one = takes.get(system_id, had)
+            ahead = self.ahead_of(had)
+            ahead = ahead and takes.get(ahead.plan.system_id, ahead)
             behind = None if ahead is None else numbers[ahead.plan.system_id]
-            one.plan.slot = replace(slot, behind=behind)
-            if ahead is not self.ahead_of(one):
-                self.watch(one, ahead)
-        plans = [one.plan for one in self.followers.values()]
-        for one in self.followers.values():
-            one.guide.place(one.plan.slot, _longest_m(one.plan.slot, plans))
+            slots[one.plan.system_id] = replace(had.plan.slot, behind=behind)
+        self.take(slots)
 
     def chain(self, follower: FollowerState) -> Iterator[FollowerState]:
         """A follower, the one its sonar looks at, and so on up to the one behind the leader."""
@@ -655,13 +754,23 @@ class Known:
                 follower.estimate.learn(watched, list(self._beside(follower)))
 
 
-def _guide(slot: Slot, plans: Sequence[FollowerPlan]) -> TowBar:
-    return TowBar(slot, _longest_m(slot, plans))
+def place_guides(followers: Iterable[FollowerState]) -> None:
+    """Hang each follower's slot, as it is now, on the formation's bar."""
+    followers = list(followers)
+    slots = [one.plan.slot for one in followers]
+    for one in followers:
+        one.guide.place(one.plan.slot, _bar_m(one.plan.slot, slots))
 
 
-def _longest_m(slot: Slot, plans: Sequence[FollowerPlan]) -> float:
-    """Of a slot's bar: those behind the same vehicle hang on one, and turn as one body."""
-    return max(one.slot.radius_m for one in plans if one.slot.behind == slot.behind)
+def _bar_m(slot: Slot, slots: Sequence[Slot]) -> float:
+    """The length of a slot's bar.
+
+    In a line each one turns as it comes to the corner. Side by side they turn as one body, on a bar
+    as long as the whole formation: on shorter ones those on the inside of a corner would fly back.
+    """
+    if all(one.angle_rad == 0.0 for one in slots):
+        return max(one.radius_m for one in slots if one.behind == slot.behind)
+    return max(math.hypot(*place_m(slots, number)[:2]) for number in range(len(slots)))
 
 
 def _near(one: GlobalPosition, other: GlobalPosition) -> bool:

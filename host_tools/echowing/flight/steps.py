@@ -72,7 +72,7 @@ class Plan:
     """A place, and the velocity that the follower flies with it, (north, east); None: no velocity.
 
     yaw_rad: bearing to look at, None: its autopilot's choice; opens_m: the distance its slot has
-    opened to for a leader that may turn round, 0: it has not.
+    opened to, 0: it has not.
     """
 
     place: GlobalPosition

@@ -85,7 +85,7 @@ class Swarm:
         self._since_s[system_id] = now_s
         nearest = self._nearest_ahead(follower, places)
         if nearest is not watched:
-            self._known.watch(follower, nearest)
+            self._known.watch({system_id: nearest})
 
     def _nearest_ahead(
         self, follower: FollowerState, places: dict[int, GlobalPosition]

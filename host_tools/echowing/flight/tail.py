@@ -11,7 +11,7 @@ class TailSlot:
         self.slot = slot
         self._course = Course()
 
-    def place(self, slot: Slot, longest_m: float) -> None:
+    def place(self, slot: Slot, bar_m: float) -> None:
         """As `TowBar.place`."""
         self.slot = slot
 

@@ -4,7 +4,7 @@ The bar between leader and slot has the slot's length. Its bearing turns only as
 moves across it, at v / length x sin(course - bearing); the slot moves along the bar. So a slot on
 the tail never moves faster than the leader, the distance is kept through corners, a leader that
 turns its nose moves nobody, and one that flies back pushes its follower straight back instead of
-sending it round. The slots of a formation hang on one bar as long as the outermost slot's, so that
+sending it round. The slots of a formation hang on bars of one length, so that
 it turns as one body.
 
 A bar that is pushed buckles, as a trailer's does. So a lone follower comes round its leader, and is
@@ -43,8 +43,8 @@ LONGEST_STEP_S = 1.0
 class TowBar:
     """The slot of one follower behind its leader; holds the bar's bearing.
 
-    slot: its place, away from the leader; length_m: of the bar: the outermost slot's radius in a
-    formation.
+    slot: its place, away from the leader; length_m: of the bar: of a
+    formation's (see `state.place_guides`); None: the slot's radius.
     """
 
     def __init__(self, slot: Slot, length_m: float | None = None) -> None:
@@ -53,9 +53,9 @@ class TowBar:
         self._course_rad: float | None = None
         self._at_s = 0.0
 
-    def place(self, slot: Slot, longest_m: float) -> None:
-        """Set another slot; `longest_m`: the outermost slot's radius; the bar's bearing stays."""
-        self.slot, self.length_m = slot, longest_m
+    def place(self, slot: Slot, bar_m: float) -> None:
+        """Set another slot, and the length of its bar, whose bearing stays."""
+        self.slot, self.length_m = slot, bar_m
 
     def update(
         self,

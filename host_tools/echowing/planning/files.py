@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from echowing.errors import EchowingError
-from echowing.flight.formation import place_m
-from echowing.flight.guidance import Slot
+from echowing.flight.guidance import Slot, place_m
 from echowing.planning.cost import Formation
 
 # A picture: pixels per metre, and around the slots.

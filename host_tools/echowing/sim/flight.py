@@ -15,9 +15,9 @@ from pathlib import Path
 
 from echowing.analysis.flight import Flight
 from echowing.flight.envelope import LEAST_M
-from echowing.flight.formation import flown_up, place_m
+from echowing.flight.formation import flown_up
 from echowing.flight.guard import FIELD_LIMITS, Limits
-from echowing.flight.guidance import MOVING_MPS, Horizontal, Slot
+from echowing.flight.guidance import MOVING_MPS, Horizontal, Slot, place_m
 from echowing.flight.lowest import LOWEST_M
 from echowing.flight.readiness import Readiness
 from echowing.flight.session import FollowSession
@@ -91,6 +91,10 @@ class FormationWorld:
     def t_s(self) -> float:
         """Simulated time."""
         return self._step * STEP_S
+
+    def slots(self) -> list[Slot]:
+        """Each follower's slot now."""
+        return self.scenario.slots()
 
     def watched(self, slot: Slot) -> SimVehicle:
         """The vehicle that the sonar of a slot's follower looks at."""
@@ -171,6 +175,8 @@ class FormationFlight(FormationWorld):
             for index, follower in enumerate(self.followers)
         ]
         self.faults = Faults(scenario.fault, self)
+        self._shapes, self._changed = scenario.formation.shapes(), 0
+        self._objection: str | None = None
         self._course_rad = 0.0
         self._commanded_slot_m: list[float] = []
         self.recorders = [
@@ -202,11 +208,30 @@ class FormationFlight(FormationWorld):
         super().step()
         self.ground.links[LEADER_ID].down.silent = self.pilot.silent
         self.ground.step(self.t_s)
+        self._reshape()
         for pilot in self.pilots:
             pilot.step(self.t_s)
         self._watch()
         if self._step % STEPS_PER_SAMPLE == 0:
             self._record()
+
+    def _reshape(self) -> None:
+        """Let the formation take its next shape, as its operator would by a key."""
+        reshape, changes = self.ground.session.reshape, self.scenario.formation.changes
+        if self._changed == len(changes) or self.t_s < changes[self._changed].at_s:
+            return
+        shape = self._shapes[self._changed + 1]
+        objection = reshape.objection(shape)
+        if objection is None:
+            self._changed += 1
+            reshape.begin(shape, self.t_s)
+        elif objection != self._objection:
+            self.ground.session.events.append((self.t_s, f"no {shape[0]} yet: {objection}"))
+        self._objection = objection
+
+    def slots(self) -> list[Slot]:
+        """As its session has them: they take other shapes, and close gaps."""
+        return [one.slot for one in self.ground.session.followers.values()]
 
     def _state(self, system_id: int) -> FollowerState:
         return self.ground.session.followers[system_id]
@@ -259,9 +284,10 @@ class FormationFlight(FormationWorld):
         body = self.leader.body
         if math.hypot(body.vn_mps, body.ve_mps) >= MOVING_MPS:
             self._course_rad = math.atan2(body.ve_mps, body.vn_mps)
-        states = self.ground.session.followers.values()
-        for follower, state, recorder in zip(self.followers, states, self.recorders, strict=True):
-            recorder.samples.append(self._sample(follower, self.watched(state.plan.slot)))
+        for follower, slot, recorder in zip(
+            self.followers, self.slots(), self.recorders, strict=True
+        ):
+            recorder.samples.append(self._sample(follower, self.watched(slot)))
         self._commanded_slot_m.append(self._commanded_slot())
 
     def _commanded_slot(self) -> float:

@@ -3,9 +3,8 @@
 import math
 from collections.abc import Iterator
 
-from echowing.flight.formation import place_m
 from echowing.flight.guard import mode_name
-from echowing.flight.guidance import MOVING_MPS
+from echowing.flight.guidance import MOVING_MPS, place_m
 from echowing.flight.health import Cohesion
 from echowing.geo import GlobalPosition, Ned, displace
 from echowing.sim.aircraft import SimFollower, SimVehicle
@@ -58,7 +57,7 @@ class WorldOnPage:
 def moment_of(world: FormationWorld) -> Moment:
     """Where everybody truly is, and is to be behind where the leader truly is."""
     leader = world.leader
-    formation, course_rad = world.scenario.slots(), _course_rad(leader)
+    formation, course_rad = world.slots(), _course_rad(leader)
     pairs = list(zip(world.followers, formation, strict=True))
     slots = [
         _slot(leader, place_m(formation, number, course_rad)[:2]) for number in range(len(pairs))

@@ -17,6 +17,7 @@ from echowing.flight.build_up import LEAST_DIST_M, MOST_DIST_M
 from echowing.flight.envelope import LEAST_M
 from echowing.flight.formation import check_formation
 from echowing.flight.guidance import GRAY, SMALLEST_RADIUS_M, GuidanceSettings, Slot
+from echowing.flight.reshape import check_changes
 from echowing.flight.swarm_rules import Weights
 from echowing.section import NotNegative, Positive, Section, Share, section_of
 from echowing.setup.applet import applet_path, parameters_in
@@ -556,13 +557,19 @@ class Scenario(Section):
     def check_formation(self) -> list[str]:
         """As the flight core's `check_formation`."""
         formation = self.formation
-        return check_formation(
-            self.slots(),
-            self.sonar_belief,
-            LEAST_M,
-            formation.slot_separation_m,
-            close_gaps=formation.close_gaps,
-        )
+        shapes = formation.shapes()
+        said = [
+            check_formation(
+                slots,
+                self.sonar_belief,
+                LEAST_M,
+                formation.slot_separation_m,
+                close_gaps=formation.close_gaps,
+            )
+            for slots in [self.slots(), *(slots for _, slots in shapes[1:])]
+        ]
+        check_changes(shapes)
+        return list(dict.fromkeys(line for lines in said for line in lines))
 
     def echo_dist_m(self, index: int) -> float | None:
         """`ECHO_DIST` of follower `index` (from 0): its slot's radius unless told otherwise.

@@ -4,10 +4,14 @@ import shlex
 import time
 from contextlib import closing
 from pathlib import Path
+from typing import Any
+
+import tomli_w
 
 from echowing.errors import EchowingError
 from echowing.flight.envelope import LEAST_M
 from echowing.flight.formation import check_formation, receivers_demand_m
+from echowing.flight.reshape import check_changes
 from echowing.geo import Ned
 from echowing.sim.aircraft import LeaderPilot, SimFollower, SimVehicle
 from echowing.sim.flight import FormationWorld
@@ -22,7 +26,7 @@ from echowing.sim.vehicle.modes import GUIDED
 from echowing.sim.world.cutter import PacketCutter
 from echowing.sonar_file import SHIPPED
 from echowing.stopping import stop_on_signals
-from echowing.tool.formation_file import FormationSection
+from echowing.tool.formation_file import SHAPE_KEYS, FormationSection
 from echowing.tool.run import Page
 
 # Ports of one vehicle, as SITL lays them out: the next vehicle 10 on, a second link 2 on.
@@ -204,14 +208,19 @@ def _beliefs(scenario: Scenario) -> str:
 
 def _chained(scenario: Scenario) -> str:
     """What lets `follow` take slots behind each other."""
-    return " --simulated" if any(slot.behind is not None for slot in scenario.slots()) else ""
+    shapes = [scenario.slots(), *(slots for _, slots in scenario.formation.shapes())]
+    chained = any(slot.behind is not None for slots in shapes for slot in slots)
+    return " --simulated" if chained else ""
 
 
 def _warn_of_refusal(scenario: Scenario) -> None:
     """Say that `follow` does not take this formation, though a scenario does."""
     try:
         separation_m = _stricter_m(scenario.formation)
-        check_formation(scenario.slots(), scenario.sonar_belief, LEAST_M, separation_m)
+        shapes = scenario.formation.shapes()
+        for slots in [scenario.slots(), *(slots for _, slots in shapes)]:
+            check_formation(slots, scenario.sonar_belief, LEAST_M, separation_m)
+        check_changes([*shapes, *shapes[:1]])
     except EchowingError as error:
         print(f"follow will refuse it: {error}")
 
@@ -229,7 +238,8 @@ def _places(scenario: Scenario, port: int) -> str:
 def _slots_option(scenario: Scenario, port: int) -> str:
     formation, slots = scenario.formation, scenario.formation.slots
     if formation.shape is not None and _stricter_m(formation) is None:
-        return f"--formation {formation.shape} --spacing {formation.spacing_m:g}"
+        names = ",".join(name for name, _ in formation.shapes())
+        return f"--formation {names} --spacing {formation.spacing_m:g}"
     alone = slots[0]
     if len(slots) == 1 and alone.altitude_step_m == 0.0:
         angle = "" if alone.angle_deg == 0.0 else f" --angle {alone.angle_deg:g}"
@@ -253,9 +263,12 @@ def _stricter_m(formation: FormationSection) -> float | None:
 
 
 def _as_toml(formation: FormationSection) -> str:
+    told: dict[str, Any] = dict.fromkeys((*SHAPE_KEYS, "changes"), True)
+    if formation.shape is None:
+        told = {"slots": {"__all__": PLACE}}
+    table = formation.model_dump(include=told, exclude_none=True)
+    if not formation.changes:
+        table.pop("changes", None)
     stricter_m = _stricter_m(formation)
-    lines = [] if stricter_m is None else [f"slot_separation_m = {stricter_m}"]
-    for slot in formation.slots:
-        place = slot.model_dump(include=PLACE, exclude_none=True)
-        lines += ["", "[[slots]]", *(f"{key} = {value}" for key, value in place.items())]
-    return "\n".join(lines).lstrip() + "\n"
+    separation = {} if stricter_m is None else {"slot_separation_m": stricter_m}
+    return tomli_w.dumps(separation | table)

@@ -12,6 +12,7 @@ from echowing.errors import EchowingError
 from echowing.flight.belief import SonarBelief
 from echowing.flight.formation import check_formation
 from echowing.flight.guidance import SMALLEST_RADIUS_M, Slot
+from echowing.flight.reshape import Named
 from echowing.flight.shapes import MOST_FOLLOWERS, Shape, shape
 from echowing.section import Positive, Section, section_of
 
@@ -62,6 +63,15 @@ def _section(slot: Slot) -> SlotSection:
     return SlotSection(radius_m=slot.radius_m, angle_deg=angle_deg, behind=behind)
 
 
+class ChangeSection(Section):
+    """A shape that the formation takes later, with as many followers and the same spacing."""
+
+    shape: Shape
+    """The shape."""
+    at_s: Positive
+    """From when on, as soon as all are led. `follow` waits for the key `f` instead."""
+
+
 class FormationSection(Section):
     """Who flies where: a shape by name, or each slot in `[[formation.slots]]`."""
 
@@ -73,6 +83,8 @@ class FormationSection(Section):
     """Of a shape: from each to the one that its sonar looks at."""
     slots: tuple[SlotSection, ...] = Field(min_length=1, default_factory=_slots_of)
     """One follower each, `[[formation.slots]]`; without any one slot 3 m behind."""
+    changes: tuple[ChangeSection, ...] = ()
+    """The shapes that it takes one after the other, `[[formation.changes]]`."""
     slot_separation_m: Positive | None = None
     """Slots whose followers do not range each other are refused if they are nearer than this; none:
     than what sonars between them leave certain, and without sonars the receivers (4.83 m)."""
@@ -86,7 +98,19 @@ class FormationSection(Section):
             raise ValueError(f"a shape needs {', '.join(SHAPE_KEYS)}; here: {', '.join(told)}")
         if told and "slots" in self.model_fields_set:
             raise ValueError("give a shape or slots, not both")
+        if self.changes and not told:
+            raise ValueError("changes are from a shape: give shape, followers and spacing_m")
+        times_s = [change.at_s for change in self.changes]
+        if times_s != sorted(times_s):
+            raise ValueError(f"changes: at_s has to rise, not {', '.join(map(str, times_s))}")
         return self
+
+    def shapes(self) -> list[Named]:
+        """The first one, and those that it takes later."""
+        if self.shape is None or self.followers is None or self.spacing_m is None:
+            return []
+        names = (self.shape, *(change.shape for change in self.changes))
+        return [(name, shape(name, self.followers, self.spacing_m)) for name in names]
 
 
 def check_to_be_led(

@@ -48,6 +48,8 @@ class KeyDesk:
             self._ask_engage(now_s)
         elif key == "n":
             self._ask_nearer(now_s)
+        elif key == "f":
+            self._ask_reshape(now_s)
 
     def _ask_engage(self, now_s: float) -> None:
         orders = self._orders
@@ -67,6 +69,13 @@ class KeyDesk:
         question = f"nearer, from {build_up.target_m:g} to {build_up.nearer_m:g} m?"
         self._ask(now_s, question, self._orders.nearer)
 
+    def _ask_reshape(self, now_s: float) -> None:
+        objection, shape = self._orders.objection_to_reshape(), self._orders.next_shape
+        if objection is not None or shape is None:
+            self._say(now_s, f"no other shape: {objection}")
+            return
+        self._ask(now_s, f"form {shape[0]}?", self._orders.reshape)
+
     def _ask(self, now_s: float, question: str, order: Callable[[float], None]) -> None:
         self._asked = now_s, question, order
         self._say(now_s, f"{question} press y within {QUESTION_S:g} s")
@@ -83,7 +92,9 @@ class KeyDesk:
             return f"{self._asked[1]} y: yes, any other key: no"
         build_up = self._orders.build_up
         radius = "n nearer  b back out  " if build_up is not None else ""
+        shape = self._orders.next_shape
+        form = "" if shape is None else f"f form {shape[0]}  "
         now = "" if build_up is None else f"  radius {build_up.radius_m:.1f} m"
         if build_up is not None and build_up.nearer_m is not None:
             now += f", next {build_up.nearer_m:g} m"
-        return f"keys: e engage  h hold  {radius}s stop all{now}"
+        return f"keys: e engage  h hold  {radius}{form}s stop all{now}"

@@ -209,7 +209,7 @@ class Panel:
         readings = self._readings[follower.plan.system_id]
         fix = session.leader.fix
         separation_m = _separation_m(session, follower, now_s)
-        radius_m = follower.plan.slot.radius_m
+        radius_m = follower.slot.radius_m
         gimbal = readings.newest(GIMBAL_STATE, now_s)
         fresh = now_s - readings.sonar_at_s < SONAR_FRESH_S
         sonar_m = readings.sonar_m if fresh else None

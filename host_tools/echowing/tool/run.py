@@ -1,7 +1,7 @@
 """The follow tool at work: links, clock and logs around the pure follow session."""
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -15,6 +15,7 @@ from echowing.flight.guard import Limits
 from echowing.flight.guidance import GuidanceSettings, Slot
 from echowing.flight.health import Cohesion
 from echowing.flight.orders import Orders
+from echowing.flight.reshape import Named
 from echowing.flight.session import FollowSession
 from echowing.flight.standstill import Standstill
 from echowing.flight.state import FollowerPlan, Guide
@@ -54,7 +55,7 @@ class FollowOptions:
     """The operator's options; the first seat is the leader's.
 
     make_guide: what leads a follower, if not its slot; altitude_m: above the leader's
-    home, None: as high as the leader is when a follower is engaged.
+    home, None: as high as the leader is when a follower is engaged; shapes: see `Orders`.
     """
 
     seats: list[Seat]
@@ -72,6 +73,7 @@ class FollowOptions:
     signing_key: bytes | None = None
     make_guide: Callable[[], Guide] | None = None
     build_up: tuple[float, ...] = ()
+    shapes: Sequence[Named] = ()
 
 
 def _is_no_point(addressed: tuple[int, Any]) -> bool:
@@ -208,7 +210,7 @@ class FollowTool:
             for follower in self._session.followers.values():
                 follower.guide = options.make_guide()
         build_up = BuildUp(options.build_up, options.slots) if options.build_up else None
-        self._orders = Orders(self._session, build_up)
+        self._orders = Orders(self._session, build_up, options.shapes)
         self._standstill = Standstill(self._session.known, self._session.guard)
         self._desk = KeyDesk(self._orders, self._event)
         self._panel = Panel([known_id(seat) for seat in options.seats])

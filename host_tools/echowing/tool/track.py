@@ -78,7 +78,7 @@ _ALL = fields(Track)
 
 def track(session: FollowSession, follower: FollowerState, panel: Panel, now_s: float) -> Track:
     """Where leader and follower are at `now_s`, and where the follower is to be."""
-    slot, system_id = follower.plan.slot, follower.plan.system_id
+    slot, system_id = follower.slot, follower.plan.system_id
     leader = _leader(session, now_s)
     leader_lat_deg, leader_lon_deg, leader_alt_m = _place(
         None if leader is None else leader.position

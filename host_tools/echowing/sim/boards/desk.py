@@ -98,7 +98,7 @@ def targets_from(datagram: bytes) -> list[Ned]:
             (float(one["forward_m"]), float(one["right_m"]), float(one["down_m"]))
             for one in (told if isinstance(told, list) else [told])
         ]
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         raise EchowingError(f"{_WANTED}; this came: {datagram[:80]!r}") from error
     if not all(map(math.isfinite, itertools.chain(*places))):
         raise EchowingError(f"{_WANTED}; this came: {datagram[:80]!r}")
