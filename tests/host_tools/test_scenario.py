@@ -37,6 +37,7 @@ def test_every_scenario_of_the_demo_is_shipped_and_valid() -> None:
         "hostile",
         "many",
         *SHAPES,
+        "reshape",
         "swarm",
         "swarm-back",
         "column-back",

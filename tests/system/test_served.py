@@ -19,7 +19,7 @@ def test_the_printed_command_flies_and_the_leader_has_waited_for_it(
     sim = world.process
     printed = sim.lines[sim.wait_for(lambda line: line.strip().startswith("echowing follow"))]
     formation = tmp_path / "out" / f"formation-{world.port}.toml"
-    assert formation.read_text().count("[[slots]]") == 2
+    assert formation.read_text().count("radius_m") == 2
     _, *arguments = shlex.split(printed)
     tool = Process(*arguments, "--json", "--no-log")
     tool.row(lambda row: is_followed(row) and row["leader_speed_mps"] > 0.3)
