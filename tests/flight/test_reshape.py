@@ -41,14 +41,7 @@ class InShape:
 
     def places_m(self) -> list[tuple[float, float]]:
         """Where the slots are, (north, east) of a leader that flies north, opened as they are."""
-        slots = [
-            Slot(
-                max(one.plan.slot.radius_m, one.least_m),
-                one.plan.slot.angle_rad,
-                behind=one.plan.slot.behind,
-            )
-            for one in self.known.followers.values()
-        ]
+        slots = [one.slot for one in self.known.followers.values()]
         return [place_m(slots, number)[:2] for number in range(len(slots))]
 
     def fly(self, seconds: float, tick_s: float = 0.1) -> list[list[tuple[float, float]]]:

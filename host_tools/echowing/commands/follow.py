@@ -470,7 +470,7 @@ def _slots(
     slots = wanted.slots
     if wanted.shapes and radii_m:
         raise EchowingError("--build-up takes one shape: leave the others out of --formation")
-    later = [shape for _, shape in wanted.shapes]
+    later = [shape for _, shape in wanted.shapes[1:]]
     try:
         for one in [slots, *later, *(scaled(slots, one_m) for one_m in radii_m)]:
             said = check_to_be_led(

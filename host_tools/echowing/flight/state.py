@@ -342,7 +342,6 @@ class Known:
         homes: Homes | None = None,
     ) -> None:
         plans = list(plans)
-        slots = [plan.slot for plan in plans]
         self.leader_id = leader_id
         self.settings = settings
         self.leader = LeaderTrack()
@@ -353,13 +352,12 @@ class Known:
         self.followers = {
             plan.system_id: FollowerState(
                 plan,
-                TowBar(plan.slot, _bar_m(plan.slot, slots))
-                if settings.tow_bar
-                else TailSlot(plan.slot),
+                TowBar(plan.slot) if settings.tow_bar else TailSlot(plan.slot),
                 Estimate(plan.sonar),
             )
             for plan in plans
         }
+        place_guides(self.followers.values())
         self._ahead = {
             plan.system_id: self.followers[plans[plan.slot.behind].system_id]
             for plan in plans
@@ -755,11 +753,18 @@ class Known:
 
 
 def place_guides(followers: Iterable[FollowerState]) -> None:
-    """Hang each follower's slot, as it is now, on the formation's bar."""
+    """Hang each follower's slot, as it is now, on its bar.
+
+    In a line each bar turns as its slot comes to the corner. Side by side they turn as one body, as
+    long as the whole formation: on shorter ones those on the inside of a corner would fly back.
+    """
     followers = list(followers)
     slots = [one.plan.slot for one in followers]
-    for one in followers:
-        one.guide.place(one.plan.slot, _bar_m(one.plan.slot, slots))
+    in_line = all(one.angle_rad == 0.0 for one in slots)
+    body_m = max(math.hypot(*place_m(slots, number)[:2]) for number in range(len(slots)))
+    for one, slot in zip(followers, slots, strict=True):
+        beside_m = (other.radius_m for other in slots if other.behind == slot.behind)
+        one.guide.place(slot, max(beside_m) if in_line else body_m)
 
 
 def _bar_m(slot: Slot, slots: Sequence[Slot]) -> float:

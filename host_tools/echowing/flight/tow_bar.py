@@ -4,8 +4,8 @@ The bar between leader and slot has the slot's length. Its bearing turns only as
 moves across it, at v / length x sin(course - bearing); the slot moves along the bar. So a slot on
 the tail never moves faster than the leader, the distance is kept through corners, a leader that
 turns its nose moves nobody, and one that flies back pushes its follower straight back instead of
-sending it round. The slots of a formation hang on bars of one length, so that
-it turns as one body.
+sending it round. Slots side by side hang on bars of one length,
+so that their formation turns as one body.
 
 A bar that is pushed buckles, as a trailer's does. So a lone follower comes round its leader, and is
 behind it again. In a formation the bars would buckle to both sides, and send followers across each
@@ -43,8 +43,8 @@ LONGEST_STEP_S = 1.0
 class TowBar:
     """The slot of one follower behind its leader; holds the bar's bearing.
 
-    slot: its place, away from the leader; length_m: of the bar: of a
-    formation's (see `state.place_guides`); None: the slot's radius.
+    slot: its place, away from the leader; length_m: of the bar, for a
+    formation see `state.place_guides`; None: the slot's radius.
     """
 
     def __init__(self, slot: Slot, length_m: float | None = None) -> None:

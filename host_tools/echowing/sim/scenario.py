@@ -1,7 +1,7 @@
 """Scenarios: what is flown, as TOML, checked before anything moves."""
 
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, replace
 from functools import cached_property
 from importlib import resources
@@ -554,10 +554,13 @@ class Scenario(Section):
         """The formation's slots."""
         return [section.slot() for section in self.formation.slots]
 
+    def all_slots(self) -> list[Sequence[Slot]]:
+        """The formation's slots, and those of each shape that it takes later."""
+        return [self.slots(), *(slots for _, slots in self.formation.shapes()[1:])]
+
     def check_formation(self) -> list[str]:
         """As the flight core's `check_formation`."""
         formation = self.formation
-        shapes = formation.shapes()
         said = [
             check_formation(
                 slots,
@@ -566,9 +569,9 @@ class Scenario(Section):
                 formation.slot_separation_m,
                 close_gaps=formation.close_gaps,
             )
-            for slots in [self.slots(), *(slots for _, slots in shapes[1:])]
+            for slots in self.all_slots()
         ]
-        check_changes(shapes)
+        check_changes(formation.shapes())
         return list(dict.fromkeys(line for lines in said for line in lines))
 
     def echo_dist_m(self, index: int) -> float | None:

@@ -208,8 +208,7 @@ def _beliefs(scenario: Scenario) -> str:
 
 def _chained(scenario: Scenario) -> str:
     """What lets `follow` take slots behind each other."""
-    shapes = [scenario.slots(), *(slots for _, slots in scenario.formation.shapes())]
-    chained = any(slot.behind is not None for slots in shapes for slot in slots)
+    chained = any(slot.behind is not None for slots in scenario.all_slots() for slot in slots)
     return " --simulated" if chained else ""
 
 
@@ -217,9 +216,9 @@ def _warn_of_refusal(scenario: Scenario) -> None:
     """Say that `follow` does not take this formation, though a scenario does."""
     try:
         separation_m = _stricter_m(scenario.formation)
-        shapes = scenario.formation.shapes()
-        for slots in [scenario.slots(), *(slots for _, slots in shapes)]:
+        for slots in scenario.all_slots():
             check_formation(slots, scenario.sonar_belief, LEAST_M, separation_m)
+        shapes = scenario.formation.shapes()
         check_changes([*shapes, *shapes[:1]])
     except EchowingError as error:
         print(f"follow will refuse it: {error}")
