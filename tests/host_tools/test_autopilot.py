@@ -637,7 +637,7 @@ def test_another_tool_s_heartbeat_does_not_hold_the_fail_safe_off() -> None:
 def test_drift_moves_what_is_reported_and_flown_not_the_truth_at_once() -> None:
     bench = Bench()
     bench.command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 33.0, 20_000.0)
-    bench.autopilot.set_errors((3.0, 0.0, 0.5), 0.0)
+    bench.autopilot.set_errors((3.0, 0.0, 0.5), (0.0, 0.0), 0.0)
     bench.step()
     told = bench.position()
     assert (told.lat_deg - 39.34) * 111_000 == pytest.approx(3.0, abs=0.05)

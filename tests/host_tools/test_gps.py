@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from echowing.sim.world.gps import Drift, Errors
+from echowing.sim.world.gps import Drift, Errors, Filter
 
 DT_S = 0.5
 WANDERS = Errors(sigma_m=0.8, tau_s=60.0)
@@ -52,12 +52,11 @@ def test_it_glides() -> None:
     assert max(steps) < 0.2
 
 
-@pytest.mark.parametrize(("axis", "key"), [(0, "follows_s"), (2, "height_follows_s")])
-def test_an_autopilot_that_follows_later_glides_more(axis: int, key: str) -> None:
-    wanders = Errors(0.8, 60.0, height_sigma_m=0.8, height_tau_s=60.0)
+def test_an_autopilot_that_follows_its_barometer_later_glides_more() -> None:
+    wanders = Errors(height_sigma_m=0.8, height_tau_s=60.0)
     moved_m = {}
     for follows_s in (1.0, 3.0):
-        values = np.array(series(5, 40_000, replace(wanders, **{key: follows_s}), axis))
+        values = np.array(series(5, 40_000, replace(wanders, height_follows_s=follows_s), 2))
         moved_m[follows_s] = float(np.diff(values).std())
         # Behind a drift of 60 s it sees that share of its square.
         assert values.std() == pytest.approx(0.8 * math.sqrt(60.0 / (60.0 + follows_s)), rel=0.12)
@@ -68,6 +67,29 @@ def test_an_autopilot_that_follows_later_glides_more(axis: int, key: str) -> Non
     variance = {one: b / (2.0 - b) for one, b in share.items()}
     wanted = math.sqrt(variance[3.0] / variance[1.0])
     assert moved_m[3.0] / moved_m[1.0] == pytest.approx(wanted, rel=0.05)
+
+
+@pytest.mark.parametrize("follows_s", [0.5, 1.5, 3.0])
+def test_of_a_step_of_its_receiver_0_63_are_followed_in_time(follows_s: float) -> None:
+    filter_ = Filter(follows_s, 0.0)
+    for _ in range(round(follows_s / 0.005)):
+        filter_.step(1.0, 0.0, 0.005)
+
+    assert filter_.error_m == pytest.approx(1.0 - math.exp(-1.0), abs=0.02)
+
+
+def test_velocity_tells_of_the_drift_what_it_does_on_arducopter_sitl() -> None:
+    """Six vehicles on SITL 4.8: slope 0.49 to 0.64, correlation 0.78 to 0.85, off by 0.05 m/s."""
+    drift, step_s = drift_of(8, replace(WANDERS, velocity_sigma_mps=0.05)), 0.02
+    flown = [(drift.step(step_s)[0], drift.velocity_mps[0]) for _ in range(200_000)]
+    place_m, off_mps = np.array(flown[::5]).T
+    told_m = place_m[1:] - np.cumsum(off_mps[1:]) * 5 * step_s
+    later = round(3.0 / (5 * step_s))
+    moved_m, seen_m = (one[later:] - one[:-later] for one in (place_m[1:], told_m))
+
+    assert off_mps.std() == pytest.approx(0.046, abs=0.006)
+    assert np.polyfit(moved_m, seen_m, 1)[0] == pytest.approx(0.56, abs=0.06)
+    assert np.corrcoef(moved_m, seen_m)[0, 1] == pytest.approx(0.82, abs=0.04)
 
 
 def test_a_jump_comes_at_once() -> None:

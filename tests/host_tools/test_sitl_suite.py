@@ -71,24 +71,25 @@ def test_drift_has_the_deviation_and_the_memory_of_its_model() -> None:
 
 def test_drift_is_that_of_the_simulators_receiver() -> None:
     assert flight.STEP_S == STEP_S
-    hangar = Hangar(load_scenario("echowing", ["gps.spread=0"]), 2)
+    hangar = Hangar(load_scenario("echowing", ["gps.spread=0", "gps.velocity_sigma_mps=0"]), 2)
     simulated = hangar.leader().drift
     settings = hangar.scenario.gps
     drift = Drift.of_receiver(settings.sigma_m, settings.tau_s, 2, "leader")
     # The simulator's has the autopilot's filter behind it.
-    north_m, east_m = drift.north_m, drift.east_m
-    blend = 1.0 - math.exp(-STEP_S / settings.follows_s)
+    north, east = (gps.Filter(settings.follows_s, one) for one in (drift.north_m, drift.east_m))
     for _ in range(500):
         drift.step(STEP_S)
-        north_m += blend * (drift.north_m - north_m)
-        east_m += blend * (drift.east_m - east_m)
-        assert simulated.step(STEP_S)[:2] == pytest.approx((north_m, east_m))
+        north.step(drift.north_m, 0.0, STEP_S)
+        east.step(drift.east_m, 0.0, STEP_S)
+        assert simulated.step(STEP_S)[:2] == pytest.approx((north.error_m, east.error_m))
 
 
 @pytest.mark.parametrize("later_s", [0.3, 1.5, 4.0])
 def test_how_much_later_an_estimate_follows_is_found(later_s: float) -> None:
-    receiver = gps.Drift(gps.Errors(0.8, follows_s=1e-3), lambda name: random.Random(f"1{name}"))
-    errors_m = np.array([receiver.step(0.1)[0] for _ in range(2000)])
+    receiver, errors_m = Drift(0.8, 60.0, random.Random(1)), np.zeros(2000)
+    for k in range(len(errors_m)):
+        receiver.step(0.1)
+        errors_m[k] = receiver.north_m
     keep, believed_m = math.exp(-0.1 / later_s), errors_m.copy()
     for k in range(1, len(errors_m)):
         believed_m[k] = keep * believed_m[k - 1] + (1.0 - keep) * errors_m[k]

@@ -12,7 +12,7 @@ import pytest
 from echowing.sim.world.gps import Errors
 
 from .follows import follows
-from .formation import rectangle
+from .formation import SIGMA_M, rectangle
 from .plugin import Start
 from .table import Entry, Figures
 
@@ -30,10 +30,11 @@ FOLLOWS_S = {
 
 @dataclass(frozen=True, slots=True)
 class World:
-    """What differs: keys of a scenario's [sonar], and by how much each barometer wanders."""
+    """What differs: keys of a scenario's [sonar], and what barometers and receivers wander by."""
 
     sonar: Sequence[str]
     height_sigma_m: float = 0.0
+    sigma_m: float = SIGMA_M
 
 
 # As `echowing bench --only robust` has them; each sonar is drawn around what is believed.
@@ -42,13 +43,20 @@ WORLDS = {
     "narrow": World(["beam_near_deg=20", "beam_far_deg=6"], 0.5),
     "four of ten": World(["heard_share=0.4"], 0.5),
     "heights": World(["spread=1"], 1.0),
+    "receivers": World(["spread=1"], 0.5, 1.5),
 }
 
 
 @pytest.mark.parametrize("name", WORLDS)
 def test_robust(start: Start, table: list[Entry], name: str) -> None:
     world = WORLDS[name]
-    formation = start(SEED, wandering=False, sonar=world.sonar, height_sigma_m=world.height_sigma_m)
+    formation = start(
+        SEED,
+        wandering=False,
+        sonar=world.sonar,
+        height_sigma_m=world.height_sigma_m,
+        sigma_m=world.sigma_m,
+    )
     formation.leader.upload(rectangle(formation), 10.0)
     tool = formation.fly_in_formation()
     began_s = formation.fly_mission(tool, SPEED_MPS, END_S)

@@ -3,9 +3,10 @@
     python -m tests.sitl.follows LOG.BIN…
 
 The log of an autopilot in SITL has the truth, too (SIM). What its receiver and its barometer err by
-(GPS, BARO) is passed through a filter of the first order, as in the built-in simulator
-(`echowing.sim.world.gps`), whose time constant is fitted to what the estimate errs by (POS). Its
-velocity (XKF1), which is right in the simulator, is compared with the true one (SIM2).
+(GPS, BARO) is passed through a filter of the first order, whose time constant is fitted to what the
+estimate errs by (POS): 0.63 of a step are followed in that time, as by the built-in simulator's
+filters (`echowing.sim.world.gps`). Its velocity (XKF1) is compared with the true one (SIM2), and
+where its place moves otherwise than that with how its error changes (`echowing.flight.drift`).
 """
 
 import math
@@ -37,6 +38,7 @@ LEAST_S = LEFT_OUT_S + 3.0 * SETTLES_S
 # SITL's receiver tells where it was a tenth of a second ago (SIM_GPS1_LAG_MS 100).
 RECEIVER_LATE_S = 0.1
 LONGEST_S = 10.0
+CHANGES_S = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +93,29 @@ def follows(log: Path) -> list[Follows]:
     return [*level, fitted("height", errs_m(down, 3), errs_m(pos, 3))]
 
 
+def velocity_tells(log: Path) -> list[tuple[str, float, float]]:
+    """What of a change of the error within 3 s its own velocity tells: by axis.
+
+    The slope of what is told over what is true, and their correlation.
+    """
+    told = _read(log)
+    origin = told["SIM"][0, 1:]
+    sim, pos = (_ned_m(told[name], origin) for name in ("SIM", "POS"))
+    velocity, later = told["XKF1"], round(CHANGES_S / STEP_S)
+    times_s = np.arange(pos[0, 0] + LEFT_OUT_S, pos[-1, 0], STEP_S)
+    found = []
+    for axis, name in enumerate(("north", "east"), start=1):
+        place_m = np.interp(times_s, pos[:, 0], pos[:, axis])
+        error_m = place_m - np.interp(times_s, sim[:, 0], sim[:, axis])
+        mps = np.interp(times_s, velocity[:, 0], velocity[:, axis])
+        told_m = place_m[1:] - np.cumsum((mps[1:] + mps[:-1]) / 2.0 * STEP_S)
+        true_m = error_m[1 + later :] - error_m[1:-later]
+        seen_m = told_m[later:] - told_m[:-later]
+        slope, correlation = np.polyfit(true_m, seen_m, 1)[0], np.corrcoef(true_m, seen_m)[0, 1]
+        found.append((name, float(slope), float(correlation)))
+    return found
+
+
 def velocity_errs_mps(log: Path) -> Floats:
     """By how much the estimated velocity is off, north and east, after take-off: (n, 2)."""
     told = _read(log)
@@ -127,6 +152,8 @@ def main() -> None:
         for one in found:
             left = f"{one.left_m:.3f} m left of {one.of_m:.2f} m"
             print(f"{name}: {one.axis} {one.later_s:.2f} s later, {left}")
+        for axis, slope, correlation in velocity_tells(Path(name)):
+            print(f"{name}: {axis} velocity tells {slope:.2f}, correlation {correlation:.2f}")
         off_mps = velocity_errs_mps(Path(name))
         usual_mps, most_mps = np.std(off_mps), np.abs(off_mps).max()
         print(f"{name}: velocity off by {usual_mps:.2f} m/s, at most {most_mps:.2f} m/s")

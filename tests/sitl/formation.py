@@ -17,10 +17,20 @@ from echowing.flight.envelope import LEAST_M
 from echowing.flight.formation import flown_up
 from echowing.flight.guidance import Slot, place_m
 from echowing.geo import GlobalPosition, Ned, displace
+from echowing.sim.world.gps import VELOCITY_TAU_S
 
 from . import truth
 from .drift import Drift
-from .names import DRIFT_EAST, DRIFT_NORTH, DRIFT_UP, WIND, WIND_SPEED, Version
+from .names import (
+    DRIFT_EAST,
+    DRIFT_NORTH,
+    DRIFT_UP,
+    OFF_EAST,
+    OFF_NORTH,
+    WIND,
+    WIND_SPEED,
+    Version,
+)
 from .relay import LOOPBACK, Link
 from .sonar import Feeder, Scene, silence, vehicles
 from .tools import Tool, port_told, run
@@ -30,6 +40,7 @@ LEADER, FOLLOWER = 1, 2
 HEIGHT_M = 10.0
 # The demo's flight (echowing/sim/scenario.py): its receivers, radios and radius.
 SIGMA_M, TAU_S = 0.8, 60.0
+VELOCITY_SIGMA_MPS = 0.05
 LEADER_LATENCY_S, FOLLOWER_LATENCY_S = 0.46, 0.05
 RADIUS_M = 3.0
 DRIFT_PERIOD_S = 0.5
@@ -137,7 +148,8 @@ class Formation:
     follower_latency_s: of the leader's link and the followers', each way. wind_mps: from the
     north, the same at all heights, without gusts. drifting: whether the receivers have
     offsets. wandering: whether these change from the start, or only from `let_wander` on. sonar:
-    see `Follower`. height_sigma_m: by how much each barometer wanders, standard deviation.
+    see `Follower`. sigma_m, height_sigma_m: by how much each receiver wanders per axis, and each
+    barometer, standard deviations.
     same_clock: the receivers tell the same time of day, which counts where logs are laid side by
     side. key: all sign with it, by the time of day, so they start at its pace.
     """
@@ -156,6 +168,7 @@ class Formation:
         drifting: bool = True,
         wandering: bool = True,
         sonar: Sequence[str] = (),
+        sigma_m: float = SIGMA_M,
         height_sigma_m: float = 0.0,
         same_clock: bool = False,
         key: bytes | None = None,
@@ -166,7 +179,7 @@ class Formation:
         """Of each vehicle's receiver, by system id."""
         self._ahead = [slot.behind for slot in slots] or [None] * followers
         parked = [place_m(flown_up(slots, LEAST_M), n) for n in range(len(slots))]
-        self._sonar, self._height_sigma_m = sonar, height_sigma_m
+        self._sonar, self._sigma_m, self._height_sigma_m = sonar, sigma_m, height_sigma_m
         self._stack = contextlib.ExitStack()
         self._tools: list[Tool] = []
         self.armed_s = math.nan
@@ -210,15 +223,24 @@ class Formation:
         self._wandering = True
 
     def _let_drift(self, vehicle: Vehicle, name: str) -> None:
-        drift = self.drifts[vehicle.system_id] = Drift.of_receiver(SIGMA_M, TAU_S, self._seed, name)
+        drift = self.drifts[vehicle.system_id] = Drift.of_receiver(
+            self._sigma_m, TAU_S, self._seed, name
+        )
+        velocity = Drift.of_receiver(
+            VELOCITY_SIGMA_MPS, VELOCITY_TAU_S, self._seed, f"{name} velocity"
+        )
         height = Drift.of_receiver(self._height_sigma_m, TAU_S, self._seed, f"{name} height")
         starts_at_m = height.north_m  # a barometer is set to zero where it stands
         north, east = vehicle.name_of(DRIFT_NORTH), vehicle.name_of(DRIFT_EAST)
+        off_north, off_east = vehicle.name_of(OFF_NORTH), vehicle.name_of(OFF_EAST)
 
         def wander() -> None:
             if self._wandering:
                 drift.step(DRIFT_PERIOD_S)
+                velocity.step(DRIFT_PERIOD_S)
                 height.step(DRIFT_PERIOD_S)
+                vehicle.put(off_north, velocity.north_m)
+                vehicle.put(off_east, velocity.east_m)
                 vehicle.put(DRIFT_UP, height.north_m - starts_at_m)
             north_deg, east_deg = drift.degrees(ORIGIN.lat_deg)
             vehicle.put(north, north_deg)

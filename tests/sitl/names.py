@@ -43,6 +43,8 @@ SPEED: Names = {_NEW.speed: 1.0 / _NEW.speed_scale, _OLD.speed: 1.0 / _OLD.speed
 ACCELERATION: Names = {"WP_ACC": 1.0, "WPNAV_ACCEL": 100.0}
 DRIFT_NORTH: Names = {"SIM_GPS1_GLTCH_X": 1.0, "SIM_GPS_GLITCH_X": 1.0}
 DRIFT_EAST: Names = {"SIM_GPS1_GLTCH_Y": 1.0, "SIM_GPS_GLITCH_Y": 1.0}
+OFF_NORTH: Names = {"SIM_GPS1_VERR_X": 1.0, "SIM_GPS_VERR_X": 1.0}
+OFF_EAST: Names = {"SIM_GPS1_VERR_Y": 1.0, "SIM_GPS_VERR_Y": 1.0}
 DRIFT_UP = "SIM_BARO_GLITCH"  # in all of them
 # From the north, and full near the ground: by default 6 m/s at 60 m are 2.4 m/s at 10 m.
 WIND_SPEED = "SIM_WIND_SPD"

@@ -55,7 +55,8 @@ class SimVehicle:
 
     def move(self, dt_s: float) -> None:
         """Receiver, wind and body, one step on."""
-        self.autopilot.set_errors(self.drift.step(dt_s), self.drift.receiver_down_m)
+        drift = self.drift
+        self.autopilot.set_errors(drift.step(dt_s), drift.velocity_mps, drift.receiver_down_m)
         if self._wind is not None and isinstance(self.body, Copter):
             self.body.wind_ned_mps = self._wind.step(dt_s)
         self.body.step(dt_s)

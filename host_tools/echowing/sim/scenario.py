@@ -186,7 +186,8 @@ class GpsSection(Section):
 
     ArduCopter reports its height, and flies by it, as its barometer has it (EK3_SRC1_POSZ 1); the
     receiver's own height is in GPS_RAW_INT. With EK3_SRC1_POSZ 3 a follower flies by that. Each
-    vehicle's errors are drawn anew for each seed around what stands here.
+    vehicle's errors are drawn anew for each seed around what stands here. A part of how a place
+    wanders shows in the velocity that the vehicle reports and flies by, as EKF3's does.
     """
 
     sigma_m: NotNegative = 0.8
@@ -200,13 +201,15 @@ class GpsSection(Section):
     receiver_vertical_sigma_m: NotNegative = 1.6
     """Standard deviation of the receiver's own height: about twice a horizontal axis (13 m against
     8 m at 95 %, GPS SPS Performance Standard, 2020)."""
+    velocity_sigma_mps: NotNegative = 0.05
+    """Standard deviation of the velocity that the receiver tells, per horizontal axis."""
     follows_s: Positive = 1.5
     """How much later the position that it reports and flies by follows its receiver: EKF3's, on
     ArduCopter SITL."""
     height_follows_s: Positive = 2.8
     """How much later the height that it reports and flies by follows its barometer: likewise."""
     spread: NotNegative = 0.25
-    """Standard deviation, as a share, of how far these seven are off in each vehicle; 0: not."""
+    """Standard deviation, as a share, of how far these eight are off in each vehicle; 0: not."""
     step_m: NotNegative = 0.0
     """Standard deviation of a step per horizontal axis, as another satellite counts."""
     step_every_s: Positive = 30.0

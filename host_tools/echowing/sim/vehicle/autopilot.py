@@ -248,9 +248,11 @@ class Autopilot:
         """What it wants to send, whole frames."""
         return self.links[link].drain()
 
-    def set_errors(self, offset_ned_m: Ned, receiver_down_m: float) -> None:
-        """Estimated minus true position, and the error of the receiver's own height."""
-        self.copter.set_estimate_offset(offset_ned_m)
+    def set_errors(
+        self, offset_ned_m: Ned, velocity_mps: tuple[float, float], receiver_down_m: float
+    ) -> None:
+        """Estimated minus true position, velocity (north, east), and the receiver's own height."""
+        self.copter.set_estimate_offset(offset_ned_m, velocity_mps)
         self.reports.receiver_down_m = receiver_down_m
 
     def set_rc(self, channel: int, pwm: int) -> None:
@@ -680,7 +682,7 @@ class Autopilot:
 
     def velocity_ned_mps(self) -> Ned | None:
         """Estimated velocity."""
-        return self.copter.vn_mps, self.copter.ve_mps, self.copter.vd_mps
+        return self.copter.est_vn_mps, self.copter.est_ve_mps, self.copter.vd_mps
 
     def location(self) -> tuple[float, float, float] | None:
         """Estimated latitude, longitude (degrees) and altitude above mean sea level."""

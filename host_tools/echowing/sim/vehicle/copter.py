@@ -338,7 +338,8 @@ class Copter(EstimatedPosition):
     def stopping_point(self) -> Ned:
         """Where the vehicle comes to rest if it brakes now (estimated frame)."""
         tuning = self.tuning
-        speed = sqrt(self.vn_mps**2 + self.ve_mps**2)
+        north_mps, east_mps = self.est_vn_mps, self.est_ve_mps
+        speed = sqrt(north_mps**2 + east_mps**2)
         reach = 0.0
         if speed > 0.0:
             limit = self.limits.acceleration_mps2
@@ -347,8 +348,8 @@ class Copter(EstimatedPosition):
             self.vd_mps, tuning.down_position_gain, self.limits.vertical_acceleration_mps2
         )
         return (
-            self.est_north_m + self.vn_mps * reach,
-            self.est_east_m + self.ve_mps * reach,
+            self.est_north_m + north_mps * reach,
+            self.est_east_m + east_mps * reach,
             self.est_down_m + drop,
         )
 
@@ -379,7 +380,7 @@ class Copter(EstimatedPosition):
         self._control_level(dt)
         self._control_down()
         self._turn(dt)
-        flown = (self.vn_mps, self.ve_mps, self.vd_mps)
+        flown = (self.est_vn_mps, self.est_ve_mps, self.vd_mps)
         self._move(dt)
         if self.navigator is None:
             self._move_desired(dt)
@@ -435,7 +436,7 @@ class Copter(EstimatedPosition):
         self._yaw_command: float | None = None
         self._yaw_command_rate = 0.0
         self._pos_n, self._pos_e, self._pos_d = self.est_north_m, self.est_east_m, self.est_down_m
-        self._vel_n, self._vel_e, self._vel_d = self.vn_mps, self.ve_mps, self.vd_mps
+        self._vel_n, self._vel_e, self._vel_d = self.est_vn_mps, self.est_ve_mps, self.vd_mps
         self._acc_n = self._acc_e = self._acc_d = 0.0
         self._gap_n = self._gap_e = self._gap_d = 0.0
         self._saturated: tuple[float, float] | None = None
@@ -608,7 +609,7 @@ class Copter(EstimatedPosition):
             pull = sqrt_controller(distance, tuning.position_gain, limit) / distance
             want_n += north * pull
             want_e += east * pull
-        self._velocity_pid(want_n - self.vn_mps, want_e - self.ve_mps, dt)
+        self._velocity_pid(want_n - self.est_vn_mps, want_e - self.est_ve_mps, dt)
 
     def _leash(self) -> float:
         """Farthest the desired position may run ahead of the estimated one."""

@@ -126,7 +126,7 @@ class FlightLog:
         roll, pitch = math.degrees(body.roll_rad), math.degrees(body.pitch_rad)
         yaw = math.degrees(body.yaw_rad) % 360.0
         self._log.write("ATT", t_s, roll, roll, pitch, pitch, yaw, yaw, _EKF3)
-        velocity = body.vn_mps, body.ve_mps, body.vd_mps
+        velocity = body.est_vn_mps, body.est_ve_mps, body.vd_mps
         place = body.est_north_m, body.est_east_m, body.est_down_m
         no_gyro_error = (0.0, 0.0, 0.0)
         self._log.write(
@@ -140,6 +140,6 @@ class FlightLog:
 
     def _gps(self, t_s: float, unix_s: float, place: GlobalPosition) -> None:
         body = self._vehicle.copter
-        speed_mps = math.hypot(body.vn_mps, body.ve_mps)
-        course_deg = math.degrees(math.atan2(body.ve_mps, body.vn_mps)) % 360.0
+        speed_mps = math.hypot(body.est_vn_mps, body.est_ve_mps)
+        course_deg = math.degrees(math.atan2(body.est_ve_mps, body.est_vn_mps)) % 360.0
         self._log.gps(t_s, unix_s, place, (speed_mps, course_deg, body.vd_mps))

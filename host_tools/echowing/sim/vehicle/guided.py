@@ -46,8 +46,18 @@ class Body(Protocol):
     def est_down_m(self) -> float:
         """Estimated down."""
 
-    def set_estimate_offset(self, offset_ned_m: Ned) -> None:
-        """Estimated minus true position."""
+    @property
+    def est_vn_mps(self) -> float:
+        """Estimated velocity north."""
+
+    @property
+    def est_ve_mps(self) -> float:
+        """Estimated velocity east."""
+
+    def set_estimate_offset(
+        self, offset_ned_m: Ned, velocity_mps: tuple[float, float] = (0.0, 0.0)
+    ) -> None:
+        """Estimated minus true position, and velocity (north, east)."""
 
 
 @runtime_checkable

@@ -183,7 +183,7 @@ class Reports:
 
     def _gps_raw_int(self) -> Any:
         here, body = self.here(), self._body
-        course = _heading_cdeg(math.atan2(body.ve_mps, body.vn_mps))
+        course = _heading_cdeg(math.atan2(body.est_ve_mps, body.est_vn_mps))
         return mavlink.MAVLink_gps_raw_int_message(
             int(self.t_s * 1e6 + 0.5),
             mavlink.GPS_FIX_TYPE_3D_FIX if self.has_fix else mavlink.GPS_FIX_TYPE_NO_FIX,
@@ -192,7 +192,7 @@ class Reports:
             round((ORIGIN.alt_m - body.down_m - self.receiver_down_m) * 1e3),
             _EPH_CM,
             _EPH_CM,
-            min(65534, round(math.hypot(body.vn_mps, body.ve_mps) * 100.0)),
+            min(65534, round(math.hypot(body.est_vn_mps, body.est_ve_mps) * 100.0)),
             course,
             _SATELLITES if self.has_fix else 0,
         )
@@ -219,8 +219,8 @@ class Reports:
         return mavlink.MAVLink_local_position_ned_message(
             self._boot_ms,
             *self._places.here_ned_m(),
-            body.vn_mps,
-            body.ve_mps,
+            body.est_vn_mps,
+            body.est_ve_mps,
             body.vd_mps,
         )
 
@@ -232,8 +232,8 @@ class Reports:
             _e7(here.lon_deg),
             round(here.alt_m * 1e3),
             round(self._places.height_m() * 1e3),
-            _int16(body.vn_mps * 100.0),
-            _int16(body.ve_mps * 100.0),
+            _int16(body.est_vn_mps * 100.0),
+            _int16(body.est_ve_mps * 100.0),
             _int16(body.vd_mps * 100.0),
             _heading_cdeg(body.yaw_rad),
         )
@@ -256,7 +256,7 @@ class Reports:
 
     def _vfr_hud(self) -> Any:
         body = self._body
-        speed_mps = math.hypot(body.vn_mps, body.ve_mps)
+        speed_mps = math.hypot(body.est_vn_mps, body.est_ve_mps)
         return mavlink.MAVLink_vfr_hud_message(
             speed_mps,
             speed_mps,

@@ -105,6 +105,7 @@ def true_errors(given: "GpsSection", chance: Stream) -> Errors:
         receiver_height_sigma_m=draw.around(
             "receiver height sigma", given.receiver_vertical_sigma_m
         ),
+        velocity_sigma_mps=draw.around("velocity sigma", given.velocity_sigma_mps),
         follows_s=draw.around("follows", given.follows_s),
         height_follows_s=draw.around("height follows", given.height_follows_s),
         step_m=given.step_m,
