@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 
 from echowing.flight.axis import Axis
+from echowing.flight.cloud import Off
 from echowing.flight.envelope import Answer
 from echowing.flight.guidance import (
     GuidanceSettings,
@@ -69,6 +70,22 @@ def test_in_a_column_only_the_sonars_between_the_two_count() -> None:
     assert sigma_m < 0.7 * UNRANGED_SIGMA_M, (
         "the first one's own sonar, which is deaf, is not asked"
     )
+
+
+def test_heights_go_along_the_chain_as_places_do() -> None:
+    """A barometer that is a metre off is so for those whose sonars only see its echo, too."""
+    there = known([Slot(3.0), Slot(3.0, behind=0)])
+    first, second = there.followers.values()
+    for follower, off_m in ((first, (0.3, 0.0, 1.0)), (second, (0.0, 0.2, -0.4))):
+        follower.position = HERE
+        follower.estimate.offset.turn_to(Off(*off_m, 0.05, 0.05))
+    there.leader.fix = LeaderFix(0.0, HERE, (0.0, 0.0, 0.0), 0.0)
+    (leader,) = there._beside(second)
+    (behind,) = there._beside(first)
+
+    assert leader.off[:3] == pytest.approx((-0.3, 0.0, -1.0), abs=0.02)
+    assert behind.off[:3] == pytest.approx((0.0, 0.2, -0.4), abs=0.02)
+    assert behind.off.up_sigma_m == pytest.approx(0.05, rel=0.1)
 
 
 def test_who_is_ranged_has_room_where_receivers_alone_leave_none() -> None:

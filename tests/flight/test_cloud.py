@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import pytest
 
 from echowing.flight.axis import Axis
-from echowing.flight.cloud import RISK, Between, Bystander, Cloud, Wandering
+from echowing.flight.cloud import RISK, Between, Bystander, Cloud, Off, Wandering
 from echowing.flight.guidance import Horizontal
 from echowing.sonar_file import shipped_sonar
 
@@ -341,7 +341,7 @@ def test_an_echo_of_another_vehicle_moves_nothing_wherever_the_receivers_put_bot
     Where the other is, is known from the leader: what is wrong of one is wrong of both.
     """
     cloud, off_m = Cloud(shipped_sonar()), 1.5
-    believed, other = (3.0 + off_m, 0.0, 0.0), Bystander(3, (3.0 + off_m, 3.0, 0.0), 0.1)
+    believed, other = (3.0 + off_m, 0.0, 0.0), Bystander(3, (3.0 + off_m, 3.0, 0.0), 0.1, 0.0)
     for number in range(60):
         cloud.heard(0.3 * number, 3.0, Axis(0.2 * math.sin(number)), believed, [other])
     before = cloud.north_m, cloud.east_m
@@ -361,7 +361,7 @@ def test_an_echo_may_be_of_one_that_is_believed_out_of_reach_and_unsure() -> Non
     for number in range(60):
         cloud.heard(0.3 * number, 3.0, Axis(0.2 * math.sin(number)), believed)
     for sigma_m, its in ((1.5, True), (0.2, False)):
-        other = Bystander(3, (7.0, 0.0, 0.0), sigma_m)
+        other = Bystander(3, (7.0, 0.0, 0.0), sigma_m, 0.0)
         assert cloud.is_of_another(4.2, Axis(0.0), believed, [other]) is its
 
 
@@ -373,7 +373,7 @@ def test_one_that_is_unsure_is_heard_where_it_is_again_and_again() -> None:
     each reading, each would speak for the leader, and by now it would be certain.
     """
     cloud, believed = Cloud(shipped_sonar()), (5.5, 0.0, 0.0)
-    other = Bystander(3, (4.4, 0.0, 0.0), 0.5, moves=False)
+    other = Bystander(3, (4.4, 0.0, 0.0), 0.5, 0.0, moves=False)
     for number in range(60):
         cloud.heard(0.3 * number, 3.9, Axis(0.1 * math.sin(number)), believed, [other])
     assert math.isinf(cloud.unheard_s(18.0))
@@ -383,7 +383,7 @@ def test_one_that_is_unsure_is_heard_where_it_is_again_and_again() -> None:
 
 def test_silence_speaks_against_any_vehicle_that_would_be_heard() -> None:
     """Who is looked for is out of reach, another one 3 m ahead: nobody is heard, for 6 s."""
-    other = Bystander(3, (3.0, 0.0, 0.0), 0.1, moves=False)
+    other = Bystander(3, (3.0, 0.0, 0.0), 0.1, 0.0, moves=False)
     deaf = []
     for others in ([], [other]):
         cloud = Cloud(shipped_sonar())
@@ -434,7 +434,7 @@ def test_ranges_that_nothing_foretold_are_believed_where_they_agree_and_not_wher
 
 def test_echoes_of_another_vehicle_bring_nobody_to_where_it_is() -> None:
     """For 15 s, while the leader is out of reach."""
-    cloud, beside = Cloud(shipped_sonar()), Bystander(3, (0.0, 3.0, 0.0), 0.2, moves=False)
+    cloud, beside = Cloud(shipped_sonar()), Bystander(3, (0.0, 3.0, 0.0), 0.2, 0.0, moves=False)
     for number in range(60):
         cloud.heard(5.0 + READING_S * number, 3.0, Axis(EAST, 0.0), (9.0, 0.0, 0.0), [beside])
 
@@ -443,7 +443,7 @@ def test_echoes_of_another_vehicle_bring_nobody_to_where_it_is() -> None:
 
 def test_a_cloud_that_turns_to_another_leader_is_as_sure_as_it_is_told() -> None:
     cloud = Cloud(shipped_sonar())
-    cloud.turn_to((1.0, -2.0, 0.3), 0.4, 0.2)
+    cloud.turn_to(Off(1.0, -2.0, 0.3, 0.4, 0.2))
     assert (cloud.north_m, cloud.east_m, cloud.up_m) == pytest.approx((1.0, -2.0, 0.3), abs=0.02)
     assert cloud.sigma_m(0.0) == pytest.approx(0.4, rel=0.05)
     assert cloud.up_sigma_m == pytest.approx(0.2, rel=0.05)

@@ -6,7 +6,7 @@ import pytest
 
 from echowing.flight.alignment import History, Report
 from echowing.flight.axis import Axis
-from echowing.flight.cloud import PLACED_SIGMA_M, UPDATE_PERIOD_S, Cloud
+from echowing.flight.cloud import PLACED_SIGMA_M, UPDATE_PERIOD_S, Cloud, Off
 from echowing.flight.estimate import (
     CLOCK_WINDOW_S,
     LONGEST_CARRY_S,
@@ -263,20 +263,25 @@ def test_no_range_is_no_reading() -> None:
     assert estimate.offset.unheard_s(10.0) == math.inf
 
 
-@pytest.mark.parametrize(("beside", "reports"), [(True, 41), (True, 33), (False, 41)])
+@pytest.mark.parametrize(
+    ("beside", "reports", "seems_up_m"),
+    [(True, 41, 0.0), (True, 33, 0.0), (True, 41, 4.0), (False, 41, 0.0)],
+)
 def test_a_range_that_another_vehicle_explains_better_is_not_the_leaders(
-    beside: bool, reports: int
+    beside: bool, reports: int, seems_up_m: float
 ) -> None:
     """The leader is 3 m north, another follower 3 m east, and the sonar looks east.
 
-    The other one's reports may come later than those of the two: over a slow radio.
+    The other one's reports may come later than those of the two: over a slow radio. And they may be
+    too high by what the sonars between have found.
     """
     estimate, leader = listening()
     estimate.offset = Cloud(shipped_sonar())
     other = History()
     for number in range(reports):
-        other.add(Report(number * 0.25, displace(START, (0.0, 3.0, 0.0)), (0.0, 0.0), 0.0))
-    others = [Beside(3, other, (0.0, 0.0), 0.1)] if beside else []
+        place = displace(START, (0.0, 3.0, -seems_up_m))
+        other.add(Report(number * 0.25, place, (0.0, 0.0), 0.0))
+    others = [Beside(3, other, Off(0.0, 0.0, -seems_up_m, 0.1, 0.1))] if beside else []
     for number in range(80):
         estimate.heard(1.0 + number * 0.1, swaying_m(2.8, number), number)
         estimate.pointed(number, Axis(math.pi / 2.0, 0.0), 1.0 + number * 0.1)
@@ -290,11 +295,27 @@ def test_one_whose_report_is_old_may_be_elsewhere_by_what_it_has_changed_its_spe
     estimate, _ = listening()
     other = History()
     other.add(Report(7.0, displace(START, (0.0, 3.0, 0.0)), (0.0, 1.0), 0.0))
-    (one,) = estimate._bystanders([Beside(3, other, (0.0, 0.0), 0.1)], 8.0)
+    (one,) = estimate._bystanders([Beside(3, other, Off(0.0, 0.0, 0.0, 0.1, 0.0))], 8.0)
     assert one.to_it_m == pytest.approx((0.0, 4.0, 0.0), abs=0.01)
     # ArduCopter's 2.5 m/s2 for a second are 2.5 standard deviations.
     assert one.sigma_m == pytest.approx(math.hypot(0.1, 0.5))
-    assert estimate._bystanders([Beside(3, other, (0.0, 0.0), 0.1)], 10.5) == []
+    assert estimate._bystanders([Beside(3, other, Off(0.0, 0.0, 0.0, 0.1, 0.0))], 10.5) == []
+
+
+def test_what_receivers_have_lately_drifted_by_counts_at_once() -> None:
+    """The leader's by a metre, the follower's by half of it: no sonar has heard since."""
+    estimate, leader = listening()
+    estimate.learn(leader)
+    before_m = estimate.shift_m
+    drifted = displace(START, (4.0, 0.0, 0.0))
+    leader.add(Report(10.25, drifted, (0.0, 0.0), 0.0, drifted_m=(1.0, 0.0)))
+    own = displace(START, (0.5, 0.0, 0.0))
+    estimate.reported(Report(10.25, own, (0.0, 0.0), 0.0, drifted_m=(0.5, 0.0)))
+
+    north_m, east_m = estimate.shift_m
+    assert (north_m - before_m[0], east_m - before_m[1]) == pytest.approx((0.5, 0.0))
+    seen_m = ned_between(own, estimate.as_seen(drifted))
+    assert seen_m[0] == pytest.approx(3.0 - before_m[0], abs=0.01), "as far apart as before"
 
 
 def hear_nothing(estimate: Estimate, leader: History) -> None:

@@ -181,6 +181,19 @@ def test_a_jump_does_not_become_a_movement_while_it_is_looked_at() -> None:
     assert track.agreeing == 0
 
 
+@pytest.mark.parametrize("jump_m", [1.6, 3.0, 15.0])
+def test_a_jump_that_is_believed_at_once_is_no_drift_as_well(jump_m: float) -> None:
+    """Reports come at 10 Hz: between those before and after it a copter might have flown 1.6 m."""
+    track = LeaderTrack()
+    there = displace(HERE, (jump_m, 0.0, 0.0))
+    for number in range(20):
+        now_s = 1.0 + 0.1 * number
+        track.receive(a_report(now_s, HERE if number < 10 else there), now_s)
+        if number == 12:
+            assert track.believe_jump()[0] == pytest.approx(jump_m, abs=0.02)
+    assert track.drift.lately_m == pytest.approx((0.0, 0.0), abs=0.02)
+
+
 def a_report(now_s: float, at: GlobalPosition) -> Any:
     return mavlink.MAVLink_global_position_int_message(
         round(now_s * 1e3), round(at.lat_deg * 1e7), round(at.lon_deg * 1e7), 0, 0, 0, 0, 0, 0

@@ -6,6 +6,7 @@ from echowing.flight.guidance import GuidanceSettings
 from echowing.flight.jumps import AGREEING_REPORTS, SAME_RANGE_M, UNCONFIRMED_S
 from echowing.flight.steps import Hold
 from echowing.flight.trust import Trust
+from echowing.geo import ned_between
 
 from .told import HEIGHT_M, Told, at
 from .yard import FOLLOWER, LEADER, TICK_S, Vehicle
@@ -53,6 +54,34 @@ def test_vehicles_that_hover_are_believed_and_nothing_is_said() -> None:
     there.fly(5.0)
     assert there.said == []
     assert there.follower.turn.latched is None
+
+
+@pytest.mark.parametrize(("who", "seen_m"), [(LEADER, 1.0), (FOLLOWER, -1.0)])
+def test_a_receiver_that_drifts_does_not_move_its_vehicle(who: int, seen_m: float) -> None:
+    """A metre in two seconds, while the vehicle says that it stands, and no sonar hears."""
+    there = Trusted()
+    for _ in range(round(2.0 / TICK_S)):
+        there.jump(who, 0.5 * TICK_S)
+        there.fly(TICK_S)
+
+    assert there.follower.estimate.drifted_m == pytest.approx((seen_m, 0.0), abs=0.1)
+    fix = there.known.leader.fix
+    assert fix is not None and there.follower.position is not None
+    to_it_m = ned_between(
+        there.follower.position, there.known.as_seen_by(there.follower, fix.position)
+    )
+    assert to_it_m[0] == pytest.approx(3.0, abs=0.1)
+
+
+@pytest.mark.parametrize("who", [LEADER, FOLLOWER])
+@pytest.mark.parametrize("far_m", [1.6, 2.5, 15.0])
+def test_a_jump_is_no_drift_as_well(who: int, far_m: float) -> None:
+    """The sonar shows whether it is the receiver's; it must not count twice."""
+    there = Trusted()
+    there.jump(who, far_m)
+    there.fly(4.0)
+
+    assert there.follower.estimate.drifted_m == pytest.approx((0.0, 0.0), abs=0.1)
 
 
 def test_its_own_jump_holds_it_once_the_sonar_has_had_time_to_deny_it() -> None:

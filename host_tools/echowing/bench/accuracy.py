@@ -301,8 +301,10 @@ class _Watch:
         return sum(abs(off_m) > SURE_SIGMAS * own_m for _, off_m, own_m in seen) / len(seen)
 
     def _truth(self) -> Horizontal:
+        """What the receivers disagree by, less what they are known to have drifted."""
         leader, follower = self._flight.leader.body, self._flight.followers[0].body
+        north_m, east_m = self._estimate.drifted_m
         return (
-            leader.est_north_m - leader.north_m - follower.est_north_m + follower.north_m,
-            leader.est_east_m - leader.east_m - follower.est_east_m + follower.east_m,
+            leader.est_north_m - leader.north_m - follower.est_north_m + follower.north_m - north_m,
+            leader.est_east_m - leader.east_m - follower.est_east_m + follower.east_m - east_m,
         )

@@ -26,12 +26,16 @@ STOPS_AFTER_S = 1.5
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """Where a vehicle was at `time_s` (our clock), its velocity (north, east) and its heading."""
+    """Where a vehicle was at `time_s` (our clock), its velocity (north, east) and its heading.
+
+    drifted_m: by how much its receiver has lately drifted (`drift`).
+    """
 
     time_s: float
     position: GlobalPosition
     velocity_mps: Horizontal
     heading_rad: float
+    drifted_m: Horizontal = (0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,16 +59,22 @@ class AlignedReading:
 
 
 class History:
-    """A vehicle's reports of the last seconds, oldest first."""
+    """A vehicle's reports of the last seconds, oldest first, less what its receiver has drifted.
+
+    drifted_m: that, by now.
+    """
 
     def __init__(self) -> None:
         self._reports: deque[Report] = deque()
+        self.drifted_m: Horizontal = (0.0, 0.0)
 
     def add(self, report: Report) -> None:
         """Take a report; one that is not newer than the last is ignored."""
+        self.drifted_m = north_m, east_m = report.drifted_m
         if self._reports and report.time_s <= self._reports[-1].time_s:
             return
-        self._reports.append(report)
+        place = displace(report.position, (-north_m, -east_m, 0.0))
+        self._reports.append(replace(report, position=place))
         while self._reports[0].time_s < report.time_s - LONGEST_WAIT_S:
             self._reports.popleft()
 

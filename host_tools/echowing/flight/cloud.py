@@ -22,6 +22,7 @@ import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +30,7 @@ from numpy.typing import NDArray
 from echowing.flight.axis import Axis
 from echowing.flight.belief import SonarBelief
 from echowing.flight.guidance import Horizontal
-from echowing.flight.receivers import Receivers, passing
+from echowing.flight.receivers import FOLLOWS_S, Receivers, passing
 
 Array = NDArray[np.float64]
 # From follower to leader, by their own positions: (north, east, up).
@@ -67,6 +68,19 @@ KEPT_OF_SPREAD, NEW_OF_SPREAD, MOVES_M = 0.98, 0.2, 0.03
 DEAFENS_S, RECOVERS_S = 600.0, 60.0
 
 
+class Off(NamedTuple):
+    """What two vehicles' positions disagree by, metres, and how sure that is.
+
+    level_sigma_m: standard deviation to the north and to the east; up_sigma_m: of their heights.
+    """
+
+    north_m: float
+    east_m: float
+    up_m: float
+    level_sigma_m: float
+    up_sigma_m: float
+
+
 @dataclass(frozen=True, slots=True)
 class Wandering:
     """What is believed beforehand.
@@ -89,13 +103,14 @@ class Bystander:
 
     system_id: its own. to_it_m: from the follower, (north, east, up), by the receiver of whom the
     sonar looks at, so that a guess moves it as it moves that one; where not `moves`, by the
-    follower's own. sigma_m: how unsure the way from that receiver to its own is, standard
-    deviation.
+    follower's own. sigma_m, up_sigma_m: how unsure the way from that receiver to its own is,
+    standard deviation, and that of their heights.
     """
 
     system_id: int
     to_it_m: Between
     sigma_m: float
+    up_sigma_m: float
     moves: bool = True
 
 
@@ -119,8 +134,8 @@ class Cloud:
         self._wide, self._far = chance.random(count), chance.random(count)
         self._hears = chance.uniform(*HEARS, count)
         self._deaf = chance.random(count) < wandering.deaf_share
-        # By how much another vehicle is not where it is taken to be, (north, east), as a share of
-        # what is unsure of it; by its system id.
+        # By how much another vehicle is not where it is taken to be, (north, east, up), as a share
+        # of what is unsure of it; by its system id.
         self._astray: dict[int, Array] = {}
         # What both receivers' drift differs by.
         self._drift = self._opposites() * self._wanders_m
@@ -139,10 +154,11 @@ class Cloud:
         self._nearest_m = 0.0
         self._summarise()
 
-    def turn_to(self, off_m: Between, level_sigma_m: float, up_sigma_m: float) -> None:
+    def turn_to(self, off: Off) -> None:
         """Be of another leader, of which is known so much; what is learnt of the sonar stays."""
         # As far as its receivers wander, each guess has more or less of it.
         wanders_m = self._wanders_m / np.sqrt(self._wanders_m**2 @ self._weight)[:, np.newaxis]
+        *off_m, level_sigma_m, up_sigma_m = off
         sigma_m = np.array(((level_sigma_m,), (level_sigma_m,), (up_sigma_m,)))
         self._off = np.array(off_m)[:, np.newaxis] + sigma_m * wanders_m * self._opposites()
         self._drift = self._off.copy()
@@ -162,9 +178,9 @@ class Cloud:
         return math.isfinite(self._heard_at_s)
 
     @property
-    def mean_m(self) -> Between:
-        """What the vehicles' positions disagree by."""
-        return self.north_m, self.east_m, self.up_m
+    def off(self) -> Off:
+        """What both positions disagree by, less the drift and jumps that reports have shown."""
+        return Off(self.north_m, self.east_m, self.up_m, self.level_sigma_m, self.up_sigma_m)
 
     def unheard_s(self, now_s: float) -> float:
         """Time since the last reading that was the leader's; infinite at first."""
@@ -183,13 +199,8 @@ class Cloud:
 
     @property
     def wander_m(self) -> float:
-        """How far each receiver wanders per axis, standard deviation, as learnt."""
+        """How far each receiver wanders per axis, standard deviation, as learnt, less `drift`."""
         return float(self._receivers.share @ self._receivers.sigma_m)
-
-    @property
-    def follows_s(self) -> float:
-        """How much later an autopilot follows its receiver, as learnt."""
-        return float(self._receivers.share @ self._receivers.follows_s)
 
     def nearest_m(self, to_it_m: Horizontal, above_m: float, clear_m: float) -> float:
         """How near one may come, on the straight way, to where the leader is believed (`RISK`).
@@ -253,7 +264,7 @@ class Cloud:
         self._off, self._drift = self._moved(elapsed_s, self._opposites())
         kept = math.exp(-elapsed_s / self._receivers.tau_s)
         for who, astray in self._astray.items():
-            changed = math.sqrt(1.0 - kept * kept) * self._normal(2)
+            changed = math.sqrt(1.0 - kept * kept) * self._normal(3)
             self._astray[who] = kept * astray + changed
         changes = self._chance.random(GUESSES)
         mixed = -math.expm1(-elapsed_s * (1.0 / DEAFENS_S + 1.0 / RECOVERS_S))
@@ -270,17 +281,16 @@ class Cloud:
         Height counts as following its barometer as soon as the place follows its receiver; EKF3's
         takes twice as long (tests/sitl/follows.py).
         """
-        receivers = self._receivers
-        kept, left, part = passing(elapsed_s, receivers.tau_s, receivers.follows_s)
+        kept, left, part = passing(elapsed_s, self._receivers.tau_s, FOLLOWS_S)
         change = math.sqrt(1.0 - kept * kept) * chance * self._wanders_m
-        drift, left, part = kept * self._drift, left[self._cell], part[self._cell]
+        drift = kept * self._drift
         return left * self._off + (1.0 - left) * drift + part * change, drift + change
 
     def _share_out(self) -> None:
         """Put as many guesses into each cell of `receivers` as it is likely."""
         up_to = np.cumsum(self._receivers.share)
-        self._cell = np.minimum(np.searchsorted(up_to, self._place), len(up_to) - 1)
-        level_m = math.sqrt(2.0) * self._receivers.sigma_m[self._cell]
+        cell = np.minimum(np.searchsorted(up_to, self._place), len(up_to) - 1)
+        level_m = math.sqrt(2.0) * self._receivers.sigma_m[cell]
         # How far each guess's drift goes, (north, east, up): standard deviations.
         self._wanders_m = np.stack((level_m, level_m, np.full(GUESSES, self._height_sigma_m)))
 
@@ -359,9 +369,10 @@ class Cloud:
         heard where it is again and again, as whom the sonar looks at.
         """
         if other.system_id not in self._astray:
-            self._astray[other.system_id] = self._opposites()[:2]
+            self._astray[other.system_id] = self._opposites()
         to_it: Array = np.array(other.to_it_m)[:, np.newaxis] - other.moves * self._off
-        to_it[:2] += other.sigma_m * self._astray[other.system_id]
+        unsure_m = np.array((other.sigma_m, other.sigma_m, other.up_sigma_m))[:, np.newaxis]
+        to_it += unsure_m * self._astray[other.system_id]
         return to_it
 
     def _wrong_share(self) -> Array:

@@ -15,7 +15,7 @@ from echowing.flight.alignment import (
 )
 from echowing.flight.axis import Axis
 from echowing.flight.belief import SonarBelief
-from echowing.flight.cloud import Between, Bystander, Cloud
+from echowing.flight.cloud import Bystander, Cloud, Off
 from echowing.flight.envelope import SURE_SIGMAS, strays_m
 from echowing.flight.guidance import Horizontal, LeaderFix, predicted
 from echowing.flight.hearing import Hearing, Reading
@@ -76,15 +76,14 @@ class SenderClock:
 class Beside:
     """Another vehicle that the sonar may hear.
 
-    history: its reports; shift_m: what its receiver and that of whom the sonar looks at are known
-    to disagree by, (north, east), added to its place, so that a guess moves it as that one; where
-    not `moves`: its receiver and ours. sigma_m: standard deviation of that.
+    history: its reports; off: what its history and that of whom the sonar looks at are known to
+    disagree by, added to its place, so that a guess moves it as that one; where not `moves`: its
+    and ours.
     """
 
     system_id: int
     history: History
-    shift_m: Horizontal
-    sigma_m: float
+    off: Off
     moves: bool = True
 
 
@@ -92,13 +91,11 @@ class Beside:
 class Tie:
     """What sonars on the way from one vehicle to another tell of their receivers.
 
-    off_m: what they disagree by, (north, east, up), with standard deviations; jumped_m: as
-    `Estimate.jumped_m`; proven_m: as `FollowerState.proven_m`.
+    off: what they disagree by, as `Cloud.off`; jumped_m: as `Estimate.jumped_m`; proven_m: as
+    `FollowerState.proven_m`.
     """
 
-    off_m: Between
-    level_sigma_m: float
-    up_sigma_m: float
+    off: Off
     jumped_m: Horizontal
     proven_m: Horizontal
 
@@ -109,6 +106,7 @@ class Estimate:
     def __init__(self, sonar: SonarBelief) -> None:
         self.sonar = sonar
         self.history = History()
+        self._watched = History()
         self.offset = Cloud(sonar)
         self._noted: deque[tuple[float, Cloud]] = deque()
         """What was learnt, as it was before: when, and what."""
@@ -227,6 +225,7 @@ class Estimate:
         leader: the vehicle that it looks at. A range that one of `others` explains better counts
         for nothing.
         """
+        self._watched = leader
         self._used_to_s = min(leader.newest_s, self.history.newest_s)
         for one in self._alignment.due(leader, self.history):
             if one.told or not self.points(one.time_s):  # else what it said of its axis was lost
@@ -263,12 +262,14 @@ class Estimate:
             if to_it_m is None:
                 continue
             jumped_m = self.jumped_m if other.moves else (0.0, 0.0)
-            north_m = to_it_m[0] + other.shift_m[0] - jumped_m[0]
-            east_m = to_it_m[1] + other.shift_m[1] - jumped_m[1]
-            place = (north_m, east_m, to_it_m[2])
+            north_m = to_it_m[0] + other.off.north_m - jumped_m[0]
+            east_m = to_it_m[1] + other.off.east_m - jumped_m[1]
+            place = (north_m, east_m, to_it_m[2] + other.off.up_m)
             strayed_m = strays_m(min(STOPS_AFTER_S, max(0.0, time_s - other.history.newest_s)))
-            sigma_m = math.hypot(other.sigma_m, strayed_m / SURE_SIGMAS)
-            found.append(Bystander(other.system_id, place, sigma_m, other.moves))
+            strayed_sigma_m = strayed_m / SURE_SIGMAS
+            sigma_m = math.hypot(other.off.level_sigma_m, strayed_sigma_m)
+            up_sigma_m = math.hypot(other.off.up_sigma_m, strayed_sigma_m)
+            found.append(Bystander(other.system_id, place, sigma_m, up_sigma_m, other.moves))
         return found
 
     def _to_leader_m(self, one: AlignedReading) -> Horizontal:
@@ -298,9 +299,10 @@ class Estimate:
         self.offset = Cloud(self.sonar)
         self._begin_anew((0.0, 0.0))
 
-    def turn_to(self, tie: Tie) -> None:
+    def turn_to(self, tie: Tie, watched: History) -> None:
         """Look at another vehicle, of which the others' sonars tell so much."""
-        self.offset.turn_to(tie.off_m, tie.level_sigma_m, tie.up_sigma_m)
+        self._watched = watched
+        self.offset.turn_to(tie.off)
         self._begin_anew(tie.jumped_m)
 
     def _begin_anew(self, jumped_m: Horizontal) -> None:
@@ -321,7 +323,20 @@ class Estimate:
     @property
     def shift_m(self) -> Horizontal:
         """How much further (north, east) the leader's receiver puts a place than the follower's."""
-        return self.offset.north_m + self.jumped_m[0], self.offset.east_m + self.jumped_m[1]
+        off, (north_m, east_m) = self.off, self.drifted_m
+        return off.north_m + north_m, off.east_m + east_m
+
+    @property
+    def drifted_m(self) -> Horizontal:
+        """By how much the leader's receiver has lately drifted, less the follower's own."""
+        (north_m, east_m), own_m = self._watched.drifted_m, self.history.drifted_m
+        return north_m - own_m[0], east_m - own_m[1]
+
+    @property
+    def off(self) -> Off:
+        """What both histories disagree by: less what receivers have lately drifted."""
+        off, (north_m, east_m) = self.offset.off, self.jumped_m
+        return off._replace(north_m=off.north_m + north_m, east_m=off.east_m + east_m)
 
 
 def carried_on(leader: LeaderFix, to_s: float) -> LeaderFix:

@@ -3,9 +3,11 @@
 import math
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 from echowing.flight.alignment import Report
+from echowing.flight.drift import Drift
 from echowing.flight.guidance import Horizontal, LeaderFix
 from echowing.flight.jumps import AGREEING_REPORTS, BootClocks, beyond_movement_m, is_jump
 from echowing.geo import GlobalPosition, Ned
@@ -97,6 +99,7 @@ class LeaderTrack:
 
     def __init__(self) -> None:
         self.clock = VehicleClock()
+        self.drift = Drift()
         self.clocks = BootClocks()
         self.fix: LeaderFix | None = None
         self.rejected = 0
@@ -124,6 +127,7 @@ class LeaderTrack:
         restarted = boot_ms < self._newest_boot_ms
         if restarted:
             self.clock.restarted()
+            self.drift = Drift()
         self._newest_boot_ms = boot_ms
         boot_s = boot_ms / 1000.0
         velocity = (message.vx / 100.0, message.vy / 100.0, message.vz / 100.0)
@@ -139,6 +143,7 @@ class LeaderTrack:
             acceleration_ned_mps2=self._acceleration(time_s, velocity),
         )
         if self._believable(fix):
+            self.drift.reported(replace(_report(fix), time_s=boot_s))
             age_s = 0.0 if self.fix is None else now_s - self.fix.time_s
             self.oldest_s = max(age_s, OLDEST_KEEPS * self.oldest_s)
             self.fix = fix
@@ -158,6 +163,7 @@ class LeaderTrack:
             self._agreeing, self._candidate, self.jump_since_s = 0, None, None
             return True
         self.rejected += 1
+        self.drift.jumped()
         self._agreeing = self._agreeing + 1 if agrees else 0
         if not agrees:
             self.jump_m = beyond_movement_m(_report(self.fix), _report(fix))

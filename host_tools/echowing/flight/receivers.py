@@ -1,5 +1,6 @@
-"""How two receivers wander apart, and how that is learnt from the sonar. Pure.
+"""How far two receivers wander apart, and how that is learnt from the sonar. Pure.
 
+Of what their drift is when vehicles' own velocities have told their part of it (`drift`).
 A receiver's error drifts, and what its autopilot believes follows it a little later, smoothly. Both
 are modelled: taken for a random walk, the smooth path of a receiver that wanders far looks like
 that of one that wanders less. How quickly receivers forget is not learnt: one that wanders more
@@ -18,16 +19,15 @@ Array = NDArray[np.float64]
 # How much further than believed receivers may wander. Not less: that costs the leader if it is
 # wrong.
 FURTHER = (1.0, 1.4, 2.0, 2.8, 4.0)
-# How much later an autopilot follows: one that takes its receiver at its word, to one that mostly
-# believes its inertial sensors. EKF3 does by 1.5 s on ArduCopter SITL (tests/sitl/follows.py).
-# Nearer to that, 0.75, 1.5 and 3 s, were tried: with receivers of 1.5 m three of 20 flights came
-# under 1.3 m, and one of them under 1.0 m, in place of one.
-FOLLOWS_S = (0.3, 1.0, 3.0)
+# How much later an autopilot follows. EKF3 does by 1.5 s on ArduCopter SITL; where its velocity has
+# told the rest, less is left. One that follows by 3 s is taken for a receiver that wanders a
+# quarter less. To learn that, too, gained nothing in flight, at 0.3, 1.5 and 3 s.
+FOLLOWS_S = 1.0
 # A cell is never less likely than this, beside the likeliest: receivers change.
 LEAST_SHARE = 1e-3
 
 
-def passing(elapsed_s: float, tau_s: float, follows_s: Array) -> tuple[float, Array, Array]:
+def passing(elapsed_s: float, tau_s: float, follows_s: float) -> tuple[float, float, float]:
     """How a drift, and what follows it, change.
 
     Returns `kept`, `left`, `part`: a drift d of standard deviation s becomes kept * d + e, and
@@ -36,37 +36,33 @@ def passing(elapsed_s: float, tau_s: float, follows_s: Array) -> tuple[float, Ar
     change and that of what follows it as one: over 0.25 s they truly agree to 0.9.
     """
     # Below that the sum under the root is only rounding.
-    ratio = np.maximum(elapsed_s / follows_s, 1e-6)
-    left = np.exp(-ratio)
-    part = np.sqrt((ratio + 2.0 * left - 0.5 * left * left - 1.5).clip(0.0) / ratio)
+    ratio = max(elapsed_s / follows_s, 1e-6)
+    left = math.exp(-ratio)
+    part = math.sqrt(max(0.0, ratio + 2.0 * left - 0.5 * left * left - 1.5) / ratio)
     return math.exp(-elapsed_s / tau_s), left, part
 
 
 class Receivers:
-    """How far a pair of receivers wanders, and how smoothly: a likelihood for each cell.
+    """How far a pair of receivers wanders: a likelihood for each cell.
 
-    A cell is a pair of the two figures, with a Kalman filter of its own of the pair's drift and of
-    what their autopilots believe, north and east (multiple models; Magill 1965).
+    A cell is one of `FURTHER`, with a Kalman filter of its own of the pair's drift and of what
+    their autopilots believe, north and east (multiple models; Magill 1965).
     """
 
     def __init__(self, sigma_m: float, sigma_spread: float, tau_s: float) -> None:
         """sigma_m, sigma_spread, tau_s: as in `cloud.Wandering`."""
-        further, follows_s = (one.ravel() for one in np.meshgrid(FURTHER, FOLLOWS_S))
         # Those that wander less than believed count as the first.
         believed = NormalDist(sigma=sigma_spread)
         between = [believed.cdf(math.log(math.sqrt(a * b))) for a, b in pairwise(FURTHER)]
-        likely = np.diff([0.0, *between, 1.0])
-        self.sigma_m: Array = sigma_m * further
+        self.sigma_m: Array = sigma_m * np.array(FURTHER)
         """Of each receiver, per axis; by cell."""
-        self.follows_s: Array = follows_s
-        """How much later its autopilot follows; by cell."""
         self.tau_s = tau_s
-        self.share: Array = np.tile(likely, len(FOLLOWS_S))
+        self.share: Array = np.diff([0.0, *between, 1.0])
         """How likely each cell is."""
         self._settle()
         # By cell: (drift north, drift east, believed north, believed east), and its covariance.
-        self._state = np.zeros((len(further), 4))
-        self._covariance = self._by_axis(np.ones((1, 2, 2)) * self._variance()[:, None, None])
+        self._state = np.zeros((len(FURTHER), 4))
+        self._covariance = self._variance()[:, None, None] * self._by_axis(np.ones((2, 2)))
         self.seen_s = -math.inf
 
     def take(self, time_s: float, along: tuple[float, float], off_m: float, sigma_m: float) -> None:
@@ -96,13 +92,12 @@ class Receivers:
         self._settle()
 
     def _wander(self, elapsed_s: float) -> None:
-        kept, left, part = passing(elapsed_s, self.tau_s, self.follows_s)
-        none, one = np.zeros_like(left), np.ones_like(left)
-        moves = self._by_axis(_rows(kept * one, none, (1.0 - left) * kept, left))
-        change = self._by_axis(_rows(one, part, part, part * part))
-        change *= (self._variance() * (1.0 - kept * kept))[:, None, None]
-        self._state = np.einsum("cij,cj->ci", moves, self._state)
-        self._covariance = moves @ self._covariance @ moves.transpose(0, 2, 1) + change
+        kept, left, part = passing(elapsed_s, self.tau_s, FOLLOWS_S)
+        moves = self._by_axis(np.array(((kept, 0.0), ((1.0 - left) * kept, left))))
+        change = self._by_axis(np.array(((1.0, part), (part, part * part))))
+        variance = (self._variance() * (1.0 - kept * kept))[:, None, None]
+        self._state = self._state @ moves.T
+        self._covariance = moves @ self._covariance @ moves.T + variance * change
 
     def _variance(self) -> Array:
         """Of the difference of two receivers that wander alike."""
@@ -114,10 +109,5 @@ class Receivers:
 
     @staticmethod
     def _by_axis(of_one: Array) -> Array:
-        """The same for north and for east: cells of 2 x 2 become cells of 4 x 4."""
+        """The same for north and for east: 2 x 2 become 4 x 4."""
         return np.asarray(np.kron(of_one, np.eye(2)), dtype=np.float64)
-
-
-def _rows(*values: Array) -> Array:
-    """2 x 2 matrices by row, from one array a place."""
-    return np.stack(values, axis=-1).reshape(-1, 2, 2)

@@ -13,7 +13,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from echowing.flight.alignment import STOPS_AFTER_S, History, Report
 from echowing.flight.axis import axis_of
 from echowing.flight.belief import SonarBelief
-from echowing.flight.cloud import Wandering
+from echowing.flight.cloud import Off, Wandering
+from echowing.flight.drift import Drift
 from echowing.flight.envelope import SURE_SIGMAS
 from echowing.flight.estimate import LONGEST_CARRY_S, Beside, Estimate, Tie, carried_on
 from echowing.flight.guidance import (
@@ -117,6 +118,7 @@ class FollowerState:
     guide: Guide
     estimate: Estimate
     clock: VehicleClock = field(default_factory=VehicleClock)
+    drift: Drift = field(default_factory=Drift)
     ranges: RangeMemory = field(default_factory=RangeMemory)
     own_jump: OwnJump = field(default_factory=OwnJump)
     handling: Handling = field(default_factory=Handling)
@@ -234,17 +236,12 @@ class FollowerState:
         place = displace(self.position, (north_m, east_m, -self.climb_mps * since_s))
         return place, velocity_mps
 
-    @property
-    def told(self) -> list[float]:
-        """What its sonar tells of two receivers: off (north, east, up), jumped and proven."""
-        return [*self.estimate.offset.mean_m, *self.estimate.jumped_m, *self.proven_m]
-
-    def turn_to(self, tie: Tie) -> None:
+    def turn_to(self, tie: Tie, watched: History) -> None:
         """Let its sonar look at another vehicle."""
-        self.estimate.turn_to(tie)
+        self.estimate.turn_to(tie, watched)
         self.ranges = RangeMemory()
         self.proven_m = tie.proven_m
-        if tie.level_sigma_m >= UNRANGED_SIGMA_M:
+        if tie.off.level_sigma_m >= UNRANGED_SIGMA_M:
             self.turn.joined, self.turn.joins_at_s = False, math.inf
 
     def beat(self, heartbeat: Any, now_s: float, *, flying: bool) -> None:
@@ -273,6 +270,7 @@ class FollowerState:
             return None
         if message.time_boot_ms < self.newest_boot_ms:
             self.clock.restarted()
+            self.drift = Drift()
             self.estimate.history.clear()
             self.motion.forget()
         velocity_mps = message.vx / 100.0, message.vy / 100.0
@@ -291,6 +289,11 @@ class FollowerState:
         self.climb_mps = -message.vz / 100.0
         self.heading_rad = heading_of(message, self.heading_rad)
         return Report(self.position_at_s, self.position, self.velocity_mps, self.heading_rad)
+
+    def drifted(self, report: Report) -> Report:
+        """The same report, with how far its receiver has drifted."""
+        self.drift.reported(replace(report, time_s=self.newest_boot_ms / 1e3))
+        return replace(report, drifted_m=self.drift.lately_m)
 
     def leaned(self, message: Any, now_s: float) -> None:
         """Take its ATTITUDE."""
@@ -411,7 +414,7 @@ class Known:
             self._ahead.pop(system_id, None)
             if one is not None:
                 self._ahead[system_id] = one
-            self.followers[system_id].turn_to(ties[system_id])
+            self.followers[system_id].turn_to(ties[system_id], self._history_of(one))
         if changed:
             self._ways.clear()
 
@@ -420,19 +423,13 @@ class Known:
         mine, its = list(self.chain(follower)), list[FollowerState]()
         if other is not None:
             mine, its = self._way_between(follower, other)
-        told = [one.told for one in mine] + [[-value for value in one.told] for one in its]
-        north, east, up, *jumps = (math.fsum(one) for one in zip(*told, strict=True))
-        offsets = [one.estimate.offset for one in (*mine, *its)]
-        sigma_m = self.sigma_m((*mine, *its))
-        if sigma_m >= UNRANGED_SIGMA_M:
-            north = east = 0.0
-        return Tie(
-            (north, east, up),
-            min(UNRANGED_SIGMA_M, sigma_m),
-            min(UNRANGED_UP_SIGMA_M, math.hypot(*(one.up_sigma_m for one in offsets))),
-            (jumps[0], jumps[1]),
-            (jumps[2], jumps[3]),
-        )
+        off = _off(mine, its, lambda one: one.estimate.offset.off)
+        if off.level_sigma_m >= UNRANGED_SIGMA_M:
+            off = off._replace(north_m=0.0, east_m=0.0, level_sigma_m=UNRANGED_SIGMA_M)
+        off = off._replace(up_sigma_m=min(UNRANGED_UP_SIGMA_M, off.up_sigma_m))
+        jumped = _summed(mine, its, lambda one: one.estimate.jumped_m)
+        proven = _summed(mine, its, lambda one: one.proven_m)
+        return Tie(off, (jumped[0], jumped[1]), (proven[0], proven[1]))
 
     def expect(self, follower: FollowerState) -> None:
         """Begin the search for whom its sonar looks at with what the others' sonars tell."""
@@ -442,7 +439,7 @@ class Known:
         found = errors([self.leader_id, *self.followers], links, Wandering().sigma_m)
         own_id, its_id = follower.plan.system_id, self.watched_id(follower)
         north_m, east_m, sigma_m = found.between(its_id, own_id)
-        offset.turn_to((north_m, east_m, offset.up_m), sigma_m, offset.up_sigma_m)
+        offset.turn_to(Off(north_m, east_m, offset.up_m, sigma_m, offset.up_sigma_m))
 
     def _links(self) -> list[Link]:
         """What each sonar tells that has heard whom it looks at."""
@@ -575,8 +572,8 @@ class Known:
         sigma_m = self.sigma_m((*mine, *its))
         if sigma_m >= UNRANGED_SIGMA_M:
             return (0.0, 0.0), UNRANGED_SIGMA_M
-        (mine_north, mine_east), (its_north, its_east) = _shift_m(mine), _shift_m(its)
-        return (its_north - mine_north, its_east - mine_east), sigma_m
+        north_m, east_m = _summed(its, mine, lambda one: one.estimate.shift_m)
+        return (north_m, east_m), sigma_m
 
     def _way_between(self, follower: FollowerState, other: FollowerState) -> _Way:
         """Over whose sonars it goes: up to what both chains share, this one's and the other's."""
@@ -597,10 +594,7 @@ class Known:
         if here is None or fix is None:
             return
         if ahead is not None and _near(here, fix.position):
-            links = list(self.chain(ahead))
-            north_m, east_m = _shift_m(links)
-            shift_m = -north_m, -east_m
-            yield Beside(self.leader_id, self.leader_history, shift_m, self.sigma_m(links))
+            yield Beside(self.leader_id, self.leader_history, _off((), list(self.chain(ahead))))
         for other in self.followers.values():
             there = other.position
             if other is follower or other is ahead or there is None or not _near(here, there):
@@ -608,13 +602,10 @@ class Known:
             mine, its = self._way_between(follower, other)
             # Of one behind this follower its own sonar tells, not this one's.
             links = [one for one in mine if one is not follower]
-            (north_m, east_m), (its_north_m, its_east_m) = _shift_m(links), _shift_m(its)
-            shift_m = its_north_m - north_m, its_east_m - east_m
             yield Beside(
                 other.plan.system_id,
                 other.estimate.history,
-                shift_m,
-                self.sigma_m((*links, *its)),
+                _off(its, links),
                 moves=len(links) < len(mine),
             )
 
@@ -743,13 +734,22 @@ class Known:
         """Keep a new report of the leader, and let every estimate learn from it."""
         place = self.in_height(self.leader_id, fix.position)
         self.leader_history.add(
-            Report(fix.time_s, place, fix.velocity_ned_mps[:2], fix.heading_rad)
+            Report(
+                fix.time_s,
+                place,
+                fix.velocity_ned_mps[:2],
+                fix.heading_rad,
+                self.leader.drift.lately_m,
+            )
         )
         if self.settings.learn_offset:
             for follower in self.followers.values():
-                ahead = self.ahead_of(follower)
-                watched = self.leader_history if ahead is None else ahead.estimate.history
+                watched = self._history_of(self.ahead_of(follower))
                 follower.estimate.learn(watched, list(self._beside(follower)))
+
+    def _history_of(self, follower: FollowerState | None) -> History:
+        """A follower's reports; None: the leader's."""
+        return self.leader_history if follower is None else follower.estimate.history
 
 
 def place_guides(followers: Iterable[FollowerState]) -> None:
@@ -767,25 +767,30 @@ def place_guides(followers: Iterable[FollowerState]) -> None:
         one.guide.place(slot, max(beside_m) if in_line else body_m)
 
 
-def _bar_m(slot: Slot, slots: Sequence[Slot]) -> float:
-    """The length of a slot's bar.
-
-    In a line each one turns as it comes to the corner. Side by side they turn as one body, on a bar
-    as long as the whole formation: on shorter ones those on the inside of a corner would fly back.
-    """
-    if all(one.angle_rad == 0.0 for one in slots):
-        return max(one.radius_m for one in slots if one.behind == slot.behind)
-    return max(math.hypot(*place_m(slots, number)[:2]) for number in range(len(slots)))
-
-
 def _near(one: GlobalPosition, other: GlobalPosition) -> bool:
     return math.hypot(*ned_between(one, other)[:2]) < MAY_BE_HEARD_M
 
 
-def _shift_m(links: Iterable[FollowerState]) -> Horizontal:
-    """What their sonars have found the receivers to disagree by, added up, (north, east)."""
-    shifts_m = [one.estimate.shift_m for one in links]
-    return sum(north for north, _ in shifts_m), sum(east for _, east in shifts_m)
+def _off(
+    over: Sequence[FollowerState],
+    back_over: Sequence[FollowerState],
+    of: Callable[[FollowerState], Off] = lambda one: one.estimate.off,
+) -> Off:
+    """What the ends of a way over sonars disagree by: up over some, down again over others."""
+    north_m, east_m, up_m, _, _ = _summed(over, back_over, of)
+    offs = [of(one) for one in (*over, *back_over)]
+    level_sigma_m = math.hypot(*(off.level_sigma_m for off in offs))
+    return Off(north_m, east_m, up_m, level_sigma_m, math.hypot(*(off.up_sigma_m for off in offs)))
+
+
+def _summed(
+    over: Sequence[FollowerState],
+    back_over: Sequence[FollowerState],
+    of: Callable[[FollowerState], Sequence[float]],
+) -> list[float]:
+    """The values of those on the way up, less those on the way down."""
+    told = [of(one) for one in over] + [[-value for value in of(one)] for one in back_over]
+    return [math.fsum(one) for one in zip(*told, strict=True)]
 
 
 def _towards(slot: GlobalPosition, there: GlobalPosition | None) -> GlobalPosition:

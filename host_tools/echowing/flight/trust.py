@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import Any
 
 from echowing.flight.alignment import Report
+from echowing.flight.drift import Drift
 from echowing.flight.jumps import SAME_RANGE_M, UNCONFIRMED_S
 from echowing.flight.state import FollowerState, Known, Say
 from echowing.flight.streams import Streams
@@ -81,12 +82,13 @@ class Trust:
         moved_m = None if self._doubt is None else follower.own_jump.reported(report)
         if moved_m is not None:
             follower.estimate.history.clear()
+            follower.drift.jumped()
             if follower.hold is not None:
                 # It stands where it stood; only its coordinates have changed.
                 place = displace(follower.hold.place, (*moved_m, 0.0))
                 follower.hold = replace(follower.hold, place=place)
         place = self._known.in_height(follower.plan.system_id, report.position)
-        follower.estimate.reported(replace(report, position=place))
+        follower.estimate.reported(replace(follower.drifted(report), position=place))
 
     def settle(self, follower: FollowerState, now_s: float) -> None:
         """Decide on a follower's own jump once the sonar has had time to deny it."""
@@ -166,6 +168,7 @@ class Trust:
     def _believed_elsewhere(self, now_s: float) -> None:
         """The leader is believed in a new place that no sonar has confirmed: nobody flies there."""
         self._known.leader_history.clear()
+        self._known.leader.drift = Drift()
         for follower in self._behind(None):
             follower.estimate.forget()
         if not self._strict:

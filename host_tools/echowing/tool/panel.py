@@ -213,6 +213,8 @@ class Panel:
         gimbal = readings.newest(GIMBAL_STATE, now_s)
         fresh = now_s - readings.sonar_at_s < SONAR_FRESH_S
         sonar_m = readings.sonar_m if fresh else None
+        estimate = follower.estimate
+        shift_m = estimate.shift_m if estimate.offset.has_heard else (0.0, 0.0)
         watched_id = session.known.watched_id(follower)
         name = name_of(watched_id, session.leader_id)
         self._compare(follower.plan.system_id, name, sonar_m, separation_m, now_s)
@@ -231,8 +233,8 @@ class Panel:
             speed_mps=follower.ground_speed_mps,
             leader_speed_mps=None if fix is None else fix.speed_mps,
             link_percent=readings.quality.percent,
-            north_offset_m=follower.estimate.offset.north_m,
-            east_offset_m=follower.estimate.offset.east_m,
+            north_offset_m=shift_m[0],
+            east_offset_m=shift_m[1],
             own=self._health(session, follower.plan.system_id, follower.clock, now_s),
             leader=self._health(session, session.leader_id, session.leader.clock, now_s),
             watches=None if watched_id == session.leader_id else watched_id,

@@ -23,9 +23,8 @@ class Track:
     the guidance, the learnt offset and the lead included; yaw_deg: the commanded heading. pan_us,
     tilt_us: the gimbal's pulses. leader_height_m: above the leader's home, wanted_height_m: of
     this follower above its own. seen_*: from the leader's position by its own receiver to
-    where this follower estimates it, metres, and the covariance, square metres. wander_m,
-    follows_s: how far each of both receivers is found to wander per axis, and how much later its
-    autopilot follows it.
+    where this follower estimates it, metres, and the covariance, square metres. wander_m: how far
+    each of both receivers is found to wander per axis.
     """
 
     wanted_radius_m: float
@@ -60,7 +59,6 @@ class Track:
     seen_ne_m2: float | None = None
     seen_ee_m2: float | None = None
     wander_m: float | None = None
-    follows_s: float | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Its fields by name: degrees of position as MAVLink carries them, else thousandths."""
@@ -146,7 +144,6 @@ def _seen(
         "seen_ne_m2": ne_m2,
         "seen_ee_m2": ee_m2,
         "wander_m": offset.wander_m,
-        "follows_s": offset.follows_s,
     }
 
 

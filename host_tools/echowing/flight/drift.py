@@ -1,0 +1,51 @@
+"""How a receiver drifts, as the vehicle's own velocity tells. Pure.
+
+An autopilot's place follows its receiver's, whose errors wander and step. Its velocity is surer: so
+where its place moves otherwise than it says that it flies, the receiver has drifted. On ArduCopter
+SITL that and how the error changes within 3 s correlate by 0.8 (tests/sitl/follows.py). So places
+are smoothed by it before sonars and receivers are compared, as a receiver smooths its ranges by the
+carrier (Hatch 1982).
+"""
+
+import math
+
+from echowing.flight.alignment import Report
+from echowing.flight.guidance import Horizontal
+from echowing.flight.jumps import beyond_movement_m, is_jump
+
+# Velocities are off by 0.05 m/s for seconds at a time, and their sum by 0.4 m after so long: half
+# of what a receiver itself drifts by.
+REMEMBERS_S = 30.0
+# Between two reports further apart a vehicle may have turned unseen.
+LONGEST_GAP_S = 0.6
+# No receiver drifts further in that time; a velocity may be wrong, or missing.
+MOST_M = 3.0
+
+
+class Drift:
+    """How far the place that a vehicle reports has lately drifted.
+
+    lately_m: (north, east), what is longer ago counting less, in all at most `MOST_M`.
+    """
+
+    def __init__(self) -> None:
+        self.lately_m: Horizontal = (0.0, 0.0)
+        self._before: Report | None = None
+
+    def reported(self, report: Report) -> None:
+        """Take a report, its time by the vehicle's own clock."""
+        before, self._before = self._before, report
+        if before is None:
+            return
+        elapsed_s = report.time_s - before.time_s
+        kept = math.exp(-max(0.0, elapsed_s) / REMEMBERS_S)
+        north_m, east_m = kept * self.lately_m[0], kept * self.lately_m[1]
+        if 0.0 < elapsed_s <= LONGEST_GAP_S and not is_jump(before, report):
+            new_north_m, new_east_m = beyond_movement_m(before, report)
+            north_m, east_m = north_m + new_north_m, east_m + new_east_m
+        share = MOST_M / max(MOST_M, math.hypot(north_m, east_m))
+        self.lately_m = share * north_m, share * east_m
+
+    def jumped(self) -> None:
+        """Note that the next report may be of elsewhere: that does not count (`jumps`)."""
+        self._before = None
