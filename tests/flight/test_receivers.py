@@ -67,10 +67,9 @@ def seen(
 def test_at_first_two_of_three_wander_as_believed_and_hardly_one_thrice_as_far() -> None:
     """The logarithm's spread is 0.4: half are below 0.8 m, and a sixth up to a fifth further."""
     receivers = new()
-    by_sigma = receivers.share
 
-    assert by_sigma[0] == pytest.approx(0.66, abs=0.01)
-    assert by_sigma[-1] < 0.005
+    assert receivers.share[0] == pytest.approx(0.66, abs=0.01)
+    assert receivers.share[-1] < 0.005
     assert math.sqrt(receivers.share @ receivers.sigma_m**2) == pytest.approx(1.25 * 0.8, rel=0.02)
     assert receivers.share.sum() == pytest.approx(1.0)
 
@@ -112,7 +111,7 @@ def test_receivers_that_change_are_learnt_again() -> None:
         assert receivers.share.min() >= 0.9 * LEAST_SHARE
         learnt_m.append(wander_m(seen(2.4, seed + 100, 30.0, receivers=receivers)))
 
-    assert np.median(learnt_m) > 1.5
+    assert np.median(learnt_m) > 1.6
 
 
 @pytest.mark.parametrize("follows", [0.3, 3.0])

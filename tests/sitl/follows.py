@@ -12,6 +12,7 @@ where its place moves otherwise than that with how its error changes (`echowing.
 import math
 import sys
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -125,6 +126,7 @@ def velocity_errs_mps(log: Path) -> Floats:
     return np.array(flown[:, 1:] - np.column_stack(list(true_mps)))
 
 
+@cache
 def _read(log: Path) -> dict[str, Floats]:
     """Rows of (seconds, fields): of the first receiver, barometer and core of the filter."""
     rows: dict[str, list[list[float]]] = {kind: [] for kind in FIELDS}

@@ -1,6 +1,7 @@
 """How far two receivers wander apart, and how that is learnt from the sonar. Pure.
 
-Of what their drift is when vehicles' own velocities have told their part of it (`drift`).
+It is of what is left when vehicles' own velocities have told their part of it (`drift`).
+
 A receiver's error drifts, and what its autopilot believes follows it a little later, smoothly. Both
 are modelled: taken for a random walk, the smooth path of a receiver that wanders far looks like
 that of one that wanders less. How quickly receivers forget is not learnt: one that wanders more

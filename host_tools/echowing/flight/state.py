@@ -423,12 +423,13 @@ class Known:
         mine, its = list(self.chain(follower)), list[FollowerState]()
         if other is not None:
             mine, its = self._way_between(follower, other)
-        off = _off(mine, its, lambda one: one.estimate.offset.off)
+        of_mine, of_its = ([one.estimate.offset.off for one in way] for way in (mine, its))
+        off = _off(of_mine, of_its)
         if off.level_sigma_m >= UNRANGED_SIGMA_M:
             off = off._replace(north_m=0.0, east_m=0.0, level_sigma_m=UNRANGED_SIGMA_M)
         off = off._replace(up_sigma_m=min(UNRANGED_UP_SIGMA_M, off.up_sigma_m))
-        jumped = _summed(mine, its, lambda one: one.estimate.jumped_m)
-        proven = _summed(mine, its, lambda one: one.proven_m)
+        jumped = _summed(*([one.estimate.jumped_m for one in way] for way in (mine, its)))
+        proven = _summed(*([one.proven_m for one in way] for way in (mine, its)))
         return Tie(off, (jumped[0], jumped[1]), (proven[0], proven[1]))
 
     def expect(self, follower: FollowerState) -> None:
@@ -572,7 +573,7 @@ class Known:
         sigma_m = self.sigma_m((*mine, *its))
         if sigma_m >= UNRANGED_SIGMA_M:
             return (0.0, 0.0), UNRANGED_SIGMA_M
-        north_m, east_m = _summed(its, mine, lambda one: one.estimate.shift_m)
+        north_m, east_m = _summed(*([one.estimate.shift_m for one in way] for way in (its, mine)))
         return (north_m, east_m), sigma_m
 
     def _way_between(self, follower: FollowerState, other: FollowerState) -> _Way:
@@ -594,7 +595,8 @@ class Known:
         if here is None or fix is None:
             return
         if ahead is not None and _near(here, fix.position):
-            yield Beside(self.leader_id, self.leader_history, _off((), list(self.chain(ahead))))
+            off = _off((), [one.estimate.off for one in self.chain(ahead)])
+            yield Beside(self.leader_id, self.leader_history, off)
         for other in self.followers.values():
             there = other.position
             if other is follower or other is ahead or there is None or not _near(here, there):
@@ -605,7 +607,7 @@ class Known:
             yield Beside(
                 other.plan.system_id,
                 other.estimate.history,
-                _off(its, links),
+                _off(*([one.estimate.off for one in way] for way in (its, links))),
                 moves=len(links) < len(mine),
             )
 
@@ -771,25 +773,17 @@ def _near(one: GlobalPosition, other: GlobalPosition) -> bool:
     return math.hypot(*ned_between(one, other)[:2]) < MAY_BE_HEARD_M
 
 
-def _off(
-    over: Sequence[FollowerState],
-    back_over: Sequence[FollowerState],
-    of: Callable[[FollowerState], Off] = lambda one: one.estimate.off,
-) -> Off:
+def _off(over: Sequence[Off], back_over: Sequence[Off]) -> Off:
     """What the ends of a way over sonars disagree by: up over some, down again over others."""
-    north_m, east_m, up_m, _, _ = _summed(over, back_over, of)
-    offs = [of(one) for one in (*over, *back_over)]
+    north_m, east_m, up_m, _, _ = _summed(over, back_over)
+    offs = (*over, *back_over)
     level_sigma_m = math.hypot(*(off.level_sigma_m for off in offs))
     return Off(north_m, east_m, up_m, level_sigma_m, math.hypot(*(off.up_sigma_m for off in offs)))
 
 
-def _summed(
-    over: Sequence[FollowerState],
-    back_over: Sequence[FollowerState],
-    of: Callable[[FollowerState], Sequence[float]],
-) -> list[float]:
-    """The values of those on the way up, less those on the way down."""
-    told = [of(one) for one in over] + [[-value for value in of(one)] for one in back_over]
+def _summed(over: Iterable[Sequence[float]], back_over: Iterable[Sequence[float]]) -> list[float]:
+    """What sonars tell on the way up, less what they tell on the way down, value by value."""
+    told = [*over, *([-value for value in one] for one in back_over)]
     return [math.fsum(one) for one in zip(*told, strict=True)]
 
 
