@@ -5,8 +5,9 @@ from collections.abc import Callable
 import pytest
 
 from echowing.flight.alignment import Report
-from echowing.flight.drift import LONGEST_GAP_S, MOST_M, REMEMBERS_S, Drift
+from echowing.flight.drift import LONGEST_GAP_S, MOST_M, Drift
 from echowing.flight.guidance import Horizontal
+from echowing.flight.receivers import FORGETS_S
 from echowing.geo import GlobalPosition, displace
 from echowing.sim.world import gps
 
@@ -44,7 +45,7 @@ def test_a_receiver_that_steps_has_drifted_by_that_and_it_is_forgotten_slowly() 
 
     _, lately = told(steps, 12.0)
     assert lately[-1] == pytest.approx((0.0, 1.0), abs=0.1)
-    _, later = told(steps, 12.0 + REMEMBERS_S)
+    _, later = told(steps, 12.0 + FORGETS_S)
     assert later[-1] == pytest.approx((0.0, math.exp(-1.0)), abs=0.1)
 
 

@@ -12,20 +12,19 @@ import math
 from echowing.flight.alignment import Report
 from echowing.flight.guidance import Horizontal
 from echowing.flight.jumps import beyond_movement_m, is_jump
+from echowing.flight.receivers import FORGETS_S
 
-# Velocities are off by 0.05 m/s for seconds at a time, and their sum by 0.4 m after so long: half
-# of what a receiver itself drifts by.
-REMEMBERS_S = 30.0
 # Between two reports further apart a vehicle may have turned unseen.
 LONGEST_GAP_S = 0.6
-# No receiver drifts further in that time; a velocity may be wrong, or missing.
+# No receiver drifts further in a minute; a velocity may be wrong, or missing.
 MOST_M = 3.0
 
 
 class Drift:
     """How far the place that a vehicle reports has lately drifted.
 
-    lately_m: (north, east), what is longer ago counting less, in all at most `MOST_M`.
+    lately_m: (north, east), in all at most `MOST_M`. It is forgotten as receivers forget what they
+    are off: velocities are off themselves, by 0.05 m/s for seconds at a time (0.6 m in sum then).
     """
 
     def __init__(self) -> None:
@@ -38,7 +37,7 @@ class Drift:
         if before is None:
             return
         elapsed_s = report.time_s - before.time_s
-        kept = math.exp(-max(0.0, elapsed_s) / REMEMBERS_S)
+        kept = math.exp(-max(0.0, elapsed_s) / FORGETS_S)
         north_m, east_m = kept * self.lately_m[0], kept * self.lately_m[1]
         if 0.0 < elapsed_s <= LONGEST_GAP_S and not is_jump(before, report):
             new_north_m, new_east_m = beyond_movement_m(before, report)

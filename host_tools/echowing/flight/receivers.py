@@ -4,8 +4,7 @@ It is of what is left when vehicles' own velocities have told their part of it (
 
 A receiver's error drifts, and what its autopilot believes follows it a little later, smoothly. Both
 are modelled: taken for a random walk, the smooth path of a receiver that wanders far looks like
-that of one that wanders less. How quickly receivers forget is not learnt: one that wanders more
-quickly than believed counts as one that wanders further.
+that of one that wanders less.
 """
 
 import math
@@ -17,6 +16,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+# How quickly receivers forget (correlation time). It is not learnt: one that wanders more quickly
+# counts as one that wanders further.
+FORGETS_S = 60.0
 # How much further than believed receivers may wander. Not less: that costs the leader if it is
 # wrong.
 FURTHER = (1.0, 1.4, 2.0, 2.8, 4.0)
