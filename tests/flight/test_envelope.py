@@ -205,6 +205,21 @@ def test_where_nothing_fits_one_that_is_led_makes_room_itself() -> None:
     assert held[0] > alone[0] + 0.3
 
 
+@pytest.mark.parametrize("turn_rad", [0.2, -0.2])
+def test_rather_than_fly_out_aside_it_counts_on_one_behind_that_can_brake(turn_rad: float) -> None:
+    """The leader backs onto it, and the next one is behind it, 11 degrees aside, and is led."""
+    leader = Other("the leader", (-1.2, 0.0, 0.0), (-2.0, 0.0, 0.0), 0.0, 0.0)
+    behind = Other("follower 3", level(turn_rad, 2.0), (0.0, 0.0, 0.0), 0.0, 0.0)
+
+    aside, _ = keep_apart((0.0, 0.0, 0.0), [leader, behind], ANSWER)
+    limp, _ = keep_apart((0, 0, 0), [leader, replace(behind, led=True, stops_mps2=0.0)], ANSWER)
+    led, _ = keep_apart((0, 0, 0), [leader, replace(behind, led=True, stops_mps2=5.0)], ANSWER)
+
+    assert abs(aside[1]) > 2.0
+    assert abs(led[1]) < 0.6 * abs(aside[1])
+    assert limp == pytest.approx(aside, abs=0.01)
+
+
 def test_what_one_alone_calls_for_takes_nothing_off_the_plan_across_it() -> None:
     """However fast that is: a follower keeps on turning with its leader while it backs off."""
     leader = Other("the leader", (1.0, 0.0, 0.0), (5.0, 0.0, 0.0), 0.0, 0.0)
@@ -214,7 +229,7 @@ def test_what_one_alone_calls_for_takes_nothing_off_the_plan_across_it() -> None
     assert flown == pytest.approx((5.0, 4.0, 0.0), abs=EPS_MPS)
 
 
-def test_it_flies_no_faster_than_it_plans_or_one_alone_calls_for() -> None:
+def test_the_plan_is_changed_by_no_more_than_vehicles_correct_or_one_alone_calls_for() -> None:
     """Of two walls nearly opposite the corner lies far out: nobody is sent there."""
     ahead = Other("a", level(0.0, 1.0), (1.0, 0.0, 0.0), 0.0, 0.0)
     behind = Other("b", level(math.pi - 0.1, 1.0), (-1.0, 0.0, 0.0), 0.0, 0.0)
@@ -223,6 +238,31 @@ def test_it_flies_no_faster_than_it_plans_or_one_alone_calls_for() -> None:
 
     # What rounding leaves of a breach (1e-6) is twenty times as much across.
     assert math.hypot(*flown) == pytest.approx(FASTEST_MPS, abs=EPS_MPS)
+
+
+@pytest.mark.parametrize("apart_deg", [100.0, 120.0, 134.0])
+def test_what_two_on_different_sides_leave_is_flown(apart_deg: float) -> None:
+    """The way out from the one is along the edge of the other's: a little more is called for."""
+    coming = Other("a", (-1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), 0.0, 0.0)
+    still = Other("b", level(math.radians(180.0 + apart_deg), 1.0), (0.0, 0.0, 0.0), 0.0, 0.0)
+
+    flown, _ = keep_apart((0.0, 0.0, 0.0), [coming, still], ANSWER)
+
+    for other in (coming, still):
+        closing_mps = sum(
+            (its - own) * away / math.hypot(*other.from_it_m)
+            for its, own, away in zip(other.velocity_mps, flown, other.from_it_m, strict=True)
+        )
+        assert closing_mps <= closing_limit_mps(1.0, ANSWER) + EPS_MPS
+
+
+def test_one_in_two_places_calls_for_no_more_than_in_one() -> None:
+    """Where a receiver has jumped nobody knows which place is right: both count."""
+    sides = [Other(str(n), (n, 0.0, 0.0), (2.0 * n, 0.0, 0.0), 0.0, 0.0) for n in (-1.0, 1.0)]
+
+    flown, _ = keep_apart((0.0, 0.0, 0.0), 3 * sides, ANSWER)
+
+    assert math.hypot(*flown) <= FASTEST_MPS
 
 
 def test_the_way_out_never_leads_through_the_one_that_comes_nearer() -> None:

@@ -26,7 +26,7 @@ Floats = NDArray[np.float64]
 CASES, AT_ONCE, MOST_OTHERS = 100_000, 500, 5
 ANSWERS = Answer(), Answer(0.47, 5.0)  # ArduCopter's defaults, and what `setup` recommends
 # Both programs are convex: whoever is beaten by no velocity close by is beaten by none. The fine
-# grid lies round the answer, the coarse one over the speed disc, as a share of its radius.
+# grid lies round the answer, the coarse one over the disc round the plan, as a share of its radius.
 COARSE_STEPS, FINE_STEPS, FINE_M_PER_S = 21, 11, 0.1
 # What rounding may cost; the promise is 0.01 m/s.
 EPS_MPS = 1e-4
@@ -89,32 +89,33 @@ class Chunk:
         self._wanted = np.array([case.wanted[:2] for case in cases])
         flown = [keep_apart(c.wanted, c.about, c.answer, LEAST_M, c.own_mps)[0] for c in cases]
         self._flown = np.array([velocity[:2] for velocity in flown])
-        self._fastest_mps = np.maximum(FASTEST_MPS, self._most_mps())
+        self._most_mps = np.maximum(FASTEST_MPS, self._short_mps().max(axis=1))
 
     def judge(self) -> tuple[Floats, Floats, Floats]:
         """By how much the answers break and are beaten, and whether a velocity fits (1, 0)."""
         tried = np.concatenate(
-            (self._fastest_mps[:, None, None] * DISC, self._flown[:, None] + ROUND), axis=1
+            (
+                self._wanted[:, None] + self._most_mps[:, None, None] * DISC,
+                self._flown[:, None] + ROUND,
+            ),
+            axis=1,
         )
-        outside = np.hypot(tried[..., 0], tried[..., 1]) > self._fastest_mps[:, None]
+        outside = self._away_mps(tried) > self._most_mps[:, None]
         breach_mps = np.where(outside, np.inf, self._breach_mps(tried))
         fits = breach_mps.min(axis=1) <= 0.0
         nearest_mps = np.where(breach_mps <= 0.0, self._away_mps(tried), np.inf).min(axis=1)
         broken_mps = self._breach_mps(self._flown[:, None])[:, 0]
         away_mps = self._away_mps(self._flown[:, None])[:, 0]
         beaten_mps = np.where(fits, away_mps - nearest_mps, broken_mps - breach_mps.min(axis=1))
-        beyond_mps = np.hypot(*self._flown.T) - self._fastest_mps
+        beyond_mps = away_mps - self._most_mps
         broken_mps = np.where(fits, np.maximum(broken_mps, beyond_mps), beyond_mps)
         return broken_mps, beaten_mps, fits.astype(float)
 
-    def _most_mps(self) -> Floats:
-        """How fast the plan is, or what one of the others alone makes of it."""
+    def _short_mps(self) -> Floats:
+        """By how much each of the others alone changes the plan; negative: it does not."""
         ways, least_mps = self._walls[:, :, :2], self._walls[:, :, 2]
-        short_mps = least_mps - (ways * self._wanted[:, None]).sum(axis=2)
-        alone = self._wanted[:, None] + np.maximum(0.0, short_mps)[:, :, None] * ways
-        alone_mps = np.linalg.norm(alone, axis=2).max(axis=1)
-        most_mps: Floats = np.maximum(alone_mps, np.hypot(*self._wanted.T))
-        return most_mps
+        short_mps: Floats = least_mps - (ways * self._wanted[:, None]).sum(axis=2)
+        return short_mps
 
     def _away_mps(self, velocities: Floats) -> Floats:
         away: Floats = np.linalg.norm(velocities - self._wanted[:, None], axis=2)

@@ -72,6 +72,29 @@ def test_too_near_and_still_closing_the_whole_lean_goes_into_the_way_out() -> No
     assert allowed.velocity_mps[0] < -1.0
 
 
+def test_who_has_another_behind_backs_off_no_faster_than_it_has_to() -> None:
+    """Else each in a line flies back faster than the one before: the last two came to 0.65 m."""
+    backs_mps = []
+    for has_one_behind in (False, True):
+        told = Told(
+            {
+                LEADER: Vehicle((0.0, 0.0), (-0.6, 0.0)),
+                FOLLOWER: Vehicle((-4.0, 0.0)),
+                SECOND: Vehicle((-30.0, 0.0)),
+            },
+            KEPT,
+        )
+        if has_one_behind:
+            told.known.watch({SECOND: told.follower})
+            told.known.followers[SECOND].standing = Standing(Phase.LED)
+        allowed = spacing(told).allowed(told.follower, Plan(at(-4.0), (0.0, 0.0)), 0.0)
+        assert allowed.gives_way_to == "the leader"
+        assert allowed.velocity_mps is not None
+        backs_mps.append(-allowed.velocity_mps[0])
+    alone_mps, in_line_mps = backs_mps
+    assert 0.1 < in_line_mps < alone_mps - 0.1
+
+
 def into_the_second(told: Told, step: Spacing, now_s: float) -> Allowed:
     told.now_s = now_s
     for system_id in told.vehicles:

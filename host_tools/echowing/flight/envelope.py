@@ -5,10 +5,12 @@ errors of receivers and radios and whatever that vehicle does meanwhile, and the
 which this vehicle still stops in time. Each of these limits is a wall in the plane of velocities:
 beyond it lie those that close too fast. What is flown is the velocity nearest to the plan's that no
 wall forbids; if all are forbidden, the one whose greatest breach is least. Both are found exactly,
-in a disc of speeds: as far out as the plan, and as what any one vehicle makes of it. So the
-envelope bends a plan that leads past a vehicle, slows one that leads at it, and backs away from a
-vehicle that comes too near: it never stands still while another comes nearer. Two vehicles in each
-other's way would wait for each other; so each passes the other on its own right, as ships do.
+near the plan if there is one: it is changed by little more than each vehicle by itself calls for.
+Between two that come from both sides what neither forbids may lie far out aside: nobody is sent
+there who need not. So the envelope bends a plan that leads past a vehicle, slows one that leads at
+it, and backs away from a vehicle that comes too near: it never stands still while another comes
+nearer. Two vehicles in each other's way would wait for each other; so each passes the other on its
+own right, as ships do.
 
 Height counts as distance, not as a way out. Distances are taken in space: vehicles at two heights
 may come nearer on the map. Closing speeds are level ones: the distance in space shrinks more
@@ -44,9 +46,13 @@ OTHERS_MPS2 = 2.5
 RETREAT_PER_S, RETREAT_MOST_MPS = 1.5, 3.0
 # So much too fast, a vehicle spends all its lean on the way out.
 URGENT_MPS = 1.0
-# The fastest correction that is reckoned with, and the least radius of the disc of speeds:
-# WPNAV_SPEED's default up to 4.7.
+# The fastest correction that is reckoned with: WPNAV_SPEED's default up to 4.7.
 FASTEST_MPS = 5.0
+# What two walls up to 135 degrees apart leave is no further from the plan than this times what each
+# calls for.
+CORNER = math.sqrt(2.0)
+
+NO_CHANGE = (0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,8 +74,8 @@ class Other:
     much it may be nearer than that, one case in 160 left out; age_s: of its data when the order
     takes effect; in_the_way: the plan leads beyond it (see `is_in_the_way`), so it is passed;
     brakes_mps2: it may brake, turn round and come nearer at this acceleration from now on, 0: it
-    does not; led: by the same tool, which keeps it away from here too; watched: the sonar of this
-    one looks at it.
+    does not; led: by the same tool, which keeps it away from here too, and stops_mps2: how hard it
+    brakes then; watched: the sonar of this one looks at it.
     """
 
     name: str
@@ -80,6 +86,7 @@ class Other:
     in_the_way: bool = False
     brakes_mps2: float = 0.0
     led: bool = False
+    stops_mps2: float = OTHERS_MPS2
     watched: bool = False
 
 
@@ -143,13 +150,16 @@ def keep_apart(
     for wall, other, mps in zip(walls, others, short_mps, strict=True):
         if mps > 0.0 and other.in_the_way:
             aim = _turned_right(aim, wall)
-    alone_mps = (math.hypot(*_pushed(aim, wall)) for wall in walls)
-    fastest_mps = SAME_MPS + max(FASTEST_MPS, math.hypot(*wanted_mps[:2]), *alone_mps)
-    flown = nearest(aim, walls, fastest_mps)
-    if flown is None:
-        walls = [_wall(_yielding(other), answer, least_m, own_mps) for other in others]
-        flown = nearest(aim, walls, fastest_mps) or breaking_least(walls, fastest_mps, walls[worst])
-    return (*flown, wanted_mps[2]), others[worst]
+    around = _around(aim, walls)
+    calls_for_mps = [SAME_MPS + max(0.0, short) for _, _, short in around]
+    far_mps = max(FASTEST_MPS, *calls_for_mps)
+    near_mps = min(far_mps, CORNER * sum(calls_for_mps))
+    change = nearest(NO_CHANGE, around, near_mps)
+    if change is None:
+        around = _around(aim, [_wall(*_yielding(one, answer), least_m, own_mps) for one in others])
+        change = nearest(NO_CHANGE, around, near_mps) or nearest(NO_CHANGE, around, far_mps)
+    change = change or breaking_least(around, far_mps, around[worst])
+    return (aim[0] + change[0], aim[1] + change[1], wanted_mps[2]), others[worst]
 
 
 def straight_out(
@@ -196,12 +206,6 @@ def _wall(other: Other, answer: Answer, least_m: float, own_mps: Ned | None) -> 
     return north, east, least_mps + min(RETREAT_MOST_MPS, too_fast_mps)
 
 
-def _pushed(velocity: Level, wall: Wall) -> Level:
-    """The nearest velocity that a wall alone allows."""
-    more_mps = max(0.0, short_of_mps(velocity, wall))
-    return velocity[0] + more_mps * wall[0], velocity[1] + more_mps * wall[1]
-
-
 def _turned_right(velocity: Level, wall: Wall) -> Level:
     """Fly the approach speed that a wall takes off to the right, past the other."""
     north, east, _ = wall
@@ -210,11 +214,17 @@ def _turned_right(velocity: Level, wall: Wall) -> Level:
     return velocity[0] + aside_mps * east, velocity[1] - aside_mps * north
 
 
-def _yielding(other: Other) -> Other:
-    """As it counts where nothing fits.
+def _around(aim: Level, walls: Sequence[Wall]) -> list[Wall]:
+    """The walls in the plane of changes of a velocity."""
+    return [(wall[0], wall[1], short_of_mps(aim, wall)) for wall in walls]
+
+
+def _yielding(other: Other, answer: Answer) -> tuple[Other, Answer]:
+    """As it counts where nothing fits, and both vehicles' answer together.
 
     One that is led makes room itself: at most one standard deviation counts against a way out.
     """
     if not other.led:
-        return other
-    return replace(other, nearer_m=other.nearer_m / SURE_SIGMAS, age_s=0.0)
+        return other, answer
+    both = replace(answer, decel_mps2=answer.decel_mps2 + other.stops_mps2)
+    return replace(other, nearer_m=other.nearer_m / SURE_SIGMAS, age_s=0.0), both

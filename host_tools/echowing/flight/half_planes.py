@@ -1,7 +1,7 @@
 """Velocities between walls: the nearest that none forbids, or the one that breaks least. Pure.
 
-In the plane of velocities a wall is a line, and forbids what lies on one side of it; a disc of
-speeds bounds the plane. Both programs are solved exactly, one wall after another (Seidel): what
+In the plane of velocities a wall is a line, and forbids what lies on one side of it; a disc round
+nought bounds the plane. Both programs are solved exactly, one wall after another (Seidel): what
 was best before a wall stays best if the wall allows it, else the best lies on the wall's own line.
 So a wall that does not bind costs one product.
 """
@@ -23,23 +23,23 @@ def short_of_mps(velocity: Sequence[float], wall: Wall) -> float:
     return wall[2] - velocity[0] * wall[0] - velocity[1] * wall[1]
 
 
-def nearest(aim: Level, walls: Sequence[Wall], fastest_mps: float) -> Level | None:
-    """The velocity nearest to `aim` in the speed disc that no wall forbids; None: there is none."""
+def nearest(aim: Level, walls: Sequence[Wall], most_mps: float) -> Level | None:
+    """The velocity nearest to `aim` in the disc that no wall forbids; None: there is none."""
     mps = math.hypot(*aim)
-    share = min(1.0, fastest_mps / mps) if mps > 0.0 else 0.0
+    share = min(1.0, most_mps / mps) if mps > 0.0 else 0.0
     flown: Level | None = (share * aim[0], share * aim[1])
     for number, wall in enumerate(walls):
         if flown is not None and short_of_mps(flown, wall) > 0.0:
-            flown = _nearest_on(wall, aim, walls[:number], fastest_mps)
+            flown = _nearest_on(wall, aim, walls[:number], most_mps)
     return flown
 
 
-def _nearest_on(line: Wall, aim: Level, walls: Sequence[Wall], fastest_mps: float) -> Level | None:
+def _nearest_on(line: Wall, aim: Level, walls: Sequence[Wall], most_mps: float) -> Level | None:
     """The same on a wall's line: the disc and the other walls leave a piece of it, or nothing."""
     north, east, least_mps = line
-    if least_mps > fastest_mps:
+    if least_mps > most_mps:
         return None
-    last = math.sqrt(fastest_mps * fastest_mps - least_mps * least_mps)
+    last = math.sqrt(most_mps * most_mps - least_mps * least_mps)
     first = -last
     for wall in walls:
         rises = wall[1] * north - wall[0] * east
@@ -56,7 +56,7 @@ def _nearest_on(line: Wall, aim: Level, walls: Sequence[Wall], fastest_mps: floa
     return least_mps * north - along * east, least_mps * east + along * north
 
 
-def breaking_least(walls: Sequence[Wall], fastest_mps: float, worst: Wall) -> Level:
+def breaking_least(walls: Sequence[Wall], most_mps: float, worst: Wall) -> Level:
     """The velocity whose greatest breach of a wall is least; of several the one furthest right.
 
     Right is seen towards the vehicle of the `worst` wall: between two that come from both sides
@@ -67,10 +67,10 @@ def breaking_least(walls: Sequence[Wall], fastest_mps: float, worst: Wall) -> Le
         if short_of_mps(flown, wall) > breach_mps:
             # Now this one is broken most: as far along it as the others are broken no more.
             no_more = [_broken_no_more(each, wall) for each in walls[:number]]
-            flown = nearest(_far(wall[0], wall[1]), no_more, fastest_mps) or flown
+            flown = nearest(_far(wall[0], wall[1]), no_more, most_mps) or flown
             breach_mps = short_of_mps(flown, wall)
     lowered = [(north, east, least_mps - breach_mps - SAME_MPS) for north, east, least_mps in walls]
-    return nearest(_far(worst[1], -worst[0]), lowered, fastest_mps) or flown
+    return nearest(_far(worst[1], -worst[0]), lowered, most_mps) or flown
 
 
 def _far(north: float, east: float) -> Level:

@@ -52,7 +52,9 @@ class Spacing:
         others = self._others(follower, here, now_s)
         own_mps = (*follower.velocity_then(now_s + follower.way_s), -follower.climb_mps)
         answer = follower.handling.answer
-        flown, other = keep_apart(wanted, others, answer, self._least_m, own_mps)
+        # Who has others behind does not fly back faster than he has to.
+        braked_mps = None if self._pushes(follower) else own_mps
+        flown, other = keep_apart(wanted, others, answer, self._least_m, braked_mps)
         if other is None:
             return unchanged
         self._remark(follower, other.name, now_s)
@@ -96,6 +98,12 @@ class Spacing:
         flown_mps = feed_mps + correction_mps[0] * north + correction_mps[1] * east
         less_mps = max(0.0, min(0.0, feed_mps) - LINE_BACK_MPS - flown_mps)
         return less_mps * north, less_mps * east
+
+    def _pushes(self, follower: FollowerState) -> bool:
+        """Whether one that is led flies behind it."""
+        followers = self._known.followers.values()
+        behind = (one for one in followers if self._known.ahead_of(one) is follower)
+        return any(one.standing.sent_to for one in behind)
 
     def _switched(self, follower: FollowerState) -> bool:
         """Whether its pilot's stop switch has stopped it: then nothing of ours moves it."""
@@ -197,6 +205,7 @@ class Spacing:
                 is_in_the_way(ned_between(here, place), to_goal_m),
                 # Its applet flies it, and knows of nobody beside it.
                 led=other.standing.sent_to and not by_itself,
+                stops_mps2=other.handling.answer.decel_mps2,
                 watched=self._known.ahead_of(follower) is other,
             )
 
