@@ -302,6 +302,36 @@ def test_one_whose_report_is_old_may_be_elsewhere_by_what_it_has_changed_its_spe
     assert estimate._bystanders([Beside(3, other, Off(0.0, 0.0, 0.0, 0.1, 0.0))], 10.5) == []
 
 
+@pytest.mark.parametrize(
+    ("to_other_m", "moves", "elsewhere_m"),
+    [
+        # If the echo 3 m north is that of one that seems to be 3 m east of it, the leader is 3 m
+        # west of there.
+        ((3.0, 3.0), True, [(0.0, -3.0)]),
+        ((3.0, 3.0), False, []),  # it is known from here, not from the leader
+        ((3.0, 0.5), True, []),  # the beam has both
+        ((6.1, 0.0), True, []),  # the leader would be here
+        ((-1.0, 3.0), True, []),  # the leader would be out of reach, 7 m north
+    ],
+)
+def test_who_is_looked_for_may_be_elsewhere_if_the_echo_is_anothers(
+    to_other_m: Horizontal, moves: bool, elsewhere_m: list[Horizontal]
+) -> None:
+    estimate, leader = listening()
+    other = History()
+    for number in range(41):
+        place = displace(START, (*to_other_m, 0.0))
+        other.add(Report(number * 0.25, place, (0.0, 0.0), 0.0))
+    estimate.heard(9.0, 2.8, 1)
+    estimate.pointed(1, Axis(0.0, 0.0), 9.0)
+    estimate.learn(leader, [Beside(3, other, Off(0.0, 0.0, 0.0, 0.1, 0.1), moves)])
+
+    found = [one[:2] for one in estimate.elsewhere_m]
+    assert len(found) == len(elsewhere_m)
+    for one, wanted in zip(found, elsewhere_m, strict=True):
+        assert one == pytest.approx(wanted, abs=0.05)
+
+
 def test_what_receivers_have_lately_drifted_by_counts_at_once() -> None:
     """The leader's by a metre, the follower's by half of it: no sonar has heard since."""
     estimate, leader = listening()

@@ -6,12 +6,14 @@ from dataclasses import replace
 import pytest
 from tests.flight.test_chain import HERE, known, taught
 
+from echowing.flight.cloud import SURE_AFTER_S
 from echowing.flight.formation import receivers_demand_m
 from echowing.flight.guidance import LeaderFix, Slot
 from echowing.flight.joining import JOINS_WITHIN_S, Joining
 from echowing.flight.plan import planned
 from echowing.flight.state import FollowerState, Known
 from echowing.flight.steps import Phase, Standing, Turn
+from echowing.geo import displace
 
 # The third is 3 m behind the first, and 6 m from the second.
 VEE = [Slot(3.0, 0.6), Slot(3.0, -0.6), Slot(3.0, 0.6, behind=0)]
@@ -25,7 +27,7 @@ def led(there: Known) -> list[FollowerState]:
 
 
 def hears(follower: FollowerState, now_s: float, sigma_m: float = 0.3) -> None:
-    follower.estimate.offset._heard_at_s = now_s
+    follower.estimate.offset._heard_at_s = follower.estimate._used_to_s = now_s
     follower.estimate.offset.level_sigma_m = sigma_m
 
 
@@ -121,6 +123,18 @@ def test_an_echo_that_does_not_tell_where_the_leader_is_lets_nobody_in() -> None
         assert first.turn.joined is joined
 
 
+def test_who_may_have_found_another_one_has_not_joined_until_that_is_looked_for() -> None:
+    there = known(VEE)
+    first, *_ = led(there)
+    joining = Joining(there)
+    first.estimate.elsewhere_m = [(0.0, -3.0, 0.0)]
+    for now_s, joined in ((1.0, False), (SURE_AFTER_S + 0.9, False), (SURE_AFTER_S + 1.1, True)):
+        hears(first, now_s)
+        first.estimate.offset._found_at_s = 1.0
+        joining.waits_for(first, now_s)
+        assert first.turn.joined is joined
+
+
 def test_slots_as_far_apart_as_receivers_demand_are_joined_at_once() -> None:
     there = known([Slot(3.0), Slot(3.1 + receivers_demand_m(1.0))])
     first, second = led(there)
@@ -132,6 +146,63 @@ def test_without_sonars_nobody_would_ever_have_joined() -> None:
     there = known(VEE)
     there.settings = replace(there.settings, learn_offset=False)
     assert [Joining(there).waits_for(one, 0.0) for one in led(there)] == [None] * 3
+
+
+@pytest.mark.parametrize(
+    ("slots", "after_s", "radius_m"),
+    [
+        # A metre in 4 s, until what is known of the leader is less: 1.0 + 2.5 x 1.13 m.
+        (VEE, 0.0, receivers_demand_m(1.0)),
+        (VEE, 2.0, receivers_demand_m(1.0) - 0.5),
+        (VEE, 10.0, 3.8),
+        ([Slot(3.0)], 0.0, 3.8),  # it can take nobody for another one
+    ],
+)
+def test_who_has_not_found_whom_he_follows_comes_in_slowly(
+    slots: list[Slot], after_s: float, radius_m: float
+) -> None:
+    there = known(slots)
+    first, *_ = led(there)
+    joining = Joining(there)
+    for now_s in (10.0 - after_s, 10.0):
+        listens(first, now_s)
+        joining.waits_for(first, now_s)
+    fix = LeaderFix(10.0, HERE, (2.0, 0.0, 0.0), 0.0)
+    first.position, first.position_at_s = displace(HERE, (-9.0, 0.0, 0.0)), 10.0
+    offset_m = planned(there, first, fix, 10.0).offset_m
+    assert abs(complex(*offset_m)) == pytest.approx(radius_m, abs=0.1)
+
+
+def test_who_has_found_him_does_not() -> None:
+    there = known(VEE)
+    first, *_ = led(there)
+    hears(first, 10.0)
+    Joining(there).waits_for(first, 10.0)
+    fix = LeaderFix(10.0, HERE, (2.0, 0.0, 0.0), 0.0)
+    first.position, first.position_at_s = displace(HERE, (-9.0, 0.0, 0.0)), 10.0
+    assert abs(complex(*planned(there, first, fix, 10.0).offset_m)) < 4.0
+
+
+def test_who_tries_again_comes_in_slowly_again() -> None:
+    there = known(VEE)
+    first, *_ = led(there)
+    joining = Joining(there)
+    for now_s in (0.0, JOINS_WITHIN_S + 1.0, 2.0 * JOINS_WITHIN_S + 1.0):
+        listens(first, now_s)
+        joining.waits_for(first, now_s)
+    assert not first.turn.waits
+    assert first.turn.seeks_at_s == now_s
+
+
+def test_who_hears_him_as_his_time_is_up_goes_on() -> None:
+    there = known(VEE)
+    first, *_ = led(there)
+    joining = Joining(there)
+    for now_s in (0.0, JOINS_WITHIN_S + 1.0):
+        listens(first, now_s)
+        hears(first, now_s, sigma_m=1.5)
+        joining.waits_for(first, now_s)
+    assert (first.turn.joined, first.turn.gave_up) == (False, False)
 
 
 def test_who_waits_is_led_as_far_off_as_receivers_alone_allow() -> None:

@@ -7,8 +7,10 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.flight.axis import Axis, axis_of
+from echowing.flight.cloud import SURE_AFTER_S
+from echowing.flight.estimate import Estimate
 from echowing.flight.guidance import GuidanceSettings, Slot
-from echowing.flight.look import ROUND_S, SURE_RAD, WIDEST_RAD
+from echowing.flight.look import GLANCE_S, ROUND_S, SURE_RAD, WIDEST_RAD
 from echowing.flight.session import FollowSession
 from echowing.flight.state import FollowerPlan
 from echowing.geo import GlobalPosition, displace
@@ -145,6 +147,21 @@ def test_while_it_is_heard_and_unsure_the_axis_goes_round_it() -> None:
     assert 0.5 * SURE_RAD < max(aside) <= WIDEST_RAD + 0.05
     assert -0.5 * SURE_RAD > min(aside) >= -WIDEST_RAD - 0.05
     assert max(above) - min(above) > SURE_RAD
+
+
+def test_one_that_was_just_found_is_looked_for_elsewhere_by_turns(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Were it another one, the leader would be 3 m west of it: half of the time, for 5 s."""
+    pair, shares = Pair(), []
+    monkeypatch.setattr(Estimate, "_elsewhere", lambda *_: [(0.0, -3.0, 0.0)])
+    pair.goes_on(0.5, 2.8)
+    for _ in range(2):
+        looks = pair.goes_on(4.0 * GLANCE_S, 2.8)
+        aside = [one for one in looks if math.degrees(axis_in(one).azimuth_rad) < -30.0]
+        shares.append(len(aside) / len(looks))
+        pair.goes_on(SURE_AFTER_S, 2.8)
+    assert shares == [pytest.approx(0.5, abs=0.1), 0.0]
 
 
 def test_a_leader_that_is_not_heard_is_looked_for_by_the_gimbal() -> None:

@@ -10,9 +10,11 @@ beforehand.
 So this is no Kalman filter with given figures but a cloud of guesses (a particle filter; Gordon,
 Salmond and Smith 1993): each is one difference (north, east, up) with its own figures for the
 sonar. Guesses that foretell what the sonar says gain weight, and are repeated with small changes
-(Liu and West 2001); the others die out. What a deaf sonar leaves open stays open: some guesses hold
-the sonar for deaf, and lose all weight with the first reading that fits. How receivers wander is
-learnt beside it (`receivers`): guesses that are repeated forget it too soon.
+(Liu and West 2001); the others die out. They are repeated as often as the root of their weight, and
+keep the rest of it (Liu, Chen and Logvinenko 2001): so what is unlikely keeps many guesses, and a
+leader that is not where it seemed is found again. What a deaf sonar leaves open stays open: some
+guesses hold the sonar for deaf, and lose all weight with the first reading that fits. How receivers
+wander is learnt beside it (`receivers`): guesses that are repeated forget it too soon.
 
 A reading is used about a second late, once both vehicles' next reports are there. The guesses are
 of that moment; `foretell` carries a copy of them on to when an order arrives.
@@ -30,14 +32,14 @@ from numpy.typing import NDArray
 from echowing.flight.axis import Axis
 from echowing.flight.belief import SonarBelief
 from echowing.flight.guidance import Horizontal
-from echowing.flight.receivers import FOLLOWS_S, Receivers, passing
+from echowing.flight.receivers import FOLLOWS_S, FORGETS_S, Receivers, passing
 
 Array = NDArray[np.float64]
 # From follower to leader, by their own positions: (north, east, up).
 Between = tuple[float, float, float]
 
-# The mean of so many is off by a hundredth of their spread, and one in 160 of them are still two
-# dozen.
+# By their weights they count as some 2000, whose mean is off by a fortieth of their spread. Of what
+# is one in 160 there are a hundred.
 GUESSES = 4000
 # One error in 160 is larger than what is allowed for: 2.5 standard deviations.
 RISK = 1.0 / 160.0
@@ -48,7 +50,9 @@ PLACED_SIGMA_M = 0.15
 UPDATE_PERIOD_S = 0.25
 # Of a leader that was not heard for so long, this share of the ranges that nothing had foretold is
 # its own: the receivers disagree by more than anybody thought. Three that agree outweigh all else.
-STEPPED, LOST_S = 0.005, 3.0
+# So are those of one that has just been found, which may be another one: until the sonar has looked
+# elsewhere three times (`look.GLANCE_S`).
+STEPPED, LOST_S, SURE_AFTER_S = 0.005, 3.0, 5.0
 # A sonar hears its leader somewhat more seldom than its file says at the least, or in nearly all
 # readings.
 HEARS, MOST_HEARD = (0.6, 1.9), 0.98
@@ -92,7 +96,7 @@ class Wandering:
 
     sigma_m: float = 0.8
     sigma_spread: float = 0.4
-    tau_s: float = 60.0
+    tau_s: float = FORGETS_S
     height_sigma_m: float = 0.5
     deaf_share: float = 0.02
 
@@ -137,18 +141,18 @@ class Cloud:
         # By how much another vehicle is not where it is taken to be, (north, east, up), as a share
         # of what is unsure of it; by its system id.
         self._astray: dict[int, Array] = {}
+        self._weight = np.full(count, 1.0 / count)
         # What both receivers' drift differs by.
-        self._drift = self._opposites() * self._wanders_m
+        self._drift = self._scattered(self._wanders_m)
         # What their autopilots' beliefs differ by, which follow the drift.
         self._off = self._drift.copy()
         # By what chance it is foretold: always the same, so that asking twice gives one answer.
         self._ahead = self._opposites()
         # How many of its readings are wrong: between `WRONG`, by the logarithm.
         self._wrong = chance.random(count)
-        self._weight = np.full(count, 1.0 / count)
         self._advanced_s: float | None = None
         self._then_s = -math.inf
-        self._heard_at_s = -math.inf
+        self._heard_at_s = self._found_at_s = -math.inf
         self._silent_at_s = -math.inf
         self._asked: tuple[Horizontal, float, float] | None = None
         self._nearest_m = 0.0
@@ -156,14 +160,15 @@ class Cloud:
 
     def turn_to(self, off: Off) -> None:
         """Be of another leader, of which is known so much; what is learnt of the sonar stays."""
+        self._astray.clear()
+        self._repeat(self._weight)
         # As far as its receivers wander, each guess has more or less of it.
         wanders_m = self._wanders_m / np.sqrt(self._wanders_m**2 @ self._weight)[:, np.newaxis]
         *off_m, level_sigma_m, up_sigma_m = off
         sigma_m = np.array(((level_sigma_m,), (level_sigma_m,), (up_sigma_m,)))
-        self._off = np.array(off_m)[:, np.newaxis] + sigma_m * wanders_m * self._opposites()
+        self._off = np.array(off_m)[:, np.newaxis] + self._scattered(sigma_m * wanders_m)
         self._drift = self._off.copy()
-        self._astray.clear()
-        self._heard_at_s = self._silent_at_s = -math.inf
+        self._heard_at_s = self._found_at_s = self._silent_at_s = -math.inf
         self._summarise()
 
     def copy(self) -> "Cloud":
@@ -185,6 +190,10 @@ class Cloud:
     def unheard_s(self, now_s: float) -> float:
         """Time since the last reading that was the leader's; infinite at first."""
         return now_s - self._heard_at_s
+
+    def found_s(self, now_s: float) -> float:
+        """For how long the leader has been heard, with no silence of `LOST_S`; 0: it is not."""
+        return now_s - self._found_at_s if self.unheard_s(now_s) <= LOST_S else 0.0
 
     def sigma_m(self, direction_rad: float) -> float:
         """Standard deviation of the estimate along a bearing."""
@@ -322,10 +331,12 @@ class Cloud:
         of_leader = float(self._weight @ (fits - wrong))
         of_another = float(self._weight @ of_others)
         if of_leader > of_another:
+            if self.unheard_s(time_s) > LOST_S:
+                self._found_at_s = time_s
             self._heard_at_s = time_s
             self._compare(time_s, distance_m, believed)
         self._update(fits + of_others + wrong)
-        if of_leader + of_another <= 0.0 and self.unheard_s(time_s) > LOST_S:
+        if of_leader + of_another <= 0.0 and self.found_s(time_s) < SURE_AFTER_S:
             self._guess_stepped(distance_m, axis, believed)
 
     def _compare(self, time_s: float, distance_m: float, believed: Between) -> None:
@@ -442,14 +453,20 @@ class Cloud:
     def _update(self, likelihood: Array) -> None:
         self._weight *= likelihood
         self._weight /= self._weight.sum()
-        if 1.0 / float(self._weight @ self._weight) < 0.5 * GUESSES:
-            self._repeat()
+        root = np.sqrt(self._weight)
+        if float(root.sum()) ** 2 < 0.5 * GUESSES:
+            self._repeat(root / root.sum())
         self._summarise()
 
-    def _repeat(self) -> None:
-        """Repeat each guess as its weight says, with small changes (systematic resampling)."""
+    def _repeat(self, often: Array) -> None:
+        """Repeat each guess so often, with small changes (systematic resampling).
+
+        often: shares of all; the weights make up for what they differ by from those.
+        """
         places = (np.arange(GUESSES) + self._chance.random()) / GUESSES
-        chosen = np.minimum(np.searchsorted(np.cumsum(self._weight), places), GUESSES - 1)
+        chosen = np.minimum(np.searchsorted(np.cumsum(often), places), GUESSES - 1)
+        self._weight = self._weight[chosen] / often[chosen]
+        self._weight /= self._weight.sum()
         moves_m = MOVES_M * self._normal(3)
         self._off, self._drift = self._off[:, chosen] + moves_m, self._drift[:, chosen] + moves_m
         self._wide = np.clip(self._changed(self._wide[chosen]), 0.0, 1.0)
@@ -458,17 +475,23 @@ class Cloud:
         self._hears = np.clip(self._changed(self._hears[chosen]), *HEARS)
         self._deaf = self._deaf[chosen]
         self._astray = {who: astray[:, chosen] for who, astray in self._astray.items()}
-        self._weight = np.full(GUESSES, 1.0 / GUESSES)
 
     def _changed(self, values: Array) -> Array:
         """Nearer to their mean, and scattered by as much: the spread stays."""
-        mean = float(values.sum()) / GUESSES
+        mean = float(self._weight @ values)
         off = values - mean
-        spread = math.sqrt(float((off * off).sum()) / GUESSES)
+        spread = math.sqrt(float(self._weight @ (off * off)))
         off *= KEPT_OF_SPREAD
         off += mean
         off += NEW_OF_SPREAD * spread * self._normal(1)[0]
         return off
+
+    def _scattered(self, sigma_m: Array) -> Array:
+        """Around nought, as many as the root of how likely each is, and weigh them by the rest."""
+        drawn = math.sqrt(2.0) * self._opposites()
+        self._weight *= np.exp(-0.25 * (drawn * drawn).sum(axis=0))
+        self._weight /= self._weight.sum()
+        return sigma_m * drawn
 
     def _opposites(self) -> Array:
         """Each with its opposite: so their mean is none."""

@@ -9,6 +9,7 @@ there and lets the next one come in, and tries again later: never found, it is n
 
 import math
 
+from echowing.flight.cloud import SURE_AFTER_S
 from echowing.flight.formation import receivers_demand_m
 from echowing.flight.guidance import place_m
 from echowing.flight.state import UNRANGED_SIGMA_M, FollowerState, Known
@@ -43,9 +44,12 @@ class Joining:
             turn.joins_at_s = min(turn.joins_at_s, now_s)
             tries = int((now_s - turn.joins_at_s) / JOINS_WITHIN_S)
             turn.joined = self._has_found(follower, now_s) or (self._alone and tries > 0)
-            seeks = self._alone or (tries % 2 == 0 and follower.estimate.listens(now_s))
+            turns = tries % 2 == 0 or follower.estimate.hears(now_s)
+            seeks = self._alone or (turns and follower.estimate.listens(now_s))
             turn.gave_up = not (turn.joined or seeks)
         turn.waits = before is not None or turn.gave_up
+        comes_in = not (turn.waits or turn.joined or self._alone)
+        turn.seeks_at_s = min(turn.seeks_at_s, now_s) if comes_in else math.inf
         return before
 
     @property
@@ -55,7 +59,8 @@ class Joining:
     def _has_found(self, follower: FollowerState, now_s: float) -> bool:
         """Whether its sonar tells much more of the one that it looks at than receivers do."""
         estimate = follower.estimate
-        return estimate.hears(now_s) and estimate.offset.level_sigma_m < FOUND_SIGMA_M
+        found = estimate.hears(now_s) and estimate.offset.level_sigma_m < FOUND_SIGMA_M
+        return found and (estimate.found_s >= SURE_AFTER_S or not estimate.elsewhere_m)
 
     def _before(self, follower: FollowerState) -> FollowerState | None:
         """The first neighbour before it in the formation that is led and has not joined."""

@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass, replace
 
 from echowing.flight.axis import Axis, along, spread_rad, turns_rps
+from echowing.flight.cloud import SURE_AFTER_S, Between
 from echowing.flight.estimate import Estimate
 from echowing.flight.state import FollowerState, Known
 from echowing.geo import Ned, ned_between, wrap_angle_rad
@@ -28,6 +29,9 @@ NOSE_RAD, NOSE_LOOKS_S = math.radians(45.0), 8.0
 # to the last reading that could be used, not up to now: with a slow radio that reading is a second
 # old, and nothing is lost.
 LOST_S = 1.0
+# One that has just been found may be another vehicle: by turns the sonar looks where whom it looks
+# for would be then. The gimbal is there within 0.3 s, and a few readings are enough.
+GLANCE_S = 0.8
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,9 +57,14 @@ def look_at(known: Known, follower: FollowerState, now_s: float) -> Look | None:
     )
     across_rad, up_rad = _unsure_rad(estimate, look.axis, to_it_m)
     look = replace(look, sigma_rad=max(across_rad, up_rad))
-    lost, by_nose = estimate.missed_s > LOST_S, not estimate.points(now_s)
+    by_nose = not estimate.points(now_s)
+    glances = [] if by_nose or estimate.found_s >= SURE_AFTER_S else estimate.elsewhere_m
+    lost = estimate.missed_s > LOST_S + (GLANCE_S if glances else 0.0)
     if lost:
         return _to_both_sides(look, now_s) if by_nose else _by_turns(look, now_s)
+    turn = int(now_s / GLANCE_S)
+    if glances and turn % 2:
+        return _elsewhere(look, to_it_m, glances[turn // 2 % len(glances)])
     cone_rad = _wide_rad(across_rad), _wide_rad(up_rad)
     return _coned(look, cone_rad, now_s / (NOSE_ROUND_S if by_nose else ROUND_S))
 
@@ -89,6 +98,13 @@ def _by_turns(look: Look, now_s: float) -> Look:
     """Every other round of the figure 8 half as wide: a narrow beam leaves gaps in a wide one."""
     narrow = now_s / FIGURE_S % 2.0 >= 1.0
     return replace(look, sigma_rad=0.5 * look.sigma_rad) if narrow else look
+
+
+def _elsewhere(look: Look, to_it_m: Ned, further_m: Between) -> Look:
+    """A look where the leader is if what seems to be it is another vehicle."""
+    (north_m, east_m, down_m), (north, east, up) = to_it_m, further_m
+    axis = along((north_m + north, east_m + east, down_m - up))
+    return replace(look, axis=axis, rate_rps=(0.0, 0.0))
 
 
 def _to_both_sides(look: Look, now_s: float) -> Look:

@@ -30,6 +30,8 @@ JOIN_MPS, CATCH_UP_PER_S = 1.5, 0.5
 # A leader that is not heard gets more room, the less its place is known; but the follower stays so
 # far within the sonar's reach.
 WITHIN_REACH_M = 0.7
+# One that looks for whom it is to follow comes in this fast: a metre takes a round of the figure 8.
+COMES_IN_MPS = 0.25
 # Within this time a leader's acceleration is another: ArduCopter changes it by 5 m/s3
 # (PSC_JERK_NE), all of its 2.5 m/s2 in half a second.
 QUICKENS_S = 0.5
@@ -151,9 +153,8 @@ def planned(known: Known, follower: FollowerState, fix: LeaderFix, now_s: float)
 
     With feed-forward: the slot and its velocity. Position alone: a point ahead of the slot.
     """
-    settings, least_m = known.settings, follower.least_m
-    if follower.turn.waits:
-        least_m = max(least_m, receivers_demand_m(settings.clearance_m))
+    settings = known.settings
+    least_m = max(follower.least_m, _comes_in_m(known, follower, now_s))
     arrives_s = now_s + follower.way_s
     leader, here = known.followed_then(follower, fix, arrives_s), follower.then(arrives_s)
     if settings.learn_offset:
@@ -172,6 +173,21 @@ def planned(known: Known, follower: FollowerState, fix: LeaderFix, now_s: float)
     elif settings.lead_time_s > 0.0:
         guided = _led(guided, leader, settings)
     return guided if settings.face_leader else replace(guided, yaw_rad=None)
+
+
+def _comes_in_m(known: Known, follower: FollowerState, now_s: float) -> float:
+    """The nearest slot of one that has not found whom its sonar looks at; 0: any.
+
+    Who waits stays as far off as receivers alone allow. From there he comes in slowly, so that his
+    sonar has looked to all sides before he is where it hears the next one in the line: one took
+    that for whom he looked for, and came to 0.1 m of him.
+    """
+    turn, waits_m = follower.turn, receivers_demand_m(known.settings.clearance_m)
+    if turn.waits:
+        return waits_m
+    if math.isinf(turn.seeks_at_s):
+        return 0.0
+    return max(0.0, waits_m - COMES_IN_MPS * (now_s - turn.seeks_at_s))
 
 
 def _by_radio_m(known: Known, follower: FollowerState, fix: LeaderFix) -> float:

@@ -121,7 +121,8 @@ class Turn:
     latched: why it is held; refused: its autopilot did not take points; released: its stop switch
     has stopped it, and it stands; waits: it stays as far off as receivers alone allow, as another
     one has to be in his slot before it comes into its own, or because its sonar has not found whom
-    it looks at (gave_up); joins_at_s: since when it may come in, joined: it has.
+    it looks at (gave_up); joins_at_s: since when it may come in; seeks_at_s: since when it does, in
+    this try; joined: it has.
     """
 
     cleared: bool = False
@@ -131,5 +132,6 @@ class Turn:
     released: bool = False
     waits: bool = False
     joins_at_s: float = math.inf
+    seeks_at_s: float = math.inf
     joined: bool = False
     gave_up: bool = False
