@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from echowing.flight.axis import Axis, along, axis_of
+from echowing.flight.axis import Axis, along, apart_rad, axis_of
 
 
 @pytest.mark.parametrize("azimuth_deg", [-170.0, -90.0, 0.0, 35.0, 179.0])
@@ -45,3 +45,14 @@ def test_an_axis_along_a_vector(
 )
 def test_what_is_no_rotation_has_no_axis(quaternion: tuple[float, ...]) -> None:
     assert axis_of(quaternion) is None
+
+
+@pytest.mark.parametrize(
+    ("other", "apart_deg"),
+    [((5.0, 0.0, 0.0), 0.0), ((0.0, 0.0, -1.0), 90.0), ((-1.0, 1.0, 0.0), 135.0)],
+)
+def test_two_directions_are_apart_by_an_angle_however_long_they_are(
+    other: tuple[float, float, float], apart_deg: float
+) -> None:
+    assert apart_rad((0.1, 0.0, 0.0), other) == pytest.approx(math.radians(apart_deg))
+    assert apart_rad((0.0, 0.0, 0.0), other) == pytest.approx(math.pi / 2.0)

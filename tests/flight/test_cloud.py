@@ -199,12 +199,12 @@ def test_that_they_wander_less_is_not_believed() -> None:
 
 
 def test_a_disagreement_that_nobody_expects_leaves_all_as_likely_as_it_was() -> None:
-    """One receiver is suddenly 50 m off: the readings win, and how far they wander stays known.
+    """One receiver is suddenly 80 m off: the readings win, and how far they wander stays known.
 
     Beyond 80 m guesses are drawn back to nought by more, from reading to reading, than they vary.
     """
     sonar = Sonar().looks_round()
-    sonar.true_m = (50.0, 0.0, 0.0)
+    sonar.true_m = (80.0, 0.0, 0.0)
     sonar.now_s += 4.0
     sonar.looks(Axis(NORTH), 12)
 

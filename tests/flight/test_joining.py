@@ -127,7 +127,7 @@ def test_who_may_have_found_another_one_has_not_joined_until_that_is_looked_for(
     there = known(VEE)
     first, *_ = led(there)
     joining = Joining(there)
-    first.estimate.elsewhere_m = [(0.0, -3.0, 0.0)]
+    first.estimate._elsewhere_m = [(0.0, -3.0, 0.0)]
     for now_s, joined in ((1.0, False), (SURE_AFTER_S + 0.9, False), (SURE_AFTER_S + 1.1, True)):
         hears(first, now_s)
         first.estimate.offset._found_at_s = 1.0

@@ -4,7 +4,7 @@ The co-processor reckons the same way (`firmware/echowing/src/core`), and so doe
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from echowing.geo import Ned
@@ -53,6 +53,14 @@ def turns_rps(to_it: Ned, past_mps: Ned) -> tuple[float, float]:
     (north, east, _), (north_mps, east_mps, down_mps) = to_it, past_mps
     level_m = max(NEAREST_M, math.hypot(north, east))
     return (north * east_mps - east * north_mps) / (level_m * level_m), -down_mps / level_m
+
+
+def apart_rad(one: Iterable[float], other: Iterable[float]) -> float:
+    """The angle between two directions, vectors in the same frame; to none it is a right angle."""
+    one, other = list(one), list(other)
+    lengths = math.hypot(*one) * math.hypot(*other) or 1.0
+    along = sum(x * y for x, y in zip(one, other, strict=True))
+    return math.acos(max(-1.0, min(1.0, along / lengths)))
 
 
 def spread_rad(across_m: float, to_it: Ned) -> float:

@@ -138,8 +138,8 @@ def keep_apart(
 
     own_mps: its velocity now, NED. Closing speed above the limit is braked in addition, but not for
     others that are led: in a line each would fly back faster than the one before. Who is in the way
-    counts as passed: the plan is turned right first. Where nothing fits, the others that are led
-    count as making room themselves.
+    counts as passed: the plan is turned right first. Where nothing near the plan fits, the others
+    that are led count as making room themselves.
     """
     walls = [_wall(other, answer, least_m, own_mps) for other in others]
     short_mps = [short_of_mps(wanted_mps, wall) for wall in walls]

@@ -13,9 +13,9 @@ from echowing.flight.alignment import (
     Report,
     between_m,
 )
-from echowing.flight.axis import Axis
+from echowing.flight.axis import Axis, apart_rad
 from echowing.flight.belief import SonarBelief
-from echowing.flight.cloud import CLOSE_M, SURE_AFTER_S, Between, Bystander, Cloud, Off
+from echowing.flight.cloud import SURE_AFTER_S, Between, Bystander, Cloud, Off
 from echowing.flight.envelope import SURE_SIGMAS, strays_m
 from echowing.flight.guidance import Horizontal, LeaderFix, predicted
 from echowing.flight.hearing import Hearing, Reading
@@ -122,10 +122,7 @@ class Estimate:
         """Whether a reading was like none of the two before it: when, and whether."""
         self.jumped_m: Horizontal = (0.0, 0.0)
         """Receivers' jumps that are allowed for: the leader's, less the follower's."""
-        self.elsewhere_m: list[Between] = []
-        """By how much it is not where it is believed, (north, east, up), if its echoes are another
-        vehicle's, of each that there is: so much further as it seems to be from that one. None
-        where the sonar would not reach it, or the beam has both, or it has been heard for long."""
+        self._elsewhere_m: list[Between] = []
         self._used_to_s = -math.inf
         self._pointed_at_s = -math.inf
 
@@ -156,10 +153,16 @@ class Estimate:
         return self.offset.unheard_s(self._used_to_s) if known else math.inf
 
     @property
-    def found_s(self) -> float:
-        """For how long the leader was heard, up to the last reading that could be used."""
+    def elsewhere_m(self) -> list[Between]:
+        """By how much the leader is not where it is believed, if its echoes are another vehicle's.
+
+        (north, east, up), of each that there is: so much further as it seems to be from that one.
+        None where the sonar would not reach it or the beam has both, and none once it has been
+        heard for long, up to the last reading that could be used.
+        """
         known = math.isfinite(self._used_to_s)
-        return self.offset.found_s(self._used_to_s) if known else 0.0
+        found_s = self.offset.found_s(self._used_to_s) if known else 0.0
+        return self._elsewhere_m if found_s < SURE_AFTER_S else []
 
     def listens(self, now_s: float) -> bool:
         """Whether its sonar works: readings come, they change, and they agree."""
@@ -245,8 +248,7 @@ class Estimate:
 
     def _learn_from(self, one: AlignedReading, others: Sequence[Bystander]) -> None:
         believed_m, heard_m = self._believed_m(one), one.distance_m
-        sure = self.offset.found_s(one.time_s) >= SURE_AFTER_S
-        self.elsewhere_m = [] if sure else list(self._elsewhere(believed_m, others))
+        self._elsewhere_m = list(self._elsewhere(believed_m, others))
         ahead = one.told or one.lean_rad < LEVEL_RAD
         if one.counts and heard_m is not None:
             self.offset.heard(one.time_s, heard_m, one.axis, believed_m, others)
@@ -263,11 +265,9 @@ class Estimate:
             north_m, east_m, up_m = (a - b for a, b in zip(believed_m, other.to_it_m, strict=True))
             there_m = to_it_m[0] + north_m, to_it_m[1] + east_m, to_it_m[2] + up_m
             far_m = math.hypot(*there_m)
-            along_m2 = sum(a * b for a, b in zip(there_m, to_it_m, strict=True))
-            cos = along_m2 / (max(far_m, CLOSE_M) * max(math.hypot(*to_it_m), CLOSE_M))
-            aside_rad = math.acos(max(-1.0, min(1.0, cos)))
             reached = self.sonar.shortest_m < far_m - self.sonar.inset_m < self.sonar.reach_m
-            if other.moves and reached and aside_rad > self.sonar.widest_rad.at(far_m):
+            aside = reached and apart_rad(there_m, to_it_m) > self.sonar.widest_rad.at(far_m)
+            if other.moves and aside:
                 yield north_m, east_m, up_m
 
     def _believed_m(self, one: AlignedReading) -> tuple[float, float, float]:

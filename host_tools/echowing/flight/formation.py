@@ -1,12 +1,13 @@
 """A formation: a slot for every follower, checked before anybody flies it."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from itertools import combinations
 
 from echowing.errors import EchowingError
+from echowing.flight.axis import apart_rad
 from echowing.flight.belief import SonarBelief
 from echowing.flight.envelope import SURE_SIGMAS
 from echowing.flight.guidance import SMALLEST_RADIUS_M, Slot, place_m
@@ -235,7 +236,7 @@ class _Layout:
         """Whether another vehicle may be in its beam, which points at whom it watches."""
         here_m, distance_m = self._places_m[one], self._distance_m(one, other)
         axis_m = self._places_m[self._watched[one - 1]]
-        off_rad = _angle_rad(
+        off_rad = apart_rad(
             [there - here for there, here in zip(axis_m, here_m, strict=True)],
             [there - here for there, here in zip(self._places_m[other], here_m, strict=True)],
         )
@@ -252,14 +253,6 @@ class _Layout:
 
     def _distance_m(self, a: int, b: int) -> float:
         return math.dist(self._places_m[a], self._places_m[b])
-
-
-def _angle_rad(one: Iterable[float], other: Iterable[float]) -> float:
-    """Between two directions."""
-    one, other = list(one), list(other)
-    lengths = math.hypot(*one) * math.hypot(*other)
-    along = sum(x * y for x, y in zip(one, other, strict=True))
-    return math.acos(max(-1.0, min(1.0, along / lengths)))
 
 
 def _name(number: int) -> str:

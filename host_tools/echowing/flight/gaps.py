@@ -61,11 +61,9 @@ class Gaps:
         """The first that ranges it and may be led, the first that ranges that one, and so on."""
         behind = (
             other
-            for other in self._known.followers.values()
-            if self._known.ahead_of(other) is one
-            and other.standing.sent_to
+            for other in self._known.behind(one)
             # Who was stopped for another reason stays where it is.
-            and other.turn.latched is None
+            if other.standing.sent_to and other.turn.latched is None
         )
         follower = next(behind, None)
         if follower is not None:

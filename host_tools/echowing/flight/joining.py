@@ -9,7 +9,6 @@ there and lets the next one come in, and tries again later: never found, it is n
 
 import math
 
-from echowing.flight.cloud import SURE_AFTER_S
 from echowing.flight.formation import receivers_demand_m
 from echowing.flight.guidance import place_m
 from echowing.flight.state import UNRANGED_SIGMA_M, FollowerState, Known
@@ -60,7 +59,7 @@ class Joining:
         """Whether its sonar tells much more of the one that it looks at than receivers do."""
         estimate = follower.estimate
         found = estimate.hears(now_s) and estimate.offset.level_sigma_m < FOUND_SIGMA_M
-        return found and (estimate.found_s >= SURE_AFTER_S or not estimate.elsewhere_m)
+        return found and not estimate.elsewhere_m
 
     def _before(self, follower: FollowerState) -> FollowerState | None:
         """The first neighbour before it in the formation that is led and has not joined."""

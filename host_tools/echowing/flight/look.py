@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass, replace
 
 from echowing.flight.axis import Axis, along, spread_rad, turns_rps
-from echowing.flight.cloud import SURE_AFTER_S, Between
+from echowing.flight.cloud import Between
 from echowing.flight.estimate import Estimate
 from echowing.flight.state import FollowerState, Known
 from echowing.geo import Ned, ned_between, wrap_angle_rad
@@ -58,7 +58,7 @@ def look_at(known: Known, follower: FollowerState, now_s: float) -> Look | None:
     across_rad, up_rad = _unsure_rad(estimate, look.axis, to_it_m)
     look = replace(look, sigma_rad=max(across_rad, up_rad))
     by_nose = not estimate.points(now_s)
-    glances = [] if by_nose or estimate.found_s >= SURE_AFTER_S else estimate.elsewhere_m
+    glances = [] if by_nose else estimate.elsewhere_m
     lost = estimate.missed_s > LOST_S + (GLANCE_S if glances else 0.0)
     if lost:
         return _to_both_sides(look, now_s) if by_nose else _by_turns(look, now_s)

@@ -53,7 +53,8 @@ class Spacing:
         own_mps = (*follower.velocity_then(now_s + follower.way_s), -follower.climb_mps)
         answer = follower.handling.answer
         # Who has others behind does not fly back faster than he has to.
-        braked_mps = None if self._pushes(follower) else own_mps
+        pushes = any(one.standing.sent_to for one in self._known.behind(follower))
+        braked_mps = None if pushes else own_mps
         flown, other = keep_apart(wanted, others, answer, self._least_m, braked_mps)
         if other is None:
             return unchanged
@@ -98,12 +99,6 @@ class Spacing:
         flown_mps = feed_mps + correction_mps[0] * north + correction_mps[1] * east
         less_mps = max(0.0, min(0.0, feed_mps) - LINE_BACK_MPS - flown_mps)
         return less_mps * north, less_mps * east
-
-    def _pushes(self, follower: FollowerState) -> bool:
-        """Whether one that is led flies behind it."""
-        followers = self._known.followers.values()
-        behind = (one for one in followers if self._known.ahead_of(one) is follower)
-        return any(one.standing.sent_to for one in behind)
 
     def _switched(self, follower: FollowerState) -> bool:
         """Whether its pilot's stop switch has stopped it: then nothing of ours moves it."""

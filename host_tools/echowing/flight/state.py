@@ -394,7 +394,11 @@ class Known:
 
     def is_watched(self, follower: FollowerState) -> bool:
         """Whether another follower's sonar looks at it."""
-        return any(one is follower for one in self._ahead.values())
+        return bool(self.behind(follower))
+
+    def behind(self, ahead: FollowerState | None) -> list[FollowerState]:
+        """Those whose sonars look at a follower; None: at the leader."""
+        return [one for one in self.followers.values() if self.ahead_of(one) is ahead]
 
     def watch(self, ahead: Mapping[int, FollowerState | None]) -> None:
         """Let followers' sonars look at these vehicles, by follower; None: the leader.

@@ -107,7 +107,7 @@ class Trust:
             return
         if denied:
             follower.estimate.jumped((-moved_m[0], -moved_m[1]))
-            for one in self._behind(follower):
+            for one in self._known.behind(follower):
                 one.estimate.jumped(moved_m)
             text = "the sonar's range did not change, allowed for"
         else:
@@ -149,7 +149,7 @@ class Trust:
 
     def _settle_leaders_jump(self, now_s: float) -> None:
         """A jump that the sonar denies is the receiver's: it goes into everybody's estimate."""
-        leader, followers = self._known.leader, self._behind(None)
+        leader, followers = self._known.leader, self._known.behind(None)
         since_s = leader.jump_since_s
         if since_s is None or leader.agreeing < CONFIRMING_REPORTS:
             return
@@ -169,7 +169,7 @@ class Trust:
         """The leader is believed in a new place that no sonar has confirmed: nobody flies there."""
         self._known.leader_history.clear()
         self._known.leader.drift = Drift()
-        for follower in self._behind(None):
+        for follower in self._known.behind(None):
             follower.estimate.forget()
         if not self._strict:
             return
@@ -185,11 +185,6 @@ class Trust:
             f"leader's reports agree {jump_m:.1f} m away from where it was: nobody is flown there "
             "until its pilot has left Guided and come back",
         )
-
-    def _behind(self, ahead: FollowerState | None) -> list[FollowerState]:
-        """Those whose sonars look at a follower; None: at the leader."""
-        followers = self._known.followers.values()
-        return [one for one in followers if self._known.ahead_of(one) is ahead]
 
     def _refuse_two(self, system_id: int, now_s: float) -> None:
         """Two streams of reports in turn: two vehicles with one id."""

@@ -16,7 +16,7 @@ from echowing.flight.reshape import Named
 from echowing.flight.shapes import MOST_FOLLOWERS, Shape, shape
 from echowing.section import Positive, Section, section_of
 
-# What of the campaign came under 1.0 m: host_tools/CAMPAIGN.md; formations so far: RESULTS.md.
+# A few flights come under 1.0 m (RESULTS.md, "Formations"; host_tools/CAMPAIGN.md).
 ONLY_SIMULATED = (
     "a slot has `behind`, which is for simulated flights (--simulated): such formations are not "
     "kept 1 m apart in each flight yet"
