@@ -6,7 +6,8 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.flight.build_up import ASK_PERIOD_S, SLOT_MPS, TRIES, BuildUp, scaled
+from echowing.flight.build_up import SLOT_MPS, TRIES, BuildUp, scaled
+from echowing.flight.clocks import ASK_PERIOD_S
 from echowing.flight.engage import DIST
 from echowing.flight.guidance import GuidanceSettings, Slot
 from echowing.flight.orders import HELD, Orders

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from echowing.flight.axis import Axis
+from echowing.flight.clocks import LOST_S
 from echowing.flight.cloud import (
-    LOST_S,
     RISK,
     SURE_AFTER_S,
     Between,

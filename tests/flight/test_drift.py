@@ -5,7 +5,8 @@ from collections.abc import Callable
 import pytest
 
 from echowing.flight.alignment import Report
-from echowing.flight.drift import LONGEST_GAP_S, MOST_M, Drift
+from echowing.flight.clocks import LONGEST_GAP_S
+from echowing.flight.drift import MOST_M, Drift
 from echowing.flight.guidance import Horizontal
 from echowing.flight.receivers import FORGETS_S
 from echowing.geo import GlobalPosition, displace

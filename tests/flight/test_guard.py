@@ -8,6 +8,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.errors import EchowingError
 from echowing.flight.axis import Axis
+from echowing.flight.clocks import UNHEARD_S
 from echowing.flight.closing import Closing
 from echowing.flight.envelope import OTHERS_MPS2, closing_limit_mps
 from echowing.flight.guard import (
@@ -18,7 +19,6 @@ from echowing.flight.guard import (
     STEADY_S,
     STILL_FOR_S,
     STUCK_FOR_S,
-    UNHEARD_S,
     WATCHDOG,
     WATCHDOG_ASKS,
     Guard,

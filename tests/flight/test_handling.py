@@ -2,10 +2,10 @@ import math
 
 import pytest
 
+from echowing.flight.clocks import ASK_PERIOD_S
 from echowing.flight.closing import Closing
 from echowing.flight.envelope import LEAST_M, OTHERS_MPS2, Answer
 from echowing.flight.handling import (
-    ASK_PERIOD_S,
     NOTICED_S,
     OFTEN,
     SELDOM_S,

@@ -6,12 +6,11 @@ from itertools import pairwise
 
 import pytest
 
+from echowing.flight.clocks import SAY_AGAIN_S, UNHEARD_S
 from echowing.flight.health import (
     FURTHER_M,
-    HEARD_S,
     LASTS_S,
     RANGED_S,
-    REMARK_GAP_S,
     Cohesion,
     Member,
     assess,
@@ -76,7 +75,7 @@ def test_near_is_within_a_sonars_reach_and_a_little_further_once_it_was() -> Non
 
 
 def test_one_that_is_not_heard_is_near_nobody() -> None:
-    unheard = replace(at(2, -3.0), age_s=HEARD_S + 0.1)
+    unheard = replace(at(2, -3.0), age_s=UNHEARD_S + 0.1)
     assert near_pairs([at(1, 0.0), unheard]) == set()
     assert assess([at(1, 0.0), unheard], LEADER).alone == (2,)
 
@@ -144,7 +143,7 @@ def test_what_comes_and_goes_is_not_said_each_time() -> None:
         said += [(second, text) for text in cohesion.update(members, float(second))]
     times_s = [second for second, text in said if text.startswith("follower 2:")]
     assert len(times_s) == 3
-    assert all(b - a >= REMARK_GAP_S for a, b in pairwise(times_s))
+    assert all(b - a >= SAY_AGAIN_S for a, b in pairwise(times_s))
 
 
 def test_a_follower_that_sees_nobody_any_more_is_named_and_told_of_when_it_does_again() -> None:

@@ -8,7 +8,8 @@ from itertools import pairwise
 import pytest
 
 from echowing.flight.belief import Curve, SonarBelief
-from echowing.flight.hearing import HEARD_S, LEAST_READINGS, Heard, Hearing, Reading, scatter_m
+from echowing.flight.clocks import LOST_S
+from echowing.flight.hearing import LEAST_READINGS, Heard, Hearing, Reading, scatter_m
 from echowing.sim.flight import FormationFlight
 from echowing.sim.scenario import load_scenario
 from echowing.sonar_file import shipped_sonar
@@ -74,7 +75,7 @@ def test_a_leader_that_is_lost_is_not_the_sonars_fault() -> None:
         t_s = number * PERIOD_S
         hearing.take(Reading(t_s, 2.8 if t_s < 20.0 else None, 2.8, 0.0, 0.03))
 
-    seconds = 20.0 + HEARD_S
+    seconds = 20.0 + LOST_S
     assert hearing.heard().share == pytest.approx(20.0 / seconds, abs=0.03)
 
 

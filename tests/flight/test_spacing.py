@@ -2,8 +2,9 @@
 
 import pytest
 
+from echowing.flight.clocks import SAY_AGAIN_S
 from echowing.flight.guard import Limits
-from echowing.flight.spacing import REMARK_GAP_S, Spacing
+from echowing.flight.spacing import Spacing
 from echowing.flight.steps import Allowed, Phase, Plan, Standing
 
 from .told import Told, at, from_here_m
@@ -120,12 +121,12 @@ def test_who_is_held_gives_way_to_nobody_that_is_led_past() -> None:
 def test_a_way_that_is_given_again_and_again_is_said_once_in_a_while() -> None:
     told = beside_a_second()
     step = spacing(told)
-    for now_s in (0.2, 1.0, 2.0, REMARK_GAP_S, REMARK_GAP_S + 1.0):
+    for now_s in (0.2, 1.0, 2.0, SAY_AGAIN_S, SAY_AGAIN_S + 1.0):
         into_the_second(told, step, now_s)
         told.follower.allowed = None
     assert told.said == [
         (FOLLOWER, "follower 3", 0.2),
-        (FOLLOWER, "follower 3", REMARK_GAP_S + 1.0),
+        (FOLLOWER, "follower 3", SAY_AGAIN_S + 1.0),
     ]
 
 

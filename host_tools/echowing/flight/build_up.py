@@ -13,6 +13,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.flight.clocks import ASK_PERIOD_S
 from echowing.flight.engage import DIST
 from echowing.flight.guidance import Slot
 from echowing.flight.state import FollowerState, Say, place_guides
@@ -28,8 +29,8 @@ LONGEST_STEP_S = 0.5
 # Limits of ECHO_DIST in the applet (lua/echowing.lua); beyond them no sonar detects the leader.
 LEAST_DIST_M, MOST_DIST_M = 1.5, 6.0
 SAME_M = 0.01
-# A slow radio answers within a second, and loses one answer in three at its worst.
-ASK_PERIOD_S, TRIES = 1.0, 5
+# A radio loses one answer in three at its worst.
+TRIES = 5
 # The answer to PARAM_SET alone may only repeat the value that was sent: so it is read as well.
 ANSWERS = 2
 

@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 
 from echowing.flight.axis import Axis
 from echowing.flight.belief import SonarBelief
+from echowing.flight.clocks import LOST_S
 from echowing.flight.guidance import Horizontal
 from echowing.flight.receivers import FOLLOWS_S, FORGETS_S, Receivers, passing
 
@@ -48,11 +49,11 @@ PLACED_SIGMA_M = 0.15
 # Readings nearer in time share their errors, and must not count twice. Guesses move by centimetres
 # in this time.
 UPDATE_PERIOD_S = 0.25
-# Of a leader that was not heard for so long, this share of the ranges that nothing had foretold is
-# its own: the receivers disagree by more than anybody thought. Three that agree outweigh all else.
-# So are those of one that has just been found, which may be another one: until the sonar has looked
+# Of a leader that is lost (`LOST_S`) this share of the ranges that nothing had foretold is its own:
+# the receivers disagree by more than anybody thought. Three that agree outweigh all else. So are
+# those of one that has just been found, which may be another one: until the sonar has looked
 # elsewhere three times (`look.GLANCE_S`).
-STEPPED, LOST_S, SURE_AFTER_S = 0.005, 3.0, 5.0
+STEPPED, SURE_AFTER_S = 0.005, 5.0
 # A sonar hears its leader somewhat more seldom than its file says at the least, or in nearly all
 # readings.
 HEARS, MOST_HEARD = (0.6, 1.9), 0.98

@@ -10,12 +10,11 @@ carrier (Hatch 1982).
 import math
 
 from echowing.flight.alignment import Report
+from echowing.flight.clocks import LONGEST_GAP_S
 from echowing.flight.guidance import Horizontal
 from echowing.flight.jumps import beyond_movement_m, is_jump
 from echowing.flight.receivers import FORGETS_S
 
-# Between two reports further apart a vehicle may have turned unseen.
-LONGEST_GAP_S = 0.6
 # No receiver drifts further in a minute; a velocity may be wrong, or missing.
 MOST_M = 3.0
 

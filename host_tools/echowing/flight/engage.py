@@ -13,6 +13,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.applets import FORMAT, HOLD, IDENTIFYING, LAW, SPEED, Applet, identify
+from echowing.flight.clocks import ASK_PERIOD_S, SAY_AGAIN_S
 from echowing.flight.formation import receivers_demand_m
 from echowing.flight.guard import Guard
 from echowing.flight.guidance import MOVING_MPS, Horizontal, LeaderFix, slot_offset_m
@@ -38,13 +39,10 @@ APPLET = (*CHECKED, *IDENTIFYING)
 REQUESTS_IN_VAIN = 3
 # The altitude at which a vehicle returns: in m (from later 4.7 on), in cm.
 RTL_M, RTL_CM = RTL = ("RTL_ALT_M", "RTL_ALT")
-ASK_PERIOD_S = 1.0
 # Where something is wrong the parameters are read again, as somebody may be setting them.
 READ_AGAIN_S = 5.0
 # An unknown value counts as wrong only after this long: three requests over a slow radio.
 PATIENCE_S = 4.0
-# The same text is not repeated sooner.
-SAY_AGAIN_S = 30.0
 # Requested message rates, Hz.
 EKF_HZ, GPS_HZ, BATTERY_HZ = 1.0, 1.0, 0.5
 

@@ -15,6 +15,7 @@ from echowing.flight.alignment import (
 )
 from echowing.flight.axis import Axis, apart_rad
 from echowing.flight.belief import SonarBelief
+from echowing.flight.clocks import LOST_S
 from echowing.flight.cloud import SURE_AFTER_S, Between, Bystander, Cloud, Off
 from echowing.flight.envelope import SURE_SIGMAS, strays_m
 from echowing.flight.guidance import Horizontal, LeaderFix, predicted
@@ -32,10 +33,6 @@ WILD_SHARE, WILD_S = 0.2, 3.0
 ALIKE_M = 0.5
 # What is known is noted so often, to go back to.
 NOTED_EVERY_S = 1.0
-# Readings come several times a second, over a radio that may lose some.
-LISTENS_S = 3.0
-# A sonar that has detected the leader within this (readings are used a second late) is sure of it.
-HEARD_S = 3.0
 # Age of a range when it is sent: trigger, sound there and back at 343 m/s, reading and packing
 # (firmware/README.md: reading to wire 5 ms, and half of the 20 ms and the flight before it).
 SONAR_AGE_S = 0.03
@@ -144,7 +141,7 @@ class Estimate:
 
     def hears(self, now_s: float) -> bool:
         """Whether its sonar has lately detected the leader."""
-        return self.offset.unheard_s(now_s) <= HEARD_S
+        return self.offset.unheard_s(now_s) <= LOST_S
 
     @property
     def missed_s(self) -> float:
@@ -166,7 +163,7 @@ class Estimate:
 
     def listens(self, now_s: float) -> bool:
         """Whether its sonar works: readings come, they change, and they agree."""
-        return now_s - self._before[0] < LISTENS_S and self.is_believed
+        return now_s - self._before[0] < LOST_S and self.is_believed
 
     def reported(self, report: Report) -> None:
         """Take a report of the follower itself."""
@@ -179,7 +176,7 @@ class Estimate:
 
     def points(self, now_s: float) -> bool:
         """Whether the sonar says where it looks."""
-        return now_s - self._pointed_at_s < LISTENS_S
+        return now_s - self._pointed_at_s < LOST_S
 
     def heard(self, time_s: float, range_m: float, stamp_ms: int | None = None) -> None:
         """Take a sonar reading; stamp_ms: by which `pointed` names it."""

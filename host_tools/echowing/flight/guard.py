@@ -13,6 +13,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.flight.clocks import UNHEARD_S
 from echowing.flight.envelope import LEAST_M
 from echowing.flight.homes import Homes
 from echowing.flight.lowest import LOWEST_M
@@ -31,9 +32,6 @@ STILL_FOR_S = 1.0
 FRESH_S = 1.0
 # From 2 m/s a copter stands within 3 s; the tool reports one that still moves then.
 REMIND_S = 3.0
-# After two missed heartbeats, one a second, the mode is not known any more. A radio that holds
-# reports back for so long is as good as silent.
-UNHEARD_S = 2.0
 # One that was led and reports again is held until it has done so for this long: its pilot sees on
 # the display that the tool is back before it moves.
 STEADY_S = 3.0

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.flight.clocks import ASK_PERIOD_S
 from echowing.flight.closing import Closing
 from echowing.flight.envelope import LEAST_M, OTHERS_MPS2, Answer
 from echowing.geo import GRAVITY_MPS2
@@ -28,7 +29,7 @@ from echowing.mavlink.vehicle_limits import (
 )
 
 # Once a second at first, then seldom: a noisy radio loses both request and answer.
-ASK_PERIOD_S, SELDOM_S = 1.0, 5.0
+SELDOM_S = 5.0
 OFTEN = 5
 # From an order to the first lean: half a control period of the points (8 Hz) and the motors, and
 # the lean's own shaping. Up to ArduCopter 4.7 that is one lag of ATC_INPUT_TC, in 4.8 two

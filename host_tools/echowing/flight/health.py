@@ -7,7 +7,7 @@ vehicles when
 
 - one of them *ranges* the other: its sonar has measured a distance that fits the other vehicle
   within `RANGED_S`; or
-- they are *near*: both have reported within `HEARD_S`, and are within reach of a sonar of each
+- they are *near*: both have reported within `UNHEARD_S`, and are within reach of a sonar of each
   other by their receivers, so that one could be ranged if the other were turned to it.
 
 A vehicle is an *articulation point* (S. K. Lee and J. McLurkin, "Distributed cohesive configuration
@@ -26,14 +26,13 @@ from itertools import combinations
 
 import networkx as nx
 
+from echowing.flight.clocks import SAY_AGAIN_S, UNHEARD_S
 from echowing.flight.cloud import Wandering
 from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.flight.steps import name_of
 from echowing.geo import Ned, wrap_angle_rad
 
 RANGED_S = 2.0
-# As `guard.UNHEARD_S`: one that has not reported for so long gets no points.
-HEARD_S = 2.0
 # Two that were near stay near until they are further apart by as much as two receivers wander.
 FURTHER_M = math.sqrt(2.0) * Wandering().sigma_m
 # A range belongs to the vehicle that it fits best. If it fits worse than this (a GPS and a beam's
@@ -42,7 +41,7 @@ FURTHER_M = math.sqrt(2.0) * Wandering().sigma_m
 FIT_M, AHEAD_RAD = 2.0, math.radians(50.0)
 # A change counts when it has lasted so long, and is not repeated sooner: nobody has to act on it at
 # once, and a state that comes and goes is not worth a report.
-LASTS_S, REMARK_GAP_S = 2.0, 30.0
+LASTS_S = 2.0
 
 Pair = frozenset[int]
 
@@ -69,7 +68,7 @@ class Member:
     @property
     def heard(self) -> bool:
         """Whether it has reported recently."""
-        return self.at_ned_m is not None and self.age_s <= HEARD_S
+        return self.at_ned_m is not None and self.age_s <= UNHEARD_S
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,7 +193,7 @@ class _Change:
 
     def may_say(self, now_s: float) -> bool:
         """Whether to say it now: not if it was said a short time ago."""
-        if now_s - self.said_s < REMARK_GAP_S:
+        if now_s - self.said_s < SAY_AGAIN_S:
             return False
         self.said_s = now_s
         return True

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from echowing.flight.belief import SonarBelief
+from echowing.flight.clocks import LOST_S
 
 # What is told is of the readings of so long.
 WINDOW_S = 60.0
@@ -23,8 +24,6 @@ LEAST_READINGS = 60
 # Further from where the leader was than this a reading is of something else. The leader is known to
 # half a metre where it is heard.
 GATE_M = 0.7
-# The leader's direction is known where it was heard so recently.
-HEARD_S = 3.0
 # Readings come and go in bursts: so many tell as much as one that depends on none before it.
 DEPENDENCE = 4.0
 # One-sided 95 %: beyond it a share is called another one.
@@ -106,7 +105,7 @@ class Hearing:
         """Take a reading; times rise."""
         if reading.is_right:
             self._right_at_s = reading.time_s
-        elif reading.time_s - self._right_at_s > HEARD_S:
+        elif reading.time_s - self._right_at_s > LOST_S:
             return
         self.fresh.append(reading)
         self._last.append(reading)

@@ -3,7 +3,7 @@
 import math
 from dataclasses import replace
 
-from echowing.flight.guard import Guard
+from echowing.flight.guard import STILL_MPS, Guard
 from echowing.flight.guidance import Horizontal
 from echowing.flight.heights import Heights
 from echowing.flight.own_motion import NOT_YET_S
@@ -12,7 +12,7 @@ from echowing.flight.steps import Allowed, Hold
 from echowing.geo import GlobalPosition, displace, distance_m
 
 # A stop begins once it leans against its motion; a follower that hardly moves stops where it is.
-LEAN_S, STANDS_MPS = 0.3, 0.3
+LEAN_S = 0.3
 # A hold that has been moved by this much has its place where the vehicle is.
 MOVED_M = 0.5
 
@@ -34,7 +34,7 @@ class Holds:
 
         Back there it would meet the leader again, and move although it is stopped.
         """
-        stands = follower.ground_speed_mps <= STANDS_MPS
+        stands = follower.ground_speed_mps <= STILL_MPS
         if (
             self._guard is not None
             and self._guard.has_backed_off(follower.plan.system_id, stands=stands)
@@ -78,7 +78,7 @@ def _stopping_place(follower: FollowerState, now_s: float) -> GlobalPosition | N
         return follower.position
     north, east = follower.velocity_then(arrives_s)
     mps = math.hypot(north, east)
-    if mps <= STANDS_MPS:
+    if mps <= STILL_MPS:
         return here
     since_s = min(NOT_YET_S, max(0.0, arrives_s - follower.position_at_s))
     share_s = _stopping_m(mps, _gains_mps2(follower, (north, east)), since_s, follower) / mps

@@ -10,12 +10,10 @@ import statistics
 from collections import deque
 
 from echowing.flight.alignment import Report
+from echowing.flight.clocks import REBOOT_S
 from echowing.flight.guidance import Horizontal
 from echowing.geo import ned_between
 
-# A vehicle's clock this far from the believed one has restarted, or is another vehicle's: no radio
-# holds a report back for so long.
-REBOOT_S = 10.0
 # A new place, or a new clock, is believed once this many reports in a row agree (2 s at 4 Hz).
 AGREEING_REPORTS = 8
 # A report further than this from where the one before leads is a jump, not a movement. Receivers,

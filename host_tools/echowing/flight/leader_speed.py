@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+from echowing.flight.clocks import SAY_AGAIN_S
+
 # At a corner a leader is behind another leg before its follower has answered. Up to 4 m/s the sonar
 # keeps it; faster, it is lost at each corner, and caught up with by GPS. Mean error 0.3 m at 4 m/s,
 # 0.7 at 5, 1.4 at 6, 9 m at 8 (RESULTS.md, Leader's speed). The follower's speed parameter does not
@@ -10,7 +12,6 @@ from dataclasses import dataclass
 MOST_LEADER_MPS = 4.0
 # Gusts, corners and the receiver's noise take a leader so far over its speed.
 OVERSHOOT_MPS = 0.5
-SAY_AGAIN_S = 30.0
 
 
 @dataclass(slots=True)

@@ -7,18 +7,15 @@ from dataclasses import replace
 from typing import Any
 
 from echowing.flight.alignment import Report
+from echowing.flight.clocks import LONGEST_GAP_S, REBOOT_S
 from echowing.flight.drift import Drift
 from echowing.flight.guidance import Horizontal, LeaderFix
 from echowing.flight.jumps import AGREEING_REPORTS, BootClocks, beyond_movement_m, is_jump
 from echowing.geo import GlobalPosition, Ned
 from echowing.mavlink.messages import heading_of
 
-# A clock this far behind the vehicle's newest report has restarted: no radio delays one so long.
-REBOOT_MS = 10_000
 # Accelerations beyond this are noise: a copter's default is 2.5 m/s2 (WP_ACC).
 MOST_MPS2 = 3.0
-# Two reports further apart than this do not show the acceleration now.
-LONGEST_GAP_S = 0.6
 
 # The oldest report of the last seconds counts: at 4 Hz its age decays by half in 3 s.
 OLDEST_KEEPS = 0.95
@@ -213,7 +210,7 @@ def changes_mps2(
 
 def is_late(boot_ms: int, newest_boot_ms: int) -> bool:
     """Whether a report is a duplicate of the newest, or older: delayed, not after a reboot."""
-    return 0 <= newest_boot_ms - boot_ms <= REBOOT_MS
+    return 0 <= newest_boot_ms - boot_ms <= 1000.0 * REBOOT_S
 
 
 def _report(fix: LeaderFix) -> Report:

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
+from echowing.flight.clocks import SAY_AGAIN_S
 from echowing.flight.closing import Closing
 from echowing.flight.envelope import (
     FASTEST_MPS,
@@ -21,8 +22,6 @@ from echowing.flight.state import FollowerState, Known
 from echowing.flight.steps import Allowed, Plan, name_of
 from echowing.geo import GlobalPosition, Ned, displace, ned_between
 
-# The same text is not repeated sooner, however often the state comes and goes.
-REMARK_GAP_S = 10.0
 # A leader in its sonar is held by the applet, and points with a velocity are answered by it: 1 m/s
 # for each metre (`gently` in lua/echowing.lua). Other points are Guided's (`Closing`).
 HOLD_PER_S = 1.0
@@ -108,7 +107,7 @@ class Spacing:
         """Say for which vehicle a follower leaves its plan."""
         system_id, before = follower.plan.system_id, follower.allowed
         again = before is not None and before.gives_way_to == name
-        if again or now_s - self._said_s.get(system_id, -math.inf) < REMARK_GAP_S:
+        if again or now_s - self._said_s.get(system_id, -math.inf) < SAY_AGAIN_S:
             return
         self._said_s[system_id] = now_s
         self._gives_way(system_id, name, now_s)

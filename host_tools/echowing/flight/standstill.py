@@ -7,7 +7,8 @@ fail does not make this fail.
 import math
 from typing import Any
 
-from echowing.flight.guard import UNHEARD_S, Guard
+from echowing.flight.clocks import UNHEARD_S
+from echowing.flight.guard import Guard
 from echowing.flight.state import FollowerState, Known
 from echowing.geo import GlobalPosition
 from echowing.mavlink.messages import position_target

@@ -11,7 +11,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.errors import EchowingError
-from echowing.flight.leader_track import REBOOT_MS
+from echowing.flight.clocks import REBOOT_S
 from echowing.mavlink.messages import command_long
 
 # Modes that a stop switch may choose. STABILIZE is none: a low throttle stick drops the vehicle.
@@ -100,7 +100,7 @@ class Switches:
         if self.switch is None:
             return
         seen, pulse_us = self._seen[system_id], self.switch.pulse_us(message)
-        older = 0 < seen.boot_ms - message.time_boot_ms <= REBOOT_MS
+        older = 0 < seen.boot_ms - message.time_boot_ms <= 1000.0 * REBOOT_S
         if pulse_us not in VALID_PULSE_US or older:
             return
         seen.on = pulse_us > self.switch.pwm_us

@@ -14,12 +14,13 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.flight.clocks import ASK_PERIOD_S
 from echowing.flight.state import FollowerState, Say
 from echowing.mavlink.messages import command_long
 
 # From the announcement to the command: time to step back, and for the pilot to change his mind.
 WARNING_S = 3.0
-ASKS, ASK_PERIOD_S = 3, 1.0
+ASKS = 3
 # Motors of a copter need some 2 s to come up to speed.
 LEAVES_GROUND_S = 10.0
 # Within this of the wanted altitude the climb is over (barometers wander).

@@ -7,8 +7,9 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.errors import EchowingError
+from echowing.flight.clocks import UNHEARD_S
 from echowing.flight.engage import BATTERY_HZ, EKF_HZ, GPS_HZ
-from echowing.flight.guard import SWITCH_HZ, UNHEARD_S
+from echowing.flight.guard import SWITCH_HZ
 from echowing.flight.requests import RATE_REQUEST_PERIOD_S, RateWatch
 from echowing.mavlink.links import Address, Link, leads_back, wait
 from echowing.mavlink.messages import HEARTBEAT_PERIOD_S, message_interval, tool_heartbeat

@@ -7,7 +7,8 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.flight.guard import UNHEARD_S, is_flying, mode_name
+from echowing.flight.clocks import UNHEARD_S
+from echowing.flight.guard import is_flying, mode_name
 from echowing.flight.leader_track import VehicleClock
 from echowing.flight.session import FollowSession
 from echowing.flight.sonar import DETECTION_LIMIT_M

@@ -4,8 +4,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
+from echowing.flight.clocks import UNHEARD_S
 from echowing.flight.engage import LEAST_BATTERY_PERCENT
-from echowing.flight.guard import UNHEARD_S
 from echowing.flight.guidance import GuidanceSettings
 from echowing.flight.health import Health
 from echowing.tool.moment import Moment
