@@ -28,7 +28,7 @@ NOSE_RAD, NOSE_LOOKS_S = math.radians(45.0), 8.0
 # A leader that is not heard for so long is looked for where it most likely is. The time counts up
 # to the last reading that could be used, not up to now: with a slow radio that reading is a second
 # old, and nothing is lost.
-LOST_S = 1.0
+MISSED_S = 1.0
 # One that has just been found may be another vehicle: by turns the sonar looks where whom it looks
 # for would be then. The gimbal is there within 0.3 s, and a few readings are enough.
 GLANCE_S = 0.8
@@ -59,7 +59,7 @@ def look_at(known: Known, follower: FollowerState, now_s: float) -> Look | None:
     look = replace(look, sigma_rad=max(across_rad, up_rad))
     by_nose = not estimate.points(now_s)
     glances = [] if by_nose else estimate.elsewhere_m
-    lost = estimate.missed_s > LOST_S + (GLANCE_S if glances else 0.0)
+    lost = estimate.missed_s > MISSED_S + (GLANCE_S if glances else 0.0)
     if lost:
         return _to_both_sides(look, now_s) if by_nose else _by_turns(look, now_s)
     turn = int(now_s / GLANCE_S)
