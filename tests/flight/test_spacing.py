@@ -130,6 +130,15 @@ def test_a_way_that_is_given_again_and_again_is_said_once_in_a_while() -> None:
     ]
 
 
+def test_who_gives_way_to_another_one_says_so_at_once() -> None:
+    ahead, behind = Vehicle((0.0, -40.0)), Vehicle((-12.0, -40.0))
+    told = Told({LEADER: behind, FOLLOWER: Vehicle((-6.0, -40.0)), SECOND: ahead}, KEPT)
+    step = spacing(told)
+    into_the_second(told, step, 0.2)
+    step.allowed(told.follower, Plan(at(-11.0, -40.0), None), 0.2)
+    assert told.said == [(FOLLOWER, "follower 3", 0.2), (FOLLOWER, "the leader", 0.2)]
+
+
 def test_of_what_one_ahead_flies_and_is_ordered_the_worse_counts() -> None:
     """It flies on; its applet flies it back, whatever it is ordered; or it is ordered back."""
     told = beside_a_second()

@@ -13,7 +13,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.applets import FORMAT, HOLD, IDENTIFYING, LAW, SPEED, Applet, identify
-from echowing.flight.clocks import ASK_PERIOD_S, SAY_AGAIN_S
+from echowing.flight.clocks import ASK_PERIOD_S
 from echowing.flight.formation import receivers_demand_m
 from echowing.flight.guard import Guard
 from echowing.flight.guidance import MOVING_MPS, Horizontal, LeaderFix, slot_offset_m
@@ -22,6 +22,7 @@ from echowing.flight.heights import Heights
 from echowing.flight.leader_speed import MOST_LEADER_MPS, LeaderSpeed
 from echowing.flight.lowest import LOWEST_M
 from echowing.flight.readiness import Readiness
+from echowing.flight.said import Said
 from echowing.flight.state import FollowerState, Known, Say
 from echowing.geo import GlobalPosition, ned_between
 from echowing.mavlink.messages import read_parameter
@@ -217,12 +218,12 @@ def _has_position(flags: int) -> bool:
 class _Checks:
     """How far a follower is from being engaged, since it was put in Guided.
 
-    told: the texts said of it, without numbers, and when; level: it was said that the leader would
-    return at its height.
+    said: the texts said of it, without numbers; level: it was said that the leader would return at
+    its height.
     """
 
     level: bool = False
-    told: dict[str, float] = field(default_factory=dict)
+    said: Said = field(default_factory=Said)
     wrong: list[Finding] = field(default_factory=list)
 
 
@@ -439,9 +440,8 @@ class Engagement:
         said = []
         for one in checks.wrong:
             text = _NUMBERS.sub("", one.wrong)
-            again = now_s - checks.told.get(text, -math.inf) >= SAY_AGAIN_S
-            if again and (self._waited(now_s) or one.shown != "?"):
-                checks.told[text] = now_s
+            known = self._waited(now_s) or one.shown != "?"
+            if known and checks.said.may_say(text, now_s):
                 self._say(now_s, f"follower {system_id}: not engaged, {one.wrong}")
                 said.append(one.wrong.partition(":")[0])
         return said

@@ -26,8 +26,9 @@ from itertools import combinations
 
 import networkx as nx
 
-from echowing.flight.clocks import SAY_AGAIN_S, UNHEARD_S
+from echowing.flight.clocks import UNHEARD_S
 from echowing.flight.cloud import Wandering
+from echowing.flight.said import Said
 from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.flight.steps import name_of
 from echowing.geo import Ned, wrap_angle_rad
@@ -39,8 +40,7 @@ FURTHER_M = math.sqrt(2.0) * Wandering().sigma_m
 # width, as `panel.MISMATCH_M`), or that vehicle is further off the nose (beam 20 deg, and the two
 # receivers' errors at 3 m), it belongs to something else.
 FIT_M, AHEAD_RAD = 2.0, math.radians(50.0)
-# A change counts when it has lasted so long, and is not repeated sooner: nobody has to act on it at
-# once, and a state that comes and goes is not worth a report.
+# A change counts when it has lasted so long: a state that comes and goes is not worth a report.
 LASTS_S = 2.0
 
 Pair = frozenset[int]
@@ -173,11 +173,10 @@ def _cuts(graph: "nx.Graph[int]") -> Iterator[Cut]:
 
 @dataclass(slots=True)
 class _Change:
-    """A state of one vehicle that has to last before it counts, and when it was last said."""
+    """A state of one vehicle that has to last before it counts."""
 
     counts: bool = False
     other_since_s: float | None = None
-    said_s: float = -math.inf
 
     def update(self, now_s: float, *, is_so: bool) -> bool:
         """Whether the state that counts has just changed."""
@@ -191,13 +190,6 @@ class _Change:
         self.counts, self.other_since_s = is_so, None
         return True
 
-    def may_say(self, now_s: float) -> bool:
-        """Whether to say it now: not if it was said a short time ago."""
-        if now_s - self.said_s < SAY_AGAIN_S:
-            return False
-        self.said_s = now_s
-        return True
-
 
 @dataclass(slots=True)
 class Cohesion:
@@ -209,6 +201,7 @@ class Cohesion:
     _near: set[Pair] = field(default_factory=set)
     _cut: dict[int, _Change] = field(default_factory=dict)
     _alone: dict[int, _Change] = field(default_factory=dict)
+    _said: Said = field(default_factory=Said)
 
     def update(self, members: Sequence[Member], now_s: float) -> list[str]:
         """Take the vehicles as they are now; a sentence for each change that has lasted."""
@@ -231,7 +224,7 @@ class Cohesion:
         for system_id in sorted({*cuts, *self._cut}):
             change = self._cut.setdefault(system_id, _Change())
             begins = change.update(now_s, is_so=system_id in cuts) and change.counts
-            if begins and change.may_say(now_s):
+            if begins and self._said.may_say(("cut", system_id), now_s):
                 yield cut_text(cuts[system_id], self.leader_id)
 
     def _say_alone(self, members: Sequence[Member], now_s: float) -> Iterator[str]:
@@ -246,9 +239,9 @@ class Cohesion:
                 continue
             if not change.update(now_s, is_so=system_id in alone):
                 continue
-            if change.counts and change.may_say(now_s):
+            if change.counts and self._said.may_say(("alone", system_id), now_s):
                 yield f"follower {system_id} does not see anybody any more: {ALONE_MEANS}"
-            elif not change.counts and change.said_s > -math.inf:
+            elif not change.counts and ("alone", system_id) in self._said:
                 yield f"follower {system_id} sees a vehicle again"
 
 

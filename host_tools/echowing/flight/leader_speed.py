@@ -1,8 +1,6 @@
 """How fast a leader may fly, and the word to its operator when it is faster. Pure."""
 
-from dataclasses import dataclass
-
-from echowing.flight.clocks import SAY_AGAIN_S
+from echowing.flight.said import Said
 
 # At a corner a leader is behind another leg before its follower has answered. Up to 4 m/s the sonar
 # keeps it; faster, it is lost at each corner, and caught up with by GPS. Mean error 0.3 m at 4 m/s,
@@ -14,12 +12,11 @@ MOST_LEADER_MPS = 4.0
 OVERSHOOT_MPS = 0.5
 
 
-@dataclass(slots=True)
 class LeaderSpeed:
     """Watches the leader's speed."""
 
-    _said_at_s: float | None = None
-    _fast: bool = False
+    def __init__(self) -> None:
+        self._said, self._fast = Said(), False
 
     def warning(self, speed_mps: float, now_s: float) -> str | None:
         """What to say of a leader that is too fast, at first and then every 30 s; None: nothing."""
@@ -27,8 +24,6 @@ class LeaderSpeed:
             self._fast = False
         if speed_mps > MOST_LEADER_MPS + OVERSHOOT_MPS:
             self._fast = True
-        lately = self._said_at_s is not None and now_s - self._said_at_s < SAY_AGAIN_S
-        if not self._fast or lately:
+        if not self._fast or not self._said.may_say("too fast", now_s):
             return None
-        self._said_at_s = now_s
         return f"leader too fast, {speed_mps:.1f} m/s (most {MOST_LEADER_MPS:g})"

@@ -17,6 +17,7 @@ from echowing.flight.guidance import (
 from echowing.flight.handling import least_slot_m
 from echowing.flight.leader_track import MOST_MPS2
 from echowing.flight.look import Look
+from echowing.flight.said import Said
 from echowing.flight.state import FollowerState, Known, Say
 from echowing.flight.steps import Plan
 from echowing.flight.swarm import Swarm
@@ -64,6 +65,7 @@ class Planner:
     ) -> None:
         self._known, self._say, self._alert = known, say, alert
         self._reverses, self._swarm = reverses, swarm
+        self._said = Said(WORSE_AGAIN_S)
 
     def plan(self, follower: FollowerState, look: Look | None, now_s: float) -> Plan | None:
         """Where a follower is to be, also one that is only watched; None: that is not known."""
@@ -141,11 +143,10 @@ class Planner:
             follower.worse_since_s = math.inf
             return
         follower.worse_since_s = min(follower.worse_since_s, now_s)
-        lasts, again = now_s - follower.worse_since_s, now_s - follower.worse_said_s
-        if lasts >= WORSE_LASTS_S and again >= WORSE_AGAIN_S and follower.standing.sent_to:
-            follower.worse_said_s = now_s
-            self._alert(follower.plan.system_id, worse, mavlink.MAV_SEVERITY_NOTICE)
-            self._say(now_s, f"follower {follower.plan.system_id}: {worse}")
+        system_id, lasts = follower.plan.system_id, now_s - follower.worse_since_s >= WORSE_LASTS_S
+        if lasts and follower.standing.sent_to and self._said.may_say(system_id, now_s):
+            self._alert(system_id, worse, mavlink.MAV_SEVERITY_NOTICE)
+            self._say(now_s, f"follower {system_id}: {worse}")
 
 
 def planned(known: Known, follower: FollowerState, fix: LeaderFix, now_s: float) -> GuidedPoint:

@@ -4,7 +4,6 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
-from echowing.flight.clocks import SAY_AGAIN_S
 from echowing.flight.closing import Closing
 from echowing.flight.envelope import (
     FASTEST_MPS,
@@ -18,6 +17,7 @@ from echowing.flight.envelope import (
 from echowing.flight.guard import Guard
 from echowing.flight.guidance import Horizontal
 from echowing.flight.jumps import SAME_RANGE_M
+from echowing.flight.said import Said
 from echowing.flight.state import FollowerState, Known
 from echowing.flight.steps import Allowed, Plan, name_of
 from echowing.geo import GlobalPosition, Ned, displace, ned_between
@@ -40,7 +40,7 @@ class Spacing:
     ) -> None:
         self._known, self._guard, self._gives_way = known, guard, gives_way
         self._least_m = None if guard is None else guard.limits.min_separation_m
-        self._said_s: dict[int, float] = {}
+        self._said = Said()
 
     def allowed(self, follower: FollowerState, plan: Plan, now_s: float) -> Allowed:
         """The place and velocity nearest to the plan's that leave everybody room (`envelope`)."""
@@ -107,10 +107,8 @@ class Spacing:
         """Say for which vehicle a follower leaves its plan."""
         system_id, before = follower.plan.system_id, follower.allowed
         again = before is not None and before.gives_way_to == name
-        if again or now_s - self._said_s.get(system_id, -math.inf) < SAY_AGAIN_S:
-            return
-        self._said_s[system_id] = now_s
-        self._gives_way(system_id, name, now_s)
+        if not again and self._said.may_say((system_id, name), now_s):
+            self._gives_way(system_id, name, now_s)
 
     def _others(self, follower: FollowerState, here: GlobalPosition, now_s: float) -> list[Other]:
         """The vehicles around a follower that is `here` when the order reaches it."""

@@ -110,8 +110,8 @@ class FollowerState:
     slot opens for a reversal; unsure: its newest report may be another vehicle's, with its id;
     away_beats: heartbeats in a row that were not of one that flies in Guided; level_m,
     levelled_at_s: by how much it flies higher than planned, to be level with its leader, and when
-    that was set; sonar_id: the component that sends its sonar's readings; worse_since_s,
-    worse_said_s: since when its sonar hears worse than believed, and when that was said.
+    that was set; sonar_id: the component that sends its sonar's readings; worse_since_s:
+    since when its sonar hears worse than believed.
     """
 
     plan: FollowerPlan
@@ -154,7 +154,6 @@ class FollowerState:
     in_guided: bool = False
     away_beats: int = 2
     worse_since_s: float = math.inf
-    worse_said_s: float = -math.inf
     guided: GuidedPoint | None = None
     _motions: dict[float, tuple[GlobalPosition, Horizontal]] = field(default_factory=dict)
 
