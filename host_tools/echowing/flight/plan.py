@@ -195,8 +195,8 @@ def _by_radio_m(known: Known, follower: FollowerState, fix: LeaderFix) -> float:
     """The nearest slot from which it still stops if its leader does and only reports show that.
 
     With a sonar that has heard the leader and is likely deaf now: gets away from a reversal. No
-    further than the sonar's reach, less what the receivers may be off: beyond, the leader would
-    never be heard again.
+    further than the leader's legs are heard, and within the sonar's reach by what the receivers may
+    be off: beyond, the leader would never be heard again.
     """
     estimate = follower.estimate
     stops = math.isinf(estimate.missed_s) or estimate.offset.deaf_share <= 0.5
@@ -204,7 +204,9 @@ def _by_radio_m(known: Known, follower: FollowerState, fix: LeaderFix) -> float:
     speed_mps, brakes_mps2 = round(fix.speed_mps, 1), known.leader_brakes_mps2
     answer, clear_m = follower.handling.answer, known.settings.clearance_m
     least_m = least_slot_m(speed_mps, answer, clear_m, noticed_s, brakes_mps2, stops=stops)
-    return min(follower.plan.sonar.reach_m - WITHIN_REACH_M, least_m)
+    sonar = follower.plan.sonar
+    heard_m = max(follower.plan.slot.radius_m, sonar.heard_to_m + sonar.inset_m)
+    return min(sonar.reach_m - WITHIN_REACH_M, heard_m, least_m)
 
 
 def quickens_mps2(known: Known, follower: FollowerState, now_s: float) -> float:
