@@ -530,14 +530,16 @@ do
     local function unforeseen(range_m, read_ms, t_ms, jump_m)
         local second, dt_s = is_second(range_m, read_ms)
         local third = track.doubted
+        local mps = second and clamp((range_m - track.spike_m) / dt_s, -5, 5)
+            + 0.5 * (track.spike_own_mps + own.mps) - own.accel_mps2 * 0.05
         -- A known leader does not jump so far (0.6 m: a speed wrong by 1 m/s, for about as long as its track is carried
-        -- on): two alike may be late echoes of something else, and three are believed.
+        -- on), and does not change its speed by so much: two alike may be late echoes of something else, or one that is
+        -- wild and one that is not. Three are believed.
         local unseen_s = min(read_ms - track.seen_ms, 700) * 0.001
         track.doubted = second and not third and track.readings >= TRUST_READINGS and
-            jump_m > 0.6 + 0.5 * 4 * unseen_s * unseen_s
+            (jump_m > 0.6 + 2 * unseen_s * unseen_s or abs(mps - track.seen_mps) > 1 + 4 * unseen_s)
         if track.doubted or not second then return wait(range_m, read_ms) end
-        track.leader_mps = clamp((range_m - track.spike_m) / dt_s, -5, 5)
-            + 0.5 * (track.spike_own_mps + own.mps) - own.accel_mps2 * 0.05
+        track.leader_mps = mps
         track.range_m = range_m + (track.leader_mps - own.mps) * (0.05 + (t_ms - read_ms) * 0.001)
         track.own_mps, track.at_ms, track.seen_ms = own.mps, t_ms, read_ms
         track.seen_mps, track.leader_mps2 = track.leader_mps, 0

@@ -83,8 +83,8 @@ def test_at_first_nothing_is_known_but_how_far_receivers_wander() -> None:
     cloud = Cloud(shipped_sonar())
 
     assert math.hypot(cloud.north_m, cloud.east_m, cloud.up_m) < 0.05
-    # 0.8 m each, and some more: a third wander further than that (tests/flight/test_receivers.py).
-    wanted_m = 1.25 * 0.8 * math.sqrt(2.0)
+    # 0.8 m each, and some more: four in ten wander further than that (test_receivers.py).
+    wanted_m = 1.73 * 0.8 * math.sqrt(2.0)
     assert cloud.sigma_m(NORTH) == pytest.approx(wanted_m, rel=0.05)
     assert cloud.sigma_m(0.7) == pytest.approx(wanted_m, rel=0.05)
     assert cloud.up_sigma_m == pytest.approx(0.5 * math.sqrt(2.0), rel=0.05)
@@ -373,13 +373,13 @@ def test_what_is_unlikely_is_kept_until_readings_decide() -> None:
 
     For 24 s nothing tells that from a leader that is where the receivers have it. Then the sonar
     hears the leader itself, to the right. With guesses repeated as often as their weight says, that
-    was kept in one of these eight clouds.
+    was kept in one of eight clouds; now it is in 15 of these 24.
     """
     off_m = (2.8, -2.4, 0.0)
     believed, other = (3.0, 0.0, 0.0), Bystander(3, (3.0 + off_m[0], off_m[1], 0.0), 0.3, 0.3)
     true_m, to_it = math.hypot(0.2, 2.4), Axis(math.atan2(2.4, 0.2))
     kept = 0
-    for chance in range(8):
+    for chance in range(24):
         cloud = Cloud(shipped_sonar())
         cloud._chance = np.random.Generator(np.random.PCG64(chance))
         for number in range(80):
@@ -392,7 +392,7 @@ def test_what_is_unlikely_is_kept_until_readings_decide() -> None:
         for number in range(80, 83):
             cloud.heard(0.3 * number, true_m, to_it, believed, [other])
         assert (cloud.north_m, cloud.east_m) == pytest.approx(off_m[:2], abs=0.3)
-    assert kept >= 6
+    assert kept >= 12
 
 
 def test_how_long_it_has_been_heard_counts_from_the_last_longer_silence() -> None:

@@ -6,11 +6,13 @@ The log of an autopilot in SITL has the truth, too (SIM). What its receiver and 
 (GPS, BARO) is passed through a filter of the first order, whose time constant is fitted to what the
 estimate errs by (POS): 0.63 of a step are followed in that time, as by the built-in simulator's
 filters (`echowing.sim.world.gps`). Its velocity (XKF1) is compared with the true one (SIM2), and
-where its place moves otherwise than that with how its error changes (`echowing.flight.drift`).
+where its place moves otherwise than that with how its error changes (`echowing.flight.drift`); how
+far and how quickly the rest wanders is fitted over all logs.
 """
 
 import math
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -22,6 +24,8 @@ from numpy.typing import NDArray
 from pymavlink import DFReader
 from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter, lfiltic
+
+from echowing.flight.receivers import FORGETS_S
 
 Floats = NDArray[np.float64]
 FIELDS = {
@@ -40,6 +44,7 @@ LEAST_S = LEFT_OUT_S + 3.0 * SETTLES_S
 RECEIVER_LATE_S = 0.1
 LONGEST_S = 10.0
 CHANGES_S = 3.0
+REST_CHANGES_S = 20.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,22 +104,52 @@ def velocity_tells(log: Path) -> list[tuple[str, float, float]]:
 
     The slope of what is told over what is true, and their correlation.
     """
-    told = _read(log)
-    origin = told["SIM"][0, 1:]
-    sim, pos = (_ned_m(told[name], origin) for name in ("SIM", "POS"))
-    velocity, later = told["XKF1"], round(CHANGES_S / STEP_S)
-    times_s = np.arange(pos[0, 0] + LEFT_OUT_S, pos[-1, 0], STEP_S)
+    errors_m, told_m = _errors_told_m(log)
+    later = round(CHANGES_S / STEP_S)
     found = []
-    for axis, name in enumerate(("north", "east"), start=1):
-        place_m = np.interp(times_s, pos[:, 0], pos[:, axis])
-        error_m = place_m - np.interp(times_s, sim[:, 0], sim[:, axis])
-        mps = np.interp(times_s, velocity[:, 0], velocity[:, axis])
-        told_m = place_m[1:] - np.cumsum((mps[1:] + mps[:-1]) / 2.0 * STEP_S)
-        true_m = error_m[1 + later :] - error_m[1:-later]
-        seen_m = told_m[later:] - told_m[:-later]
+    for name, error_m, each_m in zip(("north", "east"), errors_m, told_m, strict=True):
+        so_far_m = np.cumsum(each_m)
+        true_m, seen_m = (one[later:] - one[:-later] for one in (error_m, so_far_m))
         slope, correlation = np.polyfit(true_m, seen_m, 1)[0], np.corrcoef(true_m, seen_m)[0, 1]
         found.append((name, float(slope), float(correlation)))
     return found
+
+
+def velocity_leaves(logs: Sequence[Path]) -> tuple[float, float, float]:
+    """What of the errors is left if what velocities tell is taken off, and forgotten as they are.
+
+    The share of how far they wander (standard deviation), that of how far they move within 20 s,
+    and how quickly what does so is forgotten (correlation time, seconds) where they are in 60 s.
+    """
+    wanders_m2, moves_m2 = np.zeros(2), np.zeros(2)
+    later = round(REST_CHANGES_S / STEP_S)
+    for log in logs:
+        for error_m, each_m in zip(*_errors_told_m(log), strict=True):
+            told_m = lfilter([1.0], [1.0, -math.exp(-STEP_S / FORGETS_S)], each_m)
+            both_m = np.stack((error_m, error_m - told_m))
+            wanders_m2 += np.sum(both_m**2, axis=1)
+            moves_m2 += np.sum((both_m[:, later:] - both_m[:, :-later]) ** 2, axis=1)
+    (wanders, moves) = (float(rest / of) for of, rest in (wanders_m2, moves_m2))
+    moved = -math.expm1(-REST_CHANGES_S / FORGETS_S) * moves / wanders
+    return math.sqrt(wanders), math.sqrt(moves), -REST_CHANGES_S / math.log1p(-moved)
+
+
+def _errors_told_m(log: Path) -> tuple[Floats, Floats]:
+    """The estimate's error, and what velocity tells of its change: (2, n) each, every `STEP_S`."""
+    told = _read(log)
+    origin = told["SIM"][0, 1:]
+    sim, pos = (_ned_m(told[name], origin) for name in ("SIM", "POS"))
+    velocity = told["XKF1"]
+    times_s = np.arange(pos[0, 0] + LEFT_OUT_S, pos[-1, 0], STEP_S)
+
+    def axis_of(track: Floats, axis: int) -> Floats:
+        return np.interp(times_s, track[:, 0], track[:, axis])
+
+    place_m, true_m, mps = (
+        np.stack([axis_of(track, axis) for axis in (1, 2)]) for track in (pos, sim, velocity)
+    )
+    flown_m = (mps[:, 1:] + mps[:, :-1]) / 2.0 * STEP_S
+    return (place_m - true_m)[:, 1:], np.diff(place_m, axis=1) - flown_m
 
 
 def velocity_errs_mps(log: Path) -> Floats:
@@ -159,6 +194,9 @@ def main() -> None:
         off_mps = velocity_errs_mps(Path(name))
         usual_mps, most_mps = np.std(off_mps), np.abs(off_mps).max()
         print(f"{name}: velocity off by {usual_mps:.2f} m/s, at most {most_mps:.2f} m/s")
+    wanders, moves, forgets_s = velocity_leaves([Path(name) for name in sys.argv[1:]])
+    leaves = f"{wanders:.2f} of how far errors wander, {moves:.2f} of how they move within 20 s"
+    print(f"all: velocities leave {leaves}: forgotten in {forgets_s:.0f} s")
 
 
 if __name__ == "__main__":

@@ -33,7 +33,13 @@ from echowing.flight.axis import Axis
 from echowing.flight.belief import SonarBelief
 from echowing.flight.clocks import LOST_S
 from echowing.flight.guidance import Horizontal
-from echowing.flight.receivers import FOLLOWS_S, FORGETS_S, Receivers, passing
+from echowing.flight.receivers import (
+    FOLLOWS_S,
+    FORGETS_S,
+    REST_FORGETS_S,
+    Receivers,
+    passing,
+)
 
 Array = NDArray[np.float64]
 # From follower to leader, by their own positions: (north, east, up).
@@ -91,14 +97,15 @@ class Wandering:
     """What is believed beforehand.
 
     sigma_m: how far each receiver wanders per axis at the least (standard deviation); sigma_spread:
-    of its logarithm; tau_s: how quickly (correlation time); height_sigma_m: how far each vehicle's
-    height wanders.
+    of its logarithm; tau_s: how quickly what its velocity leaves of that does (correlation time);
+    height_sigma_m, height_tau_s: how far and how quickly each vehicle's height wanders.
     """
 
     sigma_m: float = 0.8
-    sigma_spread: float = 0.4
-    tau_s: float = FORGETS_S
+    sigma_spread: float = 0.8
+    tau_s: float = REST_FORGETS_S
     height_sigma_m: float = 0.5
+    height_tau_s: float = FORGETS_S
     deaf_share: float = 0.02
 
 
@@ -133,6 +140,7 @@ class Cloud:
         self._place = np.tile(chance.random(count // 2), 2)
         # Of a pair: the difference of two that wander alike.
         self._height_sigma_m = math.sqrt(2.0) * wandering.height_sigma_m
+        self._tau_s = np.array((wandering.tau_s, wandering.tau_s, wandering.height_tau_s))
         self._share_out()
         # The sonar: between the narrowest and the widest beam that are believed, between how far it
         # hears surely and at most, and as a share of how often it hears at the least.
@@ -272,10 +280,9 @@ class Cloud:
             return False
         self._advanced_s = to_s
         self._off, self._drift = self._moved(elapsed_s, self._opposites())
-        kept = math.exp(-elapsed_s / self._receivers.tau_s)
+        kept, changed = self._kept(elapsed_s)
         for who, astray in self._astray.items():
-            changed = math.sqrt(1.0 - kept * kept) * self._normal(3)
-            self._astray[who] = kept * astray + changed
+            self._astray[who] = kept * astray + changed * self._normal(3)
         changes = self._chance.random(GUESSES)
         mixed = -math.expm1(-elapsed_s * (1.0 / DEAFENS_S + 1.0 / RECOVERS_S))
         deaf_share = RECOVERS_S / (DEAFENS_S + RECOVERS_S)
@@ -291,10 +298,16 @@ class Cloud:
         Height counts as following its barometer as soon as the place follows its receiver; EKF3's
         takes twice as long (tests/sitl/follows.py).
         """
-        kept, left, part = passing(elapsed_s, self._receivers.tau_s, FOLLOWS_S)
-        change = math.sqrt(1.0 - kept * kept) * chance * self._wanders_m
+        kept, changed = self._kept(elapsed_s)
+        left, part = passing(elapsed_s, FOLLOWS_S)
+        change = changed * chance * self._wanders_m
         drift = kept * self._drift
         return left * self._off + (1.0 - left) * drift + part * change, drift + change
+
+    def _kept(self, elapsed_s: float) -> tuple[Array, Array]:
+        """What is kept of a drift, by axis, and how much of how far it goes is new."""
+        kept = np.exp(-elapsed_s / self._tau_s)[:, np.newaxis]
+        return kept, np.sqrt(1.0 - kept * kept)
 
     def _share_out(self) -> None:
         """Put as many guesses into each cell of `receivers` as it is likely."""

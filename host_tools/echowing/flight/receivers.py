@@ -16,9 +16,12 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# How quickly receivers forget (correlation time). It is not learnt: one that wanders more quickly
-# counts as one that wanders further.
+# How quickly receivers and barometers forget (correlation time).
 FORGETS_S = 60.0
+# What velocities leave of a receiver's drift (`drift`) changes more slowly, as they tell the quick
+# part of it: on ArduCopter SITL (tests/sitl/follows.py) and in the simulator. It is not learnt:
+# what wanders more quickly counts as what wanders further.
+REST_FORGETS_S = 90.0
 # How much further than believed receivers may wander. Not less: that costs the leader if it is
 # wrong.
 FURTHER = (1.0, 1.4, 2.0, 2.8, 4.0)
@@ -30,19 +33,18 @@ FOLLOWS_S = 1.0
 LEAST_SHARE = 1e-3
 
 
-def passing(elapsed_s: float, tau_s: float, follows_s: float) -> tuple[float, float, float]:
-    """How a drift, and what follows it, change.
+def passing(elapsed_s: float, follows_s: float) -> tuple[float, float]:
+    """How what follows a drift changes.
 
-    Returns `kept`, `left`, `part`: a drift d of standard deviation s becomes kept * d + e, and
-    what follows it, f, becomes left * f + (1 - left) * kept * d + part * e, where e is by chance,
-    with the variance s^2 * (1 - kept^2). Within the step the drift counts as a random walk, and its
+    Returns `left`, `part`: where a drift d becomes kept * d + e, e by chance, what follows it, f,
+    becomes left * f + (1 - left) * kept * d + part * e. Within the step the drift counts as a random walk, and its
     change and that of what follows it as one: over 0.25 s they truly agree to 0.9.
     """
     # Below that the sum under the root is only rounding.
     ratio = max(elapsed_s / follows_s, 1e-6)
     left = math.exp(-ratio)
     part = math.sqrt(max(0.0, ratio + 2.0 * left - 0.5 * left * left - 1.5) / ratio)
-    return math.exp(-elapsed_s / tau_s), left, part
+    return left, part
 
 
 class Receivers:
@@ -95,7 +97,8 @@ class Receivers:
         self._settle()
 
     def _wander(self, elapsed_s: float) -> None:
-        kept, left, part = passing(elapsed_s, self.tau_s, FOLLOWS_S)
+        kept = math.exp(-elapsed_s / self.tau_s)
+        left, part = passing(elapsed_s, FOLLOWS_S)
         moves = self._by_axis(np.array(((kept, 0.0), ((1.0 - left) * kept, left))))
         change = self._by_axis(np.array(((1.0, part), (part, part * part))))
         variance = (self._variance() * (1.0 - kept * kept))[:, None, None]
