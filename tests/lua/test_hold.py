@@ -601,8 +601,8 @@ def test_echoes_where_a_known_leader_cannot_be_move_nothing_until_the_third(
 def test_a_wild_reading_and_a_good_one_are_no_leader_that_comes(rig: MakeRig) -> None:
     """Too far by 0.65 m, and 0.2 s later too near by 0.2 m: 4 m/s from one to the other.
 
-    The first of a vee flew back at 4 m/s from a leader that flew on, and met the one behind it (vee,
-    seed 1403, 0.42 m).
+    The first of a vee flew back at 4 m/s from a leader that flew on, and met the one behind it
+    (vee, seed 1403, 0.42 m).
     """
     r = led(rig(), 3.0, 0.0)
     r.raw_every_ms = None

@@ -37,8 +37,9 @@ def passing(elapsed_s: float, follows_s: float) -> tuple[float, float]:
     """How what follows a drift changes.
 
     Returns `left`, `part`: where a drift d becomes kept * d + e, e by chance, what follows it, f,
-    becomes left * f + (1 - left) * kept * d + part * e. Within the step the drift counts as a random walk, and its
-    change and that of what follows it as one: over 0.25 s they truly agree to 0.9.
+    becomes left * f + (1 - left) * kept * d + part * e. Within the step the drift counts as a
+    random walk, and its change and that of what follows it as one: over 0.25 s they truly agree to
+    0.9.
     """
     # Below that the sum under the root is only rounding.
     ratio = max(elapsed_s / follows_s, 1e-6)
