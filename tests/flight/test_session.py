@@ -661,7 +661,7 @@ def test_where_single_readings_do_not_come_the_average_has_to_do() -> None:
 
 def test_an_average_of_nothing_is_silence_where_single_readings_do_not_come() -> None:
     """Over a signed link a leader out of the sonar's reach was not looked for (SITL 4.8)."""
-    assert offset_by_averages(FORWARD, None, 7.65) < -0.3
+    assert offset_by_averages(FORWARD, None, 7.65) < -0.2
 
 
 def test_a_distance_sensor_without_a_target_has_no_range() -> None:
@@ -686,8 +686,8 @@ def test_silence_says_that_the_leader_is_not_where_it_should_be_heard(range_m: f
     offset = listening_session(range_m).followers[FOLLOWER].estimate.offset
 
     assert offset.unheard_s(30.0) == math.inf
-    assert offset.north_m < -0.3
-    assert offset.sigma_m(math.pi / 2) > 1.13
+    assert offset.north_m < -0.2
+    assert offset.sigma_m(math.pi / 2) > 1.73 * 1.13
 
 
 def test_an_unheard_leader_is_given_a_wider_berth() -> None:
