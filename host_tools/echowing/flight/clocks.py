@@ -1,6 +1,6 @@
 """How long the core waits, believes and keeps silent: one figure for each, wherever it is asked.
 
-By the tool's own clock, since the last message of its kind, or between two of them. Pure.
+Times are by the tool's own clock: since the last message of its kind, or between two. Pure.
 """
 
 # Sonar readings come several times a second, over a radio that may lose some, and are used a second

@@ -97,8 +97,8 @@ class Wandering:
     """What is believed beforehand.
 
     sigma_m: how far each receiver wanders per axis at the least (standard deviation); sigma_spread:
-    of its logarithm; tau_s: how quickly what its velocity leaves of that does (correlation time);
-    height_sigma_m, height_tau_s: how far and how quickly each vehicle's height wanders.
+    of its logarithm; tau_s: correlation time of what velocities leave of that; height_sigma_m,
+    height_tau_s: how far each vehicle's height wanders, and its correlation time.
     """
 
     sigma_m: float = 0.8

@@ -31,6 +31,9 @@ JOIN_MPS, CATCH_UP_PER_S = 1.5, 0.5
 # A leader that is not heard gets more room, the less its place is known; but the follower stays so
 # far within the sonar's reach.
 WITHIN_REACH_M = 0.7
+# So much of that room is given up at the most where a leader's legs are heard: who is there stops
+# 0.75 m from a leader that stops while it is not heard, and hears it again in time.
+GIVEN_UP_M = 0.25
 # One that looks for whom it is to follow comes in this fast: a metre takes a round of the figure 8.
 COMES_IN_MPS = 0.25
 # Within this time a leader's acceleration is another: ArduCopter changes it by 5 m/s3
@@ -195,8 +198,9 @@ def _by_radio_m(known: Known, follower: FollowerState, fix: LeaderFix) -> float:
     """The nearest slot from which it still stops if its leader does and only reports show that.
 
     With a sonar that has heard the leader and is likely deaf now: gets away from a reversal. No
-    further than the leader's legs are heard, and within the sonar's reach by what the receivers may
-    be off: beyond, the leader would never be heard again.
+    further than the sonar's reach, less what the receivers may be off: beyond, the leader would
+    never be heard again. Nor, by a sonar that works, than the leader's legs are heard, if that
+    leaves nearly as much room.
     """
     estimate = follower.estimate
     stops = math.isinf(estimate.missed_s) or estimate.offset.deaf_share <= 0.5
@@ -205,8 +209,10 @@ def _by_radio_m(known: Known, follower: FollowerState, fix: LeaderFix) -> float:
     answer, clear_m = follower.handling.answer, known.settings.clearance_m
     least_m = least_slot_m(speed_mps, answer, clear_m, noticed_s, brakes_mps2, stops=stops)
     sonar = follower.plan.sonar
-    heard_m = max(follower.plan.slot.radius_m, sonar.heard_to_m + sonar.inset_m)
-    return min(sonar.reach_m - WITHIN_REACH_M, heard_m, least_m)
+    if stops:
+        heard_m = sonar.heard_to_m + sonar.inset_m
+        least_m = min(least_m, max(heard_m, least_m - GIVEN_UP_M))
+    return min(sonar.reach_m - WITHIN_REACH_M, least_m)
 
 
 def quickens_mps2(known: Known, follower: FollowerState, now_s: float) -> float:

@@ -105,9 +105,8 @@ class Spacing:
 
     def _remark(self, follower: FollowerState, name: str, now_s: float) -> None:
         """Say for which vehicle a follower leaves its plan."""
-        system_id, before = follower.plan.system_id, follower.allowed
-        again = before is not None and before.gives_way_to == name
-        if not again and self._said.may_say((system_id, name), now_s):
+        system_id = follower.plan.system_id
+        if self._said.may_say((system_id, name), now_s):
             self._gives_way(system_id, name, now_s)
 
     def _others(self, follower: FollowerState, here: GlobalPosition, now_s: float) -> list[Other]:

@@ -110,8 +110,8 @@ class FollowerState:
     slot opens for a reversal; unsure: its newest report may be another vehicle's, with its id;
     away_beats: heartbeats in a row that were not of one that flies in Guided; level_m,
     levelled_at_s: by how much it flies higher than planned, to be level with its leader, and when
-    that was set; sonar_id: the component that sends its sonar's readings; worse_since_s:
-    since when its sonar hears worse than believed.
+    that was set; sonar_id: the component that sends its sonar's readings; worse_since_s: since
+    when its sonar hears worse than believed.
     """
 
     plan: FollowerPlan
