@@ -129,7 +129,7 @@ def velocity_leaves(logs: Sequence[Path]) -> tuple[float, float, float]:
             both_m = np.stack((error_m, error_m - told_m))
             wanders_m2 += np.sum(both_m**2, axis=1)
             moves_m2 += np.sum((both_m[:, later:] - both_m[:, :-later]) ** 2, axis=1)
-    (wanders, moves) = (float(rest / of) for of, rest in (wanders_m2, moves_m2))
+    wanders, moves = (float(rest / of) for of, rest in (wanders_m2, moves_m2))
     moved = -math.expm1(-REST_CHANGES_S / FORGETS_S) * moves / wanders
     return math.sqrt(wanders), math.sqrt(moves), -REST_CHANGES_S / math.log1p(-moved)
 

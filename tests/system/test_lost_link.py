@@ -50,10 +50,7 @@ REACH_M = 4.0
 
 
 def test_the_leader_is_heard_on_and_kept_away_from(tmp_path: Path) -> None:
-    """Without the applet's orders 0.7 of the time (eight seeds), with them 0.87.
-
-    The direction that it carries on may be of the edge of the cone on which the sonar looks.
-    """
+    """Without the applet's orders 0.7 of the time (eight seeds), with them 0.87."""
     file = tmp_path / "lost.toml"
     file.write_text(SCENARIO, encoding="utf-8")
     ages_ms = [age_ms for seed in (1, 2, 3) for age_ms in flown_ms(file, seed)]

@@ -31,8 +31,8 @@ JOIN_MPS, CATCH_UP_PER_S = 1.5, 0.5
 # A leader that is not heard gets more room, the less its place is known; but the follower stays so
 # far within the sonar's reach.
 WITHIN_REACH_M = 0.7
-# So much of that room is given up at the most where a leader's legs are heard: who is there stops
-# 0.75 m from a leader that stops while it is not heard, and hears it again in time.
+# So much of that room is given up at the most to stay where the leader's legs are heard: who is
+# there stops 0.75 m from a leader that stops while it is not heard.
 GIVEN_UP_M = 0.25
 # One that looks for whom it is to follow comes in this fast: a metre takes a round of the figure 8.
 COMES_IN_MPS = 0.25
