@@ -525,27 +525,36 @@ do
         return dt_s > 0 and dt_s < 0.3 and abs(range_m - track.spike_m) < 0.15 + 5 * dt_s, dt_s
     end
 
+    -- The track begins anew, with the leader's speed.
+    local function begin(range_m, mps, readings, read_ms, t_ms)
+        track.leader_mps, track.seen_mps, track.leader_mps2 = mps, mps, 0
+        track.range_m = range_m + (mps - own.mps) * (0.05 + (t_ms - read_ms) * 0.001)
+        track.own_mps, track.at_ms, track.seen_ms, track.readings = own.mps, t_ms, read_ms, readings
+    end
+
     -- A reading that was not foreseen counts only when the next one is like it: propellers make single wild ones. The
     -- two tell range and rate anew, with the own speed between them.
     local function unforeseen(range_m, read_ms, t_ms, jump_m)
         local second, dt_s = is_second(range_m, read_ms)
-        local third = track.doubted
-        local mps = second and clamp((range_m - track.spike_m) / dt_s, -5, 5)
+        local doubted_mps = track.doubted_mps
+        track.doubted_mps = nil
+        if not second then return wait(range_m, read_ms) end
+        local mps = clamp((range_m - track.spike_m) / dt_s, -5, 5)
             + 0.5 * (track.spike_own_mps + own.mps) - own.accel_mps2 * 0.05
         -- A known leader does not jump so far (0.6 m: a speed wrong by 1 m/s, for about as long as its track is carried
         -- on), and does not change its speed by so much: two alike may be late echoes of something else, or one that is
-        -- wild and one that is not. Three are believed.
+        -- wild and one that is not. Three are believed, if each two of them tell the same speed.
         local unseen_s = min(read_ms - track.seen_ms, 700) * 0.001
-        track.doubted = second and not third and track.readings >= TRUST_READINGS and
-            (jump_m > 0.6 + 2 * unseen_s * unseen_s or abs(mps - track.seen_mps) > 1 + 4 * unseen_s)
-        if track.doubted or not second then return wait(range_m, read_ms) end
-        track.leader_mps = mps
-        track.range_m = range_m + (track.leader_mps - own.mps) * (0.05 + (t_ms - read_ms) * 0.001)
-        track.own_mps, track.at_ms, track.seen_ms = own.mps, t_ms, read_ms
-        track.seen_mps, track.leader_mps2 = track.leader_mps, 0
+        local third = doubted_mps and abs(mps - doubted_mps) < 2
+        if not third and track.readings >= TRUST_READINGS and
+            (jump_m > 0.6 + 2 * unseen_s * unseen_s or abs(mps - track.seen_mps) > 1 + 4 * unseen_s) then
+            track.doubted_mps = mps
+            return wait(range_m, read_ms)
+        end
         -- Two alike may still be wild ones, until a third is foreseen.
         local trusted = third or track.readings >= TRUST_READINGS
-        track.readings, track.spike_m = trusted and TRUST_READINGS or 2, nil
+        begin(range_m, mps, trusted and TRUST_READINGS or 2, read_ms, t_ms)
+        track.spike_m = nil
     end
 
     -- Takes a range that was read at read_ms; now it is t_ms. The range of the target, the leader's speed along the
@@ -554,9 +563,7 @@ do
     function track.update(range_m, read_ms, t_ms)
         if not track.fresh(t_ms) then
             local second = is_second(range_m, read_ms)
-            track.range_m, track.leader_mps, track.own_mps, track.at_ms = range_m, own.mps, own.mps, t_ms
-            track.seen_ms, track.readings = read_ms, 1
-            track.seen_mps, track.leader_mps2 = own.mps, 0
+            begin(range_m, own.mps, 1, read_ms, t_ms)
             return (second and unforeseen or wait)(range_m, read_ms, t_ms, 0)
         end
         local dt_s = (read_ms - track.seen_ms) * 0.001

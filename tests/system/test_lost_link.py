@@ -50,11 +50,15 @@ REACH_M = 4.0
 
 
 def test_the_leader_is_heard_on_and_kept_away_from(tmp_path: Path) -> None:
-    """Without the applet's orders 0.7 of the time (eight seeds), with them 0.87."""
+    """Heard 0.92 of the time after it (forty seeds, 0.61 to 1); without the applet's orders 0.72.
+
+    A flight of it differs from the next by 0.1, so three of them by 0.06: the share that is asked is
+    midway between the two.
+    """
     file = tmp_path / "lost.toml"
     file.write_text(SCENARIO, encoding="utf-8")
     ages_ms = [age_ms for seed in (1, 2, 3) for age_ms in flown_ms(file, seed)]
-    assert sum(age_ms < 300.0 for age_ms in ages_ms) > 0.85 * len(ages_ms)
+    assert sum(age_ms < 300.0 for age_ms in ages_ms) > 0.82 * len(ages_ms)
 
 
 def flown_ms(file: Path, seed: int) -> list[float]:
