@@ -616,8 +616,8 @@ def test_wild_readings_and_good_ones_are_no_leader_that_comes(
 ) -> None:
     """Too far by 0.65 m, and 0.2 s later too near by 0.2 m: 4 m/s from one to the other.
 
-    The first of a vee flew back at 4 m/s from a leader that flew on, and met the one behind it (vee,
-    seed 1403, 0.42 m).
+    The first of a vee flew back at 4 m/s from a leader that flew on, and met the one behind it
+    (vee, seed 1403, 0.42 m).
     """
     r = led(rig(), 3.0, 0.0)
     r.raw_every_ms = None

@@ -52,8 +52,8 @@ REACH_M = 4.0
 def test_the_leader_is_heard_on_and_kept_away_from(tmp_path: Path) -> None:
     """Heard 0.92 of the time after it (forty seeds, 0.61 to 1); without the applet's orders 0.72.
 
-    A flight of it differs from the next by 0.1, so three of them by 0.06: the share that is asked is
-    midway between the two.
+    A flight of it differs from the next by 0.1, so three of them by 0.06: the share that is asked
+    is midway between the two.
     """
     file = tmp_path / "lost.toml"
     file.write_text(SCENARIO, encoding="utf-8")
