@@ -1,7 +1,7 @@
 """What the cloud learns from a sonar that looks along known axes, and what it never believes.
 
-A figure's tolerance is the cloud's own grain: 4000 guesses of a spread of 1.2 m have a mean that is
-off by 0.02 m, and the guesses of a flight's first readings are fewer.
+A figure's tolerance is the cloud's own grain: 4000 guesses of a spread of 2 m have a mean that is
+off by 0.03 m, and the guesses of a flight's first readings are fewer.
 """
 
 import math
@@ -14,6 +14,7 @@ import pytest
 from echowing.flight.axis import Axis
 from echowing.flight.clocks import LOST_S
 from echowing.flight.cloud import (
+    MOVES_M,
     RISK,
     SURE_AFTER_S,
     Between,
@@ -369,30 +370,33 @@ def test_an_echo_of_another_vehicle_moves_nothing_wherever_the_receivers_put_bot
 
 
 def test_what_is_unlikely_is_kept_until_readings_decide() -> None:
-    """The echo 3 m north is another vehicle's: receivers disagree by 3.7 m, one pair in 200 does.
+    """Guesses that are a ten-thousandth as likely as the rest stay a hundredth as many.
 
-    For 24 s nothing tells that from a leader that is where the receivers have it. Then the sonar
-    hears the leader itself, to the right. With guesses repeated as often as their weight says, that
-    was kept in one of eight clouds; now it is in 15 of these 24.
+    Repeated as often as they are likely, none of them would be left, and a reading that only they
+    foretell would come too late.
     """
-    off_m = (2.8, -2.4, 0.0)
-    believed, other = (3.0, 0.0, 0.0), Bystander(3, (3.0 + off_m[0], off_m[1], 0.0), 0.3, 0.3)
-    true_m, to_it = math.hypot(0.2, 2.4), Axis(math.atan2(2.4, 0.2))
-    kept = 0
-    for chance in range(24):
-        cloud = Cloud(shipped_sonar())
-        cloud._chance = np.random.Generator(np.random.PCG64(chance))
-        for number in range(80):
-            aside_rad = math.radians(8.0) * math.sin(0.8 * number)
-            cloud.heard(0.3 * number, 3.0, Axis(aside_rad), believed, [other])
-        there = np.hypot(cloud._off[0] - off_m[0], cloud._off[1] - off_m[1]) < 0.7
-        if np.count_nonzero(there) < 40:
-            continue
-        kept += 1
-        for number in range(80, 83):
-            cloud.heard(0.3 * number, true_m, to_it, believed, [other])
-        assert (cloud.north_m, cloud.east_m) == pytest.approx(off_m[:2], abs=0.3)
-    assert kept >= 12
+    cloud = Cloud(shipped_sonar())
+    unlikely = cloud._off[0] > -1.0  # so many that those left are too few guesses
+    part = np.count_nonzero(unlikely) / np.count_nonzero(~unlikely)
+
+    cloud._update(np.where(unlikely, 1e-4, 1.0))
+
+    kept = cloud._off[0] > -1.0 + 3.0 * MOVES_M
+    assert 0.005 * part < np.count_nonzero(kept) / len(kept) < 0.02 * part
+    assert cloud._weight[kept].sum() == pytest.approx(1e-4 * part, rel=0.5)
+
+
+def test_a_height_forgets_its_drift_sooner_than_a_place() -> None:
+    """What is left of both after the time in which a height forgets: 1/e, and 1/e to the 60/90."""
+    cloud, known = Cloud(shipped_sonar()), Wandering()
+    cloud.turn_to(Off(2.0, 0.0, 2.0, 0.0, 0.0))
+
+    cloud.advance(0.0)
+    cloud.foretell(known.height_tau_s)
+
+    assert cloud.up_m == pytest.approx(2.0 * math.exp(-1.0), abs=0.15)
+    forgets = known.height_tau_s / known.tau_s
+    assert cloud.north_m == pytest.approx(2.0 * math.exp(-forgets), abs=0.15)
 
 
 def test_how_long_it_has_been_heard_counts_from_the_last_longer_silence() -> None:

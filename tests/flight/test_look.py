@@ -1,6 +1,7 @@
 """Where the sonar is told to look: at the leader when the order arrives, and round it if unsure."""
 
 import math
+from itertools import pairwise
 from typing import Any
 
 import pytest
@@ -10,7 +11,7 @@ from echowing.flight.axis import Axis, axis_of
 from echowing.flight.cloud import SURE_AFTER_S
 from echowing.flight.estimate import Estimate
 from echowing.flight.guidance import GuidanceSettings, Slot
-from echowing.flight.look import GLANCE_S, ROUND_S, SURE_RAD, WIDEST_RAD
+from echowing.flight.look import DWELL_S, GLANCE_S, ROUND_S, SURE_RAD, WIDEST_RAD
 from echowing.flight.session import FollowSession
 from echowing.flight.state import FollowerPlan
 from echowing.geo import GlobalPosition, displace
@@ -20,6 +21,7 @@ from echowing.sonar_file import shipped_sonar
 LEADER, FOLLOWER, SONAR = 1, 2, 191
 HERE = GlobalPosition(39.34, -86.03, 260.0)
 TICK_S = 0.125
+SIX_POINTS_S = 6 * DWELL_S
 Mps = tuple[float, float]
 
 
@@ -125,7 +127,7 @@ def test_a_leader_that_passes_turns_the_axis() -> None:
 def test_it_says_how_unsure_the_direction_is() -> None:
     """Receivers of 0.8 m or more at 3 m: some 33 degrees; heard from all sides, far less."""
     pair = Pair()
-    unsure_rad = pair.goes_on(0.5)[-1].angular_velocity_x
+    unsure_rad = max(order.angular_velocity_x for order in pair.goes_on(2.0 * SIX_POINTS_S))
     for _ in range(4):
         for aside_deg in (-18.0, 0.0, 18.0):
             pair.goes_on(0.75, 2.8, Axis(math.radians(aside_deg)))
@@ -169,6 +171,16 @@ def test_a_leader_that_is_not_heard_is_looked_for_by_the_gimbal() -> None:
     axes = [axis_in(order) for order in Pair().goes_on(ROUND_S)]
 
     assert max(axis.azimuth_rad for axis in axes) - min(axis.azimuth_rad for axis in axes) < 0.2
+
+
+def test_the_figure_8_leaves_no_gap_to_a_side() -> None:
+    """It comes to a side every sixth point, each time another share as far, up to the whole."""
+    orders = Pair().goes_on(SIX_POINTS_S * 12)
+    widths_rad = [order.angular_velocity_x for order in orders[:: round(SIX_POINTS_S / TICK_S)]]
+
+    widest_rad = max(order.angular_velocity_x for order in orders)
+    shares = [0.0, *sorted(width_rad / widest_rad for width_rad in widths_rad), 1.0]
+    assert max(further - near for near, further in pairwise(shares)) < 0.25
 
 
 def test_nobody_is_told_to_look_at_a_leader_that_is_stale() -> None:

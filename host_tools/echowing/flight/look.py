@@ -21,8 +21,9 @@ SURE_RAD, WIDEST_RAD = math.radians(4.0), math.radians(10.0)
 # Once round, by a gimbal: 30 deg/s at the widest, a tenth of what the servos can; and by the nose,
 # where the sonar has no gimbal (ArduCopter turns by 60 deg/s).
 ROUND_S, NOSE_ROUND_S = 2.0, 4.0
-# Once through the figure 8: twelve points of 0.3 s (the co-processor's SCAN_DWELL).
-FIGURE_S = 3.6
+# A point of the figure 8 (the co-processor's SCAN_DWELL); and the part of its whole width that is
+# added from one to the next: by the golden ratio the widths of any few points are spread evenly.
+DWELL_S, WIDER = 0.3, 0.618034
 # So far the nose looks to each side for a leader that is not heard, in this time there and back.
 NOSE_RAD, NOSE_LOOKS_S = math.radians(45.0), 8.0
 # A leader that is not heard for so long is looked for where it most likely is. The time counts up
@@ -61,7 +62,7 @@ def look_at(known: Known, follower: FollowerState, now_s: float) -> Look | None:
     glances = [] if by_nose else estimate.elsewhere_m
     lost = estimate.missed_s > MISSED_S + (GLANCE_S if glances else 0.0)
     if lost:
-        return _to_both_sides(look, now_s) if by_nose else _by_turns(look, now_s)
+        return _to_both_sides(look, now_s) if by_nose else _narrower(look, now_s)
     turn = int(now_s / GLANCE_S)
     if glances and turn % 2:
         return _elsewhere(look, to_it_m, glances[turn // 2 % len(glances)])
@@ -94,10 +95,14 @@ def _coned(look: Look, cone_rad: tuple[float, float], rounds: float) -> Look:
     return replace(look, axis=turned)
 
 
-def _by_turns(look: Look, now_s: float) -> Look:
-    """Every other round of the figure 8 half as wide: a narrow beam leaves gaps in a wide one."""
-    narrow = now_s / FIGURE_S % 2.0 >= 1.0
-    return replace(look, sigma_rad=0.5 * look.sigma_rad) if narrow else look
+def _narrower(look: Look, now_s: float) -> Look:
+    """A look whose figure 8 is of another width at each point.
+
+    Its points lie to the left, in the middle and to the right: always as wide as the direction is
+    unsure, it would leave gaps between them that a narrow beam does not reach.
+    """
+    share = now_s // DWELL_S * WIDER % 1.0
+    return replace(look, sigma_rad=share * look.sigma_rad)
 
 
 def _elsewhere(look: Look, to_it_m: Ned, further_m: Between) -> Look:
