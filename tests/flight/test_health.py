@@ -8,7 +8,6 @@ import pytest
 
 from echowing.flight.clocks import SAY_AGAIN_S, UNHEARD_S
 from echowing.flight.health import (
-    FURTHER_M,
     LASTS_S,
     RANGED_S,
     Cohesion,
@@ -18,6 +17,7 @@ from echowing.flight.health import (
     ranged,
 )
 from echowing.flight.sonar import DETECTION_LIMIT_M
+from echowing.flight.state import UNRANGED_SIGMA_M
 
 LEADER = 1
 NORTH, SOUTH = 0.0, math.pi
@@ -71,7 +71,7 @@ def test_near_is_within_a_sonars_reach_and_a_little_further_once_it_was() -> Non
     pair = frozenset((1, 2))
     assert near_pairs([at(1, 0.0), at(2, -limit_m + 0.1)]) == {pair}
     assert near_pairs(apart, [pair]) == {pair}
-    assert near_pairs([at(1, 0.0), at(2, -limit_m - FURTHER_M - 0.1)], [pair]) == set()
+    assert near_pairs([at(1, 0.0), at(2, -limit_m - UNRANGED_SIGMA_M - 0.1)], [pair]) == set()
 
 
 def test_one_that_is_not_heard_is_near_nobody() -> None:

@@ -27,15 +27,13 @@ from itertools import combinations
 import networkx as nx
 
 from echowing.flight.clocks import UNHEARD_S
-from echowing.flight.cloud import Wandering
 from echowing.flight.said import Said
 from echowing.flight.sonar import DETECTION_LIMIT_M
+from echowing.flight.state import UNRANGED_SIGMA_M
 from echowing.flight.steps import name_of
 from echowing.geo import Ned, wrap_angle_rad
 
 RANGED_S = 2.0
-# Two that were near stay near until they are further apart by as much as two receivers wander.
-FURTHER_M = math.sqrt(2.0) * Wandering().sigma_m
 # A range belongs to the vehicle that it fits best. If it fits worse than this (a GPS and a beam's
 # width, as `panel.MISMATCH_M`), or that vehicle is further off the nose (beam 20 deg, and the two
 # receivers' errors at 3 m), it belongs to something else.
@@ -123,13 +121,13 @@ def _is_ahead(here: Ned, heading_rad: float, there: Ned) -> bool:
 
 
 def near_pairs(members: Sequence[Member], before: Iterable[Pair] = ()) -> set[Pair]:
-    """Pairs within reach of a sonar; those of `before` until a little further apart."""
+    """Pairs within reach of a sonar; those of `before` until receivers alone may not say so."""
     before = set(before)
     heard = [(one.system_id, one.at_ned_m) for one in members if one.heard and one.at_ned_m]
     close = (
         (frozenset((a, b)), apart_m)
         for (a, there_a), (b, there_b) in combinations(heard, 2)
-        if (apart_m := math.dist(there_a, there_b)) <= DETECTION_LIMIT_M + FURTHER_M
+        if (apart_m := math.dist(there_a, there_b)) <= DETECTION_LIMIT_M + UNRANGED_SIGMA_M
     )
     return {pair for pair, apart_m in close if apart_m <= DETECTION_LIMIT_M or pair in before}
 

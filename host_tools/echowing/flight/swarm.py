@@ -17,7 +17,6 @@ import networkx as nx
 
 from echowing.flight.envelope import FASTEST_MPS, SURE_SIGMAS
 from echowing.flight.guidance import GuidedPoint, Horizontal, LeaderFix, Slot, bearing_rad
-from echowing.flight.health import FURTHER_M
 from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.flight.state import UNRANGED_SIGMA_M, FollowerState, Known
 from echowing.flight.swarm_rules import (
@@ -34,7 +33,7 @@ from echowing.flight.tow_bar import LONGEST_STEP_S, TowBar
 from echowing.geo import GlobalPosition, displace, distance_m, ned_between
 
 # Two are linked within reach of a sonar, by receivers that wander.
-LINK_M = DETECTION_LIMIT_M + FURTHER_M
+LINK_M = DETECTION_LIMIT_M + UNRANGED_SIGMA_M
 # One that is not heard is watched at least so long: each change begins with an estimate that knows
 # nothing, and each of the co-processor's figures 8 takes 3.6 s.
 WATCHED_S = 8.0
