@@ -82,7 +82,8 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="echowing",
         description="Formation flight for small ArduPilot copters, held together by a cheap sonar.",
-        epilog="example: echowing sim echowing --seed 3\n`echowing VERB --help` has examples.",
+        epilog="example: echowing sim echowing --seed 3\n`echowing VERB --help` has examples.\n"
+        'Your shell completes verbs and options: eval "$(register-python-argcomplete echowing)"',
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"echowing {__version__}")
