@@ -1,7 +1,6 @@
 """Where the sonar is told to look: at the leader when the order arrives, and round it if unsure."""
 
 import math
-from itertools import pairwise
 from typing import Any
 
 import pytest
@@ -11,7 +10,15 @@ from echowing.flight.axis import Axis, axis_of
 from echowing.flight.cloud import SURE_AFTER_S
 from echowing.flight.estimate import Estimate
 from echowing.flight.guidance import GuidanceSettings, Slot
-from echowing.flight.look import DWELL_S, GLANCE_S, ROUND_S, SURE_RAD, WIDEST_RAD
+from echowing.flight.look import (
+    GLANCE_S,
+    NOSE_LOOKS_S,
+    NOSE_RAD,
+    ROUND_S,
+    SURE_RAD,
+    WIDEST_RAD,
+    look_at,
+)
 from echowing.flight.session import FollowSession
 from echowing.flight.state import FollowerPlan
 from echowing.geo import GlobalPosition, displace
@@ -21,7 +28,6 @@ from echowing.sonar_file import shipped_sonar
 LEADER, FOLLOWER, SONAR = 1, 2, 191
 HERE = GlobalPosition(39.34, -86.03, 260.0)
 TICK_S = 0.125
-SIX_POINTS_S = 6 * DWELL_S
 Mps = tuple[float, float]
 
 
@@ -98,9 +104,9 @@ def axis_in(order: Any) -> Axis:
 @pytest.mark.parametrize(
     ("to_it_m", "azimuth_deg", "elevation_deg"),
     [
-        ((3.0, 0.0, 0.0), 0.0, 0.0),
-        ((0.0, -3.0, 0.0), -90.0, 0.0),
-        ((2.0, 2.0, -1.0), 45.0, 19.5),  # a metre higher, 2.83 m away
+        ((9.0, 0.0, 0.0), 0.0, 0.0),
+        ((0.0, -9.0, 0.0), -90.0, 0.0),
+        ((6.0, 6.0, -3.0), 45.0, 19.5),  # three metres higher, 8.5 m away
     ],
 )
 def test_it_looks_at_the_leader(
@@ -116,8 +122,8 @@ def test_it_looks_at_the_leader(
 
 
 def test_a_leader_that_passes_turns_the_axis() -> None:
-    """2 m/s across, 3 m away: 0.67 rad/s; in the same half second the order's axis turns by it."""
-    orders = Pair(mps=(0.0, 2.0), to_it_m=(3.0, -1.0, 0.0)).goes_on(0.5)
+    """6 m/s across, 9 m away: 0.67 rad/s; in the same half second the order's axis turns by it."""
+    orders = Pair(mps=(0.0, 6.0), to_it_m=(9.0, -3.0, 0.0)).goes_on(0.5)
 
     assert orders[-1].angular_velocity_z == pytest.approx(0.66, abs=0.05)
     turned_rad = axis_in(orders[-1]).azimuth_rad - axis_in(orders[0]).azimuth_rad
@@ -127,7 +133,7 @@ def test_a_leader_that_passes_turns_the_axis() -> None:
 def test_it_says_how_unsure_the_direction_is() -> None:
     """Receivers of 0.8 m or more at 3 m: some 33 degrees; heard from all sides, far less."""
     pair = Pair()
-    unsure_rad = max(order.angular_velocity_x for order in pair.goes_on(2.0 * SIX_POINTS_S))
+    unsure_rad = pair.goes_on(0.5)[-1].angular_velocity_x
     for _ in range(4):
         for aside_deg in (-18.0, 0.0, 18.0):
             pair.goes_on(0.75, 2.8, Axis(math.radians(aside_deg)))
@@ -168,19 +174,24 @@ def test_one_that_was_just_found_is_looked_for_elsewhere_by_turns(
 
 def test_a_leader_that_is_not_heard_is_looked_for_by_the_gimbal() -> None:
     """No cone: the co-processor lays its figure 8 round the direction."""
-    axes = [axis_in(order) for order in Pair().goes_on(ROUND_S)]
+    axes = [axis_in(order) for order in Pair((9.0, 0.0, 0.0)).goes_on(ROUND_S)]
 
     assert max(axis.azimuth_rad for axis in axes) - min(axis.azimuth_rad for axis in axes) < 0.2
 
 
-def test_the_figure_8_leaves_no_gap_to_a_side() -> None:
-    """It comes to a side every sixth point, each time another share as far, up to the whole."""
-    orders = Pair().goes_on(SIX_POINTS_S * 12)
-    widths_rad = [order.angular_velocity_x for order in orders[:: round(SIX_POINTS_S / TICK_S)]]
+def test_one_that_may_be_further_aside_than_the_gimbal_reaches_is_looked_for_with_the_nose() -> (
+    None
+):
+    """3 m away its direction is unsure by 33 degrees: it may be 99 degrees aside, by 3 sigma."""
+    pair = Pair()
+    axes = [axis_in(order) for order in pair.goes_on(NOSE_LOOKS_S)]
+    aside = [axis.azimuth_rad for axis in axes]
 
-    widest_rad = max(order.angular_velocity_x for order in orders)
-    shares = [0.0, *sorted(width_rad / widest_rad for width_rad in widths_rad), 1.0]
-    assert max(further - near for near, further in pairwise(shares)) < 0.25
+    for side in (1.0, -1.0):
+        assert math.radians(30.0) < max(side * one for one in aside) < NOSE_RAD + 0.1
+    look = look_at(pair.session.known, pair.follower, pair.now_s)
+    assert look is not None
+    assert look.nose_rad == pytest.approx(aside[-1], abs=0.01)
 
 
 def test_nobody_is_told_to_look_at_a_leader_that_is_stale() -> None:

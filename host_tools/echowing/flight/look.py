@@ -3,7 +3,7 @@
 A leader that is always heard may be anywhere in the beam; the beam's edge passing over it shows
 where. So the axis goes round the expected direction on a cone, as wide as the direction is unsure
 across and in height. A leader that is not heard the co-processor looks for, round the same
-direction and as wide as that is unsure.
+direction and as wide as that is unsure; and the nose, where that is wider than a gimbal reaches.
 """
 
 import math
@@ -21,9 +21,10 @@ SURE_RAD, WIDEST_RAD = math.radians(4.0), math.radians(10.0)
 # Once round, by a gimbal: 30 deg/s at the widest, a tenth of what the servos can; and by the nose,
 # where the sonar has no gimbal (ArduCopter turns by 60 deg/s).
 ROUND_S, NOSE_ROUND_S = 2.0, 4.0
-# A point of the figure 8 (the co-processor's SCAN_DWELL); and the part of its whole width that is
-# added from one to the next: by the golden ratio the widths of any few points are spread evenly.
-DWELL_S, WIDER = 0.3, 0.618034
+# Once through the figure 8: twelve points of 0.3 s (the co-processor's SCAN_DWELL).
+FIGURE_S = 3.6
+# So far a gimbal turns to each side (the co-processor's PAN_REACH).
+REACH_RAD = math.radians(60.0)
 # So far the nose looks to each side for a leader that is not heard, in this time there and back.
 NOSE_RAD, NOSE_LOOKS_S = math.radians(45.0), 8.0
 # A leader that is not heard for so long is looked for where it most likely is. The time counts up
@@ -37,11 +38,15 @@ GLANCE_S = 0.8
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """An axis, by how much it turns (azimuth, elevation), and its standard deviation."""
+    """An axis, by how much it turns (azimuth, elevation), and its standard deviation.
+
+    nose_rad: where the vehicle's nose looks for it; None: at the leader.
+    """
 
     axis: Axis
     rate_rps: tuple[float, float]
     sigma_rad: float
+    nose_rad: float | None = None
 
 
 def look_at(known: Known, follower: FollowerState, now_s: float) -> Look | None:
@@ -61,13 +66,19 @@ def look_at(known: Known, follower: FollowerState, now_s: float) -> Look | None:
     by_nose = not estimate.points(now_s)
     glances = [] if by_nose else estimate.elsewhere_m
     lost = estimate.missed_s > MISSED_S + (GLANCE_S if glances else 0.0)
+    reach_rad, round_s = (0.0, NOSE_ROUND_S) if by_nose else (REACH_RAD, ROUND_S)
     if lost:
-        return _to_both_sides(look, now_s) if by_nose else _narrower(look, now_s)
+        return _by_turns(_to_both_sides(look, 3.0 * across_rad - reach_rad, now_s), now_s)
     turn = int(now_s / GLANCE_S)
     if glances and turn % 2:
         return _elsewhere(look, to_it_m, glances[turn // 2 % len(glances)])
     cone_rad = _wide_rad(across_rad), _wide_rad(up_rad)
-    return _coned(look, cone_rad, now_s / (NOSE_ROUND_S if by_nose else ROUND_S))
+    coned = _coned(look, cone_rad, now_s / round_s)
+    return _with_nose(coned) if by_nose else coned
+
+
+def _with_nose(look: Look) -> Look:
+    return replace(look, nose_rad=look.axis.azimuth_rad)
 
 
 def _rate_rps(
@@ -95,14 +106,10 @@ def _coned(look: Look, cone_rad: tuple[float, float], rounds: float) -> Look:
     return replace(look, axis=turned)
 
 
-def _narrower(look: Look, now_s: float) -> Look:
-    """A look whose figure 8 is of another width at each point.
-
-    Its points lie to the left, in the middle and to the right: always as wide as the direction is
-    unsure, it would leave gaps between them that a narrow beam does not reach.
-    """
-    share = now_s // DWELL_S * WIDER % 1.0
-    return replace(look, sigma_rad=share * look.sigma_rad)
+def _by_turns(look: Look, now_s: float) -> Look:
+    """Every other round of the figure 8 half as wide: a narrow beam leaves gaps in a wide one."""
+    narrow = now_s / FIGURE_S % 2.0 >= 1.0
+    return replace(look, sigma_rad=0.5 * look.sigma_rad) if narrow else look
 
 
 def _elsewhere(look: Look, to_it_m: Ned, further_m: Between) -> Look:
@@ -112,10 +119,11 @@ def _elsewhere(look: Look, to_it_m: Ned, further_m: Between) -> Look:
     return replace(look, axis=axis, rate_rps=(0.0, 0.0))
 
 
-def _to_both_sides(look: Look, now_s: float) -> Look:
-    """A look for a leader that is not heard, by a sonar that no gimbal turns."""
-    aside_rad = min(NOSE_RAD, 2.0 * look.sigma_rad)
-    return _coned(look, (aside_rad, 0.0), now_s / NOSE_LOOKS_S)
+def _to_both_sides(look: Look, further_rad: float, now_s: float) -> Look:
+    """A look with the nose for a leader that may be so much further aside than a gimbal reaches."""
+    if further_rad <= 0.0:
+        return look
+    return _with_nose(_coned(look, (min(NOSE_RAD, further_rad), 0.0), now_s / NOSE_LOOKS_S))
 
 
 def _wide_rad(unsure_rad: float) -> float:

@@ -86,9 +86,8 @@ class Planner:
             guided = follower.guided = self._swarm.guided(follower, fix, now_s)
         self._tell_of_hearing(follower, now_s)
         yaw_rad = guided.yaw_rad
-        if yaw_rad is not None and look and not follower.estimate.points(now_s):
-            # A sonar without a gimbal looks with its vehicle.
-            yaw_rad = look.axis.azimuth_rad
+        if yaw_rad is not None and look and look.nose_rad is not None:
+            yaw_rad = look.nose_rad
         north_mps, east_mps = guided.velocity_mps
         velocity = (north_mps or LEAST_MPS, east_mps) if self._feeds else None
         return Plan(guided.point, velocity, yaw_rad, follower.opens_m)

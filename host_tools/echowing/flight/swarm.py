@@ -35,7 +35,7 @@ from echowing.geo import GlobalPosition, displace, distance_m, ned_between
 # Two are linked within reach of a sonar, by receivers that wander.
 LINK_M = DETECTION_LIMIT_M + UNRANGED_SIGMA_M
 # One that is not heard is watched at least so long: each change begins with an estimate that knows
-# nothing, and each of the co-processor's figures 8 takes 3.6 s.
+# nothing, and the co-processor's search takes some seconds (`look.FIGURE_S`).
 WATCHED_S = 8.0
 # Who is watched is nearer to the leader by so much, so that nobody watches in a circle.
 AHEAD_M = 1.0
