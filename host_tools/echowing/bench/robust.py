@@ -11,8 +11,8 @@ from itertools import combinations
 
 from echowing.bench.accuracy import Goal, Kept, Row, fly_rows
 
-# Nobody has flown these to choose anything.
-FIRST_SEED = 701
+# Nobody has flown these to choose anything; 701 to 760 and 1701 to 1720 have served for that.
+FIRST_SEED = 2701
 
 
 def _goal(mean_error_m: float, rmsd_m: float, least_m: float) -> Goal:
