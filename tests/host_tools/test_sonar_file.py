@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from echowing.cli import main
 from echowing.errors import EchowingError
 from echowing.flight.belief import Curve
-from echowing.sonar_file import SHIPPED, SonarFile, load_sonar, sonar_of, value_keys
+from echowing.sonar_file import SHIPPED, SonarFile, load_sonar, sonar_names, sonar_of, value_keys
 
 
 def shipped_table() -> dict[str, Any]:
@@ -30,11 +30,14 @@ def changed(**values: Any) -> dict[str, Any]:
     return table
 
 
-def test_each_value_of_the_shipped_sonar_has_a_source_or_is_called_a_guess() -> None:
-    shipped = load_sonar(SHIPPED)
-
+@pytest.mark.parametrize("name", sonar_names())
+def test_each_value_of_a_shipped_sensor_has_a_source_or_is_called_a_guess(name: str) -> None:
     needed = {key for key in value_keys(SonarFile) if not key.startswith("throttle.")}
-    assert shipped.source.keys() == needed
+    assert load_sonar(name).source.keys() == needed
+
+
+def test_what_is_guessed_of_the_shipped_sonar_is_said() -> None:
+    shipped = load_sonar(SHIPPED)
     assert "heard.least" in shipped.guesses
     assert "reach_m" not in shipped.guesses
 
@@ -133,8 +136,15 @@ def test_a_file_that_is_not_there_or_no_toml_is_an_error(tmp_path: Path) -> None
         load_sonar(tmp_path / "none.toml")
     with pytest.raises(EchowingError, match="not valid TOML"):
         load_sonar(tmp_path / "torn.toml")
-    with pytest.raises(EchowingError, match=f"no sonar 'mb7'; there are {SHIPPED}"):
+    with pytest.raises(EchowingError, match="no sonar 'mb7'; there are lidar, mb1202, radio"):
         load_sonar("mb7")
+
+
+@pytest.mark.parametrize(
+    ("name", "why"), [("radio", "may scatter by 0.10 m"), ("lidar", "as narrow as 3 degrees")]
+)
+def test_a_sensor_for_comparison_is_said_to_carry_no_slot(name: str, why: str) -> None:
+    assert why in (load_sonar(name).belief().objection(3.0) or "")
 
 
 def test_a_scenario_with_a_wrong_sonar_is_refused_before_it_flies(
