@@ -517,14 +517,6 @@ do
         if track.readings >= TRUST_READINGS then track.readings = min(track.readings, 6) - 1 end
     end
 
-    -- Whether it is like the one that waits, nearly the same range shortly after it (two vehicles close no faster than
-    -- 5 m/s); and the time between them.
-    local function is_second(range_m, read_ms)
-        if not track.spike_m then return false end
-        local dt_s = (read_ms - track.spike_ms) * 0.001
-        return dt_s > 0 and dt_s < 0.3 and abs(range_m - track.spike_m) < 0.15 + 5 * dt_s, dt_s
-    end
-
     -- The track begins anew, with the leader's speed.
     local function begin(range_m, mps, readings, read_ms, t_ms)
         track.leader_mps, track.seen_mps, track.leader_mps2 = mps, mps, 0
@@ -535,10 +527,12 @@ do
     -- A reading that was not foreseen counts only when the next one is like it: propellers make single wild ones. The
     -- two tell range and rate anew, with the own speed between them.
     local function unforeseen(range_m, read_ms, t_ms, jump_m)
-        local second, dt_s = is_second(range_m, read_ms)
-        local doubted_mps = track.doubted_mps
+        local doubted_mps, dt_s = track.doubted_mps, (read_ms - track.spike_ms) * 0.001
         track.doubted_mps = nil
-        if not second then return wait(range_m, read_ms) end
+        -- Like the one that waits: shortly after it, and two vehicles close no faster than 5 m/s.
+        if not (track.spike_m and dt_s > 0 and dt_s < 0.3 and abs(range_m - track.spike_m) < 0.15 + 5 * dt_s) then
+            return wait(range_m, read_ms)
+        end
         local mps = clamp((range_m - track.spike_m) / dt_s, -5, 5)
             + 0.5 * (track.spike_own_mps + own.mps) - own.accel_mps2 * 0.05
         -- A known leader does not jump so far (0.6 m: a speed wrong by 1 m/s, for about as long as its track is carried
@@ -546,14 +540,14 @@ do
         -- wild and one that is not. Three are believed, if each two of them tell the same speed.
         local unseen_s = min(read_ms - track.seen_ms, 700) * 0.001
         local third = doubted_mps and abs(mps - doubted_mps) < 2
-        if not third and track.readings >= TRUST_READINGS and
-            (jump_m > 0.6 + 2 * unseen_s * unseen_s or abs(mps - track.seen_mps) > 1 + 4 * unseen_s) then
+        local known = track.readings >= TRUST_READINGS
+        if known and not third and (jump_m > 0.6 + 2 * unseen_s * unseen_s
+            or abs(mps - track.seen_mps) > 1 + 4 * unseen_s) then
             track.doubted_mps = mps
             return wait(range_m, read_ms)
         end
         -- Two alike may still be wild ones, until a third is foreseen.
-        local trusted = third or track.readings >= TRUST_READINGS
-        begin(range_m, mps, trusted and TRUST_READINGS or 2, read_ms, t_ms)
+        begin(range_m, mps, (third or known) and TRUST_READINGS or 2, read_ms, t_ms)
         track.spike_m = nil
     end
 
@@ -562,9 +556,8 @@ do
     -- is not taken for the leader's.
     function track.update(range_m, read_ms, t_ms)
         if not track.fresh(t_ms) then
-            local second = is_second(range_m, read_ms)
             begin(range_m, own.mps, 1, read_ms, t_ms)
-            return (second and unforeseen or wait)(range_m, read_ms, t_ms, 0)
+            return unforeseen(range_m, read_ms, t_ms, 0)
         end
         local dt_s = (read_ms - track.seen_ms) * 0.001
         if dt_s <= 0 then return end
