@@ -179,9 +179,7 @@ def test_a_leader_that_is_not_heard_is_looked_for_by_the_gimbal() -> None:
     assert max(axis.azimuth_rad for axis in axes) - min(axis.azimuth_rad for axis in axes) < 0.2
 
 
-def test_one_that_may_be_further_aside_than_the_gimbal_reaches_is_looked_for_with_the_nose() -> (
-    None
-):
+def test_one_that_may_be_beside_the_gimbals_reach_is_looked_for_with_the_nose() -> None:
     """3 m away its direction is unsure by 33 degrees: it may be 99 degrees aside, by 3 sigma."""
     pair = Pair()
     axes = [axis_in(order) for order in pair.goes_on(NOSE_LOOKS_S)]
