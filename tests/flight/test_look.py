@@ -1,6 +1,7 @@
 """Where the sonar is told to look: at the leader when the order arrives, and round it if unsure."""
 
 import math
+import re
 from typing import Any
 
 import pytest
@@ -14,6 +15,7 @@ from echowing.flight.look import (
     GLANCE_S,
     NOSE_LOOKS_S,
     NOSE_RAD,
+    REACH_RAD,
     ROUND_S,
     SURE_RAD,
     WIDEST_RAD,
@@ -23,6 +25,7 @@ from echowing.flight.session import FollowSession
 from echowing.flight.state import FollowerPlan
 from echowing.geo import GlobalPosition, displace
 from echowing.mavlink.messages import EARTH_FRAME
+from echowing.paths import repository_root
 from echowing.sonar_file import shipped_sonar
 
 LEADER, FOLLOWER, SONAR = 1, 2, 191
@@ -190,6 +193,13 @@ def test_one_that_may_be_beside_the_gimbals_reach_is_looked_for_with_the_nose() 
     look = look_at(pair.session.known, pair.follower, pair.now_s)
     assert look is not None
     assert look.nose_rad == pytest.approx(aside[-1], abs=0.01)
+
+
+def test_the_gimbal_reaches_as_far_as_the_co_processor_lets_it() -> None:
+    table = repository_root() / "firmware/echowing/src/core/parameter_table.h"
+    told = re.search(r'"PAN_REACH", (\d+),', table.read_text(encoding="utf-8"))
+    assert told is not None
+    assert math.degrees(REACH_RAD) == pytest.approx(float(told[1]))
 
 
 def test_nobody_is_told_to_look_at_a_leader_that_is_stale() -> None:
