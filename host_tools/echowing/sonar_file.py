@@ -177,6 +177,8 @@ class SonarFile(_Finite):
             shortest_m=self.shortest_m,
             reach_m=self.reach_m,
             heard_to_m=heard_to_m,
+            # As much less as stock legs are heard less far than those with foil.
+            surely_to_m=heard_to_m * min(1.0, self.stock_to_m[0] / self.foil_to_m[0]),
             inset_m=_mean(self.inset_m),
             rate_hz=self.rate_hz,
         )

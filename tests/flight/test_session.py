@@ -12,16 +12,16 @@ from echowing.flight.jumps import AGREEING_REPORTS
 from echowing.flight.leader_track import CLOCKS_AGREE_S, VehicleClock
 from echowing.flight.plan import planned, quickens_mps2
 from echowing.flight.session import FollowSession
-from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.flight.state import FollowerPlan
 from echowing.flight.steps import Phase, Standing
 from echowing.geo import GlobalPosition, displace, ned_between
 from echowing.mavlink.messages import EARTH_FRAME, FORWARD, TOOL_SYSTEM_ID, guides, sonar_range_m
-from echowing.sonar_file import shipped_sonar
+from echowing.sonar_file import load_sonar, shipped_sonar
 
 LEADER, FOLLOWER = 1, 2
 HERE = GlobalPosition(39.34, -86.03, 260.0)
 FOLLOWER_AT = displace(HERE, (-4.0, 0.0, 0.0))
+REACH_M = shipped_sonar().reach_m
 
 
 def from_vehicle(system_id: int, message: Any) -> Any:
@@ -144,7 +144,7 @@ def opens_to_m(behind_m: float, *, deaf: bool = False) -> float:
         at = displace(leader, (-3.0 if hears else -behind_m, 0.0, 0.0))
         follow.receive(from_vehicle(FOLLOWER, position(now_s, at, flown)), now_s)
         follow.receive(from_vehicle(LEADER, position(now_s, leader, flown)), now_s)
-        state.estimate.heard(now_s, 3.0 if hears else DETECTION_LIMIT_M)
+        state.estimate.heard(now_s, 3.0 if hears else REACH_M)
         if deaf and not hears:
             state.estimate.offset._deaf[:] = True
         follow.tick(now_s)
@@ -665,11 +665,11 @@ def test_an_average_of_nothing_is_silence_where_single_readings_do_not_come() ->
 
 
 def test_a_distance_sensor_without_a_target_has_no_range() -> None:
-    assert sonar_range_m(average(2.85), DETECTION_LIMIT_M) == pytest.approx(2.85)
-    assert sonar_range_m(average(4.5), DETECTION_LIMIT_M) is None
-    assert sonar_range_m(average(7.65), DETECTION_LIMIT_M) is None
+    assert sonar_range_m(average(2.85), REACH_M) == pytest.approx(2.85)
+    assert sonar_range_m(average(4.5), REACH_M) is None
+    assert sonar_range_m(average(7.65), REACH_M) is None
     short = mavlink.MAVLink_distance_sensor_message(0, 20, 300, 300, 0, 0, FORWARD, 0)
-    assert sonar_range_m(short, DETECTION_LIMIT_M) is None  # its own end
+    assert sonar_range_m(short, REACH_M) is None  # its own end
     assert sonar_range_m(average(5.0), reach_m=6.0) == pytest.approx(5.0)
 
 
@@ -705,6 +705,19 @@ def test_an_unheard_leader_is_given_a_wider_berth() -> None:
     guided = follow.followers[FOLLOWER].guided
     assert guided is not None
     assert -3.83 < ned_between(HERE, guided.slot)[0] < -3.1
+
+
+def test_who_may_be_heard_instead_is_as_far_as_the_sonar_reaches() -> None:
+    """Receivers put it 9.5 m away: too far for our sonar, not for one that reaches 7.5 m."""
+    for sonar, heard in ((shipped_sonar(), []), (load_sonar("radio").belief(), [3])):
+        plans = [FollowerPlan(number, Slot(3.0), sonar=sonar) for number in (FOLLOWER, 3)]
+        follow = FollowSession(LEADER, plans, GuidanceSettings())
+        follow.receive(from_vehicle(LEADER, position(1.0, HERE)), 1.0)
+        for plan, north_m in zip(plans, (-3.0, -12.5), strict=True):
+            place = displace(HERE, (north_m, 0.0, 0.0))
+            follow.receive(from_vehicle(plan.system_id, position(1.0, place)), 1.0)
+        others = follow.known._beside(follow.followers[FOLLOWER])
+        assert [one.system_id for one in others] == heard
 
 
 def test_another_vehicles_echo_is_not_taken_for_the_leader() -> None:

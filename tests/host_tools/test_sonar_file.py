@@ -70,6 +70,9 @@ def test_stock_legs_are_heard_less_far_and_as_foil_that_is_further_away() -> Non
     foil, stock = sonar.belief("foil"), sonar.belief("stock")
 
     assert (foil.heard_to_m, stock.heard_to_m) == (4.0, 3.0)
+    # One that is said to have foil may have none; one without may have still worse legs.
+    assert (foil.surely_to_m, stock.surely_to_m) == (3.0, 2.25)
+    assert load_sonar("radio").belief().surely_to_m == 7.4
     assert stock.silent_to_m == pytest.approx(0.75 * foil.silent_to_m)
     assert stock.heard.at(1.5) == pytest.approx(foil.heard.at(2.0))
     assert stock.narrowest_rad.at(3.0) == pytest.approx(foil.narrowest_rad.at(4.0))

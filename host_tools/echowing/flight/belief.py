@@ -57,8 +57,9 @@ class SonarBelief:
     nobody is heard outside. narrowest_rad: of the narrowest; silence from within is evidence.
     edge_rad: over this angle the beam begins. noise_m: standard deviation of a range, at most.
     wrong_share: most of its readings that are not the leader's. shortest_m: nearer reads as this.
-    reach_m: a range from here on is no target. heard_to_m: so far the leader is heard in any case.
-    inset_m: how much less than the separation it reads. rate_hz: readings per second.
+    reach_m: a range from here on is no target. heard_to_m: so far the leader is heard in any case;
+    surely_to_m: so far even one with worse legs than it is said to have. inset_m: how much less
+    than the separation it reads. rate_hz: readings per second.
     """
 
     heard: Curve
@@ -71,6 +72,7 @@ class SonarBelief:
     reach_m: float
     inset_m: float
     heard_to_m: float
+    surely_to_m: float
     rate_hz: float
 
     def objection(self, radius_m: float) -> str | None:

@@ -66,9 +66,6 @@ HEARS, MOST_HEARD = (0.6, 1.9), 0.98
 # This share of its readings is wrong: single wild ones near propellers, or a stranger's sonar. It
 # is learnt, so that a range needs no second one to count.
 WRONG = (0.003, 0.3)
-# A leader is heard to this share of what its legs promise: those of a stock X8 to 0.7 of those with
-# foil (thesis Table 5).
-LEAST_FAR = 0.7
 # Two vehicles nearer than this have no direction.
 CLOSE_M = 0.1
 # How a guess changes when it is repeated (Liu and West's discount of 0.98, for which 0.2 is the
@@ -458,8 +455,7 @@ class Cloud:
         narrowest = sonar.narrowest_rad.at(far_m)
         half_rad = narrowest + self._wide * (sonar.widest_rad.at(far_m) - narrowest)
         beyond = np.minimum((off_rad - half_rad) / (0.5 * sonar.edge_rad), 80.0)
-        surely_m = LEAST_FAR * sonar.heard_to_m
-        to_m = surely_m + self._far * (sonar.reach_m - surely_m)
+        to_m = sonar.surely_to_m + self._far * (sonar.reach_m - sonar.surely_to_m)
         share = np.minimum(MOST_HEARD, self._hears * sonar.heard.at(far_m))
         share = share * (far_m < to_m + sonar.inset_m) * ~self._deaf
         return far_m, share / (1.0 + np.exp(beyond))

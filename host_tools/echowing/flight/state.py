@@ -42,11 +42,13 @@ from echowing.geo import GlobalPosition, Ned, displace, ned_between
 from echowing.mavlink.messages import FORWARD, gimbal_attitude, heading_of, sonar_range_m
 
 GUIDED_MODE = 4
-# A vehicle further off is not heard: the sonar's longest range, and what receivers may be off.
-MAY_BE_HEARD_M = 9.0
 # Two receivers, and two barometers, between which no sonar measures.
 UNRANGED_SIGMA_M = math.sqrt(2.0) * Wandering().sigma_m
 UNRANGED_UP_SIGMA_M = math.sqrt(2.0) * Wandering().height_sigma_m
+# By their reports two vehicles may be so much further apart than in truth: 2.8 m by what receivers
+# may be off (`SURE_SIGMAS`), 1.5 m by what they fly in a second, until the next report
+# (`plan.JOIN_MPS`).
+REPORTS_M = 4.3
 NOT_SEEN = Standing(Phase.WATCHED, "no report yet")
 
 # The co-processor's newest single reading (firmware/README.md). If none has come for so long (a
@@ -594,15 +596,17 @@ class Known:
 
     def _beside(self, follower: FollowerState) -> Iterator[Beside]:
         """The vehicles near a follower that its sonar may hear instead of whom it looks at."""
-        ahead, fix, here = self.ahead_of(follower), self.leader.fix, follower.position
-        if here is None or fix is None:
+        ahead, fix = self.ahead_of(follower), self.leader.fix
+        if fix is None:
             return
-        if ahead is not None and _near(here, fix.position):
+        if ahead is not None and _may_hear(follower, fix.position):
             off = _off((), [one.estimate.off for one in self.chain(ahead)])
             yield Beside(self.leader_id, self.leader_history, off)
         for other in self.followers.values():
             there = other.position
-            if other is follower or other is ahead or there is None or not _near(here, there):
+            if other is follower or other is ahead or there is None:
+                continue
+            if not _may_hear(follower, there):
                 continue
             mine, its = self._way_between(follower, other)
             # Of one behind this follower its own sonar tells, not this one's.
@@ -772,8 +776,12 @@ def place_guides(followers: Iterable[FollowerState]) -> None:
         one.guide.place(slot, max(beside_m) if in_line else body_m)
 
 
-def _near(one: GlobalPosition, other: GlobalPosition) -> bool:
-    return math.hypot(*ned_between(one, other)[:2]) < MAY_BE_HEARD_M
+def _may_hear(follower: FollowerState, there: GlobalPosition) -> bool:
+    """Whether its sonar may reach a vehicle that reports to be there."""
+    here, sonar = follower.position, follower.plan.sonar
+    if here is None:
+        return False
+    return math.hypot(*ned_between(here, there)[:2]) < sonar.reach_m + sonar.inset_m + REPORTS_M
 
 
 def _off(over: Sequence[Off], back_over: Sequence[Off]) -> Off:
