@@ -13,7 +13,7 @@ from echowing.flight.guidance import GuidanceSettings
 from echowing.flight.shapes import SHAPES
 from echowing.paths import repository_root
 from echowing.sim.flight import FormationWorld
-from echowing.sim.hangar import Hangar
+from echowing.sim.hangar import Hangar, board_parameters
 from echowing.sim.scenario import load_scenario, scenario_names
 
 
@@ -148,6 +148,18 @@ def test_parameters_that_the_devices_have_are_taken() -> None:
     ]
     scenario = load_scenario("echowing", changes)
     assert scenario.follower.parameters == {"WPNAV_SPEED": 500.0, "ECHO_DETECT": 4.0}
+
+
+def test_applet_and_co_processor_are_told_how_far_their_sonar_reaches() -> None:
+    def limits(*changes: str) -> tuple[float | None, float]:
+        scenario = load_scenario("echowing", changes)
+        parameters = Hangar(scenario, 1)._parameters(0, 5.0)
+        return parameters.get("ECHO_DETECT"), board_parameters(2, scenario)["TRACK_RANGE"]
+
+    assert limits() == (4.5, 450.0)
+    assert limits("sonar.file=lidar") == (7.5, 750.0)
+    mine = "sonar.file=lidar", "applet.ECHO_DETECT=3", "coprocessor.TRACK_RANGE=310"
+    assert limits(*mine) == (3.0, 310.0)
 
 
 def test_a_wrong_parameter_ends_the_command(capsys: pytest.CaptureFixture[str]) -> None:

@@ -38,6 +38,7 @@ from echowing.setup.readout import CardApplet, Readout, Reports, Role
 from echowing.setup.settings import settings_for
 from echowing.setup.view import as_json, as_lines, differences, tuning_note
 from echowing.sim.vehicle.parameters import Generation, Parameters
+from echowing.sonar_file import load_sonar
 
 from .test_background import DEADLINE_S, read_until
 
@@ -85,7 +86,7 @@ def ready(generation: Generation = Generation.V4_8, **changes: Any) -> Readout:
         "serial_port": 2,
         "coprocessor": 191,
         "coprocessor_status": 4,
-        "coprocessor_parameters": {"TRACK_RANGE": 450.0},
+        "coprocessor_parameters": {"TRACK_RANGE": 450.0, "BEAM_WIDTH": 40.0},
         "reports": STEADY,
         "takes_range": True,
         "applet_on_card": CardApplet.OURS,
@@ -198,7 +199,9 @@ YOURS = [
     ({"ECHO_STREAM_T": 0.0}, "ECHO_STREAM_T"),
     ({"ECHO_ARM_CHK": 0.0}, "ECHO_ARM_CHK"),
     ({"WP_SPD": 0.5}, "WP_SPD"),
-    ({"ECHO_DETECT": 4.0}, "TRACK_RANGE"),
+    ({"ECHO_DETECT": 4.0}, "ECHO_DETECT"),
+    ({"coprocessor_parameters": {"TRACK_RANGE": 400.0}}, "TRACK_RANGE"),
+    ({"coprocessor_parameters": {"BEAM_WIDTH": 60.0}}, "BEAM_WIDTH"),
 ]
 
 
@@ -211,6 +214,17 @@ def test_the_pilots_own_is_reported_and_never_written(changes: dict[str, Any], a
     assert exit_code(examine(readout)) == 0
     assert changes_for(readout) == []
     assert any("stays; it is yours" in line for line in differences(readout, [], {}))
+
+
+def test_another_sonar_has_other_limits() -> None:
+    lidar = load_sonar("lidar").belief()
+    odd = odd_ones(ready(sonar=lidar))
+    assert set(odd) == {"ECHO_DETECT", "TRACK_RANGE", "BEAM_WIDTH"}
+    assert "param set ECHO_DETECT 7.5, " in odd["ECHO_DETECT"].fix
+    assert "param set TRACK_RANGE 750 of component 191" in odd["TRACK_RANGE"].fix
+    assert "param set BEAM_WIDTH 6 of" in odd["BEAM_WIDTH"].fix
+    told = {"TRACK_RANGE": 750.0, "BEAM_WIDTH": 6.0}
+    assert odd_ones(ready(sonar=lidar, ECHO_DETECT=7.5, coprocessor_parameters=told)) == {}
 
 
 def test_what_does_well_enough_is_let_be() -> None:

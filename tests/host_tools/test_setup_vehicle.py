@@ -167,7 +167,7 @@ def test_a_vehicle_from_the_factory_is_made_ready(
     assert ready.takes_range is True
     assert ready.reports is not None
     assert ready.reports.rate_hz == pytest.approx(20.0, abs=1.0)  # REPORT_RATE
-    assert ready.coprocessor_parameters == {"TRACK_RANGE": 450.0}
+    assert ready.coprocessor_parameters == {"TRACK_RANGE": 450.0, "BEAM_WIDTH": 40.0}
 
 
 class Job:

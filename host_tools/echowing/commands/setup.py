@@ -144,6 +144,8 @@ def _add_applet(parser: argparse.ArgumentParser, *, replaces: bool = True) -> No
 
 
 def _add_check(parser: argparse.ArgumentParser) -> None:
+    from echowing.sonar_file import SHIPPED  # noqa: PLC0415 (imported when the verb is used)
+
     parser.epilog = CHECK_EXAMPLES
     _add_vehicle(parser)
     _add_wiring(parser)
@@ -153,6 +155,9 @@ def _add_check(parser: argparse.ArgumentParser) -> None:
         choices=("follower", "leader"),
         default="follower",
         help="check the vehicle as this (follower); a leader needs no sonar and no applet",
+    )
+    parser.add_argument(
+        "--sonar", default=SHIPPED, metavar="FILE", help=f"as for `echowing follow` ({SHIPPED})"
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
@@ -249,16 +254,20 @@ def _vehicle(where: str, args: argparse.Namespace) -> "Iterator[Vehicle]":
 
 
 def _check(args: argparse.Namespace) -> int:
+    from dataclasses import replace  # noqa: PLC0415
+
     from echowing.applets import applet_named  # noqa: PLC0415
     from echowing.setup.checks import examine, exit_code  # noqa: PLC0415
     from echowing.setup.reading import read_out  # noqa: PLC0415
     from echowing.setup.readout import Role  # noqa: PLC0415
     from echowing.setup.view import as_json, as_lines  # noqa: PLC0415
+    from echowing.sonar_file import load_sonar  # noqa: PLC0415
 
     applet = None if args.applet is None else applet_named(args.applet)
     with _vehicle(args.vehicle, args) as vehicle:
         _tell(f"{vehicle.name}: listening and reading parameters …")
         readout = read_out(vehicle, args.serial, args.rangefinder, applet=applet)
+        readout = replace(readout, sonar=load_sonar(args.sonar).belief())
         role = Role(args.role)
         findings = examine(readout, role)
         system_id = vehicle.system_id

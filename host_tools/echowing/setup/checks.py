@@ -4,6 +4,7 @@ Each looks at one thing and says whether it is fine, wrong, the pilot's to decid
 determined; and if it is wrong, why and how to fix it. The expected values are in `settings`.
 """
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import Enum
@@ -23,6 +24,8 @@ from echowing.setup.settings import (
     PROXIMITY_MAVLINK,
     PROXIMITY_RANGEFINDER,
     PROXIMITY_SENSORS,
+    RANGE_MAX_M,
+    TOLERANCE,
     Setting,
     settings_for,
 )
@@ -37,7 +40,8 @@ MAVLINK_HIGH_LATENCY = 43.0  # SERIALn_PROTOCOL: a MAVLink port too, where MAVn_
 NOT_SIGNED = 1  # MAVn_OPTIONS bit 0: this port neither signs nor wants signatures
 # With a speed parameter under this the vehicle returns home at walking pace.
 SLOW_MPS = 1.0
-LIMITS_DIFFER_M = 0.1
+# The co-processor takes no wider BEAM_WIDTH (firmware/README.md).
+MOST_WIDE_DEG = 120.0
 MEMORY = "memory for scripts"
 MEASURE = "see whether the applet loads; SCR_DEBUG_OPTS 2 shows what it takes (Lua: Time … Mem …)"
 OTHER_AUTOPILOT = "take an autopilot with an F7 of 512 KiB or an H7 (lua/echowing.md)"
@@ -265,23 +269,33 @@ def _taken(readout: Readout) -> Iterator[Finding]:
         )
 
 
-def _tracking_range(readout: Readout) -> Iterator[Finding]:
-    track_cm = readout.coprocessor_parameters.get("TRACK_RANGE")
-    detect_m = readout.parameters.get("ECHO_DETECT")
-    if track_cm is None or detect_m is None:
+def _sonars_limits(readout: Readout) -> Iterator[Finding]:
+    """What applet and co-processor are told of the sonar, beside what its file says."""
+    sonar = readout.sonar
+    reach_m = min(RANGE_MAX_M, sonar.reach_m)
+    wide_deg = min(MOST_WIDE_DEG, round(math.degrees(2.0 * sonar.widest_rad.at(sonar.reach_m))))
+    board = f" of component {readout.coprocessor}"
+    why = "gimbal, applet and tool must take the same readings for the leader"
+    yield from _as_in_file("ECHO_DETECT", readout.parameters, (reach_m, 0.1), why)
+    told = readout.coprocessor_parameters
+    yield from _as_in_file("TRACK_RANGE", told, (100.0 * reach_m, 10.0), why, board)
+    why = "the field of view that it reports is the beam's"
+    yield from _as_in_file("BEAM_WIDTH", told, (wide_deg, 1.0), why, board)
+
+
+def _as_in_file(
+    name: str, told: Mapping[str, float], wanted: tuple[float, float], why: str, whose: str = ""
+) -> Iterator[Finding]:
+    """A parameter beside the sonar file's value, and by how much the two may differ."""
+    value, (by_file, differs) = told.get(name), wanted
+    if value is None:
         return
-    found = f"{track_cm:g} cm, ECHO_DETECT {detect_m:g} m"
-    if abs(track_cm / 100.0 - detect_m) <= LIMITS_DIFFER_M:
-        yield Finding("TRACK_RANGE", Verdict.FINE, found)
+    if abs(value - by_file) <= differs + TOLERANCE:
+        if whose:  # the applet's own are listed among the settings
+            yield Finding(name, Verdict.FINE, f"{value:g}", "as the sonar file says")
         return
-    yield Finding(
-        "TRACK_RANGE",
-        Verdict.YOURS,
-        found,
-        "gimbal and applet must take the same readings for the leader",
-        f"param set ECHO_DETECT {track_cm / 100.0:g}, or TRACK_RANGE of component "
-        f"{readout.coprocessor}",
-    )
+    fix = f"param set {name} {by_file:g}{whose}, or give the file of its sonar: --sonar"
+    yield Finding(name, Verdict.YOURS, f"{value:g}", f"the sonar file says {by_file:g}; {why}", fix)
 
 
 # ---- the applet and the speed ------------------------------------------------------------------
@@ -633,7 +647,7 @@ CHECKS: Mapping[Role, tuple[Check, ...]] = {
         _arming,
         _switch,
         _speed,
-        _tracking_range,
+        _sonars_limits,
         _settings,
         _avoidance,
         _choices,

@@ -110,7 +110,7 @@ def read_out(
     readout = of_messages(heard, start_s, vehicle.now_s())
     parameters = read_parameters(vehicle, serial_port, rangefinder)
     if readout.coprocessor is not None:
-        told = vehicle.read(["TRACK_RANGE"], readout.coprocessor)
+        told = vehicle.read(["TRACK_RANGE", "BEAM_WIDTH"], readout.coprocessor)
         readout = replace(readout, coprocessor_parameters=told)
     if serial_port is None and readout.coprocessor is not None:
         serial_port = only_port(parameters)

@@ -5,7 +5,9 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from echowing.applets import HOLD, Applet
+from echowing.flight.belief import SonarBelief
 from echowing.setup.boards import Board, board_of
+from echowing.sonar_file import shipped_sonar
 
 
 class Role(Enum):
@@ -55,7 +57,8 @@ class Readout:
     not asked. in_guided: armed and in Guided, so that an enabled applet is in control and reports.
     applet_on_card: None if the autopilot does not answer file requests. objections: why the
     autopilot would not arm, in its own words. signs: whether it signs its messages, and so accepts
-    only signed ones. applet: the one that it shall run. board_id: as AUTOPILOT_VERSION tells it.
+    only signed ones. applet: the one that it shall run; sonar: what is believed of the one that it
+    carries. board_id: as AUTOPILOT_VERSION tells it.
     """
 
     parameters: Mapping[str, float]
@@ -74,6 +77,7 @@ class Readout:
     objections: Sequence[str] = ()
     signs: bool = False
     applet: Applet = HOLD
+    sonar: SonarBelief = field(default_factory=shipped_sonar)
     board_id: int | None = None
 
     def first(self, *names: str) -> tuple[str, float] | None:

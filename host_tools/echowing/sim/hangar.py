@@ -27,13 +27,20 @@ from echowing.sim.world.wind import Wind
 LEADER_ID = 1
 FIRST_FOLLOWER_ID = 2
 HEIGHT_BY_RECEIVER = 3.0  # EK3_SRC1_POSZ
+MOST_DETECT_M = 7.6  # ECHO_DETECT takes no more
 
 Listen = Callable[[SimFollower, float], float | None]
 
 
 def board_parameters(system_id: int, scenario: Scenario) -> dict[str, float]:
     """The co-processor's parameters: it has learned long ago whose it is."""
-    return {"SYS_ID": float(system_id), **scenario.coprocessor}
+    track_cm = float(round(100.0 * _reach_m(scenario)))
+    return {"SYS_ID": float(system_id), "TRACK_RANGE": track_cm, **scenario.coprocessor}
+
+
+def _reach_m(scenario: Scenario) -> float:
+    """From here on a range is no target, as `setup check` wants it: as the sonar file says."""
+    return min(MOST_DETECT_M, scenario.sonar_belief.reach_m)
 
 
 def _set_up(generation: Generation) -> dict[str, float]:
@@ -136,7 +143,7 @@ class Hangar:
         if scenario.law in SPEED_LAWS:
             applet["ECHO_LAW"] = SPEED_LAWS[scenario.law]
         if scenario.law != "none":
-            applet |= {"ECHO_ENABLE": 1.0, **scenario.applet}
+            applet |= {"ECHO_ENABLE": 1.0, "ECHO_DETECT": _reach_m(scenario), **scenario.applet}
             echo_dist_m = scenario.echo_dist_m(index)
             applet |= {} if echo_dist_m is None else {"ECHO_DIST": echo_dist_m}
         return {
