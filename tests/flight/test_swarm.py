@@ -19,7 +19,7 @@ from echowing.flight.guard import Limits
 from echowing.flight.guidance import GuidanceSettings, Slot
 from echowing.flight.steps import Phase, Standing
 from echowing.flight.supervisor import STALE
-from echowing.flight.swarm import CLUSTERS_S, LINK_M, Swarm, hangs_on_one, links
+from echowing.flight.swarm import CLUSTERS_S, Swarm, hangs_on_one, link_m, links
 from echowing.flight.swarm_rules import (
     Around,
     Seen,
@@ -40,6 +40,7 @@ from echowing.mavlink.messages import Manner
 from echowing.sim.flight import FormationFlight, scattered_m
 from echowing.sim.scenario import load_scenario
 from echowing.sim.serve_flight import serve
+from echowing.sonar_file import shipped_sonar
 
 from .told import Told, at
 from .yard import FOLLOWER, LEADER, SECOND, Vehicle, Yard
@@ -48,6 +49,7 @@ pytestmark = pytest.mark.seconds(20)
 
 THIRD = 4
 WEIGHTS = Weights()
+LINK_M = link_m(shipped_sonar())
 STILL = (0.0, 0.0)
 FAR = Seen((50.0, 0.0), STILL)
 SWARM = GuidanceSettings(learn_offset=False, swarm=WEIGHTS)
@@ -146,11 +148,13 @@ def test_the_switch_lets_the_swarm_cluster() -> None:
 
 def test_an_articulation_point_is_found() -> None:
     chain = {1: at(0.0), 2: at(-4.0), 3: at(-8.0)}
-    assert set(nx.articulation_points(links(chain))) == {2}
-    assert hangs_on_one(links(chain))
-    assert not hangs_on_one(links({1: at(0.0), 2: at(-4.0), 3: at(-2.0, 3.0)}))
-    assert hangs_on_one(links({1: at(0.0), 2: at(-LINK_M - 0.1)})), "it is in two parts already"
-    assert not hangs_on_one(links({1: at(0.0)}))
+    assert set(nx.articulation_points(links(chain, LINK_M))) == {2}
+    assert hangs_on_one(links(chain, LINK_M))
+    assert not hangs_on_one(links({1: at(0.0), 2: at(-4.0), 3: at(-2.0, 3.0)}, LINK_M))
+    assert hangs_on_one(links({1: at(0.0), 2: at(-LINK_M - 0.1)}, LINK_M)), (
+        "it is in two parts already"
+    )
+    assert not hangs_on_one(links({1: at(0.0)}, LINK_M))
 
 
 def test_weights_change_while_one_vehicle_holds_two_parts_together() -> None:

@@ -57,7 +57,7 @@ def test_each_row_of_the_table_flies_a_shipped_swarm() -> None:
 def test_the_figures_of_a_flight(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("echowing.bench.swarm.GATHERED_S", 2.0)
     scenario = load_scenario("swarm", ["duration_s=8", "swarm.followers=2", "leader.start_s=0"])
-    flown = flock(FormationFlight(scenario, 1).run())
+    flown = flock(FormationFlight(scenario, 1).run(), 5.6)
     assert 0.0 <= flown.whole <= 1.0
     assert flown.polarisation > 0.5
     assert 0.9 < flown.nearest_m / (2.0 * flown.extent_m) <= 1.0, "of two, about twice"

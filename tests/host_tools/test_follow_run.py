@@ -14,6 +14,7 @@ from rich.console import Console
 from echowing.commands.follow import options_of
 from echowing.docs.live_table import SETTLED_S, Photographer, drawn
 from echowing.errors import EchowingError
+from echowing.flight.belief import SonarBelief
 from echowing.flight.guidance import GuidanceSettings, Slot
 from echowing.flight.session import FollowSession
 from echowing.flight.state import FollowerPlan
@@ -146,8 +147,8 @@ def test_a_flight_is_logged_unless_told_otherwise() -> None:
 # ---- what is shown ----------------------------------------------------------------------------
 
 
-def session() -> FollowSession:
-    plan = FollowerPlan(FOLLOWER, Slot(3.0), sonar=shipped_sonar())
+def session(belief: SonarBelief | None = None) -> FollowSession:
+    plan = FollowerPlan(FOLLOWER, Slot(3.0), sonar=belief or shipped_sonar())
     return FollowSession(LEADER, [plan], GuidanceSettings())
 
 
@@ -175,6 +176,15 @@ def test_a_sonar_reading_is_shown_while_fresh_and_nothing_is_not_a_range() -> No
     assert panel.rows(follow, 1.1 + SONAR_FRESH_S)[0].sonar_m is None
     panel.receive(sonar(766), 2.0)
     assert panel.rows(follow, 2.0)[0].sonar_m is None
+
+
+def test_a_sonar_that_reaches_further_is_shown_further() -> None:
+    """What is no target is what its file says."""
+    panel = Panel([LEADER, FOLLOWER])
+    panel.receive(sonar(650), 1.0)
+    assert panel.rows(session(), 1.0)[0].sonar_m is None
+    far = session(replace(shipped_sonar(), reach_m=7.0))
+    assert panel.rows(far, 1.0)[0].sonar_m == pytest.approx(6.5)
 
 
 def test_a_sonar_that_hears_something_else_is_told_of_once() -> None:

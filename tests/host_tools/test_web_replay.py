@@ -1,5 +1,6 @@
 """Recorded flights as moments, and a browser's time line through them."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -7,6 +8,7 @@ import pytest
 
 from echowing.analysis.logs import read_flights
 from echowing.errors import EchowingError
+from echowing.sonar_file import shipped_sonar
 from echowing.tool.log import FollowLog
 from echowing.tool.panel import VehicleHealth
 from echowing.web.recording import TableRecording, index_at, open_recording
@@ -15,6 +17,7 @@ from echowing.web.snapshot import snapshot
 
 from .flights import HERE, row, track
 
+SONAR = shipped_sonar()
 DATA = Path(__file__).parent / "data"
 START_UNIX_S = 1_790_000_000.0
 FROM_S, TO_S = 10.0, 110.0
@@ -43,7 +46,7 @@ def logged(folder: Path, moments: int = 20) -> Path:
 
 def test_what_was_logged_is_what_is_replayed(tmp_path: Path) -> None:
     logged(tmp_path)
-    recording = open_recording([tmp_path])
+    recording = open_recording([tmp_path], SONAR)
     assert len(recording.times_s) == 20
     assert recording.times_s[3] == pytest.approx(0.8)
     ((time_s, text),) = recording.events
@@ -65,7 +68,7 @@ def test_a_table_that_was_cut_off_ends_before_that(tmp_path: Path) -> None:
     table = logged(tmp_path)
     whole = table.read_bytes()
     table.write_bytes(whole[: -len(whole.splitlines()[-1]) // 2])
-    recording = TableRecording(table)
+    recording = TableRecording(table, SONAR)
     last = recording.moment(len(recording.times_s) - 1)
     assert [one.system_id for one in last.rows] == [2]  # the other's line is the cut one
     assert recording.times_s[-1] == pytest.approx(2.4)
@@ -79,7 +82,7 @@ def test_a_table_of_a_former_version_is_shown_without_what_it_lacks(tmp_path: Pa
     kept = columns.index("leader_id")
     cut = [",".join(line.split(",")[:kept]) for line in lines]
     table.write_text("\n".join(cut) + "\n", encoding="utf-8")
-    recording = open_recording([table])
+    recording = open_recording([table], SONAR)
     frame = snapshot(recording.moment(0), HERE)
     assert recording.events == []
     assert frame["followers"][0]["seen"] is None
@@ -91,7 +94,7 @@ def test_a_damaged_moment_is_said_and_the_rest_is_shown(tmp_path: Path) -> None:
     lines = table.read_text(encoding="utf-8").splitlines(keepends=True)
     lines[5] = lines[5].replace(",3.0,", ",three,", 1)
     table.write_text("".join(lines), encoding="utf-8")
-    feed = ReplayFeed(open_recording([table]))
+    feed = ReplayFeed(open_recording([table], SONAR))
     frames = [feed._frame(index) for index in range(4)]
     assert [frame is None for frame in frames] == [False, False, True, False]
     assert feed._damaged[2].endswith("damaged at 0.7 s: could not convert string to float: 'three'")
@@ -110,26 +113,38 @@ def test_what_is_no_log_is_refused(content: str, words: str, tmp_path: Path) -> 
     table = tmp_path / "follow-1.csv"
     table.write_text(content, encoding="utf-8")
     with pytest.raises(EchowingError, match=words):
-        open_recording([tmp_path])
+        open_recording([tmp_path], SONAR)
 
 
 def test_two_flights_are_not_mixed(tmp_path: Path) -> None:
     for name in ("follow-1.csv", "follow-2.csv"):
         (tmp_path / name).touch()
     with pytest.raises(EchowingError, match=r"2 flights \(.*follow-2.csv\): give one"):
-        open_recording([tmp_path])
+        open_recording([tmp_path], SONAR)
 
 
 def test_nothing_there(tmp_path: Path) -> None:
     with pytest.raises(EchowingError, match="cannot be read"):
-        open_recording([tmp_path / "follow-1.csv"])
+        open_recording([tmp_path / "follow-1.csv"], SONAR)
     with pytest.raises(EchowingError, match="a folder without"):
-        open_recording([tmp_path])
+        open_recording([tmp_path], SONAR)
+
+
+def test_a_range_beyond_the_sonars_reach_is_none_in_a_replay() -> None:
+    """How far that is, the file says of the sonar that was flown."""
+    paths = [DATA / "leader.BIN", DATA / "follower.BIN"]
+
+    def longest_m(reach_m: float) -> float:
+        recording = open_recording(paths, replace(SONAR, reach_m=reach_m))
+        rows = (recording.moment(at).rows[0] for at in range(0, len(recording.times_s), 20))
+        return max((row.sonar_m for row in rows if row.sonar_m is not None), default=0.0)
+
+    assert longest_m(2.9) < 2.9 < longest_m(3.4) < 3.4 < longest_m(4.5)
 
 
 def test_vehicles_own_logs_are_replayed_as_they_are_analysed() -> None:
     paths = [DATA / "leader.BIN", DATA / "follower.BIN"]
-    recording = open_recording(paths)
+    recording = open_recording(paths, SONAR)
     (flight,) = read_flights(paths)
     assert list(recording.times_s) == flight.time_s.tolist()
     middle = len(recording.times_s) // 2

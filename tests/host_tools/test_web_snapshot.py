@@ -171,12 +171,13 @@ def test_slots_out_of_sight_are_known_by_the_plan() -> None:
     wide = track(wanted_radius_m=8.0)
     beside = track(wanted_radius_m=8.0, wanted_angle_deg=20.0)  # 2.8 m off
     above = track(wanted_radius_m=3.0, wanted_step_m=4.0)  # 5 m from the leader
-    assert apart_by_plan([wide]) == [True]
-    assert apart_by_plan([wide, track()]) == [True, False]
-    assert apart_by_plan([wide, beside]) == [False, False]
-    assert apart_by_plan([above]) == [True]
-    assert apart_by_plan([track(wanted_radius_m=0.0)]) == [True]  # a relay
-    assert apart_by_plan([]) == []
+    assert apart_by_plan([wide], 4.5) == [True]
+    assert apart_by_plan([wide, track()], 4.5) == [True, False]
+    assert apart_by_plan([wide, beside], 4.5) == [False, False]
+    assert apart_by_plan([above], 4.5) == [True]
+    assert apart_by_plan([track(wanted_radius_m=0.0)], 4.5) == [True]  # a relay
+    assert apart_by_plan([], 4.5) == []
+    assert apart_by_plan([wide], 8.5) == [False]
 
 
 # ---- where it is ------------------------------------------------------------------------------

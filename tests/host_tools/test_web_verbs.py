@@ -12,7 +12,6 @@ from urllib.request import urlopen
 import pytest
 
 from echowing.cli import main
-from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.sim.flight import FormationWorld
 from echowing.sim.hangar import Hangar
 from echowing.sim.page import SHOWN_EVERY, WorldOnPage, moment_of
@@ -90,7 +89,7 @@ def _unit(bearing_rad: float) -> tuple[float, float]:
 def test_what_is_no_target_is_no_range() -> None:
     """The sonar's longest reading is its word for nothing."""
     world, _ = flown(2.0)
-    world.followers[0].sensor.last_range_m = DETECTION_LIMIT_M + 0.1
+    world.followers[0].sensor.last_range_m = world.scenario.sonar_belief.reach_m + 0.1
     assert moment_of(world).rows[0].sonar_m is None
     world.followers[0].sensor.last_range_m = 3.2
     assert moment_of(world).rows[0].sonar_m == 3.2

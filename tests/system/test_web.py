@@ -14,6 +14,7 @@ from tests.host_tools.flights import FOLLOWER, LEADER, many, moment, row, track
 
 from echowing.flight.health import Cut, Health
 from echowing.geo import GlobalPosition, ned_between
+from echowing.sonar_file import shipped_sonar
 from echowing.tool.log import FollowLog
 from echowing.tool.moment import Moment
 from echowing.web.live import LivePage
@@ -288,7 +289,9 @@ def replayed(tmp_path: Path) -> Iterator[str]:
         log.rows(1_000_000.0 + time_s, [one], [track(leader_north_m=2.0 * time_s)])
     log.event(1_000_030.0, "follower 2: gives way to follower 3")
     log.close()
-    server = PageServer(PageAddress(HERE, 0), ReplayFeed(open_recording([tmp_path])))
+    server = PageServer(
+        PageAddress(HERE, 0), ReplayFeed(open_recording([tmp_path], shipped_sonar()))
+    )
     yield server.address.url
     server.close()
 

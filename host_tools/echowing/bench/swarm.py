@@ -20,7 +20,7 @@ from echowing.analysis.flock import (
     rotation,
 )
 from echowing.bench.pool import flown
-from echowing.flight.swarm import LINK_M
+from echowing.flight.swarm import link_m
 from echowing.sim.flight import FlightResult, FormationFlight
 from echowing.sim.scenario import load_scenario
 
@@ -44,7 +44,7 @@ WAYS: dict[str, tuple[str, ...]] = {
 class Flock:
     """Figures of one flight, or means of several; least_m and worst are the least of any.
 
-    whole: share of the time in which links of `LINK_M` join all followers, worst: of the flight in
+    whole: share of the time in which links (`link_m`) join all followers, worst: of the flight in
     which it is least; polarisation, rotation: Couzin's, 0 to 1; nearest_m: to the nearest other
     follower; extent_m: root mean square distance from the centre; least_m: between any two vehicles
     at any time.
@@ -90,18 +90,18 @@ def fly_one(row: tuple[str, str], seed: int) -> Flock:
     """One flight of a row: a scenario, and which way."""
     scenario, way = row
     scene = load_scenario(scenario, [f"duration_s={DURATION_S}", *WAYS[way]])
-    return flock(FormationFlight(scene, seed).run())
+    return flock(FormationFlight(scene, seed).run(), link_m(scene.sonar_belief))
 
 
-def flock(result: FlightResult) -> Flock:
-    """The figures of a flight."""
+def flock(result: FlightResult, within_m: float) -> Flock:
+    """The figures of a flight; within_m: so near to each other two are linked."""
     counted = result.flights[0].time_s >= GATHERED_S
     place_m = np.stack([one.follower_ned_m[counted] for one in result.flights], axis=1)
     velocity_mps = np.stack([one.follower_velocity_mps[counted] for one in result.flights], axis=1)
     level_m, level_mps = place_m[..., :2], velocity_mps[..., :2]
     from_centre_m = level_m - level_m.mean(axis=1, keepdims=True)
     flies = np.linalg.norm(level_mps, axis=2).max(axis=1) >= FLIES_MPS
-    whole = float(np.mean([in_one_piece(one, LINK_M) for one in place_m]))
+    whole = float(np.mean([in_one_piece(one, within_m) for one in place_m]))
     return Flock(
         whole=whole,
         worst=whole,

@@ -23,7 +23,6 @@ from echowing.flight.envelope import (
 )
 from echowing.flight.handling import reaction_s
 from echowing.flight.lowest import LOWEST_M
-from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.flight.state import UNRANGED_SIGMA_M
 from echowing.mavlink.vehicle_limits import INPUT_TIME
 from echowing.sim.flight import SAMPLE_S
@@ -440,8 +439,8 @@ def mean_error(record: FlightRecord) -> list[Broken]:
     broken = []
     for number, flight in enumerate(record.flights):
         slot = record.scenario.formation.slots[number]
-        inset_m = record.scenario.sonar_belief.inset_m
-        if slot.radius_m - inset_m >= DETECTION_LIMIT_M or slot.altitude_step_m != 0.0:
+        sonar = record.scenario.sonar_belief
+        if slot.radius_m - sonar.inset_m >= sonar.reach_m or slot.altitude_step_m != 0.0:
             continue
         approached_s = approach_s(flight)
         if record.time_s[-1] - approached_s < JUDGED_S:

@@ -17,25 +17,30 @@ POLL_S = 0.2
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The verb's options."""
-    from echowing.web.options import add_web_arguments  # noqa: PLC0415 (imported when it is used)
+    from echowing.sonar_file import SHIPPED  # noqa: PLC0415 (imported when it is used)
+    from echowing.web.options import add_web_arguments  # noqa: PLC0415
 
     parser.epilog = EXAMPLES
     parser.add_argument(
         "logs", type=Path, nargs="+", metavar="DIR", help="a folder of logs, or log files"
+    )
+    parser.add_argument(
+        "--sonar", default=SHIPPED, help=f"the sonar file that was flown ({SHIPPED})"
     )
     add_web_arguments(parser, always=True)
 
 
 def run(args: argparse.Namespace) -> int:
     """Serve the flight until asked to end."""
-    from echowing.stopping import stop_on_signals  # noqa: PLC0415 (imported when the verb is used)
+    from echowing.sonar_file import load_sonar  # noqa: PLC0415 (imported when the verb is used)
+    from echowing.stopping import stop_on_signals  # noqa: PLC0415
     from echowing.web.options import PageAddress, page_address  # noqa: PLC0415
     from echowing.web.recording import open_recording  # noqa: PLC0415
     from echowing.web.replay import ReplayFeed  # noqa: PLC0415
     from echowing.web.server import PageServer  # noqa: PLC0415
 
     address = page_address(args) or PageAddress()
-    recording = open_recording(args.logs)
+    recording = open_recording(args.logs, load_sonar(args.sonar).belief())
     with stop_on_signals() as stop:
         server = PageServer(address, ReplayFeed(recording))
         print(recording.title, flush=True)

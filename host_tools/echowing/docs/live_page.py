@@ -45,8 +45,8 @@ class GroundOnPage:
         self._flight, self._page = flight, page
         self._session = flight.ground.session
         self._panel = Panel(flight.ground.links)
-        self._cohesion = Cohesion(LEADER_ID)
-        self._inset_m = flight.scenario.sonar_belief.inset_m
+        self._sonar = flight.scenario.sonar_belief
+        self._cohesion = Cohesion(LEADER_ID, self._sonar)
         self._steps = self._told = 0
         for system_id, link in flight.ground.links.items():
             link.tap = partial(self._heard, mavlink.MAVLink(None, system_id))
@@ -66,7 +66,7 @@ class GroundOnPage:
         moment = Moment(now_s, self._panel.rows(session, now_s), tracks)
         origin = moment.origin
         if origin is not None and self._steps % JUDGED_EVERY == 0:
-            vehicles = members(moment, places(moment, origin), self._inset_m)
+            vehicles = members(moment, places(moment, origin), self._sonar)
             for text in self._cohesion.update(vehicles, now_s):
                 self._page.event(now_s, text)
         for time_s, text in session.events[self._told :]:

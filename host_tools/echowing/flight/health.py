@@ -26,18 +26,18 @@ from itertools import combinations
 
 import networkx as nx
 
+from echowing.flight.belief import SonarBelief
 from echowing.flight.clocks import UNHEARD_S
 from echowing.flight.said import Said
-from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.flight.state import UNRANGED_SIGMA_M
 from echowing.flight.steps import name_of
 from echowing.geo import Ned, wrap_angle_rad
 
 RANGED_S = 2.0
 # A range belongs to the vehicle that it fits best. If it fits worse than this (a GPS and a beam's
-# width, as `panel.MISMATCH_M`), or that vehicle is further off the nose (beam 20 deg, and the two
-# receivers' errors at 3 m), it belongs to something else.
-FIT_M, AHEAD_RAD = 2.0, math.radians(50.0)
+# width, as `panel.MISMATCH_M`), or that vehicle is so far outside the widest beam (two receivers'
+# errors at 3 m), it belongs to something else.
+FIT_M, ASIDE_RAD = 2.0, math.radians(30.0)
 # A change counts when it has lasted so long: a state that comes and goes is not worth a report.
 LASTS_S = 2.0
 
@@ -92,7 +92,9 @@ class Health:
     lost: tuple[int, ...] = ()
 
 
-def ranged(member: Member, others: Iterable[Member], leader_id: int) -> int | None:
+def ranged(
+    member: Member, others: Iterable[Member], leader_id: int, sonar: SonarBelief
+) -> int | None:
     """Which vehicle a member's sonar measures now; None: the range fits none."""
     here = member.at_ned_m
     if here is None or member.range_m is None:
@@ -101,7 +103,8 @@ def ranged(member: Member, others: Iterable[Member], leader_id: int) -> int | No
         (off_m, system_id)
         for system_id, there in _around(member, others, leader_id)
         if (off_m := abs(math.dist(here, there) - member.range_m)) <= FIT_M
-        and _is_ahead(here, member.heading_rad, there)
+        and _off_rad(here, member.heading_rad, there)
+        <= sonar.widest_rad.at(member.range_m) + ASIDE_RAD
     ]
     return min(fits)[1] if fits else None
 
@@ -115,26 +118,29 @@ def _around(member: Member, others: Iterable[Member], leader_id: int) -> Iterato
             yield other.system_id, there
 
 
-def _is_ahead(here: Ned, heading_rad: float, there: Ned) -> bool:
+def _off_rad(here: Ned, heading_rad: float, there: Ned) -> float:
     north, east, _ = (b - a for a, b in zip(here, there, strict=True))
-    return abs(wrap_angle_rad(math.atan2(east, north) - heading_rad)) <= AHEAD_RAD
+    return abs(wrap_angle_rad(math.atan2(east, north) - heading_rad))
 
 
-def near_pairs(members: Sequence[Member], before: Iterable[Pair] = ()) -> set[Pair]:
+def near_pairs(
+    members: Sequence[Member], sonar: SonarBelief, before: Iterable[Pair] = ()
+) -> set[Pair]:
     """Pairs within reach of a sonar; those of `before` until receivers alone may not say so."""
     before = set(before)
     heard = [(one.system_id, one.at_ned_m) for one in members if one.heard and one.at_ned_m]
     close = (
         (frozenset((a, b)), apart_m)
         for (a, there_a), (b, there_b) in combinations(heard, 2)
-        if (apart_m := math.dist(there_a, there_b)) <= DETECTION_LIMIT_M + UNRANGED_SIGMA_M
+        if (apart_m := math.dist(there_a, there_b)) <= sonar.reach_m + UNRANGED_SIGMA_M
     )
-    return {pair for pair, apart_m in close if apart_m <= DETECTION_LIMIT_M or pair in before}
+    return {pair for pair, apart_m in close if apart_m <= sonar.reach_m or pair in before}
 
 
 def assess(
     members: Sequence[Member],
     leader_id: int,
+    sonar: SonarBelief,
     ranges: Mapping[int, int] | None = None,
     near: Iterable[Pair] | None = None,
 ) -> Health:
@@ -143,9 +149,9 @@ def assess(
     ranges: who has ranged whom recently; near: the near pairs; None: as they are at this moment.
     """
     if ranges is None:
-        seen = ((member.system_id, ranged(member, members, leader_id)) for member in members)
+        seen = ((member.system_id, ranged(member, members, leader_id, sonar)) for member in members)
         ranges = {who: whom for who, whom in seen if whom is not None}
-    pairs = near_pairs(members) if near is None else set(near)
+    pairs = near_pairs(members, sonar) if near is None else set(near)
     graph: nx.Graph[int] = nx.Graph()
     graph.add_nodes_from(member.system_id for member in members)
     graph.add_edges_from(ranges.items())
@@ -194,6 +200,7 @@ class Cohesion:
     """Tracks a formation's health over time. `update` returns what to say about changes."""
 
     leader_id: int
+    sonar: SonarBelief
     health: Health = field(default_factory=Health)
     _ranged: dict[int, tuple[float, int]] = field(default_factory=dict)
     _near: set[Pair] = field(default_factory=set)
@@ -204,14 +211,14 @@ class Cohesion:
     def update(self, members: Sequence[Member], now_s: float) -> list[str]:
         """Take the vehicles as they are now; a sentence for each change that has lasted."""
         for member in members:
-            whom = ranged(member, members, self.leader_id)
+            whom = ranged(member, members, self.leader_id, self.sonar)
             if whom is not None:
                 self._ranged[member.system_id] = (now_s, whom)
         fresh = {
             who: whom for who, (at_s, whom) in self._ranged.items() if now_s - at_s <= RANGED_S
         }
-        self._near = near_pairs(members, self._near)
-        self.health = assess(members, self.leader_id, fresh, self._near)
+        self._near = near_pairs(members, self.sonar, self._near)
+        self.health = assess(members, self.leader_id, self.sonar, fresh, self._near)
         said = [*self._say_cuts(now_s), *self._say_alone(members, now_s)]
         lost = tuple(one for one, change in sorted(self._alone.items()) if change.counts)
         self.health = replace(self.health, lost=lost)
@@ -238,12 +245,10 @@ class Cohesion:
             if not change.update(now_s, is_so=system_id in alone):
                 continue
             if change.counts and self._said.may_say(("alone", system_id), now_s):
-                yield f"follower {system_id} does not see anybody any more: {ALONE_MEANS}"
+                meant = f"no range of a vehicle, and none within {self.sonar.reach_m:g} m of it"
+                yield f"follower {system_id} does not see anybody any more: {meant}"
             elif not change.counts and ("alone", system_id) in self._said:
                 yield f"follower {system_id} sees a vehicle again"
-
-
-ALONE_MEANS = f"no range of a vehicle, and none within {DETECTION_LIMIT_M:g} m of it"
 
 
 def cut_text(cut: Cut, leader_id: int) -> str:

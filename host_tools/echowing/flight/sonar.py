@@ -1,9 +1,7 @@
-"""What the range of a sonar means, and where its gimbal points. Pure."""
+"""Where a sonar's gimbal points. Pure."""
 
 import math
 
-# From here on a range is no target (thesis 3.3.3: an X8 gives a consistent return out to 4.5 m).
-DETECTION_LIMIT_M = 4.5
 # Gimbal straight ahead (thesis Appendix A, channels 6 and 7; the co-processor's PAN_MIDDLE).
 PAN_CENTRE_US = 1380.0
 TILT_CENTRE_US = 1400.0

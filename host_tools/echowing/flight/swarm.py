@@ -15,9 +15,9 @@ from itertools import combinations
 
 import networkx as nx
 
+from echowing.flight.belief import SonarBelief
 from echowing.flight.envelope import FASTEST_MPS, SURE_SIGMAS
 from echowing.flight.guidance import GuidedPoint, Horizontal, LeaderFix, Slot, bearing_rad
-from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.flight.state import UNRANGED_SIGMA_M, FollowerState, Known
 from echowing.flight.swarm_rules import (
     Around,
@@ -32,8 +32,6 @@ from echowing.flight.swarm_rules import (
 from echowing.flight.tow_bar import LONGEST_STEP_S, TowBar
 from echowing.geo import GlobalPosition, displace, distance_m, ned_between
 
-# Two are linked within reach of a sonar, by receivers that wander.
-LINK_M = DETECTION_LIMIT_M + UNRANGED_SIGMA_M
 # One that is not heard is watched at least so long: each change begins with an estimate that knows
 # nothing, and the co-processor's search takes some seconds (`look.FIGURE_S`).
 WATCHED_S = 8.0
@@ -52,6 +50,7 @@ class Swarm:
     def __init__(self, known: Known, weights: Weights) -> None:
         self._known, self.weights = known, weights
         self.clusters = False
+        self._link_m = min(link_m(one.plan.sonar) for one in known.followers.values())
         self._cut_at_s = -math.inf
         self._since_s: dict[int, float] = {}
         self._added: dict[int, tuple[Horizontal, float]] = {}
@@ -65,7 +64,7 @@ class Swarm:
         places = {one: place for one, place in there if place is not None}
         for follower in known.followers.values():
             self._choose(follower, places, now_s)
-        if hangs_on_one(links(places)):
+        if hangs_on_one(links(places, self._link_m)):
             self._cut_at_s = now_s
         self.clusters = now_s - self._cut_at_s < CLUSTERS_S
 
@@ -94,7 +93,7 @@ class Swarm:
         if here is None or fix is None:
             return None
         to_leader_m = distance_m(here, fix.position)
-        nearest, nearest_m = None, min(to_leader_m, LINK_M)
+        nearest, nearest_m = None, min(to_leader_m, self._link_m)
         for system_id, there in places.items():
             other, apart_m = self._known.followers[system_id], distance_m(here, there)
             ahead = distance_m(there, fix.position) < to_leader_m - AHEAD_M
@@ -185,12 +184,17 @@ def _is_led(follower: FollowerState) -> bool:
     return follower.standing.sent_to and not follower.doubted
 
 
-def links(places: dict[int, GlobalPosition]) -> "nx.Graph[int]":
+def link_m(sonar: SonarBelief) -> float:
+    """Two are linked within reach of a sonar, by receivers that wander."""
+    return sonar.reach_m + UNRANGED_SIGMA_M
+
+
+def links(places: dict[int, GlobalPosition], within_m: float) -> "nx.Graph[int]":
     """Who is linked to whom."""
     graph: nx.Graph[int] = nx.Graph()
     graph.add_nodes_from(places)
     graph.add_edges_from(
-        (a, b) for a, b in combinations(places, 2) if distance_m(places[a], places[b]) <= LINK_M
+        (a, b) for a, b in combinations(places, 2) if distance_m(places[a], places[b]) <= within_m
     )
     return graph
 

@@ -24,8 +24,8 @@ class WorldOnPage:
 
     def __init__(self, world: FormationWorld, page: Page) -> None:
         self._world, self._page = world, page
-        self._cohesion = Cohesion(world.leader.autopilot.system_id)
-        self._inset_m = world.scenario.sonar_belief.inset_m
+        self._sonar = world.scenario.sonar_belief
+        self._cohesion = Cohesion(world.leader.autopilot.system_id, self._sonar)
         self._modes: dict[int, str] = {}
         self._steps = 0
 
@@ -39,7 +39,7 @@ class WorldOnPage:
             self._page.event(self._world.t_s, text)
         moment = moment_of(self._world)
         if self._steps % JUDGED_EVERY == 0:
-            vehicles = members(moment, places(moment, ORIGIN), self._inset_m)
+            vehicles = members(moment, places(moment, ORIGIN), self._sonar)
             for text in self._cohesion.update(vehicles, moment.time_s):
                 self._page.event(moment.time_s, text)
         self._page.show(Moment(moment.time_s, moment.rows, moment.tracks, self._cohesion.health))

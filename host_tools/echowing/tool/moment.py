@@ -7,10 +7,11 @@ from dataclasses import dataclass, field
 import numpy as np
 import pymap3d
 
+from echowing.flight.belief import SonarBelief
 from echowing.flight.estimate import LONGEST_CARRY_S
 from echowing.flight.guidance import Slot, slot_offset_m
 from echowing.flight.health import Health, Member
-from echowing.flight.sonar import DETECTION_LIMIT_M, pan_rad
+from echowing.flight.sonar import pan_rad
 from echowing.geo import GlobalPosition, Ned
 from echowing.tool.panel import Row
 from echowing.tool.track import Track
@@ -92,8 +93,8 @@ def _ned(
         yield None if any(map(math.isnan, place)) else (place[0], place[1], place[2])
 
 
-def members(moment: Moment, where: Places, inset_m: float) -> list[Member]:
-    """The vehicles as `flight.health` judges them; `inset_m`: the sonar reads this much less."""
+def members(moment: Moment, where: Places, sonar: SonarBelief) -> list[Member]:
+    """The vehicles as `flight.health` judges them, by what is believed of their sonars."""
     leader_age_s = moment.rows[0].leader_age_s if moment.rows else None
     leader = Member(moment.leader_id, where.leader, _age(leader_age_s))
     followers = [
@@ -102,25 +103,29 @@ def members(moment: Moment, where: Places, inset_m: float) -> list[Member]:
             at_ned_m,
             _age(row.age_s),
             math.radians(track.heading_deg) + (pan_rad(track.pan_us) if track.pan_us else 0.0),
-            _apart_m(row.sonar_m, inset_m),
+            _apart_m(row.sonar_m, sonar),
             seen_leader(track, where.leader),
             apart,
         )
         for row, track, at_ned_m, apart in zip(
-            moment.rows, moment.tracks, where.followers, apart_by_plan(moment.tracks), strict=True
+            moment.rows,
+            moment.tracks,
+            where.followers,
+            apart_by_plan(moment.tracks, sonar.reach_m),
+            strict=True,
         )
     ]
     return [leader, *followers]
 
 
-def apart_by_plan(tracks: Sequence[Track]) -> list[bool]:
-    """Which slots are beyond a sonar's range from the leader and from all other slots."""
+def apart_by_plan(tracks: Sequence[Track], reach_m: float) -> list[bool]:
+    """Which slots are beyond a sonar's reach from the leader and from all other slots."""
     north, east = np.array([slot_offset_m(_slot(track), 0.0) for track in tracks]).reshape(-1, 2).T
     down = np.array([-track.wanted_step_m for track in tracks])
     places_m = np.vstack([np.zeros(3), np.column_stack([north, east, down])])
     apart_m = np.linalg.norm(places_m[:, np.newaxis] - places_m, axis=2)
     np.fill_diagonal(apart_m, math.inf)
-    alone = apart_m.min(axis=1) > DETECTION_LIMIT_M
+    alone = apart_m.min(axis=1) > reach_m
     # A relay has no slot, and comes near nobody.
     return [
         bool(one) or track.wanted_radius_m == 0.0
@@ -132,9 +137,9 @@ def _slot(track: Track) -> Slot:
     return Slot(track.wanted_radius_m, math.radians(track.wanted_angle_deg), track.wanted_step_m)
 
 
-def _apart_m(sonar_m: float | None, inset_m: float) -> float | None:
+def _apart_m(sonar_m: float | None, sonar: SonarBelief) -> float | None:
     """The distance between centres for a range."""
-    return None if sonar_m is None or sonar_m >= DETECTION_LIMIT_M else sonar_m + inset_m
+    return None if sonar_m is None or sonar_m >= sonar.reach_m else sonar_m + sonar.inset_m
 
 
 def seen_leader(track: Track, leader: Ned | None) -> Ned | None:

@@ -11,7 +11,6 @@ from echowing.flight.clocks import UNHEARD_S
 from echowing.flight.guard import is_flying, mode_name
 from echowing.flight.leader_track import VehicleClock
 from echowing.flight.session import FollowSession
-from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.flight.state import FollowerState
 from echowing.flight.steps import Phase, name_of
 from echowing.flight.supervisor import WAITS
@@ -182,7 +181,7 @@ class Panel:
             self._autopilot_says(readings, kind, message)
             _note_health(readings, kind, message, now_s)
         if kind == "DISTANCE_SENSOR" and message.orientation == FORWARD:
-            readings.sonar_m = sonar_range_m(message, DETECTION_LIMIT_M)
+            readings.sonar_m = sonar_range_m(message, math.inf)
             readings.sonar_at_s = now_s
         elif kind == "NAMED_VALUE_FLOAT":
             readings.named[message.name] = (now_s, message.value)
@@ -214,6 +213,8 @@ class Panel:
         gimbal = readings.newest(GIMBAL_STATE, now_s)
         fresh = now_s - readings.sonar_at_s < SONAR_FRESH_S
         sonar_m = readings.sonar_m if fresh else None
+        if sonar_m is not None and sonar_m >= follower.plan.sonar.reach_m:
+            sonar_m = None
         estimate = follower.estimate
         shift_m = estimate.shift_m if estimate.offset.has_heard else (0.0, 0.0)
         watched_id = session.known.watched_id(follower)

@@ -214,7 +214,7 @@ class FollowTool:
         self._standstill = Standstill(self._session.known, self._session.guard)
         self._desk = KeyDesk(self._orders, self._event)
         self._panel = Panel([known_id(seat) for seat in options.seats])
-        self._cohesion = Cohesion(known_id(leader))
+        self._cohesion = Cohesion(known_id(leader), options.sonar)
         self._ways = {known_id(seat): self._links[seat.address.text] for seat in options.seats}
         listed = ", ".join(f"{seat.role} is system {seat.system_id}" for seat in options.seats)
         self._say(listed)
@@ -361,8 +361,7 @@ class FollowTool:
         origin = moment.origin
         if origin is None:
             return moment
-        inset_m = self._options.sonar.inset_m
-        vehicles = members(moment, places(moment, origin), inset_m)
+        vehicles = members(moment, places(moment, origin), self._options.sonar)
         for text in self._cohesion.update(vehicles, moment.time_s):
             self._event(moment.time_s, text)
         return replace(moment, health=self._cohesion.health)

@@ -14,15 +14,13 @@ from typing import Any, BinaryIO, Protocol, cast, get_type_hints
 from echowing.analysis.flight import Flight
 from echowing.analysis.logs import read_flights
 from echowing.errors import EchowingError
+from echowing.flight.belief import SonarBelief
 from echowing.flight.health import assess
-from echowing.flight.sonar import DETECTION_LIMIT_M
 from echowing.geo import GlobalPosition, displace
 from echowing.tool.moment import Moment, members, places
 from echowing.tool.panel import PREFIXES, Row, VehicleHealth
 from echowing.tool.track import Track
 
-# As sim/world/sonar.py: a sonar reads this much less than the distance between two centres.
-INSET_M = 0.2
 # Place on the globe for logs in metres; nothing that is shown depends on it.
 NOWHERE = GlobalPosition(0.0, 0.0, 0.0)
 HEIGHTS = "heights are above the place where the leader's log begins"
@@ -47,18 +45,18 @@ class Recording(Protocol):
         """The moment at `times_s[index]`."""
 
 
-def open_recording(paths: Sequence[Path]) -> Recording:
+def open_recording(paths: Sequence[Path], sonar: SonarBelief) -> Recording:
     """The flight in some paths: a folder or table of `follow --log`, else logs as `analyze` reads.
 
-    Raises EchowingError if there is none.
+    sonar: what is believed of the followers' sonars. Raises EchowingError if there is none.
     """
     tables = [table for path in paths for table in _tables(path)]
     if not tables:
-        return FlightsRecording(read_flights(paths))
+        return FlightsRecording(read_flights(paths), sonar)
     if len(tables) > 1:
         listed = ", ".join(str(table) for table in tables)
         raise EchowingError(f"replay: {len(tables)} flights ({listed}): give one of the files")
-    return TableRecording(tables[0])
+    return TableRecording(tables[0], sonar)
 
 
 def _tables(path: Path) -> list[Path]:
@@ -67,12 +65,13 @@ def _tables(path: Path) -> list[Path]:
     return [path] if path.suffix == ".csv" else []
 
 
-def judged(moment: Moment) -> Moment:
+def judged(moment: Moment, sonar: SonarBelief) -> Moment:
     """The moment with the formation's health, judged by this moment alone."""
     origin = moment.origin
     if origin is None:
         return moment
-    health = assess(members(moment, places(moment, origin), INSET_M), moment.leader_id)
+    vehicles = members(moment, places(moment, origin), sonar)
+    health = assess(vehicles, moment.leader_id, sonar)
     return Moment(moment.time_s, moment.rows, moment.tracks, health)
 
 
@@ -82,8 +81,8 @@ def judged(moment: Moment) -> Moment:
 class TableRecording:
     """The CSV of `follow --log`, and the events beside it. Raises EchowingError."""
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
+    def __init__(self, path: Path, sonar: SonarBelief) -> None:
+        self._path, self._sonar = path, sonar
         self.title = f"replay of {path.name}"
         self.times_s: list[float] = []
         self._begins: list[int] = []
@@ -110,7 +109,8 @@ class TableRecording:
                     self.times_s[index],
                     [_row(row) for row in rows],
                     [_made(Track, row) for row in rows],
-                )
+                ),
+                self._sonar,
             )
         except (KeyError, ValueError) as error:
             at_s = self.times_s[index]
@@ -206,7 +206,8 @@ _READERS = {
 class FlightsRecording:
     """Flights as `analyze` reads them, behind one leader, on the clock of the first flight."""
 
-    def __init__(self, flights: Sequence[Flight]) -> None:
+    def __init__(self, flights: Sequence[Flight], sonar: SonarBelief) -> None:
+        self._sonar = sonar
         self._flights = [flight for flight in flights if len(flight.time_s)]
         if not self._flights:
             raise EchowingError("replay: the logs hold no common time")
@@ -223,9 +224,12 @@ class FlightsRecording:
             (number, flight, index_at(flight.time_s.tolist(), self._on(flight, time_s)))
             for number, flight in enumerate(self._flights)
         ]
-        rows = [_logged_row(flight, 2 + number, at, time_s) for number, flight, at in found]
+        rows = [
+            _logged_row(flight, 2 + number, at, time_s, self._sonar.reach_m)
+            for number, flight, at in found
+        ]
         tracks = [_logged_track(flight, at) for _, flight, at in found]
-        return judged(Moment(time_s, rows, tracks))
+        return judged(Moment(time_s, rows, tracks), self._sonar)
 
     def _on(self, flight: Flight, time_s: float) -> float:
         """The first flight's time on another one's clock."""
@@ -235,7 +239,7 @@ class FlightsRecording:
         return time_s + first.start_unix_s - flight.start_unix_s
 
 
-def _logged_row(flight: Flight, number: int, at: int, time_s: float) -> Row:
+def _logged_row(flight: Flight, number: int, at: int, time_s: float, reach_m: float) -> Row:
     sonar_m = _known(flight.sonar_m[at])
     return Row(
         time_s=time_s,
@@ -244,7 +248,7 @@ def _logged_row(flight: Flight, number: int, at: int, time_s: float) -> Row:
         separation_m=_known(flight.separation_m[at]),
         error_m=None,
         slot_error_m=None,
-        sonar_m=None if sonar_m is None or sonar_m > DETECTION_LIMIT_M else sonar_m,
+        sonar_m=None if sonar_m is None or sonar_m >= reach_m else sonar_m,
         gimbal=None,
         leader_age_s=0.0,
         age_s=0.0,
