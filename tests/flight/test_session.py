@@ -8,6 +8,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.flight.guard import Limits
 from echowing.flight.guidance import GRAY, GuidanceSettings, Slot
+from echowing.flight.hearing import Heard
 from echowing.flight.jumps import AGREEING_REPORTS
 from echowing.flight.leader_track import CLOCKS_AGREE_S, VehicleClock
 from echowing.flight.plan import planned, quickens_mps2
@@ -596,6 +597,13 @@ def test_fifty_followers_each_get_their_own_point() -> None:
         assert math.isfinite(norths[plan.system_id])
 
 
+def looks_north(boot_s: float) -> Any:
+    """Where the sonar looked for the reading of that moment."""
+    return mavlink.MAVLink_gimbal_device_attitude_status_message(
+        0, 0, round(boot_s * 1e3), EARTH_FRAME, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0, 0
+    )
+
+
 def listening_session(range_m: float) -> FollowSession:
     """A still leader, a follower that believes to be 4 m south of it, and 20 s of readings."""
     follow = session(GuidanceSettings())
@@ -619,14 +627,33 @@ def test_a_sonar_that_does_not_say_where_it_looks_is_told_of_once(told: bool) ->
             follow.receive(from_vehicle(system_id, position(t_s, place)), t_s)
         follow.receive(from_vehicle(FOLLOWER, sonar_reading(t_s, 3.8 + 0.01 * (number % 2))), t_s)
         if told:
-            axis = mavlink.MAVLink_gimbal_device_attitude_status_message(
-                0, 0, round(t_s * 1e3), EARTH_FRAME, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0, 0
-            )
-            follow.receive(from_vehicle(FOLLOWER, axis), t_s)
+            follow.receive(from_vehicle(FOLLOWER, looks_north(t_s)), t_s)
         follow.tick(t_s)
 
     said = [text for _, text in follow.events if "sonar axis unknown" in text]
     assert said == ([] if told else ["follower 2: sonar axis unknown: update firmware"])
+
+
+def test_a_sonar_that_hears_worse_is_told_of_after_one_that_did_not_say_where_it_looks(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Neither takes the other's turn: each is said again after two minutes only."""
+    follow = session(GuidanceSettings())
+    hearing = follow.followers[FOLLOWER].estimate.hearing
+    monkeypatch.setattr(hearing, "heard", lambda: Heard(worse="sonar hears 20%, 50% is believed"))
+    for number in range(200):
+        t_s = 10.0 + number * 0.1
+        for system_id, place in ((LEADER, HERE), (FOLLOWER, FOLLOWER_AT)):
+            follow.receive(from_vehicle(system_id, position(t_s, place)), t_s)
+        follow.receive(from_vehicle(FOLLOWER, sonar_reading(t_s, 3.8 + 0.01 * (number % 2))), t_s)
+        if number >= 100:
+            follow.receive(from_vehicle(FOLLOWER, looks_north(t_s)), t_s)
+        follow.tick(t_s)
+    said = [text for _, text in follow.events if "sonar" in text]
+    assert said == [
+        "follower 2: sonar axis unknown: update firmware",
+        "follower 2: sonar hears 20%, 50% is believed",
+    ]
 
 
 def test_the_point_moves_by_the_receivers_disagreement_that_the_sonar_shows() -> None:

@@ -20,7 +20,7 @@ from echowing.sim.world import gps
 
 from ..sitl import loopback, truth
 from ..sitl.drift import METRES_PER_DEGREE, STEP_S, Drift
-from ..sitl.follows import fitted
+from ..sitl.follows import fitted, velocity_leaves
 from ..sitl.names import SPEED, Version
 from ..sitl.relay import Link, Queue
 from ..sitl.table import Entry, Figures, agrees, lines
@@ -98,6 +98,11 @@ def test_how_much_later_an_estimate_follows_is_found(later_s: float) -> None:
 
     assert found.later_s == pytest.approx(later_s, rel=0.01)
     assert found.left_m < 0.001 < found.of_m
+
+
+def test_of_no_logs_nothing_is_told() -> None:
+    with pytest.raises(ValueError, match="give the logs"):
+        velocity_leaves([])
 
 
 def test_drift_in_degrees_is_the_same_length_north_and_east() -> None:

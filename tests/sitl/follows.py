@@ -120,7 +120,13 @@ def velocity_leaves(logs: Sequence[Path]) -> tuple[float, float, float]:
 
     The share of how far they wander (standard deviation), that of how far they move within 20 s,
     and how quickly what does so is forgotten (correlation time, seconds) where they are in 60 s.
+
+    Raises:
+        ValueError: no logs.
+
     """
+    if not logs:
+        raise ValueError("give the logs of a flight or more")
     wanders_m2, moves_m2 = np.zeros(2), np.zeros(2)
     later = round(REST_CHANGES_S / STEP_S)
     for log in logs:
@@ -181,20 +187,24 @@ def _ned_m(track: Floats, origin: Floats) -> Floats:
 
 def main() -> None:
     """Print it for each log."""
-    for name in sys.argv[1:]:
+    logs = [Path(name) for name in sys.argv[1:]]
+    for name in logs:
         try:
-            found = follows(Path(name))
+            found = follows(name)
         except ValueError as error:
             sys.exit(f"{name}: {error}")
         for one in found:
             left = f"{one.left_m:.3f} m left of {one.of_m:.2f} m"
             print(f"{name}: {one.axis} {one.later_s:.2f} s later, {left}")
-        for axis, slope, correlation in velocity_tells(Path(name)):
+        for axis, slope, correlation in velocity_tells(name):
             print(f"{name}: {axis} velocity tells {slope:.2f}, correlation {correlation:.2f}")
-        off_mps = velocity_errs_mps(Path(name))
+        off_mps = velocity_errs_mps(name)
         usual_mps, most_mps = np.std(off_mps), np.abs(off_mps).max()
         print(f"{name}: velocity off by {usual_mps:.2f} m/s, at most {most_mps:.2f} m/s")
-    wanders, moves, forgets_s = velocity_leaves([Path(name) for name in sys.argv[1:]])
+    try:
+        wanders, moves, forgets_s = velocity_leaves(logs)
+    except ValueError as error:
+        sys.exit(str(error))
     leaves = f"{wanders:.2f} of how far errors wander, {moves:.2f} of how they move within 20 s"
     print(f"all: velocities leave {leaves}: forgotten in {forgets_s:.0f} s")
 

@@ -276,8 +276,8 @@ class Cloud:
         if elapsed_s < UPDATE_PERIOD_S:
             return False
         self._advanced_s = to_s
-        self._off, self._drift = self._moved(elapsed_s, self._opposites())
-        kept, changed = self._kept(elapsed_s)
+        kept, changed = axes = self._kept(elapsed_s)
+        self._off, self._drift = self._moved(elapsed_s, axes, self._opposites())
         for who, astray in self._astray.items():
             self._astray[who] = kept * astray + changed * self._normal(3)
         changes = self._chance.random(GUESSES)
@@ -289,13 +289,15 @@ class Cloud:
         self._wrong[others] = self._chance.random(len(others))
         return True
 
-    def _moved(self, elapsed_s: float, chance: Array) -> tuple[Array, Array]:
-        """What autopilots believe after so long, and the drift that they follow.
+    def _moved(
+        self, elapsed_s: float, axes: tuple[Array, Array], chance: Array
+    ) -> tuple[Array, Array]:
+        """What autopilots believe after so long (`axes`: `_kept`), and the drift that they follow.
 
         Height counts as following its barometer as soon as the place follows its receiver; EKF3's
         takes twice as long (tests/sitl/follows.py).
         """
-        kept, changed = self._kept(elapsed_s)
+        kept, changed = axes
         left, part = passing(elapsed_s, FOLLOWS_S)
         change = changed * chance * self._wanders_m
         drift = kept * self._drift
@@ -516,7 +518,9 @@ class Cloud:
         """Mean and covariance of the guesses."""
         self._asked = None
         ahead_s = 0.0 if self._advanced_s is None else self._then_s - self._advanced_s
-        self._then = then = self._moved(ahead_s, self._ahead)[0] if ahead_s > 0.0 else self._off
+        self._then = then = self._off
+        if ahead_s > 0.0:
+            self._then = then = self._moved(ahead_s, self._kept(ahead_s), self._ahead)[0]
         self.north_m, self.east_m, self.up_m = map(float, then @ self._weight)
         self._around = north, east = then[0] - self.north_m, then[1] - self.east_m
         up = then[2] - self.up_m

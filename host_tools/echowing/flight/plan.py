@@ -146,7 +146,8 @@ class Planner:
             return
         follower.worse_since_s = min(follower.worse_since_s, now_s)
         system_id, lasts = follower.plan.system_id, now_s - follower.worse_since_s >= WORSE_LASTS_S
-        if lasts and follower.standing.sent_to and self._said.may_say(system_id, now_s):
+        what = system_id, undirected
+        if lasts and follower.standing.sent_to and self._said.may_say(what, now_s):
             self._alert(system_id, worse, mavlink.MAV_SEVERITY_NOTICE)
             self._say(now_s, f"follower {system_id}: {worse}")
 
