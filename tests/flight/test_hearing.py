@@ -107,11 +107,16 @@ def test_what_is_worse_than_believed_is_told(found: Heard, says: str) -> None:
     assert says in str(found.worse)
     # As a text on a pilot's screen, after "Echowing: 2 ".
     assert len(str(found.worse)) <= 38
+    assert BELIEF.objection(3.0) is None
+    assert found.sonar is not None
+    assert found.sonar.objection(3.0) is not None, "by such a sonar nobody flies 3 m behind"
 
 
 @pytest.mark.parametrize("share", [0.5, 0.6, 1.0])
 def test_one_as_believed_or_better_is_not_told_of(share: float) -> None:
-    assert heard(share, wrong_share=0.02, noise_m=0.03).worse is None
+    found = heard(share, wrong_share=0.02, noise_m=0.03)
+    assert (found.worse, found.sonar) == (None, None)
+    assert found.of_believed == pytest.approx(share / 0.5, rel=0.1)
 
 
 def test_bursts_are_allowed_for() -> None:
@@ -146,3 +151,17 @@ def test_a_flight_with_a_bad_sonar_says_so_and_one_with_a_good_one_does_not() ->
     assert not any("believed" in text for text in said)
     assert noisy.scatter_m is not None and noisy.scatter_m > 0.06
     assert any("ranges scatter" in text and "3 cm is believed" in text for text in of_noise)
+    assert any("sonar not good enough, slot 3" in text for text in of_noise)
+
+
+def test_who_hears_too_little_keeps_further_off() -> None:
+    scenario = load_scenario("echowing", ["sonar.heard_share=0.2", "duration_s=120"])
+    flight = FormationFlight(scenario, 1)
+    result = flight.run()
+    (opens_s,) = [at_s for at_s, text in result.events if "sonar not good enough" in text]
+    (flown,) = result.flights
+    before = (flown.time_s > 15.0) & (flown.time_s < opens_s)
+    after = flown.time_s > opens_s + 15.0
+    assert flown.separation_m[before].mean() < 3.4
+    assert flown.separation_m[after].mean() > 3.7
+    assert flown.separation_m[after].min() > 2.5

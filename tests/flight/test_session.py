@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.flight.belief import Curve
 from echowing.flight.guard import Limits
 from echowing.flight.guidance import GRAY, GuidanceSettings, Slot
 from echowing.flight.hearing import Heard
@@ -654,6 +655,64 @@ def test_a_sonar_that_hears_worse_is_told_of_after_one_that_did_not_say_where_it
         "follower 2: sonar axis unknown: update firmware",
         "follower 2: sonar hears 20%, 50% is believed",
     ]
+
+
+SHIPPED = shipped_sonar()
+BAD = Heard(0.2, 0.4, worse="hears 20%", sonar=replace(SHIPPED, heard=Curve((0.0,), (0.2,))))
+WELL_BEYOND = replace(SHIPPED, heard=Curve((2.9, 3.2), (0.2, 0.8)))
+
+
+def opened_m(monkeypatch: pytest.MonkeyPatch, *heard: Heard) -> tuple[list[float], list[str]]:
+    """How far the slot has opened after each 10 s of what is heard, and what was said of it.
+
+    Behind a leader at 2 m/s, whose reports are half a second old.
+    """
+    follow, opened = session(GuidanceSettings()), []
+    follower = follow.followers[FOLLOWER]
+    for part, one in enumerate(heard):
+        monkeypatch.setattr(follower.estimate.hearing, "heard", lambda one=one: one)
+        for number in range(part * 100, part * 100 + 100):
+            t_s = 10.0 + number * 0.1
+            for system_id, north_m in ((LEADER, 0.0), (FOLLOWER, -3.2)):
+                place = displace(HERE, (north_m + 2.0 * t_s, 0.0, 0.0))
+                there = from_vehicle(system_id, position(t_s, place, (2.0, 0.0)))
+                follow.receive(there, t_s + (0.5 if system_id == LEADER else 0.0))
+            follow.receive(
+                from_vehicle(FOLLOWER, sonar_reading(t_s, 3.0 + 0.01 * (number % 2))), t_s
+            )
+            follow.receive(from_vehicle(FOLLOWER, looks_north(t_s)), t_s)
+            follow.tick(t_s + 0.5)
+        opened.append(round(follower.opens_m, 1))
+    return opened, [text for _, text in follow.events if "slot" in text]
+
+
+def test_a_sonar_that_is_heard_too_bad_for_its_slot_opens_it_until_it_hears_as_believed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    unknown, nearly, good = Heard(), Heard(0.5, 0.95), Heard(0.6, 1.1)
+    opened, said = opened_m(monkeypatch, good, BAD, unknown, nearly, BAD, good)
+    # As far as its reach allows.
+    assert opened == [0.0, 3.8, 3.8, 3.8, 3.8, 0.0]
+    assert said == [
+        "follower 2: sonar not good enough, slot 3.8 m: as few as 20% of its readings may hear the "
+        "leader there",
+        "follower 2: sonar as believed again, slot 3.0 m",
+    ]
+
+
+def test_a_sonar_that_carries_a_wider_slot_opens_it_that_far(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    assert WELL_BEYOND.objection(3.2) is None
+    opened, _ = opened_m(monkeypatch, replace(BAD, sonar=WELL_BEYOND))
+    assert opened == [3.2]
+
+
+def test_a_sonar_that_is_worse_than_believed_and_good_enough_opens_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    enough = replace(SHIPPED, heard=Curve((0.0,), (0.45,)))
+    assert opened_m(monkeypatch, replace(BAD, sonar=enough)) == ([0.0], [])
 
 
 def test_the_point_moves_by_the_receivers_disagreement_that_the_sonar_shows() -> None:

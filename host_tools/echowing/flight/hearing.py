@@ -11,7 +11,7 @@ import math
 import statistics
 from collections import deque
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from echowing.flight.belief import SonarBelief
@@ -64,14 +64,18 @@ class Reading(NamedTuple):
 class Heard:
     """What a sonar has heard lately; None: that is not known.
 
-    share: of its readings that hear a leader in the beam; scatter_m: standard deviation of a range;
-    wrong_share: of its readings that are of something else. worse: what is worse than believed.
+    share: of its readings that hear a leader in the beam, and of_believed: as a share of the least
+    that is believed; scatter_m: standard deviation of a range;
+    wrong_share: of its readings that are of something else. worse: what is worse than believed;
+    sonar: what to believe of it then.
     """
 
     share: float | None = None
+    of_believed: float | None = None
     scatter_m: float | None = None
     wrong_share: float | None = None
     worse: str | None = None
+    sonar: SonarBelief | None = None
 
 
 class _Weighed(NamedTuple):
@@ -136,7 +140,20 @@ class Hearing:
         share, wrong_share = _share(near), self._wrong_share()
         scatters_m = _scatter_m(one.bend_m for one in self._weighed)
         worse = _hears_less(near, share) or self._is_worse(scatters_m, wrong_share)
-        return Heard(share, scatters_m, wrong_share, worse)
+        of_believed = None if share is None else _of_believed(near)
+        heard = Heard(share, of_believed, scatters_m, wrong_share, worse)
+        return heard if worse is None else replace(heard, sonar=self._as_heard(heard))
+
+    def _as_heard(self, heard: Heard) -> SonarBelief:
+        """What is believed, and worse where it is heard worse."""
+        sonar, hears = self._sonar, 1.0 if heard.of_believed is None else heard.of_believed
+        shares = tuple(min(1.0, hears) * one for one in sonar.heard.values)
+        return replace(
+            sonar,
+            heard=replace(sonar.heard, values=shares),
+            noise_m=max(sonar.noise_m, (heard.scatter_m or 0.0) / SCATTER_SLACK),
+            wrong_share=max(sonar.wrong_share, heard.wrong_share or 0.0),
+        )
 
     def _wrong_share(self) -> float | None:
         if len(self._weighed) < LEAST_READINGS:
@@ -174,6 +191,12 @@ def _hears_less(near: list[_Weighed], share: float | None) -> str | None:
     # In the words of the share that is shown.
     told = share * believed / max(1, right)
     return f"sonar hears {share:.0%}, {min(1.0, told):.0%} is believed"
+
+
+def _of_believed(near: list[_Weighed]) -> float:
+    """How much is heard of the least that is believed."""
+    believed = sum(one.least for one in near)
+    return sum(one.is_right for one in near) / believed if believed > 0.0 else 1.0
 
 
 def scatter_m(readings: Iterable[Reading]) -> float | None:

@@ -85,6 +85,7 @@ class Planner:
         else:
             guided = follower.guided = self._swarm.guided(follower, fix, now_s)
         self._tell_of_hearing(follower, now_s)
+        self._allow_for_hearing(follower, fix, now_s)
         yaw_rad = guided.yaw_rad
         if yaw_rad is not None and look and look.nose_rad is not None:
             yaw_rad = look.nose_rad
@@ -151,6 +152,38 @@ class Planner:
             self._alert(system_id, worse, mavlink.MAV_SEVERITY_NOTICE)
             self._say(now_s, f"follower {system_id}: {worse}")
 
+    def _allow_for_hearing(self, follower: FollowerState, fix: LeaderFix, now_s: float) -> None:
+        """Open the slot once its sonar, as it is heard, carries it no more.
+
+        To the nearest that it carries, else as far as reports alone allow. Until as much is heard
+        as its file says: around what a slot takes it would open and close each minute.
+        """
+        heard, radius_m = follower.estimate.hearing.heard(), follower.slot.radius_m
+        before, lasts = follower.heard_as, now_s - follower.worse_since_s >= WORSE_LASTS_S
+        why = None if heard.sonar is None else heard.sonar.objection(radius_m)
+        if why is not None and lasts and follower.standing.sent_to:
+            follower.heard_as = heard.sonar
+        elif heard.worse is None and (heard.of_believed or 0.0) >= 1.0:
+            follower.heard_as = None
+        follower.by_ear_m = self._by_ear_m(follower, fix)
+        if (follower.heard_as is None) is (before is None):
+            return
+        slot = f"slot {max(radius_m, follower.least_m):.1f} m"
+        text = (
+            f"sonar as believed again, {slot}" if why is None else f"sonar not good enough, {slot}"
+        )
+        system_id = follower.plan.system_id
+        self._alert(system_id, text, mavlink.MAV_SEVERITY_NOTICE)
+        self._say(now_s, ": ".join(filter(None, (f"follower {system_id}", text, why))))
+
+    def _by_ear_m(self, follower: FollowerState, fix: LeaderFix) -> float:
+        """The nearest slot by a sonar that hears too little; 0: it hears enough."""
+        sonar, radius_m = follower.heard_as, follower.slot.radius_m
+        if sonar is None:
+            return 0.0
+        carried_m = sonar.nearest_carried_m(radius_m, (radius_m, sonar.reach_m))
+        return _by_radio_m(self._known, follower, fix) if carried_m is None else carried_m
+
 
 def planned(known: Known, follower: FollowerState, fix: LeaderFix, now_s: float) -> GuidedPoint:
     """The slot at the moment the point reaches the vehicle, and the point that leads to it.
@@ -197,13 +230,14 @@ def _comes_in_m(known: Known, follower: FollowerState, now_s: float) -> float:
 def _by_radio_m(known: Known, follower: FollowerState, fix: LeaderFix) -> float:
     """The nearest slot from which it still stops if its leader does and only reports show that.
 
-    With a sonar that has heard the leader and is likely deaf now: gets away from a reversal. No
-    further than the sonar's reach, less what the receivers may be off: beyond, the leader would
-    never be heard again. Nor, by a sonar that works, than the leader's legs are heard, if that
-    leaves nearly as much room.
+    With a sonar that has heard the leader, and is likely deaf now or hears too little: gets away
+    from a reversal. No further than the sonar's reach, less what the receivers may be off: beyond,
+    the leader would never be heard again. Nor, by a sonar that works, than the leader's legs are
+    heard, if that leaves nearly as much room.
     """
     estimate = follower.estimate
-    stops = math.isinf(estimate.missed_s) or estimate.offset.deaf_share <= 0.5
+    trusted = follower.heard_as is None and estimate.offset.deaf_share <= 0.5
+    stops = math.isinf(estimate.missed_s) or trusted
     noticed_s = round(known.leader.oldest_s + follower.way_s, 1)
     speed_mps, brakes_mps2 = round(fix.speed_mps, 1), known.leader_brakes_mps2
     answer, clear_m = follower.handling.answer, known.settings.clearance_m

@@ -113,7 +113,8 @@ class FollowerState:
     away_beats: heartbeats in a row that were not of one that flies in Guided; level_m,
     levelled_at_s: by how much it flies higher than planned, to be level with its leader, and when
     that was set; sonar_id: the component that sends its sonar's readings; worse_since_s: since
-    when its sonar hears worse than believed.
+    when its sonar hears worse than believed; heard_as: its sonar as it is heard, while that carries
+    no slot as near as its own, and by_ear_m: the nearest slot then.
     """
 
     plan: FollowerPlan
@@ -156,6 +157,8 @@ class FollowerState:
     in_guided: bool = False
     away_beats: int = 2
     worse_since_s: float = math.inf
+    heard_as: SonarBelief | None = None
+    by_ear_m: float = 0.0
     guided: GuidedPoint | None = None
     _motions: dict[float, tuple[GlobalPosition, Horizontal]] = field(default_factory=dict)
 
@@ -166,8 +169,11 @@ class FollowerState:
 
     @property
     def least_m(self) -> float:
-        """The least distance of its slot: for a leader that may turn round, or on the way to it."""
-        return max(self.reversal_m, self.on_way_m)
+        """The least distance of its slot.
+
+        For a leader that may turn round, on the way to it, or by a sonar that hears too little.
+        """
+        return max(self.reversal_m, self.on_way_m, self.by_ear_m)
 
     @property
     def slot(self) -> Slot:
