@@ -86,6 +86,9 @@ def test_analyze_writes_it_and_says_what_it_heard(
     assert main(["analyze", str(tmp_path), "--sonar", str(mine)]) == 0
     said = capsys.readouterr().out
     assert "m: hears 4" in said or "m: hears 3" in said
+    # Beside what was believed.
+    assert "measured: ranges scatter 1.8 to 2.9 cm, 1.4% to 1.9% are wild, " in said
+    assert "mb1202: ranges scatter 0.5 to 3.0 cm, 0.0% to 2.0% are wild, 0.0% to 1.0% late" in said
     assert f"echowing follow --sonar {mine}" in said
     heard = load_sonar(mine).belief().heard.at(2.8)
     assert 0.3 < heard < 0.4

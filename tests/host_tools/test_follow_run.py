@@ -363,12 +363,12 @@ def test_what_a_sonar_has_heard_stands_in_the_lines_of_health() -> None:
     well, badly, unknown = (
         health([row(**told)]).plain
         for told in (
-            {"heard_percent": 74.2},
+            {"heard_percent": 74.2, "scatter_m": 0.018, "wrong_percent": 1.6},
             {"heard_percent": 31.0, "worse": "sonar hears 31%, 50% is believed"},
             {},
         )
     )
-    assert "hears 74 %" in well
+    assert "hears 74 % ± 2 cm 2 % wrong" in well
     assert "sonar hears 31%, 50% is believed" in badly
     assert "hears" not in unknown
 

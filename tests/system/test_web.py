@@ -202,6 +202,15 @@ def test_words_of_a_vehicle_are_words(live: LivePage, browser: Browser) -> None:
     sight.close()
 
 
+def test_what_a_sonar_has_heard_stands_on_its_card(live: LivePage, browser: Browser) -> None:
+    sight = Sight(browser)
+    sight.open(live.url)
+    live.show(moment(1.0, heard_percent=74.2, scatter_m=0.018, wrong_percent=1.6))
+    sight.until(f"{FRAME} && document.querySelector('article.follower')")
+    assert sight.field(FOLLOWER, "sonar").endswith("hears 74 % ± 2 cm 2 % wrong")
+    sight.close()
+
+
 def test_the_table_before_engaging_stands_as_it_was_said(live: LivePage, browser: Browser) -> None:
     lines = [
         "before engaging  clock   applet",

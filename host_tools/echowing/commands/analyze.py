@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from echowing.analysis.metrics import Metrics
     from echowing.analysis.tables import Result
     from echowing.flight.guidance import Slot
+    from echowing.sonar_file import SonarFile
 
 EXAMPLES = """\
 examples:
@@ -136,8 +137,17 @@ def _sonar(args: argparse.Namespace) -> int:
     for at in measured.fit.at:
         low, high = at.share_between
         print(f"{at.range_m:.1f} m: hears {at.share:.0%} on the axis ({low:.0%} to {high:.0%})")
+    for name, file in (("measured", measured.file), (args.base, base)):
+        print(f"{name}: {_scatter_and_wrong(file)}")
     print(f"{args.sonar}: fly by it with `echowing follow --sonar {args.sonar}`")
     return 0
+
+
+def _scatter_and_wrong(file: "SonarFile") -> str:
+    """What ranges scatter by, and how many are wrong: from the least to the most."""
+    low_cm, high_cm = (100.0 * one for one in file.noise_m)
+    wild, late = (f"{low:.1%} to {high:.1%}" for low, high in (file.wild_share, file.late_share))
+    return f"ranges scatter {low_cm:.1f} to {high_cm:.1f} cm, {wild} are wild, {late} late"
 
 
 def _answers(logs: list[Path], *, as_json: bool) -> int:

@@ -36,9 +36,14 @@ def _sonar(row: Row) -> list[tuple[str, str]]:
     """What its sonar has heard in the last minute; what is worse than believed in full."""
     if row.worse is not None:
         return [(row.worse, WRONG)]
-    if row.heard_percent is None:
-        return []
-    return [(f"hears {row.heard_percent:.0f} %", "")]
+    words = []
+    if row.heard_percent is not None:
+        words.append(f"hears {row.heard_percent:.0f} %")
+    if row.scatter_m is not None:
+        words.append(f"± {100.0 * row.scatter_m:.0f} cm")
+    if row.wrong_percent is not None:
+        words.append(f"{row.wrong_percent:.0f} % wrong")
+    return [(" ".join(words), "")] if words else []
 
 
 def _line(name: str, words: Sequence[tuple[str, str]]) -> Text:

@@ -208,8 +208,11 @@ function showVehicle(one, leads) {
     + (one.watches ? ` from ${one.watches}` : "");
   say("wanted", error);
   const range = number(one.sonar.range, 2, " m");
-  const heard = number(one.sonar.heard, 0, " %");
-  const parts = [range, one.sonar.state, one.sonar.heard === null ? "" : `hears ${heard}`];
+  const {heard, scatter, wrong} = one.sonar;
+  const told = [heard === null ? "" : `hears ${number(heard, 0, " %")}`,
+    scatter === null ? "" : `± ${number(100 * scatter, 0, " cm")}`,
+    wrong === null ? "" : `${number(wrong, 0, " %")} wrong`];
+  const parts = [range, one.sonar.state, told.filter(part => part).join(" ")];
   say("sonar", parts.filter(part => part).join(", "));
   say("limit", number(one.limit, 1, " m/s"));
   say("height", `${number(one.height, 1)} / ${number(one.wanted_height, 1, " m")}`);
