@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from echowing.sim.vehicle.copter import Copter, tuning_of, wrap_pi
+from echowing.sim.vehicle.copter import HOVER_THROTTLE, Copter, tuning_of, wrap_pi
 from echowing.sim.vehicle.guided import Guided
 from echowing.sim.vehicle.parameters import Generation, Parameters
 from echowing.sim.vehicle.wpnav import LeanLimits, TrackLimits
@@ -310,6 +310,21 @@ def test_climbs_and_descends_within_the_limits() -> None:
         fastest = max(fastest, copter.vd_mps)
     assert fastest == pytest.approx(1.5, abs=0.1)  # WP_SPD_DN
     assert copter.down_m == pytest.approx(-10.0, abs=0.02)
+
+
+def test_its_motors_throttle_is_what_holds_it_up_and_what_makes_it_climb() -> None:
+    copter = guided()
+    fly(copter, 5.0)
+    assert copter.throttle == pytest.approx(HOVER_THROTTLE)
+    copter.guided_velocity((0.0, 0.0, -2.0))
+    fly(copter, 0.5)
+    assert HOVER_THROTTLE + 0.02 < copter.throttle < 1.0
+    copter.guided_velocity((8.0, 0.0, 0.0))
+    fly(copter, 3.0)
+    leans = math.cos(copter.roll_rad) * math.cos(copter.pitch_rad)
+    assert leans < 0.98
+    assert copter.throttle == pytest.approx(HOVER_THROTTLE / leans, abs=0.03)
+    assert Copter((0.0, 0.0, 0.0), flying=False).throttle == 0.0
 
 
 def test_looks_along_the_path_and_keeps_the_heading_at_rest() -> None:

@@ -103,6 +103,19 @@ def test_only_a_share_of_the_pings_is_heard_by_range() -> None:
     assert heard_share(target_at(3.1), 2_000, heard=heard) == pytest.approx(0.5, abs=0.04)
 
 
+def test_propellers_leave_a_share_of_what_is_heard() -> None:
+    loud = replace(QUIET, left=Curve((0.2, 0.6), (1.0, 0.2)))
+
+    def share(throttle: float) -> float:
+        ear, pose = ear_of(loud), Pose(HIGH, NORTH, throttle=throttle)
+        heard = [ear.ping(k * 0.1, pose, [target_at(3.0)], ()) for k in range(1000)]
+        return 1.0 - heard.count(None) / len(heard)
+
+    assert share(0.2) == 1.0
+    assert share(0.4) == pytest.approx(0.6, abs=0.05)
+    assert share(0.8) == pytest.approx(0.2, abs=0.05)
+
+
 def test_the_beam_narrows_with_the_range() -> None:
     narrowing = Curve((1.0, 3.0), (math.radians(20.0), math.radians(6.0)))
 

@@ -3,6 +3,7 @@
 import math
 import statistics
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -13,7 +14,7 @@ from echowing.sim.scenario import load_scenario
 from echowing.sim.world.gps import Errors
 from echowing.sim.world.sonar import TrueSonar
 from echowing.sim.world.truth import true_errors, true_sonar
-from echowing.sonar_file import load_sonar
+from echowing.sonar_file import ThrottleSection, load_sonar, write_sonar
 
 SHIPPED = load_sonar("mb1202")
 
@@ -70,6 +71,17 @@ def test_nine_of_ten_sonars_are_between_what_the_file_says(
     # 270 expected, standard deviation 5; where a limit cuts, none is beyond it on that side.
     assert 0.85 < sum(least <= one <= most for one in found) / len(found) < 0.98
     assert statistics.fmean(found) == pytest.approx((least + most) / 2.0, abs=0.1 * (most - least))
+
+
+def test_a_followers_propellers_take_what_its_sonar_file_says(tmp_path: Path) -> None:
+    loud = SHIPPED.model_copy(
+        update={"throttle": ThrottleSection(throttle=(0.0, 0.4), share=(1.0, 0.5))}
+    )
+    write_sonar(tmp_path / "loud.toml", loud)
+    one = follower(1, f"sonar.file={tmp_path / 'loud.toml'}")
+    assert one.ear.sonar.left.at(one.pose().throttle) == pytest.approx(1.0 - 0.5 * 0.38 / 0.4)
+    usual = follower(1)
+    assert usual.ear.sonar.left.at(usual.pose().throttle) == 1.0
 
 
 def test_without_spread_all_are_the_middle() -> None:

@@ -116,7 +116,8 @@ class SimFollower(SimVehicle):
         """Where the sonar is and looks, now."""
         body = self.body
         axis = body_to_ned(self.gimbal.axis_body(), body.roll_rad, body.pitch_rad, body.yaw_rad)
-        return Pose(self.position_ned_m, axis, self.beam_half_angle_rad)
+        throttle = body.throttle if isinstance(body, Copter) else 0.0
+        return Pose(self.position_ned_m, axis, self.beam_half_angle_rad, throttle)
 
     def reflector(self, pose: Pose) -> list[Target]:
         """What is loud ahead, if anything is."""

@@ -36,6 +36,7 @@ from echowing.sim.vehicle.wpnav import (
 # The autopilot's loop takes 2.5 ms. On targets that shake by 0.1 m at 0.9 Hz steps of 20 ms lean by
 # 1.9 degrees (RMS) otherwise than SITL, steps of 10 ms by 0.6.
 LONGEST_STEP_S = 0.01
+HOVER_THROTTLE = 0.38  # SITL's quad hovers at this
 # Below this share of the speed limit the heading is kept (AC_PosControl.cpp, yaw of the path).
 LOOK_SHARE = 0.05
 
@@ -357,6 +358,14 @@ class Copter(EstimatedPosition):
     def demand_ne_mps2(self) -> tuple[float, float]:
         """Horizontal acceleration that the lean is to give, north and east."""
         return self._control_n, self._control_e
+
+    @property
+    def throttle(self) -> float:
+        """Of its motors, 0 to 1: what holds it up at its lean, and what makes it climb."""
+        if self.landed:
+            return 0.0
+        weights = (1.0 - self._lift_d / GRAVITY_MPS2) / (cos(self.roll_rad) * cos(self.pitch_rad))
+        return clamp(HOVER_THROTTLE * weights, 0.0, 1.0)
 
     # ---- one step
 

@@ -8,6 +8,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.geo import GlobalPosition
+from echowing.sim.vehicle.copter import HOVER_THROTTLE
 from echowing.sim.vehicle.guided import Body, SubMode
 from echowing.sim.vehicle.modes import AUTO, BRAKE, GUIDED, LAND, RTL, FlightModes
 from echowing.sim.vehicle.parameters import Parameters
@@ -33,7 +34,6 @@ _EKF_FLAGS_LOST = mavlink.EKF_ATTITUDE | mavlink.EKF_POS_VERT_ABS | mavlink.EKF_
 _VOLTAGE_MV, _CURRENT_CA, _REMAINING_PERCENT = 12_600, 1_000, 80
 _SATELLITES, _EPH_CM = 10, 121  # SITL's receiver: HDOP 1.21
 _RC_UNKNOWN_RSSI = 255
-_HOVER_THROTTLE_PERCENT = 38  # SITL's quad hovers at this
 
 _SENSORS = (
     mavlink.MAV_SYS_STATUS_SENSOR_3D_GYRO
@@ -261,7 +261,7 @@ class Reports:
             speed_mps,
             speed_mps,
             round(math.degrees(body.yaw_rad)) % 360,
-            _HOVER_THROTTLE_PERCENT if self._modes.flying else 0,
+            round(100.0 * HOVER_THROTTLE) if self._modes.flying else 0,
             ORIGIN.alt_m - body.est_down_m,
             -body.vd_mps,
         )

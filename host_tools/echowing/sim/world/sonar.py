@@ -42,6 +42,8 @@ LEVER_ARM_M = 0.10
 TONE_S = 1.0
 # Near its limit an echo comes and goes: from sure to never within so much either side.
 FADES_SHARE = 0.05
+# Nothing is lost, whatever it depends on.
+ALL = Curve((0.0,), (1.0,))
 
 DEFAULT_ADDRESS = 0x70
 COMMAND_RANGE = 0x51
@@ -61,7 +63,8 @@ class TrueSonar:
     propeller noise or as an echo of an earlier ping. stock_m, foil_m: how far an X8 without and
     with foil on its legs is heard. inset_m: how much less than the separation it reads. deaf_share,
     deaf_s: share of the time in which it hears nothing, and how long that lasts on average.
-    tone_share: share of the time in which the tone of a stranger's sonar reaches it.
+    tone_share: share of the time in which the tone of a stranger's sonar reaches it. left: what
+    propellers leave of the share heard, over the throttle (0 to 1).
     """
 
     heard: Curve
@@ -75,6 +78,7 @@ class TrueSonar:
     deaf_share: float = 0.0
     deaf_s: float = 1.0
     tone_share: float = 0.0
+    left: Curve = ALL
 
     @property
     def widest_rad(self) -> float:
@@ -93,19 +97,20 @@ class TrueSonar:
 
 # One on a desk, without propellers: it hears all that is in its beam. Twenty degrees is what the
 # ArduCopter SITL formation flights were flown with.
-ON_A_DESK = TrueSonar(heard=Curve((0.0,), (1.0,)), half_rad=Curve((0.0,), (math.radians(20.0),)))
+ON_A_DESK = TrueSonar(heard=ALL, half_rad=Curve((0.0,), (math.radians(20.0),)))
 
 
 @dataclass(slots=True)
 class Pose:
     """Where a sonar is: its vehicle's centre (NED metres) and the unit vector it looks along.
 
-    beam_half_angle_rad: the beam is nowhere wider.
+    beam_half_angle_rad: the beam is nowhere wider. throttle: of its vehicle, 0 to 1.
     """
 
     position_ned_m: Ned
     axis_ned: Ned
     beam_half_angle_rad: float = ON_A_DESK.widest_rad
+    throttle: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -331,8 +336,8 @@ class Ear:
             return None
         # Small targets shorten the beam, and narrow it: as if they were further away.
         as_foil_m = range_m * self.sonar.foil_m / target.heard_to_m
-        is_heard = drawn < self.sonar.share(as_foil_m, off_rad, pose.beam_half_angle_rad)
-        return range_m if is_heard else None
+        share = self.sonar.share(as_foil_m, off_rad, pose.beam_half_angle_rad)
+        return range_m if drawn < share * self.sonar.left.at(pose.throttle) else None
 
     def _ghosts_m(self, t_s: float) -> list[float]:
         """Echoes of earlier pings that arrive now, at the distance they then seem to have."""

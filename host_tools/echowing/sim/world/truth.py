@@ -69,6 +69,7 @@ def true_sonar(file: SonarFile, given: "SonarSection", chance: Stream) -> TrueSo
         deaf_share=given.deaf_share,
         deaf_s=given.deaf_s,
         tone_share=given.tone_share,
+        left=Curve(file.throttle.throttle, file.throttle.share),
     )
     told = {
         "heard": None if given.heard_share is None else Curve((0.0,), (given.heard_share,)),
