@@ -129,6 +129,12 @@ def test_formations_are_drawn_as_they_are_flown_by_name() -> None:
     assert 3.8 < max(spacings_m) <= 4.0
 
 
+def test_sonars_of_formations_are_drawn_as_those_of_the_field() -> None:
+    formations = load_description("formations")
+    drawn = [draw(formations, 1, index).sonar for index in range(60)]
+    assert drawn == [one.sonar for one in drawn_fields()[:60]]
+
+
 def behind_of(slot: Slot) -> int | None:
     return None if slot.behind is None else slot.behind + 1
 
@@ -186,6 +192,7 @@ path = { weighted = { circle = 3, rectangle = 1 } }
             "[formation]\nshape = 'ring'",
             "formation.shape: one of column, vee, echelon, abreast, diamond, wedge, not ring",
         ),
+        ("[flight]\nsonar = 'sea'", "flight.sonar: field or many or formations, not 'sea'"),
         ("[formation]\nsize = 2", "formation.size: no such key"),
         ("[[fault]]\nkind = 'sonar_dead'", r"needs `kind` and `share`"),
         ("[[fault]]\nshare = 0.001\nkind = 'sonar_deaf'\nvehicle = 'follower'", "'sonar_dead'"),

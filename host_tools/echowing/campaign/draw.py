@@ -55,13 +55,28 @@ def load_description(name_or_path: str = SHIPPED[0]) -> Description:
         except (OSError, UnicodeDecodeError) as error:
             raise EchowingError(f"{path}: cannot read the description: {error}") from error
     elif name_or_path in SHIPPED:
-        shipped = resources.files("echowing") / "campaigns" / f"{name_or_path}.toml"
-        text = shipped.read_text(encoding="utf-8")
+        text = _shipped(name_or_path)
     else:
         raise EchowingError(
             f"no description {name_or_path!r}: {' or '.join(SHIPPED)}, or a .toml file"
         )
     return parse_description(text, str(path))
+
+
+def _shipped(name: str) -> str:
+    return (resources.files("echowing") / "campaigns" / f"{name}.toml").read_text(encoding="utf-8")
+
+
+def _with_sonars(table: dict[str, Any], source: str) -> dict[str, Any]:
+    """The description; where a name stands for its sonars, they are those of that shipped one."""
+    flight = table.get("flight", {})
+    name = flight.get("sonar")
+    if not isinstance(name, str):
+        return table
+    if name not in SHIPPED:
+        raise EchowingError(f"{source}: flight.sonar: {' or '.join(SHIPPED)}, not {name!r}")
+    sonar = tomllib.loads(_shipped(name))["flight"].get("sonar", {})
+    return {**table, "flight": {**flight, "sonar": sonar}}
 
 
 def parse_description(text: str, source: str) -> Description:
@@ -76,6 +91,7 @@ def parse_description(text: str, source: str) -> Description:
             f"{source}: {', '.join(sorted(unknown))}: no such key; allowed here: fault, flight, "
             "formation, title"
         )
+    table = _with_sonars(table, source)
     description = Description(source, text, table)
     for entry in table.get("fault", []):
         if "kind" not in entry or not isinstance(entry.get("share"), int | float):
