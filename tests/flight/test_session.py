@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.flight.belief import Curve
+from echowing.flight.belief import Curve, SonarBelief
 from echowing.flight.guard import Limits
 from echowing.flight.guidance import GRAY, GuidanceSettings, Slot
 from echowing.flight.hearing import Heard
@@ -662,13 +662,16 @@ BAD = Heard(0.2, 0.4, worse="hears 20%", sonar=replace(SHIPPED, heard=Curve((0.0
 WELL_BEYOND = replace(SHIPPED, heard=Curve((2.9, 3.2), (0.2, 0.8)))
 
 
-def opened_m(monkeypatch: pytest.MonkeyPatch, *heard: Heard) -> tuple[list[float], list[str]]:
+def opened_m(
+    monkeypatch: pytest.MonkeyPatch, *heard: Heard, sonar: SonarBelief = SHIPPED
+) -> tuple[list[float], list[str]]:
     """How far the slot has opened after each 10 s of what is heard, and what was said of it.
 
     Behind a leader at 2 m/s, whose reports are half a second old.
     """
-    follow, opened = session(GuidanceSettings()), []
+    follow, opened = session(GuidanceSettings()), list[float]()
     follower = follow.followers[FOLLOWER]
+    follower.plan.sonar = sonar
     for part, one in enumerate(heard):
         monkeypatch.setattr(follower.estimate.hearing, "heard", lambda one=one: one)
         for number in range(part * 100, part * 100 + 100):
@@ -713,6 +716,12 @@ def test_a_sonar_that_is_worse_than_believed_and_good_enough_opens_nothing(
 ) -> None:
     enough = replace(SHIPPED, heard=Curve((0.0,), (0.45,)))
     assert opened_m(monkeypatch, replace(BAD, sonar=enough)) == ([0.0], [])
+
+
+def test_what_the_file_says_of_the_slot_opens_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An operator who flies a slot that the file does not carry knows what it says."""
+    noisy = replace(SHIPPED, noise_m=0.1)
+    assert opened_m(monkeypatch, replace(BAD, sonar=noisy), sonar=noisy) == ([0.0], [])
 
 
 def test_the_point_moves_by_the_receivers_disagreement_that_the_sonar_shows() -> None:

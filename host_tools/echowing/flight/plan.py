@@ -161,7 +161,9 @@ class Planner:
         heard, radius_m = follower.estimate.hearing.heard(), follower.slot.radius_m
         before, lasts = follower.heard_as, now_s - follower.worse_since_s >= WORSE_LASTS_S
         why = None if heard.sonar is None else heard.sonar.objection(radius_m)
-        if why is not None and lasts and follower.standing.sent_to:
+        # What its file says of the slot is known, and it is flown all the same.
+        news = why not in (None, follower.plan.sonar.objection(radius_m))
+        if news and lasts and follower.standing.sent_to:
             follower.heard_as = heard.sonar
         elif heard.worse is None and (heard.of_believed or 0.0) >= 1.0:
             follower.heard_as = None
@@ -169,9 +171,8 @@ class Planner:
         if (follower.heard_as is None) is (before is None):
             return
         slot = f"slot {max(radius_m, follower.least_m):.1f} m"
-        text = (
-            f"sonar as believed again, {slot}" if why is None else f"sonar not good enough, {slot}"
-        )
+        again = "sonar as believed again" if why is None else "sonar not good enough"
+        text = f"{again}, {slot}"
         system_id = follower.plan.system_id
         self._alert(system_id, text, mavlink.MAV_SEVERITY_NOTICE)
         self._say(now_s, ": ".join(filter(None, (f"follower {system_id}", text, why))))
