@@ -9,7 +9,7 @@ from echowing.sim.vehicle.parameters import Parameters
 
 NOT_CONNECTED, NO_DATA, OUT_OF_RANGE_LOW, OUT_OF_RANGE_HIGH, GOOD = range(5)
 TIMEOUT_MS = 500  # AP_RangeFinder_MAVLink.cpp: older data is dumped
-MAVLINK_TYPE = 10  # RNGFND1_TYPE
+MAXBOTIX_TYPE, MAVLINK_TYPE = 2, 10  # RNGFND1_TYPE; the first by I2C
 QUALITY_UNKNOWN = -1
 
 
