@@ -58,7 +58,8 @@ class SonarBelief:
     edge_rad: over this angle the beam begins. noise_m: standard deviation of a range, at most.
     wrong_share: most of its readings that are not the leader's. shortest_m: nearer reads as this.
     reach_m: a range from here on is no target. heard_to_m: so far the leader is heard in any case.
-    inset_m: how much less than the separation it reads. rate_hz: readings per second.
+    inset_m: how much less than the separation it reads. rate_hz: readings per second. fixed: the
+    autopilot reads it itself, and it looks where the nose does; else the co-processor does both.
     """
 
     heard: Curve
@@ -72,6 +73,7 @@ class SonarBelief:
     inset_m: float
     heard_to_m: float
     rate_hz: float
+    fixed: bool = False
 
     def objection(self, radius_m: float) -> str | None:
         """Why it does not carry a slot of this radius; None: it does."""

@@ -49,7 +49,7 @@ from echowing.mavlink.messages import (
     status_text,
 )
 
-DISTANCE_HZ, ATTITUDE_HZ = 5.0, 2.0
+DISTANCE_HZ, FIXED_HZ, ATTITUDE_HZ = 5.0, 10.0, 2.0  # FIXED: of a sensor on the nose
 # No copter flies faster (WP_SPD ends at 20 m/s): the applet uses no faster point (FASTEST_MPS).
 FASTEST_MPS = 30.0
 
@@ -394,9 +394,15 @@ class FollowSession:
             wanted += self.engagement.requests()
         if self.settings.learn_offset:
             distance = mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR
-            wanted += [(system_id, distance, DISTANCE_HZ) for system_id in self.followers]
+            wanted += [
+                (system_id, distance, FIXED_HZ if one.plan.sonar.fixed else DISTANCE_HZ)
+                for system_id, one in self.followers.items()
+            ]
         attitude = mavlink.MAVLINK_MSG_ID_ATTITUDE
-        wanted += [(system_id, attitude, ATTITUDE_HZ) for system_id in self.followers]
+        wanted += [
+            (system_id, attitude, FIXED_HZ if one.plan.sonar.fixed else ATTITUDE_HZ)
+            for system_id, one in self.followers.items()
+        ]
         return wanted
 
 
