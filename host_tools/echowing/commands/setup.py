@@ -118,6 +118,13 @@ def _add_wiring(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="use RNGFNDn, if another sensor uses RNGFND1 (1)",
     )
+    parser.add_argument(
+        "--sonar",
+        default=None,
+        metavar="FILE",
+        help="as for `echowing follow`: a sensor that the autopilot reads itself needs no "
+        "co-processor (mb1202)",
+    )
 
 
 def _add_applet(parser: argparse.ArgumentParser, *, replaces: bool = True) -> None:
@@ -236,6 +243,13 @@ def _applet(args: argparse.Namespace) -> "Applet":
     return replace(applet, source=Release(args.release).verified(applet.file))
 
 
+def _range_type(args: argparse.Namespace) -> int:
+    """The RNGFNDn_TYPE that the vehicle's sensor needs."""
+    from echowing.sonar_file import SHIPPED, load_sonar  # noqa: PLC0415
+
+    return load_sonar(args.sonar or SHIPPED).rangefinder_type
+
+
 @contextmanager
 def _vehicle(where: str, args: argparse.Namespace) -> "Iterator[Vehicle]":
     from echowing.setup.vehicle import open_vehicle  # noqa: PLC0415
@@ -256,9 +270,12 @@ def _check(args: argparse.Namespace) -> int:
     from echowing.setup.view import as_json, as_lines  # noqa: PLC0415
 
     applet = None if args.applet is None else applet_named(args.applet)
+    range_type = _range_type(args)
     with _vehicle(args.vehicle, args) as vehicle:
         _tell(f"{vehicle.name}: listening and reading parameters …")
-        readout = read_out(vehicle, args.serial, args.rangefinder, applet=applet)
+        readout = read_out(
+            vehicle, args.serial, args.rangefinder, applet=applet, range_type=range_type
+        )
         role = Role(args.role)
         findings = examine(readout, role)
         system_id = vehicle.system_id
@@ -278,7 +295,7 @@ def _apply(args: argparse.Namespace) -> int:
     from echowing.setup.apply import default_file  # noqa: PLC0415
     from echowing.setup.job import Apply  # noqa: PLC0415
 
-    applet = _applet(args)
+    applet, range_type = _applet(args), _range_type(args)
     with _vehicle(args.vehicle, args) as vehicle, progress_bar() as bar:
         _tell(f"{vehicle.name}: reading parameters …")
         job = Apply(
@@ -288,6 +305,7 @@ def _apply(args: argparse.Namespace) -> int:
             args.save or default_file(vehicle.system_id, datetime.now()),
             serial_port=args.serial,
             rangefinder=args.rangefinder,
+            range_type=range_type,
             folder=None if args.folder is None else args.folder.strip("/"),
             applet=applet,
             replace=args.replace,

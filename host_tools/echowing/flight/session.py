@@ -177,7 +177,7 @@ class FollowSession:
             report = follower.reported(message, now_s)
             if report is not None:
                 self._trust.follower_reported(follower, report)
-        elif kind == "ATTITUDE" and self.guard is not None:
+        elif kind == "ATTITUDE" and (self.guard is not None or follower.plan.sonar.fixed):
             follower.leaned(message, now_s)
         elif kind == "HEARTBEAT":
             self._supervisor.heard_mode(follower, message, now_s)

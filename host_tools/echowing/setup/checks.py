@@ -129,6 +129,8 @@ def _settings(readout: Readout) -> Iterator[Finding]:
 
 
 def _coprocessor(readout: Readout) -> Iterator[Finding]:
+    if readout.fixed:
+        return
     if readout.coprocessor is None and readout.signs and readout.takes_range:
         found = "the autopilot has its range; a signed link refuses its own, unsigned messages"
         yield Finding("co-processor", Verdict.FINE, found)
@@ -216,7 +218,7 @@ def ports_at_115200(parameters: Mapping[str, float]) -> list[int]:
 
 def _reports(readout: Readout) -> Iterator[Finding]:
     about, reports = "DISTANCE_SENSOR", readout.reports
-    if readout.coprocessor is None:
+    if readout.coprocessor is None or readout.fixed:
         return
     if reports is None:
         yield Finding(
@@ -255,6 +257,15 @@ def _taken(readout: Readout) -> Iterator[Finding]:
     about = "range in the autopilot"
     if readout.takes_range:
         yield Finding(about, Verdict.FINE, "it reports a forward range itself")
+    elif readout.takes_range is not None and readout.fixed:
+        yield Finding(
+            about,
+            Verdict.WRONG,
+            "not there",
+            "the autopilot's own driver has no data of the sensor",
+            f"set RNGFND{readout.rangefinder}_* as the sensor's page in ArduPilot's documentation "
+            "says, look at its wires, and restart the autopilot",
+        )
     elif readout.takes_range is not None and readout.reports is not None:
         yield Finding(
             about,
@@ -268,7 +279,7 @@ def _taken(readout: Readout) -> Iterator[Finding]:
 def _tracking_range(readout: Readout) -> Iterator[Finding]:
     track_cm = readout.coprocessor_parameters.get("TRACK_RANGE")
     detect_m = readout.parameters.get("ECHO_DETECT")
-    if track_cm is None or detect_m is None:
+    if track_cm is None or detect_m is None or readout.fixed:
         return
     found = f"{track_cm:g} cm, ECHO_DETECT {detect_m:g} m"
     if abs(track_cm / 100.0 - detect_m) <= LIMITS_DIFFER_M:
