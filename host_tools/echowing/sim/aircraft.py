@@ -89,10 +89,10 @@ class SensorDriver:
     def __init__(self, sensor: MaxSonar, autopilot: Autopilot, rate_hz: float) -> None:
         self._sensor, self._autopilot = sensor, autopilot
         self._period_us, self._due_us = round(1e6 / rate_hz), 0
-        autopilot.rangefinder.driven = True
 
     def step(self, t_us: int) -> None:
         """Read, when it is time."""
+        self._autopilot.rangefinder.driven = True  # each start makes a new one
         if t_us < self._due_us:
             return
         self._due_us += self._period_us

@@ -106,12 +106,16 @@ class Hangar:
             wire=self.cutters(f"wire {index}", scenario.wire),
             wind=wind,
         )
-        sonar = scenario.sonar_file
-        if sonar.fixed:
-            follower.driver = SensorDriver(follower.sensor, follower.autopilot, sonar.rate_hz)
+        self.fit(follower)
         if scenario.applet_file is not None:
             follower.load_applet(scenario.applet_file)
         return follower
+
+    def fit(self, follower: SimFollower) -> None:
+        """Let its autopilot read the sensor, if the sonar file says so."""
+        sonar = self.scenario.sonar_file
+        if sonar.fixed:
+            follower.driver = SensorDriver(follower.sensor, follower.autopilot, sonar.rate_hz)
 
     def telemetry(self, vehicle: SimVehicle, name: str, radio: RadioSection) -> Telemetry:
         """The vehicle's radio link."""
