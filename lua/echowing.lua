@@ -3,9 +3,9 @@
 
   A ground tool streams guided points that keep the follower roughly in its place behind the leader. This applet reads
   the forward rangefinder (the co-processor's running average, by MAVLink) and the co-processor's newest single reading
-  (NAMED_VALUE_FLOAT "SNR_RAW") and turns the distance into speed: slower when too near, faster when too far. Where the
-  points carry a velocity it moves them along the beam to the wanted distance; where they do not it sets the speed limit
-  of Guided.
+  (NAMED_VALUE_FLOAT "SNR_RAW"), or a forward rangefinder that the autopilot reads itself, and turns the distance into
+  speed: slower when too near, faster when too far. Where the points carry a velocity it moves them along the beam to the
+  wanted distance; where they do not it sets the speed limit of Guided.
 
   It acts only while ECHO_ENABLE is 1, the vehicle is armed and in Guided, and the switch (if ECHO_SWITCH names one) is
   high. The pilot takes over by any change of mode; the speed parameter is then the pilot's again.
@@ -148,7 +148,7 @@ local yaw_rad = ahrs.get_yaw_rad or ahrs.get_yaw
   // @User: Advanced
   // @Param: ECHO_ARM_CHK
   // @DisplayName: Echowing arming check
-  // @Description: Refuses arming while the applet is enabled and the forward rangefinder is missing or is not a MAVLink rangefinder, or another script sets the speed
+  // @Description: Refuses arming while the applet is enabled and the forward rangefinder is missing, or another script sets the speed
   // @Values: 0:Disabled,1:Enabled
   // @User: Standard
   // @Param: ECHO_INSET
@@ -244,9 +244,10 @@ end
 
 -- Speeds are along the beam, which is at the leader's bearing. Times are in ms; nil is "never".
 local own = { mps = 0, north_mps = 0, east_mps = 0, accel_mps2 = 0 } -- this vehicle's motion; at_ms: when
-local look = { north = 1, east = 0 } -- where the sonar looks, a unit vector
+-- Where the sonar looks, a unit vector; whether it is fixed to the nose, else by which link its gimbal is told.
+local look = { north = 1, east = 0 }
 local track = { -- what the sonar reads (averages, single readings), and where the leader is by that, and how fast
-    board_ms = 0, late_ms = 0, quickest_ms = 0, dated = 0, leader_mps = 0, seen_ms = 0, readings = 0, spike_ms = 0,
+    board_ms = 0, late_ms = 0, quickest_ms = 0, leader_mps = 0, seen_ms = 0, readings = 0, spike_ms = 0,
     noise_m = 0.0,
 }
 local hold = { mps = 0 } -- moves points along the beam
@@ -302,8 +303,8 @@ function look.order(north_m, east_m, north_mps, east_mps, aside_m)
     local half_rad, unsure_rad = 0.5 * atan(east_m, north_m), atan(aside_m, far_m)
     local turn_rps = (north_m * east_mps - east_m * north_mps) / (far_m * far_m)
     if not (is_within(turn_rps, 4) and is_within(unsure_rad, pi)) then return refuse('implausible look') end
-    return mavlink:send_chan(track.link, 284, ('<fffffffI2BB'):pack(cos(half_rad), 0, 0, sin(half_rad), unsure_rad, 0,
-        turn_rps, 84, MY_SYSTEM, track.component))
+    return mavlink:send_chan(look.link, 284, ('<fffffffI2BB'):pack(cos(half_rad), 0, 0, sin(half_rad), unsure_rad, 0,
+        turn_rps, 84, MY_SYSTEM, look.component))
 end
 
 -- This vehicle's motion ----------------------------------------------------------------------------------------------
@@ -380,7 +381,7 @@ do
     -- Through a lost link the applet orders the gimbal, until the leader is lost. The co-processor obeys once the ground
     -- tool has been silent for a second.
     local function carry_on(t_ms, untold_ms, far_m, north_mps, east_mps)
-        if untold_ms <= 500 or not (control.active and track.fresh(t_ms) and track.link and mavlink.send_chan)
+        if untold_ms <= 500 or not (control.active and track.fresh(t_ms) and look.link and mavlink.send_chan)
             or sent_ms and t_ms - sent_ms < 150 then
             return
         end
@@ -393,7 +394,8 @@ do
     -- The leader's bearing is the yaw of each point, and goes on by the point's velocity, which after 2 s tells nothing of
     -- the leader any more, and by the own. Where nothing tells it, the sonar looks ahead.
     function look.update(t_ms, dt_s)
-        local look_rad, untold_ms = yaw_rad(ahrs), stream.at_ms and stream.yaw_rad and t_ms - stream.at_ms
+        local nose_rad, untold_ms = yaw_rad(ahrs), stream.at_ms and stream.yaw_rad and t_ms - stream.at_ms
+        local look_rad = nose_rad
         if untold_ms and (untold_ms < 1000 or track.fresh(t_ms)) then
             local share = max(0, 1 - untold_ms / 2000)
             local north_mps, east_mps = share * stream.north_mps - own.north_mps, share * stream.east_mps - own.east_mps
@@ -404,6 +406,7 @@ do
             carry_on(t_ms, untold_ms, far_m, north_mps, east_mps)
         end
         if is_within(look_rad, 2 * pi) then look.north, look.east = cos(look_rad), sin(look_rad) end
+        own.ahead = cos(look_rad - nose_rad) > 0.9 -- the nose is within 25 degrees
     end
 end
 
@@ -411,21 +414,10 @@ end
 
 do
     local SPEEDS = { 'leader_mps', 'seen_mps', 'own_mps', 'spike_own_mps', 'slowest_mps', 'fastest_mps' }
+    local dated = 0 -- so many readings have told the clock in force
     local TRUST_READINGS = 3 -- so many readings in agreement are a target; two wild ones in a row happen
     -- 0.05 s is the age of a single reading as it is sent, and what the wire takes at the least; no copter brakes
     -- harder than with 4 m/s2.
-
-    -- Distance by the rangefinder's running average, nil where it is no measurement; and the status. All distances here
-    -- are between the two vehicles' centres.
-    function track.average()
-        local status = rangefinder:status_orient(0) -- forward; 1 no data, 2 too low, 4 good
-        if status ~= 4 and status ~= 2 then return nil, status end
-        local range_m = rangefinder.distance_orient and rangefinder:distance_orient(0)
-            or rangefinder:distance_cm_orient(0) / 100
-        -- The longest reach of a MaxBotix sonar is 10.7 m.
-        if not is_within(range_m, 20) or range_m < 0 or (range_m == 0 and status == 4) then return nil, status end
-        return range_m + C.INSET, status
-    end
 
     -- Whether a range, centre to centre, is one of a target.
     function track.is_target(range_m)
@@ -435,44 +427,72 @@ do
     -- When a reading was taken, by the applet's clock: readings wait for the wire and for the applet, most of them
     -- longer than the quickest, and a speed told from their arrival would be off by metres per second. The quickest of
     -- the last 16 to 32 tells: a board whose clock is 1 % slow is 32 ms off then.
-    local function taken_ms(board_ms, t_ms)
+    function track.taken_ms(board_ms, t_ms)
         local late_ms = t_ms - board_ms
         -- No reading waits for a second: the board, or its link, has started anew.
         local goes_on = board_ms > track.board_ms and is_within(late_ms - track.late_ms, 1000)
         track.board_ms = board_ms
-        if not goes_on then track.late_ms, track.quickest_ms, track.dated = late_ms, late_ms, 0 end
-        track.quickest_ms, track.dated = min(track.quickest_ms, late_ms), track.dated + 1
+        if not goes_on then track.late_ms, track.quickest_ms, dated = late_ms, late_ms, 0 end
+        track.quickest_ms, dated = min(track.quickest_ms, late_ms), dated + 1
         local clock_ms = min(track.late_ms, late_ms)
-        if track.dated >= 16 then clock_ms, track.quickest_ms, track.dated = track.quickest_ms, late_ms, 0 end
+        if dated >= 16 then clock_ms, track.quickest_ms, dated = track.quickest_ms, late_ms, 0 end
         local shift_ms = clock_ms - track.late_ms -- the readings before are dated by it too
         track.late_ms, track.seen_ms, track.spike_ms = clock_ms, track.seen_ms + shift_ms, track.spike_ms + shift_ms
         return board_ms + track.late_ms
     end
 
-    function track.take(payload, sender, link, t_ms)
-        local board_ms, value, name = ('<I4fc10'):unpack(payload)
-        if name ~= 'SNR_RAW\0\0\0' then return end
-        if not is_within(value, 20) or value <= 0 then return refuse('implausible reading') end
-        track.raw_m, track.raw_ms = value + C.INSET, taken_ms(board_ms, t_ms)
-        track.component, track.link = sender & 0xFF, link
+    function track.take(value, read_ms, t_ms)
+        local range_m = value + C.INSET
+        track.raw_ms = read_ms
         -- Stuck: readings stay the same to the centimetre while this vehicle changes its speed, and no leader flies so
         -- exactly alike. Of themselves no more than four in a row are the same.
-        if track.raw_m ~= track.same_m then
-            track.same_m, track.same, track.slowest_mps, track.fastest_mps = track.raw_m, 0, own.mps, own.mps
+        if range_m ~= track.same_m then
+            track.same_m, track.same, track.slowest_mps, track.fastest_mps = range_m, 0, own.mps, own.mps
         end
         track.same = track.same + 1
         track.slowest_mps, track.fastest_mps = min(track.slowest_mps, own.mps), max(track.fastest_mps, own.mps)
-        local target = track.is_target(track.raw_m)
+        local target = track.is_target(range_m)
         local stuck = target and track.same >= 8 and track.fastest_mps - track.slowest_mps > 0.3
         if stuck and not track.stuck then say(4, 'sonar stuck, not used') end
         track.stuck = stuck
         if stuck then
             track.range_m, track.readings = nil, 0
         elseif target then
-            track.update(track.raw_m, track.raw_ms, t_ms)
+            track.update(range_m, read_ms, t_ms)
         elseif track.readings < TRUST_READINGS then
             track.range_m = nil -- what was seen before was a wild reading
         end
+    end
+
+    -- Reads the forward rangefinder: status, and distance, nil where it is no measurement. All distances here are between
+    -- the two vehicles' centres. Of type 10, MAVLink, it is the co-processor's running average; a single reading of a
+    -- sensor that is fixed to the nose, and that the autopilot reads itself, where it is of another type.
+    function track.read(t_ms)
+        local sensor
+        for i = 0, 10 do
+            sensor = rangefinder:get_backend(i) -- none has number 10
+            if sensor and sensor:orientation() == 0 then break end
+        end
+        if not sensor then return nil, 0 end
+        local status, read_ms = sensor:status() -- 1 no data, 2 too low, 3 too high, 4 good
+        look.fixed = sensor:type() ~= 10
+        if look.fixed then
+            -- A MaxBotix sonar (2) is read 0.1 s after its ping, and what it said is there up to 50 ms after its stamp.
+            local late_ms = sensor:type() == 2 and 50 or 0
+            read_ms = (sensor:get_state():last_reading() - boot):toint() - late_ms
+            if t_ms - read_ms > 300 then
+                status = 1 -- its driver says no more than it has said
+            elseif not own.ahead then
+                status = 3 -- it sees something else
+            end
+            -- It counts ten times a second, as the co-processor's: so often the track reckons with.
+            if t_ms - read_ms < 2 * late_ms or read_ms - (track.raw_ms or 0) < 80 then read_ms = nil end
+        end
+        local range_m = (status == 4 or status == 2 and not look.fixed) and sensor:distance()
+        -- The longest reach of a MaxBotix sonar is 10.7 m.
+        if not is_within(range_m, 20) or range_m < 0 or (range_m == 0 and status == 4) then range_m = nil end
+        if read_ms and status > 2 then track.take(range_m or 9, read_ms, t_ms) end
+        return range_m and range_m + C.INSET, status
     end
 
     -- Whether a leader was heard that is not lost yet.
@@ -926,7 +946,12 @@ do
             if id == 86 then
                 stream.take(payload, sender, t_ms)
             elseif id and system == MY_SYSTEM then
-                track.take(payload, sender, link, t_ms)
+                local board_ms, value, name = ('<I4fc10'):unpack(payload)
+                if name == 'SNR_RAW\0\0\0' and not look.fixed
+                    and (is_within(value, 20) and value > 0 or refuse('implausible reading')) then
+                    look.component, look.link = sender & 0xFF, link
+                    track.take(value, track.taken_ms(board_ms, t_ms), t_ms)
+                end
             end
         end
     end
@@ -1040,23 +1065,18 @@ do
     local id = arming.get_aux_auth_id and arming:get_aux_auth_id()
     if not id then say(4, 'no arming check, all authorisation ids are taken') end
 
-    local function reason_not_to_arm(t_ms)
+    local function reason_not_to_arm(t_ms, status)
         if control.deaf then return 'other scripts leave no place to receive' end
         if speed.fought_over(t_ms) then return 'another script sets ' .. SPEED_NAME end
-        for i = 1, 9 do
-            local kind = param:get('RNGFND' .. i .. '_ORIENT') == 0 and param:get('RNGFND' .. i .. '_TYPE') or 0
-            if kind == 10 and rangefinder:has_orientation(0) then return nil end -- forward, by MAVLink
-            if kind > 0 and kind ~= 10 then return 'forward rangefinder is not MAVLink' end
-        end
-        return 'no forward rangefinder'
+        return status == 0 and 'no forward rangefinder' or nil
     end
 
-    function check_arming(t_ms)
+    function check_arming(t_ms, status)
         if not id or arming:is_armed() then return end
         speed.watch(t_ms)
         if checked_ms and t_ms - checked_ms < 1000 then return end
         checked_ms = t_ms
-        local reason = C.ENABLE >= 1 and C.ARM_CHK >= 1 and reason_not_to_arm(t_ms) or nil
+        local reason = C.ENABLE >= 1 and C.ARM_CHK >= 1 and reason_not_to_arm(t_ms, status) or nil
         if reason then
             arming:set_aux_auth_failed(id, 'ECHO: ' .. reason)
         else
@@ -1103,10 +1123,9 @@ do
         say(5, ('handed back, %s %.2f (%s)'):format(SPEED_NAME, speed.pilot_units, reason))
     end
 
-    local function act(t_ms)
+    local function act(t_ms, range_m, status)
         if not control.active then take_control(t_ms) end
         speed.watch(t_ms)
-        local range_m, status = track.average()
         if track.is_target(range_m) and not (track.raw_ms and t_ms - track.raw_ms <= 300) then
             -- No single readings for 3 periods of the slower sonar: the average has to do.
             track.update(range_m, t_ms, t_ms)
@@ -1141,11 +1160,12 @@ do
         read_some()
         own.update(t_ms)
         track.carry(t_ms)
+        local range_m, status = track.read(t_ms)
         take_messages(t_ms)
         local reason = reason_not_to_act()
-        if not reason then return act(t_ms) end
+        if not reason then return act(t_ms, range_m, status) end
         hand_back(reason)
-        check_arming(t_ms)
+        check_arming(t_ms, status)
         return 200
     end
 

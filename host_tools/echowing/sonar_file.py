@@ -23,6 +23,7 @@ SHIPPED = "mb1202"
 # Nine of ten of a normal distribution are within so many standard deviations of its mean.
 NINE_OF_TEN_SIGMAS = 1.645
 Legs = Literal["foil", "stock"]
+MAVLINK_TYPE = 10  # RNGFNDn_TYPE: the co-processor's messages
 
 
 def _least_first(pair: tuple[float, float]) -> tuple[float, float]:
@@ -138,6 +139,9 @@ class SonarFile(_Finite):
     """Share of the readings that are anything at all."""
     late_share: BetweenShares
     """Share of the readings that are an echo of an earlier ping."""
+    rangefinder_type: Annotated[int, Field(ge=1, le=127)] = MAVLINK_TYPE
+    """`RNGFNDn_TYPE`. 10: the co-processor reads it, on its gimbal. Another one: the autopilot's
+    own driver of that number reads it, fixed to the nose."""
     heard: HeardSection
     """What it hears."""
     beam: BeamSection
@@ -160,6 +164,11 @@ class SonarFile(_Finite):
         """The values that nobody has measured."""
         return [key for key, text in self.source.items() if text.startswith("guess")]
 
+    @property
+    def fixed(self) -> bool:
+        """Whether the autopilot reads it itself, without co-processor and gimbal."""
+        return self.rangefinder_type != MAVLINK_TYPE
+
     def belief(self, legs: Legs = "foil") -> SonarBelief:
         """What the flight core believes of it, before a leader with these legs."""
         beam, heard = self.beam, self.heard
@@ -181,6 +190,7 @@ class SonarFile(_Finite):
             surely_to_m=heard_to_m * min(1.0, self.stock_to_m[0] / self.foil_to_m[0]),
             inset_m=_mean(self.inset_m),
             rate_hz=self.rate_hz,
+            fixed=self.fixed,
         )
 
 
@@ -203,7 +213,7 @@ def value_keys(model: type[Section], prefix: str = "") -> list[str]:
         kind = field.annotation
         if isinstance(kind, type) and issubclass(kind, Section):
             keys += value_keys(kind, f"{prefix}{name}.")
-        elif name not in ("title", "source"):
+        elif name not in ("title", "rangefinder_type", "source"):
             keys.append(prefix + name)
     return keys
 

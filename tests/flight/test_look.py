@@ -55,10 +55,16 @@ class Pair:
     """
 
     def __init__(
-        self, to_it_m: tuple[float, float, float] = (3.0, 0.0, 0.0), mps: Mps = (0.0, 0.0)
+        self,
+        to_it_m: tuple[float, float, float] = (3.0, 0.0, 0.0),
+        mps: Mps = (0.0, 0.0),
+        others: int = 0,
     ) -> None:
-        plan = FollowerPlan(FOLLOWER, Slot(3.0), 12.0, sonar=shipped_sonar())
-        self.session = FollowSession(LEADER, [plan], GuidanceSettings(), engaged=False)
+        plans = [
+            FollowerPlan(FOLLOWER + number, Slot(3.0 + 3.0 * number), 12.0, sonar=shipped_sonar())
+            for number in range(1 + others)
+        ]
+        self.session = FollowSession(LEADER, plans, GuidanceSettings(), engaged=False)
         self.to_it_m, self.mps, self.now_s = to_it_m, mps, 0.0
 
     @property
@@ -193,6 +199,13 @@ def test_one_that_may_be_beside_the_gimbals_reach_is_looked_for_with_the_nose() 
     look = look_at(pair.session.known, pair.follower, pair.now_s)
     assert look is not None
     assert look.nose_rad == pytest.approx(aside[-1], abs=0.01)
+
+
+def test_beside_other_followers_the_nose_stays_at_the_leader() -> None:
+    """Looking aside it would hear one of them."""
+    pair = Pair(others=1)
+    axes = [axis_in(order).azimuth_rad for order in pair.goes_on(NOSE_LOOKS_S)]
+    assert max(axes) - min(axes) < 0.2
 
 
 def test_the_gimbal_reaches_as_far_as_the_co_processor_lets_it() -> None:

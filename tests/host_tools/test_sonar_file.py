@@ -139,7 +139,7 @@ def test_a_file_that_is_not_there_or_no_toml_is_an_error(tmp_path: Path) -> None
         load_sonar(tmp_path / "none.toml")
     with pytest.raises(EchowingError, match="not valid TOML"):
         load_sonar(tmp_path / "torn.toml")
-    with pytest.raises(EchowingError, match="no sonar 'mb7'; there are lidar, mb1202, radio"):
+    with pytest.raises(EchowingError, match="there are lidar, mb1202, mb1202-fixed, radio"):
         load_sonar("mb7")
 
 

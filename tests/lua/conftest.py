@@ -17,6 +17,7 @@ from echowing.paths import lua_folder
 from echowing.sim.vehicle.desk import GOOD, NO_DATA, DeskVehicle, restarted
 from echowing.sim.vehicle.luahost import LuaHost
 from echowing.sim.vehicle.parameters import Generation
+from echowing.sim.vehicle.rangefinder import MAVLINK_TYPE
 
 PILOT_MPS = 10.0
 STEP_MS = 10
@@ -113,7 +114,9 @@ class Rig:
         if self.stream_every_ms and vehicle.t_ms % self.stream_every_ms == 0:
             self.send_target(self.ahead_m, self.stream_mps)
         if self.raw_every_ms and vehicle.t_ms % self.raw_every_ms == 0:
-            self.send_raw(self.raw_m)
+            vehicle.range_read_ms = vehicle.t_ms
+            if vehicle.range_type == MAVLINK_TYPE:
+                self.send_raw(self.raw_m)
         self.host.step(vehicle.t_ms)
         assert self.host.error is None, self.host.error
 

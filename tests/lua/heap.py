@@ -34,6 +34,7 @@ from echowing.paths import lua_folder
 from echowing.sim.vehicle.desk import GOOD
 from echowing.sim.vehicle.luahost import BINDINGS as ANNOTATIONS
 from echowing.sim.vehicle.luahost import LuaHost, read_bindings
+from echowing.sim.vehicle.rangefinder import MAVLINK_TYPE, MAXBOTIX_TYPE
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCES = Path(__file__).with_name("board")
@@ -140,6 +141,9 @@ def record_flight(applet: Path, file: Path) -> None:
         rig.run(2.0)  # both are
         _fly(rig, 1.0, lambda t: 3.2, velocity_mps)
         rig.no_data().run(1.5)
+        vehicle.range_type = MAXBOTIX_TYPE  # the autopilot's own driver reads one
+        _fly(rig, 2.0, lambda t: 3.0 if t < 1.0 else 8.0, velocity_mps)
+        vehicle.range_type = MAVLINK_TYPE
         vehicle.mode = LOITER
         rig.run(0.5)
         vehicle.mode = GUIDED

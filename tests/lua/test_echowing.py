@@ -620,7 +620,6 @@ def test_every_text_is_explained_in_the_doc() -> None:
         "out of range, using",
         "another script sets",
         "no forward rangefinder",
-        "forward rangefinder is not MAVLink",
         "no arming check",
         "stopped",
         "error",
@@ -667,22 +666,15 @@ def test_may_arm_with_a_mavlink_rangefinder(rig: MakeRig) -> None:
 
 def test_refuses_to_arm_without_a_forward_rangefinder(rig: MakeRig) -> None:
     r = on_the_ground(rig)
-    r.vehicle.parameters["RNGFND1_ORIENT"] = 25.0
-    assert arming_reason(r) == "ECHO: no forward rangefinder"
-    r.vehicle.parameters["RNGFND1_ORIENT"] = 0.0
     r.vehicle.ranges = {25: (GOOD, 3.0)}
     assert arming_reason(r) == "ECHO: no forward rangefinder"
-
-
-def test_refuses_to_arm_with_another_type(rig: MakeRig) -> None:
-    r = on_the_ground(rig)
-    r.vehicle.parameters["RNGFND1_TYPE"] = 2.0
-    assert arming_reason(r) == "ECHO: forward rangefinder is not MAVLink"
+    r.vehicle.ranges = {}
+    assert arming_reason(r) == "ECHO: no forward rangefinder"
 
 
 def test_second_rangefinder_may_be_the_forward_one(rig: MakeRig) -> None:
     r = on_the_ground(rig)
-    r.vehicle.parameters.update(RNGFND1_ORIENT=25.0, RNGFND2_ORIENT=0.0, RNGFND2_TYPE=10.0)
+    r.vehicle.ranges = {25: (NO_DATA, 0.0), 0: (GOOD, 3.0)}
     assert arming_reason(r) is None
 
 

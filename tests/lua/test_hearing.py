@@ -104,7 +104,7 @@ def test_whole_messages_are_heard(rig: MakeRig, old: bool) -> None:
     hear(r, mavlink_frame(READING, reading(2.5), CO_PROCESSOR, old=old))
     assert None not in heard(r)
     assert r.host.local_value("stream")["north_mps"] == LEADER_MPS
-    assert r.host.local_value("track")["raw_m"] == 2.5
+    assert r.host.local_value("track")["same_m"] == 2.5
     assert count(r) == 0
 
 

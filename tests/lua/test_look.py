@@ -292,7 +292,7 @@ def test_nothing_is_ordered(rig: MakeRig, why: str, monkeypatch: pytest.MonkeyPa
     if why == "pilot":
         r.vehicle.mode = 5
     if why == "no sonar":
-        r.host.local_value("track").link = None
+        r.host.local_value("look").link = None
         r.raw_every_ms = None
     r.run(3.0)
     assert r.vehicle.sent == []

@@ -161,3 +161,16 @@ def test_parked_vehicles_are_for_serving_only() -> None:
     tool = Process("sim", "echowing", "--parked")
     assert tool.exit_code() == 2
     assert tool.lines == ["echowing sim: --parked and --card need --serve PORT"]
+
+
+def test_a_vehicle_that_reads_its_sensor_itself_needs_no_co_processor(tmp_path: Path) -> None:
+    served = Served(
+        "--parked", "--card", str(tmp_path / "cards"), "--set", "sonar.file=mb1202-fixed"
+    )
+    sonar = "--sonar", "mb1202-fixed"
+    file = str(tmp_path / "old.params.json")
+    said = served.done("apply", *sonar, "--yes", "--restart", "--save", file, code=0)
+    assert "RNGFND1_TYPE" in said
+    assert "SERIAL2" not in said
+    assert "co-processor" not in served.done("check", *sonar, code=0)
+    assert served.process.end() == 0

@@ -103,6 +103,8 @@ def _add_link(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_wiring(parser: argparse.ArgumentParser) -> None:
+    from echowing.sonar_file import SHIPPED  # noqa: PLC0415 (imported when the verb is used)
+
     parser.add_argument(
         "--serial",
         type=int,
@@ -117,6 +119,13 @@ def _add_wiring(parser: argparse.ArgumentParser) -> None:
         default=1,
         metavar="N",
         help="use RNGFNDn, if another sensor uses RNGFND1 (1)",
+    )
+    parser.add_argument(
+        "--sonar",
+        default=SHIPPED,
+        metavar="FILE",
+        help="as for `echowing follow`: a sensor that the autopilot reads itself needs no "
+        f"co-processor ({SHIPPED})",
     )
 
 
@@ -144,8 +153,6 @@ def _add_applet(parser: argparse.ArgumentParser, *, replaces: bool = True) -> No
 
 
 def _add_check(parser: argparse.ArgumentParser) -> None:
-    from echowing.sonar_file import SHIPPED  # noqa: PLC0415 (imported when the verb is used)
-
     parser.epilog = CHECK_EXAMPLES
     _add_vehicle(parser)
     _add_wiring(parser)
@@ -155,9 +162,6 @@ def _add_check(parser: argparse.ArgumentParser) -> None:
         choices=("follower", "leader"),
         default="follower",
         help="check the vehicle as this (follower); a leader needs no sonar and no applet",
-    )
-    parser.add_argument(
-        "--sonar", default=SHIPPED, metavar="FILE", help=f"as for `echowing follow` ({SHIPPED})"
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
@@ -264,10 +268,17 @@ def _check(args: argparse.Namespace) -> int:
     from echowing.sonar_file import load_sonar  # noqa: PLC0415
 
     applet = None if args.applet is None else applet_named(args.applet)
+    sonar = load_sonar(args.sonar)
     with _vehicle(args.vehicle, args) as vehicle:
         _tell(f"{vehicle.name}: listening and reading parameters …")
-        readout = read_out(vehicle, args.serial, args.rangefinder, applet=applet)
-        readout = replace(readout, sonar=load_sonar(args.sonar).belief())
+        readout = read_out(
+            vehicle,
+            args.serial,
+            args.rangefinder,
+            applet=applet,
+            range_type=sonar.rangefinder_type,
+        )
+        readout = replace(readout, sonar=sonar.belief())
         role = Role(args.role)
         findings = examine(readout, role)
         system_id = vehicle.system_id
@@ -286,8 +297,9 @@ def _apply(args: argparse.Namespace) -> int:
 
     from echowing.setup.apply import default_file  # noqa: PLC0415
     from echowing.setup.job import Apply  # noqa: PLC0415
+    from echowing.sonar_file import load_sonar  # noqa: PLC0415
 
-    applet = _applet(args)
+    applet, sonar = _applet(args), load_sonar(args.sonar)
     with _vehicle(args.vehicle, args) as vehicle, progress_bar() as bar:
         _tell(f"{vehicle.name}: reading parameters …")
         job = Apply(
@@ -297,6 +309,7 @@ def _apply(args: argparse.Namespace) -> int:
             args.save or default_file(vehicle.system_id, datetime.now()),
             serial_port=args.serial,
             rangefinder=args.rangefinder,
+            range_type=sonar.rangefinder_type,
             folder=None if args.folder is None else args.folder.strip("/"),
             applet=applet,
             replace=args.replace,

@@ -59,7 +59,8 @@ class SonarBelief:
     wrong_share: most of its readings that are not the leader's. shortest_m: nearer reads as this.
     reach_m: a range from here on is no target. heard_to_m: so far the leader is heard in any case;
     surely_to_m: so far even one with worse legs than it is said to have. inset_m: how much less
-    than the separation it reads. rate_hz: readings per second.
+    than the separation it reads. rate_hz: readings per second. fixed: the autopilot reads it
+    itself, and it looks where the nose does; else the co-processor does both.
     """
 
     heard: Curve
@@ -74,6 +75,7 @@ class SonarBelief:
     heard_to_m: float
     surely_to_m: float
     rate_hz: float
+    fixed: bool = False
 
     def objection(self, radius_m: float) -> str | None:
         """Why it does not carry a slot of this radius; None: it does."""

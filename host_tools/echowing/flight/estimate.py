@@ -175,8 +175,8 @@ class Estimate:
         self._alignment.point(stamp_ms, axis)
 
     def points(self, now_s: float) -> bool:
-        """Whether the sonar says where it looks."""
-        return now_s - self._pointed_at_s < LOST_S
+        """Whether the sonar is on a gimbal, and says where it looks."""
+        return not self.sonar.fixed and now_s - self._pointed_at_s < LOST_S
 
     def heard(self, time_s: float, range_m: float, stamp_ms: int | None = None) -> None:
         """Take a sonar reading; stamp_ms: by which `pointed` names it."""

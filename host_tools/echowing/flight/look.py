@@ -68,7 +68,10 @@ def look_at(known: Known, follower: FollowerState, now_s: float) -> Look | None:
     lost = estimate.missed_s > MISSED_S + (GLANCE_S if glances else 0.0)
     reach_rad, round_s = (0.0, NOSE_ROUND_S) if by_nose else (REACH_RAD, ROUND_S)
     if lost:
-        return _by_turns(_to_both_sides(look, 3.0 * across_rad - reach_rad, now_s), now_s)
+        look = _by_turns(look, now_s)
+        # Beside other followers the nose would lead the sonar to one of them.
+        looks_round = by_nose or len(known.followers) == 1
+        return _to_both_sides(look, 3.0 * across_rad - reach_rad, now_s) if looks_round else look
     turn = int(now_s / GLANCE_S)
     if glances and turn % 2:
         return _elsewhere(look, to_it_m, glances[turn // 2 % len(glances)])

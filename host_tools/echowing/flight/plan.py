@@ -15,6 +15,7 @@ from echowing.flight.guidance import (
     lead_share,
 )
 from echowing.flight.handling import least_slot_m
+from echowing.flight.hearing import Heard
 from echowing.flight.leader_track import MOST_MPS2
 from echowing.flight.look import Look
 from echowing.flight.said import Said
@@ -84,8 +85,9 @@ class Planner:
             guided = follower.guided = planned(self._known, follower, fix, now_s)
         else:
             guided = follower.guided = self._swarm.guided(follower, fix, now_s)
-        self._tell_of_hearing(follower, now_s)
-        self._allow_for_hearing(follower, fix, now_s)
+        heard = follower.estimate.hearing.heard()
+        self._tell_of_hearing(follower, heard, now_s)
+        self._allow_for_hearing(follower, heard, fix, now_s)
         yaw_rad = guided.yaw_rad
         if yaw_rad is not None and look and look.nose_rad is not None:
             yaw_rad = look.nose_rad
@@ -135,13 +137,13 @@ class Planner:
             )
         follower.opens = opens or (follower.opens and needs_m > radius_m - SLACK_M)
 
-    def _tell_of_hearing(self, follower: FollowerState, now_s: float) -> None:
+    def _tell_of_hearing(self, follower: FollowerState, heard: Heard, now_s: float) -> None:
         """Say that its sonar hears worse than its file says: its pilots decide whether it may.
 
         Or that its co-processor's readings come and where it looks does not.
         """
         undirected = follower.is_read(now_s) and not follower.estimate.points(now_s)
-        worse = UNDIRECTED if undirected else follower.estimate.hearing.heard().worse
+        worse = UNDIRECTED if undirected else heard.worse
         if worse is None:
             follower.worse_since_s = math.inf
             return
@@ -152,14 +154,16 @@ class Planner:
             self._alert(system_id, worse, mavlink.MAV_SEVERITY_NOTICE)
             self._say(now_s, f"follower {system_id}: {worse}")
 
-    def _allow_for_hearing(self, follower: FollowerState, fix: LeaderFix, now_s: float) -> None:
+    def _allow_for_hearing(
+        self, follower: FollowerState, heard: Heard, fix: LeaderFix, now_s: float
+    ) -> None:
         """Open the slot once its sonar, as it is heard, carries it no more.
 
         To the nearest that it carries, else as far as reports alone allow. Until as much is heard
         as its file says: around what a slot takes it would open and close each minute.
         """
-        heard, radius_m = follower.estimate.hearing.heard(), follower.slot.radius_m
-        before, lasts = follower.heard_as, now_s - follower.worse_since_s >= WORSE_LASTS_S
+        before, radius_m = follower.heard_as, follower.slot.radius_m
+        lasts = now_s - follower.worse_since_s >= WORSE_LASTS_S
         why = None if heard.sonar is None else heard.sonar.objection(radius_m)
         # What its file says of the slot is known, and it is flown all the same.
         news = why not in (None, follower.plan.sonar.objection(radius_m))

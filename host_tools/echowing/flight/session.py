@@ -49,7 +49,7 @@ from echowing.mavlink.messages import (
     status_text,
 )
 
-DISTANCE_HZ, ATTITUDE_HZ = 5.0, 2.0
+DISTANCE_HZ, FIXED_HZ, ATTITUDE_HZ = 5.0, 10.0, 2.0  # FIXED: of a sensor on the nose
 # No copter flies faster (WP_SPD ends at 20 m/s): the applet uses no faster point (FASTEST_MPS).
 FASTEST_MPS = 30.0
 
@@ -177,7 +177,7 @@ class FollowSession:
             report = follower.reported(message, now_s)
             if report is not None:
                 self._trust.follower_reported(follower, report)
-        elif kind == "ATTITUDE" and self.guard is not None:
+        elif kind == "ATTITUDE" and (self.guard is not None or follower.plan.sonar.fixed):
             follower.leaned(message, now_s)
         elif kind == "HEARTBEAT":
             self._supervisor.heard_mode(follower, message, now_s)
@@ -394,9 +394,15 @@ class FollowSession:
             wanted += self.engagement.requests()
         if self.settings.learn_offset:
             distance = mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR
-            wanted += [(system_id, distance, DISTANCE_HZ) for system_id in self.followers]
+            wanted += [
+                (system_id, distance, FIXED_HZ if one.plan.sonar.fixed else DISTANCE_HZ)
+                for system_id, one in self.followers.items()
+            ]
         attitude = mavlink.MAVLINK_MSG_ID_ATTITUDE
-        wanted += [(system_id, attitude, ATTITUDE_HZ) for system_id in self.followers]
+        wanted += [
+            (system_id, attitude, FIXED_HZ if one.plan.sonar.fixed else ATTITUDE_HZ)
+            for system_id, one in self.followers.items()
+        ]
         return wanted
 
 

@@ -11,7 +11,7 @@ from typing import Any, Protocol
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.flight.alignment import STOPS_AFTER_S, History, Report
-from echowing.flight.axis import axis_of
+from echowing.flight.axis import Axis, axis_of
 from echowing.flight.belief import SonarBelief
 from echowing.flight.cloud import Off, Wandering
 from echowing.flight.drift import Drift
@@ -57,6 +57,11 @@ SONAR_READING = "SNR_RAW"
 RAW_FRESH_S = 1.0
 # The co-processor averages over 0.45 s: its middle.
 AVERAGE_AGE_S = 0.225
+# What the autopilot has read itself is so old as it sends it, with the time of sending. A lidar's
+# is up to 0.1 s old; a MaxBotix is read 0.1 s after its ping, and handed out up to 0.1 s later.
+FIXED_AGE_S = 0.1
+# Without a newer ATTITUDE its reading was taken along the heading, level.
+NOSE_FRESH_S = 0.3
 # Two reports further apart do not tell how the velocity changes now.
 LONGEST_CHANGE_S = 0.5
 # Of how far the one ahead is off its slot, so much counts for the next slot: 0.4 after four.
@@ -112,9 +117,9 @@ class FollowerState:
     slot opens for a reversal; unsure: its newest report may be another vehicle's, with its id;
     away_beats: heartbeats in a row that were not of one that flies in Guided; level_m,
     levelled_at_s: by how much it flies higher than planned, to be level with its leader, and when
-    that was set; sonar_id: the component that sends its sonar's readings; worse_since_s: since
-    when its sonar hears worse than believed; heard_as: its sonar as it is heard, while that carries
-    no slot as near as its own, and by_ear_m: the nearest slot then.
+    that was set; nose: when it pointed where; sonar_id: the component that sends its sonar's
+    readings; worse_since_s: since when its sonar hears worse than believed; heard_as: its sonar as
+    it is heard, while that carries no slot as near as its own, and by_ear_m: the nearest slot then.
     """
 
     plan: FollowerPlan
@@ -140,6 +145,7 @@ class FollowerState:
     level_m: float = 0.0
     levelled_at_s: float = -math.inf
     raw_at_s: float = -math.inf
+    nose: tuple[float, Axis] = (-math.inf, Axis(0.0))
     sonar_id: int | None = None
     position: GlobalPosition | None = None
     newest_boot_ms: int = -1
@@ -305,11 +311,14 @@ class FollowerState:
     def leaned(self, message: Any, now_s: float) -> None:
         """Take its ATTITUDE."""
         attitude_rad = message.roll, message.pitch, message.yaw
+        self.nose = now_s, Axis(message.yaw, message.pitch)
         self.wind.leans(attitude_rad, self.velocity_mps, now_s)
 
     def ranged(self, kind: str, message: Any, now_s: float) -> None:
         """Take a message that may be its sonar's; single readings count before averages."""
-        if kind == "NAMED_VALUE_FLOAT" and message.name == SONAR_READING:
+        if self.plan.sonar.fixed:
+            self._ranged_by_autopilot(kind, message, now_s)
+        elif kind == "NAMED_VALUE_FLOAT" and message.name == SONAR_READING:
             self.raw_at_s = now_s
             stamp_s = message.time_boot_ms / 1e3
             time_s = self.estimate.sonar_clock.to_ours(stamp_s, now_s, self.way_s)
@@ -326,6 +335,20 @@ class FollowerState:
             range_m = sonar_range_m(message, self.plan.sonar.reach_m)
             heard_m = self.plan.sonar.reach_m if range_m is None else range_m
             self._take_range(now_s - self.way_s - AVERAGE_AGE_S, heard_m)
+
+    def _ranged_by_autopilot(self, kind: str, message: Any, now_s: float) -> None:
+        """Take a reading of the autopilot's own; one that is too near for its sensor is none."""
+        own = message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1
+        if kind != "DISTANCE_SENSOR" or not own or message.orientation != FORWARD:
+            return
+        if message.current_distance >= message.min_distance:
+            range_m = sonar_range_m(message, self.plan.sonar.reach_m)
+            heard_m = self.plan.sonar.reach_m if range_m is None else range_m
+            time_s = self.clock.to_ours(message.time_boot_ms / 1e3, now_s)
+            stamp_ms, (seen_s, nose) = message.time_boot_ms, self.nose
+            self._take_range(time_s - FIXED_AGE_S, heard_m, stamp_ms)
+            if now_s - seen_s < NOSE_FRESH_S:
+                self.estimate.pointed(stamp_ms, nose, now_s)
 
     def is_read(self, now_s: float) -> bool:
         """Whether the co-processor's single readings come."""

@@ -133,6 +133,8 @@ def _settings(readout: Readout) -> Iterator[Finding]:
 
 
 def _coprocessor(readout: Readout) -> Iterator[Finding]:
+    if readout.fixed:
+        return
     if readout.coprocessor is None and readout.signs and readout.takes_range:
         found = "the autopilot has its range; a signed link refuses its own, unsigned messages"
         yield Finding("co-processor", Verdict.FINE, found)
@@ -220,7 +222,7 @@ def ports_at_115200(parameters: Mapping[str, float]) -> list[int]:
 
 def _reports(readout: Readout) -> Iterator[Finding]:
     about, reports = "DISTANCE_SENSOR", readout.reports
-    if readout.coprocessor is None:
+    if readout.coprocessor is None or readout.fixed:
         return
     if reports is None:
         yield Finding(
@@ -259,6 +261,15 @@ def _taken(readout: Readout) -> Iterator[Finding]:
     about = "range in the autopilot"
     if readout.takes_range:
         yield Finding(about, Verdict.FINE, "it reports a forward range itself")
+    elif readout.takes_range is not None and readout.fixed:
+        yield Finding(
+            about,
+            Verdict.WRONG,
+            "not there",
+            "the autopilot's own driver has no data of the sensor",
+            f"set RNGFND{readout.rangefinder}_* as the sensor's page in ArduPilot's documentation "
+            "says, look at its wires, and restart the autopilot",
+        )
     elif readout.takes_range is not None and readout.reports is not None:
         yield Finding(
             about,
@@ -277,7 +288,7 @@ def _sonars_limits(readout: Readout) -> Iterator[Finding]:
     board = f" of component {readout.coprocessor}"
     why = "gimbal, applet and tool must take the same readings for the leader"
     yield from _as_in_file("ECHO_DETECT", readout.parameters, (reach_m, 0.1), why)
-    told = readout.coprocessor_parameters
+    told = {} if readout.fixed else readout.coprocessor_parameters
     yield from _as_in_file("TRACK_RANGE", told, (100.0 * reach_m, 10.0), why, board)
     why = "the field of view that it reports is the beam's"
     yield from _as_in_file("BEAM_WIDTH", told, (wide_deg, 1.0), why, board)

@@ -35,6 +35,7 @@ from echowing.setup.restart import (
 )
 from echowing.setup.vehicle import Vehicle
 from echowing.setup.view import changes_as_lines, differences, tuning_note
+from echowing.sonar_file import MAVLINK_TYPE
 
 WRITING = "parameters are written"
 # Scripting, then the parameters behind it, then those behind these; one to spare.
@@ -130,6 +131,7 @@ class Apply:
     file: Path
     serial_port: int | None = None
     rangefinder: int = 1
+    range_type: int = MAVLINK_TYPE
     folder: str | None = None
     applet: Applet = HOLD
     replace: bool = False
@@ -183,6 +185,7 @@ class Apply:
             parameters,
             serial_port=self.serial_port,
             rangefinder=self.rangefinder,
+            range_type=self.range_type,
             applet_on_card=card,
             applet=self.applet,
             board_id=self.board_id,

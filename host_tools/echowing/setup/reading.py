@@ -18,6 +18,7 @@ from echowing.setup.ftp_format import ardupilot_crc32
 from echowing.setup.readout import CardApplet, Readout, Reports
 from echowing.setup.settings import LEAST_LIMITS, PROXIMITY_SENSORS
 from echowing.setup.vehicle import AUTOPILOT, POLL_S, Heard, Name, Vehicle
+from echowing.sonar_file import MAVLINK_TYPE
 
 LISTEN_S = 3.0  # three heartbeats, 60 ranges, six of the applet's named floats
 SETTLE_S = 0.5  # until our first heartbeat has opened the way for other senders
@@ -99,10 +100,12 @@ def read_out(
     rangefinder: int = 1,
     listen_s: float = LISTEN_S,
     applet: Applet | None = None,
+    range_type: int = MAVLINK_TYPE,
 ) -> Readout:
     """Everything the checks need. Raises EchowingError if the vehicle is lost meanwhile.
 
-    applet: the one that it shall run; None: the one that it runs or has on its card.
+    applet: the one that it shall run; None: the one that it runs or has on its card. range_type:
+    the RNGFNDn_TYPE that it shall have.
     """
     _listen(vehicle, SETTLE_S)
     start_s = vehicle.now_s()
@@ -116,6 +119,7 @@ def read_out(
         serial_port = only_port(parameters)
     applet = applet or identify(parameters) or _only_applet(vehicle) or HOLD
     version, board_id = version_and_board(vehicle)
+    asked = readout.reports or vehicle.signs or range_type != MAVLINK_TYPE
     return replace(
         readout,
         applet=applet,
@@ -129,7 +133,8 @@ def read_out(
         objections=() if vehicle.armed else objections(vehicle),
         signs=vehicle.signs,
         version=version,
-        takes_range=_takes_range(vehicle) if readout.reports or vehicle.signs else None,
+        range_type=range_type,
+        takes_range=_takes_range(vehicle) if asked else None,
     )
 
 

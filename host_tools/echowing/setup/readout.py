@@ -7,7 +7,7 @@ from enum import Enum
 from echowing.applets import HOLD, Applet
 from echowing.flight.belief import SonarBelief
 from echowing.setup.boards import Board, board_of
-from echowing.sonar_file import shipped_sonar
+from echowing.sonar_file import MAVLINK_TYPE, shipped_sonar
 
 
 class Role(Enum):
@@ -57,8 +57,9 @@ class Readout:
     not asked. in_guided: armed and in Guided, so that an enabled applet is in control and reports.
     applet_on_card: None if the autopilot does not answer file requests. objections: why the
     autopilot would not arm, in its own words. signs: whether it signs its messages, and so accepts
-    only signed ones. applet: the one that it shall run; sonar: what is believed of the one that it
-    carries. board_id: as AUTOPILOT_VERSION tells it.
+    only signed ones. range_type: the RNGFNDn_TYPE that it shall have: 10, MAVLink, or that of the
+    autopilot's own driver, which needs no co-processor. applet: the one that it shall run; sonar:
+    what is believed of the one that it carries. board_id: as AUTOPILOT_VERSION tells it.
     """
 
     parameters: Mapping[str, float]
@@ -76,6 +77,7 @@ class Readout:
     applet_on_card: CardApplet | None = None
     objections: Sequence[str] = ()
     signs: bool = False
+    range_type: int = MAVLINK_TYPE
     applet: Applet = HOLD
     sonar: SonarBelief = field(default_factory=shipped_sonar)
     board_id: int | None = None
@@ -83,6 +85,11 @@ class Readout:
     def first(self, *names: str) -> tuple[str, float] | None:
         """The first of these parameters that the vehicle has, with its value."""
         return next(((name, self.parameters[name]) for name in names if name in self), None)
+
+    @property
+    def fixed(self) -> bool:
+        """Whether its autopilot reads the sensor itself."""
+        return self.range_type != MAVLINK_TYPE
 
     @property
     def board(self) -> Board | None:

@@ -11,6 +11,7 @@ from echowing.applets import FORMAT, identify
 from echowing.mavlink.vehicle_limits import ACCELERATION, JERK, LEAN, VehicleLimit
 from echowing.setup.applet import applet_parameters
 from echowing.setup.readout import Readout
+from echowing.sonar_file import MAVLINK_TYPE
 
 # ---- the expected values, and their sources ---------------------------------------------------
 
@@ -20,7 +21,7 @@ BAUD_115200 = (115.0, 115_200.0)
 NOT_FORWARDED = (
     1024  # SERIALn_OPTIONS bit 10: MAVLink is not passed on between this port and others
 )
-RANGEFINDER_NONE, RANGEFINDER_MAVLINK = 0.0, 10.0  # RNGFNDn_TYPE
+RANGEFINDER_NONE, RANGEFINDER_MAVLINK = 0.0, float(MAVLINK_TYPE)  # RNGFNDn_TYPE
 FORWARD = 0.0  # RNGFNDn_ORIENT
 # The MaxSonar's span (its data sheet): below 0.2 m it reads 0.2, beyond 7.65 m nothing.
 RANGE_MIN_M, RANGE_MAX_M = 0.2, 7.65
@@ -75,7 +76,7 @@ def settings_for(readout: Readout) -> list[Setting]:
         *_rangefinder(readout),
         *_applet(readout),
     ]
-    if readout.serial_port is not None:
+    if readout.serial_port is not None and not readout.fixed:
         settings = [*_serial(readout.serial_port), *settings]
     return settings
 
@@ -114,21 +115,25 @@ def _serial(port: int) -> Iterator[Setting]:
 
 
 def _rangefinder(readout: Readout) -> Iterator[Setting]:
-    name = f"RNGFND{readout.rangefinder}"
+    name, kind = f"RNGFND{readout.rangefinder}", float(readout.range_type)
+    reads = "the autopilot reads it itself" if readout.fixed else "the range comes by MAVLink"
     yield Setting(
         f"{name}_TYPE",
-        lambda v: v == RANGEFINDER_MAVLINK,
-        lambda v: RANGEFINDER_MAVLINK,
-        "the range comes by MAVLink (10)",
+        lambda v: v == kind,
+        lambda v: kind,
+        f"{reads} ({kind:g})",
         restart=True,
-        spared=lambda v: v not in (RANGEFINDER_NONE, RANGEFINDER_MAVLINK),
+        spared=lambda v: v not in (RANGEFINDER_NONE, RANGEFINDER_MAVLINK, kind),
     )
+    looks = "sensor" if readout.fixed else "co-processor"
     yield Setting(
         f"{name}_ORIENT",
         lambda v: v == FORWARD,
         lambda v: FORWARD,
-        "the co-processor looks forward (0); a range of another orientation is ignored",
+        f"the {looks} looks forward (0); a range of another orientation is ignored",
     )
+    if readout.fixed:
+        return  # its span, and what its driver needs, are the sensor's
     yield from _span(f"{name}_MIN", RANGE_MIN_M, readout, "the sonar's nearest range")
     yield from _span(
         f"{name}_MAX",

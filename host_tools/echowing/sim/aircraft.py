@@ -9,10 +9,12 @@ from echowing.sim.boards.coprocessor import Coprocessor, SonarBus
 from echowing.sim.scenario import LeaderEvent, LeaderSection
 from echowing.sim.vehicle.autopilot import Autopilot
 from echowing.sim.vehicle.copter import Copter
+from echowing.sim.vehicle.rangefinder import MAXBOTIX_TYPE
 from echowing.sim.world.cutter import PacketCutter
 from echowing.sim.world.gps import Drift
 from echowing.sim.world.leader import TrackedBody, mission
 from echowing.sim.world.sonar import (
+    COMMAND_RANGE,
     Ear,
     Gimbal,
     MaxSonar,
@@ -78,8 +80,44 @@ class _LaterBus:
         return self._bus.read(self._since_us + t_us, address, count)
 
 
+class SensorDriver:
+    """The autopilot's own driver of a sensor on its bus, as AP_RangeFinder_MaxsonarI2CXL.cpp.
+
+    A MaxBotix is read a period after its ping; what another one reads is there at once.
+    """
+
+    def __init__(self, sensor: MaxSonar, autopilot: Autopilot, rate_hz: float) -> None:
+        self._sensor, self._autopilot = sensor, autopilot
+        self._period_us, self._due_us = round(1e6 / rate_hz), 0
+
+    def step(self, t_us: int) -> None:
+        """Read, when it is time."""
+        self._autopilot.rangefinder.driven = True  # each start makes a new one
+        if t_us < self._due_us:
+            return
+        self._due_us += self._period_us
+        rangefinder, address = self._autopilot.rangefinder, self._sensor.address
+        if rangefinder.type != MAXBOTIX_TYPE:
+            self._ping(t_us)
+            range_m = self._sensor.last_range_m
+            if self._sensor.plugged:
+                far_m = rangefinder.max_m() + 1.0
+                reported_m = far_m if range_m is None else range_m
+                rangefinder.read(round(100.0 * reported_m), self._autopilot.millis())
+            return
+        data = self._sensor.read(t_us, address, 2)
+        self._ping(t_us)
+        if data is not None:
+            rangefinder.read(int.from_bytes(data, "big"), self._autopilot.millis())
+
+    def _ping(self, t_us: int) -> None:
+        self._sensor.write(t_us, self._sensor.address, bytes([COMMAND_RANGE]))
+
+
 class SimFollower(SimVehicle):
     """A follower: the vehicle, with gimbal, sonar and co-processor on it.
+
+    driver: of a sensor that its autopilot reads itself; then co-processor and gimbal are not there.
 
     Faults: `hears` makes something else of what the sonar hears; `reflector_m`: so far ahead is
     something loud; `beam_half_angle_rad`: its beam is nowhere wider. `wire`: how the bytes fare
@@ -110,6 +148,7 @@ class SimFollower(SimVehicle):
         self._powered = True
         self._powered_since_us = 0
         self.coprocessor = make_coprocessor(self.sensor, autopilot.system_id)
+        self.driver: SensorDriver | None = None
         autopilot.add_link(COPROCESSOR)
 
     def pose(self) -> Pose:
@@ -146,6 +185,9 @@ class SimFollower(SimVehicle):
         """The co-processor and the wire between it and the autopilot, one step on."""
         coprocessor = self.coprocessor
         down = self.autopilot.transmit(COPROCESSOR)
+        if self.driver is not None:
+            self.driver.step(t_us)
+            return
         if not self._powered:
             return
         self.gimbal.step(dt_s, coprocessor.pan_us, coprocessor.tilt_us)

@@ -9,7 +9,7 @@ from typing import Any
 
 from echowing.geo import Ned
 from echowing.setup.settings import LEAST_LIMITS
-from echowing.sim.aircraft import Body, MakeCoprocessor, SimFollower, SimVehicle
+from echowing.sim.aircraft import Body, MakeCoprocessor, SensorDriver, SimFollower, SimVehicle
 from echowing.sim.boards.coprocessor import NativeCoprocessor
 from echowing.sim.ground import Telemetry, open_log
 from echowing.sim.scenario import SPEED_LAWS, LossySection, RadioSection, Scenario
@@ -113,9 +113,16 @@ class Hangar:
             wire=self.cutters(f"wire {index}", scenario.wire),
             wind=wind,
         )
+        self.fit(follower)
         if scenario.applet_file is not None:
             follower.load_applet(scenario.applet_file)
         return follower
+
+    def fit(self, follower: SimFollower) -> None:
+        """Let its autopilot read the sensor, if the sonar file says so."""
+        sonar = self.scenario.sonar_file
+        if sonar.fixed:
+            follower.driver = SensorDriver(follower.sensor, follower.autopilot, sonar.rate_hz)
 
     def telemetry(self, vehicle: SimVehicle, name: str, radio: RadioSection) -> Telemetry:
         """The vehicle's radio link."""
@@ -147,7 +154,7 @@ class Hangar:
             echo_dist_m = scenario.echo_dist_m(index)
             applet |= {} if echo_dist_m is None else {"ECHO_DIST": echo_dist_m}
         return {
-            "RNGFND1_TYPE": 10.0,
+            "RNGFND1_TYPE": float(scenario.sonar_file.rangefinder_type),
             "RNGFND1_ORIENT": 0.0,
             "SCR_ENABLE": 1.0,
             **speed,

@@ -34,7 +34,7 @@ class ParkedFollower(SimFollower):
 
     def run_coprocessor(self, t_us: int, dt_s: float) -> None:
         """As `SimFollower.run_coprocessor`; at another baud rate neither end understands."""
-        if self._wired():
+        if self.driver is not None or self._wired():
             super().run_coprocessor(t_us, dt_s)
             return
         self.autopilot.transmit(COPROCESSOR)
@@ -67,7 +67,7 @@ class ParkedHangar(Hangar):
         """Follower number `index` (from 0) below where it would fly."""
         body = Copter((start_ned_m[0], start_ned_m[1], 0.0), yaw_rad, tuning=self._tuning())
         saved = self.scenario.follower.parameters
-        return ParkedFollower(
+        follower = ParkedFollower(
             body,
             self._autopilot(body, FIRST_FOLLOWER_ID + index, saved),
             self._drift(f"follower {index}", body, parked=True),
@@ -77,6 +77,8 @@ class ParkedHangar(Hangar):
             wire=self.cutters(f"wire {index}", self.scenario.wire),
             wind=self._wind(f"follower {index}", body),
         )
+        self.fit(follower)
+        return follower
 
 
 class ParkedWorld(FormationWorld):

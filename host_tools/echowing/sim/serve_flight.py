@@ -185,8 +185,9 @@ def say_how_to_go_on(
     key = " --signing-key-file FILE" if signed else ""
     if parked:
         print("Nothing is set up on them. In another terminal, for each follower:")
+        sensor = _sonar(scenario) if scenario.sonar_file.fixed else " --serial 2"
         for follower in followers:
-            print(f"  echowing setup apply --vehicle {follower} --serial 2 --restart{key}")
+            print(f"  echowing setup apply --vehicle {follower}{sensor} --restart{key}")
         print("", end="", flush=True)
         return
     ends = " ".join(f"--follower {follower}" for follower in followers)
@@ -201,9 +202,13 @@ def say_how_to_go_on(
 def _beliefs(scenario: Scenario) -> str:
     """The options of `follow` that say which points the applets take, and what the sonars are."""
     points = "" if scenario.guidance_settings().feed_forward else " --position-only"
-    sonar = "" if scenario.sonar.file == SHIPPED else f" --sonar {shlex.quote(scenario.sonar.file)}"
     legs = "" if scenario.leader.target == "foil" else f" --legs {scenario.leader.target}"
-    return f"{points}{sonar}{legs}"
+    return f"{points}{_sonar(scenario)}{legs}"
+
+
+def _sonar(scenario: Scenario) -> str:
+    file = scenario.sonar.file
+    return "" if file == SHIPPED else f" --sonar {shlex.quote(file)}"
 
 
 def _chained(scenario: Scenario) -> str:

@@ -4,7 +4,10 @@
 
 local sandbox, is_binding = ...
 
-local CLASSES = { Vector3f = 1, Vector2f = 2, Location = 3, Parameter = 4, RC_Channel = 5 } -- as in replay.c
+local CLASSES = { -- as in replay.c
+    Vector3f = 1, Vector2f = 2, Location = 3, Parameter = 4, RC_Channel = 5, RangeFinder_State = 16,
+    AP_RangeFinder_Backend = 23,
+}
 local record, names, wrapped = {}, {}, {}
 local wrap
 

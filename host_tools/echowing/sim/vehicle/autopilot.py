@@ -601,6 +601,14 @@ class Autopilot:
         """Per cent, -1 unknown."""
         return self.rangefinder.quality if self._looks(orientation) else -1
 
+    def rangefinder_type(self, orientation: int) -> int:
+        """RNGFNDn_TYPE."""
+        return self.rangefinder.type if self._looks(orientation) else 0
+
+    def rangefinder_read_ms(self, orientation: int) -> int:
+        """When the newest reading was taken."""
+        return self.rangefinder.read_ms if self._looks(orientation) else 0
+
     def rangefinder_min_m(self, orientation: int) -> float:
         """Nearest believed range."""
         return self.rangefinder.min_m() if self._looks(orientation) else 0.0

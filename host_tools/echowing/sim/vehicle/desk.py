@@ -31,6 +31,10 @@ class DeskVehicle:
     mode: int = 4
     ranges: dict[int, tuple[int, float]] = field(default_factory=lambda: {0: (NO_DATA, 0.0)})
     """Orientation -> (status, metres)."""
+    range_type: int = 10
+    """RNGFNDn_TYPE of all of them: MAVLink."""
+    range_read_ms: int = 0
+    """When their driver took the newest reading."""
     switches: dict[int, int] = field(default_factory=dict)
     position: Ned | None = (0.0, 0.0, -10.0)
     velocity: Ned | None = (0.0, 0.0, 0.0)
@@ -119,6 +123,12 @@ class DeskVehicle:
 
     def rangefinder_signal_quality(self, orientation: int) -> int:
         return -1
+
+    def rangefinder_type(self, orientation: int) -> int:
+        return self.range_type
+
+    def rangefinder_read_ms(self, orientation: int) -> int:
+        return self.range_read_ms
 
     def set_desired_speed(self, speed_mps: float) -> bool:
         self.desired_speeds.append(speed_mps)

@@ -281,6 +281,34 @@ function rangefinder:distance_orient(orientation) end
 ---@return integer # per cent; -1 unknown
 function rangefinder:signal_quality_pct_orient(orientation) end
 
+---@class RangeFinder_State_ud
+local RangeFinder_State_ud = {}
+
+---@return uint32_t_ud # when the driver took its newest reading, as millis()
+function RangeFinder_State_ud:last_reading() end
+
+---@class AP_RangeFinder_Backend_ud
+local AP_RangeFinder_Backend_ud = {}
+
+---@return number # metres
+function AP_RangeFinder_Backend_ud:distance() end
+
+---@return integer # 0 is forward
+function AP_RangeFinder_Backend_ud:orientation() end
+
+---@return integer # as RNGFNDn_TYPE; 10 is MAVLink
+function AP_RangeFinder_Backend_ud:type() end
+
+---@return integer # as status_orient
+function AP_RangeFinder_Backend_ud:status() end
+
+---@return RangeFinder_State_ud # a copy
+function AP_RangeFinder_Backend_ud:get_state() end
+
+---@param number integer 0..255
+---@return AP_RangeFinder_Backend_ud|nil # nil: there is none
+function rangefinder:get_backend(number) end
+
 ---@class RC_Channel_ud
 local RC_Channel_ud = {}
 

@@ -169,7 +169,7 @@ end
 
 -- raw[owner][name]: what a call does once its arguments are checked. Methods of userdata get the object first.
 local raw = { [''] = {}, uint32_t_ud = {}, Vector3f_ud = {}, Vector2f_ud = {}, Location_ud = {}, Parameter_ud = {},
-    RC_Channel_ud = {}, param = {}, vehicle = {}, ahrs = {}, rangefinder = {}, rc = {}, arming = {}, gcs = {},
+    RC_Channel_ud = {}, RangeFinder_State_ud = {}, AP_RangeFinder_Backend_ud = {}, param = {}, vehicle = {}, ahrs = {}, rangefinder = {}, rc = {}, arming = {}, gcs = {},
     mavlink = {}, logger = {} }
 
 raw[''].uint32_t = function(value) return u32.new(value == nil and 0 or to_u32(value, 1)) end
@@ -344,6 +344,19 @@ raw.rangefinder.has_data_orient = function(orientation) return py.rangefinder_st
 raw.rangefinder.distance_orient = py.rangefinder_distance_m
 raw.rangefinder.distance_cm_orient = py.rangefinder_distance_cm
 raw.rangefinder.signal_quality_pct_orient = py.rangefinder_quality
+
+-- A backend keeps where its sensor looks: no two of a vehicle's look alike here.
+local backend, range_state = new_class('AP_RangeFinder_Backend'), new_class('RangeFinder_State')
+raw.rangefinder.get_backend = function(number)
+    local orientation = py.rangefinder_orientation(number)
+    return orientation and backend.new(orientation)
+end
+raw.AP_RangeFinder_Backend_ud.distance = function(self) return py.rangefinder_distance_m(self[KEY]) end
+raw.AP_RangeFinder_Backend_ud.orientation = function(self) return self[KEY] end
+raw.AP_RangeFinder_Backend_ud.type = function(self) return py.rangefinder_type(self[KEY]) end
+raw.AP_RangeFinder_Backend_ud.status = function(self) return py.rangefinder_status(self[KEY]) end
+raw.AP_RangeFinder_Backend_ud.get_state = function(self) return range_state.new(py.rangefinder_read_ms(self[KEY])) end
+raw.RangeFinder_State_ud.last_reading = function(self) return u32.new(self[KEY]) end
 
 local channel = new_class('RC_Channel')
 raw.rc.find_channel_for_option = function(option)

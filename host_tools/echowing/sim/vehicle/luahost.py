@@ -86,6 +86,12 @@ class VehicleApi(Protocol):
     def rangefinder_signal_quality(self, orientation: int) -> int:
         """Per cent, -1 unknown."""
 
+    def rangefinder_type(self, orientation: int) -> int:
+        """RNGFNDn_TYPE: 10 is MAVLink."""
+
+    def rangefinder_read_ms(self, orientation: int) -> int:
+        """When its driver took the newest reading, as `millis`."""
+
     def set_desired_speed(self, speed_mps: float) -> bool:
         """Limit of Guided's horizontal speed; 0 is no limit."""
 
@@ -594,6 +600,11 @@ class LuaHost:
             "rangefinder_distance_m": lambda o: float(vehicle.rangefinder_distance_m(o)),
             "rangefinder_distance_cm": lambda o: _centimetres(vehicle.rangefinder_distance_m(o)),
             "rangefinder_quality": vehicle.rangefinder_signal_quality,
+            "rangefinder_orientation": lambda n: dict(
+                enumerate(vehicle.rangefinder_orientations())
+            ).get(n),
+            "rangefinder_type": vehicle.rangefinder_type,
+            "rangefinder_read_ms": lambda o: _signed(vehicle.rangefinder_read_ms(o)),
             "set_desired_speed": vehicle.set_desired_speed,
             "set_target_location": set_target_location,
             "get_target_location": get_target_location,

@@ -1,4 +1,7 @@
-"""A MAVLink rangefinder as the autopilot treats it (AP_RangeFinder_MAVLink.cpp)."""
+"""A rangefinder as the autopilot treats it: by MAVLink, or read by a driver of its own.
+
+AP_RangeFinder_MAVLink.cpp, AP_RangeFinder_MaxsonarI2CXL.cpp, AP_RangeFinder_Backend.cpp.
+"""
 
 from functools import lru_cache
 from typing import Any
@@ -9,12 +12,17 @@ from echowing.sim.vehicle.parameters import Parameters
 
 NOT_CONNECTED, NO_DATA, OUT_OF_RANGE_LOW, OUT_OF_RANGE_HIGH, GOOD = range(5)
 TIMEOUT_MS = 500  # AP_RangeFinder_MAVLink.cpp: older data is dumped
-MAVLINK_TYPE = 10  # RNGFND1_TYPE
+DRIVER_TIMEOUT_MS = 300  # AP_RangeFinder_MaxsonarI2CXL.cpp
+UPDATE_MS = 50  # Copter.cpp, read_rangefinder: what a driver has read is there from then on
+MAXBOTIX_TYPE, MAVLINK_TYPE = 2, 10  # RNGFND1_TYPE; the first by I2C
 QUALITY_UNKNOWN = -1
 
 
 class MavlinkRangefinder:
-    """State of RNGFND1 where its type is MAVLink: distance, status, quality."""
+    """State of RNGFND1: distance, status, quality.
+
+    driven: a driver of the autopilot's own reads a sensor, so that another type than MAVLink works.
+    """
 
     __slots__ = (
         "_cm",
@@ -23,9 +31,13 @@ class MavlinkRangefinder:
         "_min_cm",
         "_parameters",
         "_quality",
+        "_read_cm",
+        "_updated_ms",
         "distance_m",
+        "driven",
         "kind",
         "quality",
+        "read_ms",
         "status",
     )
 
@@ -34,6 +46,9 @@ class MavlinkRangefinder:
         self._heard_ms: int | None = None
         self._cm = self._min_cm = self._max_cm = 0
         self._quality = QUALITY_UNKNOWN
+        self._read_cm = self._updated_ms = 0
+        self.driven = False
+        self.read_ms = 0
         self.kind = mavlink.MAV_DISTANCE_SENSOR_UNKNOWN
         self.status = NOT_CONNECTED
         self.distance_m = 0.0
@@ -41,8 +56,13 @@ class MavlinkRangefinder:
 
     @property
     def configured(self) -> bool:
-        """Whether RNGFND1_TYPE is MAVLink."""
-        return self._parameters.value("RNGFND1_TYPE") == MAVLINK_TYPE
+        """Whether RNGFND1_TYPE is MAVLink, or a driver reads what is there."""
+        return self.type == MAVLINK_TYPE or (self.type != 0 and self.driven)
+
+    @property
+    def type(self) -> int:
+        """RNGFND1_TYPE."""
+        return int(self._parameters.value("RNGFND1_TYPE"))
 
     @property
     def orientation(self) -> int:
@@ -51,7 +71,7 @@ class MavlinkRangefinder:
 
     def receive(self, message: Any, t_ms: int) -> None:
         """Take a DISTANCE_SENSOR, if it is meant for this sensor."""
-        if not self.configured or message.orientation != self.orientation:
+        if self.type != MAVLINK_TYPE or message.orientation != self.orientation:
             return
         address = self._parameters.value("RNGFND1_ADDR")
         if self._parameters.dialect.filters_address and address not in (0, message.id):
@@ -64,12 +84,30 @@ class MavlinkRangefinder:
         on_wire = message.signal_quality
         self._quality = {0: QUALITY_UNKNOWN, 1: 0}.get(on_wire, on_wire)
 
+    def read(self, centimetres: int, t_ms: int) -> None:
+        """Take what the driver has read: its stamp counts now, the distance from the next update.
+
+        So does a MaxBotix' driver, whose timer stamps. Others take both at an update.
+        """
+        self.read_ms, self._read_cm = t_ms, centimetres
+        if self.type != MAXBOTIX_TYPE:
+            self._heard_ms, self._cm = t_ms, centimetres
+
+    def _hand_out(self, t_ms: int) -> None:
+        if t_ms - self._updated_ms >= UPDATE_MS:
+            self._updated_ms = t_ms - t_ms % UPDATE_MS
+            if self.read_ms:
+                self._heard_ms, self._cm = self.read_ms, self._read_cm
+
     def update(self, t_ms: int) -> None:
         """Judge what was heard, at `t_ms`."""
+        if self.driven:
+            self._hand_out(t_ms)
         if not self.configured:
             self.status, self.distance_m, self.quality = NOT_CONNECTED, 0.0, QUALITY_UNKNOWN
             return
-        if self._heard_ms is None or t_ms - self._heard_ms > TIMEOUT_MS:
+        timeout_ms = DRIVER_TIMEOUT_MS if self.driven else TIMEOUT_MS
+        if self._heard_ms is None or t_ms - self._heard_ms > timeout_ms:
             self.status, self.distance_m, self.quality = NO_DATA, 0.0, QUALITY_UNKNOWN
             return
         self.distance_m = self._cm * 0.01
