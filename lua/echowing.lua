@@ -244,7 +244,7 @@ end
 
 -- Speeds are along the beam, which is at the leader's bearing. Times are in ms; nil is "never".
 local own = { mps = 0, north_mps = 0, east_mps = 0, accel_mps2 = 0 } -- this vehicle's motion; at_ms: when
--- Where the sonar looks, a unit vector; whether it is fixed to the nose, else by which link its gimbal is told.
+-- Where the sonar looks, a unit vector. It is fixed to the nose, or a gimbal that a link tells turns it.
 local look = { north = 1, east = 0 }
 local track = { -- what the sonar reads (averages, single readings), and where the leader is by that, and how fast
     board_ms = 0, late_ms = 0, quickest_ms = 0, leader_mps = 0, seen_ms = 0, readings = 0, spike_ms = 0,
@@ -466,12 +466,13 @@ do
 
     -- Reads the forward rangefinder: status, and distance, nil where it is no measurement. All distances here are between
     -- the two vehicles' centres. Of type 10, MAVLink, it is the co-processor's running average; a single reading of a
-    -- sensor that is fixed to the nose, and that the autopilot reads itself, where it is of another type.
+    -- sensor that is fixed to the nose, and that the autopilot reads itself, where it is of another type. Where there
+    -- are both, that of the co-processor counts.
     function track.read(t_ms)
         local sensor
-        for i = 0, 10 do
-            sensor = rangefinder:get_backend(i) -- none has number 10
-            if sensor and sensor:orientation() == 0 then break end
+        for i = 0, 9 do
+            local one = rangefinder:get_backend(i)
+            if one and one:orientation() == 0 and (not sensor or one:type() == 10) then sensor = one end
         end
         if not sensor then return nil, 0 end
         local status, read_ms = sensor:status() -- 1 no data, 2 too low, 3 too high, 4 good
@@ -485,13 +486,13 @@ do
             elseif not own.ahead then
                 status = 3 -- it sees something else
             end
-            -- It counts ten times a second, as the co-processor's: so often the track reckons with.
+            -- It counts 12 times a second at the most: the track reckons with ten, as the co-processor's.
             if t_ms - read_ms < 2 * late_ms or read_ms - (track.raw_ms or 0) < 80 then read_ms = nil end
         end
         local range_m = (status == 4 or status == 2 and not look.fixed) and sensor:distance()
         -- The longest reach of a MaxBotix sonar is 10.7 m.
         if not is_within(range_m, 20) or range_m < 0 or (range_m == 0 and status == 4) then range_m = nil end
-        if read_ms and status > 2 then track.take(range_m or 9, read_ms, t_ms) end
+        if read_ms and status > 2 then track.take(range_m or 9, read_ms, t_ms) end -- 9 m is no target
         return range_m and range_m + C.INSET, status
     end
 

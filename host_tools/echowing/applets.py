@@ -45,6 +45,7 @@ APPLETS = (HOLD, SPEED)
 # The parameters that tell which applet runs. Before there were two, one
 # applet had all of them but the first.
 FORMAT, LAW, GAIN = IDENTIFYING = ("ECHO_FORMAT", "ECHO_LAW", "ECHO_GAIN_P")
+MOST_DETECT_M = 7.6  # ECHO_DETECT takes no more
 
 
 def applet_named(name: str) -> Applet:

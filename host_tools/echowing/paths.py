@@ -4,6 +4,9 @@ from pathlib import Path
 
 from echowing.errors import EchowingError
 
+# The sonar file that counts where none is named (`sonars/`).
+SHIPPED_SONAR = "mb1202"
+
 
 def repository_root() -> Path:
     """The checkout this package is installed from (an editable install, as `make` does it)."""

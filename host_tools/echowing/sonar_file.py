@@ -17,9 +17,9 @@ from pydantic import AfterValidator, ConfigDict, Field, field_validator, model_v
 
 from echowing.errors import EchowingError
 from echowing.flight.belief import Curve, SonarBelief
+from echowing.paths import SHIPPED_SONAR
 from echowing.section import NotNegative, Positive, Section, Share, section_of
 
-SHIPPED = "mb1202"
 # Nine of ten of a normal distribution are within so many standard deviations of its mean.
 NINE_OF_TEN_SIGMAS = 1.645
 Legs = Literal["foil", "stock"]
@@ -258,7 +258,7 @@ def _table(text: str, source: str) -> dict[str, Any]:
 @cache
 def shipped_sonar() -> SonarBelief:
     """What is believed of the sonar that the package ships."""
-    return load_sonar(SHIPPED).belief()
+    return load_sonar(SHIPPED_SONAR).belief()
 
 
 def write_sonar(path: Path, sonar: SonarFile) -> None:

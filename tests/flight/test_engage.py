@@ -53,7 +53,7 @@ WIDEST = {
     **{"clock": "0.46 s", "switch": "not seen", "applet": "law 1, 10.0 s", "distance": "3.0 m"},
     **{"least": "4.6 m", "home": "-123.4 m", "height": "4810.2 m", "RTL": "4810.0 m"},
     **{"GPS": "3D 255", "EKF": "no position", "battery": "not reported", "side": "crosses"},
-    **{"room": "123.4 m", "who": "doubtful"},
+    **{"room": "123.4 m", "who": "doubtful", "sonar": "co-processor"},
 }
 
 

@@ -10,10 +10,11 @@ from echowing.flight.guard import Limits
 from echowing.flight.guidance import GuidanceSettings, Slot
 from echowing.flight.session import FIXED_HZ, FollowSession
 from echowing.flight.state import FollowerPlan, FollowerState
-from echowing.mavlink.messages import FORWARD
+from echowing.mavlink.messages import FORWARD, PROXIMITY_IDS_FROM
 from echowing.sonar_file import load_sonar
 
 from .test_session import FOLLOWER, FOLLOWER_AT, HERE, LEADER, heartbeat, position, sonar_reading
+from .yard import Yard
 
 AUTOPILOT, CO_PROCESSOR = 1, 191
 DOWN = mavlink.MAV_SENSOR_ROTATION_PITCH_270
@@ -26,10 +27,10 @@ def told(message: Any, system_id: int = FOLLOWER, component: int = AUTOPILOT) ->
     return mavlink.MAVLink(None).decode(bytearray(packed))
 
 
-def reading(t_s: float, range_m: float, orientation: int = FORWARD) -> Any:
+def reading(t_s: float, range_m: float, orientation: int = FORWARD, sensor_id: int = 0) -> Any:
     boot_ms, centimetres = round(t_s * 1e3), round(range_m * 100.0)
     return mavlink.MAVLink_distance_sensor_message(
-        boot_ms, 20, 700, centimetres, 1, 0, orientation, 0
+        boot_ms, 20, 700, centimetres, 1, sensor_id, orientation, 0
     )
 
 
@@ -42,6 +43,7 @@ def listened(
     *,
     orientation: int = FORWARD,
     component: int = AUTOPILOT,
+    sensor_id: int = 0,
     yaw_rad: float = 0.0,
     pitch_rad: float = 0.0,
 ) -> FollowerState:
@@ -53,7 +55,7 @@ def listened(
         follow.receive(told(position(t_s, FOLLOWER_AT)), t_s)
         follow.receive(told(nose(t_s, yaw_rad, pitch_rad)), t_s)
         swaying_m = range_m + 0.01 * (number // 5 % 2)
-        message = reading(t_s, swaying_m, orientation)
+        message = reading(t_s, swaying_m, orientation, sensor_id)
         follow.receive(told(message, component=component), t_s)
     return follow.followers[FOLLOWER]
 
@@ -72,7 +74,9 @@ def test_the_autopilots_readings_teach_what_the_receivers_disagree_by() -> None:
 
 
 @pytest.mark.parametrize(
-    "strange", [{"orientation": DOWN}, {"component": CO_PROCESSOR}], ids=["down", "co-processor"]
+    "strange",
+    [{"orientation": DOWN}, {"component": CO_PROCESSOR}, {"sensor_id": PROXIMITY_IDS_FROM}],
+    ids=["down", "co-processor", "proximity"],
 )
 def test_only_its_own_forward_sensor_counts(strange: dict[str, int]) -> None:
     assert listened(2.8, **strange).estimate.offset.north_m == pytest.approx(0.0, abs=1e-6)
@@ -85,6 +89,16 @@ def test_single_readings_of_a_co_processor_do_not_count() -> None:
     follower = follow.followers[FOLLOWER]
     assert follower.sonar_id is None  # nor does a gimbal get orders
     assert not follower.estimate.listens(10.0)
+
+
+@pytest.mark.parametrize("read_by_board", [False, True])
+def test_a_follower_whose_co_processor_reads_its_sonar_is_not_engaged(read_by_board: bool) -> None:
+    """Its autopilot would send the co-processor's running average on as a reading of its own."""
+    yard = Yard(sonar=FIXED)
+    if read_by_board:
+        yard.tell(FOLLOWER, sonar_reading(0.1, 2.8), CO_PROCESSOR)
+    assert bool(yard.fly(5.0)) is not read_by_board
+    assert yard.said("its sonar is read by a co-processor") is read_by_board
 
 
 def test_nearer_than_the_sensor_measures_is_no_reading() -> None:

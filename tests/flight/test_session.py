@@ -694,10 +694,10 @@ def test_a_sonar_that_is_heard_too_bad_for_its_slot_opens_it_until_it_hears_as_b
 ) -> None:
     unknown, nearly, good = Heard(), Heard(0.5, 0.95), Heard(0.6, 1.1)
     opened, said = opened_m(monkeypatch, good, BAD, unknown, nearly, BAD, good)
-    # As far as its reach allows.
-    assert opened == [0.0, 3.8, 3.8, 3.8, 3.8, 0.0]
+    # As far as readings tell whether it hears again.
+    assert opened == [0.0, 3.5, 3.5, 3.5, 3.5, 0.0]
     assert said == [
-        "follower 2: sonar not good enough, slot 3.8 m: as few as 20% of its readings may hear the "
+        "follower 2: sonar not good enough, slot 3.5 m: as few as 20% of its readings may hear the "
         "leader there",
         "follower 2: sonar as believed again, slot 3.0 m",
     ]
@@ -722,6 +722,27 @@ def test_what_the_file_says_of_the_slot_opens_nothing(monkeypatch: pytest.Monkey
     """An operator who flies a slot that the file does not carry knows what it says."""
     noisy = replace(SHIPPED, noise_m=0.1)
     assert opened_m(monkeypatch, replace(BAD, sonar=noisy), sonar=noisy) == ([0.0], [])
+
+
+def test_what_the_file_does_not_say_of_the_slot_opens_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It scatters as the file says, and hears much less."""
+    noisy = replace(SHIPPED, noise_m=0.1)
+    deaf = replace(noisy, heard=Curve((0.0,), (0.05,)))
+    assert opened_m(monkeypatch, replace(BAD, sonar=deaf), sonar=noisy)[0] == [3.5]
+
+
+def test_one_that_is_not_led_any_more_forgets_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    plan = FollowerPlan(FOLLOWER, Slot(3.0), 12.0, sonar=SHIPPED)
+    follow = FollowSession(LEADER, [plan], GuidanceSettings(), engaged=False)
+    follower = follow.followers[FOLLOWER]
+    follower.heard_as, follower.by_ear_m = BAD.sonar, 3.5
+    monkeypatch.setattr(follower.estimate.hearing, "heard", lambda: BAD)
+    for number in range(10):
+        t_s = 10.0 + number * 0.1
+        for system_id, place in ((LEADER, HERE), (FOLLOWER, FOLLOWER_AT)):
+            follow.receive(from_vehicle(system_id, position(t_s, place)), t_s)
+        follow.tick(t_s)
+    assert (follower.heard_as, follower.by_ear_m) == (None, 0.0)
 
 
 def test_the_point_moves_by_the_receivers_disagreement_that_the_sonar_shows() -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.flight.belief import SonarBelief
 from echowing.flight.guard import Limits
 from echowing.flight.guidance import GuidanceSettings, Slot
 from echowing.flight.readiness import Readiness
@@ -136,6 +137,7 @@ class Yard:
         engaged: bool = True,
         leaders_height: bool = False,
         settings: GuidanceSettings | None = None,
+        sonar: SonarBelief | None = None,
     ) -> None:
         self.vehicles = vehicles or {LEADER: Vehicle((0.0, 0.0)), FOLLOWER: Vehicle((-4.0, 0.0))}
         self.now_s = 0.0
@@ -145,7 +147,7 @@ class Yard:
         self.session = FollowSession(
             LEADER,
             [
-                FollowerPlan(i, slot, 10.0, sonar=shipped_sonar())
+                FollowerPlan(i, slot, 10.0, sonar=sonar or shipped_sonar())
                 for i, slot in zip(followers, slots, strict=True)
             ],
             settings or GuidanceSettings(learn_offset=False),

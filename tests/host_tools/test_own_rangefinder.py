@@ -12,6 +12,7 @@ from echowing.sim.vehicle.rangefinder import (
     GOOD,
     MAXBOTIX_TYPE,
     NO_DATA,
+    NOT_CONNECTED,
     OUT_OF_RANGE_HIGH,
     OUT_OF_RANGE_LOW,
 )
@@ -25,13 +26,14 @@ TFMINI_TYPE = 25
 
 
 class Nose:
-    """A vehicle with a sensor that its autopilot reads."""
+    """A vehicle with a sensor that its autopilot reads; set_to: RNGFND1_TYPE, if not its."""
 
-    def __init__(self, kind: int = MAXBOTIX_TYPE, rate_hz: float = 10.0) -> None:
-        self.bench = Bench(parameters={"RNGFND1_TYPE": float(kind), "RNGFND1_ORIENT": 0.0})
+    def __init__(self, kind: int = MAXBOTIX_TYPE, set_to: int | None = None) -> None:
+        of_sensor = kind if set_to is None else set_to
+        self.bench = Bench(parameters={"RNGFND1_TYPE": float(of_sensor), "RNGFND1_ORIENT": 0.0})
         self.range_m: float | None = 3.0
         self.sensor = MaxSonar(lambda t_s: self.range_m)
-        self.driver = SensorDriver(self.sensor, self.bench.autopilot, rate_hz)
+        self.driver = SensorDriver(self.sensor, self.bench.autopilot, kind, rate_hz=10.0)
 
     def fly(self, seconds: float) -> "Nose":
         for _ in range(round(seconds * 50)):
@@ -46,14 +48,20 @@ class Nose:
 
     @property
     def read_ms(self) -> int:
-        return self.bench.autopilot.rangefinder_read_ms(0)
+        return self.bench.autopilot.rangefinder.read_ms
 
 
 @pytest.mark.parametrize("kind", [MAXBOTIX_TYPE, TFMINI_TYPE])
 def test_it_is_read(kind: int) -> None:
     nose = Nose(kind).fly(0.5)
     assert nose.status == (GOOD, 3.0)
-    assert nose.bench.autopilot.rangefinder_type(0) == kind
+    sensors = [nose.bench.autopilot.rangefinder_backend(number) for number in range(2)]
+    assert sensors == [(0, kind, GOOD, 3.0, nose.read_ms), None]
+
+
+@pytest.mark.parametrize("set_to", [TFMINI_TYPE, MAVLINK_TYPE])
+def test_set_to_another_type_it_is_not_read(set_to: int) -> None:
+    assert Nose(set_to=set_to).fly(0.5).status[0] in (NOT_CONNECTED, NO_DATA)
 
 
 def test_what_comes_by_mavlink_is_not_its() -> None:

@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from echowing.applets import APPLETS, Applet
+from echowing.applets import APPLETS, SPEED, Applet
 from echowing.cli import main
 from echowing.commands import setup
 from echowing.errors import EchowingError
@@ -296,9 +296,29 @@ def test_a_second_rangefinder_may_be_ours() -> None:
         "RNGFND2_MIN": 0.2,
         "RNGFND2_MAX": 7.65,
     }
-    assert odd_ones(ready(rangefinder=2, RNGFND1_TYPE=8.0, **second)) == {}
-    readout = ready(rangefinder=2, RNGFND1_TYPE=8.0, **{**second, "RNGFND2_TYPE": 0.0})
+    down: dict[str, Any] = {"RNGFND1_TYPE": 8.0, "RNGFND1_ORIENT": 25.0}
+    assert odd_ones(ready(rangefinder=2, **down, **second)) == {}
+    readout = ready(rangefinder=2, **down, **{**second, "RNGFND2_TYPE": 0.0})
     assert [one.name for one in changes_for(readout)] == ["RNGFND2_TYPE"]
+
+
+SECOND = {"RNGFND2_TYPE": 20.0, "RNGFND2_ORIENT": 0.0}
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "verdict"),
+    [
+        ({}, Verdict.YOURS),  # the applet takes the co-processor's
+        ({"applet": SPEED}, Verdict.WRONG),
+        ({"range_type": 2, "RNGFND1_TYPE": 2.0}, Verdict.WRONG),
+        ({"RNGFND2_ORIENT": 25.0}, None),  # it looks down
+        ({"RNGFND2_TYPE": 0.0}, None),
+        ({"RNGFND2_ORIENT": None}, None),
+    ],
+)
+def test_a_second_forward_sensor_is_told(vehicle: dict[str, Any], verdict: Verdict | None) -> None:
+    told = odd_ones(ready(**{**SECOND, **vehicle})).get("RNGFND2_ORIENT")
+    assert (told and told.verdict) is verdict
 
 
 def test_a_sensor_of_the_pilots_is_never_overwritten() -> None:

@@ -616,7 +616,15 @@ def test_both_names_of_a_parameter_are_asked_for() -> None:
     assert ("RNGFND1_MIN", "RNGFND1_MIN_CM") in names
     assert ("WP_SPD", "WPNAV_SPEED") in names
     assert "SERIAL9_BAUD" in names
-    assert "RNGFND3_TYPE" in names_to_read(2, 3)
+    assert "RNGFND3_ORIENT" in names_to_read(2, 3)
+
+
+def test_where_another_rangefinder_looks_is_asked_for(make_desk: MakeDesk) -> None:
+    """Only of those that are there: names cost time."""
+    desk = make_desk(parameters="{RNGFND1_TYPE=20, RNGFND1_ORIENT=0}")
+    assert read_parameters(desk.vehicle, 2, rangefinder=2)["RNGFND1_ORIENT"] == 0.0
+    desk.vehicle.write("RNGFND1_TYPE", 0.0)
+    assert "RNGFND1_ORIENT" not in read_parameters(desk.vehicle, 2, rangefinder=2)
 
 
 # ---- who is who among what is heard -----------------------------------------------------------

@@ -14,11 +14,12 @@ from hypothesis import strategies as st
 from echowing.cli import main
 from echowing.errors import EchowingError
 from echowing.flight.belief import Curve
-from echowing.sonar_file import SHIPPED, SonarFile, load_sonar, sonar_names, sonar_of, value_keys
+from echowing.paths import SHIPPED_SONAR
+from echowing.sonar_file import SonarFile, load_sonar, sonar_names, sonar_of, value_keys
 
 
 def shipped_table() -> dict[str, Any]:
-    path = resources.files("echowing") / "sonars" / f"{SHIPPED}.toml"
+    path = resources.files("echowing") / "sonars" / f"{SHIPPED_SONAR}.toml"
     return tomllib.loads(path.read_text(encoding="utf-8"))
 
 
@@ -37,7 +38,7 @@ def test_each_value_of_a_shipped_sensor_has_a_source_or_is_called_a_guess(name: 
 
 
 def test_what_is_guessed_of_the_shipped_sonar_is_said() -> None:
-    shipped = load_sonar(SHIPPED)
+    shipped = load_sonar(SHIPPED_SONAR)
     assert "heard.least" in shipped.guesses
     assert "reach_m" not in shipped.guesses
 

@@ -5,13 +5,16 @@ import math
 import pytest
 from tests.lua.conftest import MakeRig, Rig
 
+from echowing.sim.vehicle.luahost import RangefinderBackend
 from echowing.sim.vehicle.rangefinder import (
+    GOOD,
     MAVLINK_TYPE,
     MAXBOTIX_TYPE,
     OUT_OF_RANGE_HIGH,
     OUT_OF_RANGE_LOW,
 )
 
+FORWARD, DOWN = 0, 25  # RNGFNDn_ORIENT
 STARTED_MS = 10  # from then on the applet counts
 TFMINI_TYPE = 25  # RNGFNDn_TYPE of a Benewake TFmini Plus by I2C
 SEARCHING, TOO_CLOSE, NO_SONAR, HOLDING = 1, 3, 4, 7
@@ -38,6 +41,31 @@ def test_it_is_held_by(rig: MakeRig, kind: int) -> None:
     assert track(r)["range_m"] == pytest.approx(3.0, abs=0.01)
 
 
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [
+        ((FORWARD, TFMINI_TYPE), MAVLINK_TYPE),
+        ((DOWN, TFMINI_TYPE), MAVLINK_TYPE),
+        ((DOWN, TFMINI_TYPE), MAXBOTIX_TYPE),
+        ((DOWN, MAVLINK_TYPE), MAXBOTIX_TYPE),
+    ],
+)
+def test_the_co_processors_counts_before_another_and_no_other_one_than_a_forward_one(
+    rig: MakeRig, first: tuple[int, int], second: int
+) -> None:
+    r = flying(rig, second)
+    r.vehicle.first_sensors = [RangefinderBackend(*first, GOOD, 4.0, r.vehicle.t_ms)]
+    r.run(3.0)
+    assert r.state == HOLDING
+    assert track(r)["range_m"] == pytest.approx(3.0, abs=0.01)
+
+
+def test_of_two_that_the_autopilot_reads_the_first_counts(rig: MakeRig) -> None:
+    r = flying(rig)
+    r.vehicle.first_sensors = [RangefinderBackend(FORWARD, MAXBOTIX_TYPE, GOOD, 4.0, 0)]
+    assert r.run(2.0).state == NO_SONAR
+
+
 def test_a_vehicle_may_arm_with_it(rig: MakeRig) -> None:
     r = rig()
     r.vehicle.range_type, r.vehicle.is_armed = TFMINI_TYPE, False
@@ -49,6 +77,8 @@ def test_the_gimbal_gets_no_orders(rig: MakeRig) -> None:
     """Through a lost link the applet moves the co-processor's; here it has none."""
     for kind, orders in ((MAVLINK_TYPE, True), (TFMINI_TYPE, False)):
         r = flying(rig, kind)
+        r.send_raw(3.0)
+        r.run(0.1)
         r.send_target(5.0, 2.0, yaw_rad=0.0)
         r.stream_every_ms = None
         r.run(1.0)
@@ -90,10 +120,15 @@ def test_too_far_is_no_target(rig: MakeRig) -> None:
 
 def test_too_near_is_too_close_and_no_reading(rig: MakeRig) -> None:
     r = flying(rig)
-    seen_ms = track(r)["seen_ms"]
+    raw_ms = track(r)["raw_ms"]
     r.range(0.05, OUT_OF_RANGE_LOW).run(2.0)
-    assert track(r)["seen_ms"] == seen_ms
+    assert track(r)["raw_ms"] == raw_ms
     assert r.state == TOO_CLOSE
+
+
+def test_good_and_nothing_is_no_measurement(rig: MakeRig) -> None:
+    r = flying(rig)
+    assert r.range(0.0).run(2.0).state == SEARCHING
 
 
 @pytest.mark.parametrize(("off_deg", "used"), [(15.0, True), (40.0, False)])
@@ -111,7 +146,9 @@ def test_only_a_nose_that_points_at_the_leader_counts(
 
 
 @pytest.mark.parametrize(("every_ms", "counted"), [(100, 10), (50, 10), (20, 12)])
-def test_a_fast_one_counts_ten_times_a_second(rig: MakeRig, every_ms: int, counted: int) -> None:
+def test_a_fast_one_counts_twelve_times_a_second_at_the_most(
+    rig: MakeRig, every_ms: int, counted: int
+) -> None:
     """What counts readings (agreement, stuck, noise) reckons with the sonar's ten."""
     r = flying(rig, every_ms=every_ms)
     before = track(r)["readings"]

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from echowing.errors import EchowingError
 from echowing.flight.lowest import LOWEST_M
+from echowing.paths import SHIPPED_SONAR
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -142,7 +143,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     place.add_argument(
         "--sonar",
-        default="mb1202",
+        default=SHIPPED_SONAR,
         metavar="FILE",
         help="what is believed of the followers' sonars: a sonar file (.toml), as `echowing rig "
         "response-matrix` writes it, or the name of one that is shipped (mb1202)",

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from echowing.errors import EchowingError
+from echowing.paths import SHIPPED_SONAR
 
 if TYPE_CHECKING:
     from echowing.planning.cost import Formation, Limits
@@ -70,7 +71,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     limits.add_argument("--leader-only", action="store_true", help="every sonar watches the leader")
     limits.add_argument(
-        "--sonar", default="mb1202", metavar="FILE", help="a sonar file (.toml), as with `follow`"
+        "--sonar",
+        default=SHIPPED_SONAR,
+        metavar="FILE",
+        help="a sonar file (.toml), as with `follow`",
     )
     limits.add_argument(
         "--legs", choices=("foil", "stock"), default="foil", help="of all vehicles (foil)"

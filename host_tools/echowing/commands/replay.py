@@ -4,6 +4,8 @@ import argparse
 import time
 from pathlib import Path
 
+from echowing.paths import SHIPPED_SONAR
+
 EXAMPLES = """\
 examples:
   echowing replay out/flights/20261121-140000      what `follow` has logged
@@ -17,7 +19,6 @@ POLL_S = 0.2
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The verb's options."""
-    from echowing.sonar_file import SHIPPED  # noqa: PLC0415 (imported when it is used)
     from echowing.web.options import add_web_arguments  # noqa: PLC0415
 
     parser.epilog = EXAMPLES
@@ -25,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "logs", type=Path, nargs="+", metavar="DIR", help="a folder of logs, or log files"
     )
     parser.add_argument(
-        "--sonar", default=SHIPPED, help=f"the sonar file that was flown ({SHIPPED})"
+        "--sonar", default=SHIPPED_SONAR, help=f"the sonar file that was flown ({SHIPPED_SONAR})"
     )
     add_web_arguments(parser, always=True)
 

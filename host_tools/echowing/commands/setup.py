@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from echowing.errors import EchowingError
+from echowing.paths import SHIPPED_SONAR
 
 if TYPE_CHECKING:
     from echowing.applets import Applet
@@ -103,8 +104,6 @@ def _add_link(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_wiring(parser: argparse.ArgumentParser) -> None:
-    from echowing.sonar_file import SHIPPED  # noqa: PLC0415 (imported when the verb is used)
-
     parser.add_argument(
         "--serial",
         type=int,
@@ -122,10 +121,10 @@ def _add_wiring(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--sonar",
-        default=SHIPPED,
+        default=SHIPPED_SONAR,
         metavar="FILE",
         help="as for `echowing follow`: a sensor that the autopilot reads itself needs no "
-        f"co-processor ({SHIPPED})",
+        f"co-processor ({SHIPPED_SONAR})",
     )
 
 

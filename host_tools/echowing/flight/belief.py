@@ -79,26 +79,28 @@ class SonarBelief:
 
     def objection(self, radius_m: float) -> str | None:
         """Why it does not carry a slot of this radius; None: it does."""
-        if self.noise_m > MOST_NOISE_M:
-            return f"its ranges may scatter by {self.noise_m:.2f} m, at most {MOST_NOISE_M:g} m do"
-        if self.wrong_share > MOST_WRONG:
-            wrong = f"{self.wrong_share:.0%} of its readings may be wrong"
-            return f"{wrong}, at most {MOST_WRONG:.0%} do"
-        return self._objection_at(radius_m - self.inset_m)
+        return next(iter(self.objections(radius_m).values()), None)
 
-    def _objection_at(self, range_m: float) -> str | None:
-        """Why a slot is not carried at which it reads this."""
-        if range_m < self.shortest_m + ROOM_M:
-            return f"nearer than {self.shortest_m:g} m it does not measure"
-        if range_m + ROOM_M > self.heard_to_m:
-            reaches_m = self.heard_to_m + self.inset_m
-            return f"a leader is certain to be heard up to {reaches_m:.1f} m, and no further"
-        if (share := self.heard.at(range_m)) < LEAST_SHARE:
-            return f"as few as {share:.0%} of its readings may hear the leader there"
-        if (half_rad := self.narrowest_rad.at(range_m)) < LEAST_HALF_RAD:
-            half_deg = math.degrees(half_rad)
-            return f"its beam may be as narrow as {half_deg:.0f} degrees to each side there"
-        return None
+    def objections(self, radius_m: float) -> dict[str, str]:
+        """All that it has against a slot of this radius: what kind, and in words."""
+        range_m, reaches_m = radius_m - self.inset_m, self.heard_to_m + self.inset_m
+        share, half_rad = self.heard.at(range_m), self.narrowest_rad.at(range_m)
+        found = {
+            "noise": self.noise_m > MOST_NOISE_M
+            and f"its ranges may scatter by {self.noise_m:.2f} m, at most {MOST_NOISE_M:g} m do",
+            "wrong": self.wrong_share > MOST_WRONG
+            and f"{self.wrong_share:.0%} of its readings may be wrong, at most {MOST_WRONG:.0%} do",
+            "near": range_m < self.shortest_m + ROOM_M
+            and f"nearer than {self.shortest_m:g} m it does not measure",
+            "far": range_m + ROOM_M > self.heard_to_m
+            and f"a leader is certain to be heard up to {reaches_m:.1f} m, and no further",
+            "share": share < LEAST_SHARE
+            and f"as few as {share:.0%} of its readings may hear the leader there",
+            "beam": half_rad < LEAST_HALF_RAD
+            and f"its beam may be as narrow as {math.degrees(half_rad):.0f} degrees to each side "
+            "there",
+        }
+        return {kind: text for kind, text in found.items() if text}
 
     def nearest_carried_m(self, radius_m: float, slots_m: tuple[float, float]) -> float | None:
         """The radius nearest to this one, of the least to the most, that it carries; None: none."""

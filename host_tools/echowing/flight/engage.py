@@ -472,6 +472,7 @@ class Engagement:
             _clock("its", follower.clock),
             *self._switch("its", system_id, now_s),
             *self._applet(system_id, follower),
+            *_sonar(follower),
             *self._reversal(follower, follower.plan.slot.radius_m),
             *self._wind(follower),
             *self._homes(follower),
@@ -707,6 +708,17 @@ def _unsure_of(handling: Handling) -> str:
     """What a follower's limits are computed without, as the end of a sentence."""
     missing = handling.missing if handling.known else []
     return f"; not known, so taken as the worst: {', '.join(missing)}" if missing else ""
+
+
+def _sonar(follower: FollowerState) -> list[Finding]:
+    """No cell where it is read as its file says."""
+    if not follower.plan.sonar.fixed or not math.isfinite(follower.raw_at_s):
+        return []
+    wrong = (
+        "its sonar is read by a co-processor, and by its file the autopilot reads it: start again "
+        "with --sonar of what it carries"
+    )
+    return [Finding("sonar", "co-processor", wrong)]
 
 
 def _clock(whose: str, clock: Any) -> Finding:

@@ -105,6 +105,12 @@ class Hearing:
         self._told = Heard()
         self.fresh: deque[Reading] = deque(maxlen=1000)
 
+    @property
+    def counts_to_m(self) -> float:
+        """So far away a leader may be for readings to tell how many of them hear it."""
+        sonar = self._sonar
+        return min(sonar.heard_to_m, sonar.silent_to_m) - GATE_M + sonar.inset_m
+
     def take(self, reading: Reading) -> None:
         """Take a reading; times rise."""
         if reading.is_right:
@@ -121,7 +127,7 @@ class Hearing:
         sonar, range_m = self._sonar, one.expected_m
         inside = least = 0.0
         narrow_rad = sonar.narrowest_rad.at(range_m)
-        near = range_m + GATE_M <= min(sonar.heard_to_m, sonar.silent_to_m)
+        near = range_m <= self.counts_to_m - sonar.inset_m
         if near and one.off_rad <= narrow_rad:
             inside = _inside(one, (narrow_rad + sonar.widest_rad.at(range_m)) / 2.0)
             least = sonar.heard.at(range_m) * _inside(one, narrow_rad)
@@ -140,14 +146,17 @@ class Hearing:
         share, wrong_share = _share(near), self._wrong_share()
         scatters_m = _scatter_m(one.bend_m for one in self._weighed)
         worse = _hears_less(near, share) or self._is_worse(scatters_m, wrong_share)
-        of_believed = None if share is None else _of_believed(near)
-        heard = Heard(share, of_believed, scatters_m, wrong_share, worse)
-        return heard if worse is None else replace(heard, sonar=self._as_heard(heard))
+        heard = Heard(share, None, scatters_m, wrong_share, worse)
+        hears, (right, unsure, believed) = 1.0, _counted(near)
+        if share is not None and believed > 0.0:
+            heard = replace(heard, of_believed=right / believed)
+            hears = min(hears, (right + unsure) / believed)
+        return heard if worse is None else replace(heard, sonar=self._as_heard(heard, hears))
 
-    def _as_heard(self, heard: Heard) -> SonarBelief:
-        """What is believed, and worse where it is heard worse."""
-        sonar, hears = self._sonar, 1.0 if heard.of_believed is None else heard.of_believed
-        shares = tuple(min(1.0, hears) * one for one in sonar.heard.values)
+    def _as_heard(self, heard: Heard, hears: float) -> SonarBelief:
+        """What is believed, and worse where it is surely worse; hears: so much of its shares."""
+        sonar = self._sonar
+        shares = tuple(hears * one for one in sonar.heard.values)
         return replace(
             sonar,
             heard=replace(sonar.heard, values=shares),
@@ -184,8 +193,7 @@ def _hears_less(near: list[_Weighed], share: float | None) -> str | None:
     """Whether less is heard than the least that is believed, by the narrowest beam."""
     if share is None:
         return None
-    right, believed = sum(one.is_right for one in near), sum(one.least for one in near)
-    unsure = SIGMAS * math.sqrt(DEPENDENCE * sum(o.least * (1.0 - o.least) for o in near))
+    right, unsure, believed = _counted(near)
     if right + unsure >= believed:
         return None
     # In the words of the share that is shown.
@@ -193,10 +201,10 @@ def _hears_less(near: list[_Weighed], share: float | None) -> str | None:
     return f"sonar hears {share:.0%}, {min(1.0, told):.0%} is believed"
 
 
-def _of_believed(near: list[_Weighed]) -> float:
-    """How much is heard of the least that is believed."""
-    believed = sum(one.least for one in near)
-    return sum(one.is_right for one in near) / believed if believed > 0.0 else 1.0
+def _counted(near: list[_Weighed]) -> tuple[int, float, float]:
+    """How many hear the leader, how unsure that is, and how many do at the least by the belief."""
+    unsure = SIGMAS * math.sqrt(DEPENDENCE * sum(o.least * (1.0 - o.least) for o in near))
+    return sum(one.is_right for one in near), unsure, sum(one.least for one in near)
 
 
 def scatter_m(readings: Iterable[Reading]) -> float | None:

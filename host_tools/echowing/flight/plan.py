@@ -143,14 +143,18 @@ class Planner:
         Or that its co-processor's readings come and where it looks does not.
         """
         undirected = follower.is_read(now_s) and not follower.estimate.points(now_s)
-        worse = UNDIRECTED if undirected else heard.worse
+        self._tell_if_lasting(follower, "axis", UNDIRECTED if undirected else None, now_s)
+        self._tell_if_lasting(follower, "hearing", None if undirected else heard.worse, now_s)
+
+    def _tell_if_lasting(
+        self, follower: FollowerState, what: str, worse: str | None, now_s: float
+    ) -> None:
         if worse is None:
-            follower.worse_since_s = math.inf
+            follower.worse_since_s.pop(what, None)
             return
-        follower.worse_since_s = min(follower.worse_since_s, now_s)
-        system_id, lasts = follower.plan.system_id, now_s - follower.worse_since_s >= WORSE_LASTS_S
-        what = system_id, undirected
-        if lasts and follower.standing.sent_to and self._said.may_say(what, now_s):
+        system_id = follower.plan.system_id
+        lasts = now_s - follower.worse_since_s.setdefault(what, now_s) >= WORSE_LASTS_S
+        if lasts and follower.standing.sent_to and self._said.may_say((system_id, what), now_s):
             self._alert(system_id, worse, mavlink.MAV_SEVERITY_NOTICE)
             self._say(now_s, f"follower {system_id}: {worse}")
 
@@ -163,11 +167,12 @@ class Planner:
         as its file says: around what a slot takes it would open and close each minute.
         """
         before, radius_m = follower.heard_as, follower.slot.radius_m
-        lasts = now_s - follower.worse_since_s >= WORSE_LASTS_S
-        why = None if heard.sonar is None else heard.sonar.objection(radius_m)
-        # What its file says of the slot is known, and it is flown all the same.
-        news = why not in (None, follower.plan.sonar.objection(radius_m))
-        if news and lasts and follower.standing.sent_to:
+        if not follower.standing.sent_to:
+            follower.heard_as, follower.by_ear_m = None, 0.0
+            return
+        why = self._against(follower, heard, radius_m)
+        lasts = now_s - follower.worse_since_s.get("hearing", math.inf) >= WORSE_LASTS_S
+        if why and lasts:
             follower.heard_as = heard.sonar
         elif heard.worse is None and (heard.of_believed or 0.0) >= 1.0:
             follower.heard_as = None
@@ -175,19 +180,36 @@ class Planner:
         if (follower.heard_as is None) is (before is None):
             return
         slot = f"slot {max(radius_m, follower.least_m):.1f} m"
-        again = "sonar as believed again" if why is None else "sonar not good enough"
+        again = "sonar not good enough" if follower.heard_as else "sonar as believed again"
         text = f"{again}, {slot}"
         system_id = follower.plan.system_id
         self._alert(system_id, text, mavlink.MAV_SEVERITY_NOTICE)
         self._say(now_s, ": ".join(filter(None, (f"follower {system_id}", text, why))))
 
+    @staticmethod
+    def _against(follower: FollowerState, heard: Heard, radius_m: float) -> str | None:
+        """What its sonar, as it is heard, has against its slot.
+
+        Of a kind that its file does not name: that is known, and flown all the same. One that its
+        file says is too far would be heard still less from a wider one.
+        """
+        known = follower.plan.sonar.objections(radius_m)
+        if heard.sonar is None or "far" in known:
+            return None
+        found = heard.sonar.objections(radius_m).items()
+        return next((text for kind, text in found if kind not in known), None)
+
     def _by_ear_m(self, follower: FollowerState, fix: LeaderFix) -> float:
-        """The nearest slot by a sonar that hears too little; 0: it hears enough."""
+        """The nearest slot by a sonar that hears too little; 0: it hears enough.
+
+        No further than readings tell how much it hears, or it would never be seen to hear again.
+        """
         sonar, radius_m = follower.heard_as, follower.slot.radius_m
         if sonar is None:
             return 0.0
         carried_m = sonar.nearest_carried_m(radius_m, (radius_m, sonar.reach_m))
-        return _by_radio_m(self._known, follower, fix) if carried_m is None else carried_m
+        opens_m = _by_radio_m(self._known, follower, fix) if carried_m is None else carried_m
+        return min(opens_m, follower.estimate.hearing.counts_to_m)
 
 
 def planned(known: Known, follower: FollowerState, fix: LeaderFix, now_s: float) -> GuidedPoint:

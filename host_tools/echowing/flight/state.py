@@ -39,7 +39,13 @@ from echowing.flight.ties import Link, errors
 from echowing.flight.tow_bar import TowBar
 from echowing.flight.wind import Wind
 from echowing.geo import GlobalPosition, Ned, displace, ned_between
-from echowing.mavlink.messages import FORWARD, gimbal_attitude, heading_of, sonar_range_m
+from echowing.mavlink.messages import (
+    FORWARD,
+    gimbal_attitude,
+    heading_of,
+    is_forward_rangefinder,
+    sonar_range_m,
+)
 
 GUIDED_MODE = 4
 # Two receivers, and two barometers, between which no sonar measures.
@@ -118,8 +124,9 @@ class FollowerState:
     away_beats: heartbeats in a row that were not of one that flies in Guided; level_m,
     levelled_at_s: by how much it flies higher than planned, to be level with its leader, and when
     that was set; nose: when it pointed where; sonar_id: the component that sends its sonar's
-    readings; worse_since_s: since when its sonar hears worse than believed; heard_as: its sonar as
-    it is heard, while that carries no slot as near as its own, and by_ear_m: the nearest slot then.
+    readings; worse_since_s: since when its sonar is worse than believed, and in what; heard_as:
+    its sonar as it is heard, while that carries no slot as near as its own, and by_ear_m: the
+    nearest slot then.
     """
 
     plan: FollowerPlan
@@ -162,7 +169,7 @@ class FollowerState:
     flying: bool = False
     in_guided: bool = False
     away_beats: int = 2
-    worse_since_s: float = math.inf
+    worse_since_s: dict[str, float] = field(default_factory=dict)
     heard_as: SonarBelief | None = None
     by_ear_m: float = 0.0
     guided: GuidedPoint | None = None
@@ -316,10 +323,12 @@ class FollowerState:
 
     def ranged(self, kind: str, message: Any, now_s: float) -> None:
         """Take a message that may be its sonar's; single readings count before averages."""
+        is_raw = kind == "NAMED_VALUE_FLOAT" and message.name == SONAR_READING
+        if is_raw:
+            self.raw_at_s = now_s
         if self.plan.sonar.fixed:
             self._ranged_by_autopilot(kind, message, now_s)
-        elif kind == "NAMED_VALUE_FLOAT" and message.name == SONAR_READING:
-            self.raw_at_s = now_s
+        elif is_raw:
             stamp_s = message.time_boot_ms / 1e3
             time_s = self.estimate.sonar_clock.to_ours(stamp_s, now_s, self.way_s)
             self.sonar_id = message.get_srcComponent()
@@ -339,7 +348,7 @@ class FollowerState:
     def _ranged_by_autopilot(self, kind: str, message: Any, now_s: float) -> None:
         """Take a reading of the autopilot's own; one that is too near for its sensor is none."""
         own = message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1
-        if kind != "DISTANCE_SENSOR" or not own or message.orientation != FORWARD:
+        if kind != "DISTANCE_SENSOR" or not own or not is_forward_rangefinder(message):
             return
         if message.current_distance >= message.min_distance:
             range_m = sonar_range_m(message, self.plan.sonar.reach_m)

@@ -18,6 +18,9 @@ TOOL_COMPONENT_ID = mavlink.MAV_COMP_ID_MISSIONPLANNER
 HEARTBEAT_PERIOD_S = 1.0
 
 FORWARD = mavlink.MAV_SENSOR_ROTATION_NONE
+# An autopilot's DISTANCE_SENSOR with an id from here on is a sector of its proximity sensor
+# (GCS_Common.cpp, PROXIMITY_SENSOR_ID_START).
+PROXIMITY_IDS_FROM = 10
 
 # Of a vehicle's components but its autopilot: the co-processor's readings, and where it looked.
 _COPROCESSOR_SAYS = {"DISTANCE_SENSOR", "GIMBAL_DEVICE_ATTITUDE_STATUS", "NAMED_VALUE_FLOAT"}
@@ -161,6 +164,11 @@ def gimbal_attitude(message: Any) -> "Sequence[float] | None":
 def heading_of(message: Any, before_rad: float) -> float:
     """The heading in a GLOBAL_POSITION_INT; the one before if it is not known."""
     return before_rad if message.hdg == UNKNOWN_HEADING else math.radians(message.hdg / 100.0)
+
+
+def is_forward_rangefinder(message: Any) -> bool:
+    """Whether an autopilot's DISTANCE_SENSOR is of a rangefinder of its own that looks forward."""
+    return bool(message.orientation == FORWARD and message.id < PROXIMITY_IDS_FROM)
 
 
 def sonar_range_m(message: Any, reach_m: float) -> float | None:

@@ -10,10 +10,11 @@ from echowing.analysis.sonar_measure import Conditions, Measured, Readings, meas
 from echowing.analysis.tables import Grid, Row
 from echowing.errors import EchowingError
 from echowing.flight.build_up import LEAST_DIST_M, MOST_DIST_M
+from echowing.paths import SHIPPED_SONAR
 from echowing.rig.bench import Bench, add_bench_arguments, perform, positive
 from echowing.rig.readings import heard_m, value_of
 from echowing.rig.result import Check, Result
-from echowing.sonar_file import SHIPPED, SonarFile, load_sonar, write_sonar
+from echowing.sonar_file import SonarFile, load_sonar, write_sonar
 
 EXAMPLES = """\
 examples:
@@ -295,7 +296,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     )
     parser.add_argument(
         "--base",
-        default=SHIPPED,
+        default=SHIPPED_SONAR,
         metavar="SONAR",
         help="the sonar, or sonar file, from which all that is not measured is taken (mb1202)",
     )

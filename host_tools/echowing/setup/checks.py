@@ -11,7 +11,7 @@ from enum import Enum
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.applets import HOLD, SPEED, Version, identify, is_outdated
+from echowing.applets import HOLD, MOST_DETECT_M, SPEED, Version, identify, is_outdated
 from echowing.flight.leader_speed import MOST_LEADER_MPS
 from echowing.mavlink.messages import TOOL_SYSTEM_ID
 from echowing.setup.boards import Board
@@ -24,7 +24,7 @@ from echowing.setup.settings import (
     PROXIMITY_MAVLINK,
     PROXIMITY_RANGEFINDER,
     PROXIMITY_SENSORS,
-    RANGE_MAX_M,
+    RANGEFINDERS,
     TOLERANCE,
     Setting,
     settings_for,
@@ -280,10 +280,30 @@ def _taken(readout: Readout) -> Iterator[Finding]:
         )
 
 
+def _second_sensor(readout: Readout) -> Iterator[Finding]:
+    """Another rangefinder that looks forward: applet and tool might take it for the sonar."""
+    harmless = not readout.fixed and readout.applet == HOLD
+    for number in RANGEFINDERS:
+        name = f"RNGFND{number}"
+        kind = readout.parameters.get(f"{name}_TYPE")
+        if number == str(readout.rangefinder) or not kind:
+            continue
+        if readout.parameters.get(f"{name}_ORIENT") == FORWARD:
+            yield Finding(
+                f"{name}_ORIENT",
+                Verdict.YOURS if harmless else Verdict.WRONG,
+                f"0: a second forward sensor, of type {kind:g}",
+                f"RNGFND{readout.rangefinder} is meant; what this one reads may be taken for the "
+                + ("sonar's where that is silent" if harmless else "leader's distance"),
+                f"param set {name}_TYPE 0, or {name}_ORIENT to where it looks; or, if it is the "
+                f"one: --rangefinder {number}, and --sonar with its file",
+            )
+
+
 def _sonars_limits(readout: Readout) -> Iterator[Finding]:
     """What applet and co-processor are told of the sonar, beside what its file says."""
     sonar = readout.sonar
-    reach_m = min(RANGE_MAX_M, sonar.reach_m)
+    reach_m = min(MOST_DETECT_M, sonar.reach_m)
     wide_deg = min(MOST_WIDE_DEG, round(math.degrees(2.0 * sonar.widest_rad.at(sonar.reach_m))))
     board = f" of component {readout.coprocessor}"
     why = "gimbal, applet and tool must take the same readings for the leader"
@@ -652,6 +672,7 @@ CHECKS: Mapping[Role, tuple[Check, ...]] = {
         _coprocessor,
         _reports,
         _taken,
+        _second_sensor,
         _applet,
         _applet_file,
         _memory,

@@ -10,13 +10,13 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from echowing.applets import HOLD, IDENTIFYING, Applet, applets_among, identify
 from echowing.errors import EchowingError
 from echowing.flight.state import GUIDED_MODE
-from echowing.mavlink.messages import FORWARD, command_long
+from echowing.mavlink.messages import command_long, is_forward_rangefinder
 from echowing.setup.applet import CARD_FOLDERS, applet_parameters, applet_path, files_in
 from echowing.setup.checks import RC_CHANNELS, SERIAL_PORTS, ports_at_115200, signing_option
 from echowing.setup.ftp import FtpClient, FtpRefusedError, NoAnswerError
 from echowing.setup.ftp_format import ardupilot_crc32
 from echowing.setup.readout import CardApplet, Readout, Reports
-from echowing.setup.settings import LEAST_LIMITS, PROXIMITY_SENSORS
+from echowing.setup.settings import LEAST_LIMITS, PROXIMITY_SENSORS, RANGEFINDERS
 from echowing.setup.vehicle import AUTOPILOT, POLL_S, Heard, Name, Vehicle
 from echowing.sonar_file import MAVLINK_TYPE
 
@@ -24,8 +24,6 @@ LISTEN_S = 3.0  # three heartbeats, 60 ranges, six of the applet's named floats
 SETTLE_S = 0.5  # until our first heartbeat has opened the way for other senders
 OBJECTIONS_S = 1.0  # after the answer to the command, for the texts that come with it
 FILE_TIMEOUT_S = 4.0  # an autopilot without MAVFTP does not answer at all
-# Ids from here on are proximity sectors (GCS_Common.cpp, PROXIMITY_SENSOR_ID_START).
-PROXIMITY_IDS_FROM = 10
 COPROCESSOR = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER  # 191, the default COMP_ID
 APPLET_STATE = "ECHO_STATE"
 PREARM = "PreArm: "
@@ -57,7 +55,8 @@ def names_to_read(serial_port: int | None, rangefinder: int) -> list[Name]:
     sensor = f"RNGFND{rangefinder}"
     names: list[Name] = [
         *_NAMES,
-        *(f"{sensor}_{one}" for one in ("TYPE", "ORIENT", "ADDR")),
+        *(f"RNGFND{number}_TYPE" for number in RANGEFINDERS),
+        *(f"{sensor}_{one}" for one in ("ORIENT", "ADDR")),
         (f"{sensor}_MIN", f"{sensor}_MIN_CM"),
         (f"{sensor}_MAX", f"{sensor}_MAX_CM"),
         *(f"PRX{number}_TYPE" for number in PROXIMITY_SENSORS),
@@ -79,6 +78,8 @@ def read_parameters(
             f"{vehicle.name} reports but answers nothing: does the link go both ways, and is it "
             "signed (--signing-key-file)?"
         )
+    others = [n for n in RANGEFINDERS if n != str(rangefinder) and found.get(f"RNGFND{n}_TYPE")]
+    found |= vehicle.read([f"RNGFND{number}_ORIENT" for number in others])
     if serial_port is not None:
         found |= vehicle.read([f"SERIAL{serial_port}_OPTIONS"])
     if vehicle.signs and serial_port is not None:
@@ -275,11 +276,7 @@ def version_and_board(vehicle: Vehicle) -> tuple[tuple[int, int] | None, int | N
 def _takes_range(vehicle: Vehicle) -> bool:
     """Whether the autopilot reports a forward range of its own: only then it has one."""
     wanted = mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR
-    return _requested(vehicle, wanted, _is_forward_rangefinder) is not None
-
-
-def _is_forward_rangefinder(message: Any) -> bool:
-    return bool(message.orientation == FORWARD and message.id < PROXIMITY_IDS_FROM)
+    return _requested(vehicle, wanted, is_forward_rangefinder) is not None
 
 
 def _requested(vehicle: Vehicle, message_id: int, fits: Callable[[Any], bool]) -> Any | None:

@@ -23,6 +23,7 @@ NOT_FORWARDED = (
 )
 RANGEFINDER_NONE, RANGEFINDER_MAVLINK = 0.0, float(MAVLINK_TYPE)  # RNGFNDn_TYPE
 FORWARD = 0.0  # RNGFNDn_ORIENT
+RANGEFINDERS = "123456789A"  # RNGFNDn_*: the tenth is RNGFNDA
 # The MaxSonar's span (its data sheet): below 0.2 m it reads 0.2, beyond 7.65 m nothing.
 RANGE_MIN_M, RANGE_MAX_M = 0.2, 7.65
 # PRXn_TYPE: one that takes DISTANCE_SENSOR for itself, and one that takes the rangefinders for

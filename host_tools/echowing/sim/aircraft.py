@@ -84,19 +84,23 @@ class SensorDriver:
     """The autopilot's own driver of a sensor on its bus, as AP_RangeFinder_MaxsonarI2CXL.cpp.
 
     A MaxBotix is read a period after its ping; what another one reads is there at once.
+
+    kind: the RNGFNDn_TYPE that the autopilot reads this sensor with.
     """
 
-    def __init__(self, sensor: MaxSonar, autopilot: Autopilot, rate_hz: float) -> None:
-        self._sensor, self._autopilot = sensor, autopilot
+    def __init__(self, sensor: MaxSonar, autopilot: Autopilot, kind: int, rate_hz: float) -> None:
+        self._sensor, self._autopilot, self._kind = sensor, autopilot, kind
         self._period_us, self._due_us = round(1e6 / rate_hz), 0
 
     def step(self, t_us: int) -> None:
         """Read, when it is time."""
-        self._autopilot.rangefinder.driven = True  # each start makes a new one
+        rangefinder, address = self._autopilot.rangefinder, self._sensor.address
+        rangefinder.driven = rangefinder.type == self._kind  # each start makes a new one
         if t_us < self._due_us:
             return
         self._due_us += self._period_us
-        rangefinder, address = self._autopilot.rangefinder, self._sensor.address
+        if not rangefinder.driven:
+            return
         if rangefinder.type != MAXBOTIX_TYPE:
             self._ping(t_us)
             range_m = self._sensor.last_range_m

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from echowing.applets import MOST_DETECT_M
 from echowing.geo import Ned
 from echowing.setup.settings import LEAST_LIMITS
 from echowing.sim.aircraft import Body, MakeCoprocessor, SensorDriver, SimFollower, SimVehicle
@@ -27,7 +28,6 @@ from echowing.sim.world.wind import Wind
 LEADER_ID = 1
 FIRST_FOLLOWER_ID = 2
 HEIGHT_BY_RECEIVER = 3.0  # EK3_SRC1_POSZ
-MOST_DETECT_M = 7.6  # ECHO_DETECT takes no more
 
 Listen = Callable[[SimFollower, float], float | None]
 
@@ -122,7 +122,9 @@ class Hangar:
         """Let its autopilot read the sensor, if the sonar file says so."""
         sonar = self.scenario.sonar_file
         if sonar.fixed:
-            follower.driver = SensorDriver(follower.sensor, follower.autopilot, sonar.rate_hz)
+            follower.driver = SensorDriver(
+                follower.sensor, follower.autopilot, sonar.rangefinder_type, sonar.rate_hz
+            )
 
     def telemetry(self, vehicle: SimVehicle, name: str, radio: RadioSection) -> Telemetry:
         """The vehicle's radio link."""

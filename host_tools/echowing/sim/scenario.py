@@ -19,6 +19,7 @@ from echowing.flight.formation import check_formation
 from echowing.flight.guidance import GRAY, SMALLEST_RADIUS_M, GuidanceSettings, Slot
 from echowing.flight.reshape import check_changes
 from echowing.flight.swarm_rules import Weights
+from echowing.paths import SHIPPED_SONAR
 from echowing.section import NotNegative, Positive, Section, Share, section_of
 from echowing.setup.applet import applet_path, parameters_in
 from echowing.sim.fault_section import LEADER_FAULTS, FaultSection, objection
@@ -26,7 +27,7 @@ from echowing.sim.named_parameters import objections
 from echowing.sim.vehicle.parameters import Generation
 from echowing.sim.world.cutter import ByteLoss
 from echowing.sim.world.radio import RadioSettings
-from echowing.sonar_file import SHIPPED, HalfAngle, SonarFile, load_sonar
+from echowing.sonar_file import HalfAngle, SonarFile, load_sonar
 from echowing.tool.formation_file import FormationSection
 
 # What the applets do: the speed applet's laws with their numbers (lua/echowing_speed.md), and what
@@ -155,7 +156,7 @@ class SonarSection(Section):
     a default of none set a value for all of them instead.
     """
 
-    file: str = SHIPPED
+    file: str = SHIPPED_SONAR
     """What the product believes of them: a sonar by name, or a sonar file (.toml)."""
     spread: NotNegative = 1.0
     """How far they are drawn around the file: 1: as far as it says; 0: all are the middle of it."""

@@ -13,6 +13,7 @@ from echowing.flight.envelope import LEAST_M
 from echowing.flight.formation import check_formation, receivers_demand_m
 from echowing.flight.reshape import check_changes
 from echowing.geo import Ned
+from echowing.paths import SHIPPED_SONAR
 from echowing.sim.aircraft import LeaderPilot, SimFollower, SimVehicle
 from echowing.sim.flight import FormationWorld
 from echowing.sim.ground import TELEMETRY
@@ -24,7 +25,6 @@ from echowing.sim.serve import Endpoint, Server
 from echowing.sim.vehicle.guided import SubMode
 from echowing.sim.vehicle.modes import GUIDED
 from echowing.sim.world.cutter import PacketCutter
-from echowing.sonar_file import SHIPPED
 from echowing.stopping import stop_on_signals
 from echowing.tool.formation_file import SHAPE_KEYS, FormationSection
 from echowing.tool.run import Page
@@ -208,7 +208,7 @@ def _beliefs(scenario: Scenario) -> str:
 
 def _sonar(scenario: Scenario) -> str:
     file = scenario.sonar.file
-    return "" if file == SHIPPED else f" --sonar {shlex.quote(file)}"
+    return "" if file == SHIPPED_SONAR else f" --sonar {shlex.quote(file)}"
 
 
 def _chained(scenario: Scenario) -> str:

@@ -30,7 +30,7 @@ static const struct {
                {"mavlink_mission_item_int_t", 0},
                {"ESCTelemetryData", 0},
                {"AP_Scripting_SerialAccess", 0},
-               {"RangeFinder_State", 20},
+               {"RangeFinder_State", 24},
                {"BattMonitorScript_State", 0},
                {"AP_EFI_Backend", 0},
                {"ScriptingCANBuffer", 0},

@@ -22,7 +22,7 @@ from echowing.sim.vehicle.flightlog import FlightLog
 from echowing.sim.vehicle.ftp import FtpServer
 from echowing.sim.vehicle.guided import Body, SubMode
 from echowing.sim.vehicle.links import Router, SerialLink
-from echowing.sim.vehicle.luahost import AltitudeFrame, LuaHost, Position
+from echowing.sim.vehicle.luahost import AltitudeFrame, LuaHost, Position, RangefinderBackend
 from echowing.sim.vehicle.mission import Mission
 from echowing.sim.vehicle.modes import GUIDED, MODES, Arming, FlightModes
 from echowing.sim.vehicle.parameters import Generation, Parameters
@@ -601,13 +601,14 @@ class Autopilot:
         """Per cent, -1 unknown."""
         return self.rangefinder.quality if self._looks(orientation) else -1
 
-    def rangefinder_type(self, orientation: int) -> int:
-        """RNGFNDn_TYPE."""
-        return self.rangefinder.type if self._looks(orientation) else 0
-
-    def rangefinder_read_ms(self, orientation: int) -> int:
-        """When the newest reading was taken."""
-        return self.rangefinder.read_ms if self._looks(orientation) else 0
+    def rangefinder_backend(self, number: int) -> RangefinderBackend | None:
+        """The only sensor, of RNGFND1."""
+        one = self.rangefinder
+        if number > 0 or not one.configured:
+            return None
+        return RangefinderBackend(
+            one.orientation, one.type, one.status, one.distance_m, one.read_ms
+        )
 
     def rangefinder_min_m(self, orientation: int) -> float:
         """Nearest believed range."""

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from echowing.sim.vehicle.dataflash import ScriptMessage
-from echowing.sim.vehicle.luahost import AltitudeFrame, Ned, Position
+from echowing.sim.vehicle.luahost import AltitudeFrame, Ned, Position, RangefinderBackend
 
 NO_DATA = 1
 GOOD = 4
@@ -35,6 +35,8 @@ class DeskVehicle:
     """RNGFNDn_TYPE of all of them: MAVLink."""
     range_read_ms: int = 0
     """When their driver took the newest reading."""
+    first_sensors: list[RangefinderBackend] = field(default_factory=list)
+    """More of them, numbered before those."""
     switches: dict[int, int] = field(default_factory=dict)
     position: Ned | None = (0.0, 0.0, -10.0)
     velocity: Ned | None = (0.0, 0.0, 0.0)
@@ -124,11 +126,12 @@ class DeskVehicle:
     def rangefinder_signal_quality(self, orientation: int) -> int:
         return -1
 
-    def rangefinder_type(self, orientation: int) -> int:
-        return self.range_type
-
-    def rangefinder_read_ms(self, orientation: int) -> int:
-        return self.range_read_ms
+    def rangefinder_backend(self, number: int) -> RangefinderBackend | None:
+        sensors = self.first_sensors + [
+            RangefinderBackend(orientation, self.range_type, status, metres, self.range_read_ms)
+            for orientation, (status, metres) in self.ranges.items()
+        ]
+        return sensors[number] if number < len(sensors) else None
 
     def set_desired_speed(self, speed_mps: float) -> bool:
         self.desired_speeds.append(speed_mps)

@@ -345,17 +345,19 @@ raw.rangefinder.distance_orient = py.rangefinder_distance_m
 raw.rangefinder.distance_cm_orient = py.rangefinder_distance_cm
 raw.rangefinder.signal_quality_pct_orient = py.rangefinder_quality
 
--- A backend keeps where its sensor looks: no two of a vehicle's look alike here.
+-- A backend keeps the number of its sensor. py.rangefinder_backend: orientation, type, status, distance, time read.
 local backend, range_state = new_class('AP_RangeFinder_Backend'), new_class('RangeFinder_State')
 raw.rangefinder.get_backend = function(number)
-    local orientation = py.rangefinder_orientation(number)
-    return orientation and backend.new(orientation)
+    return py.rangefinder_backend(number) and backend.new(number)
 end
-raw.AP_RangeFinder_Backend_ud.distance = function(self) return py.rangefinder_distance_m(self[KEY]) end
-raw.AP_RangeFinder_Backend_ud.orientation = function(self) return self[KEY] end
-raw.AP_RangeFinder_Backend_ud.type = function(self) return py.rangefinder_type(self[KEY]) end
-raw.AP_RangeFinder_Backend_ud.status = function(self) return py.rangefinder_status(self[KEY]) end
-raw.AP_RangeFinder_Backend_ud.get_state = function(self) return range_state.new(py.rangefinder_read_ms(self[KEY])) end
+for place, name in ipairs({ 'orientation', 'type', 'status', 'distance' }) do
+    raw.AP_RangeFinder_Backend_ud[name] = function(self)
+        return (SELECT(place, py.rangefinder_backend(self[KEY])))
+    end
+end
+raw.AP_RangeFinder_Backend_ud.get_state = function(self)
+    return range_state.new((SELECT(5, py.rangefinder_backend(self[KEY]))))
+end
 raw.RangeFinder_State_ud.last_reading = function(self) return u32.new(self[KEY]) end
 
 local channel = new_class('RC_Channel')

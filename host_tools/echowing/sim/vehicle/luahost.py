@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from functools import cache
 from math import isnan
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 
 from lupa import lua53
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -42,6 +42,19 @@ PRELUDE = Path(__file__).with_name("lua_prelude.lua")
 SEVERITY_CRITICAL = 2  # MAV_SEVERITY
 MINIMUM_INSTRUCTIONS = 1000  # lua_scripts.cpp takes no less for SCR_VM_I_COUNT
 WIDE_SYSTEM_ID_SINCE = (4, 8)  # mavlink_message_t grew from 291 to 299 bytes for 32-bit system ids
+
+
+class RangefinderBackend(NamedTuple):
+    """One sensor of a vehicle: RNGFNDn_ORIENT and _TYPE, status, and the newest reading.
+
+    read_ms: when its driver took that, as `millis`.
+    """
+
+    orientation: int
+    type: int
+    status: int
+    distance_m: float
+    read_ms: int
 
 
 class VehicleApi(Protocol):
@@ -86,11 +99,8 @@ class VehicleApi(Protocol):
     def rangefinder_signal_quality(self, orientation: int) -> int:
         """Per cent, -1 unknown."""
 
-    def rangefinder_type(self, orientation: int) -> int:
-        """RNGFNDn_TYPE: 10 is MAVLink."""
-
-    def rangefinder_read_ms(self, orientation: int) -> int:
-        """When its driver took the newest reading, as `millis`."""
+    def rangefinder_backend(self, number: int) -> RangefinderBackend | None:
+        """The sensor of RNGFND`number + 1`; None: there is none."""
 
     def set_desired_speed(self, speed_mps: float) -> bool:
         """Limit of Guided's horizontal speed; 0 is no limit."""
@@ -566,6 +576,10 @@ class LuaHost:
                 (n, e, d), (vn, ve, vd), yaw_rad, (an, ae, ad), yaw_rate_rps
             )
 
+        def rangefinder_backend(number: int) -> tuple[float, ...] | None:
+            one = vehicle.rangefinder_backend(number)
+            return one and (*one[:3], float(one.distance_m), _signed(one.read_ms))
+
         def mavlink_send(
             link: int, message_id: int, *payload: int
         ) -> tuple[bool | None, str | None]:
@@ -600,11 +614,7 @@ class LuaHost:
             "rangefinder_distance_m": lambda o: float(vehicle.rangefinder_distance_m(o)),
             "rangefinder_distance_cm": lambda o: _centimetres(vehicle.rangefinder_distance_m(o)),
             "rangefinder_quality": vehicle.rangefinder_signal_quality,
-            "rangefinder_orientation": lambda n: dict(
-                enumerate(vehicle.rangefinder_orientations())
-            ).get(n),
-            "rangefinder_type": vehicle.rangefinder_type,
-            "rangefinder_read_ms": lambda o: _signed(vehicle.rangefinder_read_ms(o)),
+            "rangefinder_backend": rangefinder_backend,
             "set_desired_speed": vehicle.set_desired_speed,
             "set_target_location": set_target_location,
             "get_target_location": get_target_location,

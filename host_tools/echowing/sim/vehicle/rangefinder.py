@@ -21,7 +21,7 @@ QUALITY_UNKNOWN = -1
 class MavlinkRangefinder:
     """State of RNGFND1: distance, status, quality.
 
-    driven: a driver of the autopilot's own reads a sensor, so that another type than MAVLink works.
+    driven: a driver of the autopilot's own reads a sensor of this type, which is not MAVLink.
     """
 
     __slots__ = (
