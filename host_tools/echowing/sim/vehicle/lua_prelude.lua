@@ -169,7 +169,8 @@ end
 
 -- raw[owner][name]: what a call does once its arguments are checked. Methods of userdata get the object first.
 local raw = { [''] = {}, uint32_t_ud = {}, Vector3f_ud = {}, Vector2f_ud = {}, Location_ud = {}, Parameter_ud = {},
-    RC_Channel_ud = {}, RangeFinder_State_ud = {}, AP_RangeFinder_Backend_ud = {}, param = {}, vehicle = {}, ahrs = {}, rangefinder = {}, rc = {}, arming = {}, gcs = {},
+    RC_Channel_ud = {}, RangeFinder_State_ud = {}, AP_RangeFinder_Backend_ud = {}, param = {}, vehicle = {}, ahrs = {},
+    rangefinder = {}, rc = {}, arming = {}, gcs = {},
     mavlink = {}, logger = {} }
 
 raw[''].uint32_t = function(value) return u32.new(value == nil and 0 or to_u32(value, 1)) end
@@ -350,9 +351,9 @@ local backend, range_state = new_class('AP_RangeFinder_Backend'), new_class('Ran
 raw.rangefinder.get_backend = function(number)
     return py.rangefinder_backend(number) and backend.new(number)
 end
-for place, name in ipairs({ 'orientation', 'type', 'status', 'distance' }) do
+for nth, name in ipairs({ 'orientation', 'type', 'status', 'distance' }) do
     raw.AP_RangeFinder_Backend_ud[name] = function(self)
-        return (SELECT(place, py.rangefinder_backend(self[KEY])))
+        return (SELECT(nth, py.rangefinder_backend(self[KEY])))
     end
 end
 raw.AP_RangeFinder_Backend_ud.get_state = function(self)
