@@ -161,7 +161,7 @@ def test_a_flight_with_a_bad_sonar_says_so_and_one_with_a_good_one_does_not() ->
 
 
 def test_who_hears_too_little_keeps_further_off() -> None:
-    scenario = load_scenario("echowing", ["sonar.heard_share=0.2", "duration_s=120"])
+    scenario = load_scenario("echowing", ["sonar.heard_share=0.1", "duration_s=120"])
     flight = FormationFlight(scenario, 1)
     result = flight.run()
     (opens_s,) = [at_s for at_s, text in result.events if "sonar not good enough" in text]
@@ -170,11 +170,11 @@ def test_who_hears_too_little_keeps_further_off() -> None:
     after = flown.time_s > opens_s + 15.0
     assert flown.separation_m[before].mean() < 3.4
     assert flown.separation_m[after].mean() > 3.4
-    assert flown.separation_m[after].min() > 2.5
+    assert flown.separation_m[after].min() > 1.0
 
 
 def test_who_hears_again_comes_back() -> None:
-    scenario = load_scenario("echowing", ["sonar.heard_share=0.2", "duration_s=300"])
+    scenario = load_scenario("echowing", ["sonar.heard_share=0.1", "duration_s=300"])
     flight = FormationFlight(scenario, 1)
     (follower,) = flight.ground.session.followers.values()
     while follower.heard_as is None:
