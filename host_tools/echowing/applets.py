@@ -48,6 +48,11 @@ FORMAT, LAW, GAIN = IDENTIFYING = ("ECHO_FORMAT", "ECHO_LAW", "ECHO_GAIN_P")
 MOST_DETECT_M = 7.6  # ECHO_DETECT takes no more
 
 
+def detect_m(reach_m: float) -> float:
+    """ECHO_DETECT for a sonar of this reach: from here on a range is no target."""
+    return min(MOST_DETECT_M, reach_m)
+
+
 def applet_named(name: str) -> Applet:
     """The applet that the user calls so."""
     return next(applet for applet in APPLETS if applet.name == name)

@@ -145,12 +145,12 @@ class Hearing:
         near = [one for one in self._weighed if one.inside > 0.0]
         share, wrong_share = _share(near), self._wrong_share()
         scatters_m = _scatter_m(one.bend_m for one in self._weighed)
-        worse = _hears_less(near, share) or self._is_worse(scatters_m, wrong_share)
-        heard = Heard(share, None, scatters_m, wrong_share, worse)
-        hears, (right, unsure, believed) = 1.0, _counted(near)
+        right, unsure, believed = counted = _counted(near)
+        worse = _hears_less(counted, share) or self._is_worse(scatters_m, wrong_share)
+        of_believed, hears = None, 1.0
         if share is not None and believed > 0.0:
-            heard = replace(heard, of_believed=right / believed)
-            hears = min(hears, (right + unsure) / believed)
+            of_believed, hears = right / believed, min(1.0, (right + unsure) / believed)
+        heard = Heard(share, of_believed, scatters_m, wrong_share, worse)
         return heard if worse is None else replace(heard, sonar=self._as_heard(heard, hears))
 
     def _as_heard(self, heard: Heard, hears: float) -> SonarBelief:
@@ -189,11 +189,11 @@ def _share(near: list[_Weighed]) -> float | None:
     return None if inside < LEAST_READINGS else min(1.0, sum(o.is_right for o in near) / inside)
 
 
-def _hears_less(near: list[_Weighed], share: float | None) -> str | None:
+def _hears_less(counted: tuple[int, float, float], share: float | None) -> str | None:
     """Whether less is heard than the least that is believed, by the narrowest beam."""
     if share is None:
         return None
-    right, unsure, believed = _counted(near)
+    right, unsure, believed = counted
     if right + unsure >= believed:
         return None
     # In the words of the share that is shown.

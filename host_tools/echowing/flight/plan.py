@@ -193,8 +193,10 @@ class Planner:
         Of a kind that its file does not name: that is known, and flown all the same. One that its
         file says is too far would be heard still less from a wider one.
         """
+        if heard.sonar is None:
+            return None
         known = follower.plan.sonar.objections(radius_m)
-        if heard.sonar is None or "far" in known:
+        if "far" in known:
             return None
         found = heard.sonar.objections(radius_m).items()
         return next((text for kind, text in found if kind not in known), None)

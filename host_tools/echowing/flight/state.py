@@ -341,9 +341,13 @@ class FollowerState:
         elif (
             kind == "DISTANCE_SENSOR" and message.orientation == FORWARD and not self.is_read(now_s)
         ):
-            range_m = sonar_range_m(message, self.plan.sonar.reach_m)
-            heard_m = self.plan.sonar.reach_m if range_m is None else range_m
-            self._take_range(now_s - self.way_s - AVERAGE_AGE_S, heard_m)
+            self._take_range(now_s - self.way_s - AVERAGE_AGE_S, self._read_m(message))
+
+    def _read_m(self, message: Any) -> float:
+        """The range in a DISTANCE_SENSOR; the sonar's reach: it detects nothing."""
+        reach_m = self.plan.sonar.reach_m
+        range_m = sonar_range_m(message, reach_m)
+        return reach_m if range_m is None else range_m
 
     def _ranged_by_autopilot(self, kind: str, message: Any, now_s: float) -> None:
         """Take a reading of the autopilot's own; one that is too near for its sensor is none."""
@@ -351,11 +355,9 @@ class FollowerState:
         if kind != "DISTANCE_SENSOR" or not own or not is_forward_rangefinder(message):
             return
         if message.current_distance >= message.min_distance:
-            range_m = sonar_range_m(message, self.plan.sonar.reach_m)
-            heard_m = self.plan.sonar.reach_m if range_m is None else range_m
             time_s = self.clock.to_ours(message.time_boot_ms / 1e3, now_s)
             stamp_ms, (seen_s, nose) = message.time_boot_ms, self.nose
-            self._take_range(time_s - FIXED_AGE_S, heard_m, stamp_ms)
+            self._take_range(time_s - FIXED_AGE_S, self._read_m(message), stamp_ms)
             if now_s - seen_s < NOSE_FRESH_S:
                 self.estimate.pointed(stamp_ms, nose, now_s)
 

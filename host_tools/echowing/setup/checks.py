@@ -11,7 +11,7 @@ from enum import Enum
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.applets import HOLD, MOST_DETECT_M, SPEED, Version, identify, is_outdated
+from echowing.applets import HOLD, SPEED, Version, detect_m, identify, is_outdated
 from echowing.flight.leader_speed import MOST_LEADER_MPS
 from echowing.mavlink.messages import TOOL_SYSTEM_ID
 from echowing.setup.boards import Board
@@ -303,7 +303,7 @@ def _second_sensor(readout: Readout) -> Iterator[Finding]:
 def _sonars_limits(readout: Readout) -> Iterator[Finding]:
     """What applet and co-processor are told of the sonar, beside what its file says."""
     sonar = readout.sonar
-    reach_m = min(MOST_DETECT_M, sonar.reach_m)
+    reach_m = detect_m(sonar.reach_m)
     wide_deg = min(MOST_WIDE_DEG, round(math.degrees(2.0 * sonar.widest_rad.at(sonar.reach_m))))
     board = f" of component {readout.coprocessor}"
     why = "gimbal, applet and tool must take the same readings for the leader"

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from echowing.applets import MOST_DETECT_M
+from echowing.applets import detect_m
 from echowing.geo import Ned
 from echowing.setup.settings import LEAST_LIMITS
 from echowing.sim.aircraft import Body, MakeCoprocessor, SensorDriver, SimFollower, SimVehicle
@@ -34,13 +34,8 @@ Listen = Callable[[SimFollower, float], float | None]
 
 def board_parameters(system_id: int, scenario: Scenario) -> dict[str, float]:
     """The co-processor's parameters: it has learned long ago whose it is."""
-    track_cm = float(round(100.0 * _reach_m(scenario)))
+    track_cm = float(round(100.0 * detect_m(scenario.sonar_belief.reach_m)))
     return {"SYS_ID": float(system_id), "TRACK_RANGE": track_cm, **scenario.coprocessor}
-
-
-def _reach_m(scenario: Scenario) -> float:
-    """From here on a range is no target, as `setup check` wants it: as the sonar file says."""
-    return min(MOST_DETECT_M, scenario.sonar_belief.reach_m)
 
 
 def _set_up(generation: Generation) -> dict[str, float]:
@@ -152,7 +147,8 @@ class Hangar:
         if scenario.law in SPEED_LAWS:
             applet["ECHO_LAW"] = SPEED_LAWS[scenario.law]
         if scenario.law != "none":
-            applet |= {"ECHO_ENABLE": 1.0, "ECHO_DETECT": _reach_m(scenario), **scenario.applet}
+            reach_m = detect_m(scenario.sonar_belief.reach_m)
+            applet |= {"ECHO_ENABLE": 1.0, "ECHO_DETECT": reach_m, **scenario.applet}
             echo_dist_m = scenario.echo_dist_m(index)
             applet |= {} if echo_dist_m is None else {"ECHO_DIST": echo_dist_m}
         return {
