@@ -506,7 +506,7 @@ do
     end
 
     -- How hard the leader brakes, or speeds up towards this vehicle: 0 or less. Under 0.8 m/s2 it is noise of the sonar
-    -- (1 cm), and what was seen longer ago than three readings is no more so.
+    -- (1 cm; a noisier one is smoothed for longer), and what was seen longer ago than three readings is no more so.
     function track.braking_mps2(t_ms)
         if t_ms - track.seen_ms > 300 or track.leader_mps2 > -0.8 then return 0 end
         return max(-4, track.leader_mps2)
@@ -532,12 +532,6 @@ do
         end
     end
 
-    -- A reading that was not foreseen waits for another one like it, and takes one of six in agreement off.
-    local function wait(range_m, read_ms)
-        track.spike_m, track.spike_ms, track.spike_own_mps = range_m, read_ms, own.mps
-        if track.readings >= TRUST_READINGS then track.readings = min(track.readings, 6) - 1 end
-    end
-
     -- The track begins anew, with the leader's speed.
     local function begin(range_m, mps, readings, read_ms, t_ms)
         track.leader_mps, track.seen_mps, track.leader_mps2 = mps, mps, 0
@@ -546,49 +540,53 @@ do
     end
 
     -- A reading that was not foreseen counts only when the next one is like it: propellers make single wild ones. The
-    -- two tell range and rate anew, with the own speed between them.
-    local function unforeseen(range_m, read_ms, t_ms, jump_m)
+    -- two tell range and rate anew, with the own speed between them. Else it waits for another one, and takes one of six
+    -- in agreement off.
+    local function unforeseen(range_m, read_ms, t_ms, gate_m, jump_m)
         local doubted_mps, dt_s = track.doubted_mps, (read_ms - track.spike_ms) * 0.001
+        local known = track.readings >= TRUST_READINGS
         track.doubted_mps = nil
         -- Like the one that waits: shortly after it, and two vehicles close no faster than 5 m/s.
-        if not (track.spike_m and dt_s > 0 and dt_s < 0.3 and abs(range_m - track.spike_m) < 0.15 + 5 * dt_s) then
-            return wait(range_m, read_ms)
-        end
-        local mps = clamp((range_m - track.spike_m) / dt_s, -5, 5)
-            + 0.5 * (track.spike_own_mps + own.mps) - own.accel_mps2 * 0.05
-        -- A known leader does not jump so far (0.6 m: a speed wrong by 1 m/s, for about as long as its track is carried
-        -- on), and does not change its speed by so much: two alike may be late echoes of something else, or one that is
-        -- wild and one that is not. Three are believed, if each two of them tell the same speed.
-        local unseen_s = min(read_ms - track.seen_ms, 700) * 0.001
-        local third = doubted_mps and abs(mps - doubted_mps) < 2
-        local known = track.readings >= TRUST_READINGS
-        if known and not third and (jump_m > 0.6 + 2 * unseen_s * unseen_s
-            or abs(mps - track.seen_mps) > 1 + 4 * unseen_s) then
+        if track.spike_m and dt_s > 0 and dt_s < 0.3 and abs(range_m - track.spike_m) < gate_m + 5 * dt_s then
+            local mps = clamp((range_m - track.spike_m) / dt_s, -5, 5)
+                + 0.5 * (track.spike_own_mps + own.mps) - own.accel_mps2 * 0.05
+            -- A known leader does not jump so far (0.6 m: a speed wrong by 1 m/s, for about as long as its track is
+            -- carried on), and does not change its speed by so much; a noisy sonar tells both worse. Two alike may be
+            -- late echoes of something else, or one that is wild and one that is not. Three are believed, if each two of
+            -- them tell the same speed.
+            local unseen_s = min(read_ms - track.seen_ms, 700) * 0.001
+            local third = doubted_mps and abs(mps - doubted_mps) < 2
+            if third or not known or jump_m <= 4 * gate_m + 2 * unseen_s * unseen_s
+                and abs(mps - track.seen_mps) <= 7 * gate_m + 4 * unseen_s then
+                -- Two alike may still be wild ones, until a third is foreseen.
+                begin(range_m, mps, (third or known) and TRUST_READINGS or 2, read_ms, t_ms)
+                track.spike_m = nil
+                return
+            end
             track.doubted_mps = mps
-            return wait(range_m, read_ms)
         end
-        -- Two alike may still be wild ones, until a third is foreseen.
-        begin(range_m, mps, (third or known) and TRUST_READINGS or 2, read_ms, t_ms)
-        track.spike_m = nil
+        track.spike_m, track.spike_ms, track.spike_own_mps = range_m, read_ms, own.mps
+        if known then track.readings = min(track.readings, 6) - 1 end
     end
 
     -- Takes a range that was read at read_ms; now it is t_ms. The range of the target, the leader's speed along the
     -- line of sight, and its acceleration: a critically damped observer that knows the own speed, so that own braking
     -- is not taken for the leader's.
     function track.update(range_m, read_ms, t_ms)
+        -- Readings 0.1 s apart differ by less than 0.15 m even where both vehicles change their speed at 5 m/s2, but for
+        -- the sonar's noise, as it is seen.
+        local gate_m = max(0.15, 4 * track.noise_m)
         if not track.fresh(t_ms) then
             begin(range_m, own.mps, 1, read_ms, t_ms)
-            return unforeseen(range_m, read_ms, t_ms, 0)
+            return unforeseen(range_m, read_ms, t_ms, gate_m, 0)
         end
         local dt_s = (read_ms - track.seen_ms) * 0.001
         if dt_s <= 0 then return end
         track.carry(t_ms)
         local aged_s = 0.05 + (t_ms - read_ms) * 0.001
         local residual_m = range_m + (track.leader_mps - own.mps) * aged_s - track.range_m
-        -- Readings 0.1 s apart differ by less than 0.15 m even where both vehicles change their speed at 5 m/s2, but for
-        -- the sonar's noise, as it is seen.
         local off_m = abs(residual_m)
-        if off_m > max(0.15, 4 * track.noise_m) then return unforeseen(range_m, read_ms, t_ms, off_m) end
+        if off_m > gate_m then return unforeseen(range_m, read_ms, t_ms, gate_m, off_m) end
         -- Of the last three seconds. Up to 0.02 m it is that of whole centimetres; more is smoothed for longer.
         track.noise_m = track.noise_m + 0.03 * (off_m - track.noise_m)
         local keep = exp(-dt_s / (C.TAU * clamp(track.noise_m / 0.02, 1, 3)))

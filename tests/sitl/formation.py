@@ -32,9 +32,10 @@ from .names import (
     Version,
 )
 from .relay import LOOPBACK, Link
+from .serial_sonar import WIRING, SerialSonar
 from .sonar import Feeder, Scene, silence, vehicles
 from .tools import Tool, port_told, run
-from .vehicle import BOOT_S, ORIGIN, Vehicle
+from .vehicle import BOOT_S, ORIGIN, TO_COPROCESSOR, Vehicle
 
 LEADER, FOLLOWER = 1, 2
 HEIGHT_M = 10.0
@@ -121,7 +122,7 @@ class Follower:
         self.vehicle, self._board = vehicle, board
         self._sonar = [word for change in sonar for word in ("--sonar", change)]
         self.emulator = emulator_of(vehicle, *self._sonar, board=board)
-        self.feeder = Feeder(vehicle, port_told(self.emulator), scene)
+        self.feeder: Feeder | SerialSonar = Feeder(vehicle, port_told(self.emulator), scene)
 
     def unplug(self) -> None:
         """Take the co-processor's plug out."""
@@ -139,6 +140,31 @@ class Follower:
         self.unplug()
         self.vehicle.close()
 
+    @property
+    def too_slow(self) -> bool:
+        """Whether its co-processor did not keep up."""
+        return any(SLOW_EMULATOR in line for line in self.emulator.lines)
+
+
+class SelfReading(Follower):
+    """A follower that reads its sonar itself: no co-processor, no gimbal."""
+
+    too_slow = False
+
+    def __init__(self, vehicle: Vehicle, sonar: SerialSonar) -> None:
+        self.vehicle = vehicle
+        self.feeder = sonar
+        sonar.ride(vehicle, silence)
+
+    def unplug(self) -> None:
+        """Take the sonar's plug out."""
+        self.feeder.close()
+
+    def plug_in(self) -> None:
+        """Put it back."""
+        assert isinstance(self.feeder, SerialSonar)
+        self.feeder.ride(self.vehicle, self.feeder.scene)
+
 
 class Formation:
     """A leader and its followers, started, their receivers drifting.
@@ -148,7 +174,8 @@ class Formation:
     follower_latency_s: of the leader's link and the followers', each way. wind_mps: from the
     north, the same at all heights, without gusts. drifting: whether the receivers have
     offsets. wandering: whether these change from the start, or only from `let_wander` on. sonar:
-    see `Follower`. sigma_m, height_sigma_m: by how much each receiver wanders per axis, and each
+    see `Follower`. reads_itself: followers have no co-processor, but a sonar that their autopilots
+    read. sigma_m, height_sigma_m: by how much each receiver wanders per axis, and each
     barometer, standard deviations.
     same_clock: the receivers tell the same time of day, which counts where logs are laid side by
     side. key: all sign with it, by the time of day, so they start at its pace.
@@ -168,6 +195,7 @@ class Formation:
         drifting: bool = True,
         wandering: bool = True,
         sonar: Sequence[str] = (),
+        reads_itself: bool = False,
         sigma_m: float = SIGMA_M,
         height_sigma_m: float = 0.0,
         same_clock: bool = False,
@@ -180,6 +208,7 @@ class Formation:
         self._ahead = [slot.behind for slot in slots] or [None] * followers
         parked = [place_m(flown_up(slots, LEAST_M), n) for n in range(len(slots))]
         self._sonar, self._sigma_m, self._height_sigma_m = sonar, sigma_m, height_sigma_m
+        self._reads_itself = reads_itself
         self._stack = contextlib.ExitStack()
         self._tools: list[Tool] = []
         self.armed_s = math.nan
@@ -206,7 +235,15 @@ class Formation:
             self._stack.close()
             raise
 
-    def _vehicle(self, system_id: int, folder: Path, at_ned_m: Ned, *, fresh: bool) -> Vehicle:
+    def _vehicle(
+        self,
+        system_id: int,
+        folder: Path,
+        at_ned_m: Ned,
+        *,
+        fresh: bool,
+        sonar: SerialSonar | None = None,
+    ) -> Vehicle:
         vehicle = Vehicle(
             self.kit.binary,
             system_id,
@@ -214,6 +251,8 @@ class Formation:
             fresh=fresh,
             at_ned_m=at_ned_m,
             speedup=BOOT_SPEEDUP if self._key is None else 1.0,
+            factory=None if sonar is None else WIRING,
+            serial2=TO_COPROCESSOR if sonar is None else sonar.line,
         )
         self._stack.callback(vehicle.close)
         return vehicle
@@ -251,10 +290,15 @@ class Formation:
     def _follower(self, number: int, at_ned_m: Ned) -> Follower:
         system_id = FOLLOWER + number
         folder = copied(self.kit.prepared, self.folder / f"follower-{system_id}")
-        vehicle = self._vehicle(system_id, folder, at_ned_m, fresh=False)
-        # Two cores carry two autopilots and one board's binary in real time, and not more.
-        board = "mega" if len(self._ahead) == 1 else "native"
-        follower = Follower(vehicle, silence, self._sonar, board)
+        if self._reads_itself:
+            sonar = SerialSonar()
+            vehicle = self._vehicle(system_id, folder, at_ned_m, fresh=False, sonar=sonar)
+            follower: Follower = SelfReading(vehicle, sonar)
+        else:
+            vehicle = self._vehicle(system_id, folder, at_ned_m, fresh=False)
+            # Two cores carry two autopilots and one board's binary in real time, and not more.
+            board = "mega" if len(self._ahead) == 1 else "native"
+            follower = Follower(vehicle, silence, self._sonar, board)
         self._stack.callback(follower.unplug)
         return follower
 
@@ -400,7 +444,7 @@ class Formation:
         """What has to stand beside a figure: a machine that did not keep up since then."""
         pace = min(vehicle.pace(since_s) for vehicle in self.everybody)
         gap_s = max(truth.longest_gap_s(v.heard.truth, since_s) for v in self.everybody)
-        late = any(SLOW_EMULATOR in line for f in self.followers for line in f.emulator.lines)
+        late = any(follower.too_slow for follower in self.followers)
         notes = [
             f"slow: {pace:.2f} of real time" if pace < REAL_TIME else "",
             f"sonar fed {gap_s:.1f} s late" if gap_s > FED_LATE_S else "",

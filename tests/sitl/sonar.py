@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from echowing.analysis.flight import Floats
-from echowing.geo import ned_between
+from echowing.geo import Ned, ned_between
 
 from .relay import LOOPBACK
 from .truth import body_frame
@@ -31,12 +31,8 @@ class Feeder:
         follower.on_truth = self._tell
 
     def _tell(self, state: State) -> None:
-        angles = (state.roll_rad, state.pitch_rad, state.yaw_rad)
         names = ("forward_m", "right_m", "down_m")
-        places = [
-            dict(zip(names, map(float, body_frame(vector_ned_m, *angles)), strict=True))
-            for vector_ned_m in self.scene(state)
-        ]
+        places = [dict(zip(names, at_m, strict=True)) for at_m in bodies(state, self.scene(state))]
         told = json.dumps(places).encode()
         with self._in_use:
             if self._socket.fileno() >= 0:
@@ -47,6 +43,13 @@ class Feeder:
         self._follower.on_truth = None
         with self._in_use:
             self._socket.close()
+
+
+def bodies(state: State, vectors_ned_m: Sequence[Floats]) -> list[Ned]:
+    """Vectors from a follower in its body frame: forward, right, down."""
+    angles = (state.roll_rad, state.pitch_rad, state.yaw_rad)
+    turned = [body_frame(vector_ned_m, *angles) for vector_ned_m in vectors_ned_m]
+    return [(float(forward), float(right), float(down)) for forward, right, down in turned]
 
 
 def silence(state: State) -> Sequence[Floats]:

@@ -38,6 +38,7 @@ COMPONENT = mavlink.MAV_COMP_ID_MISSIONPLANNER
 
 # SERIAL0, 1 and 2 of instance 0; ten more for each further instance.
 PORTS = (5760, 5762, 5763)
+TO_COPROCESSOR = "tcp:3"
 SIGNING_LINK = 77  # no tool's
 ANSWER_S = 0.5  # then it is asked again
 PATIENCE_S = 30.0
@@ -127,7 +128,8 @@ class Vehicle:
     """One copter. Made, it is starting; `until_ready` waits until it can be armed.
 
     Its folder holds what an autopilot keeps: parameters, logs, and the card's scripts. `fresh`
-    wipes the parameters; `factory` are those that it starts with where none are kept.
+    wipes the parameters; `factory` are those that it starts with where none are kept. serial2: what
+    its SERIAL2 is, as SITL takes it.
     """
 
     def __init__(
@@ -140,6 +142,7 @@ class Vehicle:
         at_ned_m: Ned = (0.0, 0.0, 0.0),
         speedup: float = 1.0,
         factory: Mapping[str, float] | None = None,
+        serial2: str = TO_COPROCESSOR,
     ) -> None:
         self.system_id, self.folder = system_id, folder
         self.usb, self.telemetry, self.coprocessor = (port + 10 * (system_id - 1) for port in PORTS)
@@ -154,7 +157,7 @@ class Vehicle:
         self._tasks: dict[str, _Task] = {"beat": _Task(1.0, self._beat)}
         self._done = threading.Event()
         self._process = self._start(
-            binary, fresh, at_ned_m, speedup, {**FACTORY, **(factory or {})}
+            binary, fresh, at_ned_m, speedup, {**FACTORY, **(factory or {})}, serial2
         )
         self._thread = threading.Thread(target=self._run, daemon=True, name=f"vehicle {system_id}")
         self._thread.start()
@@ -166,6 +169,7 @@ class Vehicle:
         at_ned_m: Ned,
         speedup: float,
         factory: Mapping[str, float],
+        serial2: str,
     ) -> "subprocess.Popen[bytes]":
         self.folder.mkdir(parents=True, exist_ok=True)
         defaults = self.folder / "factory.parm"
@@ -180,7 +184,7 @@ class Vehicle:
                     *("--home", f"{home.lat_deg:.8f},{home.lon_deg:.8f},{home.alt_m:.2f},0"),
                     *("-I", str(self.system_id - 1), "--sysid", str(self.system_id)),
                     # None waits for a client before it boots.
-                    *("--serial0", "tcp:0", "--serial1", "tcp:2", "--serial2", "tcp:3"),
+                    *("--serial0", "tcp:0", "--serial1", "tcp:2", "--serial2", serial2),
                     *("--defaults", str(defaults)),
                     *(("-w",) if fresh else ()),
                 ],

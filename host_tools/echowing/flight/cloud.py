@@ -137,7 +137,7 @@ class Cloud:
         self._place = np.tile(chance.random(count // 2), 2)
         # Of a pair: the difference of two that wander alike.
         self._height_sigma_m = math.sqrt(2.0) * wandering.height_sigma_m
-        self._tau_s = np.array((wandering.tau_s, wandering.tau_s, wandering.height_tau_s))
+        self._height_tau_s = wandering.height_tau_s
         self._share_out()
         # The sonar: between the narrowest and the widest beam that are believed, between how far it
         # hears surely and at most, and as a share of how often it hears at the least.
@@ -216,6 +216,11 @@ class Cloud:
     def wander_m(self) -> float:
         """How far each receiver wanders per axis, standard deviation, as learnt, less `drift`."""
         return float(self._receivers.share @ self._receivers.sigma_m)
+
+    @property
+    def forgets_s(self) -> float:
+        """In how long they forget that (correlation time), as learnt."""
+        return float(self._receivers.share @ self._receivers.tau_s)
 
     def nearest_m(self, to_it_m: Horizontal, above_m: float, clear_m: float) -> float:
         """How near one may come, on the straight way, to where the leader is believed (`RISK`).
@@ -304,8 +309,8 @@ class Cloud:
         return left * self._off + (1.0 - left) * drift + part * change, drift + change
 
     def _kept(self, elapsed_s: float) -> tuple[Array, Array]:
-        """What is kept of a drift, by axis, and how much of how far it goes is new."""
-        kept = np.exp(-elapsed_s / self._tau_s)[:, np.newaxis]
+        """What is kept of each guess's drift, and how much of how far it goes is new."""
+        kept = np.exp(-elapsed_s * self._forgets_per_s)
         return kept, np.sqrt(1.0 - kept * kept)
 
     def _share_out(self) -> None:
@@ -315,6 +320,10 @@ class Cloud:
         level_m = math.sqrt(2.0) * self._receivers.sigma_m[cell]
         # How far each guess's drift goes, (north, east, up): standard deviations.
         self._wanders_m = np.stack((level_m, level_m, np.full(GUESSES, self._height_sigma_m)))
+        # How quickly it is forgotten: 1/s, likewise.
+        level_per_s = 1.0 / self._receivers.tau_s[cell]
+        up_per_s = np.full(GUESSES, 1.0 / self._height_tau_s)
+        self._forgets_per_s = np.stack((level_per_s, level_per_s, up_per_s))
 
     def heard(
         self,

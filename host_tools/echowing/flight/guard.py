@@ -64,6 +64,7 @@ _FLIES_ON = "should this tool or the radio die, it flies on to its last point"
 WATCHDOG_ASKS = 3
 WATCHDOG_PERIOD_S = 2.0
 
+# Asked for: often enough to notice within a second, on a radio that loses one message in three.
 READ_BACK_HZ = 4.0
 SWITCH_HZ = 4.0
 # No target read back for so long since the first point: the tool says so.

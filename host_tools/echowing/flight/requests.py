@@ -9,6 +9,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from echowing.flight.state import Known, Say
 from echowing.mavlink.messages import HEARTBEAT_PERIOD_S, message_interval, tool_heartbeat
 
+# Points are sent at 8 Hz, and each wants a position of its own. An autopilot that has restarted has
+# forgotten its rates, so they are asked for again and again.
 FOLLOWER_POSITION_HZ = 10.0
 RATE_REQUEST_PERIOD_S = 5.0
 # Rates are judged over this time; this share of the requested rate is enough.

@@ -16,6 +16,7 @@ from echowing.flight.guidance import SMALLEST_RADIUS_M, Slot
 
 Shape = Literal["column", "vee", "echelon", "abreast", "diamond"]
 SHAPES: tuple[str, ...] = get_args(Shape)
+# What has been flown by name (RESULTS.md).
 MOST_FOLLOWERS = 12
 # How far an arm is off the tail, by shape. Two arms at 35 degrees begin 1.15 spacings apart.
 _ARM_DEG = {

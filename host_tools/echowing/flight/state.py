@@ -47,6 +47,7 @@ from echowing.mavlink.messages import (
     sonar_range_m,
 )
 
+# ArduCopter's mode number.
 GUIDED_MODE = 4
 # Two receivers, and two barometers, between which no sonar measures.
 UNRANGED_SIGMA_M = math.sqrt(2.0) * Wandering().sigma_m

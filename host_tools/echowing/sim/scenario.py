@@ -188,7 +188,8 @@ class GpsSection(Section):
     ArduCopter reports its height, and flies by it, as its barometer has it (EK3_SRC1_POSZ 1); the
     receiver's own height is in GPS_RAW_INT. With EK3_SRC1_POSZ 3 a follower flies by that. Each
     vehicle's errors are drawn anew for each seed around what stands here. A part of how a place
-    wanders shows in the velocity that the vehicle reports and flies by, as EKF3's does.
+    wanders shows in the velocity that the vehicle reports and flies by, as EKF3's does. What public
+    recordings say of like receivers: RESULTS.md, "Like receivers side by side".
     """
 
     sigma_m: NotNegative = 0.8
