@@ -281,10 +281,10 @@ class Cloud:
         if elapsed_s < UPDATE_PERIOD_S:
             return False
         self._advanced_s = to_s
-        kept, changed = axes = self._kept(elapsed_s)
-        self._off, self._drift = self._moved(elapsed_s, axes, self._opposites())
+        self._off, self._drift = self._moved(elapsed_s, self._opposites())
         for who, astray in self._astray.items():
-            self._astray[who] = kept * astray + changed * self._normal(3)
+            kept, new = self._drifted(elapsed_s, astray, self._normal(3))
+            self._astray[who] = kept + new
         changes = self._chance.random(GUESSES)
         mixed = -math.expm1(-elapsed_s * (1.0 / DEAFENS_S + 1.0 / RECOVERS_S))
         deaf_share = RECOVERS_S / (DEAFENS_S + RECOVERS_S)
@@ -294,36 +294,33 @@ class Cloud:
         self._wrong[others] = self._chance.random(len(others))
         return True
 
-    def _moved(
-        self, elapsed_s: float, axes: tuple[Array, Array], chance: Array
-    ) -> tuple[Array, Array]:
-        """What autopilots believe after so long (`axes`: `_kept`), and the drift that they follow.
+    def _moved(self, elapsed_s: float, chance: Array) -> tuple[Array, Array]:
+        """What autopilots believe after so long, and the drift that they follow.
 
         Height counts as following its barometer as soon as the place follows its receiver; EKF3's
         takes twice as long (tests/sitl/follows.py).
         """
-        kept, changed = axes
         left, part = passing(elapsed_s, FOLLOWS_S)
-        change = changed * chance * self._wanders_m
-        drift = kept * self._drift
+        drift, change = self._drifted(elapsed_s, self._drift, self._wanders_m * chance)
         return left * self._off + (1.0 - left) * drift + part * change, drift + change
 
-    def _kept(self, elapsed_s: float) -> tuple[Array, Array]:
-        """What is kept of each guess's drift, and how much of how far it goes is new."""
-        kept = np.exp(-elapsed_s * self._forgets_per_s)
-        return kept, np.sqrt(1.0 - kept * kept)
+    def _drifted(self, elapsed_s: float, drift: Array, chance: Array) -> tuple[Array, Array]:
+        """What is kept of a drift, (north, east, up) of each guess, and what of `chance` is new."""
+        level = np.exp(-elapsed_s / self._receivers.tau_s)
+        up = math.exp(-elapsed_s / self._height_tau_s)
+        kept, new = np.empty_like(drift), np.empty_like(chance)
+        kept[:2], kept[2] = level[self._cell] * drift[:2], up * drift[2]
+        new[:2] = np.sqrt(1.0 - level * level)[self._cell] * chance[:2]
+        new[2] = math.sqrt(1.0 - up * up) * chance[2]
+        return kept, new
 
     def _share_out(self) -> None:
         """Put as many guesses into each cell of `receivers` as it is likely."""
         up_to = np.cumsum(self._receivers.share)
-        cell = np.minimum(np.searchsorted(up_to, self._place), len(up_to) - 1)
-        level_m = math.sqrt(2.0) * self._receivers.sigma_m[cell]
+        self._cell = np.minimum(np.searchsorted(up_to, self._place), len(up_to) - 1)
+        level_m = math.sqrt(2.0) * self._receivers.sigma_m[self._cell]
         # How far each guess's drift goes, (north, east, up): standard deviations.
         self._wanders_m = np.stack((level_m, level_m, np.full(GUESSES, self._height_sigma_m)))
-        # How quickly it is forgotten: 1/s, likewise.
-        level_per_s = 1.0 / self._receivers.tau_s[cell]
-        up_per_s = np.full(GUESSES, 1.0 / self._height_tau_s)
-        self._forgets_per_s = np.stack((level_per_s, level_per_s, up_per_s))
 
     def heard(
         self,
@@ -529,7 +526,7 @@ class Cloud:
         ahead_s = 0.0 if self._advanced_s is None else self._then_s - self._advanced_s
         self._then = then = self._off
         if ahead_s > 0.0:
-            self._then = then = self._moved(ahead_s, self._kept(ahead_s), self._ahead)[0]
+            self._then = then = self._moved(ahead_s, self._ahead)[0]
         self.north_m, self.east_m, self.up_m = map(float, then @ self._weight)
         self._around = north, east = then[0] - self.north_m, then[1] - self.east_m
         up = then[2] - self.up_m
