@@ -550,12 +550,12 @@ do
         if track.spike_m and dt_s > 0 and dt_s < 0.3 and abs(range_m - track.spike_m) < gate_m + 5 * dt_s then
             local mps = clamp((range_m - track.spike_m) / dt_s, -5, 5)
                 + 0.5 * (track.spike_own_mps + own.mps) - own.accel_mps2 * 0.05
-            -- A known leader does not jump so far (0.6 m: a speed wrong by 1 m/s, for about as long as its track is
-            -- carried on), and does not change its speed by so much; a noisy sonar tells both worse. Two alike may be
-            -- late echoes of something else, or one that is wild and one that is not. Three are believed, if each two of
-            -- them tell the same speed.
+            -- A known leader does not jump so far (of an exact sonar 0.6 m: a speed wrong by 1 m/s, for about as long as
+            -- its track is carried on), and does not change its speed by so much; a noisy one tells both worse. Two alike
+            -- may be late echoes of something else, or one that is wild and one that is not. Three are believed, if each
+            -- two of them tell the same speed (2 m/s).
             local unseen_s = min(read_ms - track.seen_ms, 700) * 0.001
-            local third = doubted_mps and abs(mps - doubted_mps) < 2
+            local third = doubted_mps and abs(mps - doubted_mps) < 13 * gate_m
             if third or not known or jump_m <= 4 * gate_m + 2 * unseen_s * unseen_s
                 and abs(mps - track.seen_mps) <= 7 * gate_m + 4 * unseen_s then
                 -- Two alike may still be wild ones, until a third is foreseen.
@@ -575,7 +575,7 @@ do
     function track.update(range_m, read_ms, t_ms)
         -- Readings 0.1 s apart differ by less than 0.15 m even where both vehicles change their speed at 5 m/s2, but for
         -- the sonar's noise, as it is seen.
-        local gate_m = max(0.15, 4 * track.noise_m)
+        local gate_m = clamp(4 * track.noise_m, 0.15, 0.5)
         if not track.fresh(t_ms) then
             begin(range_m, own.mps, 1, read_ms, t_ms)
             return unforeseen(range_m, read_ms, t_ms, gate_m, 0)

@@ -401,7 +401,7 @@ def test_a_height_forgets_its_drift_sooner_than_a_place() -> None:
     assert cloud.up_m == pytest.approx(2.0 * math.exp(-1.0), abs=0.15)
     slowly, quickly = (math.exp(-known.height_tau_s / s) for s in (known.tau_s, QUICKLY_S))
     kept = (1.0 - QUICK_SHARE) * slowly + QUICK_SHARE * quickly
-    assert cloud.north_m == pytest.approx(2.0 * kept, abs=0.15)
+    assert cloud.north_m == pytest.approx(2.0 * kept, abs=0.08)
 
 
 def test_how_long_it_has_been_heard_counts_from_the_last_longer_silence() -> None:

@@ -77,8 +77,8 @@ def test_at_first_six_of_ten_wander_as_believed_and_one_in_fifteen_thrice_as_far
     receivers = new()
     slowly, quickly = np.split(receivers.share, 2)
 
-    assert slowly[0] + quickly[0] == pytest.approx(0.58, abs=0.01)
-    assert slowly[-1] + quickly[-1] == pytest.approx(1.0 / 15.0, abs=0.005)
+    assert slowly[-1] + quickly[0] == pytest.approx(0.58, abs=0.01)
+    assert slowly[0] + quickly[-1] == pytest.approx(1.0 / 15.0, abs=0.005)
     assert quickly.sum() == pytest.approx(QUICK_SHARE)
     assert math.sqrt(receivers.share @ receivers.sigma_m**2) == pytest.approx(1.73 * 0.8, rel=0.02)
     assert receivers.share.sum() == pytest.approx(1.0)

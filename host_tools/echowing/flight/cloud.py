@@ -94,7 +94,8 @@ class Wandering:
     """What is believed beforehand.
 
     sigma_m: how far each receiver wanders per axis at the least (standard deviation); sigma_spread:
-    of its logarithm; tau_s: correlation time of what velocities leave of that; height_sigma_m,
+    of its logarithm; tau_s: correlation time of what velocities leave of that, unless it is
+    forgotten quickly (`receivers.QUICKLY_S`); height_sigma_m,
     height_tau_s: how far each vehicle's height wanders, and its correlation time.
     """
 

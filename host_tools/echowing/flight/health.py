@@ -33,7 +33,7 @@ from echowing.flight.state import UNRANGED_SIGMA_M
 from echowing.flight.steps import name_of
 from echowing.geo import Ned, wrap_angle_rad
 
-# A sonar that hears one ping in ten over a radio that loses half is heard again within this.
+# A sonar that hears one ping in ten, over a radio that loses half, is heard once in this time.
 RANGED_S = 2.0
 # A range belongs to the vehicle that it fits best. If it fits worse than this (a GPS and a beam's
 # width, as `panel.MISMATCH_M`), or that vehicle is so far outside the widest beam (two receivers'

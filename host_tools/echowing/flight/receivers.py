@@ -1,4 +1,4 @@
-"""How far two receivers wander apart, and how that is learnt from the sonar. Pure.
+"""How far two receivers wander apart, how soon they forget that, and how both are learnt. Pure.
 
 It is of what is left when vehicles' own velocities have told their part of it (`drift`).
 
@@ -23,8 +23,9 @@ FORGETS_S = 60.0
 # the simulator, of receivers that forget in 60 s. Reports too far apart to tell anything
 # (`LONGEST_GAP_S`) leave all of it, which forgets sooner.
 REST_FORGETS_S = 90.0
-# Those that forget sooner: what they wander by is new after half a lap. A third of 90 s is told
-# apart from it within half a minute, half of it is not.
+# Those that forget sooner, as a flight had them that broke the promise (20 s); like receivers side
+# by side forgot in 30 to 160 s (RESULTS.md). A third of 90 s is told apart from it within half a
+# minute of readings, half of it is not. How many forget so soon is a guess.
 QUICKLY_S, QUICK_SHARE = 25.0, 0.2
 # How much further than believed receivers may wander. Not less: that costs the leader if it is
 # wrong.
@@ -66,12 +67,15 @@ class Receivers:
         # Those that wander less than believed count as the first.
         believed = NormalDist(sigma=sigma_spread)
         between = [believed.cdf(math.log(math.sqrt(a * b))) for a, b in pairwise(FURTHER)]
-        self.sigma_m: Array = sigma_m * np.tile(FURTHER, 2)
+        # Neighbours are alike, as what is believed of a guess moves from one to the next (`cloud`).
+        self.sigma_m: Array = sigma_m * np.array((*FURTHER[::-1], *FURTHER))
         """Of each receiver, per axis; by cell."""
         self.tau_s: Array = np.repeat((tau_s, QUICKLY_S), len(FURTHER))
         """Its correlation time, by cell."""
         further = np.diff([0.0, *between, 1.0])
-        self.share: Array = np.concatenate(((1.0 - QUICK_SHARE) * further, QUICK_SHARE * further))
+        self.share: Array = np.concatenate(
+            ((1.0 - QUICK_SHARE) * further[::-1], QUICK_SHARE * further)
+        )
         """How likely each cell is."""
         self._settle()
         # By cell: (drift north, drift east, believed north, believed east), and its covariance.
