@@ -350,24 +350,45 @@ def test_the_nearest_place_is_found_anew_as_the_cloud_learns() -> None:
     assert sonar.looks_round().cloud.nearest_m(*asked) < unknown_m - 0.5
 
 
-def test_an_echo_of_another_vehicle_moves_nothing_wherever_the_receivers_put_both() -> None:
+@pytest.mark.parametrize("seed", range(8))
+def test_an_echo_of_another_vehicle_is_told_from_the_leaders_wherever_receivers_put_both(
+    seed: int,
+) -> None:
     """The leader is 3 m north, another one 3 m east of it; receivers put both 1.5 m further north.
 
-    Where the other is, is known from the leader: what is wrong of one is wrong of both.
+    Where the other is, is known from the leader: what is wrong of one is wrong of both. As soon as
+    both have been heard there is one place for the leader.
     """
-    cloud, off_m = Cloud(shipped_sonar()), 1.5
-    believed, other = (3.0 + off_m, 0.0, 0.0), Bystander(3, (3.0 + off_m, 3.0, 0.0), 0.1, 0.0)
-    for number in range(60):
-        cloud.heard(0.3 * number, 3.0, Axis(0.2 * math.sin(number)), believed, [other])
-    before = cloud.north_m, cloud.east_m
-    assert before == pytest.approx((off_m, 0.0), abs=0.35)
+    cloud, off_m, other = between_two(seed)
+    believed = 3.0 + off_m, 0.0, 0.0
     its_axis, its_range_m = Axis(math.pi / 4.0), math.hypot(3.0, 3.0)
-    assert cloud.is_of_another(its_range_m, its_axis, believed, [other])
-    assert not cloud.is_of_another(3.0, Axis(0.0), believed, [other])
     for number in range(60, 120):
         cloud.heard(0.3 * number, its_range_m, its_axis, believed, [other])
-    assert (cloud.north_m, cloud.east_m) == pytest.approx(before, abs=0.35)
+    assert (cloud.north_m, cloud.east_m) == pytest.approx((off_m, 0.0), abs=0.35)
+    assert cloud.is_of_another(its_range_m, its_axis, believed, [other])
+    assert not cloud.is_of_another(3.0, Axis(0.0), believed, [other])
     assert cloud.unheard_s(36.0) > 17.0, "none of them was the leader's"
+
+
+def between_two(seed: int) -> tuple[Cloud, float, Bystander]:
+    """A minute of echoes of what may be the leader, or another one 3 m east of it."""
+    cloud, off_m, chance = Cloud(shipped_sonar()), 1.5, np.random.default_rng(seed)
+    other = Bystander(3, (3.0 + off_m, 3.0, 0.0), 0.1, 0.0)
+    for number in range(60):
+        range_m = 3.0 + chance.normal(0.0, 0.02)
+        axis = Axis(0.2 * math.sin(number + seed))
+        cloud.heard(0.3 * number, range_m, axis, (3.0 + off_m, 0.0, 0.0), [other])
+    return cloud, off_m, other
+
+
+def test_echoes_that_two_vehicles_explain_alike_make_neither_more_likely() -> None:
+    """The receivers alone make it one in eight that it is the other, and the leader 3 m west."""
+    beside = [
+        float(cloud._weight[cloud._off[1] > 1.5].sum())
+        for cloud, _, _ in (between_two(seed) for seed in range(8))
+    ]
+
+    assert np.mean(beside) < 0.25
 
 
 def test_what_is_unlikely_is_kept_until_readings_decide() -> None:

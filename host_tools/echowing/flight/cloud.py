@@ -347,6 +347,7 @@ class Cloud:
         fits, of_others = self._explained(distance_m, axis, believed, others)
         wrong_share = self._wrong_share()
         fits *= 1.0 - wrong_share
+        of_others *= 1.0 - wrong_share
         wrong = wrong_share / self._sonar.reach_m
         of_leader = float(self._weight @ (fits - wrong))
         of_another = float(self._weight @ of_others)
