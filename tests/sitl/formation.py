@@ -122,7 +122,7 @@ class Follower:
         self.vehicle, self._board = vehicle, board
         self._sonar = [word for change in sonar for word in ("--sonar", change)]
         self.emulator = emulator_of(vehicle, *self._sonar, board=board)
-        self.feeder: Feeder | SerialSonar = Feeder(vehicle, port_told(self.emulator), scene)
+        self.feeder = Feeder(vehicle, port_told(self.emulator), scene)
 
     def unplug(self) -> None:
         """Take the co-processor's plug out."""
@@ -146,24 +146,22 @@ class Follower:
         return any(SLOW_EMULATOR in line for line in self.emulator.lines)
 
 
-class SelfReading(Follower):
-    """A follower that reads its sonar itself: no co-processor, no gimbal."""
+class SelfReading:
+    """A follower whose autopilot reads its sonar itself: no co-processor, no gimbal."""
 
     too_slow = False
 
     def __init__(self, vehicle: Vehicle, sonar: SerialSonar) -> None:
-        self.vehicle = vehicle
-        self.feeder = sonar
-        sonar.ride(vehicle, silence)
+        self.vehicle, self.feeder = vehicle, sonar
+        self.plug_in()
 
     def unplug(self) -> None:
         """Take the sonar's plug out."""
         self.feeder.close()
 
     def plug_in(self) -> None:
-        """Put it back."""
-        assert isinstance(self.feeder, SerialSonar)
-        self.feeder.ride(self.vehicle, self.feeder.scene)
+        """Put it in, or back."""
+        self.feeder.ride(self.vehicle)
 
 
 class Formation:
@@ -212,7 +210,7 @@ class Formation:
         self._stack = contextlib.ExitStack()
         self._tools: list[Tool] = []
         self.armed_s = math.nan
-        self.followers: list[Follower] = []
+        self.followers: list[Follower | SelfReading] = []
         with self._guarded():
             self.leader = self._vehicle(LEADER, folder / "leader", (0.0, 0.0, 0.0), fresh=True)
             for place in enumerate(parked or _parked(followers)):
@@ -287,13 +285,14 @@ class Formation:
 
         vehicle.every("drift", DRIFT_PERIOD_S, wander)
 
-    def _follower(self, number: int, at_ned_m: Ned) -> Follower:
+    def _follower(self, number: int, at_ned_m: Ned) -> Follower | SelfReading:
         system_id = FOLLOWER + number
         folder = copied(self.kit.prepared, self.folder / f"follower-{system_id}")
         if self._reads_itself:
             sonar = SerialSonar()
             vehicle = self._vehicle(system_id, folder, at_ned_m, fresh=False, sonar=sonar)
-            follower: Follower = SelfReading(vehicle, sonar)
+            self._stack.callback(sonar.end)
+            follower: Follower | SelfReading = SelfReading(vehicle, sonar)
         else:
             vehicle = self._vehicle(system_id, folder, at_ned_m, fresh=False)
             # Two cores carry two autopilots and one board's binary in real time, and not more.

@@ -4,13 +4,14 @@ ArduPilot's driver of it is the real one (RNGFND1_TYPE 13, AP_RangeFinder_Maxson
 never asks whether anything is there, which is when SITL lets a TCP client in: so this is a line.
 """
 
+import contextlib
 import os
 import random
 import tty
 
-from echowing.sim.world.sonar import LEVER_ARM_M, LONGEST_M, ON_A_DESK, Ear, Pose, Target
+from echowing.sim.world.sonar import LONGEST_M, Ear, Pose, Target
 
-from .sonar import Scene, bodies
+from .sonar import Scene, bodies, silence
 from .vehicle import Vehicle
 
 RANGEFINDER_TYPE = 13
@@ -32,29 +33,32 @@ class SerialSonar:
     def __init__(self) -> None:
         self._end, self._autopilots_end = os.openpty()
         tty.setraw(self._autopilots_end)
+        os.set_blocking(self._end, False)
         self.line = f"uart:{os.ttyname(self._autopilots_end)}"
-        self._ear = Ear(lambda name: random.Random(f"0 {name}"), ON_A_DESK)
-        self._follower: Vehicle | None = None
+        self._ear = Ear(lambda name: random.Random(f"0 {name}"))
+        self.scene: Scene = silence
 
-    def ride(self, follower: Vehicle, scene: Scene) -> None:
-        """From now on it hears what is there."""
-        self._follower, self.scene = follower, scene
-        follower.every("sonar", PERIOD_S, lambda: self._ping(follower))
+    def ride(self, follower: Vehicle) -> None:
+        """From now on it tells what is heard in its scene."""
+        self._follower = follower
+        follower.every("sonar", PERIOD_S, self._ping)
 
-    def _ping(self, follower: Vehicle) -> None:
-        if not follower.heard.truth:
+    def _ping(self) -> None:
+        if not self._follower.heard.truth:
             return
-        state = follower.state
-        legs_m = ON_A_DESK.inset_m - LEVER_ARM_M
-        targets = [
-            Target(at_m, ON_A_DESK.foil_m, legs_m) for at_m in bodies(state, self.scene(state))
-        ]
+        state = self._follower.state
+        targets = [Target(at_m) for at_m in bodies(state, self.scene(state))]
         pose = Pose((0.0, 0.0, 0.0), (1.0, 0.0, 0.0))
         range_m = self._ear.ping(state.time_s, pose, targets, surfaces=())
         told_cm = round(100.0 * (LONGEST_M if range_m is None else range_m))
-        os.write(self._end, f"R{told_cm:03d}\r".encode())
+        with contextlib.suppress(BlockingIOError):  # nobody has read for a minute
+            os.write(self._end, f"R{told_cm:03d}\r".encode())
 
     def close(self) -> None:
-        """Pull its plug."""
-        if self._follower is not None:
-            self._follower.no_more("sonar")
+        """Pull its plug; its autopilot has ended, or misses it."""
+        self._follower.no_more("sonar")
+
+    def end(self) -> None:
+        """Close the line."""
+        os.close(self._end)
+        os.close(self._autopilots_end)
