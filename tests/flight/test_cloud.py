@@ -24,7 +24,6 @@ from echowing.flight.cloud import (
     Wandering,
 )
 from echowing.flight.guidance import Horizontal
-from echowing.flight.receivers import QUICK_SHARE, QUICKLY_S
 from echowing.sonar_file import shipped_sonar
 
 NORTH, EAST = 0.0, math.pi / 2
@@ -409,10 +408,7 @@ def test_what_is_unlikely_is_kept_until_readings_decide() -> None:
 
 
 def test_a_height_forgets_its_drift_sooner_than_a_place() -> None:
-    """What is left of both after the time in which a height forgets: 1/e, and 1/e to the 60/90.
-
-    One place in five is forgotten in 25 s.
-    """
+    """What is left of both after the time in which a height forgets: 1/e, and 1/e to the 60/90."""
     cloud, known = Cloud(shipped_sonar()), Wandering()
     cloud.turn_to(Off(2.0, 0.0, 2.0, 0.0, 0.0))
 
@@ -420,9 +416,8 @@ def test_a_height_forgets_its_drift_sooner_than_a_place() -> None:
     cloud.foretell(known.height_tau_s)
 
     assert cloud.up_m == pytest.approx(2.0 * math.exp(-1.0), abs=0.15)
-    slowly, quickly = (math.exp(-known.height_tau_s / s) for s in (known.tau_s, QUICKLY_S))
-    kept = (1.0 - QUICK_SHARE) * slowly + QUICK_SHARE * quickly
-    assert cloud.north_m == pytest.approx(2.0 * kept, abs=0.08)
+    forgets = known.height_tau_s / known.tau_s
+    assert cloud.north_m == pytest.approx(2.0 * math.exp(-forgets), abs=0.15)
 
 
 def test_how_long_it_has_been_heard_counts_from_the_last_longer_silence() -> None:
@@ -524,12 +519,15 @@ def test_ranges_that_nothing_foretold_are_believed_where_they_agree_and_not_wher
 
 
 def test_echoes_of_another_vehicle_bring_nobody_to_where_it_is() -> None:
-    """For 15 s, while the leader is out of reach."""
+    """For 15 s, while the leader is out of reach, 9.5 m from there.
+
+    Of 4000 guesses the mean walks by half a metre as they are repeated.
+    """
     cloud, beside = Cloud(shipped_sonar()), Bystander(3, (0.0, 3.0, 0.0), 0.2, 0.0, moves=False)
     for number in range(60):
         cloud.heard(5.0 + READING_S * number, 3.0, Axis(EAST, 0.0), (9.0, 0.0, 0.0), [beside])
 
-    assert math.hypot(cloud.north_m, cloud.east_m) < 0.5
+    assert math.hypot(cloud.north_m, cloud.east_m) < 1.0
 
 
 def test_a_cloud_that_turns_to_another_leader_is_as_sure_as_it_is_told() -> None:
