@@ -382,7 +382,7 @@ def between_two(seed: int) -> tuple[Cloud, float, Bystander]:
 
 
 def test_an_echo_that_two_vehicles_explain_alike_makes_neither_more_likely() -> None:
-    """Half of the guesses have the leader there, half the other one; three readings in ten are wrong.
+    """Half of the guesses have the leader there, half the other one; 30 % of readings are wrong.
 
     An echo of the other, counted as always right, would make it 59 % that it is the other one.
     """
