@@ -3,16 +3,13 @@
 from importlib import resources
 from pathlib import Path
 
-from .formation import FOLLOWER, Kit, rectangle
+from .fly_robust import SEED, fly_and_enter
+from .formation import FOLLOWER, Kit, two_commands
 from .plugin import Start
 from .serial_sonar import RANGEFINDER_TYPE, WIRING, SerialSonar
-from .table import Entry, Figures
-from .tools import run
+from .table import Entry
 from .vehicle import Vehicle
 
-SEED, SPEED_MPS = 1, 2.0
-BEGIN_S, END_S = 25.0, 145.0
-LEAST_M = 1.0
 # Receivers alone leave more: the sonar was heard, and held by.
 MOST_M = 0.3
 ANOTHER_TYPE = ("rangefinder_type = 2", f"rangefinder_type = {RANGEFINDER_TYPE}")
@@ -25,16 +22,8 @@ def test_own_sensor(kit: Kit, start: Start, table: list[Entry], case_folder: Pat
     prepared = _prepare(kit, case_folder / "prepared", sonar)
 
     formation = start(SEED, wandering=False, reads_itself=True, prepared=prepared)
-    formation.leader.upload(rectangle(formation), 10.0)
-    tool = formation.fly_in_formation("--sonar", str(sonar))
-    began_s = formation.fly_mission(tool, SPEED_MPS, END_S)
-    flown = formation.measured(began_s + BEGIN_S, began_s + END_S)
-    figures = Figures(
-        flown.mean_separation_m, flown.mean_abs_error_m, flown.rmsd_m, flown.min_separation_m
-    )
-    note = formation.note(began_s)
-    table.append(Entry(kit.version.line, "sonar read by the autopilot", figures, note=note))
-    assert formation.least_m(began_s, began_s + END_S) >= LEAST_M
+    case, options = "sonar read by the autopilot", ("--sonar", str(sonar))
+    flown = fly_and_enter(formation, table, case, *options)
     assert flown.mean_abs_error_m < MOST_M
 
 
@@ -45,10 +34,7 @@ def _prepare(kit: Kit, folder: Path, sonar: Path) -> Path:
     try:
         plugged.ride(follower)
         follower.until_heard()
-        vehicle = ("--vehicle", follower.link())
-        run("setup", "lua", *vehicle, "--folder", "scripts")
-        kept = ("--save", str(folder / "old.params.json"))
-        run("setup", "apply", *vehicle, "--sonar", str(sonar), "--yes", "--restart", *kept)
+        two_commands(follower, "--sonar", str(sonar))
         return folder
     finally:
         follower.close()

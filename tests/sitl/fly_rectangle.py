@@ -80,12 +80,7 @@ def test_rectangle(start: Start, table: list[Entry], name: str, seed: int) -> No
         Entry(
             version.line,
             f"rectangle, {name}, seed {seed}",
-            Figures(
-                flown.mean_separation_m,
-                flown.mean_abs_error_m,
-                flown.rmsd_m,
-                flown.min_separation_m,
-            ),
+            Figures.of(flown),
             Figures(
                 model["mean_separation_m"],
                 model["mean_abs_error_m"],

@@ -99,14 +99,22 @@ def prepare(binary: Path, folder: Path) -> Preparation:
         stack.callback(emulator.kill)
         Feeder(follower, port_told(emulator), silence)
         follower.until_heard()
-        where = follower.link()
-        lua = run("setup", "lua", "--vehicle", where, "--folder", "scripts")
-        kept = ("--save", str(folder / "old.params.json"))
-        wiring = ("--vehicle", where, "--serial", SERIAL)
-        applied = run("setup", "apply", *wiring, "--yes", "--restart", *kept)
+        wiring = ("--serial", SERIAL)
+        said = two_commands(follower, *wiring)
         follower.until_heard()
         follower.until_positioned()
-        return Preparation(folder, (lua, applied), run("setup", "check", *wiring, code=None))
+        check = run("setup", "check", "--vehicle", follower.link(), *wiring, code=None)
+        return Preparation(folder, said, check)
+
+
+def two_commands(follower: Vehicle, *wiring: str) -> tuple[str, str]:
+    """README's two commands, and what they say."""
+    vehicle = ("--vehicle", follower.link())
+    kept = ("--save", str(follower.folder / "old.params.json"))
+    return (
+        run("setup", "lua", *vehicle, "--folder", "scripts"),
+        run("setup", "apply", *vehicle, *wiring, "--yes", "--restart", *kept),
+    )
 
 
 class Follower:

@@ -3,6 +3,8 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from echowing.analysis.metrics import Metrics
+
 
 @dataclass(frozen=True, slots=True)
 class Figures:
@@ -12,6 +14,13 @@ class Figures:
     error_m: float | None = None
     rmsd_m: float | None = None
     least_m: float | None = None
+
+    @classmethod
+    def of(cls, flown: Metrics) -> "Figures":
+        """All four, of one pair."""
+        return cls(
+            flown.mean_separation_m, flown.mean_abs_error_m, flown.rmsd_m, flown.min_separation_m
+        )
 
 
 @dataclass(frozen=True, slots=True)
