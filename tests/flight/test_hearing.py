@@ -161,7 +161,9 @@ def test_a_flight_with_a_bad_sonar_says_so_and_one_with_a_good_one_does_not() ->
 
 
 def test_who_hears_too_little_keeps_further_off() -> None:
-    scenario = load_scenario("echowing", ["sonar.heard_share=0.1", "duration_s=120"])
+    """With receivers that hardly wander: else they would move the follower by as much."""
+    hardly = ("gps.sigma_m=0.1", "gps.spread=0")
+    scenario = load_scenario("echowing", ["sonar.heard_share=0.1", "duration_s=120", *hardly])
     flight = FormationFlight(scenario, 1)
     result = flight.run()
     (opens_s,) = [at_s for at_s, text in result.events if "sonar not good enough" in text]

@@ -7,7 +7,14 @@ import numpy as np
 import pytest
 
 from echowing.flight.cloud import Wandering
-from echowing.flight.receivers import LEAST_SHARE, REST_FORGETS_S, Receivers, passing
+from echowing.flight.receivers import (
+    LEAST_SHARE,
+    QUICK_SHARE,
+    QUICKLY_S,
+    REST_FORGETS_S,
+    Receivers,
+    passing,
+)
 
 TAU_S = REST_FORGETS_S
 STEP_S = 0.05
@@ -18,9 +25,9 @@ SIGMA_M = 0.15
 class Pair:
     """What the autopilots of two receivers disagree by, (north, east): as `receivers` has it."""
 
-    def __init__(self, sigma_m: float, follows_s: float, seed: int) -> None:
+    def __init__(self, sigma_m: float, tau_s: float, follows_s: float, seed: int) -> None:
         self._chance, self._sigma_m = np.random.default_rng(seed), math.sqrt(2.0) * sigma_m
-        self._keep, self._blend = math.exp(-STEP_S / TAU_S), -math.expm1(-STEP_S / follows_s)
+        self._keep, self._blend = math.exp(-STEP_S / tau_s), -math.expm1(-STEP_S / follows_s)
         self._drift_m = self._chance.normal(0.0, self._sigma_m, 2)
         self.off_m = self._drift_m.copy()
 
@@ -46,6 +53,7 @@ def seen(
     turns_rps: float = 0.0,
     receivers: Receivers | None = None,
     follows_s: float = 1.0,
+    tau_s: float = TAU_S,
 ) -> Receivers:
     """What is learnt of two receivers from a leader whose bearing turns.
 
@@ -53,7 +61,7 @@ def seen(
     """
     receivers = receivers or new()
     begins_s = receivers.seen_s if math.isfinite(receivers.seen_s) else 0.0
-    pair, chance = Pair(sigma_m, follows_s, seed), random.Random(seed)
+    pair, chance = Pair(sigma_m, tau_s, follows_s, seed), random.Random(seed)
     for number in range(round(seconds / READING_S)):
         for _ in range(round(READING_S / STEP_S)):
             pair.step()
@@ -67,9 +75,11 @@ def seen(
 def test_at_first_six_of_ten_wander_as_believed_and_one_in_fifteen_thrice_as_far() -> None:
     """The logarithm's spread is 0.8: half are below 0.8 m, and a twelfth up to a fifth further."""
     receivers = new()
+    slowly, quickly = np.split(receivers.share, 2)
 
-    assert receivers.share[0] == pytest.approx(0.58, abs=0.01)
-    assert receivers.share[-1] == pytest.approx(1.0 / 15.0, abs=0.005)
+    assert slowly[-1] + quickly[0] == pytest.approx(0.58, abs=0.01)
+    assert slowly[0] + quickly[-1] == pytest.approx(1.0 / 15.0, abs=0.005)
+    assert quickly.sum() == pytest.approx(QUICK_SHARE)
     assert math.sqrt(receivers.share @ receivers.sigma_m**2) == pytest.approx(1.73 * 0.8, rel=0.02)
     assert receivers.share.sum() == pytest.approx(1.0)
 
@@ -83,6 +93,24 @@ def test_receivers_that_wander_further_are_known_in_a_minute(turns_rps: float) -
     assert np.mean(np.array(learnt_m) > 1.1) > 0.8
 
 
+@pytest.mark.parametrize(("sigma_m", "most_m"), [(0.8, 1.25), (1.5, 2.6)])
+def test_what_is_forgotten_quickly_does_not_count_as_what_wanders_far(
+    sigma_m: float, most_m: float
+) -> None:
+    """With 90 s for all, receivers that forget in 20 s are learnt to wander twice as far."""
+    learnt = [seen(sigma_m, seed, 90.0, 0.1, tau_s=20.0) for seed in range(8)]
+
+    assert sigma_m <= np.mean([wander_m(one) for one in learnt]) < most_m
+    quick = [one.share[one.tau_s == QUICKLY_S].sum() for one in learnt]
+    assert np.mean(quick) > 2.0 * QUICK_SHARE
+
+
+def test_what_is_forgotten_slowly_is_known_as_that() -> None:
+    learnt = [seen(0.8, seed, 90.0, 0.1) for seed in range(8)]
+
+    assert np.mean([one.share[one.tau_s == QUICKLY_S].sum() for one in learnt]) < 0.1
+
+
 def test_receivers_as_believed_stay_so() -> None:
     """Between the first cell, 0.8 m, and the second, 1.12 m."""
     assert np.median([wander_m(seen(0.8, seed, 240.0)) for seed in range(8)]) < 0.9
@@ -93,7 +121,7 @@ def test_less_than_believed_is_not_learnt() -> None:
     assert wander_m(seen(0.3, 1, 600.0)) >= 0.8
 
 
-@pytest.mark.parametrize(("follows_s", "seems_m"), [(0.3, 2.4), (1.0, 1.6), (3.0, 1.15)])
+@pytest.mark.parametrize(("follows_s", "seems_m"), [(0.3, 1.9), (1.0, 1.6), (3.0, 1.15)])
 def test_one_that_is_followed_later_than_believed_seems_to_wander_less(
     follows_s: float, seems_m: float
 ) -> None:

@@ -127,6 +127,7 @@ def test_a_table_says_how_far_the_receivers_are_found_to_wander(tmp_path: Path) 
         last = list(csv.DictReader(file))[-1]
 
     assert float(last["wander_m"]) == pytest.approx(1.21, abs=0.01)
+    assert float(last["forgets_s"]) == pytest.approx(0.8 * 90.0 + 0.2 * 25.0)
 
 
 def test_a_table_gives_the_separation_that_was_flown(tmp_path: Path) -> None:

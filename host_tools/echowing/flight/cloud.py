@@ -94,7 +94,8 @@ class Wandering:
     """What is believed beforehand.
 
     sigma_m: how far each receiver wanders per axis at the least (standard deviation); sigma_spread:
-    of its logarithm; tau_s: correlation time of what velocities leave of that; height_sigma_m,
+    of its logarithm; tau_s: correlation time of what velocities leave of that, unless it is
+    forgotten quickly (`receivers.QUICKLY_S`); height_sigma_m,
     height_tau_s: how far each vehicle's height wanders, and its correlation time.
     """
 
@@ -137,7 +138,7 @@ class Cloud:
         self._place = np.tile(chance.random(count // 2), 2)
         # Of a pair: the difference of two that wander alike.
         self._height_sigma_m = math.sqrt(2.0) * wandering.height_sigma_m
-        self._tau_s = np.array((wandering.tau_s, wandering.tau_s, wandering.height_tau_s))
+        self._height_tau_s = wandering.height_tau_s
         self._share_out()
         # The sonar: between the narrowest and the widest beam that are believed, between how far it
         # hears surely and at most, and as a share of how often it hears at the least.
@@ -217,6 +218,11 @@ class Cloud:
         """How far each receiver wanders per axis, standard deviation, as learnt, less `drift`."""
         return float(self._receivers.share @ self._receivers.sigma_m)
 
+    @property
+    def forgets_s(self) -> float:
+        """In how long they forget that (correlation time), as learnt."""
+        return float(self._receivers.share @ self._receivers.tau_s)
+
     def nearest_m(self, to_it_m: Horizontal, above_m: float, clear_m: float) -> float:
         """How near one may come, on the straight way, to where the leader is believed (`RISK`).
 
@@ -276,10 +282,10 @@ class Cloud:
         if elapsed_s < UPDATE_PERIOD_S:
             return False
         self._advanced_s = to_s
-        kept, changed = axes = self._kept(elapsed_s)
-        self._off, self._drift = self._moved(elapsed_s, axes, self._opposites())
+        self._off, self._drift = self._moved(elapsed_s, self._opposites())
         for who, astray in self._astray.items():
-            self._astray[who] = kept * astray + changed * self._normal(3)
+            kept, new = self._drifted(elapsed_s, astray, self._normal(3))
+            self._astray[who] = kept + new
         changes = self._chance.random(GUESSES)
         mixed = -math.expm1(-elapsed_s * (1.0 / DEAFENS_S + 1.0 / RECOVERS_S))
         deaf_share = RECOVERS_S / (DEAFENS_S + RECOVERS_S)
@@ -289,30 +295,31 @@ class Cloud:
         self._wrong[others] = self._chance.random(len(others))
         return True
 
-    def _moved(
-        self, elapsed_s: float, axes: tuple[Array, Array], chance: Array
-    ) -> tuple[Array, Array]:
-        """What autopilots believe after so long (`axes`: `_kept`), and the drift that they follow.
+    def _moved(self, elapsed_s: float, chance: Array) -> tuple[Array, Array]:
+        """What autopilots believe after so long, and the drift that they follow.
 
         Height counts as following its barometer as soon as the place follows its receiver; EKF3's
         takes twice as long (tests/sitl/follows.py).
         """
-        kept, changed = axes
         left, part = passing(elapsed_s, FOLLOWS_S)
-        change = changed * chance * self._wanders_m
-        drift = kept * self._drift
+        drift, change = self._drifted(elapsed_s, self._drift, self._wanders_m * chance)
         return left * self._off + (1.0 - left) * drift + part * change, drift + change
 
-    def _kept(self, elapsed_s: float) -> tuple[Array, Array]:
-        """What is kept of a drift, by axis, and how much of how far it goes is new."""
-        kept = np.exp(-elapsed_s / self._tau_s)[:, np.newaxis]
-        return kept, np.sqrt(1.0 - kept * kept)
+    def _drifted(self, elapsed_s: float, drift: Array, chance: Array) -> tuple[Array, Array]:
+        """What is kept of a drift, (north, east, up) of each guess, and what of `chance` is new."""
+        level = np.exp(-elapsed_s / self._receivers.tau_s)
+        up = math.exp(-elapsed_s / self._height_tau_s)
+        kept, new = np.empty_like(drift), np.empty_like(chance)
+        kept[:2], kept[2] = level[self._cell] * drift[:2], up * drift[2]
+        new[:2] = np.sqrt(1.0 - level * level)[self._cell] * chance[:2]
+        new[2] = math.sqrt(1.0 - up * up) * chance[2]
+        return kept, new
 
     def _share_out(self) -> None:
         """Put as many guesses into each cell of `receivers` as it is likely."""
         up_to = np.cumsum(self._receivers.share)
-        cell = np.minimum(np.searchsorted(up_to, self._place), len(up_to) - 1)
-        level_m = math.sqrt(2.0) * self._receivers.sigma_m[cell]
+        self._cell = np.minimum(np.searchsorted(up_to, self._place), len(up_to) - 1)
+        level_m = math.sqrt(2.0) * self._receivers.sigma_m[self._cell]
         # How far each guess's drift goes, (north, east, up): standard deviations.
         self._wanders_m = np.stack((level_m, level_m, np.full(GUESSES, self._height_sigma_m)))
 
@@ -378,14 +385,23 @@ class Cloud:
         self, distance_m: float, axis: Axis, believed: Between, others: Sequence[Bystander]
     ) -> tuple[Array, Array]:
         """How likely each guess makes a range: of whom the sonar looks at, of one of the others."""
-        far_m, detected = self._detected(axis, np.array(believed)[:, np.newaxis] - self._off)
-        fits, of_others = self._density(far_m, distance_m) * detected, np.zeros(GUESSES)
-        for other in others:
-            its_m, its = self._detected(axis, self._to_other(other))
-            # Of two that are heard the nearer one's echo is the one that is reported.
-            fits *= 1.0 - its * (its_m < far_m)
-            of_others += self._density(its_m, distance_m) * its * (1.0 - detected * (far_m < its_m))
-        return fits, of_others
+        far_m, heard = self._seen(axis, believed, others)
+        # Of two that are heard the nearer one's echo is the one that is reported.
+        hidden = heard[:, np.newaxis] * (far_m[:, np.newaxis] < far_m)
+        density = self._density(far_m, distance_m) * heard * np.prod(1.0 - hidden, axis=0)
+        return density[0], density[1:].sum(axis=0)
+
+    def _seen(
+        self, axis: Axis, believed: Between, others: Sequence[Bystander]
+    ) -> tuple[Array, Array]:
+        """How far each vehicle is, by each guess, and how likely it alone is heard.
+
+        Both have the shape (vehicles, guesses); the first is whom the sonar looks at.
+        """
+        to_it = np.array(believed)[:, np.newaxis] - self._off
+        seen = [self._detected(axis, to) for to in (to_it, *map(self._to_other, others))]
+        far_m, heard = map(np.array, zip(*seen, strict=True))
+        return far_m, heard
 
     def _to_other(self, other: Bystander) -> Array:
         """Where each guess has another vehicle, by itself and by what is unsure of that one.
@@ -442,10 +458,8 @@ class Cloud:
             return
         self._silent_at_s = time_s
         self._wandered(time_s)
-        _, detected = self._detected(axis, np.array(believed)[:, np.newaxis] - self._off)
-        unheard = (1.0 - detected) * (1.0 - self._wrong_share())
-        for other in others:
-            unheard *= 1.0 - self._detected(axis, self._to_other(other))[1]
+        _, heard = self._seen(axis, believed, others)
+        unheard = (1.0 - self._wrong_share()) * np.prod(1.0 - heard, axis=0)
         self._update(unheard)
 
     def _detected(self, axis: Axis, to_it: Array) -> tuple[Array, Array]:
@@ -521,7 +535,7 @@ class Cloud:
         ahead_s = 0.0 if self._advanced_s is None else self._then_s - self._advanced_s
         self._then = then = self._off
         if ahead_s > 0.0:
-            self._then = then = self._moved(ahead_s, self._kept(ahead_s), self._ahead)[0]
+            self._then = then = self._moved(ahead_s, self._ahead)[0]
         self.north_m, self.east_m, self.up_m = map(float, then @ self._weight)
         self._around = north, east = then[0] - self.north_m, then[1] - self.east_m
         up = then[2] - self.up_m

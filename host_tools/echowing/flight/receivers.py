@@ -1,4 +1,4 @@
-"""How far two receivers wander apart, and how that is learnt from the sonar. Pure.
+"""How far two receivers wander apart, how soon they forget that, and how both are learnt. Pure.
 
 It is of what is left when vehicles' own velocities have told their part of it (`drift`).
 
@@ -20,9 +20,13 @@ Array = NDArray[np.float64]
 FORGETS_S = 60.0
 # What velocities leave of a receiver's drift (`drift`) changes more slowly, as they tell the quick
 # part of it: 86 s on ArduCopter SITL 4.8, eight vehicles (tests/sitl/follows.py), and the same in
-# the simulator. It is not learnt: what wanders more quickly counts as what wanders further. Reports
-# too far apart to tell anything (`LONGEST_GAP_S`) leave all of it, which forgets sooner.
+# the simulator, of receivers that forget in 60 s. Reports too far apart to tell anything
+# (`LONGEST_GAP_S`) leave all of it, which forgets sooner.
 REST_FORGETS_S = 90.0
+# Those that forget sooner, as a flight had them that broke the promise (20 s); like receivers side
+# by side forgot in 30 to 160 s (RESULTS.md). A third of 90 s is told apart from it within half a
+# minute of readings, half of it is not. How many forget so soon is a guess.
+QUICKLY_S, QUICK_SHARE = 25.0, 0.2
 # How much further than believed receivers may wander. Not less: that costs the leader if it is
 # wrong.
 FURTHER = (1.0, 1.4, 2.0, 2.8, 4.0)
@@ -52,8 +56,10 @@ def passing(elapsed_s: float, follows_s: float) -> tuple[float, float]:
 class Receivers:
     """How far a pair of receivers wanders: a likelihood for each cell.
 
-    A cell is one of `FURTHER`, with a Kalman filter of its own of the pair's drift and of what
-    their autopilots believe, north and east (multiple models; Magill 1965).
+    A cell is one of `FURTHER`, forgotten slowly or quickly, with a Kalman filter of its own of the
+    pair's drift and of what their autopilots believe, north and east (multiple models; Magill
+    1965). With one time for all, what is forgotten quickly would count as what wanders twice as
+    far.
     """
 
     def __init__(self, sigma_m: float, sigma_spread: float, tau_s: float) -> None:
@@ -61,14 +67,19 @@ class Receivers:
         # Those that wander less than believed count as the first.
         believed = NormalDist(sigma=sigma_spread)
         between = [believed.cdf(math.log(math.sqrt(a * b))) for a, b in pairwise(FURTHER)]
-        self.sigma_m: Array = sigma_m * np.array(FURTHER)
+        # Neighbours are alike, as what is believed of a guess moves from one to the next (`cloud`).
+        self.sigma_m: Array = sigma_m * np.array((*FURTHER[::-1], *FURTHER))
         """Of each receiver, per axis; by cell."""
-        self.tau_s = tau_s
-        self.share: Array = np.diff([0.0, *between, 1.0])
+        self.tau_s: Array = np.repeat((tau_s, QUICKLY_S), len(FURTHER))
+        """Its correlation time, by cell."""
+        further = np.diff([0.0, *between, 1.0])
+        self.share: Array = np.concatenate(
+            ((1.0 - QUICK_SHARE) * further[::-1], QUICK_SHARE * further)
+        )
         """How likely each cell is."""
         self._settle()
         # By cell: (drift north, drift east, believed north, believed east), and its covariance.
-        self._state = np.zeros((len(FURTHER), 4))
+        self._state = np.zeros((len(self.share), 4))
         self._covariance = self._variance()[:, None, None] * self._by_axis(np.ones((2, 2)))
         self.seen_s = -math.inf
 
@@ -99,13 +110,15 @@ class Receivers:
         self._settle()
 
     def _wander(self, elapsed_s: float) -> None:
-        kept = math.exp(-elapsed_s / self.tau_s)
+        kept = np.exp(-elapsed_s / self.tau_s)
         left, part = passing(elapsed_s, FOLLOWS_S)
-        moves = self._by_axis(np.array(((kept, 0.0), ((1.0 - left) * kept, left))))
+        follows = np.array(((0.0, 0.0), (0.0, left))), np.array(((1.0, 0.0), (1.0 - left, 0.0)))
+        stays, moved = map(self._by_axis, follows)
+        moves = stays + kept[:, None, None] * moved
         change = self._by_axis(np.array(((1.0, part), (part, part * part))))
         variance = (self._variance() * (1.0 - kept * kept))[:, None, None]
-        self._state = self._state @ moves.T
-        self._covariance = moves @ self._covariance @ moves.T + variance * change
+        self._state = (moves @ self._state[:, :, None])[:, :, 0]
+        self._covariance = moves @ self._covariance @ moves.transpose(0, 2, 1) + variance * change
 
     def _variance(self) -> Array:
         """Of the difference of two receivers that wander alike."""

@@ -24,7 +24,8 @@ class Track:
     tilt_us: the gimbal's pulses. leader_height_m: above the leader's home, wanted_height_m: of
     this follower above its own. seen_*: from the leader's position by its own receiver to
     where this follower estimates it, metres, and the covariance, square metres. wander_m: how far
-    each of both receivers is found to wander per axis.
+    each of both receivers is found to wander per axis; forgets_s: in how long it is found to
+    forget that.
     """
 
     wanted_radius_m: float
@@ -59,6 +60,7 @@ class Track:
     seen_ne_m2: float | None = None
     seen_ee_m2: float | None = None
     wander_m: float | None = None
+    forgets_s: float | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Its fields by name: degrees of position as MAVLink carries them, else thousandths."""
@@ -144,6 +146,7 @@ def _seen(
         "seen_ne_m2": ne_m2,
         "seen_ee_m2": ee_m2,
         "wander_m": offset.wander_m,
+        "forgets_s": offset.forgets_s,
     }
 
 
