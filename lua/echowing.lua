@@ -470,7 +470,7 @@ do
     -- are both, that of the co-processor counts.
     function track.read(t_ms)
         local sensor
-        for i = 0, 9 do
+        for i = 0, rangefinder:num_sensors() - 1 do
             local one = rangefinder:get_backend(i)
             if one and one:orientation() == 0 and (not sensor or one:type() == 10) then sensor = one end
         end

@@ -13,7 +13,6 @@ from echowing.sim.summary import FlownScenario, fly
 
 PATHS = ("rectangle", "figure-eight", "stop-and-go")
 HOSTILE = "hostile"
-SEEDS = 20
 # A minute: two corners of the rectangle, a whole eight, and the table in six minutes on two cores.
 DURATION_S = 60.0
 # The smaller step of the thesis's law: less than it is no change that a pilot would notice.

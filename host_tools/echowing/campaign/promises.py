@@ -14,7 +14,6 @@ from echowing.campaign.record import Bools, FlightRecord
 from echowing.sim.fault_section import LEADER, FaultSection
 from echowing.sim.flight import SAMPLE_S
 
-TOOL = 0  # says it on the ground; others are system ids
 # Two lost packets of a bad link may delay a detection; rates are judged over 8 s.
 SLACK_S = 2.0
 

@@ -16,7 +16,6 @@ GOING_DOWN_S = 3.0
 RESTART_TIMEOUT_S = 60.0
 APPLET_TIMEOUT_S = 20.0
 _STARTING = (mavlink.MAV_STATE_UNINIT, mavlink.MAV_STATE_BOOT)
-READY_TEXT = "ECHO: ready"
 
 
 def restart_autopilot(vehicle: Vehicle) -> bool:

@@ -28,14 +28,13 @@ DEFAULT_TOP_SPEED_MPS = 5.0
 
 @dataclass(frozen=True)
 class WallResult:
-    """How near the follower's centre came to the wall, where it ended, and the whole way there.
+    """How near the follower's centre came to the wall, and the whole way there.
 
     In `flight` the wall's nearest point stands in for the leader.
     """
 
     flight: Flight
     closest_m: float
-    final_m: float
     wall_s: float
 
     @property
@@ -69,7 +68,7 @@ def fly_at_wall(
     link = hangar.telemetry(follower, "follower", scenario.radio.follower)
     send = _target_sender(scenario, link)
     recorder = Recorder(scenario.name, scenario.slots()[0], scenario.law_name, seed)
-    closest_m = distance_m = math.inf
+    closest_m = math.inf
     with waiting_interrupts() as raise_asked:
         for step in range(1, round(scenario.duration_s / STEP_S) + 1):
             t_s = step * STEP_S
@@ -87,7 +86,7 @@ def fly_at_wall(
             if distance_m <= BODY_RADIUS_M:
                 break
     wall_s = time.perf_counter() - started_s
-    return WallResult(recorder.flight(), closest_m, distance_m, wall_s)
+    return WallResult(recorder.flight(), closest_m, wall_s)
 
 
 def _at_pace(scenario: Scenario, pace_mps: float) -> Scenario:

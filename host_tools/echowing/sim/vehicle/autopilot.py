@@ -610,14 +610,6 @@ class Autopilot:
             one.orientation, one.type, one.status, one.distance_m, one.read_ms
         )
 
-    def rangefinder_min_m(self, orientation: int) -> float:
-        """Nearest believed range."""
-        return self.rangefinder.min_m() if self._looks(orientation) else 0.0
-
-    def rangefinder_max_m(self, orientation: int) -> float:
-        """Farthest believed range."""
-        return self.rangefinder.max_m() if self._looks(orientation) else 0.0
-
     def _looks(self, orientation: int) -> bool:
         return self.rangefinder.configured and self.rangefinder.orientation == orientation
 

@@ -115,7 +115,7 @@ class DeskVehicle:
         return True
 
     def rangefinder_orientations(self) -> Sequence[int]:
-        return list(self.ranges)
+        return [one.orientation for one in self.first_sensors] + list(self.ranges)
 
     def rangefinder_status(self, orientation: int) -> int:
         return self.ranges.get(orientation, (0, 0.0))[0]
