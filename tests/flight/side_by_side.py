@@ -38,6 +38,8 @@ DAY_MS = 86_400_000
 STRETCH_S, TELLS_FROM_S, AHEAD_S, TURNS_RPS = 240, 30, (10, 20), 0.05
 # Mean squared changes over these are fitted: less is the receiver's own smoothing.
 OVER_S = (10, 20, 30, 60, 90, 120, 180, 240, 300, 450, 600)
+# As of a sonar of which one reading in twenty is wrong and says anything within 5 m.
+WRONG_PER_M = 0.05 / 5.0
 FASTEST_S, SLOWEST_S = 5.0, 1000.0
 
 
@@ -105,7 +107,9 @@ def beyond(stretch: Floats) -> Iterator[bool]:
     learnt = Receivers(believed.sigma_m, believed.sigma_spread, believed.tau_s)
     for second in range(STRETCH_S):
         along = math.cos(TURNS_RPS * second), math.sin(TURNS_RPS * second)
-        learnt.take(float(second), along, float(stretch[second] @ along), PLACED_SIGMA_M)
+        off_m = float(stretch[second] @ along)
+        learnt.wander(1.0)
+        learnt.take(along, off_m, PLACED_SIGMA_M, WRONG_PER_M)
         if second < TELLS_FROM_S:
             continue
         for ahead_s in AHEAD_S:
@@ -117,7 +121,7 @@ def beyond(stretch: Floats) -> Iterator[bool]:
 def _foretold(learnt: Receivers, along: tuple[float, float], ahead_s: int) -> tuple[float, float]:
     """What they will disagree by along a line, and the standard deviation of that."""
     later = copy.deepcopy(learnt)
-    later._wander(ahead_s)
+    later.wander(ahead_s)
     seen = np.array((0.0, 0.0, *along))
     means_m, variances = later._state @ seen, seen @ later._covariance @ seen
     mean_m = float(later.share @ means_m)

@@ -282,6 +282,8 @@ class Cloud:
         if elapsed_s < UPDATE_PERIOD_S:
             return False
         self._advanced_s = to_s
+        self._receivers.wander(elapsed_s)
+        self._share_out()
         self._off, self._drift = self._moved(elapsed_s, self._opposites())
         for who, astray in self._astray.items():
             kept, new = self._drifted(elapsed_s, astray, self._normal(3))
@@ -355,12 +357,12 @@ class Cloud:
             if self.unheard_s(time_s) > LOST_S:
                 self._found_at_s = time_s
             self._heard_at_s = time_s
-            self._compare(time_s, distance_m, believed)
+            self._compare(distance_m, believed, float(self._weight @ wrong))
         self._update(fits + of_others + wrong)
         if of_leader + of_another <= 0.0 and self.found_s(time_s) < SURE_AFTER_S:
             self._guess_stepped(distance_m, axis, believed)
 
-    def _compare(self, time_s: float, distance_m: float, believed: Between) -> None:
+    def _compare(self, distance_m: float, believed: Between, wrong_per_m: float) -> None:
         """Show `receivers` what they disagree by along the way to the leader."""
         north_m, east_m, up_m = np.array(believed) - self._off @ self._weight
         far_m = math.hypot(north_m, east_m)
@@ -369,8 +371,7 @@ class Cloud:
         along = north_m / far_m, east_m / far_m
         seen_m = math.sqrt(distance_m * distance_m - up_m * up_m)
         off_m = believed[0] * along[0] + believed[1] * along[1] - seen_m
-        self._receivers.take(time_s, along, off_m, self._range_sigma_m)
-        self._share_out()
+        self._receivers.take(along, off_m, self._range_sigma_m, wrong_per_m)
 
     def is_of_another(
         self, distance_m: float, axis: Axis, believed: Between, others: Sequence[Bystander]

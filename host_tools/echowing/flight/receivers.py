@@ -34,8 +34,9 @@ FURTHER = (1.0, 1.4, 2.0, 2.8, 4.0)
 # told the rest, less is left. One that follows by 3 s is taken for a receiver that wanders a
 # quarter less. To learn that, too, gained nothing in flight, at 0.3, 1.5 and 3 s.
 FOLLOWS_S = 1.0
-# A cell is never less likely than this, beside the likeliest: receivers change.
-LEAST_SHARE = 1e-3
+# What is learnt of a pair is forgotten in that time: what is over its receivers changes. So who
+# keeps far off, as they wandered far, hears again one day.
+CHANGES_S = 120.0
 
 
 def passing(elapsed_s: float, follows_s: float) -> tuple[float, float]:
@@ -73,43 +74,53 @@ class Receivers:
         self.tau_s: Array = np.repeat((tau_s, QUICKLY_S), len(FURTHER))
         """Its correlation time, by cell."""
         further = np.diff([0.0, *between, 1.0])
-        self.share: Array = np.concatenate(
+        self._at_first: Array = np.concatenate(
             ((1.0 - QUICK_SHARE) * further[::-1], QUICK_SHARE * further)
         )
+        self.share = self._at_first
         """How likely each cell is."""
-        self._settle()
         # By cell: (drift north, drift east, believed north, believed east), and its covariance.
         self._state = np.zeros((len(self.share), 4))
         self._covariance = self._variance()[:, None, None] * self._by_axis(np.ones((2, 2)))
-        self.seen_s = -math.inf
 
-    def take(self, time_s: float, along: tuple[float, float], off_m: float, sigma_m: float) -> None:
-        """Take what a reading says.
+    def take(
+        self,
+        along: tuple[float, float],
+        off_m: float,
+        sigma_m: float,
+        wrong_per_m: float,
+    ) -> None:
+        """Take what a reading says, which may be wrong.
+
+        Each cell takes as much of it as it holds it for right (probabilistic data association;
+        Bar-Shalom and Tse 1975): else one wild reading, and the next right one, would be receivers
+        that wander as far as any.
 
         Args:
-            time_s: when it was taken.
             along: unit vector (north, east).
             off_m: what they were seen to disagree by along it.
             sigma_m: standard deviation of that.
+            wrong_per_m: how likely it is wrong and says so, for each metre of range.
 
         """
-        if time_s > self.seen_s:
-            if math.isfinite(self.seen_s):
-                self._wander(time_s - self.seen_s)
-            self.seen_s = time_s
         seen = np.array((0.0, 0.0, *along))
         shared = self._covariance @ seen
         variance = shared @ seen + sigma_m * sigma_m
         surprise = off_m - self._state @ seen
+        fits = np.exp(-0.5 * surprise**2 / variance) / np.sqrt(2.0 * math.pi * variance)
+        right = (fits / (fits + wrong_per_m))[:, None]
         gain = shared / variance[:, None]
-        self._state = self._state + gain * surprise[:, None]
-        self._covariance = self._covariance - gain[:, :, None] * shared[:, None, :]
-        fits = -0.5 * (surprise**2 / variance + np.log(variance))
-        # Beside the best fit: of a surprise that nobody expects all would be nought.
-        self.share = self.share * np.exp(fits - fits.max())
-        self._settle()
+        step = gain * surprise[:, None]
+        unsure = (1.0 - right) * step
+        self._state = self._state + right * step
+        self._covariance = self._covariance + right[:, :, None] * (
+            unsure[:, :, None] * step[:, None, :] - gain[:, :, None] * shared[:, None, :]
+        )
+        self.share = self.share * (fits + wrong_per_m)
+        self.share /= self.share.sum()
 
-    def _wander(self, elapsed_s: float) -> None:
+    def wander(self, elapsed_s: float) -> None:
+        """Let them drift on."""
         kept = np.exp(-elapsed_s / self.tau_s)
         left, part = passing(elapsed_s, FOLLOWS_S)
         follows = np.array(((0.0, 0.0), (0.0, left))), np.array(((1.0, 0.0), (1.0 - left, 0.0)))
@@ -119,14 +130,12 @@ class Receivers:
         variance = (self._variance() * (1.0 - kept * kept))[:, None, None]
         self._state = (moves @ self._state[:, :, None])[:, :, 0]
         self._covariance = moves @ self._covariance @ moves.transpose(0, 2, 1) + variance * change
+        forgotten = -math.expm1(-elapsed_s / CHANGES_S)
+        self.share = self.share + forgotten * (self._at_first - self.share)
 
     def _variance(self) -> Array:
         """Of the difference of two receivers that wander alike."""
         return 2.0 * self.sigma_m**2
-
-    def _settle(self) -> None:
-        self.share = np.maximum(self.share, LEAST_SHARE * float(self.share.max()))
-        self.share /= self.share.sum()
 
     @staticmethod
     def _by_axis(of_one: Array) -> Array:
