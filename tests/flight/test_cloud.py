@@ -564,3 +564,17 @@ def test_a_cloud_that_turns_to_another_leader_is_as_sure_as_it_is_told() -> None
     assert cloud.sigma_m(0.0) == pytest.approx(0.4, rel=0.05)
     assert cloud.up_sigma_m == pytest.approx(0.2, rel=0.05)
     assert not cloud.has_heard
+
+
+def test_that_another_leader_is_elsewhere_is_no_drift() -> None:
+    """By 4 m. Taken for the same pair they would wander by 3 m, which keeps a follower far off."""
+    cloud = Cloud(shipped_sonar())
+    for number in range(60):
+        off_m = 0.0 if number < 30 else 4.0
+        if number == 30:
+            cloud.turn_to(Off(3.5, 0.0, 0.0, 0.5, 0.3))
+        believed = (FAR_M + off_m, 0.0, 0.0)
+        cloud.heard(READING_S * number, FAR_M, Axis(NORTH, 0.0), believed)
+
+    assert cloud.north_m == pytest.approx(4.0, abs=0.15)
+    assert cloud.wander_m < 1.2

@@ -175,6 +175,7 @@ class Cloud:
         sigma_m = np.array(((level_sigma_m,), (level_sigma_m,), (up_sigma_m,)))
         self._off = np.array(off_m)[:, np.newaxis] + self._scattered(sigma_m * wanders_m)
         self._drift = self._off.copy()
+        self._receivers.turn_to((off.north_m, off.east_m), level_sigma_m)
         self._heard_at_s = self._found_at_s = self._silent_at_s = -math.inf
         self._summarise()
 

@@ -34,8 +34,8 @@ FURTHER = (1.0, 1.4, 2.0, 2.8, 4.0)
 # told the rest, less is left. One that follows by 3 s is taken for a receiver that wanders a
 # quarter less. To learn that, too, gained nothing in flight, at 0.3, 1.5 and 3 s.
 FOLLOWS_S = 1.0
-# What is learnt of a pair is forgotten in that time: what is over its receivers changes. So who
-# keeps far off, as they wandered far, hears again one day.
+# What is learnt of a pair is forgotten in that time: what is over its receivers changes. Else a
+# follower that keeps far off, as they seemed to wander far, would never hear again.
 CHANGES_S = 120.0
 
 
@@ -79,9 +79,18 @@ class Receivers:
         )
         self.share = self._at_first
         """How likely each cell is."""
+        self.turn_to((0.0, 0.0), math.sqrt(float(self.share @ self._variance())))
+
+    def turn_to(self, off_m: tuple[float, float], sigma_m: float) -> None:
+        """Be of another pair; how far they wander stays.
+
+        off_m: what they disagree by, (north, east); sigma_m: standard deviation of that, per axis.
+        """
+        variance = self._variance()
+        variance *= sigma_m * sigma_m / float(self.share @ variance)
         # By cell: (drift north, drift east, believed north, believed east), and its covariance.
-        self._state = np.zeros((len(self.share), 4))
-        self._covariance = self._variance()[:, None, None] * self._by_axis(np.ones((2, 2)))
+        self._state: Array = np.tile(off_m, (len(self.share), 2))
+        self._covariance: Array = variance[:, None, None] * self._by_axis(np.ones((2, 2)))
 
     def take(
         self,
