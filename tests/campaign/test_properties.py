@@ -304,7 +304,8 @@ def test_one_that_holds_alone_goes_along_with_its_own_receiver(why: str) -> None
         age_s[60:, 0] = 5.0
     else:
         on[60:, 0] = True
-    flown = moving(replace(record, stream_age_s=age_s, switched=on), 150, 1.0)
+    silent = replace(record, stream_age_s=age_s, switched=on)
+    flown = moving(moving(silent, 60, 0.0), 150, 1.0)
     assert stopped(flown)
 
     jump = {"kind": "gps_jump", "at_s": 14.5, "jump_ned_m": (5.0, 0.0, 0.0)}
@@ -324,6 +325,7 @@ def test_one_that_the_tool_holds_is_given_time_after_a_jump_of_its_own_receiver(
     """2 s until the tool is sure of it, and 2 s to stop again."""
     record = stale(quiet(), 60)
     velocity = record.velocity_ned_mps.copy()
+    velocity[60:, 1] = (0.0, 0.0, 0.0)
     velocity[150:185, 1] = (1.0, 0.0, 0.0)
     flown = replace(record, velocity_ned_mps=velocity)
     assert stopped(flown)
