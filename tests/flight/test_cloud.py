@@ -397,7 +397,7 @@ def test_an_echo_that_two_vehicles_explain_alike_makes_neither_more_likely() -> 
     assert cloud._weight[cloud._off[1] > 1.5].sum() == pytest.approx(0.5, abs=0.03)
 
 
-def test_an_echo_from_behind_a_nearer_vehicle_is_neither_the_leaders_nor_anothers() -> None:
+def test_a_nearer_vehicle_hides_the_leader_and_another_alike() -> None:
     """The leader is at 3.0 m, one unsure by 0.3 m is, too, and a third is before both of them.
 
     It hides both alike: so the surer one explains the range better, as without the third.
@@ -431,7 +431,7 @@ def test_what_is_unlikely_is_kept_until_readings_decide() -> None:
 def test_a_height_forgets_its_drift_sooner_than_a_place() -> None:
     """What is left of both after the time in which a height forgets: 1/e, and 1/e to the 60/90.
 
-    One place in five is forgotten in 25 s.
+    One guess in five forgets its place in 25 s.
     """
     cloud, known = Cloud(shipped_sonar()), Wandering()
     cloud.turn_to(Off(2.0, 0.0, 2.0, 0.0, 0.0))

@@ -504,7 +504,11 @@ def test_two_followers_too_near_to_each_other_part() -> None:
 def test_followers_on_each_others_side_pass_on_their_right(
     system_id: int, alone_mps: float
 ) -> None:
-    """2 belongs 5 m behind the leader and 3 10 m; each is on the other's way."""
+    """2 belongs 5 m behind the leader and 3 10 m; each is on the other's way.
+
+    alone_mps: how fast it would fly there by itself. How far leaders and followers may be off, by
+    which each keeps away from the other, hangs on how 4000 guesses were drawn.
+    """
     there = Field(
         Limits(min_separation_m=1.5),
         followers=(FOLLOWER, SECOND),
@@ -518,7 +522,7 @@ def test_followers_on_each_others_side_pass_on_their_right(
     forward = 1.0 if system_id == FOLLOWER else -1.0
     # What is too fast towards the other is flown to the right of it.
     assert east_mps * forward > 0.5
-    assert north_mps * forward < 0.5 * alone_mps
+    assert -2.0 < north_mps * forward < 0.5 * alone_mps
     # Its applet does not know of the other, and is told to leave the point as it is.
     assert points[system_id].afy == 1.0
 

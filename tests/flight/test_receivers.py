@@ -21,7 +21,7 @@ STEP_S = 0.05
 READING_S = 0.25
 SIGMA_M = 0.15
 # One reading in fifty is wrong, and says anything within 4 m.
-WILD_M, WRONG_PER_M = 2.0, 0.02 / 4.0
+WRONG_PER_M = 0.02 / 4.0
 
 
 class Pair:
@@ -56,7 +56,6 @@ def seen(
     receivers: Receivers | None = None,
     follows_s: float = 1.0,
     tau_s: float = TAU_S,
-    wild_share: float = 0.0,
 ) -> Receivers:
     """What is learnt of two receivers from a leader whose bearing turns.
 
@@ -72,8 +71,6 @@ def seen(
         along = math.cos(turns_rps * time_s), math.sin(turns_rps * time_s)
         off_m = float(pair.off_m @ along)
         off_m += chance.gauss(0.0, SIGMA_M)
-        if chance.random() < wild_share:
-            off_m = chance.uniform(off_m - WILD_M, off_m + WILD_M)
         receivers.take(along, off_m, SIGMA_M, WRONG_PER_M)
     return receivers
 
@@ -93,12 +90,12 @@ def test_at_first_six_of_ten_wander_as_believed_and_one_in_fifteen_thrice_as_far
 @pytest.mark.parametrize(
     ("turns_rps", "seems_m"), [(0.0, 1.25), (0.1, 1.5)], ids=["straight", "turning"]
 )
-def test_receivers_that_wander_further_are_known_in_a_minute(
+def test_receivers_that_wander_further_are_partly_known_in_a_minute(
     turns_rps: float, seems_m: float
 ) -> None:
-    """They are of 1.6 m; 0.8 m is the least that is believed.
+    """They are of 1.6 m, and 1.2 m is believed at first: quick ones of less explain as much.
 
-    A straight line shows only one axis of two.
+    What is learnt fades in two minutes, too. A straight line shows one axis of two.
     """
     learnt_m = [wander_m(seen(1.6, seed, 60.0, turns_rps)) for seed in range(12)]
 
@@ -106,7 +103,7 @@ def test_receivers_that_wander_further_are_known_in_a_minute(
     assert min(learnt_m) > 0.9
 
 
-@pytest.mark.parametrize(("sigma_m", "most_m"), [(0.8, 1.25), (1.5, 2.6)])
+@pytest.mark.parametrize(("sigma_m", "most_m"), [(0.8, 1.15), (1.5, 2.2)])
 def test_what_is_forgotten_quickly_does_not_count_as_what_wanders_far(
     sigma_m: float, most_m: float
 ) -> None:
@@ -118,11 +115,14 @@ def test_what_is_forgotten_quickly_does_not_count_as_what_wanders_far(
     assert np.mean(quick) > 2.0 * QUICK_SHARE
 
 
-def test_wild_readings_are_not_receivers_that_wander_far() -> None:
-    """One in fifty, off by up to 2 m. Taken for right they are receivers of 2.5 m."""
-    learnt = [wander_m(seen(0.8, seed, 60.0, 0.1, wild_share=0.02)) for seed in range(8)]
-
-    assert np.median(learnt) < 1.1
+def test_a_wild_reading_is_not_receivers_that_wander_far() -> None:
+    """Of 1.5 m, after a minute of right ones. Taken for right it makes them of 3.1 m."""
+    for seed in range(8):
+        receivers = seen(0.8, seed, 60.0)
+        off_m = float(receivers._state[:, 2] @ receivers.share)
+        receivers.wander(READING_S)
+        receivers.take((1.0, 0.0), off_m + 1.5, SIGMA_M, WRONG_PER_M)
+        assert wander_m(receivers) < 1.1
 
 
 def test_a_step_is_believed_once_readings_agree_on_it() -> None:

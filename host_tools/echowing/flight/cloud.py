@@ -95,8 +95,8 @@ class Wandering:
 
     sigma_m: how far each receiver wanders per axis at the least (standard deviation); sigma_spread:
     of its logarithm; tau_s: correlation time of what velocities leave of that, unless it is
-    forgotten quickly (`receivers.QUICKLY_S`); height_sigma_m,
-    height_tau_s: how far each vehicle's height wanders, and its correlation time.
+    forgotten quickly (`receivers.QUICKLY_S`); height_sigma_m, height_tau_s: how far each vehicle's
+    height wanders, and its correlation time.
     """
 
     sigma_m: float = 0.8
@@ -310,13 +310,10 @@ class Cloud:
 
     def _drifted(self, elapsed_s: float, drift: Array, chance: Array) -> tuple[Array, Array]:
         """What is kept of a drift, (north, east, up) of each guess, and what of `chance` is new."""
-        level = np.exp(-elapsed_s / self._receivers.tau_s)
-        up = math.exp(-elapsed_s / self._height_tau_s)
-        kept, new = np.empty_like(drift), np.empty_like(chance)
-        kept[:2], kept[2] = level[self._cell] * drift[:2], up * drift[2]
-        new[:2] = np.sqrt(1.0 - level * level)[self._cell] * chance[:2]
-        new[2] = math.sqrt(1.0 - up * up) * chance[2]
-        return kept, new
+        level = np.exp(-elapsed_s / self._receivers.tau_s)[self._cell]
+        up = np.full(GUESSES, math.exp(-elapsed_s / self._height_tau_s))
+        kept = np.stack((level, level, up))
+        return kept * drift, np.sqrt(1.0 - kept * kept) * chance
 
     def _share_out(self) -> None:
         """Put as many guesses into each cell of `receivers` as it is likely."""
@@ -396,7 +393,7 @@ class Cloud:
     def _seen(
         self, axis: Axis, believed: Between, others: Sequence[Bystander]
     ) -> tuple[Array, Array]:
-        """How far each vehicle is, by each guess, and how likely it alone is heard.
+        """How far each vehicle is, by each guess, and how likely it is heard, were it alone.
 
         Both have the shape (vehicles, guesses); the first is whom the sonar looks at.
         """
@@ -461,8 +458,7 @@ class Cloud:
         self._silent_at_s = time_s
         self._wandered(time_s)
         _, heard = self._seen(axis, believed, others)
-        unheard = (1.0 - self._wrong_share()) * np.prod(1.0 - heard, axis=0)
-        self._update(unheard)
+        self._update((1.0 - self._wrong_share()) * np.prod(1.0 - heard, axis=0))
 
     def _detected(self, axis: Axis, to_it: Array) -> tuple[Array, Array]:
         """How far a vehicle there is, for each guess, and how likely it is heard."""

@@ -23,9 +23,9 @@ FORGETS_S = 60.0
 # the simulator, of receivers that forget in 60 s. Reports too far apart to tell anything
 # (`LONGEST_GAP_S`) leave all of it, which forgets sooner.
 REST_FORGETS_S = 90.0
-# Those that forget sooner, as a flight had them that broke the promise (20 s); like receivers side
-# by side forgot in 30 to 160 s (RESULTS.md). A third of 90 s is told apart from it within half a
-# minute of readings, half of it is not. How many forget so soon is a guess.
+# Some forget sooner: those of a flight that broke the promise in 20 s; like receivers side by side
+# in 23 to 158 s (RESULTS.md). Two minutes of readings tell 20 s from 90 s, 30 s in half of the
+# cases, 45 s not. How many are quick is a guess.
 QUICKLY_S, QUICK_SHARE = 25.0, 0.2
 # How much further than believed receivers may wander. Not less: that costs the leader if it is
 # wrong.
@@ -34,8 +34,8 @@ FURTHER = (1.0, 1.4, 2.0, 2.8, 4.0)
 # told the rest, less is left. One that follows by 3 s is taken for a receiver that wanders a
 # quarter less. To learn that, too, gained nothing in flight, at 0.3, 1.5 and 3 s.
 FOLLOWS_S = 1.0
-# What is learnt of a pair is forgotten in that time: what is over its receivers changes. Else a
-# follower that keeps far off, as they seemed to wander far, would never hear again.
+# What is learnt of a pair fades in that time: what is over its receivers changes. Else who keeps
+# far off, as they wandered far, would never hear again.
 CHANGES_S = 120.0
 
 
@@ -55,7 +55,7 @@ def passing(elapsed_s: float, follows_s: float) -> tuple[float, float]:
 
 
 class Receivers:
-    """How far a pair of receivers wanders: a likelihood for each cell.
+    """How far a pair of receivers wanders, and how soon it forgets that: how likely each cell is.
 
     A cell is one of `FURTHER`, forgotten slowly or quickly, with a Kalman filter of its own of the
     pair's drift and of what their autopilots believe, north and east (multiple models; Magill
@@ -68,7 +68,8 @@ class Receivers:
         # Those that wander less than believed count as the first.
         believed = NormalDist(sigma=sigma_spread)
         between = [believed.cdf(math.log(math.sqrt(a * b))) for a, b in pairwise(FURTHER)]
-        # Neighbours are alike, as what is believed of a guess moves from one to the next (`cloud`).
+        # In this order neighbours are alike: as shares change, a guess moves from one to the next
+        # (`cloud`).
         self.sigma_m: Array = sigma_m * np.array((*FURTHER[::-1], *FURTHER))
         """Of each receiver, per axis; by cell."""
         self.tau_s: Array = np.repeat((tau_s, QUICKLY_S), len(FURTHER))
@@ -101,9 +102,9 @@ class Receivers:
     ) -> None:
         """Take what a reading says, which may be wrong.
 
-        Each cell takes as much of it as it holds it for right (probabilistic data association;
-        Bar-Shalom and Tse 1975): else one wild reading, and the next right one, would be receivers
-        that wander as far as any.
+        Each cell weighs it by how likely it is right (probabilistic data association; Bar-Shalom
+        and Tse 1975): else one wild reading would make receivers of 0.8 m count as ones of 3 m. How
+        likely a right one is heard at all is left out.
 
         Args:
             along: unit vector (north, east).
@@ -132,9 +133,9 @@ class Receivers:
         """Let them drift on."""
         kept = np.exp(-elapsed_s / self.tau_s)
         left, part = passing(elapsed_s, FOLLOWS_S)
-        follows = np.array(((0.0, 0.0), (0.0, left))), np.array(((1.0, 0.0), (1.0 - left, 0.0)))
-        stays, moved = map(self._by_axis, follows)
-        moves = stays + kept[:, None, None] * moved
+        follows = self._by_axis(np.array(((1.0, 0.0), (1.0 - left, left))))
+        moves = np.tile(follows, (len(kept), 1, 1))
+        moves[:, :, :2] *= kept[:, None, None]
         change = self._by_axis(np.array(((1.0, part), (part, part * part))))
         variance = (self._variance() * (1.0 - kept * kept))[:, None, None]
         self._state = (moves @ self._state[:, :, None])[:, :, 0]
