@@ -94,11 +94,7 @@ class Receivers:
         self._covariance: Array = variance[:, None, None] * self._by_axis(np.ones((2, 2)))
 
     def take(
-        self,
-        along: tuple[float, float],
-        off_m: float,
-        sigma_m: float,
-        wrong_per_m: float,
+        self, along: tuple[float, float], off_m: float, sigma_m: float, wrong_per_m: float
     ) -> None:
         """Take what a reading says, which may be wrong.
 
