@@ -19,8 +19,6 @@ from echowing.flight.guard import (
     STEADY_S,
     STILL_FOR_S,
     STUCK_FOR_S,
-    WATCHDOG,
-    WATCHDOG_ASKS,
     Guard,
     Limits,
 )
@@ -1002,20 +1000,6 @@ def test_leaving_guided_forgets_where_it_was_held() -> None:
     assert north_of(there.points()[0]) == pytest.approx(-40.0, abs=0.02)
 
 
-def test_a_missing_watchdog_is_said_and_one_that_answers_is_not() -> None:
-    there = Field(Limits())
-    asked = [m for m in there.fly(20.0) if m.get_type() == "PARAM_REQUEST_READ"]
-    assert len(asked) == WATCHDOG_ASKS
-    assert sum("no stream watchdog" in text for text in there.events()) == 1
-
-    answers = Field(Limits())
-    value = mavlink.MAVLink_param_value_message(WATCHDOG.encode(), 1.0, 9, 1, 0)
-    answers.fly(1.0)
-    answers.tell(FOLLOWER, value)
-    answers.fly(20.0)
-    assert not any("watchdog" in text for text in answers.events())
-
-
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_a_named_float_that_is_no_number_changes_nothing(value: float) -> None:
     there = Field(Limits())
@@ -1024,16 +1008,6 @@ def test_a_named_float_that_is_no_number_changes_nothing(value: float) -> None:
         there.tell(FOLLOWER, mavlink.MAVLink_named_value_float_message(1, name, value))
         assert len(there.points(1.0)) == 8
     assert there.state == "following"
-
-
-def test_a_watchdog_that_is_switched_off_is_said_once() -> None:
-    there = Field(Limits())
-    for _ in range(2):
-        there.tell(FOLLOWER, mavlink.MAVLink_param_value_message(WATCHDOG.encode(), 0.0, 9, 1, 0))
-        there.fly(1.0)
-    told = [text for text in there.events() if "watchdog" in text]
-    assert len(told) == 1
-    assert "follower 2: its stream watchdog is off (ECHO_STREAM_T 0)" in told[0]
 
 
 def test_a_mode_that_was_taken_is_not_asked_for_again_over_the_pilots_next() -> None:

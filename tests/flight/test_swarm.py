@@ -25,7 +25,6 @@ from echowing.flight.swarm_rules import (
     Seen,
     Weights,
     align,
-    attract,
     bounded,
     cluster_away,
     cluster_towards,
@@ -89,8 +88,7 @@ def test_cluster_away_goes_by_what_is_missing_most_likely_or_for_certain() -> No
     assert cluster_away([seen(3.0, 0.0)] * 3, near_m, apart_m) == pytest.approx((-0.5, 0.0))
 
 
-def test_attract_and_repel_point_to_the_place_and_from_the_leader() -> None:
-    assert attract((-2.0, 1.0)) == (-2.0, 1.0)
+def test_repel_points_from_the_leader() -> None:
     assert repel(seen(2.5, 0.0), 3.5, 2.0) == pytest.approx((-1.0, 0.0))
     assert repel(seen(5.0, 0.0), 3.5, 2.0) == STILL
 

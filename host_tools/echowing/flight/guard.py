@@ -22,7 +22,6 @@ from echowing.flight.state import FollowerState, Known, Say
 from echowing.flight.steps import Command
 from echowing.flight.switch import StopSwitch, Switches
 from echowing.geo import GlobalPosition, displace, distance_m, nearer_than, ned_between
-from echowing.mavlink.messages import read_parameter
 
 # A hovering copter's estimate wanders by a decimetre a second; below this it stands.
 STILL_MPS = 0.3
@@ -59,10 +58,6 @@ APPLET_FLIES = (3, 5, 6, 7)
 APPLET_BACKS_OFF, APPLET_HOLDS = 6, 7
 # In these states it flies targets of its own, whatever points the vehicle is sent.
 APPLET_IGNORES_POINTS = (5, 6)
-WATCHDOG = "ECHO_STREAM_T"
-_FLIES_ON = "should this tool or the radio die, it flies on to its last point"
-WATCHDOG_ASKS = 3
-WATCHDOG_PERIOD_S = 2.0
 
 # Asked for: often enough to notice within a second, on a radio that loses one message in three.
 READ_BACK_HZ = 4.0
@@ -133,9 +128,6 @@ class _Watch:
     read_back: bool = False
     unread_told: bool = False
     verified: bool = False
-    watchdog_s: float | None = None
-    watchdog_asks: int = 0
-    watchdog_at_s: float = -math.inf
 
 
 class Guard:
@@ -178,21 +170,10 @@ class Guard:
             self._read_back_local(system_id, message, now_s)
         elif kind == "NAMED_VALUE_FLOAT" and message.name == APPLET_STATE:
             self._applet_said(self._watches[system_id], round(message.value), now_s)
-        elif kind == "PARAM_VALUE" and message.param_id == WATCHDOG and self.limits.ready is None:
-            self._find_watchdog(system_id, message.param_value, now_s)
 
     def _applet_said(self, watch: _Watch, state: int, now_s: float) -> None:
         watch.applet_state, watch.applet_at_s = state, now_s
         watch.backed_off = watch.backed_off or state == APPLET_BACKS_OFF
-
-    def _find_watchdog(self, system_id: int, silence_s: float, now_s: float) -> None:
-        watch = self._watches[system_id]
-        if not silence_s > 0.0 and watch.watchdog_s != silence_s:
-            self._say(
-                now_s,
-                f"follower {system_id}: its stream watchdog is off ({WATCHDOG} 0): {_FLIES_ON}",
-            )
-        watch.watchdog_s = silence_s
 
     def _leader_message(self, kind: str, message: Any) -> None:
         if kind == "HEARTBEAT":
@@ -233,12 +214,7 @@ class Guard:
     def entered_guided(self, system_id: int, now_s: float) -> None:
         """The pilot has put a follower in Guided: drop the earlier reasons to stop it."""
         self.switches.entered_guided(system_id, now_s)
-        known = self._watches[system_id]
-        self._watches[system_id] = _Watch(
-            applet_state=known.applet_state,
-            watchdog_s=known.watchdog_s,
-            watchdog_asks=known.watchdog_asks,
-        )
+        self._watches[system_id] = _Watch(applet_state=self._watches[system_id].applet_state)
 
     # ---- what is to be done ---------------------------------------------------------------------
 
@@ -463,32 +439,14 @@ class Guard:
     # ---- what it asks of the vehicles -----------------------------------------------------------
 
     def messages(self, now_s: float) -> list[tuple[int, Any]]:
-        """Mode changes that the pilot's switch asks for, and requests for the watchdog."""
+        """Mode changes that the pilot's switch asks for."""
         messages: list[tuple[int, Any]] = []
         for system_id, follower in self._known.followers.items():
-            watch = self._watches[system_id]
             if follower.in_guided and follower.turn.flown:
                 round_trip_s = follower.clock.round_trip_s
                 asked = self.switches.message(system_id, follower.mode_at_s, round_trip_s, now_s)
                 messages.extend([] if asked is None else [(system_id, asked)])
-            if self.limits.ready is None and self._asks_watchdog(system_id, watch, now_s):
-                messages.append((system_id, read_parameter(system_id, WATCHDOG)))
         return messages
-
-    def _asks_watchdog(self, system_id: int, watch: _Watch, now_s: float) -> bool:
-        if watch.watchdog_s is not None or watch.watchdog_asks > WATCHDOG_ASKS:
-            return False
-        if now_s - watch.watchdog_at_s < WATCHDOG_PERIOD_S:
-            return False
-        watch.watchdog_at_s = now_s
-        watch.watchdog_asks += 1
-        if watch.watchdog_asks <= WATCHDOG_ASKS:
-            return True
-        self._say(
-            now_s,
-            f"follower {system_id}: no stream watchdog ({WATCHDOG} does not answer): {_FLIES_ON}",
-        )
-        return False
 
     def requests(self) -> list[tuple[int, int, float]]:
         """Messages wanted beside the positions: system id, message id, rate in Hz."""

@@ -223,6 +223,11 @@ def is_stale(age_s: float, settings: GuidanceSettings) -> bool:
     return settings.stale_age_s is not None and age_s > settings.stale_age_s
 
 
+def between(a: Horizontal, b: Horizontal, share: float) -> Horizontal:
+    """From `a` this share of the way to `b`."""
+    return a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])
+
+
 def bearing_rad(start: GlobalPosition, end: GlobalPosition) -> float:
     """Bearing from one position to another nearby."""
     north_m, east_m, _ = ned_between(start, end)

@@ -102,7 +102,8 @@ class LeaderTrack:
         self.rejected = 0
         self._newest_boot_ms = -1
         self._candidate: LeaderFix | None = None
-        self._agreeing = 0
+        self.agreeing = 0
+        """How many reports in a row agree with the first of a new place."""
         self.jump_m: Horizontal = (0.0, 0.0)
         """How far (north, east) the place that is looked at now, or the last one, is away."""
         self.jump_since_s: float | None = None
@@ -140,7 +141,7 @@ class LeaderTrack:
             acceleration_ned_mps2=self._acceleration(time_s, velocity),
         )
         if self._believable(fix):
-            self.drift.reported(replace(_report(fix), time_s=boot_s))
+            self.drift.reported(replace(report_of(fix), time_s=boot_s))
             age_s = 0.0 if self.fix is None else now_s - self.fix.time_s
             self.oldest_s = max(age_s, OLDEST_KEEPS * self.oldest_s)
             self.fix = fix
@@ -157,16 +158,16 @@ class LeaderTrack:
     def _believable(self, fix: LeaderFix) -> bool:
         agrees = self._agrees(fix)
         if self.fix is None or (not agrees and not _jumps(self.fix, fix)):
-            self._agreeing, self._candidate, self.jump_since_s = 0, None, None
+            self.agreeing, self._candidate, self.jump_since_s = 0, None, None
             return True
         self.rejected += 1
         self.drift.jumped()
-        self._agreeing = self._agreeing + 1 if agrees else 0
+        self.agreeing = self.agreeing + 1 if agrees else 0
         if not agrees:
-            self.jump_m = beyond_movement_m(_report(self.fix), _report(fix))
+            self.jump_m = beyond_movement_m(report_of(self.fix), report_of(fix))
             self.jump_since_s = self.fix.time_s
         self._candidate = fix
-        if self._agreeing < AGREEING_REPORTS:
+        if self.agreeing < AGREEING_REPORTS:
             return False
         self.jumps += 1
         self._believed()
@@ -183,14 +184,9 @@ class LeaderTrack:
             return False
         return _off_m(self._candidate, fix) < _off_m(self.fix, fix)
 
-    @property
-    def agreeing(self) -> int:
-        """How many reports in a row agree with the first of a new place."""
-        return self._agreeing
-
     def believe_jump(self) -> Horizontal:
         """Believe the new place now: it is known to be the receiver's. Returns the jump."""
-        self.fix, self._agreeing = self._candidate, 0
+        self.fix, self.agreeing = self._candidate, 0
         self._believed()
         return self.jump_m
 
@@ -213,13 +209,14 @@ def is_late(boot_ms: int, newest_boot_ms: int) -> bool:
     return 0 <= newest_boot_ms - boot_ms <= 1000.0 * REBOOT_S
 
 
-def _report(fix: LeaderFix) -> Report:
+def report_of(fix: LeaderFix) -> Report:
+    """A fix of the leader as what alignment keeps of any vehicle."""
     return Report(fix.time_s, fix.position, fix.velocity_ned_mps[:2], fix.heading_rad)
 
 
 def _off_m(before: LeaderFix, after: LeaderFix) -> float:
-    return math.hypot(*beyond_movement_m(_report(before), _report(after)))
+    return math.hypot(*beyond_movement_m(report_of(before), report_of(after)))
 
 
 def _jumps(before: LeaderFix, after: LeaderFix) -> bool:
-    return is_jump(_report(before), _report(after))
+    return is_jump(report_of(before), report_of(after))

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from echowing.flight.closing import Closing
-from echowing.flight.guidance import Horizontal
+from echowing.flight.guidance import Horizontal, between
 from echowing.geo import GlobalPosition, ned_between
 
 # Up to NOT_YET_S after a report its velocity already shows what orders have changed; from ALL_S on
@@ -86,7 +86,7 @@ class OwnMotion:
             return straight_m, velocity_mps
         begin_m = ned_between(self._origin, place)[:2]
         moved_m, flown_mps = self._answered(orders, begin_m, velocity_mps, since_s, to_s)
-        return _between(straight_m, moved_m, share), _between(velocity_mps, flown_mps, share)
+        return between(straight_m, moved_m, share), between(velocity_mps, flown_mps, share)
 
     def _answered(
         self,
@@ -131,10 +131,6 @@ def _steps(
             yield order, time_s, step_s
             time_s += step_s
         order = following
-
-
-def _between(a: Horizontal, b: Horizontal, share: float) -> Horizontal:
-    return a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])
 
 
 def _moved(by_m: Horizontal, a_mps: Horizontal, b_mps: Horizontal, span_s: float) -> Horizontal:

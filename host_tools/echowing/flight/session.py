@@ -23,7 +23,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from echowing.flight.engage import Engagement
 from echowing.flight.gaps import Gaps
 from echowing.flight.guard import Guard, Limits
-from echowing.flight.guidance import GuidanceSettings, LeaderFix
+from echowing.flight.guidance import GuidanceSettings
 from echowing.flight.heights import Heights
 from echowing.flight.holds import Holds
 from echowing.flight.leader_track import LeaderTrack
@@ -38,7 +38,6 @@ from echowing.flight.supervisor import Supervisor
 from echowing.flight.swarm import Swarm
 from echowing.flight.take_off import Lift, TakeOff, TakeOffs
 from echowing.flight.trust import Trust
-from echowing.geo import GlobalPosition
 from echowing.mavlink.messages import (
     TOOL_SYSTEM_ID,
     ForApplet,
@@ -356,7 +355,7 @@ class FollowSession:
         if self.guard.switched(follower.plan.system_id):
             return "stop switch"
         fix = self.leader.fix
-        leader = None if fix is None else self.leader_for(follower, fix, now_s)
+        leader = None if fix is None else self.known.leader_for(follower, fix, now_s)
         if self.engagement is not None and not follower.flying:
             unready = self.engagement.objection_to_take_off(follower, now_s)
             if unready is not None:
@@ -364,10 +363,6 @@ class FollowSession:
         return self.guard.too_near(follower, leader, now_s)
 
     # ---- what others ask ------------------------------------------------------------------------
-
-    def leader_for(self, follower: FollowerState, fix: LeaderFix, now_s: float) -> GlobalPosition:
-        """Where the leader is now, in the frame of this follower's receiver."""
-        return self.known.leader_for(follower, fix, now_s)
 
     def alert(
         self, system_id: int, text: str, severity: int = mavlink.MAV_SEVERITY_WARNING

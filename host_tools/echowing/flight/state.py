@@ -31,7 +31,13 @@ from echowing.flight.guidance import (
 from echowing.flight.handling import Handling, leader_brakes_mps2
 from echowing.flight.homes import Homes
 from echowing.flight.jumps import OwnJump, RangeMemory
-from echowing.flight.leader_track import LeaderTrack, VehicleClock, changes_mps2, is_late
+from echowing.flight.leader_track import (
+    LeaderTrack,
+    VehicleClock,
+    changes_mps2,
+    is_late,
+    report_of,
+)
 from echowing.flight.own_motion import OwnMotion
 from echowing.flight.steps import Allowed, Command, Hold, Phase, Standing, Turn
 from echowing.flight.tail import TailSlot
@@ -598,29 +604,19 @@ class Known:
     def apart(
         self, follower: FollowerState, other: FollowerState, there: GlobalPosition
     ) -> tuple[GlobalPosition, float]:
-        """Where another follower is in this one's frame, and the standard deviation of that.
-
-        `there` is its own report.
-        """
-        shift_m, sigma_m = self._disagree_m(follower, other)
-        return displace(there, (*shift_m, 0.0)), sigma_m
-
-    def _disagree_m(
-        self, follower: FollowerState, other: FollowerState
-    ) -> tuple[Horizontal, float]:
-        """What is added to another follower's report, (north, east), and how sure that is.
+        """Where another follower's own report `there` is in this one's frame, and how sure that is.
 
         What sonars know of the receivers on the way from one to the other, over those that they
         look at, is used where it is more than is known without.
         """
         if not self.settings.learn_offset:
-            return (0.0, 0.0), UNRANGED_SIGMA_M
+            return there, UNRANGED_SIGMA_M
         mine, its = self._way_between(follower, other)
         sigma_m = self.sigma_m((*mine, *its))
         if sigma_m >= UNRANGED_SIGMA_M:
-            return (0.0, 0.0), UNRANGED_SIGMA_M
+            return there, UNRANGED_SIGMA_M
         north_m, east_m = _summed(*([one.estimate.shift_m for one in way] for way in (its, mine)))
-        return (north_m, east_m), sigma_m
+        return displace(there, (north_m, east_m, 0.0)), sigma_m
 
     def _way_between(self, follower: FollowerState, other: FollowerState) -> _Way:
         """Over whose sonars it goes: up to what both chains share, this one's and the other's."""
@@ -783,15 +779,8 @@ class Known:
     def note_leader(self, fix: LeaderFix) -> None:
         """Keep a new report of the leader, and let every estimate learn from it."""
         place = self.in_height(self.leader_id, fix.position)
-        self.leader_history.add(
-            Report(
-                fix.time_s,
-                place,
-                fix.velocity_ned_mps[:2],
-                fix.heading_rad,
-                self.leader.drift.lately_m,
-            )
-        )
+        drifted_m = self.leader.drift.lately_m
+        self.leader_history.add(replace(report_of(fix), position=place, drifted_m=drifted_m))
         if self.settings.learn_offset:
             for follower in self.followers.values():
                 watched = self._history_of(self.ahead_of(follower))

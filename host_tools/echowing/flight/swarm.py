@@ -23,8 +23,8 @@ from echowing.flight.swarm_rules import (
     Around,
     Seen,
     Weights,
+    align,
     bounded,
-    common_mps,
     correction_mps,
     eased,
     middle,
@@ -128,7 +128,7 @@ class Swarm:
             towed_mps=towed.velocity_mps,
             to_place_m=ned_between(centre, towed.slot)[:2],
         )
-        common = common_mps(weights, around)
+        common = align(around.towed_mps, neighbours, weights.align)
         more = self._eased(follower, correction_mps(weights, around), now_s)
         velocity_mps = bounded((common[0] + more[0], common[1] + more[1]), FASTEST_MPS)
         watched = known.watched_then(follower, arrives_s) or leader

@@ -128,14 +128,6 @@ def cluster_away(neighbours: Sequence[Seen], near_m: float, apart_m: float) -> H
     return bounded(away_m, max(missing_m, default=0.0))
 
 
-def attract(centre_to_place_m: Horizontal) -> Horizontal:
-    """As the middle of the swarm to where the leader tows it. SWARMFARE: attract.
-
-    All go the same way, so that nobody presses another.
-    """
-    return centre_to_place_m
-
-
 def repel(leader: Seen, near_m: float, apart_m: float) -> Horizontal:
     """Away from a leader that is, or may be, too near. SWARMFARE: target repel."""
     return _away(leader, leader.missing_m(near_m, apart_m))
@@ -162,11 +154,6 @@ class Around:
     to_place_m: Horizontal
 
 
-def common_mps(weights: Weights, around: Around) -> Horizontal:
-    """The velocity that all of the swarm fly with, about."""
-    return align(around.towed_mps, around.neighbours, weights.align)
-
-
 def correction_mps(weights: Weights, around: Around) -> Horizontal:
     """What the other rules add to it together.
 
@@ -182,7 +169,8 @@ def correction_mps(weights: Weights, around: Around) -> Horizontal:
     )
     together = _weighted(
         (weights.towards_per_s, cluster_towards(neighbours)),
-        (weights.attract_per_s, attract(around.to_place_m)),
+        # All attract the same way, so that nobody presses another.
+        (weights.attract_per_s, around.to_place_m),
     )
     near = [one for one in others if one.missing_m(weights.near_m, apart_m) > 0.0]
     apart, together = bounded(apart, weights.most_mps), bounded(together, weights.draws_mps)

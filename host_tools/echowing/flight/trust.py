@@ -176,15 +176,18 @@ class Trust:
         if self._known.leader_id in self._doubled:
             return
         jump_m = math.hypot(*self._known.leader.jump_m)
-        for system_id, follower in self._known.followers.items():
-            follower.turn.latched = f"leader jumped by {jump_m:.1f} m, until it leaves Guided"
-            if follower.turn.flown:
-                self._alert(system_id, f"holding, leader jumped by {jump_m:.1f} m")
+        self._latch_all(f"leader jumped by {jump_m:.1f} m")
         self._say(
             now_s,
             f"leader's reports agree {jump_m:.1f} m away from where it was: nobody is flown there "
             "until its pilot has left Guided and come back",
         )
+
+    def _latch_all(self, reason: str) -> None:
+        for system_id, follower in self._known.followers.items():
+            follower.turn.latched = f"{reason}, until it leaves Guided"
+            if follower.turn.flown:
+                self._alert(system_id, f"holding, {reason}")
 
     def _refuse_two(self, system_id: int, now_s: float) -> None:
         """Two streams of reports in turn: two vehicles with one id."""
@@ -199,11 +202,9 @@ class Trust:
         )
         followers = self._known.followers
         is_leader = system_id == self._known.leader_id
-        for one, follower in followers.items() if is_leader else ():
-            follower.turn.latched = "two vehicles with the leader's id, until it leaves Guided"
-            if follower.turn.flown:
-                self._alert(one, "holding, two vehicles with the leader's id")
-        if not is_leader and followers[system_id].turn.flown:
+        if is_leader:
+            self._latch_all("two vehicles with the leader's id")
+        elif followers[system_id].turn.flown:
             self._alert(system_id, f"no points, two vehicles with id {system_id}")
         whose = "the leader's id" if is_leader else f"id {system_id}"
         if self._doubt is not None:

@@ -8,7 +8,7 @@ which it would hover in the wind, not the one of its flight.
 
 import math
 
-from echowing.flight.guidance import Horizontal
+from echowing.flight.guidance import Horizontal, between
 from echowing.geo import GRAVITY_MPS2
 
 # The mean lean and the mean velocity of this time tell the wind, without the follower's own
@@ -43,8 +43,8 @@ class Wind:
         if self._mean_mps is None or elapsed_s > MEAN_S:
             self._mean_mps, self._mean_lean_mps2 = velocity_mps, lean_mps2
         share = 1.0 - math.exp(-elapsed_s / MEAN_S)
-        self._mean_mps = _towards(self._mean_mps, velocity_mps, share)
-        self._mean_lean_mps2 = _towards(self._mean_lean_mps2, lean_mps2, share)
+        self._mean_mps = between(self._mean_mps, velocity_mps, share)
+        self._mean_lean_mps2 = between(self._mean_lean_mps2, lean_mps2, share)
         # The mean acceleration is how far the velocity is from its mean, over the time of the mean.
         north_mps2, east_mps2 = self._mean_lean_mps2
         north_mps, east_mps = _airspeed_mps(
@@ -85,7 +85,3 @@ def _airspeed_mps(north_mps2: float, east_mps2: float) -> Horizontal:
     root = math.sqrt(ROTORS_PER_S**2 + 4.0 * BODY_PER_M * drag_mps2)
     per_s = 0.5 * (ROTORS_PER_S + root)
     return north_mps2 / per_s, east_mps2 / per_s
-
-
-def _towards(mean: Horizontal, value: Horizontal, share: float) -> Horizontal:
-    return mean[0] + share * (value[0] - mean[0]), mean[1] + share * (value[1] - mean[1])

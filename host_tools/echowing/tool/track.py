@@ -133,7 +133,7 @@ def _seen(
     """Where this follower estimates the leader, and how sure it is."""
     if leader is None or not session.settings.learn_offset or session.leader.fix is None:
         return {}
-    seen = session.leader_for(follower, session.leader.fix, now_s)
+    seen = session.known.leader_for(follower, session.leader.fix, now_s)
     north_m, east_m, _ = ned_between(leader.position, seen)
     offset = follower.estimate.offset
     nn_m2, ee_m2 = offset.sigma_m(0.0) ** 2, offset.sigma_m(math.pi / 2.0) ** 2
