@@ -1,10 +1,12 @@
 """Like receivers that were carried side by side: how they drift apart, and what is learnt of that.
 
     .venv/bin/python -m tests.flight.side_by_side [--skip-s 900] A.oao B.oao …
+    .venv/bin/python -m tests.flight.side_by_side --drawn SIGMA_M TAU_S
 
 Each file is a receiver's log of the same time (.oao as Logiqx/gps-wizard describes it, NAV-PVT of a
 u-blox in the recordings of RESULTS.md). Every two of them are compared once a second. What is
-learnt is `flight.receivers`', shown stretches of four minutes along a line that turns.
+learnt is `flight.receivers`', shown stretches of four minutes along a line that turns. `--drawn`
+compares receivers that drift as `flight.receivers` believes, of that size and time constant.
 """
 
 import argparse
@@ -21,7 +23,7 @@ from pymap3d import geodetic2ned
 
 from echowing.flight.cloud import PLACED_SIGMA_M, Wandering
 from echowing.flight.envelope import SURE_SIGMAS
-from echowing.flight.receivers import Receivers
+from echowing.flight.receivers import FOLLOWS_S, Receivers, passing
 
 Floats = NDArray[np.float64]
 
@@ -41,6 +43,7 @@ OVER_S = (10, 20, 30, 60, 90, 120, 180, 240, 300, 450, 600)
 # As of a sonar of which one reading in twenty is wrong and says anything within 5 m.
 WRONG_PER_M = 0.05 / 5.0
 FASTEST_S, SLOWEST_S = 5.0, 1000.0
+DRAWN, DRAWN_S = 40, 3600
 
 
 class Log(NamedTuple):
@@ -88,6 +91,20 @@ def apart(a: Log, b: Log, skip_s: float) -> Floats:
     return np.stack([np.interp(every, both[counts], axis) for axis in off_m.T], axis=1)
 
 
+def drawn(sigma_m: float, tau_s: float) -> list[Floats]:
+    """`DRAWN` pairs' differences, (n, 2) metres, as autopilots believe what they drift by."""
+    chance, kept = np.random.default_rng(1), math.exp(-1.0 / tau_s)
+    left, part = passing(1.0, FOLLOWS_S)
+    drift_m = chance.normal(0.0, math.sqrt(2.0) * sigma_m, (DRAWN, 2))
+    believed_m, every = drift_m, []
+    for _ in range(DRAWN_S):
+        kick_m = chance.normal(0.0, sigma_m * math.sqrt(2.0 - 2.0 * kept * kept), (DRAWN, 2))
+        believed_m = left * believed_m + (1.0 - left) * kept * drift_m + part * kick_m
+        drift_m = kept * drift_m + kick_m
+        every.append(believed_m)
+    return list(np.stack(every, axis=1))
+
+
 def forgets_s(pairs: Sequence[Floats]) -> Floats:
     """Time constant, north and east, of the first-order process that changes as they do."""
     over_s = [s for s in OVER_S if s < 0.5 * min(map(len, pairs))]
@@ -131,11 +148,16 @@ def _foretold(learnt: Receivers, along: tuple[float, float], ahead_s: int) -> tu
 def main() -> None:
     """Print one line of all pairs."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("log", nargs="+", type=Path)
+    parser.add_argument("log", nargs="*", type=Path)
+    parser.add_argument("--drawn", nargs=2, type=float, metavar=("SIGMA_M", "TAU_S"))
     parser.add_argument("--skip-s", type=float, default=900.0, help="seconds left out at first")
     given = parser.parse_args()
+    if (len(given.log) < 2) is not bool(given.drawn):
+        parser.error("give two logs or more, or --drawn")
     logs = [read(path) for path in given.log]
     pairs = [apart(a, b, given.skip_s) for a, b in itertools.combinations(logs, 2)]
+    if given.drawn:
+        pairs = drawn(*given.drawn)
     one_m = 1.0 / math.sqrt(2.0)
     sigma_m = one_m * np.sqrt(np.mean([one.var(axis=0) for one in pairs], axis=0))
     off_m = one_m * np.sqrt(np.mean([(one**2).mean(axis=0) for one in pairs], axis=0))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from . import side_by_side
-from .side_by_side import FIX_3D, FRAME, MARK, apart, forgets_s, read
+from .side_by_side import FIX_3D, FRAME, MARK, apart, drawn, forgets_s, read
 
 SIGMA_M, TAU_S, HOURS = 1.0, 40.0, 8
 LAT_DEG, METRES_PER_DEG = 47.0, 111_180.0  # of latitude, there
@@ -50,6 +50,14 @@ def test_sigma_and_time_constant_come_out_again(logs: list[Path]) -> None:
     assert len(off_m) == HOURS * 3600 - 900
     assert off_m.std(axis=0) / math.sqrt(2.0) == pytest.approx([SIGMA_M] * 2, rel=0.1)
     assert forgets_s([off_m]) == pytest.approx([TAU_S] * 2, rel=0.25)
+
+
+def test_receivers_are_drawn_as_they_are_asked_for() -> None:
+    """Forty pairs of an hour: 1600 time constants of each axis, as unsure as two logs above."""
+    pairs = drawn(1.5, 90.0)
+
+    assert np.std(pairs) / math.sqrt(2.0) == pytest.approx(1.5, rel=0.05)
+    assert forgets_s(pairs) == pytest.approx([90.0] * 2, rel=0.25)
 
 
 def test_a_row_is_printed(
