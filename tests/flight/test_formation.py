@@ -70,8 +70,8 @@ def test_a_slot_ahead_of_the_leader_is_refused(angle_deg: float) -> None:
 
 
 def test_a_slot_behind_another_is_placed_from_there_and_may_be_as_near_as_it_is_ranged() -> None:
-    column = [Slot(3.0), Slot(2.5, behind=0), Slot(4.0, RIGHT_RAD, behind=1)]
-    assert place_m(column, 2) == pytest.approx((-5.5, 4.0, 0.0))
+    column = [Slot(3.0), Slot(2.5, behind=0), Slot(3.5, RIGHT_RAD, behind=1)]
+    assert place_m(column, 2) == pytest.approx((-5.5, 3.5, 0.0))
     assert checked(column) == []
 
 
@@ -149,10 +149,12 @@ def test_nobody_flies_in_anothers_wash(slots: list[Slot], says: str) -> None:
 
 
 def test_what_costs_accuracy_is_told() -> None:
-    assert checked([Slot(4.0)]) == []
+    assert checked([Slot(3.5)]) == []
     assert checked([Slot(3.0), Slot(8.0), Slot(13.0), Slot(18.0)]) == [
         "slots 2 to 4: beyond the sonar's reach of 4.5 m, by GPS alone"
     ]
+    far = "by its file the sonar may lose whom it looks at: a leader is certain to be heard up to 4.2 m"
+    assert checked([Slot(4.0), Slot(4.0, behind=0)]) == [f"slots 1, 2: {far}, and no further"]
     (line,) = checked([*shape("vee", 4, 3.0), Slot(9.0)])[1:]
     assert line.startswith("slots 1, 2: their sonars look at one vehicle, and may hear")
 
