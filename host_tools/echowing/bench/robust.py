@@ -11,8 +11,9 @@ from itertools import combinations
 
 from echowing.bench.accuracy import Goal, Kept, Row, fly_rows
 
-# Nobody has flown these to choose anything; 701 to 760 and 1701 to 1720 have served for that.
-FIRST_SEED = 2701
+# Nobody has flown these to choose anything; 701 to 760, 1701 to 1720 and 2701 to 2720 have served
+# for that.
+FIRST_SEED = 2801
 
 
 def _goal(mean_error_m: float, rmsd_m: float, least_m: float) -> Goal:

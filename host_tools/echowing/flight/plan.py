@@ -328,7 +328,7 @@ def _gently(
     """Send the way to a slot as a velocity.
 
     A place ahead would be overshot: it moves on with the vehicle that flies towards it, and Guided
-    closes the last metre so hard that the sonar, which leans with its vehicle, loses the leader.
+    closes the last metre hard.
     """
     here = follower.on_arrival(now_s)
     if here is None:
