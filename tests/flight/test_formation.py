@@ -153,8 +153,10 @@ def test_what_costs_accuracy_is_told() -> None:
     assert checked([Slot(3.0), Slot(8.0), Slot(13.0), Slot(18.0)]) == [
         "slots 2 to 4: beyond the sonar's reach of 4.5 m, by GPS alone"
     ]
-    far = "by its file the sonar may lose whom it looks at: a leader is certain to be heard up to 4.2 m"
-    assert checked([Slot(4.0), Slot(4.0, behind=0)]) == [f"slots 1, 2: {far}, and no further"]
+    assert checked([Slot(4.0), Slot(4.0, behind=0)]) == [
+        "slots 1, 2: by its file the sonar may lose whom it looks at: "
+        "a leader is certain to be heard up to 4.2 m, and no further"
+    ]
     (line,) = checked([*shape("vee", 4, 3.0), Slot(9.0)])[1:]
     assert line.startswith("slots 1, 2: their sonars look at one vehicle, and may hear")
 
