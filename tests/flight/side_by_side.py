@@ -92,7 +92,7 @@ def apart(a: Log, b: Log, skip_s: float) -> Floats:
 
 
 def drawn(sigma_m: float, tau_s: float) -> list[Floats]:
-    """`DRAWN` pairs' differences, (n, 2) metres, as autopilots believe what they drift by."""
+    """`DRAWN` pairs' differences, (n, 2) metres: what their autopilots, which follow, believe."""
     chance, kept = np.random.default_rng(1), math.exp(-1.0 / tau_s)
     left, part = passing(1.0, FOLLOWS_S)
     drift_m = chance.normal(0.0, math.sqrt(2.0) * sigma_m, (DRAWN, 2))
@@ -152,7 +152,7 @@ def main() -> None:
     parser.add_argument("--drawn", nargs=2, type=float, metavar=("SIGMA_M", "TAU_S"))
     parser.add_argument("--skip-s", type=float, default=900.0, help="seconds left out at first")
     given = parser.parse_args()
-    if (len(given.log) < 2) is not bool(given.drawn):
+    if given.log if given.drawn else len(given.log) < 2:
         parser.error("give two logs or more, or --drawn")
     logs = [read(path) for path in given.log]
     pairs = [apart(a, b, given.skip_s) for a, b in itertools.combinations(logs, 2)]

@@ -154,7 +154,7 @@ def test_what_costs_accuracy_is_told() -> None:
         "slots 2 to 4: beyond the sonar's reach of 4.5 m, by GPS alone"
     ]
     assert checked([Slot(4.0), Slot(4.0, behind=0)]) == [
-        "slots 1, 2: by its file the sonar may lose whom it looks at: "
+        "slots 1, 2: the sonar's file does not carry it: "
         "a leader is certain to be heard up to 4.2 m, and no further"
     ]
     (line,) = checked([*shape("vee", 4, 3.0), Slot(9.0)])[1:]
@@ -238,6 +238,30 @@ def test_follow_flies_a_shape_by_name(capsys: pytest.CaptureFixture[str]) -> Non
     assert options_of([*ENDS, "--formation", "vee", "--spacing", "4"]).slots[0].radius_m == 4.0
     nearer = options_of([*ENDS, "--formation", "vee", "--build-up", "8,5,3"])
     assert [slot.radius_m for slot in nearer.slots] == [8.0, 8.0]
+
+
+FAR = "the sonar's file does not carry it: a leader is certain to be heard up to 4.2 m"
+
+
+@pytest.mark.parametrize(
+    ("told", "says"),
+    [
+        ([*ENDS[:4], "--radius", "4"], [f"slot 1: {FAR}"]),
+        # Of each radius on the way, not of the last alone; and each once.
+        (
+            [*ENDS[:4], "--build-up", "5,4,3"],
+            ["slot 1: beyond the sonar's reach of 4.5 m", f"slot 1: {FAR}"],
+        ),
+        ([*ENDS[:4], "--radius", "3"], []),
+    ],
+)
+def test_follow_tells_a_single_follower_too_what_its_sonar_does_not_carry(
+    told: list[str], says: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    options_of(told)
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == len(says)
+    assert all(one in line for one, line in zip(says, lines, strict=True))
 
 
 @pytest.mark.parametrize(

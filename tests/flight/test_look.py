@@ -222,8 +222,8 @@ def test_nobody_is_told_to_look_at_a_leader_that_is_stale() -> None:
     pair = Pair()
     assert pair.goes_on(0.5)
 
-    pair.session.tick(pair.now_s + 5.0)
-    sent = [one.get_type() for _, one in pair.session.tick(pair.now_s + 6.0)]
+    pair.session.tick(pair.now_s + 0.9)
+    sent = [one.get_type() for _, one in pair.session.tick(pair.now_s + 1.3)]
     assert "GIMBAL_DEVICE_SET_ATTITUDE" not in sent
 
 

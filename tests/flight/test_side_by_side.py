@@ -53,7 +53,7 @@ def test_sigma_and_time_constant_come_out_again(logs: list[Path]) -> None:
 
 
 def test_receivers_are_drawn_as_they_are_asked_for() -> None:
-    """Forty pairs of an hour: 1600 time constants of each axis, as unsure as two logs above."""
+    """Forty pairs of an hour are 1600 time constants of each axis: as for the logs above."""
     pairs = drawn(1.5, 90.0)
 
     assert np.std(pairs) / math.sqrt(2.0) == pytest.approx(1.5, rel=0.05)

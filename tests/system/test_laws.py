@@ -68,7 +68,10 @@ def test_echowing_is_ahead_of_gray_and_of_the_thesis(
         assert mean_of(ours, figure) < mean_of(others, figure)
 
 
-@pytest.mark.parametrize("seed", FEW)
+@pytest.mark.parametrize(
+    "seed",
+    [*FEW, *(pytest.param(seed, marks=pytest.mark.long) for seed in SEEDS if seed not in FEW)],
+)
 def test_echowing_never_comes_within_a_metre(seed: int) -> None:
     assert flown("echowing", seed, SHORT).closest_m > 1.0
 

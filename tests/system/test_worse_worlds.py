@@ -1,6 +1,6 @@
-"""Worlds that are worse than believed: nobody comes near, whoever cannot keep the distance.
+"""Worlds that are worse than believed: nobody comes too near, and the leader is kept.
 
-RESULTS.md has twenty flights of each (`echowing bench --only robust`).
+RESULTS.md has twenty flights of each of the bench's (`echowing bench --only robust`).
 """
 
 import pytest
@@ -30,7 +30,7 @@ LONG = [
     ids=lambda one: one.name if isinstance(one, Row) else str(one),
 )
 def test_nobody_comes_near_and_the_leader_is_kept(row: Row, seed: int) -> None:
-    """One flight has up to twice the error that is the goal of the mean of twenty."""
+    """A flight may have twice the error that is the goal of the mean of twenty."""
     flown = fly_row(row, seed, [SHORT])
     assert flown.least_m > LEAST_M
     assert flown.mean_error_m < 2.0 * row.goal.mean_error_m

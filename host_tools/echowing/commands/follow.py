@@ -472,9 +472,10 @@ def _slots(
     if wanted.shapes and radii_m:
         raise EchowingError("--build-up takes one shape: leave the others out of --formation")
     later = [shape for _, shape in wanted.shapes[1:]]
+    said: list[str] = []
     try:
         for one in [slots, *later, *(scaled(slots, one_m) for one_m in radii_m)]:
-            said = check_to_be_led(
+            said += check_to_be_led(
                 one,
                 sonar,
                 args.min_separation,
@@ -486,12 +487,11 @@ def _slots(
     except EchowingError as error:
         where = "" if args.formation is None else f"--formation {args.formation}: "
         raise EchowingError(f"{where}{error}") from error
-    if len(slots) > 1:
-        for line in said:
-            if args.json:
-                print(json.dumps({"time_s": 0.0, "event": line}))
-            else:
-                print(f"echowing: {line}", file=sys.stderr)
+    for line in dict.fromkeys(said):
+        if args.json:
+            print(json.dumps({"time_s": 0.0, "event": line}))
+        else:
+            print(f"echowing: {line}", file=sys.stderr)
     nearest_m = min(radii_m, default=min(slot.radius_m for slot in slots))
     if nearest_m <= args.min_separation:
         raise EchowingError(

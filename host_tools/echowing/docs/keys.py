@@ -47,8 +47,8 @@ guessed, and so it is cautious. Measure your own: [`RIG.md`](RIG.md), response m
 a flight, `echowing analyze out/flight-7 --sonar mine.toml`. In flight the view shows what the \
 sonar has heard in the last minute, and pilots are told of one that hears less, scatters more or \
 is wrong more often than its file says. The slot opens if such a sonar does not carry it \
-([`GUIDANCE.md`](GUIDANCE.md#what-the-receivers-disagree-by)). Slots from which the sonar, by its \
-file, may lose whom it looks at are named before anybody flies.
+([`GUIDANCE.md`](GUIDANCE.md#what-the-receivers-disagree-by)). Slots that the file does not carry \
+are named before anybody flies.
 
 Where two values stand, `[least, most]`, nine such sonars of ten are between them. The product \
 believes the worse of the two: as few readings as may be heard, and as many wrong ones; nobody is \

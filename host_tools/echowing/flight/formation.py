@@ -213,13 +213,12 @@ class _Layout:
             reach_m = self._sonar.reach_m
             lines.append(f"{_slots(deaf)}: beyond the sonar's reach of {reach_m:g} m, by GPS alone")
         weak: dict[str, list[int]] = {}
-        for one in set(numbers) - set(deaf):
+        for one in numbers:
             objection = self._sonar.objection(self._distance_m(one, self._watched[one - 1]))
-            if objection is not None:
+            if objection is not None and one not in deaf:
                 weak.setdefault(objection, []).append(one)
         lines += [
-            f"{_slots(of)}: by its file the sonar may lose whom it looks at: {text}"
-            for text, of in weak.items()
+            f"{_slots(of)}: the sonar's file does not carry it: {text}" for text, of in weak.items()
         ]
         together = [
             _slots(both)

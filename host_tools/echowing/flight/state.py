@@ -604,10 +604,10 @@ class Known:
     def apart(
         self, follower: FollowerState, other: FollowerState, there: GlobalPosition
     ) -> tuple[GlobalPosition, float]:
-        """Where another follower's own report `there` is in this one's frame, and how sure that is.
+        """Where another follower's own report `there` is in this one's frame.
 
-        What sonars know of the receivers on the way from one to the other, over those that they
-        look at, is used where it is more than is known without.
+        And the standard deviation of that. What sonars know of the receivers on the way from one to
+        the other, over those that they look at, is used where it is more than is known without.
         """
         if not self.settings.learn_offset:
             return there, UNRANGED_SIGMA_M

@@ -155,7 +155,7 @@ class Around:
 
 
 def correction_mps(weights: Weights, around: Around) -> Horizontal:
-    """What the other rules add to it together.
+    """What the other rules add to the common velocity, `align`'s, together.
 
     Reynolds's order: what keeps apart comes first, what draws together gets what that leaves, and
     presses nobody against another.

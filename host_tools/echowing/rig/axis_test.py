@@ -328,7 +328,7 @@ class AxisTest:
         right, up = MOVES[name]
         found = f"{worst.off_deg:.1f} degrees off at worst"
         if worst.off_deg > NEAR_DEG:
-            found += "; does the servo turn the other way, or the vehicle stand aslant?"
+            found += "; does the vehicle stand aslant?"
         asked = f"within {NEAR_DEG:g} degrees of {abs(right or up):g} to that side"
         return Check(name, found, asked, worst.off_deg <= NEAR_DEG)
 
