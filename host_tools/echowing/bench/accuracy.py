@@ -25,8 +25,8 @@ from echowing.flight.guidance import Horizontal
 from echowing.sim.flight import FormationFlight
 from echowing.sim.scenario import load_scenario
 
-# Nobody has flown these to choose anything.
-FIRST_SEED = 301
+# Nobody has flown these to choose anything; 301 to 320 have served for that.
+FIRST_SEED = 2901
 # From the start, where a follower hovers 3 m outside its slot, until its sonar has the leader.
 FOUND_WITHIN_S = 10.0
 
