@@ -2,7 +2,6 @@
 
 import math
 import re
-from collections.abc import Sequence
 from typing import Any
 
 import pytest
@@ -60,12 +59,10 @@ class Pair:
         to_it_m: tuple[float, float, float] = (3.0, 0.0, 0.0),
         mps: Mps = (0.0, 0.0),
         others: int = 0,
-        slots: Sequence[Slot] = (),
     ) -> None:
-        slots = slots or [Slot(3.0 + 3.0 * number) for number in range(1 + others)]
         plans = [
-            FollowerPlan(FOLLOWER + number, slot, 12.0, sonar=shipped_sonar())
-            for number, slot in enumerate(slots)
+            FollowerPlan(FOLLOWER + number, Slot(3.0 + 3.0 * number), 12.0, sonar=shipped_sonar())
+            for number in range(1 + others)
         ]
         self.session = FollowSession(LEADER, plans, GuidanceSettings(), engaged=False)
         self.to_it_m, self.mps, self.now_s = to_it_m, mps, 0.0
@@ -85,25 +82,25 @@ class Pair:
             leader = displace(
                 HERE, (self.to_it_m[0] + moved[0], self.to_it_m[1] + moved[1], self.to_it_m[2])
             )
-            self.tell(LEADER, position(self.now_s, leader, self.mps))
-            self.tell(FOLLOWER, position(self.now_s, HERE, (0.0, 0.0)))
+            self._tell(LEADER, position(self.now_s, leader, self.mps))
+            self._tell(FOLLOWER, position(self.now_s, HERE, (0.0, 0.0)))
             if range_m is not None:
-                self.reads(range_m, axis or Axis(0.0))
+                self._reads(range_m, axis or Axis(0.0))
             sent = [message for _, message in self.session.tick(self.now_s)]
             orders += [one for one in sent if one.get_type() == "GIMBAL_DEVICE_SET_ATTITUDE"]
         return orders
 
-    def reads(self, range_m: float, axis: Axis, system_id: int = FOLLOWER) -> None:
+    def _reads(self, range_m: float, axis: Axis) -> None:
         stamp_ms = round(self.now_s * 1e3)
         range_m += 0.01 * (stamp_ms % 2)  # one that never changes is stuck
         reading = mavlink.MAVLink_named_value_float_message(stamp_ms, b"SNR_RAW", range_m)
-        self.tell(system_id, reading, SONAR)
+        self._tell(FOLLOWER, reading, SONAR)
         status = mavlink.MAVLink_gimbal_device_attitude_status_message(
             0, 0, stamp_ms, EARTH_FRAME, list(axis.quaternion), 0.0, 0.0, 0.0, 0
         )
-        self.tell(system_id, status, SONAR)
+        self._tell(FOLLOWER, status, SONAR)
 
-    def tell(self, system_id: int, message: Any, component: int = 1) -> None:
+    def _tell(self, system_id: int, message: Any, component: int = 1) -> None:
         self.session.receive(received(system_id, message, component), self.now_s)
 
 
@@ -225,21 +222,6 @@ def test_nobody_is_told_to_look_at_a_leader_that_is_stale() -> None:
     pair.session.tick(pair.now_s + 0.9)
     sent = [one.get_type() for _, one in pair.session.tick(pair.now_s + 1.3)]
     assert "GIMBAL_DEVICE_SET_ATTITUDE" not in sent
-
-
-def test_who_looks_at_another_follower_goes_on_looking_while_the_leader_is_stale() -> None:
-    pair = Pair(slots=[Slot(3.0), Slot(3.0, behind=0)])
-    pair.goes_on(0.5)
-    last, behind = FOLLOWER + 1, displace(HERE, (-2.0, 2.0, 0.0))
-    orders = []
-    for _ in range(round(6.0 / TICK_S)):
-        pair.now_s += TICK_S
-        pair.tell(FOLLOWER, position(pair.now_s, HERE, (0.0, 0.0)))
-        pair.tell(last, position(pair.now_s, behind, (0.0, 0.0)))
-        pair.reads(7.66, Axis(0.0), last)
-        orders = [one for who, one in pair.session.tick(pair.now_s) if who == last]
-    (order,) = [one for one in orders if one.get_type() == "GIMBAL_DEVICE_SET_ATTITUDE"]
-    assert math.degrees(axis_in(order).azimuth_rad) == pytest.approx(-45.0, abs=3.0)
 
 
 def test_a_sonar_that_has_not_been_heard_of_gets_no_orders() -> None:

@@ -53,8 +53,7 @@ def look_at(known: Known, follower: FollowerState, now_s: float) -> Look | None:
     """Where its sonar looks from when the order arrives; None: that is not known."""
     arrives_s = now_s + follower.way_s
     leader, here = known.watched_then(follower, arrives_s), follower.then(arrives_s)
-    stale = known.ahead_of(follower) is None and known.leader_is_stale(now_s)
-    if leader is None or here is None or stale:
+    if leader is None or here is None or known.leader_is_stale(now_s):
         return None
     estimate = follower.estimate
     north, east, _ = ned_between(here, leader.position)
