@@ -26,6 +26,7 @@ from echowing.tool.formation_file import FormationSection, load_formation
 
 APART_M = 2.0
 RIGHT_RAD = math.radians(90.0)
+FAR = "the sonar's file does not carry it: a leader is certain to be heard up to 4.2 m, and no further"
 
 
 def checked(slots: Sequence[Slot], separation_m: float | None = None) -> list[str]:
@@ -70,8 +71,10 @@ def test_a_slot_ahead_of_the_leader_is_refused(angle_deg: float) -> None:
 
 
 def test_a_slot_behind_another_is_placed_from_there_and_may_be_as_near_as_it_is_ranged() -> None:
-    column = [Slot(3.0), Slot(2.5, behind=0), Slot(3.5, RIGHT_RAD, behind=1)]
-    assert place_m(column, 2) == pytest.approx((-5.5, 3.5, 0.0))
+    column = [Slot(3.0), Slot(2.5, behind=0), Slot(4.0, RIGHT_RAD, behind=1)]
+    assert place_m(column, 2) == pytest.approx((-5.5, 4.0, 0.0))
+    assert checked(column) == [f"slot 3: {FAR}"]
+    column[2] = Slot(3.5, RIGHT_RAD, behind=1)
     assert checked(column) == []
 
 
@@ -153,10 +156,7 @@ def test_what_costs_accuracy_is_told() -> None:
     assert checked([Slot(3.0), Slot(8.0), Slot(13.0), Slot(18.0)]) == [
         "slots 2 to 4: beyond the sonar's reach of 4.5 m, by GPS alone"
     ]
-    assert checked([Slot(4.0), Slot(4.0, behind=0)]) == [
-        "slots 1, 2: the sonar's file does not carry it: "
-        "a leader is certain to be heard up to 4.2 m, and no further"
-    ]
+    assert checked([Slot(4.0), Slot(4.0, behind=0)]) == [f"slots 1, 2: {FAR}"]
     (line,) = checked([*shape("vee", 4, 3.0), Slot(9.0)])[1:]
     assert line.startswith("slots 1, 2: their sonars look at one vehicle, and may hear")
 
@@ -238,9 +238,6 @@ def test_follow_flies_a_shape_by_name(capsys: pytest.CaptureFixture[str]) -> Non
     assert options_of([*ENDS, "--formation", "vee", "--spacing", "4"]).slots[0].radius_m == 4.0
     nearer = options_of([*ENDS, "--formation", "vee", "--build-up", "8,5,3"])
     assert [slot.radius_m for slot in nearer.slots] == [8.0, 8.0]
-
-
-FAR = "the sonar's file does not carry it: a leader is certain to be heard up to 4.2 m"
 
 
 @pytest.mark.parametrize(
