@@ -26,7 +26,10 @@ from echowing.tool.formation_file import FormationSection, load_formation
 
 APART_M = 2.0
 RIGHT_RAD = math.radians(90.0)
-FAR = "the sonar's file does not carry it: a leader is certain to be heard up to 4.2 m, and no further"
+FAR = (
+    "the sonar's file does not carry it: "
+    "a leader is certain to be heard up to 4.2 m, and no further"
+)
 
 
 def checked(slots: Sequence[Slot], separation_m: float | None = None) -> list[str]:
