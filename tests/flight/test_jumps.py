@@ -19,11 +19,12 @@ from echowing.flight.jumps import (
 from echowing.flight.leader_track import LeaderTrack
 from echowing.flight.streams import IN_A_ROW, Streams
 from echowing.geo import GlobalPosition, displace, ned_between
+from echowing.sim.fault_section import FaultSection
 from echowing.sim.flight import FormationFlight
 from echowing.sim.scenario import load_scenario
 
 from ..world import CLEARLY
-from .yard import FOLLOWER, GUIDED, HERE, LEADER, LOITER, TICK_S, Vehicle, Yard
+from .yard import FOLLOWER, GUIDED, HERE, LEADER, LOITER, POINT, TICK_S, Vehicle, Yard, is_point
 
 JUMP_M = (12.0, 0.0, 0.0)
 COPROCESSOR = 191
@@ -114,11 +115,22 @@ def test_its_own_jump_that_the_sonar_denies_moves_nobody() -> None:
     first = yard.fly(TICK_S)
     # Where it stands has another name: a point at the old one would fly it 12 m.
     assert off_m(first, 9.0) < 1.0
+    # From 4.8 on the autopilot slews over to the old place until its sub-mode begins anew.
+    anew = [number for number, (_, one) in enumerate(yard.sent) if begins_anew(one)]
+    assert len(anew) == 1
+    assert yard.sent[anew[0] + 1][1] is first[0]
     assert yard.state() == "holding: its position jumps"
     points = yard.fly(AT_LAST_S)
     assert yard.said("follower 2: its receiver jumped by 12.0 m: the sonar's range did not change")
     assert yard.state() == "following"
     assert off_m(points, 9.0) < 1.0
+    assert sum(begins_anew(one) for _, one in yard.sent) == 1
+
+
+def begins_anew(message: Any) -> bool:
+    """Whether it ends what Guided was about to do: a velocity of nothing, and no place."""
+    nothing = message.get_type() == POINT and not is_point(message)
+    return nothing and (message.vx, message.vy, message.vz) == (0.0, 0.0, 0.0)
 
 
 def test_its_own_jump_that_no_sonar_denies_is_held() -> None:
@@ -267,6 +279,15 @@ def test_in_simulated_flight_the_sonar_denies_it_or_the_pilot_engages_it_again(
     held = next(i for i, text in enumerate(events) if "nobody is flown there" in text)
     left = events.index("follower 2: left Guided for LOITER, pilot has control", held)
     assert "follower 2: in Guided, following" in events[left:]
+
+
+def test_an_unheard_follower_whose_receiver_jumps_hardly_moves_towards_its_leader() -> None:
+    """1.30 m were left where Guided did not begin anew, of 3.6 m before."""
+    jumps = FaultSection(kind="gps_jump", vehicle=2, at_s=42.0, jump_ned_m=(0.0, -12.0, 0.0))
+    deaf = FaultSection(kind="sonar_dead", vehicle=2, at_s=5.0)
+    scenario = load_scenario("echowing", ["duration_s=46", 'follower.generation="4.8"'])
+    scenario = scenario.model_copy(update={"fault": [jumps, deaf]})
+    assert FormationFlight(scenario, 1).run().closest_m > 1.6
 
 
 def test_a_clock_is_believed_after_many_reports_in_a_row() -> None:

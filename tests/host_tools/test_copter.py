@@ -245,6 +245,87 @@ def test_jump_of_the_estimate_pulls_no_harder_than_the_limit() -> None:
     assert copter.north_m == pytest.approx(-30.0, abs=0.1)
 
 
+def flown_after_a_reset(
+    generation: Generation, again: Callable[[Copter], None] | None = None
+) -> list[tuple[float, float, float]]:
+    """North at 1 m/s, ten points a second; then its filter resets by 12 m to the east.
+
+    again: what it is told half a second later, ten times a second. Every 20 ms since the reset: way
+    east, speed north and east.
+    """
+    copter = Copter(START, flying=True, tuning=tuning_of(generation))
+    copter.start_guided(10.0)
+    track = []
+    for count in range(1050):
+        time_s = count * STEP_S
+        if count % 5 == 0:
+            if again is not None and time_s > 10.49:
+                again(copter)
+            else:
+                copter.guided_posvel((time_s, 0.0, START[2]), (1.0, 0.0, 0.0))
+        if time_s == pytest.approx(10.0):
+            copter.set_estimate_offset((0.0, 12.0, 0.0))
+            copter.estimate_reset((0.0, 12.0, 0.0))
+        copter.step(STEP_S)
+        if time_s > 9.99:
+            track.append((copter.east_m, copter.vn_mps, copter.ve_mps))
+    return track
+
+
+# Fastest west, slowest north meanwhile (m/s), and seconds between 1 and 3.75 m/s.
+@pytest.mark.parametrize(
+    ("generation", "sitl"),
+    [(Generation.V4_8, (-5.13, 0.93, 0.91)), (Generation.V4_6, (-4.05, 0.60, 1.12))],
+)
+def test_a_reset_of_the_filter_is_flown_as_sitl_flies_it(
+    generation: Generation, sitl: tuple[float, float, float]
+) -> None:
+    """SITL 4.8 and 4.6 (SIMSTATE): a receiver that jumps is rejected for ten seconds, then taken.
+
+    The vehicle begins to move half a second after that, and not at the full lean.
+    """
+    track = flown_after_a_reset(generation)
+    west_mps = [-east for _, _, east in track]
+    took = [next(i for i, mps in enumerate(west_mps) if mps > limit) for limit in (1.0, 3.75)]
+    assert max(west_mps) == pytest.approx(-sitl[0], abs=0.1)
+    assert min(north for _, north, _ in track[:150]) == pytest.approx(sitl[1], abs=0.1)
+    assert (took[1] - took[0]) * STEP_S == pytest.approx(sitl[2], abs=0.06)
+    assert min(east for east, _, _ in track[:25]) > -0.1
+
+
+def test_a_new_place_alone_does_not_end_the_way_back_after_a_reset() -> None:
+    """Told to stay where it believes to be, SITL 4.8 went 3.07 m towards the old place.
+
+    Told a velocity of nothing first, it went 1.28 m: a sub-mode that begins forgets the old place.
+    """
+
+    def stay(copter: Copter) -> None:
+        copter.guided_posvel((10.5, 12.0, START[2]), (0.0, 0.0, 0.0))
+
+    def stop_and_stay(copter: Copter) -> None:
+        if not stopped:
+            stopped.append(True)
+            copter.guided_velocity((0.0, 0.0, 0.0))
+        stay(copter)
+
+    stopped: list[bool] = []
+    ways_m = [
+        -min(east for east, _, _ in flown_after_a_reset(Generation.V4_8, told))
+        for told in (stay, stop_and_stay)
+    ]
+    assert ways_m == pytest.approx([3.07, 1.28], abs=0.35)
+
+
+def test_who_has_no_absolute_place_stays_where_it_is_when_its_filter_resets() -> None:
+    for generation in Generation:
+        copter = Copter(START, flying=True, tuning=tuning_of(generation))
+        copter.hold()
+        copter.set_estimate_offset((30.0, 0.0, 2.0))
+        copter.estimate_reset((30.0, 0.0, 2.0))
+        fly(copter, 10.0)
+        assert (copter.north_m, copter.down_m) == pytest.approx((0.0, START[2]), abs=0.01)
+
+
 @pytest.mark.parametrize("angle_rad", [0.7, math.pi / 2, -2.2])
 def test_no_direction_is_special(angle_rad: float) -> None:
     straight, turned = guided(), guided()

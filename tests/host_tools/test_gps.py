@@ -94,9 +94,11 @@ def test_velocity_tells_of_the_drift_what_it_does_on_arducopter_sitl() -> None:
 
 def test_a_jump_comes_at_once() -> None:
     drift = drift_of(1, Errors())
-    drift.jump_ned_m = (15.0, -10.0, 0.0)
+    drift.jump_to((15.0, -10.0, 0.0))
 
     assert drift.step(0.02) == pytest.approx((15.0, -10.0, 0.0))
+    assert drift.taken_reset() == (15.0, -10.0, 0.0)
+    assert drift.taken_reset() == (0.0, 0.0, 0.0)
 
 
 def test_the_same_seed_drifts_the_same_way() -> None:

@@ -44,6 +44,7 @@ from echowing.mavlink.messages import (
     Manner,
     guides,
     look_order,
+    no_velocity,
     position_target,
     status_text,
 )
@@ -251,7 +252,12 @@ class FollowSession:
             self.guard.sent(follower, command, now_s)
             if follower.standing.held:
                 self.guard.holding(follower, now_s)
-        return [(follower.plan.system_id, _message(follower, command, now_s))]
+        system_id = follower.plan.system_id
+        messages = [(system_id, _message(follower, command, now_s))]
+        if follower.slews:
+            follower.slews = False
+            messages.insert(0, (system_id, no_velocity(system_id, now_s)))
+        return messages
 
     def _allowed(self, follower: FollowerState, plan: Plan, now_s: float) -> Allowed | None:
         """What of its plan it may fly; None: nothing is sent to it."""

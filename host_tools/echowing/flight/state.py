@@ -128,6 +128,7 @@ class FollowerState:
     nearest slot from which it gets away if the leader turns round now; on_way_m: how far its slot
     is on the way into another shape (`reshape`); opens: it was said that the
     slot opens for a reversal; unsure: its newest report may be another vehicle's, with its id;
+    slews: its filter has reset its position since its last point;
     away_beats: heartbeats in a row that were not of one that flies in Guided; level_m,
     levelled_at_s: by how much it flies higher than planned, to be level with its leader, and when
     that was set; nose: when it pointed where; sonar_id: the component that sends its sonar's
@@ -152,6 +153,7 @@ class FollowerState:
     command: Command | None = None
     hold: Hold | None = None
     unsure: bool = False
+    slews: bool = False
     proven_m: Horizontal = (0.0, 0.0)
     reversal_m: float = 0.0
     on_way_m: float = 0.0

@@ -83,6 +83,7 @@ class Trust:
         if moved_m is not None:
             follower.estimate.history.clear()
             follower.drift.jumped()
+            follower.slews = True
             if follower.hold is not None:
                 # It stands where it stood; only its coordinates have changed.
                 place = displace(follower.hold.place, (*moved_m, 0.0))

@@ -76,6 +76,14 @@ _POSITION_ONLY = (
     | mavlink.POSITION_TARGET_TYPEMASK_VZ_IGNORE
 )
 
+_VELOCITY_ONLY = (
+    mavlink.POSITION_TARGET_TYPEMASK_X_IGNORE
+    | mavlink.POSITION_TARGET_TYPEMASK_Y_IGNORE
+    | mavlink.POSITION_TARGET_TYPEMASK_Z_IGNORE
+    | mavlink.POSITION_TARGET_TYPEMASK_YAW_IGNORE
+    | _POSITION_VELOCITY
+)
+
 
 def guides(message: Any) -> bool:
     """Whether guidance reads what this component of a vehicle says."""
@@ -117,6 +125,23 @@ def position_target(
         POINT_FORMAT,
         yaw_rad or 0.0,
         for_applet.quickens_mps2,
+    )
+
+
+def no_velocity(system_id: int, now_s: float) -> Any:
+    """A velocity of nothing, with no place: whatever Guided was about to do, it begins anew.
+
+    From 4.8 on an autopilot whose filter has reset its position slews over to the old place, and a
+    new place alone does not end that (AC_PosControl.cpp, NE_update_offsets); a sub-mode that begins
+    does (ModeGuided::pva_control_start).
+    """
+    return mavlink.MAVLink_set_position_target_global_int_message(
+        round(now_s * 1000.0) & 0xFFFFFFFF,
+        system_id,
+        mavlink.MAV_COMP_ID_AUTOPILOT1,
+        mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
+        _VELOCITY_ONLY,
+        *([0] * 11),
     )
 
 

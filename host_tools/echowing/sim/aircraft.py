@@ -59,6 +59,7 @@ class SimVehicle:
         """Receiver, wind and body, one step on."""
         drift = self.drift
         self.autopilot.set_errors(drift.step(dt_s), drift.velocity_mps, drift.receiver_down_m)
+        self.body.estimate_reset(drift.taken_reset())
         if self._wind is not None and isinstance(self.body, Copter):
             self.body.wind_ned_mps = self._wind.step(dt_s)
         self.body.step(dt_s)
@@ -293,12 +294,12 @@ class LeaderPilot:
         elif event.act == "goto":
             leader.autopilot.start_mission([event.point_ned_m], event.speed_mps)
         elif event.act == "gps_jump":
-            leader.drift.jump_ned_m = event.jump_ned_m
+            leader.drift.jump_to(event.jump_ned_m)
         elif event.act == "silent":
             self.silent = True
         elif event.act == "heard":
             self.silent = False
-            leader.drift.jump_ned_m = (0.0, 0.0, 0.0)
+            leader.drift.jump_to((0.0, 0.0, 0.0))
         else:
             self._attack = self._attack_on(follower, event.speed_mps)
             leader.autopilot.set_mode("GUIDED")

@@ -117,9 +117,9 @@ def _bytes_lost(flight: "FormationFlight", fault: FaultSection) -> Iterator[Step
 def _gps_jump(flight: "FormationFlight", fault: FaultSection) -> Iterator[Step]:
     """The estimated position is off by `jump_ned_m` at once."""
     drift = _vehicle(flight, fault).drift
-    drift.jump_ned_m = _sum(drift.jump_ned_m, fault.jump_ned_m)
+    drift.jump_to(_sum(drift.jump_ned_m, fault.jump_ned_m))
     yield _nothing
-    drift.jump_ned_m = _sum(drift.jump_ned_m, tuple(-one for one in fault.jump_ned_m))
+    drift.jump_to(_sum(drift.jump_ned_m, tuple(-one for one in fault.jump_ned_m)))
 
 
 @contextmanager
@@ -146,7 +146,7 @@ def _gps_lost(flight: "FormationFlight", fault: FaultSection) -> Iterator[Step]:
 
     yield go_on
     vehicle.autopilot.reports.has_fix = vehicle.autopilot.reports.has_position = True
-    vehicle.drift.jump_ned_m = before
+    vehicle.drift.jump_to(before)
 
 
 @contextmanager

@@ -9,7 +9,7 @@ are ArduCopter's defaults; limits are what the autopilot's parameters say (`set_
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import atan2, cos, exp, inf, pi, sin, sqrt, tan
 
 from echowing.flight.closing import inverse_sqrt_controller, sqrt_controller
@@ -65,6 +65,10 @@ class Tuning:
     yaw_rate_rps: float = pi / 3.0  # ATC_RATE_WPY_MAX 60 deg/s
     yaw_acceleration_rps2: float = 270.0 * pi / 180.0  # ATC_ACC_Y_MAX
     guided_timeout_s: float = 3.0  # GUID_TIMEOUT
+    # What a reset of the filter moves it by: True, it slews over within its limits where it is told
+    # an absolute place (EKFResetMethod::MoveVehicle); False, its desired place moves along, and the
+    # next target brings it over (handle_ekf_xy_reset).
+    slews_after_reset: bool = True
     # SITL's quad (SIM_Frame.h, SIM_Motor.cpp: 3 kg, 0.385 m2 of rotors, leans 45 degrees at
     # 15.08 m/s) in air of 1.2 kg/m3: drag of the rotors, linear in airspeed,
     # 0.2 sqrt(density x area x weight) / mass, and of the body, quadratic. Its logs show the same.
@@ -81,10 +85,11 @@ class Tuning:
     yaw_lag_s: float = 0.22
 
 
+_STEPPED = Tuning(shaping=STEPPED, velocity_d=0.5, yaw_input_s=INPUT_S, slews_after_reset=False)
 _TUNINGS = {
-    Generation.V4_5: Tuning(shaping=STEPPED, velocity_d=0.5, yaw_input_s=INPUT_S),
-    Generation.V4_6: Tuning(shaping=STEPPED, velocity_d=0.5, yaw_input_s=INPUT_S),
-    Generation.V4_7: Tuning(shaping=STEPPED, yaw_input_s=INPUT_S),
+    Generation.V4_5: _STEPPED,
+    Generation.V4_6: _STEPPED,
+    Generation.V4_7: replace(_STEPPED, velocity_d=0.25),
     Generation.V4_8: Tuning(),
 }
 
@@ -107,6 +112,30 @@ class _Shaped:
         """A step with this rate and acceleration."""
         self.rate, self.acceleration = turn
         self.angle += self.rate * dt
+
+
+class _Aside:
+    """How far the vehicle is held beside its desired place, until it has slewed over: m, m/s, m/s2.
+
+    NE_update_offsets of AC_PosControl.cpp.
+    """
+
+    __slots__ = ("acc_e", "acc_n", "east", "north", "ve", "vn")
+
+    def __init__(self) -> None:
+        self.north = self.east = self.vn = self.ve = self.acc_n = self.acc_e = 0.0
+
+    def slew(self, law: ShapingLaw, fastest: float, limit: float, jerk: float, dt: float) -> None:
+        """One step back to nothing, shaped as any desired motion is."""
+        vn, ve = law.approach(-self.north, -self.east, self.vn, self.ve, fastest, limit, jerk)
+        acc_n, acc_e = law.demand(vn, ve, self.vn, self.ve, limit, jerk)
+        step_n, step_e = limit_length(acc_n - self.acc_n, acc_e - self.acc_e, jerk * dt)
+        self.acc_n += step_n
+        self.acc_e += step_e
+        self.north += (self.vn + 0.5 * self.acc_n * dt) * dt
+        self.east += (self.ve + 0.5 * self.acc_e * dt) * dt
+        self.vn += self.acc_n * dt
+        self.ve += self.acc_e * dt
 
 
 def wrap_pi(angle_rad: float) -> float:
@@ -148,6 +177,7 @@ class Copter(EstimatedPosition):
         "_alpha_rate",
         "_alpha_thrust",
         "_alpha_yaw",
+        "_aside",
         "_control_e",
         "_control_n",
         "_dt",
@@ -231,6 +261,7 @@ class Copter(EstimatedPosition):
         super().__init__()
         self.wind_ned_mps: Ned = (0.0, 0.0, 0.0)
         self._lift_d = 0.0
+        self._aside: _Aside | None = None
         self._shaped_yaw = _Shaped(self.yaw_rad)
         self._dt = 0.0
         self._lean_rate_n = self._lean_rate_e = 0.0
@@ -354,6 +385,25 @@ class Copter(EstimatedPosition):
             self.est_down_m + drop,
         )
 
+    def estimate_reset(self, shift_ned_m: Ned) -> None:
+        """The filter has moved its estimate by so much at once: no error comes of that by itself.
+
+        NE_handle_ekf_reset of AC_PosControl.cpp, handle_ekf_xy_reset up to 4.7. A height that
+        is reset moves the desired one along in each.
+        """
+        north, east, down = shift_ned_m
+        if not (north or east or down):
+            return
+        self._pos_n += north
+        self._pos_e += east
+        self._pos_d += down
+        absolute = self._shape_position, self._shape_posvel, self._shape_auto
+        if self.tuning.slews_after_reset and self._mode in absolute:
+            aside = self._aside or _Aside()
+            aside.north += north
+            aside.east += east
+            self._aside = aside
+
     @property
     def demand_ne_mps2(self) -> tuple[float, float]:
         """Horizontal acceleration that the lean is to give, north and east."""
@@ -385,6 +435,11 @@ class Copter(EstimatedPosition):
         if dt != self._dt:
             self._prepare(dt)
         self._target_age_s += dt
+        if self._aside is not None:
+            limits = self.limits
+            self._aside.slew(
+                self.tuning.shaping, self._speed_limit, limits.acceleration_mps2, self._jerk, dt
+            )
         self._mode(dt)
         self._control_level(dt)
         self._control_down()
@@ -445,6 +500,7 @@ class Copter(EstimatedPosition):
         self._yaw_command: float | None = None
         self._yaw_command_rate = 0.0
         self._pos_n, self._pos_e, self._pos_d = self.est_north_m, self.est_east_m, self.est_down_m
+        self._aside = None
         self._vel_n, self._vel_e, self._vel_d = self.est_vn_mps, self.est_ve_mps, self.vd_mps
         self._acc_n = self._acc_e = self._acc_d = 0.0
         self._gap_n = self._gap_e = self._gap_d = 0.0
@@ -518,9 +574,10 @@ class Copter(EstimatedPosition):
         navigator = self.navigator
         if navigator is None:
             return
+        aside = self._aside or _Aside()
         navigator.advance(
             dt,
-            (self.est_north_m, self.est_east_m, self.est_down_m),
+            (self.est_north_m - aside.north, self.est_east_m - aside.east, self.est_down_m),
             (self._gap_n, self._gap_e, self._gap_d),
             flown_mps,
             self.tuning.position_gain,
@@ -528,6 +585,10 @@ class Copter(EstimatedPosition):
         self._pos_n, self._pos_e, self._pos_d = self.target_ned_m = navigator.position_m
         self._vel_n, self._vel_e, self._vel_d = navigator.velocity_mps
         self._acc_n, self._acc_e, self._acc_d = navigator.acceleration_mps2
+        if self._aside is not None:
+            self._pos_n, self._pos_e = self._pos_n + aside.north, self._pos_e + aside.east
+            self._vel_n, self._vel_e = self._vel_n + aside.vn, self._vel_e + aside.ve
+            self._acc_n, self._acc_e = self._acc_n + aside.acc_n, self._acc_e + aside.acc_e
 
     def _shape_land(self, dt: float) -> None:
         tuning = self.tuning
@@ -560,6 +621,10 @@ class Copter(EstimatedPosition):
         """Desired horizontal acceleration for a position error; `an`, `ae` come on top."""
         limit, jerk = self.limits.acceleration_mps2, self._jerk
         law, flown_n, flown_e = self.tuning.shaping, self._vel_n, self._vel_e
+        aside = self._aside
+        if aside is not None:
+            north, east = north + aside.north, east + aside.east
+            vn, ve, an, ae = vn + aside.vn, ve + aside.ve, an + aside.acc_n, ae + aside.acc_e
         correct_n, correct_e = law.approach(
             north, east, flown_n - vn, flown_e - ve, fastest, limit, jerk
         )

@@ -27,6 +27,9 @@ class EstimatedPosition:
         """Let the estimate be the truth plus this: NED metres, and (north, east)."""
         self._offset, self._velocity_offset = offset_ned_m, velocity_mps
 
+    def estimate_reset(self, shift_ned_m: Ned) -> None:
+        """The filter has moved its estimate by so much at once; who controls nothing goes on."""
+
     @property
     def est_north_m(self) -> float:
         """Estimated north, metres."""

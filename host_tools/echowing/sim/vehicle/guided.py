@@ -59,6 +59,9 @@ class Body(Protocol):
     ) -> None:
         """Estimated minus true position, and velocity (north, east)."""
 
+    def estimate_reset(self, shift_ned_m: Ned) -> None:
+        """The estimated position was moved by so much at once."""
+
 
 @runtime_checkable
 class Controls(Protocol):

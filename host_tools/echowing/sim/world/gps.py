@@ -177,11 +177,23 @@ class Drift:
         )
         self._by_receiver = by_receiver
         self.jump_ned_m: Ned = (0.0, 0.0, 0.0)
+        self._reset_ned_m: Ned = (0.0, 0.0, 0.0)
+
+    def jump_to(self, jump_ned_m: Ned) -> None:
+        """The filter gives up its estimate for one that is off by so much."""
+        before, reset = self.jump_ned_m, self._reset_ned_m
+        north, east, down = (r + b - a for a, b, r in zip(before, jump_ned_m, reset, strict=True))
+        self.jump_ned_m, self._reset_ned_m = jump_ned_m, (north, east, down)
+
+    def taken_reset(self) -> Ned:
+        """By how much the filter has reset its estimate since it was asked last."""
+        reset_ned_m, self._reset_ned_m = self._reset_ned_m, (0.0, 0.0, 0.0)
+        return reset_ned_m
 
     def step(self, dt_s: float) -> Ned:
         """Offset (estimated minus true, NED metres) after `dt_s` more seconds.
 
-        A jump (`jump_ned_m`, a fault) is added at once: the filter resets to it.
+        `jump_ned_m`, a fault, is added at once.
         """
         north, east = self._north.step(dt_s), self._east.step(dt_s)
         down, jump = self._height.step(dt_s), self.jump_ned_m
