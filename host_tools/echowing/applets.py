@@ -45,12 +45,12 @@ APPLETS = (HOLD, SPEED)
 # The parameters that tell which applet runs. Before there were two, one
 # applet had all of them but the first.
 FORMAT, LAW, GAIN = IDENTIFYING = ("ECHO_FORMAT", "ECHO_LAW", "ECHO_GAIN_P")
-MOST_DETECT_M = 7.6  # ECHO_DETECT takes no more
+LEAST_DETECT_M, MOST_DETECT_M = 2.0, 7.6  # ECHO_DETECT takes no less and no more
 
 
 def detect_m(reach_m: float) -> float:
     """ECHO_DETECT for a sonar of this reach: from here on a range is no target."""
-    return min(MOST_DETECT_M, reach_m)
+    return max(LEAST_DETECT_M, min(MOST_DETECT_M, reach_m))
 
 
 def applet_named(name: str) -> Applet:

@@ -9,6 +9,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Mapping
+from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -38,7 +39,7 @@ from echowing.setup.readout import CardApplet, Readout, Reports, Role
 from echowing.setup.settings import settings_for
 from echowing.setup.view import as_json, as_lines, differences, tuning_note
 from echowing.sim.vehicle.parameters import Generation, Parameters
-from echowing.sonar_file import load_sonar
+from echowing.sonar_file import load_sonar, sonar_names
 
 from .test_background import DEADLINE_S, read_until
 
@@ -225,6 +226,37 @@ def test_another_sonar_has_other_limits() -> None:
     assert "param set BEAM_WIDTH 6 of" in odd["BEAM_WIDTH"].fix
     told = {"TRACK_RANGE": 750.0, "BEAM_WIDTH": 6.0}
     assert odd_ones(ready(sonar=lidar, ECHO_DETECT=7.5, coprocessor_parameters=told)) == {}
+
+
+@pytest.mark.parametrize("name", sonar_names())
+@pytest.mark.parametrize("before_m", [2.0, 4.0, 4.5, 7.6, 9.0])
+def test_apply_with_a_sonars_file_writes_what_check_asks_for(name: str, before_m: float) -> None:
+    file = load_sonar(name)
+    carries: dict[str, Any] = {
+        "sonar": file.belief(),
+        "range_type": file.rangefinder_type,
+        "coprocessor_parameters": {},
+        "RNGFND1_TYPE": float(file.rangefinder_type),
+    }
+    before = ready(**carries, sets_detect=True, ECHO_DETECT=before_m)
+    written = {one.name: one.new for one in changes_for(before)}
+    is_right = abs(before_m - file.reach_m) <= 0.1
+    assert written == ({} if is_right else {"ECHO_DETECT": file.reach_m})
+    told = "\n".join(differences(before, changes_for(before), {}))
+    assert "stays" not in told
+    assert "left alone" not in told
+    after = ready(**{**carries, "ECHO_DETECT": before_m, **written})
+    assert odd_ones(after) == {}
+    assert changes_for(replace(after, sets_detect=True)) == []
+
+
+@pytest.mark.parametrize(("reach_m", "wanted_m"), [(1.2, 2.0), (9.0, 7.6)])
+def test_a_reach_that_the_applet_does_not_take_is_set_as_near_as_it_does(
+    reach_m: float, wanted_m: float
+) -> None:
+    sonar = replace(load_sonar("mb1202").belief(), reach_m=reach_m)
+    changes = changes_for(ready(sonar=sonar, sets_detect=True))
+    assert [(one.name, one.new) for one in changes] == [("ECHO_DETECT", wanted_m)]
 
 
 def test_what_does_well_enough_is_let_be() -> None:
@@ -573,6 +605,8 @@ def test_what_hides_is_announced() -> None:
     told = "\n".join(differences(readout, [], hidden))
     assert "-> 0.2 after the restart" in told
     assert "left alone" not in told
+    lidar = replace(readout, sonar=load_sonar("lidar").belief(), sets_detect=True)
+    assert hidden_for(lidar) == {**hidden, "ECHO_DETECT": 7.5}
     # A firmware without scripting shows nothing later.
     assert "SCR_HEAP_SIZE" not in hidden_for(ready(SCR_ENABLE=None, SCR_HEAP_SIZE=None))
 

@@ -173,12 +173,14 @@ def test_a_vehicle_from_the_factory_is_made_ready(
 class Job:
     """`setup apply` on the desk's vehicle, and what it said and asked."""
 
-    def __init__(self, desk: Desk, file: Path, *, restart: bool = True) -> None:
+    def __init__(
+        self, desk: Desk, file: Path, *, restart: bool = True, sonar: str | None = None
+    ) -> None:
         self.told: list[str] = []
         self.asked: list[str] = []
         self.agrees = True
         work = Work(desk.vehicle, "CONN", self.told.append, restart)
-        self.apply = Apply(work, self._ask, no_bar, file, serial_port=2)
+        self.apply = Apply(work, self._ask, no_bar, file, serial_port=2, sonar=sonar)
 
     def _ask(self, question: str) -> bool:
         self.asked.append(question)
@@ -228,6 +230,28 @@ def test_one_command_makes_a_new_vehicle_ready_and_one_file_puts_it_back(
     assert again.apply.run() == 1
     assert again.told[-1] == "nothing was changed"
     assert not (tmp_path / "again.params.json").exists()
+
+
+def test_a_named_sonar_sets_the_applets_limit_and_restore_takes_it_back(
+    make_desk: MakeDesk, tmp_path: Path
+) -> None:
+    desk = make_desk()
+    file = tmp_path / "old.params.json"
+    assert Job(desk, file).apply.run() == 0
+    desk.vehicle.write("ECHO_DETECT", 4.0)  # the pilot's
+    assert Job(desk, file).apply.run() == 0
+    assert values_of(desk)["ECHO_DETECT"] == 4.0
+
+    lidar = tmp_path / "lidar.params.json"
+    job = Job(desk, lidar, sonar="lidar")
+    assert job.apply.run() == 0, job.told
+    assert job.told[-1].endswith("check --vehicle CONN --serial 2 --sonar lidar")
+    assert values_of(desk)["ECHO_DETECT"] == 7.5
+    saved = load(lidar)
+    assert dict(saved.parameters) == {"ECHO_DETECT": 4.0}
+    work = Work(desk.vehicle, "CONN", job.told.append, restart=False)
+    assert restore(work, lidar, saved) == 0
+    assert values_of(desk)["ECHO_DETECT"] == 4.0
 
 
 def test_where_the_scripts_folder_comes_with_scripting_the_applet_waits_for_it(

@@ -121,10 +121,9 @@ def _add_wiring(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--sonar",
-        default=SHIPPED_SONAR,
         metavar="FILE",
-        help="as for `echowing follow`: a sensor that the autopilot reads itself needs no "
-        f"co-processor ({SHIPPED_SONAR})",
+        help="as for `echowing follow`: apply sets ECHO_DETECT by it, and a sensor that the "
+        f"autopilot reads itself needs no co-processor ({SHIPPED_SONAR}, and ECHO_DETECT stays)",
     )
 
 
@@ -267,7 +266,7 @@ def _check(args: argparse.Namespace) -> int:
     from echowing.sonar_file import load_sonar  # noqa: PLC0415
 
     applet = None if args.applet is None else applet_named(args.applet)
-    sonar = load_sonar(args.sonar)
+    sonar = load_sonar(args.sonar or SHIPPED_SONAR)
     with _vehicle(args.vehicle, args) as vehicle:
         _tell(f"{vehicle.name}: listening and reading parameters …")
         readout = read_out(
@@ -298,7 +297,9 @@ def _apply(args: argparse.Namespace) -> int:
     from echowing.setup.job import Apply  # noqa: PLC0415
     from echowing.sonar_file import load_sonar  # noqa: PLC0415
 
-    applet, sonar = _applet(args), load_sonar(args.sonar)
+    applet = _applet(args)
+    if args.sonar is not None:
+        load_sonar(args.sonar)  # what is wrong with it shows before the link is opened
     with _vehicle(args.vehicle, args) as vehicle, progress_bar() as bar:
         _tell(f"{vehicle.name}: reading parameters …")
         job = Apply(
@@ -308,7 +309,7 @@ def _apply(args: argparse.Namespace) -> int:
             args.save or default_file(vehicle.system_id, datetime.now()),
             serial_port=args.serial,
             rangefinder=args.rangefinder,
-            range_type=sonar.rangefinder_type,
+            sonar=args.sonar,
             folder=None if args.folder is None else args.folder.strip("/"),
             applet=applet,
             replace=args.replace,

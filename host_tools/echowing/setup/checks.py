@@ -18,6 +18,9 @@ from echowing.setup.boards import Board
 from echowing.setup.readout import CardApplet, Readout, Role
 from echowing.setup.settings import (
     BAUD_115200,
+    DETECT,
+    DETECT_DIFFERS_M,
+    DETECT_WHY,
     FORWARD,
     HEAP,
     MAVLINK2,
@@ -306,10 +309,12 @@ def _sonars_limits(readout: Readout) -> Iterator[Finding]:
     reach_m = detect_m(sonar.reach_m)
     wide_deg = min(MOST_WIDE_DEG, round(math.degrees(2.0 * sonar.widest_rad.at(sonar.reach_m))))
     board = f" of component {readout.coprocessor}"
-    why = "gimbal, applet and tool must take the same readings for the leader"
-    yield from _as_in_file("ECHO_DETECT", readout.parameters, (reach_m, 0.1), why)
+    why = DETECT_WHY
+    yield from _as_in_file(DETECT, readout.parameters, (reach_m, DETECT_DIFFERS_M), why)
     told = {} if readout.fixed else readout.coprocessor_parameters
-    yield from _as_in_file("TRACK_RANGE", told, (100.0 * reach_m, 10.0), why, board)
+    yield from _as_in_file(
+        "TRACK_RANGE", told, (100.0 * reach_m, 100.0 * DETECT_DIFFERS_M), why, board
+    )
     why = "the field of view that it reports is the beam's"
     yield from _as_in_file("BEAM_WIDTH", told, (wide_deg, 1.0), why, board)
 
@@ -326,6 +331,7 @@ def _as_in_file(
             yield Finding(name, Verdict.FINE, f"{value:g}", "as the sonar file says")
         return
     fix = f"param set {name} {by_file:g}{whose}, or give the file of its sonar: --sonar"
+    fix += "" if whose else f" ({APPLY} writes it then)"
     yield Finding(name, Verdict.YOURS, f"{value:g}", f"the sonar file says {by_file:g}; {why}", fix)
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from echowing.applets import HOLD, Applet, identify
 from echowing.errors import EchowingError
+from echowing.paths import SHIPPED_SONAR
 from echowing.setup.applet import CARD_SCRIPTS, install_over_link, scripts_folder
 from echowing.setup.apply import (
     Change,
@@ -35,7 +36,7 @@ from echowing.setup.restart import (
 )
 from echowing.setup.vehicle import Vehicle
 from echowing.setup.view import changes_as_lines, differences, tuning_note
-from echowing.sonar_file import MAVLINK_TYPE
+from echowing.sonar_file import load_sonar
 
 WRITING = "parameters are written"
 # Scripting, then the parameters behind it, then those behind these; one to spare.
@@ -122,7 +123,8 @@ class Apply:
     """Makes a follower ready.
 
     ask: whether to continue; folder: of the scripts, None: find it; replace: whether the other
-    applet may leave the card.
+    applet may leave the card. sonar: its file, if the operator has named one: only then ECHO_DETECT
+    is set by it. Without, a value that is not the shipped sonar's is one of the pilot's.
     """
 
     work: Work
@@ -131,7 +133,7 @@ class Apply:
     file: Path
     serial_port: int | None = None
     rangefinder: int = 1
-    range_type: int = MAVLINK_TYPE
+    sonar: str | None = None
     folder: str | None = None
     applet: Applet = HOLD
     replace: bool = False
@@ -181,13 +183,16 @@ class Apply:
         vehicle = self.work.vehicle
         parameters = read_parameters(vehicle, self.serial_port, self.rangefinder)
         card = applet_on_card(vehicle, self.applet, self.folder)
+        sonar = load_sonar(self.sonar or SHIPPED_SONAR)
         readout = Readout(
             parameters,
             serial_port=self.serial_port,
             rangefinder=self.rangefinder,
-            range_type=self.range_type,
+            range_type=sonar.rangefinder_type,
             applet_on_card=card,
             applet=self.applet,
+            sonar=sonar.belief(),
+            sets_detect=self.sonar is not None,
             board_id=self.board_id,
         )
         changes = [one for one in changes_for(readout) if one.name not in self._refused]
@@ -228,6 +233,12 @@ class Apply:
     def _way_back(self) -> str:
         file = shlex.quote(str(self.file))
         return f"back: echowing setup restore {file} --vehicle {self.work.where}"
+
+    @property
+    def _same(self) -> str:
+        """Options of the next command that are those of this one."""
+        port = "" if self.serial_port is None else f" --serial {self.serial_port}"
+        return port if self.sonar is None else f"{port} --sonar {shlex.quote(self.sonar)}"
 
     def _uploaded(self, *, may_wait: bool) -> bool:
         """Copy the applet to the card; False: the next round must do it, there is no folder yet."""
@@ -287,9 +298,8 @@ class Apply:
     def _by_hand(self, names: Sequence[str]) -> int:
         count = f": {', '.join(names)} take effect only then" if names else ""
         self.work.say(f"restart the autopilot{count}")
-        port = "" if self.serial_port is None else f" --serial {self.serial_port}"
         self.work.say(
-            f"then: echowing setup apply --vehicle {self.work.where}{port} --save "
+            f"then: echowing setup apply --vehicle {self.work.where}{self._same} --save "
             f"{shlex.quote(str(self.file))} writes the rest, its old values into the same file"
         )
         self.work.say(self._way_back)
@@ -302,8 +312,8 @@ class Apply:
             left = sorted(self._refused | {change.name for change in plan.changes})
             self.work.say(f"not set: {', '.join(left) or 'the applet'}")
             return 1
-        port = "" if self.serial_port is None else f" --serial {self.serial_port}"
-        self.work.say(f"all is set; next: echowing setup check --vehicle {self.work.where}{port}")
+        check = f"echowing setup check --vehicle {self.work.where}{self._same}"
+        self.work.say(f"all is set; next: {check}")
         return 0
 
 

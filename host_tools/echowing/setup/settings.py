@@ -7,7 +7,7 @@ pilot's (see `checks`).
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-from echowing.applets import FORMAT, identify
+from echowing.applets import FORMAT, detect_m, identify
 from echowing.mavlink.vehicle_limits import ACCELERATION, JERK, LEAN, VehicleLimit
 from echowing.setup.applet import applet_parameters
 from echowing.setup.readout import Readout
@@ -41,6 +41,9 @@ RTL_SPEED_MPS = 5.0  # WP_SPD's half: what the applet's doc suggests
 LEAST_LIMITS = {ACCELERATION: 5.0, JERK: 20.0, LEAN: 45.0}
 GUIDED_BY_WAYPOINTS = 64  # GUID_OPTIONS bit 6
 GUIDED_TIMEOUT_S, LONGEST_GUIDED_TIMEOUT_S = 3.0, 5.0  # GUID_TIMEOUT: its default, its range's end
+DETECT = "ECHO_DETECT"
+DETECT_WHY = "gimbal, applet and tool must take the same readings for the leader"
+DETECT_DIFFERS_M = 0.1  # no more than this from the sonar file's
 TOLERANCE = 1e-4  # of what a 32-bit float makes of a decimal number
 
 
@@ -258,9 +261,23 @@ def _applet(readout: Readout) -> Iterator[Setting]:
     for row in applet_parameters(readout.applet):
         if row.name in ("ECHO_ENABLE", "ECHO_MIRROR", FORMAT):
             continue
+        if row.name == DETECT and readout.sets_detect:
+            yield detect(readout)
+            continue
         yield Setting(
             row.name,
             lambda v, low=row.low, high=row.high: low - TOLERANCE <= v <= high + TOLERANCE,  # type: ignore[misc]
             lambda v, default=row.default: default,  # type: ignore[misc]
             f"the applet accepts {row.low:g} to {row.high:g} only",
         )
+
+
+def detect(readout: Readout) -> Setting:
+    """The range from which on nothing is a target, by the sonar file."""
+    by_file_m = detect_m(readout.sonar.reach_m)
+    return Setting(
+        DETECT,
+        lambda v: abs(v - by_file_m) <= DETECT_DIFFERS_M + TOLERANCE,
+        lambda v: by_file_m,
+        DETECT_WHY,
+    )

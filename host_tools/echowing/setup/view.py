@@ -121,7 +121,7 @@ def differences(
         if found is not None and found.verdict is not Verdict.FINE and found.about not in told:
             yield _row(found.about, f"{found.found}, left alone: {found.why}; {found.fix}")
     for found in examine(readout):
-        if found.verdict is Verdict.YOURS:
+        if found.verdict is Verdict.YOURS and found.about not in told:
             yield _row(found.about, f"{found.found} stays; it is yours to decide: {found.why}")
     room = memory(readout)
     if room.verdict is not Verdict.FINE:
