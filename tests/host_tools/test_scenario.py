@@ -110,6 +110,7 @@ def test_changes_reach_nested_keys() -> None:
     [
         ("gps.sigma=0.5", r"gps\.sigma: no such key; allowed here: .*sigma_m, spread, .*tau_s"),
         ("gps.sigma_m=-1", r"gps\.sigma_m: .*greater than or equal to 0.*got -1"),
+        ("sonar.late_share=1.5", r"sonar\.late_share: .*less than or equal to 1.*got 1\.5"),
         ("gps.sigma_m=wide", r"gps\.sigma_m: .*valid number.*got 'wide'"),
         ("law=magic", r"law: give 'none', 'thesis', 'bands', 'hold' or a \.lua file .*got 'magic'"),
         ("guidance.rate_hz=50", r"guidance\.rate_hz: .*less than or equal to 20"),

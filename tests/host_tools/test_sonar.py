@@ -3,6 +3,7 @@ import random
 import statistics
 import tomllib
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -171,7 +172,12 @@ def test_noise_is_as_told() -> None:
 
 @pytest.mark.parametrize(
     "other",
-    [{"heard": Curve((0.0,), (0.5,))}, {"deaf_share": 0.5}, {"wild_share": 0.3}],
+    [
+        {"heard": Curve((0.0,), (0.5,))},
+        {"deaf_share": 0.5},
+        {"wild_share": 0.3},
+        {"late_share": 0.3},
+    ],
 )
 def test_what_else_is_different_changes_no_other_draw(other: dict[str, Any]) -> None:
     """A reading that is the leader's in both flights is the same in both.
@@ -256,6 +262,33 @@ def test_one_reading_in_a_hundred_is_wild() -> None:
 
     # 200 expected, standard deviation 14.
     assert 150 < wild < 250
+
+
+@pytest.mark.parametrize("jitter_s", [0.0, 0.01])
+def test_its_share_of_the_readings_comes_late_and_stays_where_pings_are_regular(
+    jitter_s: float,
+) -> None:
+    ear, pose, chance = quiet_ear(late_share=0.4), Pose(HIGH, NORTH), random.Random(1)
+    times_s = [k * 0.05 + chance.uniform(0.0, jitter_s) for k in range(5_000)]
+    readings = [ear.ping(t_s, pose, [], ()) for t_s in times_s]
+    late = [one for one in readings if one is not None]
+
+    # 2,000 expected, standard deviation 35.
+    assert 1_880 < len(late) < 2_120
+    assert min(late) < 1.0
+    assert max(late) > 6.5
+    both = [(a, b) for a, b in pairwise(readings) if a is not None and b is not None]
+    # A second brings twenty pings; its noise is 1 cm. A jitter of 5 ms is 0.9 m.
+    alike = sum(abs(a - b) < 0.06 for a, b in both) / len(both)
+    assert alike > 0.9 if jitter_s == 0.0 else alike < 0.2
+
+
+def test_the_leader_is_heard_before_what_comes_late_behind_it() -> None:
+    readings = readings_m(quiet_ear(late_share=1.0), target_at(3.0), 2_000)
+    nearer = sum(one is not None and one < 2.8 for one in readings) / len(readings)
+    assert max(one or 0.0 for one in readings) < 3.0
+    # Late ones are anywhere from 0.2 to 7.65 m, in 200 places: standard deviation 0.034.
+    assert nearer == pytest.approx(2.6 / 7.45, abs=0.12)
 
 
 def test_two_sonars_that_face_each_other_hear_each_others_tone() -> None:

@@ -492,6 +492,7 @@ def _is_worse_than_believed(scenario: Scenario) -> bool:
     no_more = (
         (given.noise_m, file.noise_m[1]),
         (given.wild_share, file.wild_share[1] + file.late_share[1]),
+        (given.late_share, file.late_share[1]),
         (given.deaf_share + given.tone_share, 0.0),
         (given.spread, 1.0),
         (gps.sigma_m, usual.sigma_m),

@@ -174,6 +174,9 @@ class SonarSection(Section):
     """Standard deviation of a range."""
     wild_share: Share | None = None
     """Share of the readings that are anything at all."""
+    late_share: Share | None = None
+    """Share of the readings that are an echo of the ping before, off something far away; none: as
+    drawn, and among the wild ones."""
     tone_share: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
     """Share of the time in which a stranger's sonar is heard: then a range is anything at all."""
     heard_to_m: Positive | None = None

@@ -40,6 +40,8 @@ SOUND_DIES_S = 0.1
 LEVER_ARM_M = 0.10
 # The tone of another sonar is there for so long, on average.
 TONE_S = 1.0
+# What gives a late echo stays before the sonar for so long (assumed).
+LATE_S = 1.0
 # Near its limit an echo comes and goes: from sure to never within so much either side.
 FADES_SHARE = 0.05
 # Nothing is lost, whatever it depends on.
@@ -60,11 +62,12 @@ class TrueSonar:
     heard: share of its pings that bring an echo from the axis, over the range. half_rad: half angle
     of its beam for a vehicle, over the range; edge_rad: over this angle the beam begins. noise_m:
     standard deviation of a range. wild_share: of its readings that are anything at all, by
-    propeller noise or as an echo of an earlier ping. stock_m, foil_m: how far an X8 without and
-    with foil on its legs is heard. inset_m: how much less than the separation it reads. deaf_share,
-    deaf_s: share of the time in which it hears nothing, and how long that lasts on average.
-    tone_share: share of the time in which the tone of a stranger's sonar reaches it. left: what
-    propellers leave of the share heard, over the throttle (0 to 1).
+    propeller noise or otherwise. late_share: of them that are an echo of the ping before, off
+    something beyond all ranges. stock_m, foil_m: how far an X8 without and with foil on its legs is
+    heard. inset_m: how much less than the separation it reads. deaf_share, deaf_s: share of the
+    time in which it hears nothing, and how long that lasts on average. tone_share: share of the
+    time in which the tone of a stranger's sonar reaches it. left: what propellers leave of the
+    share heard, over the throttle (0 to 1).
     """
 
     heard: Curve
@@ -72,6 +75,7 @@ class TrueSonar:
     edge_rad: float = 0.0
     noise_m: float = 0.01
     wild_share: float = 0.01
+    late_share: float = 0.0
     stock_m: float = TABLE_5["MB1202"].stock_m
     foil_m: float = TABLE_5["MB1202"].foil_m
     inset_m: float = 0.2
@@ -277,6 +281,28 @@ class _Bursts:
         return self._chance.expovariate(1.0) * self._means_s[self._is_on]
 
 
+class _Late:
+    """Echoes of the ping before.
+
+    Something far away stays there for a while: pings at equal intervals show it at one place.
+    """
+
+    def __init__(self, share: float, chance: random.Random) -> None:
+        self._share, self._chance = share, chance
+        self._far_m, self._until_s, self._before_s = 0.0, -math.inf, -math.inf
+
+    def ranges_m(self, t_s: float) -> list[float]:
+        """Where it seems to be at this ping, if it is heard."""
+        late_m = (t_s - self._before_s) * SPEED_OF_SOUND_MPS / 2.0
+        self._before_s = t_s
+        if not math.isfinite(late_m):
+            return []  # the first ping: nothing is on its way
+        if t_s >= self._until_s or not SHORTEST_M <= self._far_m - late_m <= LONGEST_M:
+            self._far_m = self._chance.uniform(SHORTEST_M, LONGEST_M) + late_m
+            self._until_s = t_s + LATE_S
+        return [self._far_m - late_m] if self._chance.random() < self._share else []
+
+
 class Ear:
     """Pings: from what is in the beam to a range, with noise, wild readings and ghosts.
 
@@ -291,6 +317,7 @@ class Ear:
         self._echo, self._wild, self._noise = chance("echo"), chance("wild"), chance("noise")
         self._deaf = _Bursts(sonar.deaf_share, sonar.deaf_s, chance("deaf"))
         self._tone = _Bursts(sonar.tone_share, TONE_S, chance("tone"))
+        self._late = _Late(sonar.late_share, chance("late readings"))
         self._pings: list[tuple[float, list[float]]] = []  # time, and what they bring back when
 
     def ping(
@@ -304,6 +331,7 @@ class Ear:
         """Range of the nearest echo in metres, 1 cm steps; None: nothing came back."""
         echoes_m = self._echoes_m(pose, targets, surfaces)
         heard = [range_m for range_m in echoes_m if range_m <= LONGEST_M] + self._ghosts_m(t_s)
+        heard += self._late.ranges_m(t_s)
         self._pings.append((t_s, echoes_m))
         is_wild = self._wild.random() < self.sonar.wild_share
         anything_m = self._wild.uniform(SHORTEST_M, LONGEST_M)

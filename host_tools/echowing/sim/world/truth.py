@@ -49,7 +49,7 @@ class _Draw:
 def true_sonar(file: SonarFile, given: "SonarSection", chance: Stream) -> TrueSonar:
     """A follower's sonar: drawn around what the file says, as far as nothing else is given."""
     draw = _Draw(chance, given.spread)
-    wrong = draw.between("wild share", file.wild_share) + draw.between("late", file.late_share)
+    wild, late = draw.between("wild share", file.wild_share), draw.between("late", file.late_share)
     heard = draw.place("share")
     drawn = TrueSonar(
         heard=Curve(
@@ -62,7 +62,8 @@ def true_sonar(file: SonarFile, given: "SonarSection", chance: Stream) -> TrueSo
         half_rad=_beam(file, given, draw),
         edge_rad=math.radians(draw.between("edge", file.beam.edge_deg, LEAST_DEG)),
         noise_m=draw.between("noise m", file.noise_m),
-        wild_share=min(1.0, wrong),
+        wild_share=min(1.0, wild + late) if given.late_share is None else wild,
+        late_share=given.late_share or 0.0,
         stock_m=draw.between("stock", file.stock_to_m, file.shortest_m),
         foil_m=draw.between("foil", file.foil_to_m, file.shortest_m),
         inset_m=draw.between("inset", file.inset_m, LEVER_ARM_M),
