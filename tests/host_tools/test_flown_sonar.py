@@ -7,27 +7,52 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.analysis.flown_sonar import LEAST_READINGS, sonar_from
 from echowing.cli import main
 from echowing.errors import EchowingError
 from echowing.flight.hearing import Reading
-from echowing.sonar_file import load_sonar
+from echowing.sim.vehicle.dataflash import DataflashLog, ScriptMessage
+from echowing.sonar_file import Legs, load_sonar
 from echowing.tool.log import SONAR, FollowLog
+
+from .test_logs import DATA, Tlog
 
 BASE = load_sonar("mb1202")
 START_UNIX_S = 1_790_000_000.0
 
 
-def flown(share: float = 0.7, half_deg: float = 15.0, count: int = 6_000) -> list[Reading]:
-    """Ten minutes at 2.4 to 3.6 m, up to 18 degrees off the axis."""
+# The ground's clock is ahead of the vehicle's.
+AHEAD_S = 100.0
+
+
+def throttle(t_s: float) -> float:
+    """Of a follower that climbs in one minute of three."""
+    return 0.7 if t_s % 180.0 >= 120.0 else 0.4
+
+
+def flown(
+    share: float = 0.7,
+    half_deg: float = 15.0,
+    count: int = 6_000,
+    *,
+    swings_m: float = 0.6,
+    heard_to_m: float = 9.0,
+    climbing: float = 1.0,
+) -> list[Reading]:
+    """Ten minutes at 2.4 to 3.6 m, up to 18 degrees off the axis.
+
+    climbing: what is heard in climbs, as a share of the rest.
+    """
     chance = random.Random(6)
     readings = []
     for number in range(count):
         t_s = 0.1 * number
-        expected_m = 3.0 + 0.6 * math.sin(0.2 * t_s)
+        expected_m = 3.0 + swings_m * math.sin(0.2 * t_s)
         off_deg = 18.0 * abs(math.sin(0.37 * t_s))
         there = share / (1.0 + math.exp((off_deg - half_deg) / 1.5))
+        there *= (expected_m < heard_to_m) * (climbing if throttle(t_s) > 0.5 else 1.0)
         range_m = expected_m + chance.gauss(0.0, 0.02) if chance.random() < there else None
         if chance.random() < 0.02:
             range_m = chance.uniform(0.2, 4.5)
@@ -74,7 +99,87 @@ def test_what_was_heard_is_in_the_file(tmp_path: Path) -> None:
     assert file.belief().widest_rad.at(3.0) == pytest.approx(BASE.belief().widest_rad.at(3.0), 0.01)
     assert (file.foil_to_m, file.inset_m) == (BASE.foil_to_m, BASE.inset_m)
     assert file.source["heard.least"].startswith("measured: flight, ")
-    assert file.source["inset_m"] == BASE.source["inset_m"]
+    # What a flight does not tell is as it was, and the file says why.
+    assert file.source["inset_m"].startswith(f"{BASE.source['inset_m']}; kept: a flight does not ")
+    assert "; kept: no end of it was flown to; heard at ranges of 3.5" in file.source["foil_to_m"]
+    assert "give the follower's .BIN" in file.source["throttle.share"]
+    assert file.guesses == [
+        key for key in BASE.guesses if not file.source[key].startswith("measured")
+    ]
+    assert [note.partition(" is as it was: ")[0] for note in measured.notes] == [
+        *("inset_m", "reach_m", "beam.widest_deg", "foil_to_m", "stock_to_m"),
+        "throttle.throttle",
+    ]
+    # Measured once more with it, the reasons do not pile up.
+    again = sonar_from(tmp_path, file, "foil").file
+    assert again.source["inset_m"] == file.source["inset_m"]
+
+
+@pytest.mark.parametrize(("legs", "key"), [("foil", "foil_to_m"), ("stock", "stock_to_m")])
+def test_how_far_it_hears_is_told_by_who_flew_further(tmp_path: Path, legs: Legs, key: str) -> None:
+    logged(tmp_path, flown(swings_m=1.4, heard_to_m=3.6))
+    file = sonar_from(tmp_path, BASE, legs).file
+
+    low_m, high_m = getattr(file, key)
+    assert low_m < 3.6 < high_m <= low_m + 1.0
+    assert file.source[key].startswith("measured: flight, ")
+    other = "stock_to_m" if legs == "foil" else "foil_to_m"
+    assert file.source[other].startswith("guess: in the proportion")
+    assert file.heard.least[-1] < 0.1  # nothing is believed beyond
+
+
+def telemetry(folder: Path, *, hud: bool) -> Path:
+    """What `follow` has of the vehicle beside the readings; writes the vehicle's own log, too."""
+    tlog, own = Tlog(2), DataflashLog((folder / "follower.BIN").open("wb"))
+    tlog.fly(lambda t_s: 2.0 * t_s, seconds=600.0, start_unix_s=START_UNIX_S, delay_s=AHEAD_S)
+    for t_s in range(600):
+        # The readings' clock is the ground's.
+        thrust = throttle(t_s + AHEAD_S)
+        if hud:
+            said = mavlink.MAVLink_vfr_hud_message(2, 2, 0, round(100 * thrust), 10, 0)
+            tlog.put(START_UNIX_S + t_s + AHEAD_S, said)
+        place = (36.0, -86.0, 260.0)
+        own.gps(float(t_s), START_UNIX_S + t_s, place, (2.0, 0.0, 0.0))
+        own.write("POS", float(t_s), *place, 10.0, 10.0)
+        own.write_script(ScriptMessage("CTUN", "ThO", "f", "", "", (thrust,)), float(t_s))
+    own.close()
+    (empty,) = folder.glob("*.tlog")
+    empty.write_bytes(tlog.data)
+    return folder / "follower.BIN"
+
+
+@pytest.mark.parametrize("hud", [True, False])
+def test_what_the_throttle_takes_is_told_by_telemetry_or_the_autopilots_log(
+    tmp_path: Path, hud: bool
+) -> None:
+    logged(tmp_path, flown(climbing=0.5))
+    own = telemetry(tmp_path, hud=hud)
+    measured = sonar_from(tmp_path, BASE, "foil", None if hud else own)
+
+    told = dict(zip(measured.file.throttle.throttle, measured.file.throttle.share, strict=True))
+    assert told == {0.0: 1.0, 0.4: 1.0, 0.7: pytest.approx(0.5, abs=0.07)}
+    assert measured.file.source["throttle.share"].startswith("measured: flight, ")
+    assert not any(note.startswith("throttle") for note in measured.notes)
+
+
+def test_one_throttle_tells_nothing_of_others(tmp_path: Path) -> None:
+    logged(tmp_path, flown(count=1_200))
+    telemetry(tmp_path, hud=True)
+    file = sonar_from(tmp_path, BASE, "foil").file
+
+    assert file.throttle == BASE.throttle
+    assert "too little was heard at other throttles than 40%" in file.source["throttle.share"]
+
+
+def test_an_autopilots_log_without_its_clock_or_throttle_is_named(tmp_path: Path) -> None:
+    logged(tmp_path, flown())
+    with pytest.raises(EchowingError, match="does not tell vehicle 2's clock"):
+        sonar_from(tmp_path, BASE, "foil", DATA / "follower.BIN")
+    telemetry(tmp_path, hud=False)
+    with pytest.raises(EchowingError, match=r"follower\.BIN: tells no throttle \(CTUN"):
+        sonar_from(tmp_path, BASE, "foil", DATA / "follower.BIN")
+    with pytest.raises(EchowingError, match=r"leader\.BIN: is of vehicle 1, the readings of 2"):
+        sonar_from(tmp_path, BASE, "foil", DATA / "leader.BIN")
 
 
 def test_analyze_writes_it_and_says_what_it_heard(
@@ -89,6 +194,7 @@ def test_analyze_writes_it_and_says_what_it_heard(
     # Beside what was believed.
     assert "measured: ranges scatter 1.8 to 2.9 cm, 1.4% to 1.9% are wild, " in said
     assert "mb1202: ranges scatter 0.5 to 3.0 cm, 0.0% to 2.0% are wild, 0.0% to 1.0% late" in said
+    assert "inset_m is as it was: a flight does not tell it" in said
     assert f"echowing follow --sonar {mine}" in said
     heard = load_sonar(mine).belief().heard.at(2.8)
     assert 0.3 < heard < 0.4
@@ -137,7 +243,7 @@ def test_a_folder_without_readings_is_named(tmp_path: Path) -> None:
 
 
 def test_two_logs_at_once_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["analyze", "a", "b", "--sonar", "mine.toml"]) == 2
+    assert main(["analyze", "a", "b", "c", "--sonar", "mine.toml"]) == 2
     assert "give one log" in capsys.readouterr().err
 
 

@@ -6,24 +6,29 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from echowing.analysis.sonar_measure import Measured, Readings, flown_sonar
+import numpy as np
+
+from echowing.analysis.flight import Floats
+from echowing.analysis.sonar_measure import Flown, Measured, Readings, flown_sonar
+from echowing.analysis.vehicle_log import VehicleLog, read_vehicles
 from echowing.errors import EchowingError
 from echowing.flight.hearing import Reading, scatter_m
 from echowing.sonar_file import Legs, SonarFile
 from echowing.tool.log import SONAR
 
-# Readings at about the same place count as of one: metres and degrees.
-STEP_M, STEP_DEG = 0.5, 4.0
+# Readings at about the same place and throttle count as of one: metres, degrees, share.
+STEP_M, STEP_DEG, STEP_THROTTLE = 0.5, 4.0, 0.1
 # A leader whose direction is known worse tells nothing of the beam.
 SURE_DEG = 8.0
 # Fewer say nothing.
 LEAST_READINGS = 300
 
 
-def sonar_from(log: Path, base: SonarFile, legs: Legs) -> Measured:
+def sonar_from(log: Path, base: SonarFile, legs: Legs, autopilot: Path | None = None) -> Measured:
     """The sonar file of the one follower of a flight.
 
-    Raises EchowingError where the log has no readings, or too few.
+    autopilot: the follower's own log (.BIN), which tells its throttle. Raises EchowingError where
+    the log has no readings, or too few.
     """
     path = _readings_of(log)
     told = list(_read(path))
@@ -39,7 +44,39 @@ def sonar_from(log: Path, base: SonarFile, legs: Legs) -> Measured:
             f"{path}: {len(sure)} readings of a leader whose place was known, and "
             f"{LEAST_READINGS} are needed: fly longer, and nearer"
         )
-    return flown_sonar(_binned(sure, base), base, legs, scatter_m(readings))
+    throttle = _throttle(path, followers.pop(), autopilot)
+    how = Flown(legs, scatter_m(readings), throttle_known=len(throttle) > 0)
+    return flown_sonar(_binned(sure, base, throttle), base, how)
+
+
+def _throttle(path: Path, system_id: int, autopilot: Path | None) -> Floats:
+    """Times on the ground's clock, and the follower's throttle then; empty: nobody tells.
+
+    The tool asks for no VFR_HUD, but its log has it where another ground station does.
+    """
+    log = path.with_name(path.name.removesuffix(SONAR) + ".tlog")
+    try:
+        own = next(one for one in read_vehicles(log) if one.system_id == system_id)
+    except (EchowingError, StopIteration):
+        if autopilot is not None:
+            raise EchowingError(
+                f"{log}: does not tell vehicle {system_id}'s clock: without it the throttle in "
+                f"{autopilot} has no time"
+            ) from None
+        return np.empty((0, 2))
+    told = own if autopilot is None else _autopilots(autopilot, system_id)
+    told.shift(own.to_ground_s)
+    throttle = told.throttle.array()
+    if autopilot is not None and not len(throttle):
+        raise EchowingError(f"{autopilot}: tells no throttle (CTUN; LOG_BITMASK bit 4)")
+    return throttle
+
+
+def _autopilots(path: Path, system_id: int) -> VehicleLog:
+    (log,) = read_vehicles(path)[:1]
+    if log.system_id not in (0, system_id):
+        raise EchowingError(f"{path}: is of vehicle {log.system_id}, the readings of {system_id}")
+    return log
 
 
 def _readings_of(log: Path) -> Path:
@@ -80,16 +117,24 @@ def _reading(table: Any) -> tuple[int, Reading]:
     )
 
 
-def _binned(readings: list[Reading], base: SonarFile) -> list[Readings]:
-    """Readings of the same place, each moved to where its place's middle is."""
+def _binned(readings: list[Reading], base: SonarFile, throttle: Floats) -> list[Readings]:
+    """Readings of the same place and throttle, each moved to where its place's middle is."""
     inset_m = sum(base.inset_m) / 2.0
-    places: dict[tuple[float, float], Readings] = {}
-    for one in readings:
+    places: dict[tuple[float, float, float], Readings] = {}
+    for one, thrust in zip(readings, _at(readings, throttle), strict=True):
         range_m = STEP_M * max(1, round(one.expected_m / STEP_M))
         off_deg = STEP_DEG * round(math.degrees(one.off_rad) / STEP_DEG)
         place = places.setdefault(
-            (range_m, off_deg), Readings(range_m + inset_m, off_deg, 0.0, [[]], inset_m)
+            (range_m, off_deg, thrust), Readings(range_m + inset_m, off_deg, thrust, [[]], inset_m)
         )
         moved_m = None if one.range_m is None else one.range_m - one.expected_m + range_m
         place.runs[0].append(moved_m)
     return list(places.values())
+
+
+def _at(readings: list[Reading], throttle: Floats) -> list[float]:
+    """The throttle at each reading, in steps; the same for all where nobody tells it."""
+    if not len(throttle):
+        return [0.0] * len(readings)
+    exactly = np.interp([one.time_s for one in readings], throttle[:, 0], throttle[:, 1])
+    return [round(STEP_THROTTLE * round(one / STEP_THROTTLE), 3) for one in exactly]

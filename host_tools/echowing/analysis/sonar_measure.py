@@ -38,6 +38,16 @@ NEAR_DEG = 4.0
 NOISE_UNSURE = 1.3
 # More readings of the same other thing than these are worth a word.
 STEADY_SHARE = 0.1
+# Where so many would hear the leader, what a throttle leaves of them is known to a twentieth.
+TELLS_A_THROTTLE = 300.0
+# What a flight leaves as it was, in the file's sources.
+KEPT = "; kept: "
+WHY_NO_INSET = (
+    "a flight does not tell it, as the receivers differ by a metre, and the place of the leader is "
+    "known by the sonar itself"
+)
+WHY_NO_LIMIT = "a flight does not tell it, as a range from there on counts as none"
+WHY_NO_WIDTH = "in flight the axis is known to some degrees only"
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +57,18 @@ class Conditions:
     legs: Legs
     hover: float
     slot_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Flown:
+    """What is known of a flight: the leader's legs, whether the throttle is told.
+
+    noise_m: standard deviation of a range, where it is known.
+    """
+
+    legs: Legs
+    noise_m: float | None
+    throttle_known: bool
 
 
 @dataclass
@@ -143,36 +165,98 @@ def measured_sonar(
         **_wrong(hovering, alike),
         "heard": _heard(fit, middle_m),
         "beam": _beam(fit, middle_m),
-        **_reaches(fit, base, conditions, middle_m),
+        **_reaches(*_half_heard(fit), base, conditions.legs, middle_m),
         **_throttles(readings, conditions),
     }
     said = _said("bench", hovering, conditions.legs) + f", throttle {conditions.hover:g}"
-    other = "stock_to_m" if conditions.legs == "foil" else "foil_to_m"
-    source = {other: f"guess: in the proportion of thesis Table 5; {said}"}
-    file = _changed(base, values, said, source)
+    file = _changed(base, values, said, _guessed_reach(conditions.legs, said))
     return Measured(file, fit, conditions.hover, _notes(hovering))
 
 
-def flown_sonar(
-    readings: Sequence[Readings], base: SonarFile, legs: Legs, noise_m: float | None
-) -> Measured:
+def flown_sonar(readings: Sequence[Readings], base: SonarFile, how: Flown) -> Measured:
     """The sonar file of a flight: where the leader was is known from the estimate.
 
-    So reach and inset are as in `base`, and so is how wide the beam may be. noise_m: of a range,
-    where it is known.
+    So how wide the beam may be is as in `base`, and so is all that the flight does not tell: the
+    file's sources and the notes say what, and why.
     """
     flown = [one for one in readings if one.pings]
     fit, alike = _fit(flown)
     inset_m = _middle(base.inset_m)
+    reaches, why_no_reach = _flown_reaches(fit, base, how.legs, inset_m)
+    throttles, why_no_throttle = _flown_throttles(flown, fit, base, known=how.throttle_known)
+    ends_m = reaches["foil_to_m"][1] if reaches else math.inf
     values: dict[str, Any] = {
         **_wrong(flown, alike),
-        "heard": _with_far(_heard(fit, inset_m), base),
+        "heard": _with_far(_heard(fit, inset_m), base, ends_m),
         "beam": _as_narrow(_beam(fit, inset_m), base),
+        **reaches,
+        **throttles,
     }
-    if noise_m is not None:
-        values["noise_m"] = (round(noise_m / NOISE_UNSURE, 4), round(noise_m * NOISE_UNSURE, 4))
-    file = _changed(base, values, _said("flight", flown, legs), {})
-    return Measured(file, fit, flown[0].throttle, ())
+    if how.noise_m is not None:
+        least_m, most_m = how.noise_m / NOISE_UNSURE, how.noise_m * NOISE_UNSURE
+        values["noise_m"] = (round(least_m, 4), round(most_m, 4))
+    kept = {"inset_m": WHY_NO_INSET, "reach_m": WHY_NO_LIMIT, "beam.widest_deg": WHY_NO_WIDTH}
+    kept |= {} if reaches else dict.fromkeys(("foil_to_m", "stock_to_m"), why_no_reach)
+    kept |= (
+        {} if throttles else dict.fromkeys(("throttle.throttle", "throttle.share"), why_no_throttle)
+    )
+    said = _said("flight", flown, how.legs)
+    sources = {key: _kept(base.source.get(key, ""), why) for key, why in kept.items()}
+    sources |= _guessed_reach(how.legs, said) if reaches else {}
+    notes = tuple(f"{key} is as it was: {why}" for key, why in kept.items() if "share" not in key)
+    return Measured(_changed(base, values, said, sources), fit, flown[0].throttle, notes)
+
+
+def _kept(source: str, why: str) -> str:
+    """Where a value comes from that a flight has left as it was."""
+    before = source.partition(KEPT)[0]
+    return f"{before}{KEPT}{why}"
+
+
+def _flown_reaches(
+    fit: Fit, base: SonarFile, legs: Legs, inset_m: float
+) -> tuple[dict[str, Between], str]:
+    """How far a leader is heard, where the flight went that far; else nothing, and why.
+
+    As on the bench; but a share that few readings tell is none, and one that is heard as far as
+    anybody flew tells no end.
+    """
+    needed = HALF_AS_MUCH * max(at.share_between[0] for at in fit.at)
+    farthest_m = max(at.range_m for at in fit.at if at.share_between[0] >= needed)
+    far = [at.range_m for at in fit.at if at.share_between[1] < needed and at.range_m > farthest_m]
+    if far:
+        return _reaches(farthest_m, far[0], base, legs, inset_m), ""
+    return {}, f"no end of it was flown to; heard at ranges of {farthest_m - inset_m:.1f} m"
+
+
+def _flown_throttles(
+    readings: Sequence[Readings], fit: Fit, base: SonarFile, *, known: bool
+) -> tuple[dict[str, Any], str]:
+    """What each throttle that was flown leaves of the share heard at the usual one.
+
+    Beside what is heard on average at the same places. Nothing, and why, where only one was flown.
+    """
+    if not known:
+        return {}, "no log of the flight tells the throttle; give the follower's .BIN, too"
+    foretold: dict[float, float] = {}
+    for one in readings:
+        share = one.pings * fit.share(one.separation_m, one.off_deg)
+        foretold[one.throttle] = foretold.get(one.throttle, 0.0) + share
+    enough = sorted(throttle for throttle, count in foretold.items() if count >= TELLS_A_THROTTLE)
+    if len(enough) < 2:
+        at = " and ".join(f"{one:.0%}" for one in enough) or "no one throttle"
+        return {}, f"too little was heard at other throttles than {at}"
+    heard = {
+        throttle: sum(one.heard for one in readings if one.throttle == throttle)
+        / foretold[throttle]
+        for throttle in enough
+    }
+    hover = heard[max(enough, key=lambda throttle: foretold[throttle])]
+    left = {throttle: round(min(1.0, share / hover), 3) for throttle, share in heard.items()}
+    believed = zip(base.throttle.throttle, base.throttle.share, strict=True)
+    left |= {one: share for one, share in believed if not enough[0] <= one <= enough[-1]}
+    told = {"throttle": tuple(sorted(left)), "share": tuple(left[one] for one in sorted(left))}
+    return {"throttle": told}, ""
 
 
 def _fit(readings: Sequence[Readings]) -> tuple[Fit, float]:
@@ -203,9 +287,12 @@ def _changed(
     )
 
 
-def _with_far(heard: dict[str, tuple[float, ...]], base: SonarFile) -> dict[str, tuple[float, ...]]:
-    """What was flown, and beyond it what is believed."""
-    far = [n for n, range_m in enumerate(base.heard.range_m) if range_m > heard["range_m"][-1]]
+def _with_far(
+    heard: dict[str, tuple[float, ...]], base: SonarFile, ends_m: float
+) -> dict[str, tuple[float, ...]]:
+    """What was flown, and beyond it what is believed, up to where the leader is heard no more."""
+    last_m = heard["range_m"][-1]
+    far = [n for n, range_m in enumerate(base.heard.range_m) if last_m < range_m < ends_m]
     believed = {name: getattr(base.heard, name) for name in heard}
     return {name: (*values, *(believed[name][n] for n in far)) for name, values in heard.items()}
 
@@ -276,17 +363,30 @@ def _beam(fit: Fit, inset_m: float) -> dict[str, tuple[float, ...]]:
     }
 
 
-def _reaches(
-    fit: Fit, base: SonarFile, conditions: Conditions, inset_m: float
-) -> dict[str, Between]:
-    """How far a leader with these legs is heard, and one with others in proportion."""
+def _guessed_reach(legs: Legs, said: str) -> dict[str, str]:
+    """The source of how far a leader with the other legs is heard."""
+    other = "stock_to_m" if legs == "foil" else "foil_to_m"
+    return {other: f"guess: in the proportion of thesis Table 5; {said}"}
+
+
+def _half_heard(fit: Fit) -> tuple[float, float | None]:
+    """The farthest range where half of the best is heard, and the next one; None: there is none."""
     needed = HALF_AS_MUCH * max(at.share for at in fit.at)
-    good = [at.range_m for at in fit.at if at.share >= needed]
-    farthest_m = max(good) - inset_m
-    beyond = [at.range_m - inset_m for at in fit.at if at.range_m > max(good)]
-    most_m = beyond[0] if beyond else BEYOND_SHARE * farthest_m
-    mine = (round(farthest_m, 3), round(most_m, 3))
-    is_foil = conditions.legs == "foil"
+    farthest_m = max(at.range_m for at in fit.at if at.share >= needed)
+    return farthest_m, next((at.range_m for at in fit.at if at.range_m > farthest_m), None)
+
+
+def _reaches(
+    farthest_m: float, far_m: float | None, base: SonarFile, legs: Legs, inset_m: float
+) -> dict[str, Between]:
+    """How far a leader with these legs is heard, and one with others in proportion.
+
+    farthest_m: from centre to centre, there it is heard; far_m: there no more.
+    """
+    least_m = farthest_m - inset_m
+    most_m = BEYOND_SHARE * least_m if far_m is None else far_m - inset_m
+    mine = (round(least_m, 3), round(most_m, 3))
+    is_foil = legs == "foil"
     ratio = sum(base.stock_to_m) / sum(base.foil_to_m)
     others = tuple(round((ratio if is_foil else 1.0 / ratio) * one, 3) for one in mine)
     names = ("foil_to_m", "stock_to_m") if is_foil else ("stock_to_m", "foil_to_m")

@@ -62,10 +62,11 @@ TLOG_TYPES = [
     "DISTANCE_SENSOR",
     "NAMED_VALUE_FLOAT",
     "PARAM_VALUE",
+    "VFR_HUD",
 ]
 DATAFLASH_TYPES = [
     *("MSG", "RTC", "GPS", "POS", "XKF1", "NKF1", "ATT", "MODE"),
-    *("RFND", "NVF", "ECHO", "PARM"),
+    *("RFND", "NVF", "ECHO", "PARM", "CTUN"),
 ]
 
 
@@ -93,8 +94,9 @@ class VehicleLog:
 
     position: (UTC s, latitude deg, longitude deg, altitude AMSL m); velocity: (s, north, east,
     down m/s); yaw: (s, rad); sonar: (s, m or NaN for "no target"); speed_command: (s, m/s);
-    pan, tilt: (s, us); guided: (s, 1 in Guided, else 0). clock: "gps"; without GPS time "ground",
-    the ground computer's by TIMESYNC, or "receive", its time of reception.
+    pan, tilt: (s, us); guided: (s, 1 in Guided, else 0); throttle: (s, 0 to 1). clock: "gps";
+    without GPS time "ground", the ground computer's by TIMESYNC, or "receive", its time of
+    reception.
     """
 
     path: Path
@@ -109,6 +111,7 @@ class VehicleLog:
     pan: Series = field(default_factory=Series)
     tilt: Series = field(default_factory=Series)
     guided: Series = field(default_factory=Series)
+    throttle: Series = field(default_factory=Series)
     to_ground_s: float = math.nan  # what to add to its times for the ground computer's clock
     warnings: list[str] = field(default_factory=list)
 
@@ -254,6 +257,7 @@ class _Telemetry:
 
     types: set[int] = field(default_factory=set)
     guided: Series = field(default_factory=Series)
+    throttle: Series = field(default_factory=Series)
     unix_minus_boot_s: list[float] = field(default_factory=list)
     fixes: list[tuple[float, float, Any]] = field(default_factory=list)  # boot, received, message
     named: dict[str, Series] = field(default_factory=lambda: defaultdict(Series))
@@ -282,6 +286,8 @@ class _Telemetry:
             self.ground_clock.answered(asked_s[message.ts1], message.tc1 / 1e9, received_s)
         elif kind == "GLOBAL_POSITION_INT" and own:
             self._fix(message, received_s)
+        elif kind == "VFR_HUD" and own:
+            self.throttle.rows.append((received_s, message.throttle / 100.0))
         elif kind == "PARAM_VALUE" and message.param_id in SPEED_PARAMETERS:
             factor = SPEED_PARAMETERS[message.param_id]
             self.parameter.rows.append((received_s, message.param_value * factor))
@@ -358,6 +364,7 @@ def _from_telemetry(path: Path, number: int, heard: _Telemetry) -> VehicleLog:
         (log.pan, heard.named[PAN_NAME]),
         (log.tilt, heard.named[TILT_NAME]),
         (log.guided, heard.guided),
+        (log.throttle, heard.throttle),
     ):
         mine.rows = [(row[0] - delay_s, *row[1:]) for row in theirs.rows]
     return log
@@ -402,10 +409,8 @@ def _dataflash(path: Path) -> VehicleLog:
             log.position.rows.append((time_s, message.Lat, message.Lng, message.Alt))
         elif kind in ("XKF1", "NKF1") and getattr(message, "C", 0) == 0:
             log.velocity.rows.append((time_s, message.VN, message.VE, message.VD))
-        elif kind == "ATT":
-            log.yaw.rows.append((time_s, math.radians(message.Yaw)))
-        elif kind == "MODE":
-            log.guided.rows.append((time_s, float(message.ModeNum == COPTER_GUIDED)))
+        elif kind in ("ATT", "MODE", "CTUN"):
+            _flown(log, kind, time_s, message)
         elif kind == "RFND" and message.Orient == FORWARD and message.Stat > 0:
             good = message.Stat == RANGE_GOOD
             log.sonar.rows.append((time_s, message.Dist if good else math.nan))
@@ -424,6 +429,16 @@ def _dataflash(path: Path) -> VehicleLog:
     log.shift(clock.unix_minus_boot_s)
     log.warnings += reader.damage
     return log
+
+
+def _flown(log: VehicleLog, kind: str, time_s: float, message: Any) -> None:
+    """How it was flown: heading, mode, throttle."""
+    if kind == "ATT":
+        log.yaw.rows.append((time_s, math.radians(message.Yaw)))
+    elif kind == "MODE":
+        log.guided.rows.append((time_s, float(message.ModeNum == COPTER_GUIDED)))
+    else:
+        log.throttle.rows.append((time_s, message.ThO))
 
 
 @dataclass

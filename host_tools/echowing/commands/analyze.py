@@ -21,6 +21,7 @@ examples:
   echowing analyze out/flight-7 --out out/flight-7      what `echowing follow --log` has written
   echowing analyze leader.tlog follower.tlog --radius 4 --out out/flight-7
   echowing analyze out/flight-7 --sonar mine.toml       what its sonar hears, as a sonar file
+  echowing analyze out/flight-7 follower.BIN --sonar mine.toml      and what the throttle takes
   echowing analyze --answer follower.BIN                how it answers a speed step
   echowing analyze out/mine/leader.tlog out/mine/follower-2.tlog --json
       with the truth.csv that `echowing sim --out` has written beside them
@@ -88,7 +89,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         metavar="FILE",
         help="write instead what the follower's sonar has heard in this flight, as a sonar file; "
-        "all that a flight does not tell is as in --base",
+        "what a flight does not tell is as in --base, and the file says so",
     )
     parser.add_argument(
         "--base", default="mb1202", metavar="SONAR", help="the sonar file that was flown (mb1202)"
@@ -126,10 +127,13 @@ def _sonar(args: argparse.Namespace) -> int:
     from echowing.errors import EchowingError  # noqa: PLC0415
     from echowing.sonar_file import load_sonar, write_sonar  # noqa: PLC0415
 
-    if len(args.logs) != 1:
-        raise EchowingError("--sonar: give one log of `echowing follow`, or its DIR")
+    log, *autopilots = args.logs
+    if len(autopilots) > 1:
+        raise EchowingError(
+            "--sonar: give one log of `echowing follow`, or its DIR, and the follower's .BIN"
+        )
     base = load_sonar(args.base)
-    measured = sonar_from(args.logs[0], base, args.legs)
+    measured = sonar_from(log, base, args.legs, *autopilots)
     write_sonar(args.sonar, measured.file)
     if args.json:
         print(json.dumps(measured.file.model_dump(mode="json")))
@@ -139,6 +143,7 @@ def _sonar(args: argparse.Namespace) -> int:
         print(f"{at.range_m:.1f} m: hears {at.share:.0%} on the axis ({low:.0%} to {high:.0%})")
     for name, file in (("measured", measured.file), (args.base, base)):
         print(f"{name}: {_scatter_and_wrong(file)}")
+    print("\n".join(measured.notes))
     print(f"{args.sonar}: fly by it with `echowing follow --sonar {args.sonar}`")
     return 0
 
