@@ -66,7 +66,7 @@ class HeardSection(_Finite):
     """How many of its readings hear a leader with foil on its legs, on the axis, in hover."""
 
     range_m: Ranges
-    """Distances. What is heard beyond the last one, nobody knows."""
+    """Distances. Nobody knows what is heard beyond the last one."""
     least: tuple[Share, ...]
     """Share there, at least."""
     most: tuple[Share, ...]
@@ -88,7 +88,8 @@ class BeamSection(_Finite):
     widest_deg: tuple[HalfAngle, ...]
     """Half angle there, at most."""
     edge_deg: BetweenPositive
-    """Where the beam ends the share falls from three quarters to one over this angle."""
+    """At the edge of the beam the share heard falls from three quarters to one quarter of that on
+    the axis, within this angle."""
 
     @model_validator(mode="after")
     def _complete(self) -> "BeamSection":
@@ -103,7 +104,7 @@ class ThrottleSection(_Finite):
     throttle: Annotated[tuple[Share, ...], Field(min_length=1)] = (0.0,)
     """Throttles, 0 to 1."""
     share: tuple[Share, ...] = (1.0,)
-    """What is left there of the share that is heard in hover."""
+    """What it leaves of the share that is heard in hover."""
 
     @model_validator(mode="after")
     def _complete(self) -> "ThrottleSection":
@@ -122,15 +123,15 @@ class SonarFile(_Finite):
     title: str
     """What it describes."""
     shortest_m: NotNegative
-    """Nearer reads as this."""
+    """The shortest range that it reads: who is nearer reads as this."""
     reach_m: Positive
-    """A range from here on is no target."""
+    """A range of this or more counts as none."""
     foil_to_m: BetweenPositive
-    """So far it hears a leader with foil on its legs."""
+    """How far it hears a leader with foil on its legs."""
     stock_to_m: BetweenPositive
-    """So far it hears one with stock legs."""
+    """How far it hears one with stock legs."""
     inset_m: Between
-    """How much less than the separation, from centre to centre, it reads."""
+    """The separation, from centre to centre, minus what it reads."""
     rate_hz: Positive
     """Readings per second, as the co-processor sends them."""
     noise_m: Between
@@ -140,8 +141,8 @@ class SonarFile(_Finite):
     late_share: BetweenShares
     """Share of the readings that are an echo of an earlier ping."""
     rangefinder_type: Annotated[int, Field(ge=1, le=127)] = MAVLINK_TYPE
-    """`RNGFNDn_TYPE`. 10: the co-processor reads it, on its gimbal. Another one: the autopilot's
-    own driver of that number reads it, fixed to the nose."""
+    """`RNGFNDn_TYPE`. 10: it is on the gimbal, and the co-processor reads it. Any other: it is
+    fixed to the nose, and the autopilot's driver of that number reads it."""
     heard: HeardSection
     """What it hears."""
     beam: BeamSection

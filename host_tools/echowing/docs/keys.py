@@ -39,22 +39,26 @@ The units are in the names: `_m` metres, `_s` seconds, `_mps` metres per second,
 SONAR = """\
 # Sonar files
 
-A sonar file (TOML) says what is known of a follower's sonar on its mount, with its propellers \
-before and around it, and how a leader is heard by it. `echowing follow --sonar FILE` flies with \
-it; without it with `mb1202`, the file that the package brings \
-([`host_tools/echowing/sonars/mb1202.toml`](echowing/sonars/mb1202.toml)). Most of that one is \
-guessed, and so it is cautious. Measure your own: [`RIG.md`](RIG.md), response matrix; or out of \
-a flight, `echowing analyze out/flight-7 --sonar mine.toml`. In flight the view shows what the \
-sonar has heard in the last minute, and pilots are told of one that hears less, scatters more or \
-is wrong more often than its file says. The slot opens if such a sonar does not carry it \
-([`GUIDANCE.md`](GUIDANCE.md#what-the-receivers-disagree-by)). Slots that the file does not carry \
-are named before anybody flies.
+A sonar file (TOML) says what is known of a follower's sonar on its mount, among its propellers, \
+and how well it hears a leader. `echowing follow --sonar FILE` flies by it. Without `--sonar` it \
+takes `mb1202`, which comes with the package \
+([`host_tools/echowing/sonars/mb1202.toml`](echowing/sonars/mb1202.toml)). Most values of that one \
+are guesses, and cautious ones. Measure your own: on the bench ([`RIG.md`](RIG.md), response \
+matrix), or in a flight (`echowing analyze out/flight-7 --sonar mine.toml`, \
+[`SENSORS.md`](SENSORS.md#measure-it)).
 
-Where two values stand, `[least, most]`, nine such sonars of ten are between them. The product \
-believes the worse of the two: as few readings as may be heard, and as many wrong ones; nobody is \
-heard outside the widest beam, and silence counts only within the narrowest. The simulator draws a \
-sonar for each follower and each seed from the whole of it and beyond: of each value one of twenty \
-is worse than believed ([`SCENARIOS.md`](SCENARIOS.md), `[sonar]`).
+A sonar *carries* a slot if by it a follower can keep that distance. Before anybody flies the tool \
+names the slots that the file does not carry. In flight the view shows what the sonar has heard in \
+the last minute. If it hears less, scatters more or is wrong more often than its file says, the \
+pilots are told; if so bad a sonar does not carry the slot, the slot opens \
+([`GUIDANCE.md`](GUIDANCE.md#what-the-receivers-disagree-by)).
+
+Many keys take two values, `[least, most]`: nine of ten such sonars lie between them. The product \
+believes the worse one: that as few readings as `least` are heard, and as many as `most` are \
+wrong. Nobody is heard outside the widest beam; and that nothing is heard tells something only \
+within the narrowest. The simulator draws a sonar for each follower and each seed. Of each value \
+nine draws of ten lie between the two; one of twenty is worse than believed \
+([`SCENARIOS.md`](SCENARIOS.md), `[sonar]`).
 
 The units are in the names: `_m` metres, `_deg` degrees, `_hz` per second; shares are 0 to 1. This \
 page is made by `make pages` from the model (`host_tools/echowing/sonar_file.py`).
