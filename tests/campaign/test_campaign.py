@@ -31,7 +31,7 @@ from echowing.errors import EchowingError
 from echowing.flight.guidance import Slot
 from echowing.flight.shapes import SHAPES, shape
 from echowing.sim.aircraft import SimFollower
-from echowing.sim.scenario import Scenario, load_scenario, scenario_of
+from echowing.sim.scenario import GpsSection, Scenario, load_scenario, scenario_of
 from echowing.sim.summary import fly
 
 pytestmark = pytest.mark.seconds(40)
@@ -90,6 +90,9 @@ def test_the_shipped_description_draws_every_kind_of_fault_and_every_number_of_f
         ("sonar", "noise_m", (0.005, 0.06), 0.2),
         ("sonar", "wild_share", (0.0, 0.06), 0.2),
         ("sonar", "tone_share", (0.02, 0.2), 0.1),
+        ("sonar", "late_share", (0.0, 0.04), 0.08),
+        ("sonar", "heard_to_m", (2.6, 5.0), 0.1),
+        ("sonar", "inset_m", (0.1, 0.35), 0.1),
     ],
 )
 def test_the_field_draws_sonars_and_receivers_within_their_spans(
@@ -100,6 +103,32 @@ def test_the_field_draws_sonars_and_receivers_within_their_spans(
 
     # Of 300 flights, each half of a span has some, and the share is known to 0.03.
     assert len(found) / len(values) == pytest.approx(in_share, abs=0.08)
+    assert span[0] <= min(found) < sum(span) / 2.0 < max(found) <= span[1]
+
+
+def test_the_field_draws_who_flies_by_a_receivers_height_and_how_wrong_that_is() -> None:
+    given = [one.gps.receiver_vertical_sigma_m for one in drawn_fields()]
+    drawn = [one for one in given if one != GpsSection().receiver_vertical_sigma_m]
+    by_receiver = [one for one in drawn_fields() if one.follower.parameters]
+
+    assert len(drawn) / len(given) == pytest.approx(0.15, abs=0.07)
+    assert 0.8 <= min(drawn) < 1.0
+    assert 2.4 < max(drawn) <= 3.0
+    assert len(by_receiver) / len(given) == pytest.approx(0.08, abs=0.05)
+    assert all(one.follower.parameters == {"EK3_SRC1_POSZ": 3.0} for one in by_receiver)
+
+
+@pytest.mark.parametrize(
+    ("key", "span", "in_share"), [("step_m", (0.5, 3.0), 0.2), ("multipath_m", (0.1, 0.6), 0.3)]
+)
+def test_receivers_of_formations_step_and_have_multipath(
+    key: str, span: tuple[float, float], in_share: float
+) -> None:
+    description = load_description("formations")
+    values = [getattr(draw(description, 1, index).gps, key) for index in range(200)]
+    found = [one for one in values if one]
+
+    assert len(found) / len(values) == pytest.approx(in_share, abs=0.09)
     assert span[0] <= min(found) < sum(span) / 2.0 < max(found) <= span[1]
 
 

@@ -414,11 +414,15 @@ def test_the_mean_error_counts_where_nothing_is_wrong() -> None:
         ("sonar", "beam_near_deg", 12.0),
         ("sonar", "noise_m", 0.05),
         ("sonar", "deaf_share", 0.3),
+        ("sonar", "late_share", 0.04),
+        ("sonar", "inset_m", 0.35),
+        ("sonar", "inset_m", 0.1),
+        ("follower", "parameters", {"EK3_SRC1_POSZ": 3.0}),
         ("gps", "sigma_m", 1.5),
         ("gps", "vertical_sigma_m", 1.0),
         ("gps", "step_m", 2.0),
     ):
-        worse = scenario_of({**table, section: {**CLEAR[section], key: value}}, "test")
+        worse = scenario_of({**table, section: {**CLEAR.get(section, {}), key: value}}, "test")
         assert mean_error(replace(record, flights=[off], scenario=worse)) == [], key
     # Of a flight that was only begun nothing is said.
     begun = replace(record, flights=[off], time_s=record.time_s[:200])

@@ -466,6 +466,7 @@ def nothing_wrong(record: FlightRecord) -> bool:
     return (
         not scenario.fault
         and scenario.wind.speed_mps == 0.0
+        and not scenario.follower.parameters
         and scenario.guidance_settings().feed_forward
         and scenario.leader.speed_mps <= CALM_SPEED_MPS
         and scenario.leader.path in ("rectangle", "circle", "figure-eight")
@@ -488,11 +489,13 @@ def _is_worse_than_believed(scenario: Scenario) -> bool:
         (given.beam_near_deg, file.beam.narrowest_deg[0]),
         (given.beam_far_deg, file.beam.narrowest_deg[-1]),
         (given.heard_to_m, file.foil_to_m[0]),
+        (given.inset_m, file.inset_m[0]),
     )
     no_more = (
         (given.noise_m, file.noise_m[1]),
         (given.wild_share, file.wild_share[1] + file.late_share[1]),
         (given.late_share, file.late_share[1]),
+        (given.inset_m, file.inset_m[1]),
         (given.deaf_share + given.tone_share, 0.0),
         (given.spread, 1.0),
         (gps.sigma_m, usual.sigma_m),
