@@ -19,12 +19,13 @@ from echowing.flight.engage import (
 from echowing.flight.envelope import Answer
 from echowing.flight.guard import Limits
 from echowing.flight.guidance import GuidanceSettings, Slot
-from echowing.flight.handling import SELDOM_S, STEERED_MPS2, least_slot_m
+from echowing.flight.handling import NOTICED_S, SELDOM_S, STEERED_MPS2, least_slot_m
 from echowing.flight.readiness import Readiness
 from echowing.flight.switch import StopSwitch
 from echowing.geo import distance_m
 from echowing.mavlink.messages import POINT_FORMAT
 from echowing.mavlink.seats import StrangerWatch, parse_seat
+from echowing.sonar_file import shipped_sonar
 
 from .yard import AUTO, FOLLOWER, GUIDED, LEADER, LOITER, SECOND, TICK_S, Vehicle, Yard
 
@@ -193,6 +194,25 @@ def test_a_slot_opens_for_a_leader_too_fast_to_turn_round_from_it() -> None:
     assert leader is not None
     assert distance_m(guided.slot, guided.leader) == pytest.approx(4.6, abs=0.02)
     assert sum("slot opens to 4.6 m, leader at 3.0 m/s" in text for text in yard.events()) == 1
+
+
+def test_a_sonar_that_reads_seldom_needs_more_room() -> None:
+    """Two readings show a leader's braking: at 4 Hz after 0.6 s instead of 0.3."""
+    slow = replace(shipped_sonar(), rate_hz=4.0)
+    assert shipped_sonar().noticed_s == NOTICED_S
+    assert slow.noticed_s == 0.6
+    yard = Yard(slots=[Slot(3.0)], sonar=slow)
+    assert yard.fly(SOON_S) == []
+    needs_m = least_slot_m(2.0, yard.session.followers[FOLLOWER].handling.answer, noticed_s=0.6)
+    assert yard.said(f"its slot is 3 m from the leader, and {needs_m:.1f} m is the least")
+    assert needs_m > 3.0
+
+    far = Yard(slots=[Slot(5.0)], sonar=slow)
+    far.vehicles[LEADER].mode = AUTO
+    far.vehicles[LEADER].velocity_mps = far.vehicles[FOLLOWER].velocity_mps = 2.0, 0.0
+    far.fly(SOON_S)
+    follower = far.session.followers[FOLLOWER]
+    assert follower.reversal_m == least_slot_m(2.0, follower.handling.answer, noticed_s=0.6)
 
 
 def test_a_slot_opens_for_a_leader_that_is_steered() -> None:

@@ -17,6 +17,9 @@ from numpy.typing import NDArray
 # estimate drops its sonar.
 LEAST_SHARE, LEAST_HALF_RAD = 0.4, math.radians(6.0)
 MOST_NOISE_M, MOST_WRONG = 0.05, 0.1
+# So long a leader brakes until its range differs: 0.1 s at 2.5 m/s2 is 0.01 m, a sonar's step; 0.15
+# s are 0.03 m.
+DIFFERS_S = 0.1
 # A follower is mostly within this of its slot.
 ROOM_M = 0.7
 
@@ -107,6 +110,11 @@ class SonarBelief:
         tenths = range(round(10.0 * slots_m[0]), round(10.0 * slots_m[1]) + 1)
         carried = [0.1 * tenth for tenth in tenths if self.objection(0.1 * tenth) is None]
         return min(carried, key=lambda slot_m: abs(slot_m - radius_m), default=None)
+
+    @property
+    def noticed_s(self) -> float:
+        """From a leader's first braking until a second reading has confirmed it."""
+        return round(2.0 / self.rate_hz + DIFFERS_S, 3)
 
     @property
     def silent_to_m(self) -> float:

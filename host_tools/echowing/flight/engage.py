@@ -527,7 +527,9 @@ class Engagement:
         if not handling.known:
             wrong = f"its acceleration and jerk are not known (WP_ACC){unsure}"
             return [Finding("least", "?", wrong)]
-        least_m = least_slot_m(TURNS_MPS, handling.answer_in_calm)
+        least_m = least_slot_m(
+            TURNS_MPS, handling.answer_in_calm, noticed_s=follower.plan.sonar.noticed_s
+        )
         wrong = ""
         if radius_m < least_m:
             wrong = (

@@ -46,9 +46,8 @@ MISSION_MODES = {
     mavlink.COPTER_MODE_AUTO_RTL,
 }
 STEERED_MPS2 = 3.4
-# From a leader's first braking to the follower's order: a period of the sonar (0.1 s), a second
-# reading that confirms it, and the time until the range differs (0.1 s at 2.5 m/s2 is 0.01 m, a
-# sonar's step; 0.15 s are 0.03 m).
+# From a leader's first braking to the follower's order, by a sonar of ten readings a second
+# (`SonarBelief.noticed_s`).
 NOTICED_S = 0.3
 
 

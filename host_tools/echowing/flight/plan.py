@@ -118,8 +118,9 @@ class Planner:
         """Open the slot so far that it gets away if the leader turns round at its speed."""
         speed_mps, handling = round(fix.speed_mps, 1), follower.handling
         radius_m, brakes_mps2 = follower.plan.slot.radius_m, self._known.leader_brakes_mps2
+        noticed_s = follower.plan.sonar.noticed_s
         needs_m, calm_m = (
-            least_slot_m(speed_mps, answer, brakes_mps2=brakes_mps2)
+            least_slot_m(speed_mps, answer, noticed_s=noticed_s, brakes_mps2=brakes_mps2)
             for answer in (handling.answer, handling.answer_in_calm)
         )
         follower.reversal_m = needs_m
