@@ -128,6 +128,15 @@ def test_how_far_it_hears_is_told_by_who_flew_further(tmp_path: Path, legs: Legs
     assert file.heard.least[-1] < 0.1  # nothing is believed beyond
 
 
+def test_a_place_that_few_readings_tell_is_as_it_was_believed(tmp_path: Path) -> None:
+    stray = [Reading(700.0 + 0.1 * n, None, 4.0 + 0.5 * (n % 6), 0.0, 0.05) for n in range(12)]
+    logged(tmp_path, flown() + stray)
+    heard = sonar_from(tmp_path, BASE, "foil").file.heard
+
+    assert heard.range_m[-1] == BASE.heard.range_m[-1]
+    assert heard.least[-1] == BASE.heard.least[-1]
+
+
 def telemetry(folder: Path, *, hud: bool) -> Path:
     """What `follow` has of the vehicle beside the readings; writes the vehicle's own log, too."""
     tlog, own = Tlog(2), DataflashLog((folder / "follower.BIN").open("wb"))
@@ -168,6 +177,7 @@ def test_one_throttle_tells_nothing_of_others(tmp_path: Path) -> None:
     file = sonar_from(tmp_path, BASE, "foil").file
 
     assert file.throttle == BASE.throttle
+    assert file.source["throttle.share"].startswith("kept: ")
     assert "too little was heard at other throttles than 40%" in file.source["throttle.share"]
 
 

@@ -3,7 +3,7 @@
 import math
 import statistics
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from itertools import pairwise
 from typing import Any
@@ -40,8 +40,10 @@ NOISE_UNSURE = 1.3
 STEADY_SHARE = 0.1
 # Where so many would hear the leader, what a throttle leaves of them is known to a twentieth.
 TELLS_A_THROTTLE = 300.0
+# A share that is known no better than this is none: what is believed stays.
+UNTOLD = 0.5
 # What a flight leaves as it was, in the file's sources.
-KEPT = "; kept: "
+KEPT = "kept: "
 WHY_NO_INSET = (
     "a flight does not tell it, as the receivers differ by a metre, and the place of the leader is "
     "known by the sonar itself"
@@ -185,10 +187,11 @@ def flown_sonar(readings: Sequence[Readings], base: SonarFile, how: Flown) -> Me
     reaches, why_no_reach = _flown_reaches(fit, base, how.legs, inset_m)
     throttles, why_no_throttle = _flown_throttles(flown, fit, base, known=how.throttle_known)
     ends_m = reaches["foil_to_m"][1] if reaches else math.inf
+    told = _told(fit)
     values: dict[str, Any] = {
         **_wrong(flown, alike),
-        "heard": _with_far(_heard(fit, inset_m), base, ends_m),
-        "beam": _as_narrow(_beam(fit, inset_m), base),
+        "heard": _with_far(_heard(told, inset_m), base, ends_m),
+        "beam": _as_narrow(_beam(told, inset_m), base),
         **reaches,
         **throttles,
     }
@@ -204,13 +207,21 @@ def flown_sonar(readings: Sequence[Readings], base: SonarFile, how: Flown) -> Me
     sources = {key: _kept(base.source.get(key, ""), why) for key, why in kept.items()}
     sources |= _guessed_reach(how.legs, said) if reaches else {}
     notes = tuple(f"{key} is as it was: {why}" for key, why in kept.items() if "share" not in key)
-    return Measured(_changed(base, values, said, sources), fit, flown[0].throttle, notes)
+    return Measured(_changed(base, values, said, sources), told, flown[0].throttle, notes)
+
+
+def _told(fit: Fit) -> Fit:
+    """The fit where readings enough tell it: a flight has few far from its slot."""
+    told = [at for at in fit.at if at.share_between[1] - at.share_between[0] <= UNTOLD]
+    if not any(at.half_deg is not None for at in told):
+        raise EchowingError("too few readings at any distance to tell how many hear: fly longer")
+    return replace(fit, at=tuple(told))
 
 
 def _kept(source: str, why: str) -> str:
     """Where a value comes from that a flight has left as it was."""
-    before = source.partition(KEPT)[0]
-    return f"{before}{KEPT}{why}"
+    before = source.partition(KEPT)[0].rstrip("; ")
+    return f"{before}; {KEPT}{why}" if before else f"{KEPT}{why}"
 
 
 def _flown_reaches(
