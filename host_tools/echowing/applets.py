@@ -45,6 +45,7 @@ APPLETS = (HOLD, SPEED)
 # The parameters that tell which applet runs. Before there were two, one
 # applet had all of them but the first.
 FORMAT, LAW, GAIN = IDENTIFYING = ("ECHO_FORMAT", "ECHO_LAW", "ECHO_GAIN_P")
+INSET_DIFFERS_M = 0.1  # of ECHO_INSET from the sonar file's: no more
 LEAST_DETECT_M, MOST_DETECT_M = 2.0, 7.6  # ECHO_DETECT takes no less and no more
 
 

@@ -131,7 +131,9 @@ class SonarFile(_Finite):
     stock_to_m: BetweenPositive
     """How far it hears one with stock legs."""
     inset_m: Between
-    """The separation, from centre to centre, minus what it reads."""
+    """The separation, from centre to centre, minus what it reads straight ahead."""
+    boom_m: NotNegative = 0.0
+    """How far ahead of the vehicle's centre its gimbal is. To the side the sonar reads more."""
     rate_hz: Positive
     """Readings per second, as the co-processor sends them."""
     noise_m: Between

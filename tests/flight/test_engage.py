@@ -108,7 +108,7 @@ def test_what_is_wrong_is_said_and_keeps_it_from_being_sent_points(what: str) ->
 APPLET = {
     "ECHO_ENABLE": (0.0, "its applet is off: param set ECHO_ENABLE 1"),
     "ECHO_STREAM_T": (0.0, "its stream watchdog is off: param set ECHO_STREAM_T 1"),
-    "ECHO_INSET": (0.5, "its ECHO_INSET is 0.5 m and the tool's is 0.2 m"),
+    "ECHO_INSET": (0.5, "its ECHO_INSET is 0.5 m and the sonar file's is 0.2 m"),
     "ECHO_DIST": (4.0, "its ECHO_DIST is 4 m and its slot is 3 m from the leader"),
 }
 

@@ -201,6 +201,7 @@ YOURS = [
     ({"ECHO_ARM_CHK": 0.0}, "ECHO_ARM_CHK"),
     ({"WP_SPD": 0.5}, "WP_SPD"),
     ({"ECHO_DETECT": 4.0}, "ECHO_DETECT"),
+    ({"ECHO_INSET": 0.45}, "ECHO_INSET"),
     ({"coprocessor_parameters": {"TRACK_RANGE": 400.0}}, "TRACK_RANGE"),
     ({"coprocessor_parameters": {"BEAM_WIDTH": 60.0}}, "BEAM_WIDTH"),
 ]
@@ -238,16 +239,17 @@ def test_apply_with_a_sonars_file_writes_what_check_asks_for(name: str, before_m
         "coprocessor_parameters": {},
         "RNGFND1_TYPE": float(file.rangefinder_type),
     }
-    before = ready(**carries, sets_detect=True, ECHO_DETECT=before_m)
+    before = ready(**carries, sonar_named=True, ECHO_DETECT=before_m)
     written = {one.name: one.new for one in changes_for(before)}
-    is_right = abs(before_m - file.reach_m) <= 0.1
-    assert written == ({} if is_right else {"ECHO_DETECT": file.reach_m})
+    wanted = {"ECHO_DETECT": file.reach_m, "ECHO_INSET": sum(file.inset_m) / 2.0}
+    were = {"ECHO_DETECT": before_m, "ECHO_INSET": 0.2}
+    assert written == {name: m for name, m in wanted.items() if abs(m - were[name]) > 0.1}
     told = "\n".join(differences(before, changes_for(before), {}))
     assert "stays" not in told
     assert "left alone" not in told
     after = ready(**{**carries, "ECHO_DETECT": before_m, **written})
     assert odd_ones(after) == {}
-    assert changes_for(replace(after, sets_detect=True)) == []
+    assert changes_for(replace(after, sonar_named=True)) == []
 
 
 @pytest.mark.parametrize(("reach_m", "wanted_m"), [(1.2, 2.0), (9.0, 7.6)])
@@ -255,7 +257,7 @@ def test_a_reach_that_the_applet_does_not_take_is_set_as_near_as_it_does(
     reach_m: float, wanted_m: float
 ) -> None:
     sonar = replace(load_sonar("mb1202").belief(), reach_m=reach_m)
-    changes = changes_for(ready(sonar=sonar, sets_detect=True))
+    changes = changes_for(ready(sonar=sonar, sonar_named=True))
     assert [(one.name, one.new) for one in changes] == [("ECHO_DETECT", wanted_m)]
 
 
@@ -605,8 +607,8 @@ def test_what_hides_is_announced() -> None:
     told = "\n".join(differences(readout, [], hidden))
     assert "-> 0.2 after the restart" in told
     assert "left alone" not in told
-    lidar = replace(readout, sonar=load_sonar("lidar").belief(), sets_detect=True)
-    assert hidden_for(lidar) == {**hidden, "ECHO_DETECT": 7.5}
+    lidar = replace(readout, sonar=load_sonar("lidar").belief(), sonar_named=True)
+    assert hidden_for(lidar) == {**hidden, "ECHO_DETECT": 7.5, "ECHO_INSET": 0.2}
     # A firmware without scripting shows nothing later.
     assert "SCR_HEAP_SIZE" not in hidden_for(ready(SCR_ENABLE=None, SCR_HEAP_SIZE=None))
 

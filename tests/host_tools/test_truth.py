@@ -12,7 +12,7 @@ from echowing.sim.aircraft import SimFollower, SimVehicle
 from echowing.sim.hangar import Hangar
 from echowing.sim.scenario import load_scenario
 from echowing.sim.world.gps import Errors
-from echowing.sim.world.sonar import TrueSonar
+from echowing.sim.world.sonar import Target, TrueSonar, target_range_m
 from echowing.sim.world.truth import true_errors, true_sonar
 from echowing.sonar_file import ThrottleSection, load_sonar, write_sonar
 
@@ -82,6 +82,20 @@ def test_a_followers_propellers_take_what_its_sonar_file_says(tmp_path: Path) ->
     assert one.ear.sonar.left.at(one.pose().throttle) == pytest.approx(1.0 - 0.5 * 0.38 / 0.4)
     usual = follower(1)
     assert usual.ear.sonar.left.at(usual.pose().throttle) == 1.0
+
+
+@pytest.mark.parametrize(("to_the_right_deg", "less_m"), [(0.0, 0.45), (60.0, 0.285)])
+def test_on_a_boom_it_reads_more_to_the_side(to_the_right_deg: float, less_m: float) -> None:
+    """The boom does not turn with the gimbal: 0.45 m less straight ahead, and less less aside."""
+    one = follower(1, "sonar.file=mb1202-boom", "sonar.spread=0")
+    pose, sonar = one.pose(), one.ear.sonar
+    bearing_rad = math.radians(to_the_right_deg)
+    pose.axis_ned = math.cos(bearing_rad), math.sin(bearing_rad), 0.0
+    north, east, down = one.position_ned_m
+    there = north + 3.0 * pose.axis_ned[0], east + 3.0 * pose.axis_ned[1], down
+    range_m, _ = target_range_m(pose, Target(there, 4.6, sonar.legs_m))
+    # The arc that the gimbal's axis makes round the centre is worth a centimetre.
+    assert range_m == pytest.approx(3.0 - less_m, abs=0.02)
 
 
 def test_without_spread_all_are_the_middle() -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from echowing.sonar_file import load_sonar
 from hwtools import bom, motion, mount, servos, wiring
 from hwtools.facts import HW, gimbal_reach
 from hwtools.rig import Rig
@@ -50,11 +51,13 @@ def test_readmes_numbers_are_the_computed_ones(solids: Rig) -> None:
     ahead_m = mount.number("frame_face_ahead_mm") / 1000
     assert f"{ahead_m:.2f} m ahead of the aircraft's centre" in text
     inset_m = ahead_m + 0.10  # the leader's legs with their foil, around its centre
-    assert f"`ECHO_INSET` to {inset_m:.2f}" in text
+    assert f"reads {inset_m:.2f} m less than the distance" in text
     pan_deg, boom_m = gimbal_reach().pan_deg, ahead_m - solids.face_x / 1000
     aside_m = inset_m - boom_m * (1.0 - math.cos(math.radians(pan_deg)))
-    assert f"{aside_m:.2f} m at {pan_deg:g} degrees of pan" in text
-    assert f"[{inset_m - 0.05:.2f}, {inset_m + 0.05:.2f}]" in text
+    assert f"{aside_m:.2f} m less at {pan_deg:g} degrees of pan" in text
+    file = load_sonar("mb1202-boom")
+    assert file.inset_m == pytest.approx((inset_m - 0.05, inset_m + 0.05))
+    assert file.boom_m == pytest.approx(boom_m, abs=0.005)
     for lead in ("sonar", "servo"):
         assert f"{mount.number(f'lead_{lead}_free_mm'):g} mm" in text
 

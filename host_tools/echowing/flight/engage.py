@@ -12,7 +12,16 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.applets import FORMAT, HOLD, IDENTIFYING, LAW, SPEED, Applet, identify
+from echowing.applets import (
+    FORMAT,
+    HOLD,
+    IDENTIFYING,
+    INSET_DIFFERS_M,
+    LAW,
+    SPEED,
+    Applet,
+    identify,
+)
 from echowing.flight.clocks import ASK_PERIOD_S
 from echowing.flight.formation import receivers_demand_m
 from echowing.flight.guard import Guard
@@ -49,7 +58,6 @@ EKF_HZ, GPS_HZ, BATTERY_HZ = 1.0, 1.0, 0.5
 
 # The applet's distance and the slot's may differ by this: half a metre in a range of three.
 DISTANCE_M = 0.5
-INSET_M = 0.1
 # Two receivers on one field differ by a metre in height: beyond HOMES_M the operator has to say
 # what that means. A climb or descent beyond HEIGHTS_M begins only if the operator asks for it.
 HOMES_M, HEIGHTS_M = 1.0, 3.0
@@ -768,12 +776,12 @@ def _distance(known: Mapping[str, float], follower: FollowerState) -> Finding | 
     shown = f"{known[DIST]:.1f} m"
     if not 0.0 < radius_m - inset_m < follower.plan.sonar.reach_m:
         return None
-    if abs(known[INSET] - inset_m) > INSET_M:
+    if abs(known[INSET] - inset_m) > INSET_DIFFERS_M:
         return Finding(
             "distance",
             shown,
-            f"its {INSET} is {known[INSET]:g} m and the tool's is {inset_m:g} m: param set {INSET} "
-            f"{inset_m:g}",
+            f"its {INSET} is {known[INSET]:g} m and the sonar file's is {inset_m:g} m: give the "
+            f"file of its mount (--sonar), or param set {INSET} {inset_m:g}",
         )
     if abs(known[DIST] - radius_m) > DISTANCE_M:
         return Finding(

@@ -14,7 +14,7 @@ from typing import Any
 
 from echowing.errors import EchowingError
 from echowing.setup.readout import Readout
-from echowing.setup.settings import DETECT, detect, same, settings_for
+from echowing.setup.settings import OF_SONAR, by_file_m, same, settings_for
 
 FORMAT = "echowing parameters 1"
 SUFFIX = ".params.json"
@@ -74,8 +74,8 @@ def hidden_for(readout: Readout) -> dict[str, float]:
     }
     if "ECHO_ENABLE" not in readout and readout.applet_on_card is not None:
         hidden["ECHO_ENABLE"] = 1.0
-        if readout.sets_detect:
-            hidden[DETECT] = detect(readout).fixed(0.0)
+        if readout.sonar_named:
+            hidden |= {name: by_file_m(name, readout.sonar) for name in OF_SONAR}
     return hidden
 
 

@@ -11,25 +11,24 @@ from enum import Enum
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.applets import HOLD, SPEED, Version, detect_m, identify, is_outdated
+from echowing.applets import HOLD, SPEED, Version, identify, is_outdated
 from echowing.flight.leader_speed import MOST_LEADER_MPS
 from echowing.mavlink.messages import TOOL_SYSTEM_ID
 from echowing.setup.boards import Board
 from echowing.setup.readout import CardApplet, Readout, Role
 from echowing.setup.settings import (
     BAUD_115200,
-    DETECT,
-    DETECT_DIFFERS_M,
-    DETECT_WHY,
     FORWARD,
     HEAP,
     MAVLINK2,
+    OF_SONAR,
     PROXIMITY_MAVLINK,
     PROXIMITY_RANGEFINDER,
     PROXIMITY_SENSORS,
     RANGEFINDERS,
     TOLERANCE,
     Setting,
+    by_file_m,
     settings_for,
 )
 
@@ -306,15 +305,15 @@ def _second_sensor(readout: Readout) -> Iterator[Finding]:
 def _sonars_limits(readout: Readout) -> Iterator[Finding]:
     """What applet and co-processor are told of the sonar, beside what its file says."""
     sonar = readout.sonar
-    reach_m = detect_m(sonar.reach_m)
     wide_deg = min(MOST_WIDE_DEG, round(math.degrees(2.0 * sonar.widest_rad.at(sonar.reach_m))))
     board = f" of component {readout.coprocessor}"
-    why = DETECT_WHY
-    yield from _as_in_file(DETECT, readout.parameters, (reach_m, DETECT_DIFFERS_M), why)
+    for name, (differs_m, why) in OF_SONAR.items():
+        wanted = by_file_m(name, sonar), differs_m
+        yield from _as_in_file(name, readout.parameters, wanted, why)
     told = {} if readout.fixed else readout.coprocessor_parameters
-    yield from _as_in_file(
-        "TRACK_RANGE", told, (100.0 * reach_m, 100.0 * DETECT_DIFFERS_M), why, board
-    )
+    differs_m, why = OF_SONAR["ECHO_DETECT"]
+    reach_cm = 100.0 * by_file_m("ECHO_DETECT", sonar)
+    yield from _as_in_file("TRACK_RANGE", told, (reach_cm, 100.0 * differs_m), why, board)
     why = "the field of view that it reports is the beam's"
     yield from _as_in_file("BEAM_WIDTH", told, (wide_deg, 1.0), why, board)
 

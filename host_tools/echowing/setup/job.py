@@ -123,8 +123,8 @@ class Apply:
     """Makes a follower ready.
 
     ask: whether to continue; folder: of the scripts, None: find it; replace: whether the other
-    applet may leave the card. sonar: its file, if the operator has named one: only then ECHO_DETECT
-    is set by it. Without, a value that is not the shipped sonar's is one of the pilot's.
+    applet may leave the card. sonar: its file, if the operator has named one: only then the
+    applet is told what it says. Without, a value that is not the shipped sonar's is the pilot's.
     """
 
     work: Work
@@ -192,7 +192,7 @@ class Apply:
             applet_on_card=card,
             applet=self.applet,
             sonar=sonar.belief(),
-            sets_detect=self.sonar is not None,
+            sonar_named=self.sonar is not None,
             board_id=self.board_id,
         )
         changes = [one for one in changes_for(readout) if one.name not in self._refused]

@@ -59,8 +59,8 @@ class Readout:
     autopilot would not arm, in its own words. signs: whether it signs its messages, and so accepts
     only signed ones. range_type: the RNGFNDn_TYPE that it shall have: 10, MAVLink, or that of the
     autopilot's own driver, which needs no co-processor. applet: the one that it shall run; sonar:
-    what is believed of the one that it carries; sets_detect: the operator has named its file to
-    `apply`, so that ECHO_DETECT shall be as that says. board_id: as AUTOPILOT_VERSION tells it.
+    what is believed of the one that it carries; sonar_named: the operator has named its file to
+    `apply`, so that the applet shall be told what it says. board_id: as AUTOPILOT_VERSION tells it.
     """
 
     parameters: Mapping[str, float]
@@ -81,7 +81,7 @@ class Readout:
     range_type: int = MAVLINK_TYPE
     applet: Applet = HOLD
     sonar: SonarBelief = field(default_factory=shipped_sonar)
-    sets_detect: bool = False
+    sonar_named: bool = False
     board_id: int | None = None
 
     def first(self, *names: str) -> tuple[str, float] | None:

@@ -7,7 +7,8 @@ pilot's (see `checks`).
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-from echowing.applets import FORMAT, detect_m, identify
+from echowing.applets import FORMAT, INSET_DIFFERS_M, detect_m, identify
+from echowing.flight.belief import SonarBelief
 from echowing.mavlink.vehicle_limits import ACCELERATION, JERK, LEAN, VehicleLimit
 from echowing.setup.applet import applet_parameters
 from echowing.setup.readout import Readout
@@ -41,9 +42,11 @@ RTL_SPEED_MPS = 5.0  # WP_SPD's half: what the applet's doc suggests
 LEAST_LIMITS = {ACCELERATION: 5.0, JERK: 20.0, LEAN: 45.0}
 GUIDED_BY_WAYPOINTS = 64  # GUID_OPTIONS bit 6
 GUIDED_TIMEOUT_S, LONGEST_GUIDED_TIMEOUT_S = 3.0, 5.0  # GUID_TIMEOUT: its default, its range's end
-DETECT = "ECHO_DETECT"
-DETECT_WHY = "gimbal, applet and tool must take the same readings for the leader"
-DETECT_DIFFERS_M = 0.1  # no more than this from the sonar file's
+# The applet's parameters of a sonar: by how much they may differ from its file's, and why not more.
+OF_SONAR = {
+    "ECHO_DETECT": (0.1, "gimbal, applet and tool must take the same readings for the leader"),
+    "ECHO_INSET": (INSET_DIFFERS_M, "applet and tool must make the same distance of a reading"),
+}
 TOLERANCE = 1e-4  # of what a 32-bit float makes of a decimal number
 
 
@@ -261,8 +264,8 @@ def _applet(readout: Readout) -> Iterator[Setting]:
     for row in applet_parameters(readout.applet):
         if row.name in ("ECHO_ENABLE", "ECHO_MIRROR", FORMAT):
             continue
-        if row.name == DETECT and readout.sets_detect:
-            yield detect(readout)
+        if row.name in OF_SONAR and readout.sonar_named:
+            yield of_sonar(row.name, readout)
             continue
         yield Setting(
             row.name,
@@ -272,12 +275,14 @@ def _applet(readout: Readout) -> Iterator[Setting]:
         )
 
 
-def detect(readout: Readout) -> Setting:
-    """The range from which on nothing is a target, by the sonar file."""
-    by_file_m = detect_m(readout.sonar.reach_m)
+def by_file_m(name: str, sonar: SonarBelief) -> float:
+    """What a sonar's file gives for one of `OF_SONAR`."""
+    return detect_m(sonar.reach_m) if name == "ECHO_DETECT" else sonar.inset_m
+
+
+def of_sonar(name: str, readout: Readout) -> Setting:
+    """One of `OF_SONAR` as the sonar's file says."""
+    (differs_m, why), wanted_m = OF_SONAR[name], by_file_m(name, readout.sonar)
     return Setting(
-        DETECT,
-        lambda v: abs(v - by_file_m) <= DETECT_DIFFERS_M + TOLERANCE,
-        lambda v: by_file_m,
-        DETECT_WHY,
+        name, lambda v: abs(v - wanted_m) <= differs_m + TOLERANCE, lambda v: wanted_m, why
     )

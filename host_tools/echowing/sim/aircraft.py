@@ -159,9 +159,15 @@ class SimFollower(SimVehicle):
     def pose(self) -> Pose:
         """Where the sonar is and looks, now."""
         body = self.body
-        axis = body_to_ned(self.gimbal.axis_body(), body.roll_rad, body.pitch_rad, body.yaw_rad)
+        angles = body.roll_rad, body.pitch_rad, body.yaw_rad
+        axis = body_to_ned(self.gimbal.axis_body(), *angles)
         throttle = body.throttle if isinstance(body, Copter) else 0.0
-        return Pose(self.position_ned_m, axis, self.beam_half_angle_rad, throttle)
+        north, east, down = self.position_ned_m
+        boom_m = self.ear.sonar.boom_m
+        if boom_m:
+            dn, de, dd = body_to_ned((boom_m, 0.0, 0.0), *angles)
+            north, east, down = north + dn, east + de, down + dd
+        return Pose((north, east, down), axis, self.beam_half_angle_rad, throttle)
 
     def reflector(self, pose: Pose) -> list[Target]:
         """What is loud ahead, if anything is."""

@@ -34,7 +34,6 @@ from echowing.sim.vehicle.autopilot import ORIGIN, Autopilot
 from echowing.sim.world.pilots import Pilot
 from echowing.sim.world.sonar import (
     GROUND,
-    LEVER_ARM_M,
     Pose,
     Target,
 )
@@ -136,7 +135,7 @@ class FormationWorld:
         heard_to_m = {"foil": sonar.foil_m, "stock": sonar.stock_m}
         leaders_m = heard_to_m[self.scenario.leader.target]
         followers_m = heard_to_m[self.scenario.follower.target]
-        legs_m = sonar.inset_m - LEVER_ARM_M
+        legs_m = sonar.legs_m
         targets = [Target(self.leader.position_ned_m, leaders_m, legs_m)]
         others: list[Pose] = []
         for other in self.followers:

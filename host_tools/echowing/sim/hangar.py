@@ -147,8 +147,9 @@ class Hangar:
         if scenario.law in SPEED_LAWS:
             applet["ECHO_LAW"] = SPEED_LAWS[scenario.law]
         if scenario.law != "none":
-            reach_m = detect_m(scenario.sonar_belief.reach_m)
-            applet |= {"ECHO_ENABLE": 1.0, "ECHO_DETECT": reach_m, **scenario.applet}
+            sonar = scenario.sonar_belief
+            applet |= {"ECHO_ENABLE": 1.0, "ECHO_DETECT": detect_m(sonar.reach_m)}
+            applet |= {"ECHO_INSET": sonar.inset_m, **scenario.applet}
             echo_dist_m = scenario.echo_dist_m(index)
             applet |= {} if echo_dist_m is None else {"ECHO_DIST": echo_dist_m}
         return {

@@ -12,7 +12,6 @@ from echowing.geo import Ned
 from echowing.sim.boards.coprocessor import Coprocessor
 from echowing.sim.boards.wires import Wire, open_udp
 from echowing.sim.world.sonar import (
-    LEVER_ARM_M,
     ON_A_DESK,
     Ear,
     Gimbal,
@@ -64,8 +63,7 @@ class Scene:
             return self._range_m
         pose = Pose((0.0, 0.0, 0.0), self._gimbal.axis_body())
         sonar = self._ear.sonar
-        legs_m = sonar.inset_m - LEVER_ARM_M
-        targets = [Target(at_m, sonar.foil_m, legs_m) for at_m in self._targets_body_m]
+        targets = [Target(at_m, sonar.foil_m, sonar.legs_m) for at_m in self._targets_body_m]
         return self._ear.ping(t_s, pose, targets, surfaces=())
 
     def step(self, dt_s: float, pan_us: float, tilt_us: float) -> None:

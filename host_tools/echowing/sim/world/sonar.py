@@ -35,8 +35,8 @@ SURFACE_RANGE_M = 10.0
 # What a ping sends out has died away after this long, the datasheet's pause between readings (an
 # echo from 17 m).
 SOUND_DIES_S = 0.1
-# Sonar face ahead of the follower's centre. The leader's reflecting legs (Fig. 26) are around its
-# own: the sonar reads less than the separation by this and by their distance.
+# Sonar face before the axes of its gimbal. The leader's reflecting legs (Fig. 26) are around its
+# centre: the sonar reads less than the separation by this, by their distance, and by the boom.
 LEVER_ARM_M = 0.10
 # The tone of another sonar is there for so long, on average.
 TONE_S = 1.0
@@ -64,10 +64,11 @@ class TrueSonar:
     standard deviation of a range. wild_share: of its readings that are anything at all, by
     propeller noise or otherwise. late_share: of them that are an echo of the ping before, off
     something beyond all ranges. stock_m, foil_m: how far an X8 without and with foil on its legs is
-    heard. inset_m: how much less than the separation it reads. deaf_share, deaf_s: share of the
-    time in which it hears nothing, and how long that lasts on average. tone_share: share of the
-    time in which the tone of a stranger's sonar reaches it. left: what propellers leave of the
-    share heard, over the throttle (0 to 1).
+    heard. inset_m: how much less than the separation it reads straight ahead; boom_m: how far ahead
+    of its vehicle's centre its gimbal is. deaf_share, deaf_s: share of the time in which it hears
+    nothing, and how long that lasts on average. tone_share: share of the time in which the tone of
+    a stranger's sonar reaches it. left: what propellers leave of the share heard, over the throttle
+    (0 to 1).
     """
 
     heard: Curve
@@ -79,10 +80,16 @@ class TrueSonar:
     stock_m: float = TABLE_5["MB1202"].stock_m
     foil_m: float = TABLE_5["MB1202"].foil_m
     inset_m: float = 0.2
+    boom_m: float = 0.0
     deaf_share: float = 0.0
     deaf_s: float = 1.0
     tone_share: float = 0.0
     left: Curve = ALL
+
+    @property
+    def legs_m(self) -> float:
+        """How far around a leader's centre the legs are that it hears."""
+        return self.inset_m - self.boom_m - LEVER_ARM_M
 
     @property
     def widest_rad(self) -> float:
@@ -106,7 +113,7 @@ ON_A_DESK = TrueSonar(heard=ALL, half_rad=Curve((0.0,), (math.radians(20.0),)))
 
 @dataclass(slots=True)
 class Pose:
-    """Where a sonar is: its vehicle's centre (NED metres) and the unit vector it looks along.
+    """Where a sonar's gimbal is (NED metres), and the unit vector along which it looks.
 
     beam_half_angle_rad: the beam is nowhere wider. throttle: of its vehicle, 0 to 1.
     """
