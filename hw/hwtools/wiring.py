@@ -7,6 +7,7 @@ So four boards and eleven harnesses are fifteen sources, not twenty-eight copies
 import contextlib
 import copy
 import io
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +34,8 @@ def read_sheet(path: Path) -> Sheet:
 
     """
     try:
-        sheet = yaml.safe_load(path.read_text(encoding="utf-8"))
+        # What is given away may be changed.
+        sheet = copy.deepcopy(_parsed_yaml(path.read_text(encoding="utf-8")))
     except OSError as error:
         raise HardwareError(f"{path} cannot be read ({error.strerror})") from error
     except yaml.YAMLError as error:
@@ -41,6 +43,12 @@ def read_sheet(path: Path) -> Sheet:
     if not isinstance(sheet, dict):
         raise HardwareError(f"{path}: a mapping of connectors, cables, connections is expected")
     return sheet
+
+
+@cache
+def _parsed_yaml(text: str) -> Any:
+    """The same few sources are read hundreds of times, and parsing one takes long."""
+    return yaml.safe_load(text)
 
 
 def board_sheet(board: str) -> Sheet:
