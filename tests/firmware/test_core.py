@@ -6,6 +6,7 @@ And the parts of the board layer that no test here can run are at least compiled
 import shutil
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -56,7 +57,21 @@ def test_core_behaves_the_same_on_a_cortex_m3() -> None:
 def test_sketch_and_board_layer_compile_for_stm32(board: str) -> None:
     """Against declarations of stm32duino's calls, with the standard that it uses."""
     defines = [f"-D{name}" for name in ("ARDUINO_ARCH_STM32", *STM32_BOARDS[board])]
-    sources = [SKETCH / "echowing.ino", *sorted((SKETCH / "src").glob("*/*.cpp"))]
+    compile_stm32(SKETCH / "echowing.ino", *sources_of("board"), defines=defines)
+
+
+def test_core_compiles_for_stm32() -> None:
+    """Once: it knows no board, and compiles without any of their names."""
+    compile_stm32(*sources_of("core"))
+
+
+def sources_of(layer: str) -> list[Path]:
+    found = sorted((SKETCH / "src" / layer).glob("*.cpp"))
+    assert found
+    return found
+
+
+def compile_stm32(*sources: Path, defines: Sequence[str] = ()) -> None:
     run(
         "arm-none-eabi-g++",
         *("-mcpu=cortex-m3", "-mthumb", "-std=gnu++17", "-fsyntax-only"),

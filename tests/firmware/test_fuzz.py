@@ -10,9 +10,10 @@ pytestmark = pytest.mark.seconds(40)
 FUZZ = Path(__file__).resolve().parent / "fuzz"
 
 
-def test_some_thousand_inputs_break_nothing() -> None:
+@pytest.mark.parametrize("inputs", ["--few", pytest.param("--inputs", marks=pytest.mark.long)])
+def test_some_thousand_inputs_break_nothing(inputs: str) -> None:
     done = subprocess.run(
-        [sys.executable, str(FUZZ / "run.py"), "--inputs"],
+        [sys.executable, str(FUZZ / "run.py"), inputs],
         capture_output=True,
         text=True,
         check=False,

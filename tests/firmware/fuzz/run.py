@@ -1,4 +1,4 @@
-"""Fuzz the core:  run.py SECONDS|--inputs [SEED]   (shared by the targets; finds in build/fuzz).
+"""Fuzz the core:  run.py SECONDS|--inputs|--few [SEED]   (the targets share it; see build/fuzz).
 
 Starts from the corpus beside this file and what earlier runs have found. An input that breaks a
 target is left in build/fuzz and printed; to keep what a long run has learned:
@@ -15,6 +15,8 @@ BUILD = HERE.parents[2] / "build" / "fuzz"
 # With --inputs so many are tried: as many on a slow machine as on a fast one. An input of the byte
 # entry takes 1 to 3 ms, one of the store 0.1 to 0.2 ms.
 TARGETS = {"fuzz_bytes": 5_000, "fuzz_store": 20_000}
+# With --few: the corpus, a few hundred, and three times as many again or more.
+FEW = {"fuzz_bytes": 1_500, "fuzz_store": 5_000}
 
 
 def build() -> None:
@@ -48,14 +50,14 @@ def fuzz(target: str, limit: str, seed: int = 1) -> subprocess.CompletedProcess[
 
 def main() -> int:
     """Fuzz every target; 1 if one broke."""
-    counted = sys.argv[1:2] == ["--inputs"]
-    seconds = 0 if counted or len(sys.argv) < 2 else int(sys.argv[1])
+    counts = {"--inputs": TARGETS, "--few": FEW}.get(sys.argv[1] if len(sys.argv) > 1 else "")
+    seconds = 0 if counts or len(sys.argv) < 2 else int(sys.argv[1])
     seed = int(sys.argv[2]) if len(sys.argv) > 2 else 1
     build()
     broken = 0
-    for target, inputs in TARGETS.items():
+    for target in TARGETS:
         share_s = (seconds or 60) // len(TARGETS)
-        limit = f"-runs={inputs}" if counted else f"-max_total_time={share_s}"
+        limit = f"-runs={counts[target]}" if counts else f"-max_total_time={share_s}"
         done = fuzz(target, limit, seed)
         print(f"{target}: {'ok' if done.returncode == 0 else 'BROKEN'}\n{done.stderr}")
         broken |= done.returncode != 0
