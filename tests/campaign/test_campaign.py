@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from pyarrow import parquet
 
+from echowing.campaign import workers
 from echowing.campaign.draw import draw, flight_seed, load_description, parse_description
 from echowing.campaign.files import ROWS, Folder
 from echowing.campaign.fly import fly_and_judge, fly_one
@@ -63,10 +64,10 @@ def short(folder: Path, text: str = SHORT) -> str:
 
 
 def test_the_shipped_description_draws_every_kind_of_fault_and_every_number_of_followers() -> None:
-    description = load_description()
-    drawn = [draw(description, 1, index) for index in range(300)]
+    drawn = drawn_fields()
 
-    assert {fault.kind for one in drawn for fault in one.fault} == set(description.kinds)
+    kinds = set(load_description().kinds)
+    assert {fault.kind for one in drawn for fault in one.fault} == kinds
     assert {len(one.formation.slots) for one in drawn} == {1, 2, 3, 4}
     assert {one.follower.generation for one in drawn} == {"4.5", "4.6", "4.7", "4.8"}
     assert max(len(one.fault) for one in drawn) >= 3
@@ -138,8 +139,14 @@ def drawn_fields() -> list[Scenario]:
     return [draw(description, 1, index) for index in range(300)]
 
 
+@cache
+def drawn_formations() -> list[Scenario]:
+    description = load_description("formations")
+    return [draw(description, 1, index) for index in range(120)]
+
+
 def test_formations_are_drawn_as_they_are_flown_by_name() -> None:
-    drawn = [draw(load_description("formations"), 1, index) for index in range(120)]
+    drawn = drawn_formations()
     assert {len(one.formation.slots) for one in drawn} == {2, 3, 4}
     assert {one.formation.close_gaps for one in drawn} == {True, False}
     shapes = {
@@ -159,9 +166,8 @@ def test_formations_are_drawn_as_they_are_flown_by_name() -> None:
 
 
 def test_sonars_of_formations_are_drawn_as_those_of_the_field() -> None:
-    formations = load_description("formations")
-    drawn = [draw(formations, 1, index).sonar for index in range(60)]
-    assert drawn == [one.sonar for one in drawn_fields()[:60]]
+    drawn = [one.sonar for one in drawn_formations()]
+    assert drawn == [one.sonar for one in drawn_fields()[: len(drawn)]]
 
 
 def behind_of(slot: Slot) -> int | None:
@@ -298,7 +304,8 @@ def test_stopping_ends_soon_and_keeps_what_is_done(tmp_path: Path) -> None:
     assert len(done) == 5
 
 
-def test_a_scheduler_that_is_not_there_is_named() -> None:
+def test_a_scheduler_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(workers, "CONNECT_S", 0.5)  # nobody listens there: no answer will come
     with (
         pytest.raises(EchowingError, match=r"tcp://127\.0\.0\.1:1: no Dask scheduler answers"),
         connected(1, "tcp://127.0.0.1:1"),

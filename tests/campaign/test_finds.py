@@ -14,6 +14,16 @@ pytestmark = pytest.mark.seconds(40)
 
 HERE = Path(__file__).parent
 OPEN, FIXED = HERE / "finds", HERE / "fixed"
+# A sonar that is wrong, a follower that is pushed by another, and one that moved when stopped: of
+# each kind the one that is flown soonest.
+SOONEST = [
+    FIXED / f"{name}.toml"
+    for name in (
+        "stuck-sonar-moves-the-leader",
+        "pushed-into-the-leader",
+        "pulled-back-under-its-switch",
+    )
+]
 
 
 def broken(path: Path) -> set[str]:
@@ -22,10 +32,19 @@ def broken(path: Path) -> set[str]:
     return {one.name for one in fly_and_judge(load_scenario(str(path)), seed).broken}
 
 
-def test_what_was_fixed_stays_fixed() -> None:
-    again = {path.name: names for path in sorted(FIXED.glob("*.toml")) if (names := broken(path))}
-
-    assert again == {}
+@pytest.mark.parametrize(
+    "path",
+    [
+        *SOONEST,
+        *(
+            pytest.param(path, marks=pytest.mark.long)
+            for path in sorted(set(FIXED.glob("*.toml")) - set(SOONEST))
+        ),
+    ],
+    ids=lambda path: path.stem,
+)
+def test_what_was_fixed_stays_fixed(path: Path) -> None:
+    assert broken(path) == set()
 
 
 @pytest.mark.long

@@ -1,4 +1,4 @@
-"""Flights of the shipped campaign, with a fixed seed: eight, and forty in `make test-long`."""
+"""Flights of the shipped campaign, with a fixed seed: three, and forty in `make test-long`."""
 
 import pytest
 
@@ -12,17 +12,22 @@ SEED = 1
 # Two of the forty came too near when this was written: in 2 a receiver jumps and the sonar is
 # unplugged, in 26 receivers disagree by 5.5 m, more than anything allows for, and the leader is
 # never heard. One more may on another machine: a flight amplifies the last digit.
-MOST_TOO_NEAR = {8: 2, 40: 3}
+MOST_TOO_NEAR = {3: 0, 40: 3}
+# Two followers whose tool dies; one with faults of receiver, sonar, applet and leader; one with a
+# wild sonar. None comes near to what is too near.
+FEW = (0, 5, 6)
 SEPARATION = "separation"
 # No law can help it: the wind has taken all the lean that there is.
 OF_THE_WIND = {BLOWN, BLOWN_ON}
 TOO_NEAR = {SEPARATION, MISLED}
 
 
-@pytest.fixture(scope="module", params=[8, pytest.param(40, marks=pytest.mark.long)])
+@pytest.fixture(
+    scope="module", params=[FEW, pytest.param(range(40), marks=pytest.mark.long)], ids=len
+)
 def rows(request: pytest.FixtureRequest) -> list[Row]:
     description = load_description()
-    return [fly_one(description, SEED, index) for index in range(request.param)]
+    return [fly_one(description, SEED, index) for index in request.param]
 
 
 def test_no_flight_breaks_a_promise_but_for_the_known_share_that_comes_too_near(
