@@ -20,7 +20,7 @@ from tests.lua.hostile_frames import (
 
 pytestmark = pytest.mark.seconds(45)
 
-FLIGHTS = 80
+FLIGHTS = 25, pytest.param(80, marks=pytest.mark.long)
 # An applet of a few lines that is wrong in one way.
 WRONG = """
 -- // @Param: ECHO_ENABLE
@@ -62,9 +62,10 @@ FAULTS = {
 }
 
 
+@pytest.mark.parametrize("flights", FLIGHTS)
 @pytest.mark.parametrize("applet", fuzz.applets(), ids=lambda path: path.stem)
-def test_some_flights_break_nothing(applet: Path) -> None:
-    for number in range(FLIGHTS):
+def test_some_flights_break_nothing(applet: Path, flights: int) -> None:
+    for number in range(flights):
         problem = fuzz.broken(fuzz.draw(applet, number))
         again = f"python -m tests.lua.fuzz --applet {applet.stem} --case {number}"
         assert problem is None, f"{problem}; again: {again}"

@@ -1,4 +1,4 @@
-"""Thousands of random flights of the applet: what must hold whatever happens."""
+"""Hundreds of random flights of the applet, thousands in `make test-long`: what always holds."""
 
 from __future__ import annotations
 
@@ -161,17 +161,21 @@ class Watch:
         return bool(guard.evading) or own or vehicle.t_ms - self.behind_ms <= 1000
 
 
-@settings(
-    max_examples=1000,
-    deadline=None,
-    derandomize=True,  # the same flights everywhere
-    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
-)
-@given(sequence=st.lists(actions, min_size=5, max_size=20))
-def test_what_must_always_hold(rig: MakeRig, sequence: list[tuple[Any, ...]]) -> None:
-    r = rig(SWITCH=300)
-    r.vehicle.switches[300] = 2
-    watch = Watch(r)
-    watch.wait(8)
-    for action in sequence:
-        watch.do(action)
+@pytest.mark.parametrize("flights", [200, pytest.param(1000, marks=pytest.mark.long)])
+def test_what_must_always_hold(rig: MakeRig, flights: int) -> None:
+    @settings(
+        max_examples=flights,
+        deadline=None,
+        derandomize=True,  # the same flights everywhere
+        suppress_health_check=[HealthCheck.too_slow],
+    )
+    @given(sequence=st.lists(actions, min_size=5, max_size=20))
+    def fly(sequence: list[tuple[Any, ...]]) -> None:
+        r = rig(SWITCH=300)
+        r.vehicle.switches[300] = 2
+        watch = Watch(r)
+        watch.wait(8)
+        for action in sequence:
+            watch.do(action)
+
+    fly()
