@@ -245,7 +245,7 @@ def test_slots_that_another_ones_applet_does_not_hold_are_refused() -> None:
             check_gaps([Slot(3.0), other])
 
 
-@pytest.mark.parametrize("close_gaps", [True, False])
+@pytest.mark.parametrize("close_gaps", [True, pytest.param(False, marks=pytest.mark.long)])
 @pytest.mark.seconds(20)
 def test_flown(close_gaps: bool) -> None:
     told = f"formation.close_gaps={str(close_gaps).lower()}"

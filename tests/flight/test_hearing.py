@@ -142,7 +142,7 @@ def test_bursts_are_allowed_for() -> None:
 
 
 def flown(*changes: str) -> tuple[Heard, list[str]]:
-    flight = FormationFlight(load_scenario("echowing", [*CLEARLY, "duration_s=100", *changes]), 2)
+    flight = FormationFlight(load_scenario("echowing", [*CLEARLY, "duration_s=70", *changes]), 2)
     events = [text for _, text in flight.run().events]
     return flight.ground.session.followers[2].estimate.hearing.heard(), events
 

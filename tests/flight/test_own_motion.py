@@ -81,7 +81,9 @@ def test_what_is_forgotten_counts_no_more() -> None:
     assert motion.carried_on(HERE, (1.0, 0.0), 11.0, 12.0)[1] == (1.0, 0.0)
 
 
-@pytest.mark.parametrize("seed", [101, 102, 103, 104])
+@pytest.mark.parametrize(
+    "seed", [101, *(pytest.param(seed, marks=pytest.mark.long) for seed in (102, 103, 104))]
+)
 def test_over_two_slow_radios_the_leader_is_found_and_held(seed: int) -> None:
     """Carried on at its velocity alone, the follower went to and fro, 5 to 13 m from its leader.
 

@@ -159,12 +159,14 @@ def test_why_the_shape_cannot_change_now() -> None:
     assert there.reshape.objection(vee) == "still on the way to vee"
 
 
-@pytest.mark.seconds(40)
-def test_a_formation_in_flight_changes_its_shape_and_nobody_comes_near() -> None:
+@pytest.mark.parametrize("followers", [2, pytest.param(3, marks=pytest.mark.long)])
+@pytest.mark.seconds(20)
+def test_a_formation_in_flight_changes_its_shape_and_nobody_comes_near(followers: int) -> None:
     scenario = load_scenario(
         "column",
         [
-            *("formation.followers=3", "duration_s=120", "sonar.spread=0", "gps.spread=0"),
+            f"formation.followers={followers}",
+            *("duration_s=120", "sonar.spread=0", "gps.spread=0"),
             "formation.changes=[{shape='vee', at_s=45}, {shape='column', at_s=75}]",
         ],
     )

@@ -1,5 +1,7 @@
 """What is done with a follower, from its first report to its last, and why."""
 
+from pathlib import Path
+
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -105,7 +107,14 @@ def test_that_the_applet_holds_the_distance_is_shown_while_it_says_so() -> None:
 FOUND = repository_root() / "tests" / "campaign" / "fixed"
 
 
-@pytest.mark.parametrize("name", ["hostile", str(FOUND / "silent-follower-is-flown-through.toml")])
+@pytest.mark.parametrize(
+    "name",
+    [
+        str(FOUND / "silent-follower-is-flown-through.toml"),
+        pytest.param("hostile", marks=pytest.mark.long),
+    ],
+    ids=lambda name: Path(name).stem,
+)
 def test_in_flight_one_follows_another_only_as_the_table_says(name: str) -> None:
     """A leader that jumps and goes silent, a pilot who takes over, a follower that goes silent."""
     seen: set[tuple[Phase, Phase]] = set()

@@ -14,7 +14,7 @@ from .flown import flown
 pytestmark = pytest.mark.seconds(40)
 SEEDS = (1, 2, 3)
 NATIVE_SEEDS = range(1, 8)
-RADIUS_M, JOINED_S, FLOWN_S, SHORT_S = 3.0, 45.0, 150.0, 80.0
+RADIUS_M, JOINED_S, FLOWN_S, SHORT_S = 3.0, 45.0, 150.0, 60.0
 
 
 def flight(firmware: str, seed: int, flown_s: float = FLOWN_S) -> FlownScenario:
@@ -52,7 +52,7 @@ def test_the_binary_keeps_its_distance() -> None:
 
 def test_a_flight_of_the_binary_is_deterministic() -> None:
     first, second = (
-        fly(load_scenario("echowing", ["duration_s=30"]), 1, firmware="avr").summaries[0]
+        fly(load_scenario("echowing", ["duration_s=12"]), 1, firmware="avr").summaries[0]
         for _ in range(2)
     )
 

@@ -37,7 +37,7 @@ def flight(flown: tuple[Path, str]) -> Path:
 
 
 def test_sim_prints_one_object_a_flight() -> None:
-    lines = succeeded("sim", "gray", "--seed", "4-5", "--duration", "30", "--json").splitlines()
+    lines = succeeded("sim", "gray", "--seed", "4-5", "--duration", "15", "--json").splitlines()
 
     flights: list[dict[str, Any]] = [json.loads(line) for line in lines]
     assert [one["seed"] for one in flights] == [4, 5]
@@ -59,14 +59,14 @@ def test_sim_prints_one_object_a_flight() -> None:
         }
         assert one["scenario"] == "gray"
         assert one["law"] == "none"
-        assert one["simulated_s"] == pytest.approx(30.0)
+        assert one["simulated_s"] == pytest.approx(15.0)
         assert one["min_separation_m"] <= one["mean_separation_m"] <= one["max_separation_m"]
 
 
 def test_the_law_and_the_settings_reach_the_flight() -> None:
-    changed = ("--law", "bands", "--set", "gps.sigma_m=0.0", "--duration", "30")
+    changed = ("--law", "bands", "--set", "gps.sigma_m=0.0", "--duration", "15")
 
-    plain = json.loads(succeeded("sim", "echowing", "--duration", "30", "--json"))
+    plain = json.loads(succeeded("sim", "echowing", "--duration", "15", "--json"))
     other = json.loads(succeeded("sim", "echowing", *changed, "--json"))
 
     assert other["law"] == "bands"
@@ -139,7 +139,7 @@ def test_calibrate_takes_the_wind_and_refuses_none() -> None:
 def test_a_scenario_of_ones_own_is_flown(tmp_path: Path) -> None:
     mine = tmp_path / "mine.toml"
     mine.write_text(
-        'title = "mine"\nduration_s = 30\n[leader]\npath = "circle"\nradius_m = 15\n',
+        'title = "mine"\nduration_s = 15\n[leader]\npath = "circle"\nradius_m = 15\n',
         encoding="utf-8",
     )
 
@@ -162,7 +162,7 @@ def test_a_recorded_track_leads(tmp_path: Path) -> None:
 def test_a_flights_telemetry_can_lead_another(flight: Path) -> None:
     set_track = ("--set", 'leader.path="track"', "--set", f'leader.track="{flight}/leader.tlog"')
 
-    found = json.loads(succeeded("sim", "echowing", *set_track, "--duration", "60", "--json"))
+    found = json.loads(succeeded("sim", "echowing", *set_track, "--duration", "40", "--json"))
 
     assert found["min_separation_m"] > 1.0
 

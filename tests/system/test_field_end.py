@@ -115,7 +115,7 @@ def assert_readable(folder: Path) -> None:
     assert frames == path.stat().st_size
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_a_signal_before_anybody_is_heard(seed: int, tmp_path: Path) -> None:
     chance = random.Random(seed)
     ends = ("--leader", "tcp:127.0.0.1:9", "--follower", "tcp:127.0.0.1:10")
@@ -127,7 +127,7 @@ def test_a_signal_before_anybody_is_heard(seed: int, tmp_path: Path) -> None:
     assert_readable(tmp_path)
 
 
-@pytest.mark.parametrize("seed", [3, 4, 5])
+@pytest.mark.parametrize("seed", [3, 5, pytest.param(4, marks=pytest.mark.long)])
 def test_a_signal_while_searching_or_just_after(world: World, seed: int, tmp_path: Path) -> None:
     """Without ids it listens for 4 s who is there, so that some moments lie after the search."""
     chance = random.Random(seed)
@@ -145,7 +145,7 @@ def test_a_signal_while_searching_or_just_after(world: World, seed: int, tmp_pat
     world.pilot.until_still()
 
 
-@pytest.mark.parametrize("seed", [6, 7, 8])
+@pytest.mark.parametrize("seed", [6, 8, pytest.param(7, marks=pytest.mark.long)])
 def test_a_signal_while_following(world: World, seed: int, tmp_path: Path) -> None:
     chance = random.Random(seed)
     tool = world.follow("--log", str(tmp_path))
@@ -157,7 +157,7 @@ def test_a_signal_while_following(world: World, seed: int, tmp_path: Path) -> No
     assert_readable(tmp_path)
 
 
-@pytest.mark.parametrize("seed", [9, 11])
+@pytest.mark.parametrize("seed", [9, pytest.param(11, marks=pytest.mark.long)])
 def test_a_second_signal_while_stopping(world: World, seed: int, tmp_path: Path) -> None:
     chance = random.Random(seed)
     tool = world.follow("--log", str(tmp_path))

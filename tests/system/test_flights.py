@@ -67,13 +67,14 @@ def test_in_a_column_of_two_the_second_keeps_its_distance_by_its_own_sonar(
     assert min(column.closest_m for column in flights) > 1.0
 
 
+@pytest.mark.parametrize("flights", [5, pytest.param(9, marks=pytest.mark.long)])
 @pytest.mark.parametrize("law", ["thesis", "bands"])
-def test_the_speed_applet_stops_before_a_wall_at_2_mps(law: str) -> None:
+def test_the_speed_applet_stops_before_a_wall_at_2_mps(law: str, flights: int) -> None:
     """2 m/s is what the thesis flew at its wall.
 
     Told by the median: by the thesis's law one in four or so stops at the wall, and not before it.
     """
-    walls = [flown("wall", seed, f"law={law}", *CLEARLY) for seed in range(1, 10)]
+    walls = [flown("wall", seed, f"law={law}", *CLEARLY) for seed in range(1, flights + 1)]
     assert statistics.median(one.closest_m for one in walls) > BODY_RADIUS_M
 
 
@@ -96,7 +97,7 @@ def test_one_seed_gives_the_same_bytes_twice_and_another_gives_others(tmp_path: 
         return tmp_path / name
 
     def logs(name: str, seed: int) -> dict[str, bytes]:
-        fly(load_scenario("echowing", ["duration_s=30"]), seed, out=folder(name))
+        fly(load_scenario("echowing", ["duration_s=15"]), seed, out=folder(name))
         return written(name)
 
     def written(name: str) -> dict[str, bytes]:
@@ -108,12 +109,18 @@ def test_one_seed_gives_the_same_bytes_twice_and_another_gives_others(tmp_path: 
     assert logs("other", 2)["truth.csv"] != first["truth.csv"]
     # What other flights have left in memory changes nothing, nor does a process of its own.
     assert logs("again", 1) == first
-    alone = [sys.executable, "-m", "echowing", "sim", "echowing", "--duration", "30", "--json"]
+    alone = [sys.executable, "-m", "echowing", "sim", "echowing", "--duration", "15", "--json"]
     subprocess.run([*alone, "--seed", "1", "--out", folder("alone")], check=True)
     assert written("alone") == first
 
 
-@pytest.mark.parametrize("path", ["circle", "figure-eight", "stop-and-go"])
+@pytest.mark.parametrize(
+    "path",
+    [
+        "figure-eight",
+        *(pytest.param(path, marks=pytest.mark.long) for path in ("circle", "stop-and-go")),
+    ],
+)
 def test_other_leader_paths_are_followed_safely(path: str) -> None:
     one = flown("echowing", 1, f"leader.path={path}", "duration_s=120")
 
@@ -121,7 +128,14 @@ def test_other_leader_paths_are_followed_safely(path: str) -> None:
     assert one.metrics[0].mean_abs_error_m < 1.0
 
 
-@pytest.mark.parametrize("generation", ["4.5", "4.6", "4.7", "4.8"])
+# All other flights are the newest's.
+@pytest.mark.parametrize(
+    "generation",
+    [
+        "4.6",
+        *(pytest.param(other, marks=pytest.mark.long) for other in ("4.5", "4.7", "4.8")),
+    ],
+)
 def test_both_parameter_generations_fly_alike(generation: str) -> None:
     one = flown("echowing", 1, f'follower.generation="{generation}"', "duration_s=60")
 

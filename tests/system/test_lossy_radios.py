@@ -75,7 +75,7 @@ def test_a_whole_point_that_is_no_number_moves_nobody() -> None:
 
 
 @pytest.mark.parametrize("generation", ["4.6", "4.8"])
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_a_twentieth_of_the_packets_lost_is_borne(generation: str, seed: int) -> None:
     """On both radios and on the wire. The applet of 0.2.0 ended seven of twelve autopilots so."""
     lost = [f"{link}.byte_loss=0.05" for link in RADIOS]

@@ -46,7 +46,7 @@ def ended(tool: Process, code: int = 0) -> list[str]:
 def test_follow_leads_its_follower(air: World) -> None:
     tool = air.follow()
     there = tool.row(in_slot)
-    for _ in range(20):  # a row comes once a second
+    for _ in range(8):  # a row comes once a second
         there = tool.row(lambda row: True, there + 1)
     tool.row(in_slot, there)
 
@@ -88,6 +88,8 @@ def test_a_relay_flies(air: World) -> None:
     assert not any("Traceback" in line for line in tool.lines)
 
 
+# Piece by piece it is `test_ftp`'s and `test_setup_vehicle`'s, which lose more.
+@pytest.mark.long
 def test_a_vehicle_is_set_up(tmp_path: Path) -> None:
     """What is written is read back, and the applet arrives byte by byte.
 
