@@ -141,6 +141,7 @@ SPEED_APPLET = {"ECHO_LAW": 0.0}
         (SPEED_APPLET, True, "it runs the speed applet, which needs points without a velocity"),
         ({"ECHO_LAW": 2.0, "ECHO_GAIN_P": 0.7}, True, "its applet is of another version: update"),
         ({"ECHO_LAW": 2.0, "ECHO_GAIN_P": 0.7}, False, "its applet is of another version: update"),
+        ({"ECHO_LAW": 0.0, "ECHO_GAIN_P": 0.7}, False, "its applet is of another version: update"),
         ({"ECHO_FORMAT": POINT_FORMAT + 1.0}, True, "its applet is of another version: update it"),
         ({}, True, "its applet is of another version: update it"),
     ],

@@ -42,7 +42,7 @@ def test_when_to_abort_stands_on_one_page_and_the_other_leads_there() -> None:
         ("GUIDANCE.md", "{} m for two sonars", f"{sonars_demand_m(LEAST_M, 2):.1f}"),
         (
             "FLYING.md",
-            "know by that where the other is: {} m",
+            "both sonars reach the leader, {} m is enough",
             f"{sonars_demand_m(LEAST_M, 2):.1f}",
         ),
         ("GUIDANCE.md", "less than {} m beside it", f"{WASH_M:g}"),
@@ -52,6 +52,27 @@ def test_when_to_abort_stands_on_one_page_and_the_other_leads_there() -> None:
 )
 def test_what_follow_demands_is_on_the_page(page: str, words: str, figure: str) -> None:
     assert words.format(figure) in PAGES[page]
+
+
+# An abbreviated commit: seven digits or more, letters and figures among them.
+COMMIT = re.compile(r"\b(?=[0-9a-f]*[0-9])(?=[0-9a-f]*[a-f])[0-9a-f]{7,40}\b")
+# What a board prints of itself, on the page that shows its view.
+PRINTED = {"RIG.md": ["1e8003ee"]}
+
+
+def test_only_results_name_commits() -> None:
+    """A page says when something was measured; only who compares figures asks with what code."""
+    named = {
+        str(page.relative_to(ROOT)): [
+            one
+            for one in COMMIT.findall(page.read_text(encoding="utf-8"))
+            if one not in PRINTED.get(page.name, [])
+        ]
+        for page in FILES
+        if page.name != "RESULTS.md"
+    }
+    assert {page: commits for page, commits in named.items() if commits} == {}
+    assert COMMIT.findall(PAGES["RESULTS.md"])
 
 
 def test_the_picture_of_the_shapes_is_current() -> None:

@@ -13,15 +13,17 @@ import pytest
 from echowing.cli import main
 from echowing.errors import EchowingError
 from echowing.flight.envelope import LEAST_M
+from echowing.flight.formation import check_formation, sonars_demand_m
 from echowing.flight.guidance import place_m
 from echowing.flight.state import UNRANGED_SIGMA_M
 from echowing.planning.cost import Formation, Limits
+from echowing.planning.files import file_slots, formation_table
 from echowing.planning.optimise import METHODS, Counted, SpentError, best_of, compare
 from echowing.planning.pigeons import fly_home
-from echowing.planning.ties import pair_sigma_m, tie_sigma_m, watched
+from echowing.planning.ties import pair_links, pair_sigma_m, tie_sigma_m, watched
 from echowing.sim.scenario import load_scenario
 from echowing.sonar_file import load_sonar, shipped_sonar
-from echowing.tool.formation_file import load_formation
+from echowing.tool.formation_file import check_to_be_led, load_formation
 
 LIMITS = Limits(2, shipped_sonar())
 # Two behind the leader and one behind both: (back, right) metres.
@@ -88,6 +90,14 @@ def test_nobody_watches_who_is_aside_behind_or_too_high() -> None:
     assert Formation(places, replace(LIMITS, followers=1)).off_m[1, 0] > 0.0
 
 
+def test_sonars_between_two_are_counted() -> None:
+    """0 - 1 - 2, 3 on the leader, 4 behind 3."""
+    links = pair_links([0, 1, 0, 3])
+    assert links[0].tolist() == [0, 1, 2, 1, 2]
+    assert links[2].tolist() == [2, 1, 0, 3, 4]
+    assert (links == links.T).all()
+
+
 # ---- losses --------------------------------------------------------------------------------------
 
 
@@ -136,6 +146,7 @@ def test_two_followers_both_watch_the_leader() -> None:
         {"followers": 3, "heights_m": (-0.5, 0.0, 0.5), "spacing_m": (3.1, 3.4)},
         {"followers": 2, "keep_out_rad": math.radians(150.0), "angle_rad": math.radians(50.0)},
         {"followers": 3, "leader_only": True, "angle_rad": math.radians(80.0)},
+        {"followers": 4, "spacing_m": (2.0, 3.5)},
     ],
 )
 def test_limits_are_kept(changes: dict[str, Any]) -> None:
@@ -156,6 +167,26 @@ def test_limits_are_kept(changes: dict[str, Any]) -> None:
         assert off_nose_deg >= math.degrees(limits.keep_out_rad) - 0.5
     if limits.leader_only:
         assert planned.watches == [0, 0, 0]
+    assert check_formation(slots, limits.sonar, LEAST_M)  # it only says which echoes may meet
+
+
+def test_what_follow_demands_of_two_is_a_limit() -> None:
+    """At 2 m the sonars leave less open than `follow` reckons with: by that they are 1 m apart."""
+    two = formation((1.5, -1.45), (1.5, 1.45), leader_only=True, spacing_m=(2.0, 3.5))
+    assert two.off_limits_m["certain distance"] == 0.0
+    lacking_m = sonars_demand_m(LEAST_M, 2) - 2.9
+    assert two.off_limits_m["what follow demands"] == pytest.approx(lacking_m, abs=0.021)
+    assert not two.is_within_limits
+    with pytest.raises(EchowingError, match=r"slots 1 and 2 are 2\.90 m apart"):
+        file_slots(two)
+
+
+def test_millimetres_do_not_bring_a_file_under_the_limit() -> None:
+    """On the limit to a centimetre, and rounded."""
+    half_m = (sonars_demand_m(LEAST_M, 2) + 0.011) / 2.0
+    off = formation((2.5, -half_m), (2.5, half_m), leader_only=True)
+    assert off.is_within_limits
+    assert all("slot" not in key for key in formation_table(file_slots(off)) if key != "slots")
 
 
 def test_what_is_off_a_limit_is_named() -> None:
@@ -231,16 +262,22 @@ def test_files_are_read_back_and_the_same_seed_gives_the_same_bytes(
     for slot, told in zip(flight.slots(), found["slots"], strict=True):
         assert slot.radius_m == pytest.approx(told["radius_m"], abs=0.001)
         assert slot.behind == told["behind"]
-    assert "slot_separation_m" in (tmp_path / "a.out").read_text()
+    assert "slot_separation_m" not in (tmp_path / "a.out").read_text()
 
 
-def test_a_follow_file_of_leader_only_is_one_that_follow_reads(tmp_path: Path) -> None:
+@pytest.mark.parametrize("spacing", ["3-3.5", "2-3.5", "1.2-2"])
+def test_a_file_of_leader_only_is_flown_as_slots_by_hand_are(tmp_path: Path, spacing: str) -> None:
+    """With real vehicles, and as far apart as `follow` demands by itself."""
     file = tmp_path / "two.toml"
-    assert main(["plan", "2", *FEW, "--leader-only", "--out", str(file), "--json"]) == 0
-    formation = load_formation(file)
-    assert [slot.behind for slot in formation.slots] == [None, None]
-    assert formation.slot_separation_m is not None
-    assert formation.slot_separation_m >= 3.0
+    only = ("--leader-only", "--spacing", spacing)
+    assert main(["plan", "2", *FEW, *only, "--out", str(file), "--json"]) == 0
+    planned = load_formation(file)
+    assert [slot.behind for slot in planned.slots] == [None, None]
+    assert planned.slot_separation_m is None
+    slots = [slot.slot() for slot in planned.slots]
+    check_to_be_led(slots, shipped_sonar(), LEAST_M, planned.slot_separation_m)
+    apart_m = math.dist(place_m(slots, 0), place_m(slots, 1))
+    assert apart_m >= sonars_demand_m(LEAST_M, 2)
 
 
 def test_the_table_tells_pairs_and_losses(capsys: pytest.CaptureFixture[str]) -> None:

@@ -122,6 +122,8 @@ def test_changes_reach_nested_keys() -> None:
             "applet.ECHO_DETEKT=3",
             r"applet\.ECHO_DETEKT: echowing\.lua has no such parameter; .* ECHO_DETECT$",
         ),
+        # A parameter of an applet that is no more.
+        ("applet.ECHO_GAIN_P=0.7", r"applet\.ECHO_GAIN_P: echowing\.lua has no such parameter; "),
         ("applet.ECHO_DIST=9", r"applet\.ECHO_DIST: 9 is not accepted; give 1\.5 to 6$"),
         ("applet.ECHO_DIST=nan", r"applet\.ECHO_DIST: nan is not accepted"),
         (

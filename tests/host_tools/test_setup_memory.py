@@ -194,6 +194,9 @@ OLD = {"ECHO_ENABLE": 1.0, "ECHO_LAW": 2.0, "ECHO_GAIN_P": 0.7}  # before there 
         ({"ECHO_FORMAT": POINT_FORMAT, "ECHO_ENABLE": 1.0}, HOLD, False),
         ({"ECHO_LAW": 0.0, "ECHO_ENABLE": 1.0}, SPEED, False),
         (OLD, None, True),
+        # Its law is one that the speed applet has, too: only the gain tells.
+        ({"ECHO_LAW": 0.0, "ECHO_GAIN_P": 0.7}, None, True),
+        ({"ECHO_GAIN_P": 0.7}, None, False),
         ({"ECHO_FORMAT": POINT_FORMAT + 1.0}, None, True),
         ({}, None, False),
     ],

@@ -1,5 +1,7 @@
 """The wheel in a fresh environment, with what it demands and no extra: the field needs no more."""
 
+import json
+import signal
 import subprocess
 import sys
 import tomllib
@@ -10,6 +12,7 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+from tests.system.field import World, in_slot
 
 import make_release
 from echowing.cli import VERBS
@@ -34,6 +37,11 @@ class Installed:
         (ours,) = site.glob("echowing-*.dist-info")
         for library in demanded(metadata.Distribution.at(ours)):
             link(library, site)
+
+    @property
+    def program(self) -> tuple[str, ...]:
+        """`echowing` of this environment, and nothing of the checkout's."""
+        return "env", "-u", "PYTHONPATH", str(self._bin / "echowing")
 
     def python(self, *arguments: str) -> "subprocess.CompletedProcess[str]":
         return self._call("python", *arguments)
@@ -108,6 +116,25 @@ def test_no_extra_is_there(installed: Installed) -> None:
     libraries = [name for names in LIBRARIES.values() for name in names]
     code = f"import importlib.util as u; print([n for n in {libraries} if u.find_spec(n)])"
     assert installed.python("-c", code).stdout.strip() == "[]"
+
+
+def test_a_formation_is_flown_and_analysed(installed: Installed, tmp_path: Path) -> None:
+    """As in the field: the vehicles are another environment's."""
+    world = World()
+    log = tmp_path / "flight-1"
+    try:
+        tool = world.follow("--log", str(log), program=installed.program)
+        first = tool.row(in_slot)
+        tool.row(lambda row: in_slot(row) and row["time_s"] > 10.0, since=first)
+        assert tool.end(signal.SIGINT) == 0
+    finally:
+        world.end_tools()
+        world.pilot.close()
+        assert world.process.end() == 0
+    done = installed.run("analyze", str(log), "--json")
+    assert done.returncode == 0, done.stderr
+    (found,) = map(json.loads, done.stdout.splitlines())
+    assert found
 
 
 def test_a_flight_is_analysed(installed: Installed) -> None:

@@ -37,14 +37,25 @@ WORLD = [
 ]
 
 
+# The package of this environment.
+ECHOWING = (sys.executable, "-m", "echowing")
+
+
 class Process:
-    """A verb in a process of its own; its output is read as it comes."""
+    """A verb in a process of its own; its output is read as it comes.
+
+    program: what takes the verb.
+    """
 
     def __init__(
-        self, *arguments: str, under: Sequence[str] = (), stdin: str | None = None
+        self,
+        *arguments: str,
+        under: Sequence[str] = (),
+        stdin: str | None = None,
+        program: Sequence[str] = ECHOWING,
     ) -> None:
         self._process = subprocess.Popen(
-            [*under, sys.executable, "-m", "echowing", *arguments],
+            [*under, *program, *arguments],
             stdin=subprocess.DEVNULL if stdin is None else subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
@@ -256,12 +267,14 @@ class World:
         leader: str | None = None,
         follower: str | None = None,
         under: Sequence[str] = (),
+        program: Sequence[str] = ECHOWING,
     ) -> Process:
         """The tool, engaged, with the first follower."""
         leader, follower = leader or self.link(LEADER), follower or self.link(FOLLOWER)
         ends = ("--leader", leader, "--follower", follower)
         log = () if "--log" in more else ("--no-log",)
-        tool = Process("follow", *ends, "--engage", "--json", *log, *more, under=under)
+        arguments = ("follow", *ends, "--engage", "--json", *log, *more)
+        tool = Process(*arguments, under=under, program=program)
         self._tools.append(tool)
         return tool
 

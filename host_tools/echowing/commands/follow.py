@@ -152,8 +152,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--legs",
         choices=("foil", "stock"),
         default="foil",
-        help="what the sonars see of the leader: legs with foil, or stock ones, which are heard "
-        "less far (foil)",
+        help="what every vehicle that a sonar looks at has around its legs: foil, or nothing "
+        "(stock), and is then heard less far (foil)",
     )
     place.add_argument(
         "--rate", type=float, default=8.0, metavar="HZ", help="points per second, up to 20 (8)"

@@ -167,20 +167,20 @@ def _refuse_off_limits(formation: "Formation") -> None:
 
 
 def _write(formation: "Formation", args: argparse.Namespace, said: str) -> None:
-    from echowing.planning.files import formation_table, svg_text, toml_text, write  # noqa: PLC0415
+    from echowing.planning import files  # noqa: PLC0415
 
-    table = formation_table(formation)
+    table = files.formation_table(files.file_slots(formation))
     if args.out is not None:
-        write(args.out, toml_text(table, said))
+        files.write(args.out, files.toml_text(table, said))
     if args.scenario is not None:
         legs = {"target": args.legs}
         sonar = {} if args.sonar == "mb1202" else {"sonar": {"file": args.sonar}}
         title = f"A planned formation of {args.followers}"
         flight = {"title": title, "leader": legs, "follower": legs, **sonar, "formation": table}
-        write(args.scenario, toml_text(flight, said))
+        files.write(args.scenario, files.toml_text(flight, said))
     if args.plot is not None:
         worst_m = float(formation.sigma_m.max())
-        write(args.plot, svg_text(formation, f"worst pair unsure by {worst_m:.2f} m"))
+        files.write(args.plot, files.svg_text(formation, f"worst pair unsure by {worst_m:.2f} m"))
 
 
 def _pairs(formation: "Formation") -> Iterator[dict[str, Any]]:

@@ -9,7 +9,7 @@ import numpy as np
 from echowing.errors import EchowingError
 from echowing.flight.belief import SonarBelief
 from echowing.flight.envelope import LEAST_M, SURE_SIGMAS
-from echowing.flight.formation import IN_SLOT_M
+from echowing.flight.formation import IN_SLOT_M, sonars_demand_m
 from echowing.flight.guidance import Slot
 from echowing.flight.shapes import MOST_FOLLOWERS
 from echowing.flight.state import UNRANGED_SIGMA_M
@@ -21,6 +21,7 @@ from echowing.planning.ties import (
     Sight,
     in_the_way_m,
     out_of_sight_m,
+    pair_links,
     pair_sigma_m,
     tie_sigma_m,
     watched,
@@ -30,6 +31,12 @@ from echowing.planning.ties import (
 MOST_SHARE = math.nextafter(1.0, 0.0)
 # A centimetre off a limit is on it.
 ON_LIMIT_M = 0.01
+# How far apart `follow` wants two slots by the sonars between them (one: it measures the distance
+# itself). A centimetre off that limit is on it, and a file's millimetres take another one.
+DEMANDED_M = np.array(
+    [0.0, 0.0]
+    + [sonars_demand_m(LEAST_M, links) + 2.0 * ON_LIMIT_M for links in range(2, MOST_FOLLOWERS + 1)]
+)
 # What a metre off a limit costs, and a metre that a spare is off: so much more than a metre of
 # uncertainty that neither pays. The mean of all pairs decides between formations that are alike.
 LIMIT_COST, SPARE_COST, MEAN_COST = 100.0, 10.0, 0.05
@@ -179,6 +186,12 @@ class Formation:
         return certain
 
     @cached_property
+    def _demanded_m(self) -> Array:
+        """[i, j]: how far apart `follow` wants them, whoever wrote the slots down."""
+        demanded: Array = DEMANDED_M[pair_links(self.watches)]
+        return demanded
+
+    @cached_property
     def _spare_off_m(self) -> Array:
         sight = self.limits.spare_sight
         off_m: Array = out_of_sight_m(self.geometry, sight) + self._blocked_m.sum(axis=2)
@@ -208,6 +221,7 @@ class Formation:
         return {
             "least spacing": float(np.maximum(0.0, self.limits.spacing_m[0] - far_m[pairs]).sum()),
             "certain distance": float(np.maximum(0.0, LEAST_M - self.certain_m[pairs]).sum()),
+            "what follow demands": float(np.maximum(0.0, self._demanded_m - far_m)[pairs].sum()),
             "somebody to watch": float(watch_m),
             "keep-out": float((np.maximum(0.0, ahead_rad) * far_m[0, 1:]).sum()),
         }

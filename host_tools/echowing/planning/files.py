@@ -2,14 +2,15 @@
 
 import html
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 from echowing.errors import EchowingError
-from echowing.flight.guidance import Slot, place_m
+from echowing.flight.envelope import LEAST_M
+from echowing.flight.formation import check_formation
+from echowing.flight.guidance import Slot
 from echowing.planning.cost import Formation
 
 # A picture: pixels per metre, and around the slots.
@@ -17,19 +18,26 @@ SCALE_PX, EDGE_PX = 60.0, 60.0
 LEADER_COLOUR, FOLLOWER_COLOUR, QUIET_COLOUR = "#1f6feb", "#e8710a", "#8a94a6"
 
 
-def formation_table(formation: Formation) -> dict[str, Any]:
-    """What a formation file has, in millimetres and hundredths of a degree."""
+def file_slots(formation: Formation) -> list[Slot]:
+    """Its slots as a file has them: in millimetres and hundredths of a degree.
+
+    Raises EchowingError where `follow` and `sim` would refuse them: nothing in the file allows
+    what they do not allow by themselves.
+    """
     slots = [_rounded(slot) for slot in formation.slots()]
-    table: dict[str, Any] = {"slots": [_slot_table(slot) for slot in slots]}
-    places_m = [place_m(slots, number) for number in range(len(slots))]
-    apart_m = [
-        math.dist(places_m[a], places_m[b])
-        for a, b in combinations(range(len(slots)), 2)
-        if slots[b].behind != a
-    ]
-    if apart_m:
-        table = {"slot_separation_m": math.floor(100.0 * min(apart_m)) / 100.0, **table}
-    return table
+    try:
+        check_formation(slots, formation.limits.sonar, LEAST_M)
+    except EchowingError as error:
+        raise EchowingError(
+            f"the best one that was found would not be flown: {error}. Try another --seed, more "
+            "--evaluations or other limits"
+        ) from error
+    return slots
+
+
+def formation_table(slots: Sequence[Slot]) -> dict[str, Any]:
+    """What a formation file has."""
+    return {"slots": [_slot_table(slot) for slot in slots]}
 
 
 def _rounded(slot: Slot) -> Slot:

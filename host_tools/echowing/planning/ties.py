@@ -122,6 +122,14 @@ def pair_sigma_m(watches: Sequence[int], tie_m: Array) -> Array:
     return np.minimum(UNRANGED_SIGMA_M, np.sqrt(way_m2))
 
 
+def pair_links(watches: Sequence[int]) -> NDArray[np.int_]:
+    """How many sonars are between any two."""
+    links = np.zeros((len(watches) + 1, len(watches) + 1), int)
+    for one, its in enumerate(watches, 1):
+        links[one, :one] = links[:one, one] = links[its, :one] + 1
+    return links
+
+
 def without_spare_m(off_m: Array, blocked_m: Array) -> Array:
     """[i, k]: how many metres i lacks to watch somebody once follower k is lost; 0: it can.
 
