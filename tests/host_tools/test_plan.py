@@ -16,7 +16,7 @@ from echowing.flight.envelope import LEAST_M
 from echowing.flight.formation import check_formation, sonars_demand_m
 from echowing.flight.guidance import place_m
 from echowing.flight.state import UNRANGED_SIGMA_M
-from echowing.planning.cost import ON_LIMIT_M, Formation, Limits
+from echowing.planning.cost import Formation, Limits
 from echowing.planning.files import file_slots, formation_table
 from echowing.planning.optimise import METHODS, Counted, SpentError, best_of, compare
 from echowing.planning.pigeons import fly_home
@@ -167,13 +167,13 @@ def test_limits_are_kept(changes: dict[str, Any]) -> None:
         assert off_nose_deg >= math.degrees(limits.keep_out_rad) - 0.5
     if limits.leader_only:
         assert planned.watches == [0, 0, 0]
-    check_formation(slots, limits.sonar, LEAST_M)  # it would raise
+    check_formation(slots, limits.sonar, LEAST_M)
 
 
 def test_what_follow_demands_of_two_is_a_limit() -> None:
     """At 2 m the sonars leave less open than `follow` reckons with: by that they are 1 m apart."""
-    two = formation((1.5, -1.45), (1.5, 1.45), leader_only=True, spacing_m=(2.0, 3.5))
-    assert two.off_limits_m["certain distance"] == pytest.approx(0.0, abs=ON_LIMIT_M)
+    two = formation((1.4, -1.45), (1.4, 1.45), leader_only=True, spacing_m=(2.0, 3.5))
+    assert two.off_limits_m["certain distance"] == 0.0
     lacking_m = sonars_demand_m(LEAST_M, 2) - 2.9
     assert two.off_limits_m["what follow demands"] == pytest.approx(lacking_m, abs=0.021)
     assert not two.is_within_limits
@@ -265,7 +265,7 @@ def test_files_are_read_back_and_the_same_seed_gives_the_same_bytes(
     assert "slot_separation_m" not in (tmp_path / "a.out").read_text()
 
 
-@pytest.mark.parametrize("spacing", ["3-3.5", "2-3.5"])
+@pytest.mark.parametrize("spacing", ["3-3.5", "2-3.5", "2-2.4"])
 def test_a_file_of_leader_only_is_flown_as_slots_by_hand_are(tmp_path: Path, spacing: str) -> None:
     """With real vehicles, and as far apart as `follow` demands by itself."""
     file = tmp_path / "two.toml"
@@ -306,6 +306,8 @@ def test_the_table_tells_pairs_and_losses(capsys: pytest.CaptureFixture[str]) ->
         (["2", "--method", "doves"], "--method doves: there are evolution"),
         (["2", "--legs", "stock"], "spacing 3 m: the sonar does not carry it"),
         (["8", "--leader-only", *FEW], "no formation of 8 keeps the limits"),
+        # Nearer than 3.31 m `follow` flies no two that look at the leader.
+        (["2", "--leader-only", "--spacing", "1.2-2", *FEW], "misses what follow demands by 0."),
         (["2", "--out", "/absent/a.toml", *FEW], "/absent/a.toml: cannot be written"),
     ],
 )

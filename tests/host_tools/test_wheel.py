@@ -19,6 +19,7 @@ from echowing.cli import VERBS
 from echowing.extras import LIBRARIES
 from echowing.paths import repository_root
 
+pytestmark = pytest.mark.seconds(30)
 DATA = repository_root() / "tests" / "host_tools" / "data"
 FLIGHT = (str(DATA / "leader.BIN"), str(DATA / "follower.BIN"))
 
@@ -133,8 +134,9 @@ def test_a_formation_is_flown_and_analysed(installed: Installed, tmp_path: Path)
         assert world.process.end() == 0
     done = installed.run("analyze", str(log), "--json")
     assert done.returncode == 0, done.stderr
-    (found,) = map(json.loads, done.stdout.splitlines())
-    assert found
+    found = json.loads(done.stdout)
+    assert (found["wanted_m"], found["source"]) == (3.0, "by sonar")
+    assert abs(found["mean_separation_m"] - 3.0) < 1.0
 
 
 def test_a_flight_is_analysed(installed: Installed) -> None:
