@@ -13,7 +13,14 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, ConfigDict, Field, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    ConfigDict,
+    Field,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
 from echowing.errors import EchowingError
 from echowing.flight.belief import Curve, SonarBelief
@@ -153,6 +160,14 @@ class SonarFile(_Finite):
     """What propellers leave of it."""
     source: dict[str, str] = Field(default={})
     """Where values come from, by key; a text that begins with `guess` says that nobody knows."""
+
+    @field_validator("boom_m")
+    @classmethod
+    def _before_the_boom(cls, boom_m: float, info: ValidationInfo) -> float:
+        least_m = info.data.get("inset_m", (math.inf, math.inf))[0]
+        if boom_m > least_m:
+            raise ValueError(f"no more than the least inset_m, {least_m:g}")
+        return boom_m
 
     @field_validator("source")
     @classmethod

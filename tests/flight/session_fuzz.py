@@ -21,7 +21,7 @@ from types import FrameType
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
-from tests.flight.yard import FOLLOWER, HERE, LEADER, SECOND, TICK_S, Vehicle, is_point
+from tests.flight.yard import FOLLOWER, HERE, LEADER, POINT, SECOND, TICK_S, Vehicle
 
 from echowing.flight.guard import FIELD_LIMITS
 from echowing.flight.guidance import GuidanceSettings, Slot
@@ -173,7 +173,7 @@ class Fuzz:
 
     def _check(self, system_id: int, message: Any) -> None:
         _packed(245, message)
-        if not is_point(message):
+        if message.get_type() != POINT:
             return
         self.points += 1
         numbers = [getattr(message, name) for name in message.get_fieldnames()]

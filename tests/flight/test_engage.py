@@ -202,6 +202,7 @@ def test_a_sonar_that_reads_seldom_needs_more_room() -> None:
     slow = replace(shipped_sonar(), rate_hz=4.0)
     assert shipped_sonar().noticed_s == NOTICED_S
     assert slow.noticed_s == 0.6
+    assert replace(slow, rate_hz=50.0).noticed_s == NOTICED_S
     yard = Yard(slots=[Slot(3.0)], sonar=slow)
     assert yard.fly(SOON_S) == []
     needs_m = least_slot_m(2.0, yard.session.followers[FOLLOWER].handling.answer, noticed_s=0.6)

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 from tests.flight.session_fuzz import FLIGHT_S, FindError, Fuzz
-from tests.flight.yard import TICK_S, is_point
+from tests.flight.yard import POINT, TICK_S
 
 from echowing.flight.session import FollowSession
 
@@ -42,7 +42,7 @@ def fails_at(change: Any) -> Any:
     def changed(session: FollowSession, now_s: float) -> list[tuple[int, Any]]:
         sent = tick(session, now_s)
         for _, message in sent:
-            if is_point(message):
+            if message.get_type() == POINT:
                 change(session, message)
         return sent
 

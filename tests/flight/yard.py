@@ -23,16 +23,10 @@ from echowing.tool.panel import state_of
 LEADER, FOLLOWER, SECOND = 1, 2, 3
 HERE = GlobalPosition(39.34, -86.03, 250.0)
 POINT = "SET_POSITION_TARGET_GLOBAL_INT"
-X_IGNORE = mavlink.POSITION_TARGET_TYPEMASK_X_IGNORE
 TICK_S = 0.125
 AUTO = mavlink.COPTER_MODE_AUTO
 GUIDED, LOITER = mavlink.COPTER_MODE_GUIDED, mavlink.COPTER_MODE_LOITER
 SETTLED_EKF = 831  # of a vehicle in the air with a GPS
-
-
-def is_point(message: Any) -> bool:
-    """Whether a message says where to fly; a velocity of nothing says to fly nowhere."""
-    return bool(message.get_type() == POINT and not message.type_mask & X_IGNORE)
 
 
 @dataclass
@@ -181,7 +175,7 @@ class Yard:
             for system_id, message in sent:
                 for answer in self.vehicles[system_id].answer(message, self.now_s):
                     self.tell(system_id, answer)
-            points += [message for _, message in sent if is_point(message)]
+            points += [message for _, message in sent if message.get_type() == POINT]
         return points
 
     def _report(self, system_id: int, vehicle: Vehicle) -> None:

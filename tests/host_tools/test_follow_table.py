@@ -230,6 +230,8 @@ def test_the_most_certain_source_leads(tmp_path: Path, capsys: pytest.CaptureFix
     assert leads()[0] == "by estimate"
     change(table, range(150), sonar_m="3.7")
     assert leads() == ("by sonar", "3.9 m")
+    change(table, range(200), sonar_inset_m="0.45")  # of the mount that was flown
+    assert leads() == ("by sonar", "4.2 m")  # 4.15 m
 
 
 def test_a_table_that_only_watched_says_so(tmp_path: Path) -> None:

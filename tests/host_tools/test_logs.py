@@ -13,7 +13,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.analysis.logs import compare_with_truth, read_flights
-from echowing.analysis.metrics import metrics
+from echowing.analysis.metrics import by_sonar, metrics
 from echowing.analysis.vehicle_log import DATAFLASH_TYPES, TLOG_TYPES, gps_to_unix_s, read_vehicles
 from echowing.cli import main
 from echowing.errors import EchowingError
@@ -326,6 +326,18 @@ def test_the_sonars_own_word_for_nothing_is_no_reading(tmp_path: Path) -> None:
     (flight,) = read_flights(pair(tmp_path, Tlog(1, mode=3).fly(north), follower))
     assert metrics(flight).seen_share == pytest.approx(0.5, abs=0.03)
     assert np.nanmax(flight.sonar_m) == pytest.approx(3.4)
+
+
+@pytest.mark.parametrize("inset_m", [None, 0.45])
+def test_the_sonars_inset_is_as_its_applet_was_told(tmp_path: Path, inset_m: float | None) -> None:
+    follower = Tlog(2).fly(behind, sonar_cm=350)
+    if inset_m is not None:
+        told = mavlink.MAVLink_param_value_message(b"ECHO_INSET", inset_m, 9, 1, 0)
+        follower.put(START_UNIX_S + 1.0, told)
+    (flight,) = read_flights(pair(tmp_path, Tlog(1, mode=3).fly(north), follower))
+    ours = by_sonar(flight)
+    assert ours is not None
+    assert ours.mean_separation_m == pytest.approx(3.5 + (inset_m or 0.2))
 
 
 def test_a_reading_out_of_limits_is_no_target(tmp_path: Path) -> None:

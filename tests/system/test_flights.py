@@ -133,14 +133,23 @@ def test_other_leader_paths_are_followed_safely(path: str) -> None:
     "generation",
     [
         "4.6",
-        *(pytest.param(other, marks=pytest.mark.long) for other in ("4.5", "4.7", "4.8")),
+        "4.7",
+        *(pytest.param(other, marks=pytest.mark.long) for other in ("4.5", "4.8")),
     ],
 )
-def test_both_parameter_generations_fly_alike(generation: str) -> None:
-    one = flown("echowing", 1, f'follower.generation="{generation}"', "duration_s=60")
+def test_all_generations_fly_alike(generation: str) -> None:
+    one = flown("echowing", 1, f'follower.generation="{generation}"', "duration_s=30")
 
     assert one.metrics[0].mean_abs_error_m < 1.0
     assert math.isfinite(one.flights[0].speed_command_mps[-1])
+
+
+def test_the_sonar_on_the_boom_of_hw_holds_the_distance() -> None:
+    """Its applet adds 0.45 m to a reading, wherever the gimbal looks; aside 0.29 are right."""
+    one = flown("echowing", 1, "sonar.file=mb1202-boom", "duration_s=90")
+
+    assert one.closest_m > 1.5
+    assert one.metrics[0].mean_abs_error_m < 0.25
 
 
 def test_lost_and_jittered_telemetry_degrades_but_does_not_endanger() -> None:

@@ -163,8 +163,6 @@ def test_parked_vehicles_are_for_serving_only() -> None:
     assert tool.lines == ["echowing sim: --parked and --card need --serve PORT"]
 
 
-# What is checked and written then is `test_own_rangefinder`'s; here it is written and read back.
-@pytest.mark.long
 def test_a_vehicle_that_reads_its_sensor_itself_needs_no_co_processor(tmp_path: Path) -> None:
     served = Served(
         "--parked", "--card", str(tmp_path / "cards"), "--set", "sonar.file=mb1202-fixed"

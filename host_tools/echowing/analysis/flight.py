@@ -5,7 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from echowing.sonar_file import shipped_sonar
+
 Floats = NDArray[np.float64]
+SHIPPED_INSET_M = shipped_sonar().inset_m
 
 
 @dataclass(frozen=True)
@@ -39,6 +42,8 @@ class Flight:
     warnings: tuple[str, ...] = ()
     # (n,) by positions that are corrected by what the ground tool had learnt of the receivers.
     estimated_m: Floats | None = None
+    # How much less than the separation the sonar reads, as its applet is told (ECHO_INSET).
+    sonar_inset_m: float = SHIPPED_INSET_M
     counted: NDArray[np.bool_] | None = None  # (n,) what the figures are made from; None: all
     left_out: tuple[str, ...] = ()  # what is not counted, each with its seconds
 

@@ -12,7 +12,7 @@ import numpy as np
 import pymap3d
 from numpy.typing import NDArray
 
-from echowing.analysis.flight import Flight, Floats
+from echowing.analysis.flight import SHIPPED_INSET_M, Flight, Floats
 from echowing.analysis.slots import slot_offsets
 from echowing.errors import EchowingError
 from echowing.flight.guidance import Slot
@@ -28,7 +28,7 @@ NUMBERS = (
     *("east_mps", "heading_deg", "pan_us", "tilt_us"),
 )
 # Not in the tables of former versions.
-OFFSETS, WATCHES = ("north_offset_m", "east_offset_m"), "watches"
+OFFSETS, INSET, WATCHES = ("north_offset_m", "east_offset_m"), "sonar_inset_m", "watches"
 WORDS = ("system_id", "state", "gimbal")
 
 Row = Mapping[str, str | None]
@@ -92,7 +92,7 @@ def _flight(
 ) -> Flight:
     """Of one follower. ahead: the rows of the follower that its sonar watches; None: the leader."""
     flown, warnings = _flown(label, rows)
-    number = {name: _numbers(path, flown, name) for name in (*NUMBERS, *OFFSETS)}
+    number = {name: _numbers(path, flown, name) for name in (*NUMBERS, *OFFSETS, INSET)}
     time_s = number["unix_time_s"]
     origin = _origin(label, number)
     wanted = slot or Slot(
@@ -112,6 +112,7 @@ def _flight(
         )
     heading = np.radians(number["leader_heading_deg"])
     counted, left_out = _counted(flown)
+    inset_m = float(number[INSET][0])
     return Flight(
         name=label,
         wanted_separation_m=math.hypot(wanted.radius_m, wanted.altitude_step_m),
@@ -124,6 +125,7 @@ def _flight(
         follower_yaw_rad=_wrapped(np.radians(number["heading_deg"])),
         slot_ned_m=leader_m + slot_offsets(wanted, leader_velocity, heading),
         sonar_m=number["sonar_m"],
+        sonar_inset_m=inset_m if math.isfinite(inset_m) else SHIPPED_INSET_M,
         speed_command_mps=number["command_mps"],
         pan_us=number["pan_us"],
         tilt_us=number["tilt_us"],

@@ -281,6 +281,7 @@ def _flight(leader: VehicleLog, follower: VehicleLog, slot: Slot, warnings: list
         tilt_us=_held(follower.tilt, time_s, GIMBAL_FRESH_S),
         source="logs",
         sonar_known=bool(follower.sonar),
+        sonar_inset_m=follower.sonar_inset_m,
         start_unix_s=start_s,
         warnings=(*warnings, *leader.warnings, *follower.warnings, *notes),
         counted=counted,

@@ -16,10 +16,7 @@ from numpy.typing import NDArray
 
 from echowing.analysis.flight import Flight, Floats
 from echowing.errors import EchowingError
-from echowing.sonar_file import shipped_sonar
 
-# From the sonar's face to what echoes is so much less than from centre to centre (ECHO_INSET).
-SONAR_INSET_M = shipped_sonar().inset_m
 # A reading this near to the distance between the two positions is a sight of the leader. Generous:
 # in real logs two receivers drift apart by metres (0.8 m an axis each in the simulator).
 SIGHT_TOLERANCE_M = 2.0
@@ -156,14 +153,14 @@ def _first_steady_s(
 def by_sonar(flight: Flight, settle_s: float = 0.0) -> Metrics | None:
     """The separation as the sonar measured it; None: no reading after `settle_s`.
 
-    From centre to centre: SONAR_INSET_M more than it reads. Only while it sees.
+    From centre to centre: its inset more than it reads. Only while it sees.
     """
     settled = _settled(flight, settle_s)
     known = settled & np.isfinite(flight.sonar_m)
     if not known.any():
         return None
     seen = float(known.sum() / settled.sum())
-    separation_m = flight.sonar_m[known] + SONAR_INSET_M
+    separation_m = flight.sonar_m[known] + flight.sonar_inset_m
     return of_separation(separation_m, flight.wanted_separation_m, settle_s, seen)
 
 

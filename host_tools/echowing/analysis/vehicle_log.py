@@ -16,7 +16,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from echowing.analysis.flight import Floats
+from echowing.analysis.flight import SHIPPED_INSET_M, Floats
 from echowing.errors import EchowingError
 from echowing.flight.leader_track import VehicleClock
 
@@ -35,6 +35,7 @@ COPTER_TYPES = {2, 3, 4, 13, 14, 15, 29, 35}
 SPEED_NAMES = ("ECHO_SPD", "VCMD")
 SPEED_PARAMETERS = {"WP_SPD": 1.0, "WPNAV_SPEED": 0.01}  # to m/s
 SONAR_NAMES = ("SNR_RAW",)
+INSET_NAME = "ECHO_INSET"
 PAN_NAME, TILT_NAME = "SNR_PAN", "SNR_TILT"
 # What the sonar can tell (MB1202 datasheet): from 7.65 m on it means "no target".
 SONAR_NEAREST_M, SONAR_NOTHING_M = 0.20, 7.65
@@ -112,6 +113,7 @@ class VehicleLog:
     tilt: Series = field(default_factory=Series)
     guided: Series = field(default_factory=Series)
     throttle: Series = field(default_factory=Series)
+    sonar_inset_m: float = SHIPPED_INSET_M  # ECHO_INSET, where the log tells it
     to_ground_s: float = math.nan  # what to add to its times for the ground computer's clock
     warnings: list[str] = field(default_factory=list)
 
@@ -265,6 +267,7 @@ class _Telemetry:
     ranges: dict[int, Series] = field(default_factory=lambda: defaultdict(Series))
     ground_clock: VehicleClock = field(default_factory=VehicleClock)
     rebooted: bool = False
+    inset_m: float = SHIPPED_INSET_M
 
     def take(self, message: Any, asked_s: dict[int, float]) -> None:
         """Take one message. asked_s: when the ground sent the TIMESYNC of that stamp."""
@@ -288,6 +291,8 @@ class _Telemetry:
             self._fix(message, received_s)
         elif kind == "VFR_HUD" and own:
             self.throttle.rows.append((received_s, message.throttle / 100.0))
+        elif kind == "PARAM_VALUE" and message.param_id == INSET_NAME:
+            self.inset_m = message.param_value
         elif kind == "PARAM_VALUE" and message.param_id in SPEED_PARAMETERS:
             factor = SPEED_PARAMETERS[message.param_id]
             self.parameter.rows.append((received_s, message.param_value * factor))
@@ -367,6 +372,7 @@ def _from_telemetry(path: Path, number: int, heard: _Telemetry) -> VehicleLog:
         (log.throttle, heard.throttle),
     ):
         mine.rows = [(row[0] - delay_s, *row[1:]) for row in theirs.rows]
+    log.sonar_inset_m = heard.inset_m
     return log
 
 
@@ -478,5 +484,7 @@ def _gps_velocity(time_s: float, message: Any) -> tuple[float, ...]:
 def _parameter(log: VehicleLog, series: Series, time_s: float, message: Any) -> None:
     if message.Name in ("MAV_SYSID", "SYSID_THISMAV"):
         log.system_id = int(message.Value)
+    elif message.Name == INSET_NAME:
+        log.sonar_inset_m = message.Value
     elif message.Name in SPEED_PARAMETERS:
         series.rows.append((time_s, message.Value * SPEED_PARAMETERS[message.Name]))

@@ -122,8 +122,9 @@ def _add_wiring(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--sonar",
         metavar="FILE",
-        help="as for `echowing follow`: apply sets ECHO_DETECT by it, and a sensor that the "
-        f"autopilot reads itself needs no co-processor ({SHIPPED_SONAR}, and ECHO_DETECT stays)",
+        help="the sonar file, as for `echowing follow`. check compares ECHO_DETECT and ECHO_INSET "
+        "with it, apply sets them; a sensor that the autopilot reads itself needs no co-processor "
+        f"(without: check takes {SHIPPED_SONAR}, apply leaves both)",
     )
 
 

@@ -20,6 +20,8 @@ MOST_NOISE_M, MOST_WRONG = 0.05, 0.1
 # So long a leader brakes until its range differs: 0.1 s at 2.5 m/s2 is 0.01 m, a sonar's step; 0.15
 # s are 0.03 m.
 DIFFERS_S = 0.1
+# The co-processor reports ten times a second, and `follow` asks for no more of an autopilot's own.
+MOST_HZ = 10.0
 # A follower is mostly within this of its slot.
 ROOM_M = 0.7
 
@@ -113,8 +115,11 @@ class SonarBelief:
 
     @property
     def noticed_s(self) -> float:
-        """From a leader's first braking until a second reading has confirmed it."""
-        return round(2.0 / self.rate_hz + DIFFERS_S, 3)
+        """From a leader's first braking until a second reading has confirmed it.
+
+        No sensor is read more often than ten times a second.
+        """
+        return round(2.0 / min(MOST_HZ, self.rate_hz) + DIFFERS_S, 3)
 
     @property
     def silent_to_m(self) -> float:

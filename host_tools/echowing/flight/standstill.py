@@ -11,7 +11,7 @@ from echowing.flight.clocks import UNHEARD_S
 from echowing.flight.guard import Guard
 from echowing.flight.state import FollowerState, Known
 from echowing.geo import GlobalPosition
-from echowing.mavlink.messages import position_target
+from echowing.mavlink.messages import no_velocity, position_target
 
 Place = tuple[GlobalPosition, float]
 
@@ -34,6 +34,9 @@ class Standstill:
                 continue
             place = self._places.get(system_id) or _place(follower)
             if place is not None:
+                if follower.slews:
+                    follower.slews = False
+                    messages.append((system_id, no_velocity(system_id, now_s)))
                 self._places[system_id] = place
                 point = position_target(system_id, *place, None, now_s, feed_mps)
                 messages.append((system_id, point))

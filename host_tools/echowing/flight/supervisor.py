@@ -209,6 +209,7 @@ class Supervisor:
             return
         follower.in_guided = in_guided
         follower.own_jump.settled()
+        follower.slews = False  # a sub-mode has begun anew
         self._holds.release(follower)  # its place belongs to another flight
         if not in_guided:
             self._left_guided(follower, now_s)

@@ -133,15 +133,15 @@ def no_velocity(system_id: int, now_s: float) -> Any:
 
     From 4.8 on an autopilot whose filter has reset its position slews over to the old place, and a
     new place alone does not end that (AC_PosControl.cpp, NE_update_offsets); a sub-mode that begins
-    does (ModeGuided::pva_control_start).
+    does (ModeGuided::pva_control_start). No applet takes it for a point: those are global.
     """
-    return mavlink.MAVLink_set_position_target_global_int_message(
+    return mavlink.MAVLink_set_position_target_local_ned_message(
         round(now_s * 1000.0) & 0xFFFFFFFF,
         system_id,
         mavlink.MAV_COMP_ID_AUTOPILOT1,
-        mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
+        mavlink.MAV_FRAME_LOCAL_NED,
         _VELOCITY_ONLY,
-        *([0] * 11),
+        *([0.0] * 11),
     )
 
 

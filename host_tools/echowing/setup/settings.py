@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from echowing.applets import FORMAT, INSET_DIFFERS_M, detect_m, identify
 from echowing.flight.belief import SonarBelief
 from echowing.mavlink.vehicle_limits import ACCELERATION, JERK, LEAN, VehicleLimit
-from echowing.setup.applet import applet_parameters
+from echowing.setup.applet import AppletParameter, applet_parameters
 from echowing.setup.readout import Readout
 from echowing.sonar_file import MAVLINK_TYPE
 
@@ -265,7 +265,7 @@ def _applet(readout: Readout) -> Iterator[Setting]:
         if row.name in ("ECHO_ENABLE", "ECHO_MIRROR", FORMAT):
             continue
         if row.name in OF_SONAR and readout.sonar_named:
-            yield of_sonar(row.name, readout)
+            yield _of_sonar(row, readout.sonar)
             continue
         yield Setting(
             row.name,
@@ -280,9 +280,14 @@ def by_file_m(name: str, sonar: SonarBelief) -> float:
     return detect_m(sonar.reach_m) if name == "ECHO_DETECT" else sonar.inset_m
 
 
-def of_sonar(name: str, readout: Readout) -> Setting:
-    """One of `OF_SONAR` as the sonar's file says."""
-    (differs_m, why), wanted_m = OF_SONAR[name], by_file_m(name, readout.sonar)
+def _of_sonar(row: AppletParameter, sonar: SonarBelief) -> Setting:
+    """One of `OF_SONAR` as the sonar's file says, as far as the applet takes it."""
+    differs_m, why = OF_SONAR[row.name]
+    wanted_m = max(row.low, min(row.high, by_file_m(row.name, sonar)))
+    low_m, high_m = max(row.low, wanted_m - differs_m), min(row.high, wanted_m + differs_m)
     return Setting(
-        name, lambda v: abs(v - wanted_m) <= differs_m + TOLERANCE, lambda v: wanted_m, why
+        row.name,
+        lambda v: low_m - TOLERANCE <= v <= high_m + TOLERANCE,
+        lambda v: wanted_m,
+        why,
     )

@@ -76,8 +76,14 @@ class FollowOptions:
     shapes: Sequence[Named] = ()
 
 
-def _is_no_point(addressed: tuple[int, Any]) -> bool:
-    return bool(addressed[1].get_msgId() != mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT)
+_TARGETS = {
+    mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT,
+    mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED,
+}
+
+
+def _is_no_target(addressed: tuple[int, Any]) -> bool:
+    return addressed[1].get_msgId() not in _TARGETS
 
 
 class Page(Protocol):
@@ -273,8 +279,8 @@ class FollowTool:
         ordered = self._orders.prepare(now_s)
         messages = self._session.tick(now_s) + ordered
         self._ticks = True
-        # Points first: other messages can wait for them.
-        self._send(sorted(messages, key=_is_no_point), now_s)
+        # Points first, as they come: other messages can wait for them.
+        self._send(sorted(messages, key=_is_no_target), now_s)
 
     def _stand(self, now_s: float) -> None:
         """Hold every follower that was moved, without the session's tick."""

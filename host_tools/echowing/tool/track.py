@@ -25,7 +25,7 @@ class Track:
     this follower above its own. seen_*: from the leader's position by its own receiver to
     where this follower estimates it, metres, and the covariance, square metres. wander_m: how far
     each of both receivers is found to wander per axis; forgets_s: in how long it is found to
-    forget that.
+    forget that. sonar_inset_m: how much less than the separation its sonar reads.
     """
 
     wanted_radius_m: float
@@ -61,6 +61,7 @@ class Track:
     seen_ee_m2: float | None = None
     wander_m: float | None = None
     forgets_s: float | None = None
+    sonar_inset_m: float | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Its fields by name: degrees of position as MAVLink carries them, else thousandths."""
@@ -111,6 +112,7 @@ def track(session: FollowSession, follower: FollowerState, panel: Panel, now_s: 
         pan_us=panel.newest(system_id, PAN, now_s),
         tilt_us=panel.newest(system_id, TILT, now_s),
         wanted_height_m=session.heights.wanted_m(follower),
+        sonar_inset_m=follower.plan.sonar.inset_m,
         **_of_leader(session, panel),
         **_seen(session, follower, leader, now_s),
     )

@@ -86,11 +86,13 @@ class Tuning:
 
 
 _STEPPED = Tuning(shaping=STEPPED, velocity_d=0.5, yaw_input_s=INPUT_S, slews_after_reset=False)
+_OF_4_8 = Tuning()
+# Up to 4.7 the sources answer a reset alike (handle_ekf_NE_reset); 4.6 and 4.8 were recorded.
 _TUNINGS = {
     Generation.V4_5: _STEPPED,
     Generation.V4_6: _STEPPED,
-    Generation.V4_7: replace(_STEPPED, velocity_d=0.25),
-    Generation.V4_8: Tuning(),
+    Generation.V4_7: replace(_STEPPED, velocity_d=_OF_4_8.velocity_d),
+    Generation.V4_8: _OF_4_8,
 }
 
 

@@ -89,7 +89,7 @@ class TrueSonar:
     @property
     def legs_m(self) -> float:
         """How far around a leader's centre the legs are that it hears."""
-        return self.inset_m - self.boom_m - LEVER_ARM_M
+        return max(0.0, self.inset_m - self.boom_m - LEVER_ARM_M)
 
     @property
     def widest_rad(self) -> float:
