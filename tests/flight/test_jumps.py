@@ -17,6 +17,7 @@ from echowing.flight.jumps import (
     is_jump,
 )
 from echowing.flight.leader_track import LeaderTrack
+from echowing.flight.standstill import Standstill
 from echowing.flight.streams import IN_A_ROW, Streams
 from echowing.geo import GlobalPosition, displace, ned_between
 from echowing.sim.fault_section import FaultSection
@@ -132,6 +133,20 @@ def begins_anew(message: Any) -> bool:
     local = message.get_type() == "SET_POSITION_TARGET_LOCAL_NED"
     nothing = local and bool(message.type_mask & mavlink.POSITION_TARGET_TYPEMASK_X_IGNORE)
     return nothing and (message.vx, message.vy, message.vz) == (0.0, 0.0, 0.0)
+
+
+def test_a_tool_whose_tick_fails_lets_guided_begin_anew_too() -> None:
+    yard = SonarYard(sonar=False)
+    yard.fly(6.0)
+    yard.jump(FOLLOWER, JUMP_M)
+    assert yard.fly((IN_A_ROW - 1) * TICK_S) == []
+    yard.now_s += TICK_S
+    yard._report(FOLLOWER, yard.vehicles[FOLLOWER])  # now it is believed, and no tick comes
+    still = Standstill(yard.session.known, yard.session.guard)
+    (_, first), (_, point) = still.messages(yard.now_s)
+    assert begins_anew(first)
+    assert not begins_anew(point)
+    assert len(still.messages(yard.now_s)) == 1
 
 
 def test_its_own_jump_that_no_sonar_denies_is_held() -> None:
