@@ -97,12 +97,16 @@ def test_rows_pool_means_and_the_least_of_any_flight() -> None:
     assert pooled.flights == 4  # hostile has errors of its own, not the formation's
 
 
-def test_a_hostile_flight_is_judged_apart_while_its_leader_attacks() -> None:
-    flown = fly_law("hold", HOSTILE, 1)
-    assert flown.law == "hold"
-    assert flown.safe
-    assert math.isfinite(flown.attacked_m)
-    assert flown.least_m != flown.attacked_m
+def test_a_law_is_flown_on_each_path_for_as_long_and_in_the_hostile_scenario_as_it_is(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """How a hostile flight is judged is `test_flights`'."""
+    monkeypatch.setattr("echowing.bench.laws.fly", lambda *scenario_and_seed: scenario_and_seed)
+    monkeypatch.setattr("echowing.bench.laws.law_flight", lambda *flown_and_path: flown_and_path)
+    hostile = load_scenario(HOSTILE, ['law="bands"'])
+    assert fly_law("bands", HOSTILE, 2) == ((hostile, 2), HOSTILE)
+    circle = load_scenario("echowing", ['law="bands"', 'leader.path="circle"', "duration_s=60.0"])
+    assert fly_law("bands", "circle", 1) == ((circle, 1), "circle")
 
 
 def test_a_formation_flight_has_no_attack() -> None:

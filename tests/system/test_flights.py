@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from echowing.bench.laws import HOSTILE, law_flight
 from echowing.sim.scenario import load_scenario
 from echowing.sim.summary import fly
 from echowing.sim.wall import BODY_RADIUS_M
@@ -29,6 +30,14 @@ def test_a_hostile_leader_is_kept_at_a_distance(seed: int) -> None:
     assert phases.pop("flies at its follower") > 0.5
     assert phases.pop("reverses") > 0.5
     assert min(phases.values()) > 1.0, phases
+
+
+def test_a_hostile_flight_is_judged_apart_while_its_leader_attacks() -> None:
+    judged = law_flight(flown("hostile", 1), HOSTILE)
+    assert judged.law == "hold"
+    assert judged.safe
+    assert math.isfinite(judged.attacked_m)
+    assert judged.least_m != judged.attacked_m
 
 
 @pytest.mark.long

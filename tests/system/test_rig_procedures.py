@@ -293,7 +293,7 @@ def test_response_matrix_finds_the_beam_and_writes_its_file(
 ) -> None:
     """The emulated sonar is one on a desk: it hears all within 20 degrees, up to 4.6 m."""
     file = tmp_path / "mine.toml"
-    where = ("--distances", "1.5,3", "--angles", "0,10,17,23,30", "--throttles", "0.4")
+    where = ("--distances", "1.5,3", "--angles", "0,17,23", "--throttles", "0.4")
     options = (*where, "--seconds", "3", "--slot", "2", "--write", str(file))
 
     def place(distance_m: float) -> None:
@@ -439,7 +439,7 @@ def test_axis_test_with_an_autopilot_that_a_hand_turns(tmp_path: Path) -> None:
         hand.turns = "turn it by hand" in line or (hand.turns and "axis-test" not in line)
 
     def measure(out: Path) -> Rig:
-        options = ("axis-test", "--rounds", "1", "--seconds", "6", *SLOW_HOST)
+        options = ("axis-test", "--rounds", "1", "--seconds", "4", *SLOW_HOST)
         return rig(out, emulator.port, *options, watch=watch)
 
     done = in_real_time(emulator, tmp_path, measure, passed)
