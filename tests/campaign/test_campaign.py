@@ -327,14 +327,14 @@ def rows(folder: Path, out: str) -> list[Any]:
 
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Eight flights by one worker."""
+    """Five flights by one worker."""
     folder = tmp_path_factory.mktemp("campaign")
-    assert campaign(folder, "one", "--flights", "8", "--workers", "1") == 0
+    assert campaign(folder, "one", "--flights", "5", "--workers", "1") == 0
     return folder
 
 
 def test_the_result_does_not_depend_on_the_number_of_workers(flown: Path) -> None:
-    assert campaign(flown, "two", "--flights", "8", "--workers", "2") == 0
+    assert campaign(flown, "two", "--flights", "5", "--workers", "2") == 0
 
     one, two = ((flown / name / ROWS).read_bytes() for name in ("one", "two"))
     assert one == two
@@ -356,18 +356,18 @@ def test_a_campaign_is_gone_on_with_where_it_was_cut_off(
     (cut / "campaign.json").write_bytes((flown / "one" / "campaign.json").read_bytes())
     # Three flights, in the order in which they came, and a fourth that was being written.
     (cut / ROWS).write_text(lines[4] + lines[0] + lines[2] + lines[1][:40], encoding="utf-8")
-    assert campaign(flown, "cut", "--flights", "8", "--workers", "1", "--resume") == 0
+    assert campaign(flown, "cut", "--flights", "5", "--workers", "1", "--resume") == 0
 
     assert (cut / ROWS).read_text(encoding="utf-8") == whole
-    assert json.loads(capsys.readouterr().out)["flights"] == 8
+    assert json.loads(capsys.readouterr().out)["flights"] == 5
 
 
 def test_another_campaigns_folder_is_not_written_over(
     flown: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert campaign(flown, "one", "--flights", "8") == 2
+    assert campaign(flown, "one", "--flights", "5") == 2
     assert "holds a campaign: go on with --resume" in capsys.readouterr().err
-    assert campaign(flown, "one", "--flights", "8", "--resume", "--seed", "2") == 2
+    assert campaign(flown, "one", "--flights", "5", "--resume", "--seed", "2") == 2
     assert "holds a campaign of another seed (1)" in capsys.readouterr().err
 
 
@@ -425,7 +425,7 @@ def test_numbers_that_make_no_sense(
 def test_parquet_has_a_row_a_flight(flown: Path) -> None:
     table = parquet.read_table(flown / "one" / "flights.parquet")
 
-    assert table.column("index").to_pylist() == list(range(8))
+    assert table.column("index").to_pylist() == list(range(5))
     assert table.column("closest_m").to_pylist() == [row["closest_m"] for row in rows(flown, "one")]
     assert table.column("in_force_s").to_pylist() is not None
 
@@ -435,7 +435,7 @@ def test_the_report_names_faults_coverage_and_the_worst(flown: Path) -> None:
 
     for heading in ("Properties", "Each fault", "Worst flights", "Minutes in force", "Pairs"):
         assert heading in text
-    assert "Campaign: 8 flights, seed 1" in text
+    assert "Campaign: 5 flights, seed 1" in text
 
 
 def broken_row(index: int, value: float, name: str = "separation") -> dict[str, Any]:
@@ -481,10 +481,10 @@ def test_the_worst_find_comes_first() -> None:
 
 
 def test_a_flight_that_could_not_be_flown_is_in_the_report(tmp_path: Path, flown: Path) -> None:
-    crashed = broken_row(8, 0.0, "no error")
+    crashed = broken_row(5, 0.0, "no error")
     path = write_report(tmp_path, [*rows(flown, "one"), crashed], 1, ["outage"])
 
-    assert "9 flights" in path.read_text(encoding="utf-8")
+    assert "6 flights" in path.read_text(encoding="utf-8")
     Folder(tmp_path).write_parquet([*rows(flown, "one"), crashed])
 
 

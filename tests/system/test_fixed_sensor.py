@@ -6,7 +6,7 @@ from .flown import flown
 
 pytestmark = pytest.mark.seconds(60)
 
-FIXED = "sonar.file=mb1202-fixed", "duration_s=90"
+FIXED = "sonar.file=mb1202-fixed", "duration_s=60"
 
 
 @pytest.mark.parametrize(

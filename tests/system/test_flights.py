@@ -162,6 +162,6 @@ def test_the_sonar_on_the_boom_of_hw_holds_the_distance() -> None:
 
 
 def test_lost_and_jittered_telemetry_degrades_but_does_not_endanger() -> None:
-    changes = ("radio.leader.loss=0.2", "radio.leader.jitter_s=0.2", "duration_s=120")
+    changes = ("radio.leader.loss=0.2", "radio.leader.jitter_s=0.2", "duration_s=70")
 
     assert flown("echowing", 1, *changes).closest_m > 1.0
