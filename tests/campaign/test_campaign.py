@@ -35,7 +35,7 @@ from echowing.sim.aircraft import SimFollower
 from echowing.sim.scenario import GpsSection, Scenario, load_scenario, scenario_of
 from echowing.sim.summary import fly
 
-pytestmark = pytest.mark.seconds(40)
+pytestmark = pytest.mark.seconds(50)
 
 SHORT = """
 title = "short flights for tests"

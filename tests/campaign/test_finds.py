@@ -10,7 +10,7 @@ import pytest
 from echowing.campaign.fly import fly_and_judge
 from echowing.sim.scenario import load_scenario
 
-pytestmark = pytest.mark.seconds(40)
+pytestmark = pytest.mark.seconds(10)
 
 HERE = Path(__file__).parent
 OPEN, FIXED = HERE / "finds", HERE / "fixed"

@@ -6,7 +6,7 @@ from echowing.campaign.draw import load_description
 from echowing.campaign.fly import CRASHED, LOGS, Row, fly_one
 from echowing.campaign.properties import BLOWN, BLOWN_ON, MISLED
 
-pytestmark = pytest.mark.seconds(40)
+pytestmark = pytest.mark.seconds(15)
 
 SEED = 1
 # Two of the forty came too near when this was written: in 2 a receiver jumps and the sonar is

@@ -111,6 +111,7 @@ class TestProcess:
     def test_bad_options(
         self, mega_elf: Path, options: list[str], words: str, capsys: pytest.CaptureFixture[str]
     ) -> None:
+        code: object
         try:
             code = main(["emulator", *options])
         except SystemExit as end:  # as argparse ends

@@ -14,7 +14,7 @@ from echowing.sim.scenario import load_scenario
 
 from .yard import FOLLOWER, LEADER, LOITER, Vehicle, Yard
 
-pytestmark = pytest.mark.seconds(15)
+pytestmark = pytest.mark.seconds(7)
 
 FLYING_BEATS = 3.0
 

@@ -18,7 +18,7 @@ from tests.lua.hostile_frames import (
     whole,
 )
 
-pytestmark = pytest.mark.seconds(45)
+pytestmark = pytest.mark.seconds(8)
 
 FLIGHTS = 25, pytest.param(80, marks=pytest.mark.long)
 # An applet of a few lines that is wrong in one way.

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-pytestmark = pytest.mark.seconds(30)
+pytestmark = pytest.mark.seconds(10)
 
 if TYPE_CHECKING:
     from tests.lua.conftest import MakeRig, Rig

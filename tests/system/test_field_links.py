@@ -22,7 +22,7 @@ from .field import (
     unspoilt,
 )
 
-pytestmark = pytest.mark.seconds(50)
+pytestmark = pytest.mark.seconds(60)
 Fly = Callable[..., Air]
 
 

@@ -4,7 +4,7 @@ import pytest
 
 from .flown import flown
 
-pytestmark = pytest.mark.seconds(60)
+pytestmark = pytest.mark.seconds(12)
 
 FIXED = "sonar.file=mb1202-fixed", "duration_s=60"
 

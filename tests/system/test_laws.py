@@ -10,7 +10,7 @@ from echowing.sim.summary import FlownScenario
 
 from .flown import flown
 
-pytestmark = pytest.mark.seconds(60)
+pytestmark = pytest.mark.seconds(50)
 FEW, SEEDS = range(1, 3), range(1, 8)
 SHORT = "duration_s=130"
 GRAY_SEEDS = range(1, 13)

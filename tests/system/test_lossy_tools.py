@@ -16,7 +16,7 @@ from echowing.sim.world.cutter import ByteLoss
 
 from .field import FOLLOWER, LEADER, Bridge, Process, World, free_ports, in_slot, is_followed
 
-pytestmark = pytest.mark.seconds(90)
+pytestmark = pytest.mark.seconds(50)
 # Of a radio at the edge of its reach; the wire to the co-processor beside a motor's cables.
 LOSSY = (
     *("--set", "radio.leader.byte_loss=0.05", "--set", "radio.follower.byte_loss=0.05"),

@@ -10,7 +10,7 @@ from echowing.sim.scenario import load_scenario
 
 from ..world import CLEARLY
 
-pytestmark = pytest.mark.seconds(30)
+pytestmark = pytest.mark.seconds(16)
 
 # The leader comes at its follower and flies off aside; nobody tells the follower.
 SCENARIO = """

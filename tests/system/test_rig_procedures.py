@@ -28,7 +28,7 @@ from echowing.sim.vehicle.autopilot import Autopilot
 from echowing.sim.vehicle.copter import Copter
 from echowing.sonar_file import load_sonar
 
-pytestmark = pytest.mark.seconds(90)
+pytestmark = pytest.mark.seconds(110)
 PATIENCE_S = 120.0
 # The sonar's face is 0.1 m ahead of the follower's centre, the leader's legs 0.1 m nearer than its
 # own: told at 3.2 m, it is heard at 3.0 m (sim/world/sonar.py).

@@ -9,7 +9,7 @@ from echowing.bench.accuracy import Row, fly_row
 from echowing.bench.robust import EXACTLY, ROWS, WORST
 from echowing.campaign.properties import LEAST_M
 
-pytestmark = pytest.mark.seconds(20)
+pytestmark = pytest.mark.seconds(10)
 
 SHORT = "duration_s=120"
 FORGETFUL = Row(
