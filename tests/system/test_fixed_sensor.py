@@ -4,9 +4,9 @@ import pytest
 
 from .flown import flown
 
-pytestmark = pytest.mark.seconds(12)
+pytestmark = pytest.mark.seconds(18)
 
-FIXED = "sonar.file=mb1202-fixed", "duration_s=60"
+FIXED = "sonar.file=mb1202-fixed", "duration_s=90"
 
 
 @pytest.mark.parametrize(
