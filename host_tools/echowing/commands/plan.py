@@ -169,10 +169,9 @@ def _refuse_off_limits(formation: "Formation") -> None:
 def _write(formation: "Formation", args: argparse.Namespace, said: str) -> None:
     from echowing.planning import files  # noqa: PLC0415
 
-    if args.out is None and args.scenario is None:
-        table = {}
-    else:
-        table = files.formation_table(files.file_slots(formation))
+    # What nobody flies may be looked at, whatever `follow` would say of it.
+    flown = args.out is not None or args.scenario is not None
+    table = files.formation_table(files.file_slots(formation)) if flown else {}
     if args.out is not None:
         files.write(args.out, files.toml_text(table, said))
     if args.scenario is not None:

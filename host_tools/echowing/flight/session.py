@@ -254,8 +254,7 @@ class FollowSession:
                 self.guard.holding(follower, now_s)
         system_id = follower.plan.system_id
         messages = [(system_id, _message(follower, command, now_s))]
-        if follower.slews:
-            follower.slews = False
+        if follower.slewed():
             messages.insert(0, (system_id, no_velocity(system_id, now_s)))
         return messages
 

@@ -34,8 +34,7 @@ class Standstill:
                 continue
             place = self._places.get(system_id) or _place(follower)
             if place is not None:
-                if follower.slews:
-                    follower.slews = False
+                if follower.slewed():
                     messages.append((system_id, no_velocity(system_id, now_s)))
                 self._places[system_id] = place
                 point = position_target(system_id, *place, None, now_s, feed_mps)

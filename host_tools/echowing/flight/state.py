@@ -265,6 +265,11 @@ class FollowerState:
         place = displace(self.position, (north_m, east_m, -self.climb_mps * since_s))
         return place, velocity_mps
 
+    def slewed(self) -> bool:
+        """Whether its filter has reset its position since this was asked."""
+        slews, self.slews = self.slews, False
+        return slews
+
     def turn_to(self, tie: Tie, watched: History) -> None:
         """Let its sonar look at another vehicle."""
         self.estimate.turn_to(tie, watched)

@@ -13,8 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from echowing.errors import EchowingError
+from echowing.setup.applet import applet_parameters
 from echowing.setup.readout import Readout
-from echowing.setup.settings import OF_SONAR, by_file_m, same, settings_for
+from echowing.setup.settings import OF_SONAR, of_sonar, same, settings_for
 
 FORMAT = "echowing parameters 1"
 SUFFIX = ".params.json"
@@ -75,7 +76,8 @@ def hidden_for(readout: Readout) -> dict[str, float]:
     if "ECHO_ENABLE" not in readout and readout.applet_on_card is not None:
         hidden["ECHO_ENABLE"] = 1.0
         if readout.sonar_named:
-            hidden |= {name: by_file_m(name, readout.sonar) for name in OF_SONAR}
+            rows = (row for row in applet_parameters(readout.applet) if row.name in OF_SONAR)
+            hidden |= {row.name: of_sonar(row, readout.sonar).fixed(0.0) for row in rows}
     return hidden
 
 

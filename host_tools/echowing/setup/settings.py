@@ -265,7 +265,7 @@ def _applet(readout: Readout) -> Iterator[Setting]:
         if row.name in ("ECHO_ENABLE", "ECHO_MIRROR", FORMAT):
             continue
         if row.name in OF_SONAR and readout.sonar_named:
-            yield _of_sonar(row, readout.sonar)
+            yield of_sonar(row, readout.sonar)
             continue
         yield Setting(
             row.name,
@@ -280,7 +280,7 @@ def by_file_m(name: str, sonar: SonarBelief) -> float:
     return detect_m(sonar.reach_m) if name == "ECHO_DETECT" else sonar.inset_m
 
 
-def _of_sonar(row: AppletParameter, sonar: SonarBelief) -> Setting:
+def of_sonar(row: AppletParameter, sonar: SonarBelief) -> Setting:
     """One of `OF_SONAR` as the sonar's file says, as far as the applet takes it."""
     differs_m, why = OF_SONAR[row.name]
     wanted_m = max(row.low, min(row.high, by_file_m(row.name, sonar)))

@@ -576,10 +576,11 @@ class Copter(EstimatedPosition):
         navigator = self.navigator
         if navigator is None:
             return
-        aside = self._aside or _Aside()
+        aside = self._aside
+        north, east = (0.0, 0.0) if aside is None else (aside.north, aside.east)
         navigator.advance(
             dt,
-            (self.est_north_m - aside.north, self.est_east_m - aside.east, self.est_down_m),
+            (self.est_north_m - north, self.est_east_m - east, self.est_down_m),
             (self._gap_n, self._gap_e, self._gap_d),
             flown_mps,
             self.tuning.position_gain,
@@ -587,7 +588,7 @@ class Copter(EstimatedPosition):
         self._pos_n, self._pos_e, self._pos_d = self.target_ned_m = navigator.position_m
         self._vel_n, self._vel_e, self._vel_d = navigator.velocity_mps
         self._acc_n, self._acc_e, self._acc_d = navigator.acceleration_mps2
-        if self._aside is not None:
+        if aside is not None:
             self._pos_n, self._pos_e = self._pos_n + aside.north, self._pos_e + aside.east
             self._vel_n, self._vel_e = self._vel_n + aside.vn, self._vel_e + aside.ve
             self._acc_n, self._acc_e = self._acc_n + aside.acc_n, self._acc_e + aside.acc_e
