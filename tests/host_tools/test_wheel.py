@@ -135,8 +135,10 @@ def test_a_formation_is_flown_and_analysed(installed: Installed, tmp_path: Path)
     done = installed.run("analyze", str(log), "--json")
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
-    assert (found["wanted_m"], found["source"]) == (3.0, "by sonar")
-    assert abs(found["mean_separation_m"] - 3.0) < 1.0
+    # a busy machine loses readings: whether the sonar leads is for tests that fly simulated time
+    assert found["wanted_m"] == 3.0
+    assert abs(found["by_sonar"]["mean_separation_m"] - 3.0) < 1.0
+    assert abs(found["by_estimate"]["mean_separation_m"] - 3.0) < 1.0
 
 
 def test_a_flight_is_analysed(installed: Installed) -> None:
