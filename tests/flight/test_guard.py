@@ -224,14 +224,14 @@ def test_beyond_the_greatest_distance_it_holds_until_well_inside() -> None:
 
 def flown_mps(point: Any, here_m: float) -> tuple[float, float]:
     """What Guided makes of a point with a velocity, by ArduCopter's defaults, (N, E)."""
-    return answered_mps(point, here_m, Closing().pace_per_s)
+    return answered_mps(point, (here_m, 0.0), Closing().pace_per_s)
 
 
 def answered_mps(
-    point: Any, here_m: float, pace_per_s: Callable[[float], float]
+    point: Any, here_m: tuple[float, float], pace_per_s: Callable[[float], float]
 ) -> tuple[float, float]:
     at = GlobalPosition(point.lat_int / 1e7, point.lon_int / 1e7, HERE.alt_m)
-    north, east, _ = ned_between(displace(HERE, (here_m, 0.0, 0.0)), at)
+    north, east, _ = ned_between(displace(HERE, (*here_m, 0.0)), at)
     pace = pace_per_s(math.hypot(north, east))
     return pace * north + point.vx, pace * east + point.vy
 
@@ -264,11 +264,6 @@ def quick(there: Field) -> None:
     handling.receive("PSC_JERK_NE", 20.0)
 
 
-def east_of(point: Any) -> float:
-    at = GlobalPosition(point.lat_int / 1e7, point.lon_int / 1e7, HERE.alt_m)
-    return ned_between(HERE, at)[1]
-
-
 def test_one_that_closes_far_too_fast_is_not_led_back_to_the_tail_meanwhile() -> None:
     """Beside its slot by 0.8 m: braking takes all its lean, the tail can wait."""
     there = Field(Limits(min_separation_m=1.0))
@@ -277,10 +272,15 @@ def test_one_that_closes_far_too_fast_is_not_led_back_to_the_tail_meanwhile() ->
     assert there.points()[0].vy < -0.3  # on the way to its slot
     there.speed_mps[FOLLOWER] = 4.0
     (point,) = there.points()
-    assert east_of(point) == pytest.approx(0.8, abs=0.01)
-    change_north, change_east = point.vx - 4.0, point.vy
+    follower = there.session.followers[FOLLOWER]
+    here = follower.on_arrival(there.now_s)
+    assert here is not None
+    here_m = ned_between(HERE, here)
+    pace_per_s = follower.handling.closing.pace_per_s
+    north_mps, east_mps = answered_mps(point, here_m[:2], pace_per_s)
+    change_north, change_east = north_mps - 4.0, east_mps
     assert change_north < -2.0
-    assert change_east / change_north == pytest.approx(0.8 / north_of(point), abs=0.01)
+    assert change_east / change_north == pytest.approx(here_m[1] / here_m[0], abs=0.01)
 
 
 @pytest.mark.parametrize(
@@ -301,7 +301,7 @@ def test_a_point_without_a_velocity_is_as_far_back_as_guided_flies_so_fast(
         there.north_m[FOLLOWER] = -1.2
         point = there.points()[-1]
         closing = there.session.followers[FOLLOWER].handling.closing
-        flown.append(answered_mps(point, -1.2, closing.pace_per_s)[0])
+        flown.append(answered_mps(point, (-1.2, 0.0), closing.pace_per_s)[0])
 
     assert flown == pytest.approx([-back_mps, -back_mps], abs=0.15)
     assert flown[1] == pytest.approx(flown[0], abs=0.05)
@@ -325,7 +325,7 @@ def test_a_leader_in_its_sonar_is_closed_on_as_the_applet_does(
     certain_m = 5.0 - (nearest_m - 1.5)
     limit_mps = closing_limit_mps(certain_m, follower.handling.answer, 1.5, OTHERS_MPS2)
     # Less what the age of all that is known takes.
-    assert limit_mps - 0.2 < answered_mps(point, -5.0, lambda _: 1.0)[0] <= limit_mps + 0.01
+    assert limit_mps - 0.2 < answered_mps(point, (-5.0, 0.0), lambda _: 1.0)[0] <= limit_mps + 0.01
 
 
 def third_behind_second() -> Field:

@@ -3,6 +3,7 @@
 import pytest
 
 from echowing.flight.clocks import SAY_AGAIN_S
+from echowing.flight.estimate import Estimate
 from echowing.flight.guard import Limits
 from echowing.flight.spacing import Spacing
 from echowing.flight.steps import Allowed, Phase, Plan, Standing
@@ -23,12 +24,10 @@ def led(follower_north_m: float, limits: Limits | None = KEPT) -> Told:
     return Told({LEADER: Vehicle((0.0, 0.0)), FOLLOWER: Vehicle((follower_north_m, 0.0))}, limits)
 
 
-def beside_a_second() -> Told:
-    """The leader is far off; a second follower hovers 6 m in front of the first."""
-    ahead = Vehicle((0.0, -40.0))
-    return Told(
-        {LEADER: Vehicle((300.0, 0.0)), FOLLOWER: Vehicle((-6.0, -40.0)), SECOND: ahead}, KEPT
-    )
+def beside_a_second(behind_m: float = 6.0) -> Told:
+    """The leader is far off; a second follower hovers in front of the first."""
+    ahead, first = Vehicle((0.0, -40.0)), Vehicle((-behind_m, -40.0))
+    return Told({LEADER: Vehicle((300.0, 0.0)), FOLLOWER: first, SECOND: ahead}, KEPT)
 
 
 def test_a_plan_that_leaves_room_is_sent_as_it_is() -> None:
@@ -56,6 +55,13 @@ def test_a_plan_into_the_leader_is_cut_short_and_said() -> None:
     assert told.said == [(FOLLOWER, "the leader", 0.0)]
 
 
+@pytest.fixture
+def heard(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every sonar hears whom it looks at, so that an applet flies the points with a velocity."""
+    monkeypatch.setattr(Estimate, "hears", lambda self, now_s: True)
+
+
+@pytest.mark.usefixtures("heard")
 def test_a_plan_with_a_velocity_keeps_its_place_and_closes_more_slowly() -> None:
     told = led(-6.0)
     allowed = spacing(told).allowed(told.follower, Plan(at(-5.0), (4.0, 0.0)), 0.0)
@@ -64,6 +70,34 @@ def test_a_plan_with_a_velocity_keeps_its_place_and_closes_more_slowly() -> None
     assert allowed.velocity_mps[0] < 3.0
 
 
+def test_one_that_guided_flies_gives_way_by_its_place_at_the_velocity_of_its_plan() -> None:
+    """Both together are what it has to fly: 3 m/s on its way, too near a leader."""
+    told = Told({LEADER: Vehicle((0.0, 0.0)), FOLLOWER: Vehicle((-1.5, 0.0))}, KEPT)
+    allowed = spacing(told).allowed(told.follower, Plan(at(-1.0), (1.5, 0.0)), 0.0)
+    assert allowed.velocity_mps == (1.5, 0.0)
+    back_m = -1.5 - from_here_m(allowed.place)[0]
+    pace_mps = told.follower.handling.closing.speed_mps(back_m)
+    assert 2.0 < pace_mps < 5.0  # flies back with 0.5 m/s and more
+
+
+def test_one_that_hears_no_more_orders_soon_gives_way_no_more() -> None:
+    """Of fifty behind a radio that loses half, one flew on with 5.5 m/s until it met another."""
+    told = beside_a_second(2.0)
+    follower = told.follower
+    allowed = spacing(told).allowed(follower, Plan(at(-2.0, -40.0), (0.001, 0.0)), 0.0)
+    assert allowed.gives_way_to == "follower 3"
+    follower.ordered(allowed, 0.0)
+    assert follower.position is not None
+    begins_s = follower.way_s
+    moved_m, mps = follower.motion.carried_on(
+        follower.position, (0.0, 0.0), begins_s, begins_s + 2.0
+    )
+    place_m = from_here_m(allowed.place)[0] + 2.0
+    assert place_m < moved_m[0] < -0.5
+    assert -1.5 < mps[0] < 0.0  # told by a velocity it was 4.3 m back by then, and flew on
+
+
+@pytest.mark.usefixtures("heard")
 def test_too_near_and_still_closing_the_whole_lean_goes_into_the_way_out() -> None:
     """The point is where it is, so that nothing but the velocity out is flown."""
     told = Told({LEADER: Vehicle((0.0, 0.0)), FOLLOWER: Vehicle((-1.5, 0.0), (3.0, 0.0))}, KEPT)
@@ -73,6 +107,7 @@ def test_too_near_and_still_closing_the_whole_lean_goes_into_the_way_out() -> No
     assert allowed.velocity_mps[0] < -1.0
 
 
+@pytest.mark.usefixtures("heard")
 def test_who_has_another_behind_backs_off_no_faster_than_it_has_to() -> None:
     """Else each in a line flies back faster than the one before: the last two came to 0.65 m."""
     backs_mps = []
@@ -139,6 +174,7 @@ def test_who_gives_way_to_another_one_says_so_at_once() -> None:
     assert told.said == [(FOLLOWER, "follower 3", 0.2), (FOLLOWER, "the leader", 0.2)]
 
 
+@pytest.mark.usefixtures("heard")
 def test_of_what_one_ahead_flies_and_is_ordered_the_worse_counts() -> None:
     """It flies on; its applet flies it back, whatever it is ordered; or it is ordered back."""
     told = beside_a_second()
@@ -169,6 +205,7 @@ def test_one_that_its_sonar_looks_at_is_its_applets_and_others_are_the_tools() -
     assert not watched.makes_way
 
 
+@pytest.mark.usefixtures("heard")
 def test_a_point_far_back_does_not_count_as_flown_to_by_the_applet_of_one_in_a_line(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -176,7 +213,6 @@ def test_a_point_far_back_does_not_count_as_flown_to_by_the_applet_of_one_in_a_l
     told = beside_a_second()
     second, follower = told.known.followers[SECOND], told.follower
     second.standing = follower.standing = Standing(Phase.LED)
-    monkeypatch.setattr(type(follower.estimate), "hears", lambda self, now_s: True)
     monkeypatch.setattr(
         type(told.known), "seen", lambda self, one, here, other, there, m: (there, 0.3)
     )

@@ -4,7 +4,6 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
-from echowing.flight.closing import Closing
 from echowing.flight.envelope import (
     FASTEST_MPS,
     OTHERS_MPS2,
@@ -59,7 +58,10 @@ class Spacing:
             return unchanged
         self._remark(follower, other.name, now_s)
         urgent = straight_out(flown, other, others, answer, self._least_m, own_mps)
-        flies = _redirected(follower, here, plan, (wanted, flown), urgent)
+        if plan.velocity_mps is None or not follower.estimate.hears(now_s):
+            flies = _point_moved(follower, here, plan, urgent or flown)
+        else:
+            flies = _redirected(here, plan, (wanted, flown), urgent)
         return replace(flies, gives_way_to=other.name, makes_way=not other.watched)
 
     def _wanted_mps(
@@ -224,29 +226,33 @@ def _if_erred(there: GlobalPosition, shift_m: Horizontal) -> Iterator[GlobalPosi
         yield displace(there, (*shift_m, 0.0))
 
 
+def _point_moved(
+    follower: FollowerState, here: GlobalPosition, plan: Plan, flown_mps: Ned
+) -> Allowed:
+    """The place which Guided closes with what the envelope wants to be flown; the plan's velocity.
+
+    Were it the velocity that changes, a vehicle that the next orders do not reach would fly on with
+    it, and faster, as its place goes ahead of it.
+    """
+    feed_north, feed_east = plan.velocity_mps or (0.0, 0.0)
+    north, east = flown_mps[0] - feed_north, flown_mps[1] - feed_east
+    mps = math.hypot(north, east)
+    share_s = follower.handling.closing.distance_m(mps) / mps if mps > 0.0 else 0.0
+    by_m = share_s * north, share_s * east, here.alt_m - plan.place.alt_m
+    return Allowed(displace(here, by_m), plan.velocity_mps)
+
+
 def _redirected(
-    follower: FollowerState,
     here: GlobalPosition,
     plan: Plan,
     wanted_flown_mps: tuple[Ned, Ned],
     urgent_mps: Ned | None,
 ) -> Allowed:
-    """The place and velocity whose answer is what the envelope wants to be flown."""
-    wanted, flown = wanted_flown_mps
-    up_m = here.alt_m - plan.place.alt_m
-    if plan.velocity_mps is None:
-        north, east = _point_m(flown[:2], follower.handling.closing)
-        return Allowed(displace(here, (north, east, up_m)), None)
+    """The velocity which its applet answers with what the envelope wants to be flown."""
     if urgent_mps is not None:
         # The place is where the vehicle is, so that it corrects nothing across the way out.
+        up_m = here.alt_m - plan.place.alt_m
         return Allowed(displace(here, (0.0, 0.0, up_m)), urgent_mps[:2])
-    north, east = plan.velocity_mps
+    wanted, flown = wanted_flown_mps
+    north, east = plan.velocity_mps or (0.0, 0.0)
     return Allowed(plan.place, (north + flown[0] - wanted[0], east + flown[1] - wanted[1]))
-
-
-def _point_m(velocity_mps: Horizontal, closing: Closing) -> Horizontal:
-    """The point without a velocity that Guided answers with this one, (north, east) from here."""
-    north, east = velocity_mps
-    mps = math.hypot(north, east)
-    share_s = closing.distance_m(mps) / mps if mps > 0.0 else 0.0
-    return share_s * north, share_s * east
