@@ -5,6 +5,7 @@ The product believes the worse one. The simulator draws its own sonars from betw
 """
 
 import math
+import shlex
 import tomllib
 from collections.abc import Mapping
 from functools import cache
@@ -86,7 +87,7 @@ class HeardSection(_Finite):
 
 
 class BeamSection(_Finite):
-    """How wide the beam is for a vehicle, as half angles."""
+    """How wide the beam is for a vehicle with foil on its legs, as half angles."""
 
     range_m: Ranges
     """Distances."""
@@ -287,3 +288,9 @@ def write_sonar(path: Path, sonar: SonarFile) -> None:
         path.write_text(tomli_w.dumps(sonar.model_dump(mode="json")), encoding="utf-8")
     except OSError as error:
         raise EchowingError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def fly_by(path: Path, legs: Legs) -> str:
+    """How to fly by a file that was measured before a leader with these legs."""
+    option = "" if legs == "foil" else f" --legs {legs}"
+    return f"{path}: fly by it with `echowing follow --sonar {shlex.quote(str(path))}{option}`"

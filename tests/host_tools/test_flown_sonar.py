@@ -126,6 +126,22 @@ def test_how_far_it_hears_is_told_by_who_flew_further(tmp_path: Path, legs: Legs
     other = "stock_to_m" if legs == "foil" else "foil_to_m"
     assert file.source[other].startswith("guess: in the proportion")
     assert file.heard.least[-1] < 0.1  # nothing is believed beyond
+    # The flight's own distances, whichever legs were flown.
+    heard = file.belief(legs).heard
+    assert heard.at(3.0) > 0.5
+    assert heard.at_m[-1] == pytest.approx(4.5, abs=0.3)
+
+
+def test_a_flight_with_stock_legs_that_has_no_end_is_believed_as_it_was_flown(
+    tmp_path: Path,
+) -> None:
+    logged(tmp_path, flown())
+    as_foil, as_stock = (sonar_from(tmp_path, BASE, legs).file for legs in ("foil", "stock"))
+
+    assert as_stock.stock_to_m == BASE.stock_to_m
+    least = as_foil.belief().heard.at(3.0)
+    assert as_stock.belief("stock").heard.at(3.0) == pytest.approx(least, abs=0.001)
+    assert as_stock.heard.range_m[0] == pytest.approx(as_foil.heard.range_m[0] / 0.7, abs=0.01)
 
 
 def test_a_place_that_few_readings_tell_is_as_it_was_believed(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from echowing.analysis.sonar_fit import Tally, dependence, fitted, share_between
-from echowing.analysis.sonar_measure import Conditions, Readings, measured_sonar
+from echowing.analysis.sonar_measure import Conditions, Measured, Readings, measured_sonar
 from echowing.errors import EchowingError
 from echowing.flight.belief import Curve, SonarBelief
 from echowing.rig.bench import Bench
@@ -26,7 +26,7 @@ from echowing.rig.response_matrix import (
 )
 from echowing.rig.result import Result
 from echowing.sim.world.sonar import ON_A_DESK, TrueSonar
-from echowing.sonar_file import load_sonar, shipped_sonar
+from echowing.sonar_file import Legs, SonarFile, fly_by, load_sonar, shipped_sonar
 
 from .test_rig_procedures import FakeBoard, bench_of, done, value
 
@@ -228,8 +228,76 @@ def test_every_value_says_how_it_was_measured(
 
     assert file.source["heard.least"].startswith("measured: bench, ")
     assert "pings at foil legs, throttle 0.4" in file.source["beam.narrowest_deg"]
-    assert file.source["stock_to_m"].startswith("guess: in the proportion of thesis Table 5")
+    assert file.source["stock_to_m"].startswith("guess: in the proportion of --base; measured: ")
     assert file.source["reach_m"] == BASE.source["reach_m"]
+
+
+def hung(legs: Legs, *, base: SonarFile = BASE, narrow_first: bool = False) -> Measured:
+    """A leader with these legs, heard up to 3.2 m."""
+    at_m = {1.2: 38, 2.2: 30, 3.2: 22, 4.2: 1}
+    readings = [
+        Readings(
+            separation_m,
+            off_deg,
+            0.4,
+            [[separation_m - 0.2] * round(heard * left) + [None] * (80 - round(heard * left))] * 4,
+        )
+        for separation_m, heard in at_m.items()
+        for off_deg, left in (
+            (0.0, 2.0),
+            (8.0, 0.05 if narrow_first and separation_m < 2.0 else 1.9),
+            (16.0, 0.1),
+        )
+    ]
+    return measured_sonar(readings, base, Conditions(legs, 0.4, 2.0))
+
+
+@pytest.mark.parametrize("legs", ["foil", "stock"])
+def test_the_file_is_of_foil_whichever_legs_were_measured(legs: Legs) -> None:
+    measured = hung(legs)
+    belief, other = measured.file.belief(legs), measured.file.belief("foil")
+
+    assert belief.heard_to_m == pytest.approx(3.0)
+    # By the proportion of the shipped file; what is believed of foil is further away by as much.
+    further = {"foil": 1.0, "stock": 4.4 / 3.1}[legs]
+    assert other.heard_to_m == pytest.approx(3.0 * further, abs=0.01)
+    for at in measured.fit.at[:3]:
+        range_m = at.range_m - 0.2
+        assert belief.heard.at(range_m) == pytest.approx(at.share_between[0], abs=0.01)
+        assert other.heard.at(further * range_m) == pytest.approx(at.share_between[0], abs=0.01)
+        narrowest_deg = math.degrees(belief.narrowest_rad.at(range_m))
+        assert narrowest_deg == pytest.approx(at.half_between_deg[0], abs=0.1)
+    assert belief.objection(2.2) is None
+    told = measured.file.source["beam.range_m"]
+    assert ("further for foil, as foil_to_m is to stock_to_m" in told) == (legs == "stock")
+
+
+def test_no_beam_before_stock_legs_is_believed_narrower_than_it_was() -> None:
+    measured = hung("stock", narrow_first=True)
+    widest_rad = measured.file.belief("stock").widest_rad
+
+    for at in measured.fit.at[:3]:
+        assert math.degrees(widest_rad.at(at.range_m - 0.2)) >= at.half_between_deg[1]
+
+
+@pytest.mark.parametrize(("first", "then"), [("foil", "stock"), ("stock", "foil")])
+def test_what_was_measured_with_other_legs_stays(first: Legs, then: Legs) -> None:
+    one = hung(first).file
+    both = hung(then, base=one).file
+    key = f"{first}_to_m"
+
+    assert getattr(both, key) == getattr(one, key)
+    assert both.source[key] == one.source[key]
+    assert not {"foil_to_m", "stock_to_m"} & set(both.guesses)
+    # Both are heard as far: what is heard of one is heard of the other.
+    assert both.belief("stock").heard == both.belief("foil").heard
+
+
+@pytest.mark.parametrize(("legs", "option"), [("foil", ""), ("stock", " --legs stock")])
+def test_the_next_command_says_which_legs(legs: Legs, option: str) -> None:
+    command = f"echowing follow --sonar 'my own.toml'{option}"
+
+    assert fly_by(Path("my own.toml"), legs) == f"my own.toml: fly by it with `{command}`"
 
 
 def test_the_leader_is_moved_only_while_the_propellers_stand(

@@ -5,7 +5,7 @@ import statistics
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from typing import Any
 
 from echowing.analysis.sonar_fit import (
@@ -42,8 +42,8 @@ STEADY_SHARE = 0.1
 TELLS_A_THROTTLE = 300.0
 # A share that is known no better than this is none: what is believed stays.
 UNTOLD = 0.5
-# What a flight leaves as it was, in the file's sources.
-KEPT = "kept: "
+# In the file's sources: what was measured, and what a flight leaves as it was.
+MEASURED, KEPT = "measured: ", "kept: "
 WHY_NO_INSET = (
     "a flight does not tell it, as the receivers differ by a metre, and the place of the leader is "
     "known by the sonar itself"
@@ -161,17 +161,19 @@ def measured_sonar(
     fit, alike = _fit(hovering)
     inset_m = _inset_m(hovering)
     middle_m = _middle(inset_m)
+    reaches = _reaches(*_half_heard(fit), base, conditions.legs, middle_m)
+    further = _further(base, reaches, conditions.legs)
     values = {
         "inset_m": inset_m,
         "noise_m": _noise_m(hovering),
         **_wrong(hovering, alike),
-        "heard": _heard(fit, middle_m),
-        "beam": _beam(fit, middle_m),
-        **_reaches(*_half_heard(fit), base, conditions.legs, middle_m),
+        "heard": _heard(fit, middle_m, further),
+        "beam": _beam(fit, middle_m, further),
+        **reaches,
         **_throttles(readings, conditions),
     }
     said = _said("bench", hovering, conditions.legs) + f", throttle {conditions.hover:g}"
-    file = _changed(base, values, said, _guessed_reach(conditions.legs, said))
+    file = _changed(base, values, said, _in_proportion(reaches, conditions.legs, said))
     return Measured(file, fit, conditions.hover, _notes(hovering))
 
 
@@ -186,12 +188,13 @@ def flown_sonar(readings: Sequence[Readings], base: SonarFile, how: Flown) -> Me
     inset_m = _middle(base.inset_m)
     reaches, why_no_reach = _flown_reaches(fit, base, how.legs, inset_m)
     throttles, why_no_throttle = _flown_throttles(flown, fit, base, known=how.throttle_known)
-    ends_m = reaches["foil_to_m"][1] if reaches else math.inf
+    further = _further(base, reaches, how.legs)
+    ends_m = reaches.get("foil_to_m", base.foil_to_m)[1] if reaches else math.inf
     told = _told(fit)
     values: dict[str, Any] = {
         **_wrong(flown, alike),
-        "heard": _with_far(_heard(told, inset_m), base, ends_m),
-        "beam": _as_narrow(_beam(told, inset_m), base),
+        "heard": _with_far(_heard(told, inset_m, further), base, ends_m),
+        "beam": _as_narrow(_beam(told, inset_m, further), base),
         **reaches,
         **throttles,
     }
@@ -205,7 +208,7 @@ def flown_sonar(readings: Sequence[Readings], base: SonarFile, how: Flown) -> Me
     )
     said = _said("flight", flown, how.legs)
     sources = {key: _kept(base.source.get(key, ""), why) for key, why in kept.items()}
-    sources |= _guessed_reach(how.legs, said) if reaches else {}
+    sources |= _in_proportion(reaches, how.legs, said)
     notes = tuple(f"{key} is as it was: {why}" for key, why in kept.items() if "share" not in key)
     return Measured(_changed(base, values, said, sources), told, flown[0].throttle, notes)
 
@@ -283,7 +286,7 @@ def _fit(readings: Sequence[Readings]) -> tuple[Fit, float]:
 
 def _said(how: str, readings: Sequence[Readings], legs: Legs) -> str:
     pings = sum(one.pings for one in readings)
-    return f"measured: {how}, {datetime.now(UTC):%d %B %Y}, {pings} pings at {legs} legs"
+    return f"{MEASURED}{how}, {datetime.now(UTC):%d %B %Y}, {pings} pings at {legs} legs"
 
 
 def _changed(
@@ -356,28 +359,50 @@ def _wrong(readings: Sequence[Readings], alike: float) -> dict[str, Between]:
     }
 
 
-def _heard(fit: Fit, inset_m: float) -> dict[str, tuple[float, ...]]:
+def _heard(fit: Fit, inset_m: float, further: float) -> dict[str, tuple[float, ...]]:
     return {
-        "range_m": tuple(round(at.range_m - inset_m, 3) for at in fit.at),
+        "range_m": tuple(round(further * (at.range_m - inset_m), 3) for at in fit.at),
         "least": tuple(round(at.share_between[0], 3) for at in fit.at),
         "most": tuple(round(at.share_between[1], 3) for at in fit.at),
     }
 
 
-def _beam(fit: Fit, inset_m: float) -> dict[str, tuple[float, ...]]:
+def _beam(fit: Fit, inset_m: float, further: float) -> dict[str, tuple[float, ...]]:
     told = [at for at in fit.at if at.half_deg is not None]
+    widest_deg = [at.half_between_deg[1] for at in told]
+    if further != 1.0:  # the belief does not take the widest beam back: nowhere wider further out
+        widest_deg = list(accumulate(widest_deg[::-1], max))[::-1]
     return {
-        "range_m": tuple(round(at.range_m - inset_m, 3) for at in told),
+        "range_m": tuple(round(further * (at.range_m - inset_m), 3) for at in told),
         "narrowest_deg": tuple(at.half_between_deg[0] for at in told),
-        "widest_deg": tuple(at.half_between_deg[1] for at in told),
+        "widest_deg": tuple(widest_deg),
         "edge_deg": fit.edge_between_deg,
     }
 
 
-def _guessed_reach(legs: Legs, said: str) -> dict[str, str]:
-    """The source of how far a leader with the other legs is heard."""
-    other = "stock_to_m" if legs == "foil" else "foil_to_m"
-    return {other: f"guess: in the proportion of thesis Table 5; {said}"}
+def _further(base: SonarFile, reaches: dict[str, Between], legs: Legs) -> float:
+    """How many times as far a leader with foil is heard as one with these legs.
+
+    A file's distances are those of foil; `SonarFile.belief` takes them back by the same factor.
+    """
+    if legs == "foil":
+        return 1.0
+    to_m = {"foil_to_m": base.foil_to_m, "stock_to_m": base.stock_to_m} | reaches
+    return to_m["foil_to_m"][0] / to_m["stock_to_m"][0]
+
+
+def _in_proportion(reaches: dict[str, Between], legs: Legs, said: str) -> dict[str, str]:
+    """The sources of what these legs tell of others."""
+    other = _other(legs)
+    sources = {other: f"guess: in the proportion of --base; {said}"} if other in reaches else {}
+    if legs == "stock":
+        moved = f"{said}, further for foil, as foil_to_m is to stock_to_m"
+        sources |= dict.fromkeys(("heard.range_m", "beam.range_m"), moved)
+    return sources
+
+
+def _other(legs: Legs) -> str:
+    return "stock_to_m" if legs == "foil" else "foil_to_m"
 
 
 def _half_heard(fit: Fit) -> tuple[float, float | None]:
@@ -392,16 +417,18 @@ def _reaches(
 ) -> dict[str, Between]:
     """How far a leader with these legs is heard, and one with others in proportion.
 
-    farthest_m: from centre to centre, there it is heard; far_m: there no more.
+    One with others as well as it was measured before. farthest_m: from centre to centre, there it
+    is heard; far_m: there no more.
     """
     least_m = farthest_m - inset_m
     most_m = BEYOND_SHARE * least_m if far_m is None else far_m - inset_m
     mine = (round(least_m, 3), round(most_m, 3))
-    is_foil = legs == "foil"
-    ratio = sum(base.stock_to_m) / sum(base.foil_to_m)
-    others = tuple(round((ratio if is_foil else 1.0 / ratio) * one, 3) for one in mine)
-    names = ("foil_to_m", "stock_to_m") if is_foil else ("stock_to_m", "foil_to_m")
-    return {names[0]: mine, names[1]: (others[0], others[1])}
+    other = _other(legs)
+    reaches = {f"{legs}_to_m": mine}
+    if not base.source.get(other, "").startswith(MEASURED):
+        ratio = sum(getattr(base, other)) / sum(getattr(base, f"{legs}_to_m"))
+        reaches[other] = (round(ratio * mine[0], 3), round(ratio * mine[1], 3))
+    return reaches
 
 
 def _throttles(readings: Sequence[Readings], conditions: Conditions) -> dict[str, Any]:

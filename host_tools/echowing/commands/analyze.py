@@ -125,7 +125,7 @@ def _sonar(args: argparse.Namespace) -> int:
     """Write the sonar file of a flight, and say what has changed in it."""
     from echowing.analysis.flown_sonar import sonar_from  # noqa: PLC0415 (imported when it is used)
     from echowing.errors import EchowingError  # noqa: PLC0415
-    from echowing.sonar_file import load_sonar, write_sonar  # noqa: PLC0415
+    from echowing.sonar_file import fly_by, load_sonar, write_sonar  # noqa: PLC0415
 
     log, *autopilots = args.logs
     if len(autopilots) > 1:
@@ -144,7 +144,7 @@ def _sonar(args: argparse.Namespace) -> int:
     for name, file in (("measured", measured.file), (args.base, base)):
         print(f"{name}: {_scatter_and_wrong(file)}")
     print("\n".join(measured.notes))
-    print(f"{args.sonar}: fly by it with `echowing follow --sonar {args.sonar}`")
+    print(fly_by(args.sonar, args.legs))
     return 0
 
 

@@ -14,14 +14,14 @@ from echowing.paths import SHIPPED_SONAR
 from echowing.rig.bench import Bench, add_bench_arguments, perform, positive
 from echowing.rig.readings import heard_m, value_of
 from echowing.rig.result import Check, Result
-from echowing.sonar_file import SonarFile, load_sonar, write_sonar
+from echowing.sonar_file import SonarFile, fly_by, load_sonar, write_sonar
 
 EXAMPLES = """\
 examples:
   echowing rig response-matrix --distances 1,2,3,4,4.5 --throttles 0,0.4
       on a tied-down vehicle: host_tools/RIG.md says how, safely
   echowing rig response-matrix --legs stock --slot 2 --write my-sonar.toml
-  echowing follow --sonar my-sonar.toml ...
+  echowing follow --sonar my-sonar.toml --legs stock ...
 """
 
 DISTANCES_M = (1.0, 2.0, 3.0, 3.7, 4.4)
@@ -196,9 +196,8 @@ def _by_range(readings: Sequence[Readings], measured: Measured) -> plots.Figure:
         )
         colour = _COLOURS[number % len(_COLOURS)]
         data.append(_trace(f"throttle {throttle:g}", counted, colour, mode="lines+markers"))
-    heard, inset_m = measured.file.heard, sum(measured.file.inset_m) / 2.0
-    for name, shares in (("at least", heard.least), ("at most", heard.most)):
-        believed = [(r + inset_m, 100.0 * s) for r, s in zip(heard.range_m, shares, strict=True)]
+    for number, name in enumerate(("at least", "at most")):
+        believed = [(at.range_m, 100.0 * at.share_between[number]) for at in measured.fit.at]
         data.append(_trace(name, believed, plots.QUIET_COLOUR, mode="lines"))
     return plots.chart("Heard on the axis", "separation, m", "%", data)
 
@@ -321,5 +320,5 @@ def run(args: Namespace) -> int:
         path = args.write or args.out / "sonar.toml"
         write_sonar(path, procedure.measured.file)
         if not args.json:
-            print(f"{path}: fly by it with `echowing follow --sonar {path}`")
+            print(fly_by(path, args.legs))
     return code
