@@ -1,5 +1,6 @@
 """`echowing setup`: the judgements, each alone; writing and putting back; files of old values."""
 
+import argparse
 import io
 import json
 import math
@@ -742,6 +743,23 @@ def test_missing_and_contradicting_options_are_refused(arguments: list[str]) -> 
     with pytest.raises(SystemExit) as ended:
         main(["setup", *arguments])
     assert ended.value.code == 2
+
+
+@pytest.mark.parametrize(
+    ("options", "reached"),
+    [
+        (["--vehicle", "udpin:14550@2"], "udpin:14550@2"),
+        (
+            ["--vehicle", "/dev/ttyUSB0", "--baud", "115200", "--signing-key-file", "my key"],
+            "/dev/ttyUSB0 --baud 115200 --signing-key-file 'my key'",
+        ),
+    ],
+)
+def test_the_next_command_reaches_the_same_vehicle(options: list[str], reached: str) -> None:
+    parser = argparse.ArgumentParser()
+    setup.add_arguments(parser)
+
+    assert setup.reached(parser.parse_args(["apply", *options])) == reached
 
 
 @pytest.mark.parametrize("part", ["check", "apply", "restore", "lua"])

@@ -4,6 +4,7 @@ factory, at the other end of a link that may lose messages. Time is simulated.
 
 import random
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from types import SimpleNamespace
@@ -33,6 +34,7 @@ from echowing.sim.parked import ParkedHangar, ParkedWorld, insert_cards
 from echowing.sim.scenario import load_scenario
 from echowing.sim.vehicle import streams
 from echowing.sim.vehicle.parameters import Generation
+from echowing.sonar_file import load_sonar, write_sonar
 
 FOLLOWER = 2
 
@@ -174,13 +176,21 @@ class Job:
     """`setup apply` on the desk's vehicle, and what it said and asked."""
 
     def __init__(
-        self, desk: Desk, file: Path, *, restart: bool = True, sonar: str | None = None
+        self,
+        desk: Desk,
+        file: Path,
+        *,
+        restart: bool = True,
+        sonar: str | None = None,
+        **changes: Any,
     ) -> None:
         self.told: list[str] = []
         self.asked: list[str] = []
         self.agrees = True
         work = Work(desk.vehicle, "CONN", self.told.append, restart)
-        self.apply = Apply(work, self._ask, no_bar, file, serial_port=2, sonar=sonar)
+        named = {} if sonar is None else {"sonar": load_sonar(sonar), "sonar_name": sonar}
+        values: dict[str, Any] = {"serial_port": 2, **named, **changes}
+        self.apply = Apply(work, self._ask, no_bar, file, **values)
 
     def _ask(self, question: str) -> bool:
         self.asked.append(question)
@@ -252,6 +262,41 @@ def test_a_named_sonar_sets_the_applets_limit_and_restore_takes_it_back(
     work = Work(desk.vehicle, "CONN", job.told.append, restart=False)
     assert restore(work, lidar, saved) == 0
     assert values_of(desk)["ECHO_DETECT"] == 4.0
+
+
+def test_the_next_command_is_told_whole(make_desk: MakeDesk, tmp_path: Path) -> None:
+    file, mine = tmp_path / "old.params.json", tmp_path / "my own.toml"
+    write_sonar(mine, load_sonar("lidar"))
+    others: dict[str, Any] = {
+        "rangefinder": 2,
+        "applet": replace(SPEED, source=applet_path(SPEED)),
+        "release": tmp_path,
+        "replace": True,
+        "folder": "APM/scripts",
+    }
+    job = Job(make_desk(), file, restart=False, sonar=str(mine), **others)
+    assert job.apply.run() == 0, job.told
+    same = f"--vehicle CONN --serial 2 --rangefinder 2 --sonar '{mine}' --applet speed"
+    again = f"{same} --replace --release {tmp_path} --folder APM/scripts --save {file}"
+    assert f"then: echowing setup apply {again} writes the rest" in "\n".join(job.told)
+
+    job = Job(make_desk(), file, sonar=str(mine), **others)
+    assert job.apply.run() == 0, job.told
+    assert job.told[-1] == f"all is set; next: echowing setup check {same}"
+
+
+def test_a_sonar_file_that_is_edited_meanwhile_counts_as_it_was(
+    make_desk: MakeDesk, tmp_path: Path
+) -> None:
+    """Or what is written last is not what the operator has agreed to."""
+    mine = tmp_path / "mine.toml"
+    write_sonar(mine, load_sonar("lidar"))
+    desk = make_desk()
+    job = Job(desk, tmp_path / "old.params.json", sonar=str(mine))
+    mine.write_text("half written", encoding="utf-8")
+
+    assert job.apply.run() == 0, job.told
+    assert values_of(desk)["ECHO_DETECT"] == 7.5
 
 
 def test_where_the_scripts_folder_comes_with_scripting_the_applet_waits_for_it(

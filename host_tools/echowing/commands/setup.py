@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import shlex
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -299,8 +300,7 @@ def _apply(args: argparse.Namespace) -> int:
     from echowing.sonar_file import load_sonar  # noqa: PLC0415
 
     applet = _applet(args)
-    if args.sonar is not None:
-        load_sonar(args.sonar)  # what is wrong with it shows before the link is opened
+    sonar = load_sonar(args.sonar or SHIPPED_SONAR)
     with _vehicle(args.vehicle, args) as vehicle, progress_bar() as bar:
         _tell(f"{vehicle.name}: reading parameters …")
         job = Apply(
@@ -310,9 +310,11 @@ def _apply(args: argparse.Namespace) -> int:
             args.save or default_file(vehicle.system_id, datetime.now()),
             serial_port=args.serial,
             rangefinder=args.rangefinder,
-            sonar=args.sonar,
+            sonar=sonar,
+            sonar_name=args.sonar,
             folder=None if args.folder is None else args.folder.strip("/"),
             applet=applet,
+            release=args.release,
             replace=args.replace,
         )
         return job.run()
@@ -330,7 +332,17 @@ def _restore(args: argparse.Namespace) -> int:
 def _work(vehicle: "Vehicle", args: argparse.Namespace) -> "Work":
     from echowing.setup.job import Work  # noqa: PLC0415
 
-    return Work(vehicle, args.vehicle, lambda text: print(text, flush=True), args.restart)
+    return Work(vehicle, reached(args), lambda text: print(text, flush=True), args.restart)
+
+
+def reached(args: argparse.Namespace) -> str:
+    """What follows `--vehicle` in the next command that reaches the same vehicle."""
+    from echowing.mavlink.connection import DEFAULT_BAUD  # noqa: PLC0415
+
+    baud = "" if args.baud == DEFAULT_BAUD else f" --baud {args.baud}"
+    key = args.signing_key_file
+    signed = "" if key is None else f" --signing-key-file {shlex.quote(str(key))}"
+    return f"{shlex.quote(args.vehicle)}{baud}{signed}"
 
 
 def agreed(question: str) -> bool:

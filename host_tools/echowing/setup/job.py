@@ -36,7 +36,7 @@ from echowing.setup.restart import (
 )
 from echowing.setup.vehicle import Vehicle
 from echowing.setup.view import changes_as_lines, differences, tuning_note
-from echowing.sonar_file import load_sonar
+from echowing.sonar_file import SonarFile, load_sonar
 
 WRITING = "parameters are written"
 # Scripting, then the parameters behind it, then those behind these; one to spare.
@@ -69,7 +69,7 @@ class Plan:
 
 @dataclass(slots=True)
 class Work:
-    """What both jobs need: the vehicle, its name, and who gets messages and questions.
+    """What both jobs need: the vehicle, how a command line reaches it, and who gets messages.
 
     restart: the autopilot may be restarted. bar: makes a progress bar with a title.
     """
@@ -123,8 +123,9 @@ class Apply:
     """Makes a follower ready.
 
     ask: whether to continue; folder: of the scripts, None: find it; replace: whether the other
-    applet may leave the card. sonar: its file, if the operator has named one: only then the
-    applet is told what it says. Without, a value that is not the shipped sonar's is the pilot's.
+    applet may leave the card. sonar: as its file said when the job began; sonar_name: that file, if
+    the operator has named one: only then the applet is told what it says. Without, a value that is
+    not the shipped sonar's is the pilot's. release: the folder that the applet is from.
     """
 
     work: Work
@@ -133,9 +134,11 @@ class Apply:
     file: Path
     serial_port: int | None = None
     rangefinder: int = 1
-    sonar: str | None = None
+    sonar: SonarFile = field(default_factory=lambda: load_sonar(SHIPPED_SONAR))
+    sonar_name: str | None = None
     folder: str | None = None
     applet: Applet = HOLD
+    release: Path | None = None
     replace: bool = False
     board_id: int | None = None
     now: Callable[[], datetime] = datetime.now
@@ -183,16 +186,15 @@ class Apply:
         vehicle = self.work.vehicle
         parameters = read_parameters(vehicle, self.serial_port, self.rangefinder)
         card = applet_on_card(vehicle, self.applet, self.folder)
-        sonar = load_sonar(self.sonar or SHIPPED_SONAR)
         readout = Readout(
             parameters,
             serial_port=self.serial_port,
             rangefinder=self.rangefinder,
-            range_type=sonar.rangefinder_type,
+            range_type=self.sonar.rangefinder_type,
             applet_on_card=card,
             applet=self.applet,
-            sonar=sonar.belief(),
-            sonar_named=self.sonar is not None,
+            sonar=self.sonar.belief(),
+            sonar_named=self.sonar_name is not None,
             board_id=self.board_id,
         )
         changes = [one for one in changes_for(readout) if one.name not in self._refused]
@@ -236,9 +238,19 @@ class Apply:
 
     @property
     def _same(self) -> str:
-        """Options of the next command that are those of this one."""
-        port = "" if self.serial_port is None else f" --serial {self.serial_port}"
-        return port if self.sonar is None else f"{port} --sonar {shlex.quote(self.sonar)}"
+        """Options of the next command, check or apply, that are those of this one."""
+        return _options(
+            serial=self.serial_port,
+            rangefinder=None if self.rangefinder == 1 else self.rangefinder,
+            sonar=self.sonar_name,
+            applet=None if self.applet == HOLD else self.applet.name,
+        )
+
+    @property
+    def _same_apply(self) -> str:
+        """Options of the same apply once more."""
+        replace = " --replace" if self.replace else ""
+        return self._same + replace + _options(release=self.release, folder=self.folder)
 
     def _uploaded(self, *, may_wait: bool) -> bool:
         """Copy the applet to the card; False: the next round must do it, there is no folder yet."""
@@ -299,7 +311,7 @@ class Apply:
         count = f": {', '.join(names)} take effect only then" if names else ""
         self.work.say(f"restart the autopilot{count}")
         self.work.say(
-            f"then: echowing setup apply --vehicle {self.work.where}{self._same} --save "
+            f"then: echowing setup apply --vehicle {self.work.where}{self._same_apply} --save "
             f"{shlex.quote(str(self.file))} writes the rest, its old values into the same file"
         )
         self.work.say(self._way_back)
@@ -315,6 +327,12 @@ class Apply:
         check = f"echowing setup check --vehicle {self.work.where}{self._same}"
         self.work.say(f"all is set; next: {check}")
         return 0
+
+
+def _options(**values: object) -> str:
+    """Options of a command line; of those that are None nothing."""
+    given = [(name, value) for name, value in values.items() if value is not None]
+    return "".join(f" --{name} {shlex.quote(str(value))}" for name, value in given)
 
 
 def restore(work: Work, file: Path, saved: Saved) -> int:
