@@ -3,6 +3,8 @@
 import json
 import math
 import random
+import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -102,7 +104,7 @@ def test_what_was_heard_is_in_the_file(tmp_path: Path) -> None:
     # What a flight does not tell is as it was, and the file says why.
     assert file.source["inset_m"].startswith(f"{BASE.source['inset_m']}; kept: a flight does not ")
     assert "; kept: no end of it was flown to; heard at ranges of 3.5" in file.source["foil_to_m"]
-    assert "give the follower's .BIN" in file.source["throttle.share"]
+    assert "no log tells the throttle: log " in file.source["throttle.share"]
     assert file.guesses == [
         key for key in BASE.guesses if not file.source[key].startswith("measured")
     ]
@@ -153,20 +155,20 @@ def test_a_place_that_few_readings_tell_is_as_it_was_believed(tmp_path: Path) ->
     assert heard.least[-1] == BASE.heard.least[-1]
 
 
-def telemetry(folder: Path, *, hud: bool) -> Path:
+def telemetry(folder: Path, *, hud: bool, hud_ends_s: float = 600.0) -> Path:
     """What `follow` has of the vehicle beside the readings; writes the vehicle's own log, too."""
     tlog, own = Tlog(2), DataflashLog((folder / "follower.BIN").open("wb"))
     tlog.fly(lambda t_s: 2.0 * t_s, seconds=600.0, start_unix_s=START_UNIX_S, delay_s=AHEAD_S)
-    for t_s in range(600):
+    for t_s in range(round(-AHEAD_S), 600):
         # The readings' clock is the ground's.
         thrust = throttle(t_s + AHEAD_S)
-        if hud:
+        if hud and t_s + AHEAD_S < hud_ends_s:
             said = mavlink.MAVLink_vfr_hud_message(2, 2, 0, round(100 * thrust), 10, 0)
             tlog.put(START_UNIX_S + t_s + AHEAD_S, said)
         place = (36.0, -86.0, 260.0)
-        own.gps(float(t_s), START_UNIX_S + t_s, place, (2.0, 0.0, 0.0))
-        own.write("POS", float(t_s), *place, 10.0, 10.0)
-        own.write_script(ScriptMessage("CTUN", "ThO", "f", "", "", (thrust,)), float(t_s))
+        own.gps(t_s + AHEAD_S, START_UNIX_S + t_s, place, (2.0, 0.0, 0.0))
+        own.write("POS", t_s + AHEAD_S, *place, 10.0, 10.0)
+        own.write_script(ScriptMessage("CTUN", "ThO", "f", "", "", (thrust,)), t_s + AHEAD_S)
     own.close()
     (empty,) = folder.glob("*.tlog")
     empty.write_bytes(tlog.data)
@@ -187,6 +189,43 @@ def test_what_the_throttle_takes_is_told_by_telemetry_or_the_autopilots_log(
     assert not any(note.startswith("throttle") for note in measured.notes)
 
 
+@pytest.mark.parametrize(
+    ("damage", "says"),
+    [
+        (lambda data: b"", r"\.tlog is empty"),
+        (lambda data: data[:20], "no whole message in its 20 bytes"),
+        (lambda data: Tlog(3).fly(lambda t_s: t_s).data[:-9], "no track of vehicle 2; .*damaged"),
+        (lambda data: data, r"\.tlog has no VFR_HUD; give the follower's \.BIN, too"),
+    ],
+)
+def test_why_no_throttle_is_known_is_said(
+    tmp_path: Path, damage: Callable[[bytes], bytes], says: str
+) -> None:
+    logged(tmp_path, flown(count=1_200))
+    telemetry(tmp_path, hud=False)
+    (log,) = tmp_path.glob("*.tlog")
+    log.write_bytes(damage(log.read_bytes()))
+    measured = sonar_from(tmp_path, BASE, "foil")
+
+    assert re.search(says, measured.file.source["throttle.share"])
+    assert any(re.search(says, note) for note in measured.notes)
+
+
+def test_a_log_that_is_cut_off_tells_the_throttle_only_up_to_there(tmp_path: Path) -> None:
+    """Or all that was flown afterwards would count as of its last throttle."""
+    logged(tmp_path, flown(climbing=0.5))
+    telemetry(tmp_path, hud=True, hud_ends_s=360.0)  # at 70 %; then come 40 %
+    (log,) = tmp_path.glob("*.tlog")
+    log.write_bytes(log.read_bytes()[:-5])
+    measured = sonar_from(tmp_path, BASE, "foil")
+
+    told = dict(zip(measured.file.throttle.throttle, measured.file.throttle.share, strict=True))
+    assert told[0.7] == pytest.approx(0.5, abs=0.07)
+    assert any(
+        note.endswith("damaged or cut off; the readable part is used") for note in measured.notes
+    )
+
+
 def test_one_throttle_tells_nothing_of_others(tmp_path: Path) -> None:
     logged(tmp_path, flown(count=1_200))
     telemetry(tmp_path, hud=True)
@@ -199,7 +238,7 @@ def test_one_throttle_tells_nothing_of_others(tmp_path: Path) -> None:
 
 def test_an_autopilots_log_without_its_clock_or_throttle_is_named(tmp_path: Path) -> None:
     logged(tmp_path, flown())
-    with pytest.raises(EchowingError, match="does not tell vehicle 2's clock"):
+    with pytest.raises(EchowingError, match=r"tlog is empty; without vehicle 2's clock the "):
         sonar_from(tmp_path, BASE, "foil", DATA / "follower.BIN")
     telemetry(tmp_path, hud=False)
     with pytest.raises(EchowingError, match=r"follower\.BIN: tells no throttle \(CTUN"):

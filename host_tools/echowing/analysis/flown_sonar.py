@@ -3,6 +3,7 @@
 import json
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,9 @@ from echowing.tool.log import SONAR
 STEP_M, STEP_DEG, STEP_THROTTLE = 0.5, 4.0, 0.1
 # A leader whose direction is known worse tells nothing of the beam.
 SURE_DEG = 8.0
+# Throttles further apart in time say nothing of what lies between: a log that is cut off, or whose
+# middle is damaged.
+LONGEST_HOLE_S = 10.0
 # Fewer say nothing.
 LEAST_READINGS = 300
 
@@ -45,31 +49,55 @@ def sonar_from(log: Path, base: SonarFile, legs: Legs, autopilot: Path | None = 
             f"{LEAST_READINGS} are needed: fly longer, and nearer"
         )
     throttle = _throttle(path, followers.pop(), autopilot)
-    how = Flown(legs, scatter_m(readings), throttle_known=len(throttle) > 0)
-    return flown_sonar(_binned(sure, base, throttle), base, how)
+    how = Flown(legs, scatter_m(readings), throttle.why_none)
+    measured = flown_sonar(_binned(sure, base, throttle.told), base, how)
+    return replace(measured, notes=(*measured.notes, *throttle.warnings))
 
 
-def _throttle(path: Path, system_id: int, autopilot: Path | None) -> Floats:
-    """Times on the ground's clock, and the follower's throttle then; empty: nobody tells.
+@dataclass(frozen=True, slots=True)
+class _Throttle:
+    """A follower's throttle: times on the ground's clock, and values; why there are none.
+
+    warnings: of the logs that were read for it.
+    """
+
+    told: Floats
+    why_none: str = ""
+    warnings: tuple[str, ...] = ()
+
+
+def _throttle(path: Path, system_id: int, autopilot: Path | None) -> _Throttle:
+    """As the follower's own log tells it, else the tool's.
 
     The tool asks for no VFR_HUD, but its log has it where another ground station does.
     """
     log = path.with_name(path.name.removesuffix(SONAR) + ".tlog")
     try:
-        own = next(one for one in read_vehicles(log) if one.system_id == system_id)
-    except (EchowingError, StopIteration):
-        if autopilot is not None:
-            raise EchowingError(
-                f"{log}: does not tell vehicle {system_id}'s clock: without it the throttle in "
-                f"{autopilot} has no time"
-            ) from None
-        return np.empty((0, 2))
+        own = _vehicle_in(log, system_id)
+    except EchowingError as error:
+        if autopilot is None:
+            return _Throttle(np.empty((0, 2)), f"no log tells the throttle: {error}")
+        raise EchowingError(
+            f"{error}; without vehicle {system_id}'s clock the throttle in {autopilot} has no time"
+        ) from None
     told = own if autopilot is None else _autopilots(autopilot, system_id)
     told.shift(own.to_ground_s)
     throttle = told.throttle.array()
     if autopilot is not None and not len(throttle):
         raise EchowingError(f"{autopilot}: tells no throttle (CTUN; LOG_BITMASK bit 4)")
-    return throttle
+    why = "" if len(throttle) else f"{log} has no VFR_HUD; give the follower's .BIN, too"
+    return _Throttle(throttle, why, tuple(dict.fromkeys((*own.warnings, *told.warnings))))
+
+
+def _vehicle_in(log: Path, system_id: int) -> VehicleLog:
+    """A vehicle of a log; EchowingError where it is not there, and whether damage may be why."""
+    vehicles = read_vehicles(log)
+    own = next((one for one in vehicles if one.system_id == system_id), None)
+    if own is None:
+        damage = {text for one in vehicles for text in one.warnings if text.startswith(str(log))}
+        lacks = f"log {log}: no track of vehicle {system_id}"
+        raise EchowingError("; ".join((lacks, *sorted(damage))))
+    return own
 
 
 def _autopilots(path: Path, system_id: int) -> VehicleLog:
@@ -133,8 +161,15 @@ def _binned(readings: list[Reading], base: SonarFile, throttle: Floats) -> list[
 
 
 def _at(readings: list[Reading], throttle: Floats) -> list[float]:
-    """The throttle at each reading, in steps; the same for all where nobody tells it."""
+    """The throttle at each reading, in steps; NaN, one and the same, where nobody tells it."""
     if not len(throttle):
-        return [0.0] * len(readings)
-    exactly = np.interp([one.time_s for one in readings], throttle[:, 0], throttle[:, 1])
-    return [round(STEP_THROTTLE * round(one / STEP_THROTTLE), 3) for one in exactly]
+        return [math.nan] * len(readings)
+    told_s, wanted_s = throttle[:, 0], np.array([one.time_s for one in readings])
+    after = np.searchsorted(told_s, wanted_s)
+    edges_s = np.concatenate(([-math.inf], told_s, [math.inf]))
+    near = edges_s[after + 1] - edges_s[after] <= LONGEST_HOLE_S
+    steps = np.round(np.interp(wanted_s, told_s, throttle[:, 1]) / STEP_THROTTLE)
+    return [
+        round(STEP_THROTTLE * float(step), 3) if known else math.nan
+        for step, known in zip(steps, near, strict=True)
+    ]

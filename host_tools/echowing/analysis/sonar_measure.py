@@ -63,21 +63,22 @@ class Conditions:
 
 @dataclass(frozen=True, slots=True)
 class Flown:
-    """What is known of a flight: the leader's legs, whether the throttle is told.
+    """What is known of a flight: the leader's legs, why no throttle is, empty where it is.
 
     noise_m: standard deviation of a range, where it is known.
     """
 
     legs: Legs
     noise_m: float | None
-    throttle_known: bool
+    why_no_throttle: str = ""
 
 
 @dataclass
 class Readings:
     """Readings of a leader at one place and throttle; None: nothing was heard.
 
-    separation_m: from centre to centre. inset_m: how much less it reads, as far as is known.
+    throttle: NaN where it is not known. separation_m: from centre to centre. inset_m: how much less
+    it reads, as far as is known.
     """
 
     separation_m: float
@@ -187,7 +188,7 @@ def flown_sonar(readings: Sequence[Readings], base: SonarFile, how: Flown) -> Me
     fit, alike = _fit(flown)
     inset_m = _middle(base.inset_m)
     reaches, why_no_reach = _flown_reaches(fit, base, how.legs, inset_m)
-    throttles, why_no_throttle = _flown_throttles(flown, fit, base, known=how.throttle_known)
+    throttles, why_no_throttle = _flown_throttles(flown, fit, base, how)
     further = _further(base, reaches, how.legs)
     ends_m = reaches.get("foil_to_m", base.foil_to_m)[1] if reaches else math.inf
     told = _told(fit)
@@ -244,16 +245,16 @@ def _flown_reaches(
 
 
 def _flown_throttles(
-    readings: Sequence[Readings], fit: Fit, base: SonarFile, *, known: bool
+    readings: Sequence[Readings], fit: Fit, base: SonarFile, how: Flown
 ) -> tuple[dict[str, Any], str]:
     """What each throttle that was flown leaves of the share heard at the usual one.
 
     Beside what is heard on average at the same places. Nothing, and why, where only one was flown.
     """
-    if not known:
-        return {}, "no log of the flight tells the throttle; give the follower's .BIN, too"
+    if how.why_no_throttle:
+        return {}, how.why_no_throttle
     foretold: dict[float, float] = {}
-    for one in readings:
+    for one in (one for one in readings if math.isfinite(one.throttle)):
         share = one.pings * fit.share(one.separation_m, one.off_deg)
         foretold[one.throttle] = foretold.get(one.throttle, 0.0) + share
     enough = sorted(throttle for throttle, count in foretold.items() if count >= TELLS_A_THROTTLE)
