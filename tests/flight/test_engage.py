@@ -19,7 +19,7 @@ from echowing.flight.engage import (
 from echowing.flight.envelope import Answer
 from echowing.flight.guard import Limits
 from echowing.flight.guidance import GuidanceSettings, Slot
-from echowing.flight.handling import NOTICED_S, SELDOM_S, STEERED_MPS2, least_slot_m
+from echowing.flight.handling import SELDOM_S, STEERED_MPS2, least_slot_m
 from echowing.flight.readiness import Readiness
 from echowing.flight.switch import StopSwitch
 from echowing.geo import distance_m
@@ -200,9 +200,9 @@ def test_a_slot_opens_for_a_leader_too_fast_to_turn_round_from_it() -> None:
 def test_a_sonar_that_reads_seldom_needs_more_room() -> None:
     """Two readings show a leader's braking: at 4 Hz after 0.6 s instead of 0.3."""
     slow = replace(shipped_sonar(), rate_hz=4.0)
-    assert shipped_sonar().noticed_s == NOTICED_S
+    assert shipped_sonar().noticed_s == 0.3
     assert slow.noticed_s == 0.6
-    assert replace(slow, rate_hz=50.0).noticed_s == NOTICED_S
+    assert replace(slow, rate_hz=50.0).noticed_s == 0.3
     yard = Yard(slots=[Slot(3.0)], sonar=slow)
     assert yard.fly(SOON_S) == []
     needs_m = least_slot_m(2.0, yard.session.followers[FOLLOWER].handling.answer, noticed_s=0.6)
@@ -232,7 +232,7 @@ def test_a_slot_opens_for_a_leader_that_is_steered() -> None:
     point = yard.fly(3.0)[-1]
 
     answer = yard.session.followers[FOLLOWER].handling.answer
-    least_m = least_slot_m(2.0, answer, brakes_mps2=STEERED_MPS2)
+    least_m = least_slot_m(2.0, answer, 0.3, brakes_mps2=STEERED_MPS2)
     assert point.afx == pytest.approx(least_m)
     assert 3.3 < least_m < 3.6
     ignored = mavlink.POSITION_TARGET_TYPEMASK_AX_IGNORE
@@ -281,7 +281,7 @@ def test_a_slot_opens_where_the_wind_leaves_little_to_brake_with() -> None:
     yard.vehicles[FOLLOWER].pitch_rad = math.radians(4.48)
     yard.fly(30.0)
     answer = Answer(follower.handling.answer_in_calm.dead_s, 3.1)
-    assert follower.reversal_m == least_slot_m(2.0, answer) > 3.0
+    assert follower.reversal_m == least_slot_m(2.0, answer, 0.3) > 3.0
     assert yard.said("m, wind leaves ")
 
 

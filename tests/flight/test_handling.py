@@ -6,7 +6,6 @@ from echowing.flight.clocks import ASK_PERIOD_S
 from echowing.flight.closing import Closing
 from echowing.flight.envelope import LEAST_M, OTHERS_MPS2, Answer
 from echowing.flight.handling import (
-    NOTICED_S,
     OFTEN,
     SELDOM_S,
     STEERED_MPS2,
@@ -15,6 +14,9 @@ from echowing.flight.handling import (
     least_slot_m,
 )
 from echowing.mavlink.vehicle_limits import LIMITS, is_plausible, usual_parameters
+
+# From a leader's first braking to the follower's order, by a sonar of ten readings a second.
+SHOWN_S = 0.3
 
 
 def reported(**parameters: float) -> Handling:
@@ -102,14 +104,15 @@ def test_what_is_not_known_counts_as_the_worst() -> None:
     assert worst.decel_mps2 == 0.5
     assert worst.dead_s > 2.0
     assert Handling().lean_max_rad == pytest.approx(math.radians(10.0))
-    needs_m = least_slot_m(2.0, reported(WP_ACC=5.0, PSC_JERK_NE=20.0).answer)
+    needs_m = least_slot_m(2.0, reported(WP_ACC=5.0, PSC_JERK_NE=20.0).answer, SHOWN_S)
     for unknown in LIMITS:
         handling = Handling()
         for name, value in (usual_parameters() | {"WP_ACC": 5.0, "PSC_JERK_NE": 20.0}).items():
             if name not in unknown.names:
                 handling.receive(name, value)
         assert handling.missing == [next(iter(unknown.names))]
-        assert needs_m < least_slot_m(2.0, handling.answer) < least_slot_m(2.0, worst) < math.inf
+        then_m, worst_m = (least_slot_m(2.0, one, SHOWN_S) for one in (handling.answer, worst))
+        assert needs_m < then_m < worst_m < math.inf
 
 
 def test_each_is_asked_for_under_all_its_names_until_it_is_known() -> None:
@@ -149,8 +152,8 @@ def test_a_vehicle_that_does_not_answer_is_asked_seldom_but_for_ever() -> None:
 def test_what_only_a_report_shows_takes_more_room() -> None:
     """At 4 m/s, shown 0.5 s later, the leader is 1.25 m/s slower before the follower knows."""
     answer = Answer(0.5, 5.0)
-    by_sonar_m, by_report_m = least_slot_m(4.0, answer), least_slot_m(4.0, answer, 1.0, 0.8)
-    unaware_s = [noticed_s + 0.5 for noticed_s in (NOTICED_S, 0.8)]
+    by_sonar_m, by_report_m = (least_slot_m(4.0, answer, s) for s in (SHOWN_S, 0.8))
+    unaware_s = [noticed_s + 0.5 for noticed_s in (SHOWN_S, 0.8)]
     # a/2 t^2 until it knows, and as much again until both are equally fast: 2.5 of 5 m/s2 are left.
     lost_m = [OTHERS_MPS2 * s * s for s in unaware_s]
     assert by_report_m - by_sonar_m == pytest.approx(lost_m[1] - lost_m[0], abs=0.05)
@@ -159,17 +162,18 @@ def test_what_only_a_report_shows_takes_more_room() -> None:
 def test_a_follower_quicker_than_its_leader_loses_the_dead_time_and_the_catching_up() -> None:
     """Of an endless reversal: a/2 t^2 while it does not react, u^2 / 2 (a_F - a_L) until it has."""
     answer = Answer(0.5, 5.0)
-    unaware_s = NOTICED_S + answer.dead_s
+    unaware_s = SHOWN_S + answer.dead_s
     closing_mps = OTHERS_MPS2 * unaware_s
     lost_m = closing_mps * unaware_s / 2.0 + closing_mps**2 / (2.0 * (5.0 - OTHERS_MPS2))
-    assert least_slot_m(4.0, answer) == pytest.approx(LEAST_M + lost_m, abs=0.05)
+    assert least_slot_m(4.0, answer, SHOWN_S) == pytest.approx(LEAST_M + lost_m, abs=0.05)
 
 
 def test_a_follower_as_slow_as_its_leader_loses_more_the_faster_it_is() -> None:
     """Both turn alike, the follower later: the delay times twice the speed."""
     for speed_mps in (1.0, 2.0, 3.0):
-        lost_m = 2.0 * speed_mps * (NOTICED_S + 0.6)
-        assert least_slot_m(speed_mps, Answer()) == pytest.approx(LEAST_M + lost_m, abs=0.1)
+        lost_m = 2.0 * speed_mps * (SHOWN_S + 0.6)
+        least_m = least_slot_m(speed_mps, Answer(), SHOWN_S)
+        assert least_m == pytest.approx(LEAST_M + lost_m, abs=0.1)
 
 
 def test_a_leader_on_a_mission_brakes_as_its_parameters_say_and_any_other_harder() -> None:
@@ -179,16 +183,16 @@ def test_a_leader_on_a_mission_brakes_as_its_parameters_say_and_any_other_harder
     assert leader_brakes_mps2(auto) == OTHERS_MPS2
     assert leader_brakes_mps2(guided) == leader_brakes_mps2(stabilize) == STEERED_MPS2
     assert leader_brakes_mps2(None) == STEERED_MPS2
-    least_m = least_slot_m(2.0, answer, brakes_mps2=STEERED_MPS2)
-    assert least_m > least_slot_m(2.0, answer, brakes_mps2=OTHERS_MPS2) + 0.5
+    least_m = least_slot_m(2.0, answer, SHOWN_S, brakes_mps2=STEERED_MPS2)
+    assert least_m > least_slot_m(2.0, answer, SHOWN_S, brakes_mps2=OTHERS_MPS2) + 0.5
 
 
 def test_a_leader_that_stands_turns_no_way() -> None:
-    assert least_slot_m(0.0, Answer()) == LEAST_M
-    assert least_slot_m(2.0, Answer(), least_m=2.0) == pytest.approx(
-        1.0 + least_slot_m(2.0, Answer())
+    assert least_slot_m(0.0, Answer(), SHOWN_S) == LEAST_M
+    assert least_slot_m(2.0, Answer(), SHOWN_S, least_m=2.0) == pytest.approx(
+        1.0 + least_slot_m(2.0, Answer(), SHOWN_S)
     )
-    assert math.isfinite(least_slot_m(20.0, Answer(2.0, 0.5)))
+    assert math.isfinite(least_slot_m(20.0, Answer(2.0, 0.5), SHOWN_S))
 
 
 @pytest.mark.parametrize("stops", [True, False])
@@ -206,24 +210,24 @@ def test_the_least_slot_is_what_flying_the_reversal_step_by_step_loses(stops: bo
                 lost_m += (follower_mps - leader_mps) * 1e-3
                 most_m = max(most_m, lost_m)
             answer = Answer(0.5, decel_mps2)
-            least_m = least_slot_m(speed_mps, answer, 1.0, noticed_s, 2.5, stops=stops)
+            least_m = least_slot_m(speed_mps, answer, noticed_s, 1.0, 2.5, stops=stops)
             assert least_m == pytest.approx(1.0 + most_m, abs=0.02)
 
 
 @pytest.mark.parametrize("decel_mps2", [0.0, -1.0, math.nan])
 def test_there_is_no_slot_for_one_that_cannot_brake(decel_mps2: float) -> None:
-    assert least_slot_m(2.0, Answer(0.5, decel_mps2)) == math.inf
+    assert least_slot_m(2.0, Answer(0.5, decel_mps2), SHOWN_S) == math.inf
 
 
 def test_there_is_no_slot_behind_a_leader_of_which_nothing_is_known() -> None:
-    assert least_slot_m(math.nan, Answer()) == math.inf
-    assert least_slot_m(2.0, Answer(math.inf, 2.5)) == math.inf
-    assert least_slot_m(2.0, Answer(), brakes_mps2=math.nan) == math.inf
+    assert least_slot_m(math.nan, Answer(), SHOWN_S) == math.inf
+    assert least_slot_m(2.0, Answer(math.inf, 2.5), SHOWN_S) == math.inf
+    assert least_slot_m(2.0, Answer(), SHOWN_S, brakes_mps2=math.nan) == math.inf
 
 
 def test_one_that_hardly_brakes_needs_a_slot_out_of_sight() -> None:
     """Stepping through such a reversal would take for ever."""
-    assert least_slot_m(2.0, Answer(0.5, 1e-30)) > 1e30
+    assert least_slot_m(2.0, Answer(0.5, 1e-30), SHOWN_S) > 1e30
 
 
 def test_a_lean_may_be_shaped_as_good_as_not_at_all() -> None:

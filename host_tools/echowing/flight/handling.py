@@ -46,9 +46,6 @@ MISSION_MODES = {
     mavlink.COPTER_MODE_AUTO_RTL,
 }
 STEERED_MPS2 = 3.4
-# From a leader's first braking to the follower's order, by a sonar of ten readings a second
-# (`SonarBelief.noticed_s`).
-NOTICED_S = 0.3
 
 
 class Handling:
@@ -157,8 +154,8 @@ def leader_brakes_mps2(mode: int | None) -> float:
 def least_slot_m(
     speed_mps: float,
     answer: Answer,
+    noticed_s: float,
     least_m: float = LEAST_M,
-    noticed_s: float = NOTICED_S,
     brakes_mps2: float = OTHERS_MPS2,
     *,
     stops: bool = False,
@@ -166,8 +163,8 @@ def least_slot_m(
     """The nearest slot from which a reversal of the leader leaves `least_m`; inf: none does.
 
     speed_mps: the leader's; it reverses to the same speed the other way at `brakes_mps2`, or
-    `stops`. After `noticed_s` the sonar, or a report, shows it to the follower, which then does the
-    same by its own `answer`.
+    `stops`. After `noticed_s` the sonar (`SonarBelief.noticed_s`), or a report, shows it to the
+    follower, which then does the same by its own `answer`.
     """
     change_mps, decel_mps2 = abs(speed_mps) * (1.0 if stops else 2.0), answer.decel_mps2
     unaware_s = noticed_s + answer.dead_s

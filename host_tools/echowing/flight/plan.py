@@ -120,7 +120,7 @@ class Planner:
         radius_m, brakes_mps2 = follower.plan.slot.radius_m, self._known.leader_brakes_mps2
         noticed_s = follower.plan.sonar.noticed_s
         needs_m, calm_m = (
-            least_slot_m(speed_mps, answer, noticed_s=noticed_s, brakes_mps2=brakes_mps2)
+            least_slot_m(speed_mps, answer, noticed_s, brakes_mps2=brakes_mps2)
             for answer in (handling.answer, handling.answer_in_calm)
         )
         follower.reversal_m = needs_m
@@ -271,7 +271,7 @@ def _by_radio_m(known: Known, follower: FollowerState, fix: LeaderFix) -> float:
     noticed_s = round(known.leader.oldest_s + follower.way_s, 1)
     speed_mps, brakes_mps2 = round(fix.speed_mps, 1), known.leader_brakes_mps2
     answer, clear_m = follower.handling.answer, known.settings.clearance_m
-    least_m = least_slot_m(speed_mps, answer, clear_m, noticed_s, brakes_mps2, stops=stops)
+    least_m = least_slot_m(speed_mps, answer, noticed_s, clear_m, brakes_mps2, stops=stops)
     sonar = follower.plan.sonar
     if stops:
         heard_m = sonar.heard_to_m + sonar.inset_m
