@@ -15,6 +15,7 @@ from echowing.cli import main
 from echowing.errors import EchowingError
 from echowing.flight.belief import Curve
 from echowing.paths import SHIPPED_SONAR
+from echowing.sim.boards.coprocessor import parameter_table
 from echowing.sonar_file import SonarFile, load_sonar, sonar_names, sonar_of, value_keys
 
 
@@ -36,6 +37,15 @@ def test_each_value_of_a_shipped_sensor_has_a_source_or_is_called_a_guess(name: 
     file = load_sonar(name)
     needed = {key for key in value_keys(SonarFile) if not key.startswith("throttle.")}
     assert file.source.keys() == needed - (set() if file.boom_m else {"boom_m"})
+
+
+@pytest.mark.parametrize("name", ["mb1202", "mb1202-boom"])
+def test_a_sonar_on_the_co_processor_reads_as_often_as_its_firmware_pings(name: str) -> None:
+    file = load_sonar(name)
+    (period_ms,) = (row.default for row in parameter_table() if row.name == "SONAR_PERIOD")
+
+    assert file.rate_hz == pytest.approx(1000.0 / period_ms)
+    assert f"every {period_ms:g} ms" in file.source["rate_hz"]
 
 
 def test_what_is_guessed_of_the_shipped_sonar_is_said() -> None:
