@@ -139,6 +139,13 @@ def test_a_scene_hears_as_the_sonar_that_it_is_given() -> None:
     assert heard_m(0.0, narrow) == pytest.approx(3.0 - 0.2, abs=0.05)
 
 
+def test_a_sonar_on_a_boom_is_nearer_to_its_leader() -> None:
+    """On `mb1202-boom` it reads 0.45 m less than the separation."""
+    boom = replace(ON_A_DESK, wild_share=0.0, boom_m=0.33, inset_m=0.45)
+
+    assert heard_m(0.0, boom) == pytest.approx(LEVER_ARM_M + 3.0 - 0.45, abs=0.05)
+
+
 def test_of_several_told_the_nearest_in_the_beam_is_heard() -> None:
     """One that is nearer but beside the beam hides nobody."""
     scene = Scene(target="udp:0", sonar=replace(ON_A_DESK, wild_share=0.0))

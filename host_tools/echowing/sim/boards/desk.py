@@ -61,8 +61,8 @@ class Scene:
     def _listen(self, t_s: float) -> float | None:
         if self._datagrams is None and self._watched is None:
             return self._range_m
-        pose = Pose((0.0, 0.0, 0.0), self._gimbal.axis_body())
         sonar = self._ear.sonar
+        pose = Pose((sonar.boom_m, 0.0, 0.0), self._gimbal.axis_body())
         targets = [Target(at_m, sonar.foil_m, sonar.legs_m) for at_m in self._targets_body_m]
         return self._ear.ping(t_s, pose, targets, surfaces=())
 
