@@ -13,6 +13,7 @@ import pytest
 
 from echowing.analysis.sonar_fit import Tally, dependence, fitted, share_between
 from echowing.analysis.sonar_measure import Conditions, Measured, Readings, measured_sonar
+from echowing.cli import main
 from echowing.errors import EchowingError
 from echowing.flight.belief import Curve, SonarBelief
 from echowing.rig.bench import Bench
@@ -388,7 +389,12 @@ def test_nothing_heard_is_said() -> None:
 def test_broken_off_it_says_that_nothing_was_measured() -> None:
     procedure = ResponseMatrix(plan(), BASE)
 
-    assert procedure.result().checks[0].found == "nothing was measured"
+    procedure.readings.append(Readings(2.0, 0.0, 0.4, [[1.8, None]]))
+
+    result = procedure.result()
+    assert result.checks[0].found == "nothing was measured"
+    # What was read until then is kept.
+    assert result.measured["readings"][0]["raw_m"] == [[1.8, None]]
 
 
 def test_a_fixed_mount_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -410,6 +416,23 @@ def test_the_hover_is_one_of_the_throttles() -> None:
     args = Namespace(throttles=[0.0, 0.4], hover=0.5)
     with pytest.raises(EchowingError, match=r"--hover 0\.5: one of --throttles"):
         run(args)
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--write", "/dev/null/none/mine.toml"], "--write /dev/null/none: cannot be written"),
+        (["--base", "mb1202-fixed"], "--base mb1202-fixed: its sensor is fixed to the nose"),
+    ],
+)
+def test_what_cannot_be_is_said_before_anything_is_measured(
+    options: list[str], says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["rig", "response-matrix", "--port", "none", *options]) == 2
+
+    told = capsys.readouterr().err
+    assert says in told
+    assert told.count("\n") == 1
 
 
 # ---- what a slot takes ---------------------------------------------------------------------------

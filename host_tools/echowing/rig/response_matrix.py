@@ -13,7 +13,7 @@ from echowing.flight.build_up import LEAST_DIST_M, MOST_DIST_M
 from echowing.paths import SHIPPED_SONAR
 from echowing.rig.bench import Bench, add_bench_arguments, perform, positive
 from echowing.rig.readings import heard_m, value_of
-from echowing.rig.result import Check, Result
+from echowing.rig.result import Check, Result, prepare_folder
 from echowing.sonar_file import SonarFile, fly_by, load_sonar, write_sonar
 
 EXAMPLES = """\
@@ -96,6 +96,7 @@ class ResponseMatrix:
         measured = self.measured
         if measured is None:
             result.checks = [Check("sonar", "nothing was measured", "all distances", passed=False)]
+            result.measured = {"readings": [one.as_dict() for one in self.readings]}
             return result
         result.checks = [_carries(measured.file, self.plan.conditions)]
         result.measured = {
@@ -307,6 +308,18 @@ def add_arguments(parser: ArgumentParser) -> None:
     )
 
 
+def _base(name: str) -> SonarFile:
+    """The file to begin with; EchowingError where it is of a sensor that no gimbal turns."""
+    base = load_sonar(name)
+    if base.fixed:
+        raise EchowingError(
+            f"--base {name}: its sensor is fixed to the nose (rangefinder_type "
+            f"{base.rangefinder_type}), and nothing here turns it: measure it in a flight, with "
+            "`echowing analyze --sonar`"
+        )
+    return base
+
+
 def run(args: Namespace) -> int:
     """Measure, judge, write the result and the sonar file."""
     hover = args.throttles[-1] if args.hover is None else args.hover
@@ -314,10 +327,12 @@ def run(args: Namespace) -> int:
         raise EchowingError(f"--hover {hover:g}: one of --throttles")
     conditions = Conditions(args.legs, hover, args.slot)
     plan = Plan(args.distances, args.angles, args.throttles, args.seconds, conditions)
-    procedure = ResponseMatrix(plan, load_sonar(args.base))
+    path = args.write or args.out / "sonar.toml"
+    if args.write is not None:
+        prepare_folder(path.parent, "--write")
+    procedure = ResponseMatrix(plan, _base(args.base))
     code = perform(procedure, args)
     if procedure.measured is not None:
-        path = args.write or args.out / "sonar.toml"
         write_sonar(path, procedure.measured.file)
         if not args.json:
             print(fly_by(path, args.legs))

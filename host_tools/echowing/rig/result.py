@@ -132,14 +132,14 @@ def write_result(result: Result, folder: Path) -> tuple[Path, Path]:
     return document, shown
 
 
-def prepare_folder(folder: Path) -> None:
+def prepare_folder(folder: Path, option: str = "--out") -> None:
     """Make the folder of results, and see that it takes files: before hours of measuring."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
-        raise EchowingError(f"--out {folder}: cannot be written: {error.strerror}") from error
+        raise EchowingError(f"{option} {folder}: cannot be written: {error.strerror}") from error
 
 
 def _checks_table(checks: Sequence[Check]) -> str:
