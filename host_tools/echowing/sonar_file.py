@@ -194,6 +194,7 @@ class SonarFile(_Finite):
         heard_to_m = self.foil_to_m[0] if legs == "foil" else self.stock_to_m[0]
         # A leader that is heard less far is heard as one with foil is further away.
         nearer = heard_to_m / self.foil_to_m[0]
+        heard_to_m = min(heard_to_m, self.reach_m)  # as far as anything counts
         left = min(self.throttle.share)
         return SonarBelief(
             heard=Curve(_times(heard.range_m, nearer), _times(heard.least, left)),

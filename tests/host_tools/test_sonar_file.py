@@ -4,7 +4,7 @@ import math
 import tomllib
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ from echowing.errors import EchowingError
 from echowing.flight.belief import Curve
 from echowing.paths import SHIPPED_SONAR
 from echowing.sim.boards.coprocessor import parameter_table
-from echowing.sonar_file import SonarFile, load_sonar, sonar_names, sonar_of, value_keys
+from echowing.sonar_file import Legs, SonarFile, load_sonar, sonar_names, sonar_of, value_keys
 
 
 def shipped_table() -> dict[str, Any]:
@@ -90,6 +90,20 @@ def test_stock_legs_are_heard_less_far_and_as_foil_that_is_further_away() -> Non
     assert stock.narrowest_rad.at(3.0) == pytest.approx(foil.narrowest_rad.at(4.0))
     # Nobody knows that it hears less far aside.
     assert stock.widest_rad == foil.widest_rad
+
+
+def test_no_leader_is_heard_where_a_range_counts_as_none() -> None:
+    """Who enters that a sensor sees further, and forgets its `reach_m`, is told of it."""
+    far = {"foil_to_m": [6.5, 7.2], "stock_to_m": [5.5, 6.0]}
+    short = sonar_of(changed(**far, heard={"range_m": [0.2, 6.5]}, reach_m=4.5), "mine.toml")
+    long = sonar_of(changed(**far, heard={"range_m": [0.2, 6.5]}, reach_m=7.0), "mine.toml")
+
+    assert long.belief().objection(5.0) is None
+    for legs in get_args(Legs):
+        belief = short.belief(legs)
+        assert belief.heard_to_m == 4.5
+        assert str(belief.objection(5.0)).startswith("a leader is certain to be heard up to 4.7 m")
+        assert belief.heard == long.belief(legs).heard
 
 
 def test_what_propellers_take_is_believed_at_their_worst() -> None:
