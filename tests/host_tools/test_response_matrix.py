@@ -253,6 +253,29 @@ def hung(legs: Legs, *, base: SonarFile = BASE, narrow_first: bool = False) -> M
     return measured_sonar(readings, base, Conditions(legs, 0.4, 2.0))
 
 
+@pytest.mark.parametrize(
+    ("distances_m", "reach_m", "says"),
+    [
+        ((2.0, 3.0), 4.5, "As it hears the leader at 3 m, the farthest distance, nobody knows"),
+        ((2.0, 3.0), 2.5, "Although it hears the leader at 3 m, no range counts from 2.7 m on"),
+        ((2.0, 3.0, 5.0), 4.5, ""),
+    ],
+)
+def test_how_far_it_was_not_measured_is_said(
+    distances_m: tuple[float, ...], reach_m: float, says: str
+) -> None:
+    procedure = ResponseMatrix(
+        plan(distances_m=distances_m), BASE.model_copy(update={"reach_m": reach_m})
+    )
+    board = Hung(TRUE)
+    bench = bench_of(board)
+    bench.operator.ask = Helper(board).ask  # type: ignore[assignment, method-assign]
+    procedure.run(bench)
+    assert procedure.measured is not None
+
+    assert [note[: len(says)] for note in procedure.measured.notes] == ([says] if says else [])
+
+
 @pytest.mark.parametrize("legs", ["foil", "stock"])
 def test_the_file_is_of_foil_whichever_legs_were_measured(legs: Legs) -> None:
     measured = hung(legs)

@@ -162,7 +162,8 @@ def measured_sonar(
     fit, alike = _fit(hovering)
     inset_m = _inset_m(hovering)
     middle_m = _middle(inset_m)
-    reaches = _reaches(*_half_heard(fit), base, conditions.legs, middle_m)
+    farthest_m, far_m = _half_heard(fit)
+    reaches = _reaches(farthest_m, far_m, base, conditions.legs, middle_m)
     further = _further(base, reaches, conditions.legs)
     values = {
         "inset_m": inset_m,
@@ -175,7 +176,8 @@ def measured_sonar(
     }
     said = _said("bench", hovering, conditions.legs) + f", throttle {conditions.hover:g}"
     file = _changed(base, values, said, _in_proportion(reaches, conditions.legs, said))
-    return Measured(file, fit, conditions.hover, _notes(hovering))
+    notes = (*_notes(hovering), *_of_its_end(farthest_m, far_m, base.reach_m + middle_m))
+    return Measured(file, fit, conditions.hover, notes)
 
 
 def flown_sonar(readings: Sequence[Readings], base: SonarFile, how: Flown) -> Measured:
@@ -449,6 +451,22 @@ def _notes(readings: Sequence[Readings]) -> tuple[str, ...]:
         f"At {one.separation_m:g} m, {one.off_deg:g} degrees off, something else echoes steadily: "
         "clear the place, and measure again."
         for one in steady[:3]
+    )
+
+
+def _of_its_end(farthest_m: float, far_m: float | None, counts_to_m: float) -> tuple[str, ...]:
+    """What to know of how far it hears; all from centre to centre."""
+    hears = f"it hears the leader at {farthest_m:g} m"
+    if farthest_m >= counts_to_m:
+        return (
+            f"Although {hears}, no range counts from {counts_to_m:.1f} m on: raise the file's "
+            "reach_m, if the slot is to be further.",
+        )
+    if far_m is not None:
+        return ()
+    return (
+        f"As {hears}, the farthest distance, nobody knows how far it hears: measure further, if "
+        "the slot is to be further.",
     )
 
 
