@@ -255,8 +255,8 @@ class Cloud:
         room_m, weight = nearer[there] + np.sqrt(reach_m2[there]), self._weight[there]
         if float(weight.sum()) <= RISK:
             return 0.0
-        # The furthest are enough; they are rarely more than one in ten.
-        likely = np.flatnonzero(room_m > 0.5 * (room_m.max() + room_m.sum() / len(room_m)))
+        # The furthest are enough: mostly one in six.
+        likely = np.flatnonzero(room_m > 0.25 * room_m.max() + 0.75 * room_m.mean())
         if float(weight[likely].sum()) > 2.0 * RISK:
             room_m, weight = room_m[likely], weight[likely]
         furthest = np.argsort(-room_m)
@@ -306,14 +306,20 @@ class Cloud:
         """
         left, part = passing(elapsed_s, FOLLOWS_S)
         drift, change = self._drifted(elapsed_s, self._drift, self._wanders_m * chance)
-        return left * self._off + (1.0 - left) * drift + part * change, drift + change
+        off = left * self._off
+        off += (1.0 - left) * drift
+        off += part * change
+        drift += change
+        return off, drift
 
     def _drifted(self, elapsed_s: float, drift: Array, chance: Array) -> tuple[Array, Array]:
         """What is kept of a drift, (north, east, up) of each guess, and what of `chance` is new."""
-        level = np.exp(-elapsed_s / self._receivers.tau_s)[self._cell]
-        up = np.full(GUESSES, math.exp(-elapsed_s / self._height_tau_s))
-        kept = np.stack((level, level, up))
-        return kept * drift, np.sqrt(1.0 - kept * kept) * chance
+        level = np.exp(-elapsed_s / self._receivers.tau_s)
+        up = math.exp(-elapsed_s / self._height_tau_s)
+        return (
+            _scaled(level[self._cell], up, drift),
+            _scaled(np.sqrt(1.0 - level * level)[self._cell], math.sqrt(1.0 - up * up), chance),
+        )
 
     def _share_out(self) -> None:
         """Put as many guesses into each cell of `receivers` as it is likely."""
@@ -546,3 +552,11 @@ class Cloud:
         self.up_sigma_m = math.sqrt(float(weight @ (up * up)))
         self.level_sigma_m = max(self.sigma_m(0.0), self.sigma_m(math.pi / 2.0))
         """The larger of the standard deviations to the north and to the east."""
+
+
+def _scaled(level: Array, up: float, values: Array) -> Array:
+    """Values, (north, east, up) of each guess, times this of each, level and up."""
+    scaled = np.empty_like(values)
+    np.multiply(values[:2], level, out=scaled[:2])
+    np.multiply(values[2], up, out=scaled[2])
+    return scaled

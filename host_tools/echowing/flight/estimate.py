@@ -117,6 +117,8 @@ class Estimate:
         """The last readings of something in reach."""
         self._scattered: deque[tuple[float, bool]] = deque(maxlen=round(WILD_S * sonar.rate_hz))
         """Whether a reading was like none of the two before it: when, and whether."""
+        self.is_wild = False
+        """Whether the sonar's ranges do not agree with each other."""
         self.jumped_m: Horizontal = (0.0, 0.0)
         """Receivers' jumps that are allowed for: the leader's, less the follower's."""
         self._elsewhere_m: list[Between] = []
@@ -127,12 +129,6 @@ class Estimate:
     def is_stuck(self) -> bool:
         """Whether the sonar keeps giving the same range."""
         return self._alike >= round(STUCK_S * self.sonar.rate_hz)
-
-    @property
-    def is_wild(self) -> bool:
-        """Whether the sonar's ranges do not agree with each other."""
-        most = self._scattered.maxlen or 0
-        return sum(scattered for _, scattered in self._scattered) >= round(WILD_SHARE * most)
 
     @property
     def is_believed(self) -> bool:
@@ -202,6 +198,8 @@ class Estimate:
         in_reach, before_m = range_m < self.sonar.reach_m, self._ranges
         alike = len(before_m) < 2 or any(abs(one - range_m) < ALIKE_M for one in before_m)
         self._scattered.append((time_s, in_reach and not alike))
+        most = round(WILD_SHARE * (self._scattered.maxlen or 0))
+        self.is_wild = sum(scattered for _, scattered in self._scattered) >= most
         if in_reach:
             self._ranges.append(range_m)
 

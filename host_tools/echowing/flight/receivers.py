@@ -146,4 +146,6 @@ class Receivers:
     @staticmethod
     def _by_axis(of_one: Array) -> Array:
         """The same for north and for east: 2 x 2 become 4 x 4."""
-        return np.asarray(np.kron(of_one, np.eye(2)), dtype=np.float64)
+        both = np.zeros((4, 4))  # as `np.kron` with a unit matrix, which takes ten times as long
+        both[::2, ::2] = both[1::2, 1::2] = of_one
+        return both

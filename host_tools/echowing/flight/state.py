@@ -201,7 +201,7 @@ class FollowerState:
     def slot(self) -> Slot:
         """Its slot as it is now, also on the way into another shape."""
         slot = self.plan.slot
-        return replace(slot, radius_m=max(slot.radius_m, self.on_way_m))
+        return slot if slot.radius_m >= self.on_way_m else replace(slot, radius_m=self.on_way_m)
 
     @property
     def doubted(self) -> bool:

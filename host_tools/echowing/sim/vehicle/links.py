@@ -4,7 +4,6 @@ Routing follows ArduPilot's libraries/GCS_MAVLink/MAVLink_routing.cpp.
 """
 
 from collections.abc import Callable, Iterator
-from copy import copy
 from functools import lru_cache
 from typing import Any
 
@@ -34,7 +33,10 @@ def decoded(frame: bytes) -> Any:
     A frame passes an autopilot and a ground station, and is decoded once. Each gets a message of
     its own: to send one on writes the sender into it.
     """
-    return copy(_decoded(frame))
+    message = _decoded(frame)
+    own = object.__new__(type(message))  # `copy.copy` takes five times as long
+    own.__dict__ = message.__dict__.copy()
+    return own
 
 
 @lru_cache(maxsize=1024)
