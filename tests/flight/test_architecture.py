@@ -4,6 +4,7 @@ And each room of the package imports from the rooms below it alone.
 """
 
 import ast
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -21,6 +22,7 @@ BELOW = {"applets", "errors", "geo", "mavlink"}
 DRIVERS = {"orders"}
 
 
+@cache
 def imports(module: str) -> list[str]:
     """The modules of this package that one imports, for its types too."""
     tree = ast.parse((FLIGHT / f"{module}.py").read_text(encoding="utf-8"))
@@ -84,6 +86,7 @@ def _all_within(module: str) -> set[str]:
 # ---- the rooms -----------------------------------------------------------------------------------
 
 
+@cache
 def imported(file: Path) -> set[str]:
     """All that a file imports of this package, in functions and for its types too."""
     nodes = list(ast.walk(ast.parse(file.read_text(encoding="utf-8"))))
