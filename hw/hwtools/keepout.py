@@ -7,6 +7,7 @@ nearer to its edge by a few degrees at most, less than the margin.
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -33,6 +34,7 @@ class Clearance:
     clear_deg: float
 
 
+@cache
 def beam(rig: Rig) -> dict[str, dict[Aim, float]]:
     """Return for each solid by how many degrees it is clear of the beam, at every aim."""
     return {name: _clear(rig, name, whole_reach()) for name in SOLIDS}

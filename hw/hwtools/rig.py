@@ -25,9 +25,11 @@ STANDING = ("fixed", "frame", "discs")
 BODIES = ("yoke_mass", "tilt_servo_mass", "cradle_mass", "sonar_mass")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Rig:
     """The mount's solids, gimbal centred, and the measures that mount.scad derives (millimetres).
+
+    Each is itself alone: what takes seconds is worked out once for it, and kept.
 
     measures: yoke_bottom, tilt_z, face_x, shelf_top, plate_back, yoke_back.
     """

@@ -9,6 +9,7 @@ cut in two.
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -73,6 +74,7 @@ class Cell:
             yield Cell(Aim(right, up), half)
 
 
+@cache
 def gaps(rig: Rig) -> list[Gap]:
     """Return the gaps between the solids, proved over the reach and `beyond_deg`."""
     number = mount.number
@@ -183,6 +185,7 @@ def lead_poses() -> list[Aim]:
     return [Aim(float(pan), float(tilt)) for pan in pans for tilt in tilts]
 
 
+@cache
 def lead_gaps(rig: Rig) -> list[Gap]:
     """Return the gaps between the leads and all else, and between the two of them."""
     both = sonar, servo = leads(rig.measures)
@@ -199,6 +202,7 @@ def lead_gaps(rig: Rig) -> list[Gap]:
     return list(found.values())
 
 
+@cache
 def bends(rig: Rig) -> dict[str, float]:
     """Return each lead's sharpest bend over what is swept: radius, millimetres."""
     return {

@@ -1,6 +1,7 @@
-"""What moves touches nothing, over the whole reach."""
+"""What moves touches nothing, over the whole reach, and the reports say by how much."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,10 +9,12 @@ import trimesh
 
 from echowing.rig import search
 from echowing.rig.search import Aim
-from hwtools import facts, keepout, lead, motion, sweep
+from hwtools import facts, keepout, lead, made, motion, sweep
 from hwtools.facts import Reach, gimbal_reach
 from hwtools.mount import number
 from hwtools.rig import PANNING, TILTING, Rig, rotation
+
+pytestmark = pytest.mark.seconds(45)  # with its folder
 
 
 def moved(rig: Rig, name: str, by_mm: tuple[float, float, float]) -> Rig:
@@ -139,3 +142,9 @@ def test_a_lead_that_is_too_short_is_named(solids: Rig) -> None:
     short = replace(sweep.leads(solids.measures)[0], free_mm=40.0)
     with pytest.raises(facts.HardwareError, match="sonar's lead is too short"):
         lead.curve(short, Aim(0.0, 0.0))
+
+
+@pytest.mark.parametrize("path", made.REPORTS, ids=made.name_of)
+def test_report_of_the_solids_is_current(path: Path, solids: Rig) -> None:
+    """Here, as most of what it tells is worked out for the tests above."""
+    assert path.read_text(encoding="utf-8") == made.REPORTS[path](solids), "run `make hw`, commit"
