@@ -153,6 +153,15 @@ def test_who_is_held_gives_way_to_nobody_that_is_led_past() -> None:
     assert into_the_second(told, spacing(told), 0.2).place == INTO_THE_SECOND
 
 
+def test_two_that_are_held_keep_apart() -> None:
+    """Fifty were held as their leader was stale: two that had come near each other met so."""
+    told = beside_a_second()
+    for one in told.known.followers.values():
+        one.standing = Standing(Phase.HELD)
+    allowed = into_the_second(told, spacing(told), 0.2)
+    assert allowed.gives_way_to == "follower 3"
+
+
 def test_a_way_that_is_given_again_and_again_is_said_once_in_a_while() -> None:
     told = beside_a_second()
     step = spacing(told)

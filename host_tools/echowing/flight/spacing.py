@@ -18,7 +18,7 @@ from echowing.flight.guidance import Horizontal
 from echowing.flight.jumps import SAME_RANGE_M
 from echowing.flight.said import Said
 from echowing.flight.state import FollowerState, Known
-from echowing.flight.steps import Allowed, Plan, name_of
+from echowing.flight.steps import Allowed, Phase, Plan, name_of
 from echowing.geo import GlobalPosition, Ned, displace, ned_between
 
 # A leader in its sonar is held by the applet, and points with a velocity are answered by it: 1 m/s
@@ -118,8 +118,8 @@ class Spacing:
         goal = here if follower.guided is None else follower.guided.slot
         to_goal_m = ned_between(here, goal)
         for other in self._known.followers.values():
-            # A held follower stands; those led past it give way.
-            led_past = follower.standing.held and other.standing.sent_to
+            # A held follower stands; those led past it give way. Two that are held keep apart.
+            led_past = follower.standing.held and other.standing.phase is Phase.LED
             if other is not follower and not led_past:
                 others.extend(self._other(follower, here, other, to_goal_m, arrives_s))
         return others
