@@ -263,7 +263,7 @@ class FollowSession:
         if not follower.standing.sent_to:
             return None
         allowed = self._spacing.allowed(follower, plan, now_s)
-        if self._may_leave(follower, allowed):
+        if self._may_leave(follower, plan) and self._may_leave(follower, allowed):
             return allowed
         return self._stopped_out_of_reach(follower, now_s)
 
@@ -298,12 +298,12 @@ class FollowSession:
         order = look_order(system_id, sonar_id, look.axis.quaternion, look.rate_rps, look.sigma_rad)
         return [(system_id, order)]
 
-    def _may_leave(self, follower: FollowerState, allowed: Allowed) -> bool:
+    def _may_leave(self, follower: FollowerState, point: Plan | Allowed) -> bool:
         """Whether a point is finite, near and flyable: nothing else leaves, whatever went in."""
-        mps = math.hypot(*(allowed.velocity_mps or ()))
-        if not all(map(math.isfinite, allowed.place)) or not mps <= FASTEST_MPS:
+        mps = math.hypot(*(point.velocity_mps or ()))
+        if not all(map(math.isfinite, point.place)) or not mps <= FASTEST_MPS:
             return False
-        return self.guard is None or self.guard.is_near(follower, allowed.place)
+        return self.guard is None or self.guard.is_near(follower, point.place)
 
     def _stopped_out_of_reach(self, follower: FollowerState, now_s: float) -> Allowed | None:
         """Where it is held instead; None: nobody knows where it is."""
