@@ -194,7 +194,7 @@ class SonarFile(_Finite):
         heard_to_m = self.foil_to_m[0] if legs == "foil" else self.stock_to_m[0]
         # A leader that is heard less far is heard as one with foil is further away.
         nearer = heard_to_m / self.foil_to_m[0]
-        heard_to_m = min(heard_to_m, self.reach_m)  # as far as anything counts
+        surely_to_m = heard_to_m * min(1.0, self.stock_to_m[0] / self.foil_to_m[0])
         left = min(self.throttle.share)
         return SonarBelief(
             heard=Curve(_times(heard.range_m, nearer), _times(heard.least, left)),
@@ -205,9 +205,10 @@ class SonarFile(_Finite):
             wrong_share=self.wild_share[1] + self.late_share[1],
             shortest_m=self.shortest_m,
             reach_m=self.reach_m,
-            heard_to_m=heard_to_m,
+            # No further than anything counts.
+            heard_to_m=min(heard_to_m, self.reach_m),
             # As much less as stock legs are heard less far than those with foil.
-            surely_to_m=heard_to_m * min(1.0, self.stock_to_m[0] / self.foil_to_m[0]),
+            surely_to_m=min(surely_to_m, self.reach_m),
             inset_m=_mean(self.inset_m),
             rate_hz=self.rate_hz,
             fixed=self.fixed,

@@ -309,6 +309,14 @@ class TestHowNearIsCertain:
         assert max(nearest_m) < 4.4
         assert statistics.fmean(nearest_m[3:9]) < 3.2
 
+    def test_nor_if_the_leader_is_far_above_or_was_out_of_reach_all_the_time(self) -> None:
+        silent = Sonar().looks_round(20, wide_deg=40.0, deaf=True).cloud
+        assert self.nearest_m(silent, (5.0, 0.0)) > 3.5
+        assert self.nearest_m(silent, (5.0, 0.0), above_m=6.0) == 0.0
+        far = Sonar().looks(Axis(NORTH), 120, to_it_m=(40.0, 0.0, 0.0))
+        cloud = far.looks_round(8, wide_deg=40.0, deaf=True).cloud
+        assert self.nearest_m(cloud, (3.0 - cloud.north_m, 0.0)) + cloud.north_m < 3.5
+
     def test_one_that_hears_again_is_believed_at_once(self) -> None:
         sonar = Sonar().looks_round(20, wide_deg=40.0, deaf=True)
         assert self.nearest_m(sonar.looks_round().cloud) < 1.8

@@ -5,6 +5,7 @@ import pytest
 from echowing.flight.clocks import SAY_AGAIN_S
 from echowing.flight.estimate import Estimate
 from echowing.flight.guard import Limits
+from echowing.flight.guidance import GuidedPoint
 from echowing.flight.spacing import Spacing
 from echowing.flight.steps import Allowed, Phase, Plan, Standing
 
@@ -70,14 +71,32 @@ def test_a_plan_with_a_velocity_keeps_its_place_and_closes_more_slowly() -> None
     assert allowed.velocity_mps[0] < 3.0
 
 
-def test_one_that_guided_flies_gives_way_by_its_place_at_the_velocity_of_its_plan() -> None:
-    """Both together are what it has to fly: 3 m/s on its way, too near a leader."""
+@pytest.mark.parametrize(("slot_mps", "sent_mps"), [(0.0, 0.001), (1.5, 1.5), (4.0, 2.06)])
+def test_one_that_guided_flies_gives_way_by_its_place_at_the_velocity_of_its_slot(
+    slot_mps: float, sent_mps: float
+) -> None:
+    """Both together are what it has to fly; of the place the applet makes 3 m/s at the most."""
     told = Told({LEADER: Vehicle((0.0, 0.0)), FOLLOWER: Vehicle((-1.5, 0.0))}, KEPT)
-    allowed = spacing(told).allowed(told.follower, Plan(at(-1.0), (1.5, 0.0)), 0.0)
-    assert allowed.velocity_mps == (1.5, 0.0)
+    follower = told.follower
+    follower.guided = GuidedPoint(at(-3.0), at(-3.0), at(0.0), None, slot_mps=(slot_mps, 0.0))
+    allowed = spacing(told).allowed(follower, Plan(at(-1.0), (3.0, 0.0)), 0.0)
+    assert allowed.velocity_mps is not None
     back_m = -1.5 - from_here_m(allowed.place)[0]
-    pace_mps = told.follower.handling.closing.speed_mps(back_m)
-    assert 2.0 < pace_mps < 5.0  # flies back with 0.5 m/s and more
+    pace_mps = follower.handling.closing.speed_mps(back_m)
+    assert pace_mps <= 3.001
+    assert allowed.velocity_mps[0] == pytest.approx(sent_mps, abs=0.1)
+    assert allowed.velocity_mps[0] - pace_mps == pytest.approx(-0.94, abs=0.1)
+
+
+@pytest.mark.usefixtures("heard")
+def test_one_that_is_held_gives_way_by_its_place_alone_whatever_its_sonar_hears() -> None:
+    """A point with a velocity would end the hold: its applet would keep the leader's distance."""
+    told = Told({LEADER: Vehicle((0.0, 0.0)), FOLLOWER: Vehicle((-1.5, 0.0))}, KEPT)
+    told.follower.standing = Standing(Phase.HELD)
+    allowed = spacing(told).allowed(told.follower, Plan(at(-1.5), (0.0, 0.0)), 0.0)
+    assert allowed.gives_way_to == "the leader"
+    assert allowed.velocity_mps == (0.0, 0.0)
+    assert from_here_m(allowed.place)[0] < -2.0
 
 
 def test_one_that_hears_no_more_orders_soon_gives_way_no_more() -> None:

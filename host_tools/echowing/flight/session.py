@@ -262,9 +262,10 @@ class FollowSession:
         """What of its plan it may fly; None: nothing is sent to it."""
         if not follower.standing.sent_to:
             return None
-        allowed = self._spacing.allowed(follower, plan, now_s)
-        if self._may_leave(follower, plan) and self._may_leave(follower, allowed):
-            return allowed
+        if self._may_leave(follower, plan):
+            allowed = self._spacing.allowed(follower, plan, now_s)
+            if self._may_leave(follower, allowed):
+                return allowed
         return self._stopped_out_of_reach(follower, now_s)
 
     def _for_applet(

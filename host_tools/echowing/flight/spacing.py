@@ -16,6 +16,7 @@ from echowing.flight.envelope import (
 from echowing.flight.guard import Guard
 from echowing.flight.guidance import Horizontal
 from echowing.flight.jumps import SAME_RANGE_M
+from echowing.flight.plan import LEAST_MPS
 from echowing.flight.said import Said
 from echowing.flight.state import FollowerState, Known
 from echowing.flight.steps import Allowed, Phase, Plan, name_of
@@ -26,6 +27,9 @@ from echowing.geo import GlobalPosition, Ned, displace, ned_between
 HOLD_PER_S = 1.0
 # In a line it flies back by so much faster than its point, whatever is missing (lua/echowing.lua).
 LINE_BACK_MPS = 0.4
+# ECHO_SPD_LOST of the applet: how fast a follower closes on its point that hears nobody.
+CLOSES_MPS = 3.0
+NO_FEED = (0.0, 0.0)
 
 
 class Spacing:
@@ -58,7 +62,7 @@ class Spacing:
             return unchanged
         self._remark(follower, other.name, now_s)
         urgent = straight_out(flown, other, others, answer, self._least_m, own_mps)
-        if plan.velocity_mps is None or not follower.estimate.hears(now_s):
+        if plan.velocity_mps is None or _by_guided(follower, now_s):
             flies = _point_moved(follower, here, plan, urgent or flown)
         else:
             flies = _redirected(here, plan, (wanted, flown), urgent)
@@ -71,7 +75,7 @@ class Spacing:
         north, east, _ = ned_between(here, plan.place)
         far_m = math.hypot(north, east)
         feed_north, feed_east = plan.velocity_mps or (0.0, 0.0)
-        if plan.velocity_mps is None or not follower.estimate.hears(now_s):
+        if plan.velocity_mps is None or _by_guided(follower, now_s):
             pace = follower.handling.closing.pace_per_s(far_m)
             return feed_north + pace * north, feed_east + pace * east, 0.0
         pace = min(HOLD_PER_S, FASTEST_MPS / max(far_m, 1e-9))
@@ -116,6 +120,7 @@ class Spacing:
         arrives_s = now_s + follower.way_s
         others = list(self._leaders(follower, here, now_s, arrives_s))
         goal = here if follower.guided is None else follower.guided.slot
+        goal = goal if follower.hold is None else follower.hold.place
         to_goal_m = ned_between(here, goal)
         for other in self._known.followers.values():
             # A held follower stands; those led past it give way. Two that are held keep apart.
@@ -226,20 +231,32 @@ def _if_erred(there: GlobalPosition, shift_m: Horizontal) -> Iterator[GlobalPosi
         yield displace(there, (*shift_m, 0.0))
 
 
+def _by_guided(follower: FollowerState, now_s: float) -> bool:
+    """Whether Guided flies its points as they are: its applet holds none that does not hear."""
+    return follower.standing.held or not follower.estimate.hears(now_s)
+
+
 def _point_moved(
     follower: FollowerState, here: GlobalPosition, plan: Plan, flown_mps: Ned
 ) -> Allowed:
-    """The place which Guided closes with what the envelope wants to be flown; the plan's velocity.
+    """The place which Guided closes with what the envelope wants to be flown; its slot's velocity.
 
-    Were it the velocity that changes, a vehicle that the next orders do not reach would fly on with
-    it, and faster, as its place goes ahead of it.
+    Were all of it in the velocity, a vehicle that the next orders do not reach would fly on with
+    it, and faster, as its place goes ahead of it. Guided closes with `CLOSES_MPS` at the most: what
+    is more has to be velocity.
     """
-    feed_north, feed_east = plan.velocity_mps or (0.0, 0.0)
-    north, east = flown_mps[0] - feed_north, flown_mps[1] - feed_east
+    feeds = plan.velocity_mps is not None and not follower.standing.held
+    feed = follower.guided.slot_mps if feeds and follower.guided is not None else NO_FEED
+    north, east = flown_mps[0] - feed[0], flown_mps[1] - feed[1]
     mps = math.hypot(north, east)
-    share_s = follower.handling.closing.distance_m(mps) / mps if mps > 0.0 else 0.0
-    by_m = share_s * north, share_s * east, here.alt_m - plan.place.alt_m
-    return Allowed(displace(here, by_m), plan.velocity_mps)
+    closes_mps = min(mps, CLOSES_MPS) if feeds else mps
+    share = closes_mps / mps if mps > 0.0 else 0.0
+    share_s = follower.handling.closing.distance_m(closes_mps) / mps if mps > 0.0 else 0.0
+    place = displace(here, (share_s * north, share_s * east, here.alt_m - plan.place.alt_m))
+    if not feeds:
+        return Allowed(place, plan.velocity_mps)
+    north_mps, east_mps = feed[0] + (1.0 - share) * north, feed[1] + (1.0 - share) * east
+    return Allowed(place, (north_mps or LEAST_MPS, east_mps))
 
 
 def _redirected(
