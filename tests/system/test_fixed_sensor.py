@@ -14,10 +14,10 @@ FIXED = "sonar.file=mb1202-fixed", "duration_s=90"
 
 
 @pytest.mark.parametrize(
-    "seeds", [(11,), pytest.param((11, 12, 13, 14), marks=pytest.mark.long)], ids=len
+    "seeds", [(21,), pytest.param((21, 22, 23, 24), marks=pytest.mark.long)], ids=len
 )
 def test_it_holds_better_than_points_alone(seeds: tuple[int, ...]) -> None:
-    """Over several seeds: in one, 13, the leader is out of reach for nearly all of the flight."""
+    """Over several seeds: of a leader that is out of reach all the time it hears nothing."""
     points_alone = "law=none", "guidance.learn_offset=false"
     held = [flown("echowing", seed, *FIXED) for seed in seeds]
     alone = [flown("echowing", seed, *FIXED, *points_alone) for seed in seeds]
@@ -32,6 +32,6 @@ def error_m(flights: list[FlownScenario]) -> float:
 
 def test_the_applet_holds_by_it() -> None:
     """Not only the tool, which learns from the same readings."""
-    held, told = flown("echowing", 11, *FIXED), flown("echowing", 11, *FIXED, "law=none")
+    held, told = flown("echowing", 21, *FIXED), flown("echowing", 21, *FIXED, "law=none")
 
     assert held.metrics[0].mean_abs_error_m < told.metrics[0].mean_abs_error_m
