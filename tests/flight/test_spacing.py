@@ -25,10 +25,12 @@ def led(follower_north_m: float, limits: Limits | None = KEPT) -> Told:
     return Told({LEADER: Vehicle((0.0, 0.0)), FOLLOWER: Vehicle((follower_north_m, 0.0))}, limits)
 
 
-def beside_a_second(behind_m: float = 6.0) -> Told:
+def beside_a_second(behind_m: float = 6.0, phase: Phase = Phase.WATCHED) -> Told:
     """The leader is far off; a second follower hovers in front of the first."""
     ahead, first = Vehicle((0.0, -40.0)), Vehicle((-behind_m, -40.0))
-    return Told({LEADER: Vehicle((300.0, 0.0)), FOLLOWER: first, SECOND: ahead}, KEPT)
+    told = Told({LEADER: Vehicle((300.0, 0.0)), FOLLOWER: first, SECOND: ahead}, KEPT)
+    told.known.followers[SECOND].standing = Standing(phase)
+    return told
 
 
 def test_a_plan_that_leaves_room_is_sent_as_it_is() -> None:
@@ -71,37 +73,38 @@ def test_a_plan_with_a_velocity_keeps_its_place_and_closes_more_slowly() -> None
     assert allowed.velocity_mps[0] < 3.0
 
 
-@pytest.mark.parametrize(("slot_mps", "sent_mps"), [(0.0, 0.001), (1.5, 1.5), (4.0, 2.06)])
+@pytest.mark.parametrize(("slot_mps", "sent_mps"), [(0.0, 0.001), (1.5, 1.5), (4.0, 1.46)])
 def test_one_that_guided_flies_gives_way_by_its_place_at_the_velocity_of_its_slot(
     slot_mps: float, sent_mps: float
 ) -> None:
     """Both together are what it has to fly; of the place the applet makes 3 m/s at the most."""
-    told = Told({LEADER: Vehicle((0.0, 0.0)), FOLLOWER: Vehicle((-1.5, 0.0))}, KEPT)
+    told = beside_a_second(2.8, Phase.LED)
     follower = told.follower
-    follower.guided = GuidedPoint(at(-3.0), at(-3.0), at(0.0), None, slot_mps=(slot_mps, 0.0))
-    allowed = spacing(told).allowed(follower, Plan(at(-1.0), (3.0, 0.0)), 0.0)
+    place = at(-3.0, -40.0)
+    follower.guided = GuidedPoint(place, place, at(0.0, -40.0), None, slot_mps=(slot_mps, 0.0))
+    allowed = spacing(told).allowed(follower, Plan(at(-1.0, -40.0), (3.0, 0.0)), 0.0)
     assert allowed.velocity_mps is not None
-    back_m = -1.5 - from_here_m(allowed.place)[0]
+    back_m = -2.8 - from_here_m(allowed.place)[0]
     pace_mps = follower.handling.closing.speed_mps(back_m)
     assert pace_mps <= 3.001
     assert allowed.velocity_mps[0] == pytest.approx(sent_mps, abs=0.1)
-    assert allowed.velocity_mps[0] - pace_mps == pytest.approx(-0.94, abs=0.1)
+    assert allowed.velocity_mps[0] - pace_mps == pytest.approx(-1.54, abs=0.1)
 
 
 @pytest.mark.usefixtures("heard")
 def test_one_that_is_held_gives_way_by_its_place_alone_whatever_its_sonar_hears() -> None:
     """A point with a velocity would end the hold: its applet would keep the leader's distance."""
-    told = Told({LEADER: Vehicle((0.0, 0.0)), FOLLOWER: Vehicle((-1.5, 0.0))}, KEPT)
+    told = beside_a_second(2.0, Phase.HELD)
     told.follower.standing = Standing(Phase.HELD)
-    allowed = spacing(told).allowed(told.follower, Plan(at(-1.5), (0.0, 0.0)), 0.0)
-    assert allowed.gives_way_to == "the leader"
+    allowed = spacing(told).allowed(told.follower, Plan(at(-2.0, -40.0), (0.0, 0.0)), 0.0)
+    assert allowed.gives_way_to == "follower 3"
     assert allowed.velocity_mps == (0.0, 0.0)
-    assert from_here_m(allowed.place)[0] < -2.0
+    assert from_here_m(allowed.place)[0] < -2.5
 
 
 def test_one_that_hears_no_more_orders_soon_gives_way_no_more() -> None:
     """Of fifty behind a radio that loses half, one flew on with 5.5 m/s until it met another."""
-    told = beside_a_second(2.0)
+    told = beside_a_second(2.0, Phase.LED)
     follower = told.follower
     allowed = spacing(told).allowed(follower, Plan(at(-2.0, -40.0), (0.001, 0.0)), 0.0)
     assert allowed.gives_way_to == "follower 3"

@@ -62,7 +62,7 @@ class Spacing:
             return unchanged
         self._remark(follower, other.name, now_s)
         urgent = straight_out(flown, other, others, answer, self._least_m, own_mps)
-        if plan.velocity_mps is None or _by_guided(follower, now_s):
+        if plan.velocity_mps is None or (other.led and _by_guided(follower, now_s)):
             flies = _point_moved(follower, here, plan, urgent or flown)
         else:
             flies = _redirected(here, plan, (wanted, flown), urgent)
@@ -75,7 +75,7 @@ class Spacing:
         north, east, _ = ned_between(here, plan.place)
         far_m = math.hypot(north, east)
         feed_north, feed_east = plan.velocity_mps or (0.0, 0.0)
-        if plan.velocity_mps is None or _by_guided(follower, now_s):
+        if plan.velocity_mps is None or not follower.estimate.hears(now_s):
             pace = follower.handling.closing.pace_per_s(far_m)
             return feed_north + pace * north, feed_east + pace * east, 0.0
         pace = min(HOLD_PER_S, FASTEST_MPS / max(far_m, 1e-9))
@@ -242,8 +242,9 @@ def _point_moved(
     """The place which Guided closes with what the envelope wants to be flown; its slot's velocity.
 
     Were all of it in the velocity, a vehicle that the next orders do not reach would fly on with
-    it, and faster, as its place goes ahead of it. Guided closes with `CLOSES_MPS` at the most: what
-    is more has to be velocity.
+    it, and faster, as its place goes ahead of it. For one that is led, and makes way too, that is
+    worse than the later answer; before the leader it is not. Guided closes with `CLOSES_MPS` at the
+    most: what is more has to be velocity.
     """
     feeds = plan.velocity_mps is not None and not follower.standing.held
     feed = follower.guided.slot_mps if feeds and follower.guided is not None else NO_FEED
@@ -265,7 +266,7 @@ def _redirected(
     wanted_flown_mps: tuple[Ned, Ned],
     urgent_mps: Ned | None,
 ) -> Allowed:
-    """The velocity which its applet answers with what the envelope wants to be flown."""
+    """The velocity which it answers with what the envelope wants to be flown."""
     if urgent_mps is not None:
         # The place is where the vehicle is, so that it corrects nothing across the way out.
         up_m = here.alt_m - plan.place.alt_m
