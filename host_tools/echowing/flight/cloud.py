@@ -277,9 +277,12 @@ class Cloud:
         Silence makes a leader near by unlikely only if the sonar hears. No further than it would
         be heard from where they have it: so a sonar that hears still finds it.
         """
-        since_s, weight = self._silent_since_s, self._weight * self._deaf
+        since_s = self._silent_since_s
+        if since_s is None or self._silent_at_s - since_s < SILENT_S:
+            return 0.0
+        weight = self._weight * self._deaf
         share = float(weight.sum())
-        if since_s is None or self._silent_at_s - since_s < SILENT_S or share <= 0.0:
+        if share <= 0.0:
             return 0.0
         up_m = above_m - float(weight @ self._then[2]) / share
         if abs(up_m) > clear_m + SURE_SIGMAS * self.up_sigma_m:
@@ -490,10 +493,10 @@ class Cloud:
         """Take a reading without an echo, of anybody; arguments as for `heard`."""
         if time_s - max(self._silent_at_s, self._heard_at_s) < UPDATE_PERIOD_S:
             return
-        if self._silent_since_s is None or time_s - self._silent_at_s > LOST_S:
-            self._silent_since_s = time_s
         if not self._may_be_heard(believed):
             self._silent_since_s = None
+        elif self._silent_since_s is None or time_s - self._silent_at_s > LOST_S:
+            self._silent_since_s = time_s
         self._silent_at_s = time_s
         self._wandered(time_s)
         _, heard = self._seen(axis, believed, others)

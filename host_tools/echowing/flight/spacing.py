@@ -29,7 +29,6 @@ HOLD_PER_S = 1.0
 LINE_BACK_MPS = 0.4
 # ECHO_SPD_LOST of the applet: how fast a follower closes on its point that hears nobody.
 CLOSES_MPS = 3.0
-NO_FEED = (0.0, 0.0)
 
 
 class Spacing:
@@ -247,17 +246,16 @@ def _point_moved(
     most: what is more has to be velocity.
     """
     feeds = plan.velocity_mps is not None and not follower.standing.held
-    feed = follower.guided.slot_mps if feeds and follower.guided is not None else NO_FEED
+    feed = follower.guided.slot_mps if feeds and follower.guided is not None else (0.0, 0.0)
     north, east = flown_mps[0] - feed[0], flown_mps[1] - feed[1]
-    mps = math.hypot(north, east)
+    mps = max(math.hypot(north, east), 1e-9)
     closes_mps = min(mps, CLOSES_MPS) if feeds else mps
-    share = closes_mps / mps if mps > 0.0 else 0.0
-    share_s = follower.handling.closing.distance_m(closes_mps) / mps if mps > 0.0 else 0.0
+    share_s = follower.handling.closing.distance_m(closes_mps) / mps
     place = displace(here, (share_s * north, share_s * east, here.alt_m - plan.place.alt_m))
     if not feeds:
         return Allowed(place, plan.velocity_mps)
-    north_mps, east_mps = feed[0] + (1.0 - share) * north, feed[1] + (1.0 - share) * east
-    return Allowed(place, (north_mps or LEAST_MPS, east_mps))
+    left = 1.0 - closes_mps / mps
+    return Allowed(place, (feed[0] + left * north or LEAST_MPS, feed[1] + left * east))
 
 
 def _redirected(
