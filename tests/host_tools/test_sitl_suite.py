@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from echowing.bench import robust
 from echowing.sim import flight
 from echowing.sim.hangar import Hangar
 from echowing.sim.scenario import load_scenario
@@ -25,6 +26,7 @@ from ..sitl.names import SPEED, Version
 from ..sitl.relay import Link, Queue
 from ..sitl.table import Entry, Figures, agrees, lines
 from ..sitl.vehicle import ORIGIN, State
+from ..sitl.worlds import WORLDS
 
 REPOSITORY = Path(__file__).parents[2]
 # Generous: a busy machine may take its time.
@@ -265,6 +267,32 @@ def test_the_table_has_the_simulators_figures_beside() -> None:
 )
 def test_within_a_distance_or_a_share(flown: float, simulated: float, fine: bool) -> None:
     assert agrees(flown, simulated, within_m=0.10, within_share=0.15) is fine
+
+
+# ---- worlds that are worse than believed -------------------------------------------------------
+
+
+def test_a_world_is_that_of_a_row_of_the_bench() -> None:
+    worlds = {
+        case: (list(one.sonar), one.height_sigma_m, one.sigma_m) for case, one in WORLDS.items()
+    }
+    assert worlds == {
+        "as shipped": (["spread=1"], 0.5, 0.8),
+        "narrow": (["beam_near_deg=20", "beam_far_deg=6"], 0.5, 0.8),
+        "four of ten": (["heard_share=0.4"], 0.5, 0.8),
+        "heights": (["spread=1"], 1.0, 0.8),
+        "receivers": (["spread=1"], 0.5, 1.5),
+    }
+
+
+@pytest.mark.parametrize("case", WORLDS)
+def test_a_world_is_judged_by_the_goals_of_its_row(case: str) -> None:
+    goal = WORLDS[case].goal
+    kept = goal.mean_error_m, goal.rmsd_m, goal.least_m
+    assert goal in {row.goal for row in robust.ROWS}
+    assert goal.missed(*kept) == ()
+    worse = kept[0] + 0.01, kept[1] + 0.01, kept[2] - 0.01
+    assert goal.missed(*worse) == ("mean error", "RMSD", "least")
 
 
 # ---- loopback only -----------------------------------------------------------------------------

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 
 import pytest
 
@@ -10,12 +11,12 @@ from echowing.flight.shapes import shape
 
 from . import truth
 from .fly_hostile import MANOEUVRES
-from .fly_robust import WORLDS, World
 from .fly_wire import LOST
 from .formation import RADIUS_M, Formation, rectangle
 from .plugin import Start
 from .table import Entry, Figures
 from .tools import Tool
+from .worlds import WORLDS, World
 
 SEED, SPEED_MPS = 1, 2.0
 # As `fly_robust`: two legs and a corner on each side.
@@ -23,7 +24,7 @@ BEGIN_S, END_S = 25.0, 145.0
 LEAST_M = 1.0
 # Receivers alone are 1.6 m off: more than a third of that is no formation that sonars hold.
 MOST_ERROR_M = 0.5
-CALM = World((), 0.5)
+CALM = replace(WORLDS["as shipped"], sonar=())
 
 
 @pytest.mark.parametrize(("name", "followers"), [("column", 2), ("column", 3), ("vee", 3)])

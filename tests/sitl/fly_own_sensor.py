@@ -1,7 +1,10 @@
 """A sonar that the autopilot reads by its own driver: no co-processor, no gimbal."""
 
+import math
 from importlib import resources
 from pathlib import Path
+
+from echowing.bench.accuracy import Goal
 
 from .fly_robust import SEED, fly_and_enter
 from .formation import FOLLOWER, Kit, two_commands
@@ -10,8 +13,8 @@ from .serial_sonar import RANGEFINDER_TYPE, WIRING, SerialSonar
 from .table import Entry
 from .vehicle import Vehicle
 
-# Receivers alone leave more: the sonar was heard, and held by.
-MOST_M = 0.3
+# Receivers alone leave a larger error: the sonar was heard, and held by.
+GOAL = Goal(mean_error_m=0.3, rmsd_m=math.inf, least_m=1.0)
 ANOTHER_TYPE = ("rangefinder_type = 2", f"rangefinder_type = {RANGEFINDER_TYPE}")
 
 
@@ -23,8 +26,7 @@ def test_own_sensor(kit: Kit, start: Start, table: list[Entry], case_folder: Pat
 
     formation = start(SEED, wandering=False, reads_itself=True, prepared=prepared)
     case, options = "sonar read by the autopilot", ("--sonar", str(sonar))
-    flown = fly_and_enter(formation, table, case, *options)
-    assert flown.mean_abs_error_m < MOST_M
+    fly_and_enter(formation, table, case, GOAL, *options)
 
 
 def _prepare(kit: Kit, folder: Path, sonar: Path) -> Path:

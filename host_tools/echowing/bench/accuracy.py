@@ -40,6 +40,18 @@ class Goal:
     least_m: float
     found_s: float = FOUND_WITHIN_S
 
+    def missed(
+        self, mean_error_m: float, rmsd_m: float, least_m: float, found_s: float = 0.0
+    ) -> tuple[str, ...]:
+        """What was missed, by name. Errors count to a centimetre, as the goals do."""
+        met = {
+            "mean error": round(mean_error_m, 2) <= self.mean_error_m,
+            "RMSD": round(rmsd_m, 2) <= self.rmsd_m,
+            "least": least_m >= self.least_m,
+            "found": found_s <= self.found_s,
+        }
+        return tuple(name for name, is_met in met.items() if not is_met)
+
 
 @dataclass(frozen=True)
 class Row:
@@ -161,15 +173,9 @@ class Kept:
 
     @property
     def missed(self) -> tuple[str, ...]:
-        """The goals that were missed, by name. Figures count to a centimetre, as the goals do."""
-        goal = self.row.goal
-        met = {
-            "mean error": round(self.mean_error_m, 2) <= goal.mean_error_m,
-            "RMSD": round(self.rmsd_m, 2) <= goal.rmsd_m,
-            "least": self.least_m >= goal.least_m,
-            "found": self.found_s <= goal.found_s,
-        }
-        return tuple(name for name, is_met in met.items() if not is_met)
+        """The goals that were missed, by name."""
+        figures = self.mean_error_m, self.rmsd_m, self.least_m, self.found_s
+        return self.row.goal.missed(*figures)
 
 
 def _mean(values: Iterable[float]) -> float:
