@@ -46,12 +46,6 @@ APPLETS = (HOLD, SPEED)
 # applet had all of them but the first.
 FORMAT, LAW, GAIN = IDENTIFYING = ("ECHO_FORMAT", "ECHO_LAW", "ECHO_GAIN_P")
 INSET_DIFFERS_M = 0.1  # of ECHO_INSET from the sonar file's: no more
-LEAST_DETECT_M, MOST_DETECT_M = 2.0, 7.6  # ECHO_DETECT takes no less and no more
-
-
-def detect_m(reach_m: float) -> float:
-    """ECHO_DETECT for a sonar of this reach: from here on a range is no target."""
-    return max(LEAST_DETECT_M, min(MOST_DETECT_M, reach_m))
 
 
 def applet_named(name: str) -> Applet:

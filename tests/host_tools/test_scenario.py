@@ -154,15 +154,17 @@ def test_parameters_that_the_devices_have_are_taken() -> None:
 
 
 def test_applet_and_co_processor_are_told_how_far_their_sonar_reaches() -> None:
-    def limits(*changes: str) -> tuple[float | None, float]:
+    def limits(*changes: str) -> tuple[float | None, float | None, float]:
         scenario = load_scenario("echowing", changes)
-        parameters = Hangar(scenario, 1)._parameters(0, 5.0)
-        return parameters.get("ECHO_DETECT"), board_parameters(2, scenario)["TRACK_RANGE"]
+        told = Hangar(scenario, 1)._parameters(0, 5.0)
+        track_cm = board_parameters(2, scenario)["TRACK_RANGE"]
+        return told.get("ECHO_DETECT"), told.get("ECHO_INSET"), track_cm
 
-    assert limits() == (4.5, 450.0)
-    assert limits("sonar.file=lidar") == (7.5, 750.0)
+    assert limits() == (4.5, 0.2, 450.0)
+    assert limits("sonar.file=lidar") == (7.5, 0.2, 750.0)
+    assert limits("sonar.file=mb1202-boom") == (4.5, 0.45, 450.0)
     mine = "sonar.file=lidar", "applet.ECHO_DETECT=3", "coprocessor.TRACK_RANGE=310"
-    assert limits(*mine) == (3.0, 310.0)
+    assert limits(*mine, "applet.ECHO_INSET=0.3") == (3.0, 0.3, 310.0)
 
 
 def test_a_wrong_parameter_ends_the_command(capsys: pytest.CaptureFixture[str]) -> None:

@@ -34,6 +34,7 @@ from echowing.setup.apply import (
     save,
     write_all,
 )
+from echowing.setup.by_sonar import applet_by_sonar
 from echowing.setup.checks import Finding, Verdict, examine, exit_code
 from echowing.setup.job import Work
 from echowing.setup.readout import CardApplet, Readout, Reports, Role
@@ -270,6 +271,21 @@ def test_what_the_applet_does_not_take_is_set_as_near_as_it_does(
     belief = replace(load_sonar("mb1202").belief(), **sonar)
     changes = changes_for(ready(sonar=belief, sonar_named=True))
     assert [(one.name, one.new) for one in changes] == [(name, wanted_m)]
+    # And check asks for no more than that.
+    told: dict[str, Any] = {name: wanted_m}
+    assert name not in odd_ones(ready(sonar=belief, **told))
+
+
+@pytest.mark.parametrize("applet", APPLETS, ids=lambda applet: applet.name)
+def test_what_a_sonars_file_gives_is_within_what_each_applet_takes(applet: Applet) -> None:
+    rows = {row.name: row for row in applet_parameters(applet)}
+    belief = load_sonar("mb1202").belief()
+    for far in (0.0, 99.0):
+        by_sonar = applet_by_sonar(replace(belief, reach_m=far, inset_m=far))
+        ends = {name: (rows[name].low, rows[name].high) for name in by_sonar}
+        assert {name: one.value for name, one in by_sonar.items()} == {
+            name: most if far else least for name, (least, most) in ends.items()
+        }
 
 
 def test_what_does_well_enough_is_let_be() -> None:

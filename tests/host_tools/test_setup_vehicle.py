@@ -369,7 +369,7 @@ def test_an_applet_that_fails_after_the_restart_is_reported(
 ) -> None:
     desk = make_desk()
     broken = tmp_path / "echowing.lua"
-    broken.write_text("local x = = 1\n")
+    broken.write_text(applet_path().read_text("utf-8") + "local x = = 1\n")
     for module in (reading, applet):
         monkeypatch.setattr(module, "applet_path", lambda applet: broken)
     job = Job(desk, tmp_path / "old.params.json")

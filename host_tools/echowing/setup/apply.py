@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from echowing.errors import EchowingError
-from echowing.setup.applet import applet_parameters
+from echowing.setup.by_sonar import applet_by_sonar
 from echowing.setup.readout import Readout
-from echowing.setup.settings import OF_SONAR, of_sonar, same, settings_for
+from echowing.setup.settings import same, settings_for
 
 FORMAT = "echowing parameters 1"
 SUFFIX = ".params.json"
@@ -76,8 +76,8 @@ def hidden_for(readout: Readout) -> dict[str, float]:
     if "ECHO_ENABLE" not in readout and readout.applet_on_card is not None:
         hidden["ECHO_ENABLE"] = 1.0
         if readout.sonar_named:
-            rows = (row for row in applet_parameters(readout.applet) if row.name in OF_SONAR)
-            hidden |= {row.name: of_sonar(row, readout.sonar).fixed(0.0) for row in rows}
+            by_sonar = applet_by_sonar(readout.sonar)
+            hidden |= {name: one.value for name, one in by_sonar.items()}
     return hidden
 
 

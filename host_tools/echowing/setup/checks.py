@@ -4,7 +4,6 @@ Each looks at one thing and says whether it is fine, wrong, the pilot's to decid
 determined; and if it is wrong, why and how to fix it. The expected values are in `settings`.
 """
 
-import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import Enum
@@ -15,20 +14,18 @@ from echowing.applets import HOLD, SPEED, Version, identify, is_outdated
 from echowing.flight.leader_speed import MOST_LEADER_MPS
 from echowing.mavlink.messages import TOOL_SYSTEM_ID
 from echowing.setup.boards import Board
+from echowing.setup.by_sonar import BySonar, applet_by_sonar, board_by_sonar
 from echowing.setup.readout import CardApplet, Readout, Role
 from echowing.setup.settings import (
     BAUD_115200,
     FORWARD,
     HEAP,
     MAVLINK2,
-    OF_SONAR,
     PROXIMITY_MAVLINK,
     PROXIMITY_RANGEFINDER,
     PROXIMITY_SENSORS,
     RANGEFINDERS,
-    TOLERANCE,
     Setting,
-    by_file_m,
     settings_for,
 )
 
@@ -42,8 +39,6 @@ MAVLINK_HIGH_LATENCY = 43.0  # SERIALn_PROTOCOL: a MAVLink port too, where MAVn_
 NOT_SIGNED = 1  # MAVn_OPTIONS bit 0: this port neither signs nor wants signatures
 # With a speed parameter under this the vehicle returns home at walking pace.
 SLOW_MPS = 1.0
-# The co-processor takes no wider BEAM_WIDTH (firmware/README.md).
-MOST_WIDE_DEG = 120.0
 MEMORY = "memory for scripts"
 MEASURE = "see whether the applet loads; SCR_DEBUG_OPTS 2 shows what it takes (Lua: Time … Mem …)"
 OTHER_AUTOPILOT = "take an autopilot with an F7 of 512 KiB or an H7 (lua/echowing.md)"
@@ -304,34 +299,28 @@ def _second_sensor(readout: Readout) -> Iterator[Finding]:
 
 def _sonars_limits(readout: Readout) -> Iterator[Finding]:
     """What applet and co-processor are told of the sonar, beside what its file says."""
-    sonar = readout.sonar
-    wide_deg = min(MOST_WIDE_DEG, round(math.degrees(2.0 * sonar.widest_rad.at(sonar.reach_m))))
-    board = f" of component {readout.coprocessor}"
-    for name, (differs_m, why) in OF_SONAR.items():
-        wanted = by_file_m(name, sonar), differs_m
-        yield from _as_in_file(name, readout.parameters, wanted, why)
+    for name, one in applet_by_sonar(readout.sonar).items():
+        yield from _as_in_file(name, readout.parameters, one)
     told = {} if readout.fixed else readout.coprocessor_parameters
-    differs_m, why = OF_SONAR["ECHO_DETECT"]
-    reach_cm = 100.0 * by_file_m("ECHO_DETECT", sonar)
-    yield from _as_in_file("TRACK_RANGE", told, (reach_cm, 100.0 * differs_m), why, board)
-    why = "the field of view that it reports is the beam's"
-    yield from _as_in_file("BEAM_WIDTH", told, (wide_deg, 1.0), why, board)
+    for name, one in board_by_sonar(readout.sonar).items():
+        yield from _as_in_file(name, told, one, f" of component {readout.coprocessor}")
 
 
 def _as_in_file(
-    name: str, told: Mapping[str, float], wanted: tuple[float, float], why: str, whose: str = ""
+    name: str, told: Mapping[str, float], by_file: BySonar, whose: str = ""
 ) -> Iterator[Finding]:
-    """A parameter beside the sonar file's value, and by how much the two may differ."""
-    value, (by_file, differs) = told.get(name), wanted
+    """A parameter beside the sonar file's value."""
+    value = told.get(name)
     if value is None:
         return
-    if abs(value - by_file) <= differs + TOLERANCE:
+    if by_file.fits(value):
         if whose:  # the applet's own are listed among the settings
             yield Finding(name, Verdict.FINE, f"{value:g}", "as the sonar file says")
         return
-    fix = f"param set {name} {by_file:g}{whose}, or give the file of its sonar: --sonar"
+    fix = f"param set {name} {by_file.value:g}{whose}, or give the file of its sonar: --sonar"
     fix += "" if whose else f" ({APPLY} writes it then)"
-    yield Finding(name, Verdict.YOURS, f"{value:g}", f"the sonar file says {by_file:g}; {why}", fix)
+    why = f"the sonar file says {by_file.value:g}; {by_file.why}"
+    yield Finding(name, Verdict.YOURS, f"{value:g}", why, fix)
 
 
 # ---- the applet and the speed ------------------------------------------------------------------

@@ -7,10 +7,10 @@ pilot's (see `checks`).
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-from echowing.applets import FORMAT, INSET_DIFFERS_M, detect_m, identify
-from echowing.flight.belief import SonarBelief
+from echowing.applets import FORMAT, identify
 from echowing.mavlink.vehicle_limits import ACCELERATION, JERK, LEAN, VehicleLimit
 from echowing.setup.applet import AppletParameter, applet_parameters
+from echowing.setup.by_sonar import BySonar, applet_by_sonar
 from echowing.setup.readout import Readout
 from echowing.sonar_file import MAVLINK_TYPE
 
@@ -42,11 +42,6 @@ RTL_SPEED_MPS = 5.0  # WP_SPD's half: what the applet's doc suggests
 LEAST_LIMITS = {ACCELERATION: 5.0, JERK: 20.0, LEAN: 45.0}
 GUIDED_BY_WAYPOINTS = 64  # GUID_OPTIONS bit 6
 GUIDED_TIMEOUT_S, LONGEST_GUIDED_TIMEOUT_S = 3.0, 5.0  # GUID_TIMEOUT: its default, its range's end
-# The applet's parameters of a sonar: by how much they may differ from its file's, and why not more.
-OF_SONAR = {
-    "ECHO_DETECT": (0.1, "gimbal, applet and tool must take the same readings for the leader"),
-    "ECHO_INSET": (INSET_DIFFERS_M, "applet and tool must make the same distance of a reading"),
-}
 TOLERANCE = 1e-4  # of what a 32-bit float makes of a decimal number
 
 
@@ -261,11 +256,13 @@ def _applet(readout: Readout) -> Iterator[Setting]:
     yield _exactly("ECHO_ENABLE", 1.0, "the applet does nothing while it is 0")
     if identify(readout.parameters) != readout.applet:
         return  # the one that shall run has other parameters
+    named = readout.sonar_named
+    by_sonar = applet_by_sonar(readout.sonar) if named else {}
     for row in applet_parameters(readout.applet):
         if row.name in ("ECHO_ENABLE", "ECHO_MIRROR", FORMAT):
             continue
-        if row.name in OF_SONAR and readout.sonar_named:
-            yield of_sonar(row, readout.sonar)
+        if row.name in by_sonar:
+            yield _of_sonar(row, by_sonar[row.name])
             continue
         yield Setting(
             row.name,
@@ -275,19 +272,11 @@ def _applet(readout: Readout) -> Iterator[Setting]:
         )
 
 
-def by_file_m(name: str, sonar: SonarBelief) -> float:
-    """What a sonar's file gives for one of `OF_SONAR`."""
-    return detect_m(sonar.reach_m) if name == "ECHO_DETECT" else sonar.inset_m
-
-
-def of_sonar(row: AppletParameter, sonar: SonarBelief) -> Setting:
-    """One of `OF_SONAR` as the sonar's file says, as far as the applet takes it."""
-    differs_m, why = OF_SONAR[row.name]
-    wanted_m = max(row.low, min(row.high, by_file_m(row.name, sonar)))
-    low_m, high_m = max(row.low, wanted_m - differs_m), min(row.high, wanted_m + differs_m)
+def _of_sonar(row: AppletParameter, by_file: BySonar) -> Setting:
+    """As the sonar's file says, and as the applet takes it."""
     return Setting(
         row.name,
-        lambda v: low_m - TOLERANCE <= v <= high_m + TOLERANCE,
-        lambda v: wanted_m,
-        why,
+        lambda v: by_file.fits(v) and row.low - TOLERANCE <= v <= row.high + TOLERANCE,
+        lambda v: by_file.value,
+        by_file.why,
     )

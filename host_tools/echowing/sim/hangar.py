@@ -7,8 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from echowing.applets import detect_m
 from echowing.geo import Ned
+from echowing.setup.by_sonar import TRACK_RANGE, applet_by_sonar, board_by_sonar
 from echowing.setup.settings import LEAST_LIMITS
 from echowing.sim.aircraft import Body, MakeCoprocessor, SensorDriver, SimFollower, SimVehicle
 from echowing.sim.boards.coprocessor import NativeCoprocessor
@@ -34,8 +34,8 @@ Listen = Callable[[SimFollower, float], float | None]
 
 def board_parameters(system_id: int, scenario: Scenario) -> dict[str, float]:
     """The co-processor's parameters: it has learned long ago whose it is."""
-    track_cm = float(round(100.0 * detect_m(scenario.sonar_belief.reach_m)))
-    return {"SYS_ID": float(system_id), "TRACK_RANGE": track_cm, **scenario.coprocessor}
+    track_cm = board_by_sonar(scenario.sonar_belief)[TRACK_RANGE].value
+    return {"SYS_ID": float(system_id), TRACK_RANGE: track_cm, **scenario.coprocessor}
 
 
 def _set_up(generation: Generation) -> dict[str, float]:
@@ -147,9 +147,9 @@ class Hangar:
         if scenario.law in SPEED_LAWS:
             applet["ECHO_LAW"] = SPEED_LAWS[scenario.law]
         if scenario.law != "none":
-            sonar = scenario.sonar_belief
-            applet |= {"ECHO_ENABLE": 1.0, "ECHO_DETECT": detect_m(sonar.reach_m)}
-            applet |= {"ECHO_INSET": sonar.inset_m, **scenario.applet}
+            by_sonar = applet_by_sonar(scenario.sonar_belief)
+            applet |= {"ECHO_ENABLE": 1.0, **{name: one.value for name, one in by_sonar.items()}}
+            applet |= scenario.applet
             echo_dist_m = scenario.echo_dist_m(index)
             applet |= {} if echo_dist_m is None else {"ECHO_DIST": echo_dist_m}
         return {
