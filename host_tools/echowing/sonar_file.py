@@ -8,11 +8,12 @@ import math
 import shlex
 import tomllib
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import (
     AfterValidator,
@@ -290,6 +291,28 @@ def write_sonar(path: Path, sonar: SonarFile) -> None:
         path.write_text(tomli_w.dumps(sonar.model_dump(mode="json")), encoding="utf-8")
     except OSError as error:
         raise EchowingError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+@dataclass(frozen=True, slots=True)
+class FlownBy:
+    """By what a flight is flown: a sonar file, under its name, and the leader's legs."""
+
+    name: str
+    file: SonarFile
+    legs: Legs
+
+    def as_dict(self) -> dict[str, Any]:
+        """For the log: the whole file, which may be another one later."""
+        return {"sonar": self.name, "legs": self.legs, "file": self.file.model_dump(mode="json")}
+
+    @classmethod
+    def of(cls, table: Mapping[str, Any], source: str) -> "FlownBy":
+        """As a log tells it; EchowingError names the source."""
+        legs: Any = table.get("legs")
+        file = table.get("file")
+        if legs not in get_args(Legs) or not isinstance(file, Mapping):
+            raise EchowingError(f"{source}: does not say by which sonar file it was flown")
+        return cls(str(table.get("sonar")), sonar_of(file, source), legs)
 
 
 def fly_by(path: Path, legs: Legs) -> str:

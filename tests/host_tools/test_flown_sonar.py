@@ -11,13 +11,14 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.analysis.flown_sonar import LEAST_READINGS, sonar_from
+from echowing.analysis.flown_sonar import LEAST_READINGS, flown_by, sonar_from
 from echowing.cli import main
+from echowing.commands.follow import options_of
 from echowing.errors import EchowingError
 from echowing.flight.hearing import Reading
 from echowing.sim.vehicle.dataflash import DataflashLog, ScriptMessage
-from echowing.sonar_file import Legs, load_sonar
-from echowing.tool.log import SONAR, FollowLog
+from echowing.sonar_file import FlownBy, Legs, load_sonar, write_sonar
+from echowing.tool.log import FLOWN_BY, SONAR, FollowLog
 
 from .test_logs import DATA, Tlog
 
@@ -62,8 +63,10 @@ def flown(
     return readings
 
 
-def logged(folder: Path, readings: list[Reading], system_id: int = 2) -> Path:
-    log = FollowLog(folder, START_UNIX_S, pytest.fail)
+def logged(
+    folder: Path, readings: list[Reading], system_id: int = 2, flown_by: FlownBy | None = None
+) -> Path:
+    log = FollowLog(folder, START_UNIX_S, pytest.fail, flown_by)
     log.readings(START_UNIX_S, system_id, readings)
     log.close()
     (path,) = folder.glob(f"*{SONAR}")
@@ -105,6 +108,9 @@ def test_what_was_heard_is_in_the_file(tmp_path: Path) -> None:
     assert file.source["inset_m"].startswith(f"{BASE.source['inset_m']}; kept: a flight does not ")
     assert "; kept: no end of it was flown to; heard at ranges of 3.5" in file.source["foil_to_m"]
     assert "no log tells the throttle: log " in file.source["throttle.share"]
+    assert file.source["rate_hz"].endswith("; kept: a flight does not tell it, as radios lose some")
+    assert file.source["shortest_m"].endswith("; kept: nobody flies so near")
+    assert file.source["heard.most"].endswith("; kept: from 4 m on")
     assert file.guesses == [
         key for key in BASE.guesses if not file.source[key].startswith("measured")
     ]
@@ -127,6 +133,7 @@ def test_how_far_it_hears_is_told_by_who_flew_further(tmp_path: Path, legs: Legs
     assert file.source[key].startswith("measured: flight, ")
     other = "stock_to_m" if legs == "foil" else "foil_to_m"
     assert file.source[other].startswith("guess: in the proportion")
+    assert "kept" not in file.source["heard.least"]
     assert file.heard.least[-1] < 0.1  # nothing is believed beyond
     # The flight's own distances, whichever legs were flown.
     heard = file.belief(legs).heard
@@ -185,7 +192,9 @@ def test_what_the_throttle_takes_is_told_by_telemetry_or_the_autopilots_log(
 
     told = dict(zip(measured.file.throttle.throttle, measured.file.throttle.share, strict=True))
     assert told == {0.0: 1.0, 0.4: 1.0, 0.7: pytest.approx(0.5, abs=0.07)}
-    assert measured.file.source["throttle.share"].startswith("measured: flight, ")
+    assert re.fullmatch(
+        "measured: flight, .*; kept: under 40% and over 70%", measured.file.source["throttle.share"]
+    )
     assert not any(note.startswith("throttle") for note in measured.notes)
 
 
@@ -266,6 +275,90 @@ def test_analyze_writes_it_and_says_what_it_heard(
 
     assert main(["analyze", str(tmp_path), "--sonar", str(mine), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["title"].endswith("(flight)")
+
+
+def flown_with_boom(folder: Path) -> FlownBy:
+    """A flight by a file that is gone, before a leader with stock legs."""
+    told = FlownBy("gone.toml", load_sonar("mb1202-boom"), "stock")
+    logged(folder, flown(count=1_200), flown_by=told)
+    return told
+
+
+def test_the_log_says_by_which_file_and_before_which_legs_it_was_flown(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    told = flown_with_boom(tmp_path)
+    assert flown_by(tmp_path) == told
+    mine = tmp_path / "mine.toml"
+
+    assert main(["analyze", str(tmp_path), "--sonar", str(mine)]) == 0
+    said = capsys.readouterr()
+    assert said.err == ""
+    assert "gone.toml: ranges scatter 0.5 to 3.0 cm" in said.out
+    assert f"echowing follow --sonar {mine} --legs stock" in said.out
+    file = load_sonar(mine)
+    assert (file.inset_m, file.boom_m) == (told.file.inset_m, told.file.boom_m)
+    assert file.source["wild_share"].endswith("pings at stock legs")
+    # Whoever says otherwise knows better.
+    assert main(["analyze", str(tmp_path), "--sonar", str(mine), "--base", "mb1202"]) == 0
+    assert load_sonar(mine).inset_m == BASE.inset_m
+    assert main(["analyze", str(tmp_path), "--sonar", str(mine), "--legs", "foil"]) == 0
+    assert load_sonar(mine).source["wild_share"].endswith("pings at foil legs")
+
+
+def test_what_neither_log_nor_options_say_is_said_to_be_assumed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    logged(tmp_path, flown(count=1_200))
+    mine = tmp_path / "mine.toml"
+    analyze = ["analyze", str(tmp_path), "--sonar", str(mine)]
+
+    assert flown_by(tmp_path) is None
+    assert main([*analyze, "--json"]) == 0
+    assert capsys.readouterr().err.splitlines() == [
+        f"{tmp_path} names no sonar file: taken to be flown by mb1202 (--base)",
+        f"{tmp_path} tells nothing of legs: taken to be foil (--legs)",
+    ]
+    assert load_sonar(mine).source["wild_share"].endswith("pings at foil legs (assumed)")
+    assert main([*analyze, "--base", "mb1202", "--legs", "foil"]) == 0
+    assert capsys.readouterr().err == ""
+    assert load_sonar(mine).source["wild_share"].endswith("pings at foil legs")
+
+
+@pytest.mark.parametrize(
+    ("told", "says"),
+    [
+        ({}, "line 1: does not say by which sonar file it was flown"),
+        ({"legs": "bare", "file": {}}, "line 1: does not say by which sonar file"),
+        ({"legs": "foil", "file": {"title": "x"}}, "line 1: shortest_m: "),
+    ],
+)
+def test_a_log_that_says_it_wrongly_is_named(
+    tmp_path: Path, told: dict[str, Any], says: str
+) -> None:
+    path = logged(tmp_path, flown(count=400))
+    path.write_text(json.dumps({FLOWN_BY: told}) + "\n" + path.read_text("utf-8"), "utf-8")
+
+    with pytest.raises(EchowingError, match=says):
+        flown_by(path)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "3", '{"range_m": 3.0}'])
+def test_a_log_of_an_older_tool_says_nothing_of_it(tmp_path: Path, text: str) -> None:
+    path = tmp_path / f"follow{SONAR}"
+    path.write_text(text, encoding="utf-8")
+    assert flown_by(path) is None
+    assert flown_by(tmp_path / "follower.BIN") is None
+
+
+def test_what_follow_is_told_is_what_it_logs(tmp_path: Path) -> None:
+    mine = tmp_path / "mine.toml"
+    write_sonar(mine, load_sonar("lidar"))
+    ends = ["--leader", "udpin:14550", "--follower", "udpin:14560"]
+    options = options_of([*ends, "--sonar", str(mine), "--legs", "stock"])
+
+    assert options.flown_by == FlownBy(str(mine), load_sonar("lidar"), "stock")
+    assert options.flown_by.file.belief("stock") == options.sonar
 
 
 @pytest.mark.parametrize(

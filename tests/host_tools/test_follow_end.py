@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.analysis.flown_sonar import flown_by
 from echowing.flight.guard import Limits
 from echowing.flight.guidance import GuidanceSettings, Slot
 from echowing.flight.session import FollowSession
@@ -22,7 +23,7 @@ from echowing.mavlink.seats import parse_seat
 from echowing.mavlink.signing import LinkSigning
 from echowing.sim.vehicle.autopilot import ORIGIN, Autopilot
 from echowing.sim.vehicle.copter import Copter
-from echowing.sonar_file import shipped_sonar
+from echowing.sonar_file import FlownBy, load_sonar, shipped_sonar
 from echowing.stopping import NotHeededError, StopRequest, stop_on_signals
 from echowing.tool.again import fly_again
 from echowing.tool.panel import Row
@@ -217,6 +218,14 @@ def _fails(monkeypatch: pytest.MonkeyPatch) -> None:
         return tick(session, now_s)
 
     monkeypatch.setattr(FollowSession, "tick", failing)
+
+
+def test_its_log_says_by_which_sonar_file_it_is_flown(tmp_path: Path) -> None:
+    flight = Flight(Screen(NEVER_S, OSError()))
+    told = FlownBy("mine.toml", load_sonar("mb1202-boom"), "stock")
+    flight.tool._options.log, flight.tool._options.flown_by = tmp_path, told
+    assert flight.tool.run() == 0
+    assert flown_by(tmp_path) == told
 
 
 @pytest.mark.usefixtures("_fails")

@@ -222,6 +222,10 @@ def test_the_most_certain_source_leads(tmp_path: Path, capsys: pytest.CaptureFix
         assert told["by_gps"]["mean_separation_m"] == pytest.approx(3.5, abs=0.02)
         return told["source"], f"{told['mean_separation_m']:.1f} m"
 
+    def warnings() -> list[str]:
+        (flight,) = read_flights([tmp_path])
+        return list(flight.warnings)
+
     table = write(tmp_path)
     assert leads()[0] == "by GPS"
     change(table, range(200), north_offset_m="-0.3", east_offset_m="0.0")
@@ -230,8 +234,13 @@ def test_the_most_certain_source_leads(tmp_path: Path, capsys: pytest.CaptureFix
     assert leads()[0] == "by estimate"
     change(table, range(150), sonar_m="3.7")
     assert leads() == ("by sonar", "3.9 m")
+    assert warnings() == []
+    change(table, range(200), sonar_inset_m="")  # of a former version
+    assert leads() == ("by sonar", "3.9 m")
+    assert warnings() == ["the sonar's inset is not told; 0.2 m is taken, as mb1202's"]
     change(table, range(200), sonar_inset_m="0.45")  # of the mount that was flown
     assert leads() == ("by sonar", "4.2 m")  # 4.15 m
+    assert warnings() == []
 
 
 def test_a_table_that_only_watched_says_so(tmp_path: Path) -> None:

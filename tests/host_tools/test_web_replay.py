@@ -1,5 +1,6 @@
 """Recorded flights as moments, and a browser's time line through them."""
 
+import argparse
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -7,8 +8,10 @@ from typing import Any
 import pytest
 
 from echowing.analysis.logs import read_flights
+from echowing.commands import replay
 from echowing.errors import EchowingError
-from echowing.sonar_file import shipped_sonar
+from echowing.flight.belief import SonarBelief
+from echowing.sonar_file import FlownBy, load_sonar, shipped_sonar
 from echowing.tool.log import FollowLog
 from echowing.tool.panel import VehicleHealth
 from echowing.web.recording import TableRecording, index_at, open_recording
@@ -23,9 +26,9 @@ START_UNIX_S = 1_790_000_000.0
 FROM_S, TO_S = 10.0, 110.0
 
 
-def logged(folder: Path, moments: int = 20) -> Path:
+def logged(folder: Path, moments: int = 20, flown_by: FlownBy | None = None) -> Path:
     """What `follow` writes of two followers, 10 Hz; its CSV."""
-    log = FollowLog(folder, START_UNIX_S, print)
+    log = FollowLog(folder, START_UNIX_S, print, flown_by)
     for tenth in range(moments):
         time_s = 0.5 + tenth / 10.0
         rows = [
@@ -42,6 +45,19 @@ def logged(folder: Path, moments: int = 20) -> Path:
     log.event(START_UNIX_S + 0.75, "follower 2:\ngives way")
     log.close()
     return next(folder.glob("*.csv"))
+
+
+def test_it_is_shown_by_the_sonar_file_that_was_flown(tmp_path: Path) -> None:
+    def believed(*options: str) -> SonarBelief:
+        parser = argparse.ArgumentParser()
+        replay.add_arguments(parser)
+        return replay._sonar(parser.parse_args([str(tmp_path), *options]))
+
+    assert believed() == SONAR
+    lidar = load_sonar("lidar")
+    logged(tmp_path, flown_by=FlownBy("gone.toml", lidar, "stock"))
+    assert believed() == lidar.belief("stock")
+    assert believed("--sonar", "mb1202") == SONAR
 
 
 def test_what_was_logged_is_what_is_replayed(tmp_path: Path) -> None:

@@ -14,8 +14,8 @@ from echowing.analysis.sonar_measure import Flown, Measured, Readings, flown_son
 from echowing.analysis.vehicle_log import VehicleLog, read_vehicles
 from echowing.errors import EchowingError
 from echowing.flight.hearing import Reading, scatter_m
-from echowing.sonar_file import Legs, SonarFile
-from echowing.tool.log import SONAR
+from echowing.sonar_file import FlownBy, Legs, SonarFile
+from echowing.tool.log import FLOWN_BY, SONAR
 
 # Readings at about the same place and throttle count as of one: metres, degrees, share.
 STEP_M, STEP_DEG, STEP_THROTTLE = 0.5, 4.0, 0.1
@@ -28,11 +28,35 @@ LONGEST_HOLE_S = 10.0
 LEAST_READINGS = 300
 
 
-def sonar_from(log: Path, base: SonarFile, legs: Legs, autopilot: Path | None = None) -> Measured:
+def flown_by(log: Path) -> FlownBy | None:
+    """By which sonar file a flight was flown, as its log says; None: it does not.
+
+    Raises EchowingError for one that says it wrongly.
+    """
+    found = _readings_files(log)
+    if len(found) != 1:
+        return None
+    try:
+        with found[0].open(encoding="utf-8") as file:
+            told = json.loads(file.readline())
+    except (OSError, ValueError):
+        return None  # who reads its readings says so
+    says = told.get(FLOWN_BY) if isinstance(told, dict) else None
+    return FlownBy.of(says, f"{found[0]}, line 1") if isinstance(says, dict) else None
+
+
+def sonar_from(
+    log: Path,
+    base: SonarFile,
+    legs: Legs,
+    autopilot: Path | None = None,
+    *,
+    legs_told: bool = True,
+) -> Measured:
     """The sonar file of the one follower of a flight.
 
-    autopilot: the follower's own log (.BIN), which tells its throttle. Raises EchowingError where
-    the log has no readings, or too few.
+    autopilot: the follower's own log (.BIN), which tells its throttle. legs_told: somebody has said
+    that these are the leader's. Raises EchowingError where the log has no readings, or too few.
     """
     path = _readings_of(log)
     told = list(_read(path))
@@ -49,7 +73,7 @@ def sonar_from(log: Path, base: SonarFile, legs: Legs, autopilot: Path | None = 
             f"{LEAST_READINGS} are needed: fly longer, and nearer"
         )
     throttle = _throttle(path, followers.pop(), autopilot)
-    how = Flown(legs, scatter_m(readings), throttle.why_none)
+    how = Flown(legs, scatter_m(readings), throttle.why_none, legs_told=legs_told)
     measured = flown_sonar(_binned(sure, base, throttle.told), base, how)
     return replace(measured, notes=(*measured.notes, *throttle.warnings))
 
@@ -109,15 +133,19 @@ def _autopilots(path: Path, system_id: int) -> VehicleLog:
 
 def _readings_of(log: Path) -> Path:
     """The file of the readings: named itself, beside a table of follow's, or in its folder."""
-    if log.name.endswith(SONAR):
-        return log
-    places = log.glob(f"*{SONAR}") if log.is_dir() else [log.with_name(log.stem + SONAR)]
-    found = [path for path in sorted(places) if path.exists()]
+    found = _readings_files(log)
     if len(found) != 1:
         raise EchowingError(
             f"{log}: {len(found)} files *{SONAR}: give one, as `echowing follow --log` writes it"
         )
     return found[0]
+
+
+def _readings_files(log: Path) -> list[Path]:
+    if log.name.endswith(SONAR):
+        return [log]
+    places = log.glob(f"*{SONAR}") if log.is_dir() else [log.with_name(log.stem + SONAR)]
+    return [path for path in sorted(places) if path.exists()]
 
 
 def _read(path: Path) -> Iterator[tuple[int, Reading]]:
@@ -127,7 +155,9 @@ def _read(path: Path) -> Iterator[tuple[int, Reading]]:
         raise EchowingError(f"{path}: cannot be read: {error}") from error
     for number, line in enumerate(lines, 1):
         try:
-            yield _reading(json.loads(line))
+            told = json.loads(line)
+            if number > 1 or FLOWN_BY not in told:
+                yield _reading(told)
         except (ValueError, KeyError, TypeError) as error:
             if number == len(lines):  # cut off as the tool was killed
                 return

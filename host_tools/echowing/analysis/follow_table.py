@@ -16,6 +16,7 @@ from echowing.analysis.flight import SHIPPED_INSET_M, Flight, Floats
 from echowing.analysis.slots import slot_offsets
 from echowing.errors import EchowingError
 from echowing.flight.guidance import Slot
+from echowing.paths import SHIPPED_SONAR
 
 SHORTEST_ROWS = 10  # a second at 10 Hz; less is no flight
 ROWS_HZ = 10.0
@@ -112,7 +113,7 @@ def _flight(
         )
     heading = np.radians(number["leader_heading_deg"])
     counted, left_out = _counted(flown)
-    inset_m = float(number[INSET][0])
+    inset_m, no_inset = _inset_m(number)
     return Flight(
         name=label,
         wanted_separation_m=math.hypot(wanted.radius_m, wanted.altitude_step_m),
@@ -125,18 +126,27 @@ def _flight(
         follower_yaw_rad=_wrapped(np.radians(number["heading_deg"])),
         slot_ned_m=leader_m + slot_offsets(wanted, leader_velocity, heading),
         sonar_m=number["sonar_m"],
-        sonar_inset_m=inset_m if math.isfinite(inset_m) else SHIPPED_INSET_M,
+        sonar_inset_m=inset_m,
         speed_command_mps=number["command_mps"],
         pan_us=number["pan_us"],
         tilt_us=number["tilt_us"],
         source="logs",
         sonar_known=any(row["sonar_m"] or row["gimbal"] for row in rows),
         start_unix_s=float(time_s[0]),
-        warnings=(*notes, *warnings),
+        warnings=(*notes, *warnings, *no_inset),
         estimated_m=_estimated_m(number, leader_m, follower_m),
         counted=counted,
         left_out=left_out,
     )
+
+
+def _inset_m(number: Mapping[str, Floats]) -> tuple[float, list[str]]:
+    """The sonar's inset, and what to know of it: tables of former versions do not tell it."""
+    told_m = float(number[INSET][0])
+    if math.isfinite(told_m):
+        return told_m, []
+    assumed = f"the sonar's inset is not told; {SHIPPED_INSET_M:g} m is taken, as {SHIPPED_SONAR}'s"
+    return SHIPPED_INSET_M, [assumed] if np.isfinite(number["sonar_m"]).any() else []
 
 
 def _carried_on(

@@ -49,7 +49,14 @@ WHY_NO_INSET = (
     "known by the sonar itself"
 )
 WHY_NO_LIMIT = "a flight does not tell it, as a range from there on counts as none"
+WHY_NO_NOISE = "too few ranges came in a row to tell it"
 WHY_NO_WIDTH = "in flight the axis is known to some degrees only"
+# Of these nobody expects a flight to tell them: they stand in the file, and not in the notes.
+AS_EVER = {
+    "boom_m": "a flight does not tell it, as inset_m",
+    "shortest_m": "nobody flies so near",
+    "rate_hz": "a flight does not tell it, as radios lose some",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,12 +72,14 @@ class Conditions:
 class Flown:
     """What is known of a flight: the leader's legs, why no throttle is, empty where it is.
 
-    noise_m: standard deviation of a range, where it is known.
+    noise_m: standard deviation of a range, where it is known. legs_told: false where nobody has
+    said which legs.
     """
 
     legs: Legs
     noise_m: float | None
     why_no_throttle: str = ""
+    legs_told: bool = True
 
 
 @dataclass
@@ -194,9 +203,11 @@ def flown_sonar(readings: Sequence[Readings], base: SonarFile, how: Flown) -> Me
     further = _further(base, reaches, how.legs)
     ends_m = reaches.get("foil_to_m", base.foil_to_m)[1] if reaches else math.inf
     told = _told(fit)
+    heard = _heard(told, inset_m, further)
+    with_far = _with_far(heard, base, ends_m)
     values: dict[str, Any] = {
         **_wrong(flown, alike),
-        "heard": _with_far(_heard(told, inset_m, further), base, ends_m),
+        "heard": with_far,
         "beam": _as_narrow(_beam(told, inset_m, further), base),
         **reaches,
         **throttles,
@@ -206,11 +217,18 @@ def flown_sonar(readings: Sequence[Readings], base: SonarFile, how: Flown) -> Me
         values["noise_m"] = (round(least_m, 4), round(most_m, 4))
     kept = {"inset_m": WHY_NO_INSET, "reach_m": WHY_NO_LIMIT, "beam.widest_deg": WHY_NO_WIDTH}
     kept |= {} if reaches else dict.fromkeys(("foil_to_m", "stock_to_m"), why_no_reach)
-    kept |= (
-        {} if throttles else dict.fromkeys(("throttle.throttle", "throttle.share"), why_no_throttle)
-    )
-    said = _said("flight", flown, how.legs)
-    sources = {key: _kept(base.source.get(key, ""), why) for key, why in kept.items()}
+    kept |= {"noise_m": WHY_NO_NOISE} if how.noise_m is None else {}
+    # What of a table was flown, and what of it is as it was.
+    in_part = dict.fromkeys(("throttle.throttle", "throttle.share"), why_no_throttle)
+    if not throttles:
+        kept, in_part = kept | in_part, {}
+    beyond_m = with_far["range_m"][len(heard["range_m"]) :]
+    if beyond_m:
+        in_part |= dict.fromkeys(("heard.least", "heard.most"), f"from {beyond_m[0]:g} m on")
+    said = _said("flight", flown, how.legs) + ("" if how.legs_told else " (assumed)")
+    reasons = {**kept, **AS_EVER}
+    sources = {key: _kept(base.source.get(key, ""), why) for key, why in reasons.items()}
+    sources |= {key: f"{said}; {KEPT}{where}" for key, where in in_part.items()}
     sources |= _in_proportion(reaches, how.legs, said)
     notes = tuple(f"{key} is as it was: {why}" for key, why in kept.items() if "share" not in key)
     return Measured(_changed(base, values, said, sources), told, flown[0].throttle, notes)
@@ -251,7 +269,8 @@ def _flown_throttles(
 ) -> tuple[dict[str, Any], str]:
     """What each throttle that was flown leaves of the share heard at the usual one.
 
-    Beside what is heard on average at the same places. Nothing, and why, where only one was flown.
+    Beside what is heard on average at the same places; and which throttles are as they were.
+    Nothing, and why, where only one was flown.
     """
     if how.why_no_throttle:
         return {}, how.why_no_throttle
@@ -273,7 +292,7 @@ def _flown_throttles(
     believed = zip(base.throttle.throttle, base.throttle.share, strict=True)
     left |= {one: share for one, share in believed if not enough[0] <= one <= enough[-1]}
     told = {"throttle": tuple(sorted(left)), "share": tuple(left[one] for one in sorted(left))}
-    return {"throttle": told}, ""
+    return {"throttle": told}, f"under {enough[0]:.0%} and over {enough[-1]:.0%}"
 
 
 def _fit(readings: Sequence[Readings]) -> tuple[Fit, float]:

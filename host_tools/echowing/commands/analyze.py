@@ -3,9 +3,12 @@
 import argparse
 import json
 import re
+import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from echowing.paths import SHIPPED_SONAR
 
 if TYPE_CHECKING:
     from echowing.analysis.flight import Flight
@@ -13,7 +16,7 @@ if TYPE_CHECKING:
     from echowing.analysis.metrics import Metrics
     from echowing.analysis.tables import Result
     from echowing.flight.guidance import Slot
-    from echowing.sonar_file import SonarFile
+    from echowing.sonar_file import FlownBy, SonarFile
 
 EXAMPLES = """\
 examples:
@@ -92,10 +95,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "what a flight does not tell is as in --base, and the file says so",
     )
     parser.add_argument(
-        "--base", default="mb1202", metavar="SONAR", help="the sonar file that was flown (mb1202)"
+        "--base",
+        metavar="SONAR",
+        help=f"the sonar file that was flown (as the log says, else {SHIPPED_SONAR})",
     )
     parser.add_argument(
-        "--legs", choices=("foil", "stock"), default="foil", help="what the leader had on (foil)"
+        "--legs",
+        choices=("foil", "stock"),
+        help="what the leader had on (as the log says, else foil)",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object per follower")
 
@@ -125,27 +132,47 @@ def _sonar(args: argparse.Namespace) -> int:
     """Write the sonar file of a flight, and say what has changed in it."""
     from echowing.analysis.flown_sonar import sonar_from  # noqa: PLC0415 (imported when it is used)
     from echowing.errors import EchowingError  # noqa: PLC0415
-    from echowing.sonar_file import fly_by, load_sonar, write_sonar  # noqa: PLC0415
+    from echowing.sonar_file import fly_by, write_sonar  # noqa: PLC0415
 
     log, *autopilots = args.logs
     if len(autopilots) > 1:
         raise EchowingError(
             "--sonar: give one log of `echowing follow`, or its DIR, and the follower's .BIN"
         )
-    base = load_sonar(args.base)
-    measured = sonar_from(log, base, args.legs, *autopilots)
+    flown, assumed = _flown_by(log, args)
+    legs_told = args.legs is not None or not assumed
+    measured = sonar_from(log, flown.file, flown.legs, *autopilots, legs_told=legs_told)
     write_sonar(args.sonar, measured.file)
+    for line in assumed:
+        print(line, file=sys.stderr)
     if args.json:
         print(json.dumps(measured.file.model_dump(mode="json")))
         return 0
     for at in measured.fit.at:
         low, high = at.share_between
         print(f"{at.range_m:.1f} m: hears {at.share:.0%} on the axis ({low:.0%} to {high:.0%})")
-    for name, file in (("measured", measured.file), (args.base, base)):
+    for name, file in (("measured", measured.file), (flown.name, flown.file)):
         print(f"{name}: {_scatter_and_wrong(file)}")
     print("\n".join(measured.notes))
-    print(fly_by(args.sonar, args.legs))
+    print(fly_by(args.sonar, flown.legs))
     return 0
+
+
+def _flown_by(log: Path, args: argparse.Namespace) -> "tuple[FlownBy, list[str]]":
+    """By what it was flown: as the options say, else as the log does; what nobody says in words."""
+    from echowing.analysis.flown_sonar import flown_by  # noqa: PLC0415 (imported when it is used)
+    from echowing.sonar_file import FlownBy, load_sonar  # noqa: PLC0415
+
+    told = flown_by(log)
+    assumed = []
+    if told is None:
+        told = FlownBy(SHIPPED_SONAR, load_sonar(SHIPPED_SONAR), "foil")
+        if args.base is None:
+            assumed.append(f"{log} names no sonar file: taken to be flown by {told.name} (--base)")
+        if args.legs is None:
+            assumed.append(f"{log} tells nothing of legs: taken to be {told.legs} (--legs)")
+    name, file = (told.name, told.file) if args.base is None else (args.base, load_sonar(args.base))
+    return FlownBy(name, file, args.legs or told.legs), assumed
 
 
 def _scatter_and_wrong(file: "SonarFile") -> str:

@@ -329,7 +329,7 @@ def _options(args: argparse.Namespace) -> "FollowOptions":
     from echowing.flight.switch import parse_stop_switch  # noqa: PLC0415
     from echowing.mavlink.seats import VehicleFinder  # noqa: PLC0415
     from echowing.mavlink.signing import read_key  # noqa: PLC0415
-    from echowing.sonar_file import load_sonar  # noqa: PLC0415
+    from echowing.sonar_file import FlownBy, load_sonar  # noqa: PLC0415
     from echowing.tool.run import FollowOptions  # noqa: PLC0415
 
     _check_numbers(args)
@@ -337,7 +337,8 @@ def _options(args: argparse.Namespace) -> "FollowOptions":
     seats = _seats(args)
     VehicleFinder(seats)  # refuses what could never be distinguished
     radii_m = _build_up(args)
-    sonar = load_sonar(args.sonar).belief(args.legs)
+    flown_by = FlownBy(args.sonar, load_sonar(args.sonar), args.legs)
+    sonar = flown_by.file.belief(args.legs)
     wanted = _wanted(args)
     slots = _slots(args, wanted, radii_m, sonar)
     altitude_m = CARRIED_ALTITUDE_M if args.carried_leader else None
@@ -371,6 +372,7 @@ def _options(args: argparse.Namespace) -> "FollowOptions":
         leader_rate_hz=args.leader_rate,
         duration_s=args.duration,
         log=log_folder(args),
+        flown_by=flown_by,
         signing_key=read_key(args.signing_key_file),
         build_up=radii_m,
         shapes=wanted.shapes,

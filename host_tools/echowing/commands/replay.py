@@ -3,8 +3,12 @@
 import argparse
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from echowing.paths import SHIPPED_SONAR
+
+if TYPE_CHECKING:
+    from echowing.flight.belief import SonarBelief
 
 EXAMPLES = """\
 examples:
@@ -26,22 +30,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "logs", type=Path, nargs="+", metavar="DIR", help="a folder of logs, or log files"
     )
     parser.add_argument(
-        "--sonar", default=SHIPPED_SONAR, help=f"the sonar file that was flown ({SHIPPED_SONAR})"
+        "--sonar", help=f"the sonar file that was flown (as the log says, else {SHIPPED_SONAR})"
     )
     add_web_arguments(parser, always=True)
 
 
 def run(args: argparse.Namespace) -> int:
     """Serve the flight until asked to end."""
-    from echowing.sonar_file import load_sonar  # noqa: PLC0415 (imported when the verb is used)
-    from echowing.stopping import stop_on_signals  # noqa: PLC0415
+    from echowing.stopping import stop_on_signals  # noqa: PLC0415 (imported when the verb is used)
     from echowing.web.options import PageAddress, page_address  # noqa: PLC0415
     from echowing.web.recording import open_recording  # noqa: PLC0415
     from echowing.web.replay import ReplayFeed  # noqa: PLC0415
     from echowing.web.server import PageServer  # noqa: PLC0415
 
     address = page_address(args) or PageAddress()
-    recording = open_recording(args.logs, load_sonar(args.sonar).belief())
+    recording = open_recording(args.logs, _sonar(args))
     with stop_on_signals() as stop:
         server = PageServer(address, ReplayFeed(recording))
         print(recording.title, flush=True)
@@ -52,3 +55,14 @@ def run(args: argparse.Namespace) -> int:
     if server.error is not None:
         raise server.error
     return 0
+
+
+def _sonar(args: argparse.Namespace) -> "SonarBelief":
+    """What was believed of the sonar: as the option says, else the logs, else of ours."""
+    from echowing.analysis.flown_sonar import flown_by  # noqa: PLC0415
+    from echowing.sonar_file import load_sonar  # noqa: PLC0415
+
+    told = None if args.sonar else next(filter(None, map(flown_by, args.logs)), None)
+    if told is not None:
+        return told.file.belief(told.legs)
+    return load_sonar(args.sonar or SHIPPED_SONAR).belief()

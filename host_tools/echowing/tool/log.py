@@ -1,6 +1,7 @@
 """What `echowing follow` writes down: a .tlog of all frames, a CSV of all rows, events as text.
 
-And what each sonar has read, with where its leader was then, for `echowing analyze --sonar`.
+And what each sonar has read, with where its leader was then, for `echowing analyze --sonar`; before
+that, by which sonar file it is flown.
 
 A log that cannot be opened is refused. If writing fails later, that is reported once and the log
 ends: it never stops the flight.
@@ -18,12 +19,15 @@ from typing import Any, BinaryIO, TextIO
 
 from echowing.errors import EchowingError
 from echowing.flight.hearing import Reading
+from echowing.sonar_file import FlownBy
 from echowing.tool.panel import COLUMNS, Row
 from echowing.tool.track import Track
 
 Say = Callable[[str], None]
 # What the file of the sonars' readings ends with.
 SONAR = "-sonar.jsonl"
+# The key of its first line.
+FLOWN_BY = "flown_by"
 
 
 class FollowLog:
@@ -32,7 +36,9 @@ class FollowLog:
     Raises EchowingError if nothing can be written.
     """
 
-    def __init__(self, folder: Path, start_unix_s: float, say: Say) -> None:
+    def __init__(
+        self, folder: Path, start_unix_s: float, say: Say, flown_by: FlownBy | None = None
+    ) -> None:
         self._say = say
         self._tlog: BinaryIO | None = None
         self._table: TextIO | None = None
@@ -50,6 +56,9 @@ class FollowLog:
             self._writer = csv.DictWriter(self._table, names)
             self._writer.writeheader()
             self._table.flush()
+            if flown_by is not None:
+                self._sonar.write(json.dumps({FLOWN_BY: flown_by.as_dict()}) + "\n")
+                self._sonar.flush()
         except OSError as error:
             raise EchowingError(
                 f"--log {folder}: cannot be written: {error.strerror}; give another folder, "

@@ -25,6 +25,7 @@ from echowing.mavlink.links import Address, Link, wait
 from echowing.mavlink.messages import guides, status_text
 from echowing.mavlink.seats import OpenLink, Seat, StrangerWatch, find_vehicles, known_id
 from echowing.mavlink.signing import LinkSigning
+from echowing.sonar_file import FlownBy
 from echowing.stopping import StopRequest
 from echowing.tool.again import History
 from echowing.tool.background import BackgroundLog, BackgroundView
@@ -70,6 +71,7 @@ class FollowOptions:
     leader_rate_hz: float = 4.0
     duration_s: float | None = None
     log: Path | None = None
+    flown_by: FlownBy | None = None
     signing_key: bytes | None = None
     make_guide: Callable[[], Guide] | None = None
     build_up: tuple[float, ...] = ()
@@ -153,7 +155,9 @@ class FollowTool:
             for link in self._links.values():
                 link.link.open()
             if options.log is not None:
-                self._log = BackgroundLog(partial(FollowLog, options.log, self._start_unix_s))
+                self._log = BackgroundLog(
+                    partial(FollowLog, options.log, self._start_unix_s, flown_by=options.flown_by)
+                )
                 self._say(f"log: {options.log}")
             if self._page is not None:
                 self._say(self._page.said)
