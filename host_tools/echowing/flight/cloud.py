@@ -65,7 +65,9 @@ STEPPED, SURE_AFTER_S = 0.005, 5.0
 # readings.
 HEARS, MOST_HEARD = (0.6, 1.9), 0.98
 # This share of its readings is wrong: single wild ones near propellers, or a stranger's sonar. It
-# is learnt, so that a range needs no second one to count.
+# is learnt, so that a range needs no second one to count. The same for each sonar file: one that
+# was measured in a clean place says nothing of strangers, and none that says more than 0.1 carries
+# a slot.
 WRONG = (0.003, 0.3)
 # Two vehicles nearer than this have no direction.
 CLOSE_M = 0.1
