@@ -42,23 +42,20 @@ SONAR = """\
 A sonar file (TOML) says what is known of a follower's sonar on its mount, among its propellers, \
 and how well it hears a leader. `echowing follow --sonar FILE` flies by it. Without `--sonar` it \
 takes `mb1202`, which comes with the package \
-([`host_tools/echowing/sonars/mb1202.toml`](echowing/sonars/mb1202.toml)). Most values of that one \
-are guesses, and cautious ones. Measure your own: on the bench ([`RIG.md`](RIG.md), response \
-matrix), or in a flight (`echowing analyze out/flight-7 --sonar mine.toml`, \
-[`SENSORS.md`](SENSORS.md#measure-it)).
+([`host_tools/echowing/sonars/mb1202.toml`](echowing/sonars/mb1202.toml)); most of its values are \
+cautious guesses. Measure your own: on the bench \
+([`RIG.md`](RIG.md#response-matrix)), or in a flight ([`SENSORS.md`](SENSORS.md#measure-it)).
 
-A sonar *carries* a slot if by it a follower can keep that distance. Before anybody flies the tool \
-names the slots that the file does not carry. In flight the view shows what the sonar has heard in \
-the last minute. If it hears less, scatters more or is wrong more often than its file says, the \
-pilots are told; if so bad a sonar does not carry the slot, the slot opens \
+A sonar *carries* a slot if a follower can keep that distance by it. Before anybody flies, the \
+tool names the slots that the file does not carry. In flight it compares what the sonar hears with \
+the file, tells the pilots of a worse one, and opens a slot that it does not carry \
 ([`GUIDANCE.md`](GUIDANCE.md#what-the-receivers-disagree-by)).
 
 Many keys take two values, `[least, most]`: nine of ten such sonars lie between them. The product \
-believes the worse one: that as few readings as `least` are heard, and as many as `most` are \
-wrong. Nobody is heard outside the widest beam; and that nothing is heard tells something only \
-within the narrowest. The simulator draws a sonar for each follower and each seed. Of each value \
-nine draws of ten lie between the two; one of twenty is worse than believed \
-([`SCENARIOS.md`](SCENARIOS.md), `[sonar]`).
+believes the worse one: as few readings as `least` are heard, as many as `most` are wrong. Nobody \
+is heard outside the widest beam; silence tells something only within the narrowest. The simulator \
+draws a sonar for each follower and each seed; of each value nine draws of ten lie between the \
+two, and one of twenty is worse than believed ([`SCENARIOS.md`](SCENARIOS.md), `[sonar]`).
 
 The units are in the names: `_m` metres, `_deg` degrees, `_hz` per second; shares are 0 to 1. This \
 page is made by `make pages` from the model (`host_tools/echowing/sonar_file.py`).
