@@ -120,6 +120,11 @@ def test_many_draws_fifty_in_a_filled_vee_behind_radios_that_lose_the_same_on_ea
     assert max(math.hypot(*one) for one in places_m) < 60.0
     apart_m = min(math.dist(a, b) for n, a in enumerate(places_m) for b in places_m[:n])
     assert apart_m == pytest.approx(5.2, abs=0.01)
+    higher_m = [slot.altitude_step_m for slot in drawn[0].slots()]
+    near = [
+        (a, b) for b in range(50) for a in range(b) if math.dist(places_m[a], places_m[b]) < 6.0
+    ]
+    assert {abs(higher_m[a] - higher_m[b]) for a, b in near} == {2.0}
     losses = Counter((one.radio.leader.loss, one.radio.follower.loss) for one in drawn)
     assert set(losses) == {(0.0, 0.0), (0.1, 0.1), (0.3, 0.3), (0.5, 0.5)}
     assert not any(one.fault for one in drawn)

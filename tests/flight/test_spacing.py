@@ -3,10 +3,12 @@
 import pytest
 
 from echowing.flight.clocks import SAY_AGAIN_S
+from echowing.flight.envelope import LEAST_M, SURE_SIGMAS
 from echowing.flight.estimate import Estimate
 from echowing.flight.guard import Limits
 from echowing.flight.guidance import GuidedPoint
 from echowing.flight.spacing import Spacing
+from echowing.flight.state import UNRANGED_SIGMA_M
 from echowing.flight.steps import Allowed, Phase, Plan, Standing
 
 from .told import Told, at, from_here_m
@@ -256,3 +258,20 @@ def test_a_point_far_back_does_not_count_as_flown_to_by_the_applet_of_one_in_a_l
     assert allowed.gives_way_to == "follower 3"
     assert allowed.velocity_mps is not None
     assert allowed.velocity_mps[0] < -0.4
+
+
+def test_who_has_not_heard_yet_keeps_no_further_from_the_leader_than_receivers_demand() -> None:
+    """By the sonars between it was 5.0 m: the last of a diamond never came to where it hears."""
+    for room_m, gives_way in ((0.3, False), (-0.3, True)):
+        far_m = LEAST_M + SURE_SIGMAS * UNRANGED_SIGMA_M + room_m
+        told = Told(
+            {
+                LEADER: Vehicle((0.0, 0.0)),
+                FOLLOWER: Vehicle((-far_m, 0.0)),
+                SECOND: Vehicle((-far_m, 20.0)),
+            },
+            KEPT,
+        )
+        told.known.watch({FOLLOWER: told.known.followers[SECOND]})
+        allowed = spacing(told).allowed(told.follower, Plan(at(-far_m), (0.0, 0.0)), 0.0)
+        assert (allowed.gives_way_to == "the leader") is gives_way

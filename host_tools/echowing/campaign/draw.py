@@ -27,7 +27,7 @@ _SHAPES = (*SHAPES, "wedge")
 SPACING_M = 6.0
 _FORMATION = {
     *("followers", "shape", "radius_m", "spacing_m", "altitude_step_m", "crossing"),
-    *("ranged", "close_gaps", "slot_separation_m"),
+    *("ranged", "close_gaps", "slot_separation_m", "stagger_m"),
 }
 _ABSENT = object()
 
@@ -163,7 +163,8 @@ def _formation(wish: Mapping[str, Any], source: str) -> dict[str, Any]:
 
     The first is `radius_m` behind the leader, the others are in the shape behind the first. All
     hang on the leader: only the sonar of who is near enough hears him. Where it is `ranged`, all
-    are in the shape behind the leader, and each sonar looks at the one a step ahead.
+    are in the shape behind the leader, and each sonar looks at the one a step ahead. Every second
+    row is `stagger_m` higher.
     """
     unknown = set(wish) - _FORMATION
     if unknown:
@@ -173,20 +174,27 @@ def _formation(wish: Mapping[str, Any], source: str) -> dict[str, Any]:
         raise EchowingError(f"{source}: formation.shape: one of {', '.join(_SHAPES)}, not {shape}")
     count = int(wish.get("followers", 1))
     spacing_m, radius_m = wish.get("spacing_m", SPACING_M), wish.get("radius_m", 3.0)
-    if wish.get("ranged"):
+    ranged = wish.get("ranged", False)
+    if ranged:
         places = arranged(shape, count, spacing_m)
     else:
         others = arranged(shape, count - 1, spacing_m)
         behind_first = [
             replace(one, behind=0 if one.behind is None else one.behind + 1) for one in others
         ]
-        places = tuple(hung_on_leader([Slot(radius_m), *behind_first]))
+        places = (Slot(radius_m), *behind_first)
+    rows: list[int] = []
+    for place in places:
+        rows.append(1 if place.behind is None else rows[place.behind] + 1)
+    if not ranged:
+        places = tuple(hung_on_leader(places))
     slots = []
     for number, place in enumerate(places):
+        higher_m = wish.get("stagger_m", 0.0) if rows[number] % 2 == 0 else 0.0
         slot: dict[str, Any] = {
             "radius_m": round(place.radius_m, 3),
             "angle_deg": round(math.degrees(place.angle_rad), 3),
-            "altitude_step_m": round(number * wish.get("altitude_step_m", 0.0), 3),
+            "altitude_step_m": round(number * wish.get("altitude_step_m", 0.0) + higher_m, 3),
         }
         if place.behind is not None:
             slot["behind"] = place.behind + 1

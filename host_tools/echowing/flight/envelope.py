@@ -139,7 +139,8 @@ def keep_apart(
     own_mps: its velocity now, NED. Closing speed above the limit is braked in addition, but not for
     others that are led: in a line each would fly back faster than the one before. Who is in the way
     counts as passed: the plan is turned right first. Where nothing near the plan fits, the others
-    that are led count as making room themselves.
+    that are led count as making room themselves. If only such call for a change, it flies no faster
+    than planned, or than a retreat.
     """
     walls = [_wall(other, answer, least_m, own_mps) for other in others]
     short_mps = [short_of_mps(wanted_mps, wall) for wall in walls]
@@ -150,16 +151,37 @@ def keep_apart(
     for wall, other, mps in zip(walls, others, short_mps, strict=True):
         if mps > 0.0 and other.in_the_way:
             aim = _turned_right(aim, wall)
+    calling = [other for other, mps in zip(others, short_mps, strict=True) if mps > 0.0]
+    yielding = [_wall(*_yielding(one, answer), least_m, own_mps) for one in others]
+    if all(other.led and not other.watched for other in calling):
+        flown = _making_room(aim, walls, yielding, worst)
+    else:
+        flown = _changed(aim, walls, yielding, worst)
+    return (*flown, wanted_mps[2]), others[worst]
+
+
+def _making_room(aim: Level, walls: Sequence[Wall], yielding: Sequence[Wall], worst: int) -> Level:
+    """Among others that are led too, all of whom make room: no faster than planned, or a retreat.
+
+    One that flees faster calls on the next to flee, and so on through a formation.
+    """
+    most_mps = max(math.hypot(*aim), RETREAT_MOST_MPS)
+    flown = nearest(aim, walls, most_mps) or nearest(aim, yielding, most_mps)
+    return flown or breaking_least(yielding, most_mps, yielding[worst])
+
+
+def _changed(aim: Level, walls: Sequence[Wall], yielding: Sequence[Wall], worst: int) -> Level:
+    """The plan changed by as little as others call for, or by as much as a correction may."""
     around = _around(aim, walls)
     calls_for_mps = [SAME_MPS + max(0.0, short) for _, _, short in around]
     far_mps = max(FASTEST_MPS, *calls_for_mps)
     near_mps = min(far_mps, CORNER * sum(calls_for_mps))
     change = nearest(NO_CHANGE, around, near_mps)
     if change is None:
-        around = _around(aim, [_wall(*_yielding(one, answer), least_m, own_mps) for one in others])
+        around = _around(aim, yielding)
         change = nearest(NO_CHANGE, around, near_mps) or nearest(NO_CHANGE, around, far_mps)
     change = change or breaking_least(around, far_mps, around[worst])
-    return (aim[0] + change[0], aim[1] + change[1], wanted_mps[2]), others[worst]
+    return aim[0] + change[0], aim[1] + change[1]
 
 
 def straight_out(

@@ -140,7 +140,7 @@ class Spacing:
         if leader is None or known.leader_is_stale(now_s):
             return
         ranged = known.ahead_of(follower) is None
-        unsure_m = SURE_SIGMAS * known.sigma_m(known.chain(follower))
+        unsure_m = SURE_SIGMAS * known.leader_sigma_m(follower)
         for place in (leader.position, *_if_erred(leader.position, known.doubted_m(follower))):
             yield Other(
                 name_of(known.leader_id, known.leader_id),

@@ -666,6 +666,10 @@ class Known:
         """Standard deviation of what is known over the sonars of these followers."""
         return math.sqrt(sum(one.estimate.offset.level_sigma_m**2 for one in links))
 
+    def leader_sigma_m(self, follower: FollowerState) -> float:
+        """The same of where it sees the leader: no more than receivers alone leave."""
+        return min(UNRANGED_SIGMA_M, self.sigma_m(self.chain(follower)))
+
     def leader_then(self, follower: FollowerState, at_s: float) -> LeaderFix | None:
         """The leader at a moment, in this follower's frame; None: nothing is known of it."""
         fix = self.leader.fix

@@ -161,8 +161,7 @@ class Swarm:
 
     def _leader(self, follower: FollowerState, here: GlobalPosition, leader: LeaderFix) -> Seen:
         known, to_it_m = self._known, ned_between(here, leader.position)[:2]
-        sigma_m = min(UNRANGED_SIGMA_M, known.sigma_m(known.chain(follower)))
-        unsure_m = SURE_SIGMAS * sigma_m
+        unsure_m = SURE_SIGMAS * known.leader_sigma_m(follower)
         if known.ahead_of(follower) is None:
             unsure_m = min(unsure_m, known.nearer_m(follower, to_it_m, self.weights.apart_m))
         return Seen(to_it_m, leader.velocity_ned_mps[:2], unsure_m)
