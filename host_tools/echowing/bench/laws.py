@@ -8,6 +8,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 
 from echowing.analysis.flight import Flight, Floats
+from echowing.sim.own_plan import OWN_PLAN
 from echowing.sim.scenario import LAWS, load_scenario
 from echowing.sim.summary import FlownScenario, fly
 
@@ -106,9 +107,14 @@ def flight_count(seeds: int, laws: Sequence[str] = LAWS) -> int:
     return len(laws) * (len(PATHS) + 1) * seeds
 
 
+def flown_as(law: str) -> str:
+    """The change of a scenario that flies a law, or the hold with a plan of the user's own."""
+    return f'plan="{law}"' if law.endswith(OWN_PLAN) else f'law="{law}"'
+
+
 def fly_law(law: str, path: str, seed: int) -> LawFlight:
     """One flight: the default formation on a path, or the hostile scenario."""
-    changes = [f'law="{law}"']
+    changes = [flown_as(law)]
     if path != HOSTILE:
         changes += [f'leader.path="{path}"', f"duration_s={DURATION_S}"]
     scenario = load_scenario(HOSTILE if path == HOSTILE else "echowing", changes)

@@ -29,7 +29,7 @@ examples:
   echowing bench --only field         the follow tool: latency, and 50 followers on one core
   echowing bench --only echoes        what late echoes do to the sonar's readings (half a minute)
   echowing bench --only laws          the speed laws, 20 seeds, about 5 minutes on two cores
-  echowing bench --only laws --seeds 3 --law my_law.lua
+  echowing bench --only laws --seeds 3 --law my_law.lua --plan my_plan.py
   echowing bench --only accuracy      how well the distance is kept, 20 seeds, about 16 minutes
   echowing bench --only robust        the same with other sonars, receivers and heights than
                                       believed, and any two at once: 20 seeds, about an hour
@@ -75,6 +75,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="with the laws: an applet of your own beside them, a .lua file (may be repeated)",
     )
+    parser.add_argument(
+        "--plan",
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="with the laws: hold with a plan of your own beside them, a .py file (may be "
+        "repeated)",
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON list")
 
 
@@ -95,7 +103,7 @@ def run(args: argparse.Namespace) -> int:
             _print_definition()
     tables: dict[str, Callable[[], list[Figure]]] = {
         "echoes": partial(_echoes, quiet=args.json),
-        "laws": partial(_laws, args.seeds, args.law, quiet=args.json),
+        "laws": partial(_laws, args.seeds, [*args.law, *args.plan], quiet=args.json),
         "accuracy": partial(_accuracy, args.seeds, quiet=args.json),
         "robust": partial(_robust, args.seeds, quiet=args.json),
         "swarm": partial(_swarm, args.seeds, quiet=args.json),
@@ -133,12 +141,12 @@ def _print_definition() -> None:
 
 def _laws(seeds: int, own: list[str], *, quiet: bool) -> list[Figure]:
     """Fly them on all cores, and beside them the user's own."""
-    from echowing.bench.laws import flight_count, fly_laws  # noqa: PLC0415
+    from echowing.bench.laws import flight_count, flown_as, fly_laws  # noqa: PLC0415
     from echowing.sim.scenario import LAWS, load_scenario  # noqa: PLC0415
 
     laws = (*LAWS, *own)
     for law in own:
-        load_scenario("echowing", [f'law="{law}"'])  # what is wrong with it shows at once
+        load_scenario("echowing", [flown_as(law)])  # what is wrong with it shows at once
     with _bar("flying the laws", flight_count(seeds, laws), quiet=quiet) as advance:
         table = fly_laws(seeds, advance, laws=laws)
     if not quiet:
@@ -293,7 +301,7 @@ def _print_laws(table: "list[LawRow]") -> None:
         attacked = f"{row.attacked_m:.2f}" if math.isfinite(row.attacked_m) else "-"
         counts = (f"{row.changes_per_min:.0f}", str(row.dead_locked), "yes" if row.safe else "no")
         shown.add_row(row.path, row.law, str(row.flights), *errors, attacked, *counts)
-    console = Console() if sys.stdout.isatty() else Console(width=110)
+    console = Console() if sys.stdout.isatty() else Console(width=120)
     console.print(shown)
     console.print(
         f"Metres; {DURATION_S:g} s per flight, hostile 200 s. Safe: over 1.0 m in every run, 0.5 m "

@@ -20,6 +20,7 @@ examples:
   echowing sim gray --seed 1-10 --json
   echowing sim vee --set formation.followers=6 --set formation.spacing_m=3.5
   echowing sim my-flight.toml --law hold --set gps.sigma_m=1.2
+  echowing sim echowing --plan my_plan.py --seed 1-3     your own plan (host_tools/LAWS.md)
   echowing sim swarm        followers without slots: simulated flights only, not with --serve
   echowing sim --serve 5760 --web                        watch them in a browser
   echowing sim --serve 5760 --parked --card out/cards    vehicles to try `echowing setup` on
@@ -45,6 +46,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"what the applet does: none, {', '.join(LAWS)}, or a .lua file of your own",
     )
     law.completer = lambda **_: ("none", *LAWS)  # type: ignore[attr-defined]
+    parser.add_argument(
+        "--plan",
+        metavar="FILE",
+        help="where a follower is to be, and how fast: a .py file of your own in place of the "
+        "ground tool's plan (places of `echowing plan` are given as the scenario)",
+    )
     parser.add_argument("--duration", type=float, metavar="S", help="simulated seconds to fly")
     parser.add_argument(
         "--set",
@@ -142,6 +149,8 @@ def _scenario(args: argparse.Namespace) -> "Scenario":
     changes = list(args.changes)
     if args.law is not None:
         changes.append(f'law="{args.law}"')
+    if args.plan is not None:
+        changes.append(f'plan="{args.plan}"')
     if args.duration is not None:
         changes.append(f"duration_s={args.duration}")
     return load_scenario(args.scenario, changes)

@@ -15,7 +15,7 @@ Guided, and on old or jumping leader data it stops the follower where it is.
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -54,6 +54,8 @@ from echowing.mavlink.messages import (
 DISTANCE_HZ, FIXED_HZ, ATTITUDE_HZ = 5.0, 10.0, 2.0
 # No copter flies faster (WP_SPD ends at 20 m/s): the applet uses no faster point (FASTEST_MPS).
 FASTEST_MPS = 30.0
+
+PlanStep = Callable[[FollowerState, Look | None, float], Plan | None]
 
 
 class FollowSession:
@@ -117,9 +119,9 @@ class FollowSession:
         reverses = self.engagement is not None and self.engagement.readiness.reversal
         weights = settings.swarm
         self.swarm = None if weights is None else Swarm(self.known, weights)
-        self._planner = Planner(
-            self.known, self._say, self.alert, reverses=reverses, swarm=self.swarm
-        )
+        planner = Planner(self.known, self._say, self.alert, reverses=reverses, swarm=self.swarm)
+        self.plan: PlanStep = planner.plan
+        """The plan step; simulated flights may have one of their user's (`sim.own_plan`)."""
         self._gaps = Gaps(self.known, self._say, self.alert) if settings.close_gaps else None
         self.reshape = Reshape(self.known, self._say)
         self._spacing = Spacing(self.known, self.guard, self._gives_way)
@@ -235,7 +237,7 @@ class FollowSession:
     ) -> list[tuple[int, Any]]:
         """The point for one follower, where points go to it."""
         self._supervisor.judge(follower, now_s)
-        plan = self._planner.plan(follower, look, now_s)
+        plan = self.plan(follower, look, now_s)
         allowed = None if plan is None else self._allowed(follower, plan, now_s)
         if plan is None or allowed is None:
             follower.not_ordered()

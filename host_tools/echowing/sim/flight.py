@@ -28,6 +28,7 @@ from echowing.sim.aircraft import LeaderPilot, MakeCoprocessor, SimFollower, Sim
 from echowing.sim.faults import SWITCH_CHANNEL, Faults
 from echowing.sim.ground import GroundStation
 from echowing.sim.hangar import FIRST_FOLLOWER_ID, LEADER_ID, Hangar
+from echowing.sim.own_plan import OwnPlan, OwnPlanStep
 from echowing.sim.recorder import Recorder, Sample, write_truth
 from echowing.sim.scenario import Scenario, SwarmSection
 from echowing.sim.vehicle.autopilot import ORIGIN, Autopilot
@@ -245,13 +246,16 @@ class FormationFlight(FormationWorld):
             FollowerPlan(FIRST_FOLLOWER_ID + i, slot, altitude_m, sonar=sonar)
             for i, slot in enumerate(scenario.slots())
         ]
-        return FollowSession(
+        session = FollowSession(
             LEADER_ID,
             plans,
             scenario.guidance_settings(),
             leader_rate_hz=scenario.guidance.telemetry_hz,
             limits=None if scenario.guidance.gray else _limits(scenario),
         )
+        if scenario.plan is not None:
+            session.plan = OwnPlanStep(OwnPlan(Path(scenario.plan)), session)
+        return session
 
     def _make_ground(self) -> GroundStation:
         scenario = self.scenario

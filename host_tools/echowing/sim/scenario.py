@@ -24,6 +24,7 @@ from echowing.section import NotNegative, Positive, Section, Share, section_of
 from echowing.setup.applet import applet_path, parameters_in
 from echowing.sim.fault_section import LEADER_FAULTS, FaultSection, objection
 from echowing.sim.named_parameters import objections
+from echowing.sim.own_plan import FUNCTION, OWN_PLAN, OwnPlan
 from echowing.sim.vehicle.parameters import Generation
 from echowing.sim.world.cutter import ByteLoss
 from echowing.sim.world.radio import RadioSettings
@@ -431,6 +432,9 @@ class Scenario(Section):
     law: str = "hold"
     """Of the applet: `hold` (`echowing.lua`); `thesis`, `bands` (`echowing_speed.lua`); `none`; or
     your own file, `my_law.lua` ([`LAWS.md`](LAWS.md))."""
+    plan: str | None = None
+    """Your own plan in Python, `my_plan.py`, in place of the ground tool's
+    ([`LAWS.md`](LAWS.md#in-python-on-the-ground)); none: ours."""
     leader: LeaderSection = LeaderSection()
     """The leader."""
     formation: FormationSection = FormationSection()
@@ -469,6 +473,25 @@ class Scenario(Section):
             return law
         names = ", ".join(map(repr, ("none", *LAWS)))
         raise ValueError(f"give {names} or a {OWN_LAW} file")
+
+    @field_validator("plan")
+    @classmethod
+    def _is_a_plan(cls, plan: str | None) -> str | None:
+        if plan is None or plan.endswith(OWN_PLAN):
+            return plan
+        raise ValueError(f"give a {OWN_PLAN} file with a function {FUNCTION}")
+
+    @model_validator(mode="after")
+    def _may_be_planned(self) -> "Scenario":
+        if self.plan is None:
+            return self
+        if self.kind == "wall" or self.swarm.followers:
+            raise ValueError("plan: only for a formation behind a leader: remove it")
+        if not self.takes_velocity or not self.guidance.settings().feed_forward:
+            raise ValueError(
+                "plan: needs points with a velocity: law hold or none, without guidance.gray"
+            )
+        return self
 
     @model_validator(mode="before")
     @classmethod
@@ -523,8 +546,8 @@ class Scenario(Section):
 
     @property
     def law_name(self) -> str:
-        """The law as results name it: of a user's applet its file without the folders."""
-        return Path(self.law).name
+        """What flew, as results name it: of the user's own files without the folders."""
+        return " + ".join(Path(one).name for one in (self.law, self.plan) if one is not None)
 
     @property
     def applet_file(self) -> Path | None:
@@ -659,6 +682,8 @@ def scenario_of(table: Mapping[str, Any], source: str) -> Scenario:
     )
     if wrong:
         raise EchowingError("\n".join(f"{source}: {line}" for line in wrong))
+    if scenario.plan is not None:
+        OwnPlan(Path(scenario.plan))  # what is wrong with the file shows before anything flies
     try:
         _ = scenario.sonar_belief  # a file of the user's
         if not scenario.swarm.followers:

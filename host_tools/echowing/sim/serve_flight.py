@@ -122,6 +122,8 @@ def serve(
         raise EchowingError(f"--serve: scenario {scenario.name} has no leader and followers")
     if scenario.swarm.followers:
         raise EchowingError("--serve: a swarm is for simulated flights: `follow` leads slots only")
+    if scenario.plan is not None:
+        raise EchowingError("--serve: `follow` flies by its own plan: remove yours")
     if scenario.fault:
         raise EchowingError(f"--serve: the faults of {scenario.name} are flown without it only")
     _check_ports(port, 1 + len(scenario.slots()))
