@@ -125,8 +125,7 @@ def test_the_field_draws_who_flies_by_a_receivers_height_and_how_wrong_that_is()
 def test_receivers_of_formations_step_and_have_multipath(
     key: str, span: tuple[float, float], in_share: float
 ) -> None:
-    description = load_description("formations")
-    values = [getattr(draw(description, 1, index).gps, key) for index in range(200)]
+    values = [getattr(one.gps, key) for one in drawn_formations()]
     found = [one for one in values if one]
 
     assert len(found) / len(values) == pytest.approx(in_share, abs=0.09)
@@ -142,7 +141,7 @@ def drawn_fields() -> list[Scenario]:
 @cache
 def drawn_formations() -> list[Scenario]:
     description = load_description("formations")
-    return [draw(description, 1, index) for index in range(120)]
+    return [draw(description, 1, index) for index in range(200)]
 
 
 def test_formations_are_drawn_as_they_are_flown_by_name() -> None:

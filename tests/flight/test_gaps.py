@@ -249,8 +249,8 @@ def test_slots_that_another_ones_applet_does_not_hold_are_refused() -> None:
 @pytest.mark.seconds(20)
 def test_flown(close_gaps: bool) -> None:
     told = f"formation.close_gaps={str(close_gaps).lower()}"
-    scenario = load_scenario("column", ["formation.followers=2", "duration_s=85", told])
-    leaves = FaultSection(kind="pilot_takes_over", at_s=45.0, vehicle=2, mode="RTL")
+    scenario = load_scenario("column", ["formation.followers=2", "duration_s=65", told])
+    leaves = FaultSection(kind="pilot_takes_over", at_s=35.0, vehicle=2, mode="RTL")
     flight = FormationFlight(scenario.model_copy(update={"fault": (leaves,)}), 3)
     flight.run()
     behind_m = math.dist(flight.leader.position_ned_m, flight.followers[1].position_ned_m)

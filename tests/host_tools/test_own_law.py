@@ -76,7 +76,10 @@ def test_a_law_that_fails_is_no_flight(line: str, says: str, tmp_path: Path) -> 
         fly_law(str(law), "rectangle", 1)
 
 
-def test_it_stands_in_the_table_beside_ours(tmp_path: Path) -> None:
+def test_it_stands_in_the_table_beside_ours(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("echowing.bench.laws.DURATION_S", 15.0)
     mine = fly_law(str(copy(tmp_path)), "rectangle", 1)
     flights = [replace(mine, law="hold"), mine]
     assert [row.law for row in islice(rows(flights), 2)] == ["hold", "my_law.lua"]

@@ -14,7 +14,7 @@ from .flown import flown
 pytestmark = pytest.mark.seconds(25)
 SEEDS = (1, 2, 3)
 NATIVE_SEEDS = range(1, 8)
-RADIUS_M, JOINED_S, FLOWN_S, SHORT_S = 3.0, 45.0, 150.0, 60.0
+RADIUS_M, JOINED_S, FLOWN_S, SHORT_S = 3.0, 45.0, 150.0, 40.0
 
 
 def flight(firmware: str, seed: int, flown_s: float = FLOWN_S) -> FlownScenario:

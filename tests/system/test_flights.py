@@ -57,7 +57,7 @@ def test_a_vee_of_two_that_both_hear_the_leader_keeps_its_slots(seeds: Sequence[
 
     Mean error over both followers, and no two vehicles nearer than 1 m.
     """
-    two = "duration_s=90", "formation.followers=2", "follower.target=stock"
+    two = "duration_s=70", "formation.followers=2", "follower.target=stock"
     flights = [flown("vee", seed, *two) for seed in seeds]
     errors_m = [one.mean_abs_error_m for vee in flights for one in vee.metrics]
     assert statistics.mean(errors_m) < 0.45
@@ -69,7 +69,7 @@ def test_in_a_column_of_two_the_second_keeps_its_distance_by_its_own_sonar(
     seeds: Sequence[int],
 ) -> None:
     """3 m behind the first, where it had 0.6 to 0.7 m of error as a session of its own."""
-    two = "duration_s=90", "formation.followers=2"
+    two = "duration_s=70", "formation.followers=2"
     flights = [flown("column", seed, *two) for seed in seeds]
     errors_m = [column.metrics[1].mean_abs_error_m for column in flights]
     assert statistics.mean(errors_m) < 0.55
@@ -131,7 +131,7 @@ def test_one_seed_gives_the_same_bytes_twice_and_another_gives_others(tmp_path: 
     ],
 )
 def test_other_leader_paths_are_followed_safely(path: str) -> None:
-    one = flown("echowing", 1, f"leader.path={path}", "duration_s=120")
+    one = flown("echowing", 1, f"leader.path={path}", "duration_s=75")
 
     assert one.closest_m > 1.0
     assert one.metrics[0].mean_abs_error_m < 1.0
@@ -155,7 +155,7 @@ def test_all_generations_fly_alike(generation: str) -> None:
 
 def test_the_sonar_on_the_boom_of_hw_holds_the_distance() -> None:
     """Its applet adds 0.45 m to a reading, wherever the gimbal looks; aside 0.29 are right."""
-    one = flown("echowing", 1, "sonar.file=mb1202-boom", "duration_s=90")
+    one = flown("echowing", 1, "sonar.file=mb1202-boom", "duration_s=60")
 
     assert one.closest_m > 1.5
     assert one.metrics[0].mean_abs_error_m < 0.25
