@@ -9,8 +9,9 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from rich.console import Console
 
-from echowing.rig.axis_test import AxisTest, Direction, looked
+from echowing.rig.axis_test import AxisTest
 from echowing.rig.bench import Bench, Operator, run_to_result
+from echowing.rig.orders import Direction, looked
 from echowing.rig.result import Check, Result
 
 from .rig_desk import CoreWire

@@ -1,17 +1,15 @@
 """`echowing rig axis-test`: orders where to look against the autopilot's IMU."""
 
-import math
 from argparse import ArgumentParser, Namespace
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from pymavlink.dialects.v20 import ardupilotmega as mavlink
-
 from echowing.analysis import plots
 from echowing.analysis.tables import Grid, Row
-from echowing.rig.bench import POLL_S, Bench, add_bench_arguments, perform, positive, whole
+from echowing.rig.bench import POLL_S, Bench, add_bench_arguments, ignore, perform, positive, whole
 from echowing.rig.board import ScanMode
+from echowing.rig.orders import EARTH_FRAME, Direction, Orders, looked
 from echowing.rig.readings import percentile
 from echowing.rig.result import Check, Result
 
@@ -25,8 +23,6 @@ examples:
 ROUNDS = 3
 SECONDS = 15.0
 HOST_MS = 20.0  # as latency-test's
-# A new order is told ten times a second, as in flight; it counts for one second.
-ORDER_PERIOD_S = 0.1
 # Within the default reach of 60 and 30 degrees, from a vehicle that stands a little aslant.
 SIDE_DEG, UP_DEG = 30.0, 15.0
 MOVES = {
@@ -49,51 +45,6 @@ DELAY_LIMIT_MS = 100.0
 # From the pulses to the reading that tells of the arrival: a frame and the servo's way to move
 # (35 ms), the ping before which it came too late, its reading (up to 100 ms), and its messages.
 TOLD_MS = 35.0 + 100.0 + 20.0
-
-EARTH_FRAME = (
-    mavlink.GIMBAL_DEVICE_FLAGS_ROLL_LOCK
-    | mavlink.GIMBAL_DEVICE_FLAGS_PITCH_LOCK
-    | mavlink.GIMBAL_DEVICE_FLAGS_YAW_LOCK
-    | mavlink.GIMBAL_DEVICE_FLAGS_YAW_IN_EARTH_FRAME
-)
-
-
-@dataclass(frozen=True)
-class Direction:
-    """Degrees: to the right of north, or of straight ahead; and up."""
-
-    right_deg: float
-    up_deg: float
-
-    def apart_deg(self, other: "Direction") -> float:
-        """Angle between the two."""
-        (ax, ay, az), (bx, by, bz) = self._vector(), other._vector()
-        return math.degrees(math.acos(max(-1.0, min(1.0, ax * bx + ay * by + az * bz))))
-
-    def _vector(self) -> tuple[float, float, float]:
-        right, up = math.radians(self.right_deg), math.radians(self.up_deg)
-        return math.cos(up) * math.cos(right), math.cos(up) * math.sin(right), math.sin(up)
-
-    def quaternion(self) -> list[float]:
-        """The rotation to it, w x y z."""
-        yaw, pitch = math.radians(self.right_deg) / 2.0, math.radians(self.up_deg) / 2.0
-        return [
-            math.cos(yaw) * math.cos(pitch),
-            -math.sin(yaw) * math.sin(pitch),
-            math.cos(yaw) * math.sin(pitch),
-            math.sin(yaw) * math.cos(pitch),
-        ]
-
-
-def looked(q: Sequence[float]) -> Direction:
-    """Where a rotation w x y z turns straight ahead."""
-    w, x, y, z = q
-    forward, right = w * w + x * x - y * y - z * z, 2.0 * (x * y + w * z)
-    up = 2.0 * (w * y - x * z)
-    return Direction(
-        math.degrees(math.atan2(right, forward)),
-        math.degrees(math.atan2(up, math.hypot(forward, right))),
-    )
 
 
 @dataclass(frozen=True)
@@ -175,7 +126,6 @@ class AxisTest:
         self._host_ms = host_ms
         self._still = still
         self._parameters: Mapping[str, float] = {}
-        self._ordered_s = -math.inf
         self.at_rest = Ears()
         self.moving = Ears()
         self.steady = Ears()
@@ -194,30 +144,30 @@ class AxisTest:
         if not self.at_rest.axes:
             return
         self.ahead = Direction(self.at_rest.axes[-1].axis.right_deg, 0.0)
+        orders = Orders(bench)
         try:
             for number in range(self._rounds):
-                self._move_round(bench, number)
+                self._move_round(bench, orders, self.ahead, number)
             if not self._still:
-                self._turn(bench)
+                self._turn(bench, orders, self.ahead)
         finally:
-            self._send(bench, self.ahead, mavlink.GIMBAL_DEVICE_FLAGS_RETRACT)
+            orders.end(self.ahead)
 
-    def _move_round(self, bench: Bench, number: int) -> None:
-        assert self.ahead is not None
+    def _move_round(self, bench: Bench, orders: Orders, ahead: Direction, number: int) -> None:
         text = f"left, right, up, down: {number + 1} of {self._rounds}"
         total_s = 2.0 * MOVE_S * len(MOVES)
         with bench.operator.progress(text, total_s) as show:
             for step, (name, (right_deg, up_deg)) in enumerate(MOVES.items()):
                 show(2.0 * MOVE_S * step, name)
-                self._hear(bench, self.ahead, MOVE_S, self.moving.hear)
-                order = Direction(self.ahead.right_deg + right_deg, up_deg)
-                self._move(bench, Move(name, order, bench.clock()))
+                _hear(orders.hold(ahead, MOVE_S), self.moving.hear)
+                order = Direction(ahead.right_deg + right_deg, up_deg)
+                self._move(orders, Move(name, order, bench.clock()))
 
-    def _move(self, bench: Bench, move: Move) -> None:
+    def _move(self, orders: Orders, move: Move) -> None:
         """Order it, and note the first sign of other pulses, and the arrival."""
         before = self.moving.pointed[-1][1] if self.moving.pointed else None
         self.moves.append(move)
-        self._ordered_s = -math.inf  # at once
+        orders.at_once()
 
         def hear(message: Any) -> None:
             self.moving.hear(message)
@@ -228,47 +178,20 @@ class AxisTest:
                 if move.arrived_ms is None and move.off_deg <= NEAR_DEG:
                     move.arrived_ms = since_ms
 
-        self._hear(bench, move.order, MOVE_S, hear)
+        _hear(orders.hold(move.order, MOVE_S), hear)
 
-    def _turn(self, bench: Bench) -> None:
-        assert self.ahead is not None
-        ahead = self.ahead
+    def _turn(self, bench: Bench, orders: Orders, ahead: Direction) -> None:
         bench.ask(
             f"For {self._seconds:g} s turn the vehicle by hand: nose up and down, left and right, "
             "by some 20 degrees each. The sonar should go on looking at the same place."
         )
         with bench.operator.progress("turn it by hand", self._seconds) as show:
             begun_s = bench.clock()
-            for _ in self._held(bench, ahead, 1.0):
-                pass
+            _hear(orders.hold(ahead, 1.0), ignore)
             while (done_s := bench.clock() - begun_s) < self._seconds:
                 pan_deg, tilt_deg = self.steady.turned_deg()
                 show(done_s, f"turned {pan_deg:.0f} and {tilt_deg:.0f} degrees")
-                self._hear(bench, ahead, POLL_S, self.steady.hear)
-
-    def _hear(
-        self, bench: Bench, order: Direction, seconds: float, hear: Callable[[Any], None]
-    ) -> None:
-        for message in self._held(bench, order, seconds):
-            hear(message)
-
-    def _held(self, bench: Bench, order: Direction, seconds: float) -> Iterator[Any]:
-        """The board's messages while the order is told again and again."""
-        end_s = bench.clock() + seconds
-        while (now_s := bench.clock()) < end_s:
-            if now_s - self._ordered_s >= ORDER_PERIOD_S:
-                self._ordered_s = now_s
-                self._send(bench, order, EARTH_FRAME)
-            yield from bench.heard(min(POLL_S, end_s - now_s))
-
-    def _send(self, bench: Bench, order: Direction, flags: int) -> None:
-        board = bench.board
-        where = (board.system_id, board.component_id)
-        board.send(
-            mavlink.MAVLink_gimbal_device_set_attitude_message(
-                *where, flags, order.quaternion(), 0.0, 0.0, 0.0
-            )
-        )
+                _hear(orders.hold(ahead, POLL_S), self.steady.hear)
 
     # ---- judging
 
@@ -421,6 +344,11 @@ class AxisTest:
             _line("axis off its order", axes, plots.FOLLOWER_COLOUR),
         ]
         return plots.chart("Turned by hand", "s", "degrees", traces)
+
+
+def _hear(messages: Iterable[Any], hear: Callable[[Any], None]) -> None:
+    for message in messages:
+        hear(message)
 
 
 def _note_pulses(ears: Ears, move: Move, before: Direction | None, since_ms: float) -> None:
