@@ -20,10 +20,13 @@ STEP_S = 0.02  # of the simulated autopilot
 class Sonar(MaxSonar):
     """Hears `range_m`; answers nothing while unplugged."""
 
-    def __init__(self, range_m: float | None) -> None:
+    def __init__(self, range_m: float | Callable[[float], float | None] | None) -> None:
         self.range_m = range_m
         self.plugged = True
-        super().__init__(lambda _: self.range_m)
+        super().__init__(self._look)
+
+    def _look(self, t_s: float) -> float | None:
+        return self.range_m(t_s) if callable(self.range_m) else self.range_m
 
     def write(self, t_us: int, address: int, data: bytes) -> bool:
         return self.plugged and super().write(t_us, address, data)
@@ -36,7 +39,8 @@ class CoreWire:
     """The core as a wire; time passes as it is read.
 
     drop: which of the board's frames get lost. armed: None, no autopilot is beside it. attitude:
-    what that one tells 25 times a second: roll, pitch and yaw at a time, radians.
+    what that one tells 25 times a second: roll, pitch and yaw at a time, radians. scene: turns
+    its servos by the board's pulses.
     """
 
     def __init__(self, range_m: float | None = 3.0) -> None:
@@ -53,6 +57,7 @@ class CoreWire:
         self._ears = mavlink.MAVLink(None)
         self._beat_at_s = self._attitude_at_s = 0.0
         self.attitude: Callable[[float], tuple[float, float, float]] | None = None
+        self.scene: Callable[[float, float], None] | None = None
 
     def _board(self) -> NativeCoprocessor:
         return NativeCoprocessor(self.sonar, parameters={"SYS_ID": self.autopilot_system})
@@ -67,6 +72,8 @@ class CoreWire:
             self._beat()
             self._lean()
             self.core.run_until(round((self.t_s - self.started_s) * 1e6))
+            if self.scene is not None:
+                self.scene(self.core.pan_us, self.core.tilt_us)
         return data
 
     def restart(self) -> None:

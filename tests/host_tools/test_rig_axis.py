@@ -57,7 +57,7 @@ def outcome(
     prepare(wire)
     operator = Operator(Console(file=io.StringIO()), io.StringIO(), yes=True)
     bench = Bench(board, operator, wire.clock, lambda seconds: None)
-    result, _ = run_to_result(AxisTest(1, 12.0, HOST_MS, still=still), bench)
+    result, _ = run_to_result(AxisTest(1, 12.0, HOST_MS, target_m=None, still=still), bench)
     return result, wire
 
 

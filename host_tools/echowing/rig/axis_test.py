@@ -1,4 +1,4 @@
-"""`echowing rig axis-test`: orders where to look against the autopilot's IMU."""
+"""`echowing rig axis-test`: orders where to look against the autopilot's IMU, and echoes."""
 
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -7,6 +7,7 @@ from typing import Any
 
 from echowing.analysis import plots
 from echowing.analysis.tables import Grid, Row
+from echowing.rig.axis_echoes import Echoes
 from echowing.rig.bench import POLL_S, Bench, add_bench_arguments, ignore, perform, positive, whole
 from echowing.rig.board import ScanMode
 from echowing.rig.orders import EARTH_FRAME, Direction, Orders, looked
@@ -16,13 +17,15 @@ from echowing.rig.result import Check, Result
 EXAMPLES = """\
 examples:
   echowing rig axis-test
-  echowing rig --port /dev/ttyUSB0 --baud 57600 axis-test --still --host-ms 300
-      by radio, through the autopilot; the vehicle stays where it is
+  echowing rig axis-test --target 3
+  echowing rig --port /dev/ttyUSB0 --baud 57600 axis-test --still --no-target --host-ms 300
+      by radio, through the autopilot; alone, and the vehicle stays where it is
 """
 
 ROUNDS = 3
 SECONDS = 15.0
 HOST_MS = 20.0  # as latency-test's
+TARGET_M = 2.0
 # Within the default reach of 60 and 30 degrees, from a vehicle that stands a little aslant.
 SIDE_DEG, UP_DEG = 30.0, 15.0
 MOVES = {
@@ -118,9 +121,14 @@ class Ears:
 
 
 class AxisTest:
-    """The procedure: order it to each side, then hold it still while the vehicle is turned."""
+    """The procedure: order it to each side, over a target, and to stay while the vehicle is turned.
 
-    def __init__(self, rounds: int, seconds: float, host_ms: float, *, still: bool) -> None:
+    target_m: how far the target hangs; None: there is none. still: nobody turns the vehicle.
+    """
+
+    def __init__(
+        self, rounds: int, seconds: float, host_ms: float, *, target_m: float | None, still: bool
+    ) -> None:
         self._rounds = rounds
         self._seconds = seconds
         self._host_ms = host_ms
@@ -130,6 +138,7 @@ class AxisTest:
         self.moving = Ears()
         self.steady = Ears()
         self.moves: list[Move] = []
+        self.echoes = None if target_m is None else Echoes(target_m, 2 * rounds)
         self.ahead: Direction | None = None
 
     def run(self, bench: Bench) -> None:
@@ -148,6 +157,8 @@ class AxisTest:
         try:
             for number in range(self._rounds):
                 self._move_round(bench, orders, self.ahead, number)
+            if self.echoes is not None:
+                self.echoes.run(bench, orders, self._parameters, self.ahead)
             if not self._still:
                 self._turn(bench, orders, self.ahead)
         finally:
@@ -206,6 +217,9 @@ class AxisTest:
                 self._arrival_check(),
                 self._speed_check(),
             ]
+        echoes = self.echoes
+        if echoes is not None:
+            result.checks = [*result.checks, *echoes.checks()]
         if self.steady.axes:
             result.checks = [*result.checks, *self._steady_checks()]
         result.measured = {
@@ -221,15 +235,15 @@ class AxisTest:
             "fastest_dps": _rounded(self.moving.fastest_dps()),
             "turned_deg": [_rounded(angle) for angle in self.steady.turned_deg()],
             "off_deg": [_rounded(off) for off in self._offs_deg()],
+            "echoes": [sweep.as_dict() for sweep in echoes.sweeps] if echoes is not None else [],
         }
         result.grids = [self._grid()] if self.moves else []
+        if echoes is not None and echoes.sweeps:
+            result.grids = [*result.grids, echoes.grid()]
+            result.figures = {"echoes": echoes.figure()}
         if self.steady.axes:
-            result.figures = {"steady": self._steady_figure()}
-        result.notes = [
-            "The axis is what the board tells with each reading: its pulses, the way that servos "
-            "of SERVO_RATE make in the time, and the attitude at the ping. Where the sonar really "
-            "looks you see yourself: it goes on looking at one place while you turn the vehicle."
-        ]
+            result.figures = {**result.figures, "steady": self._steady_figure()}
+        result.notes = [_TOLD + (_UNSEEN if echoes is None else _SEEN)]
         return result
 
     def _attitude_check(self) -> Check:
@@ -346,6 +360,14 @@ class AxisTest:
         return plots.chart("Turned by hand", "s", "degrees", traces)
 
 
+_TOLD = (
+    "The axis is what the board tells with each reading: its pulses, the way that servos of "
+    "SERVO_RATE make in the time, and the attitude at the ping. "
+)
+_SEEN = "Where the sonar really looks its echoes tell: the checks with `really`."
+_UNSEEN = "Without a target nothing tells where the sonar really looks: watch it."
+
+
 def _hear(messages: Iterable[Any], hear: Callable[[Any], None]) -> None:
     for message in messages:
         hear(message)
@@ -402,6 +424,17 @@ def add_arguments(parser: ArgumentParser) -> None:
         metavar="S",
         help="seconds to turn the vehicle by hand (15)",
     )
+    target = parser.add_mutually_exclusive_group()
+    target.add_argument(
+        "--target",
+        type=positive,
+        default=TARGET_M,
+        metavar="M",
+        help=f"how far from the sonar the target is put, metres ({TARGET_M:g})",
+    )
+    target.add_argument(
+        "--no-target", action="store_true", help="no echoes: nothing tells where the servos are"
+    )
     parser.add_argument(
         "--still", action="store_true", help="the orders only: nobody turns the vehicle"
     )
@@ -416,5 +449,8 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def run(args: Namespace) -> int:
     """Measure, judge, write the result."""
-    procedure = AxisTest(args.rounds, args.seconds, args.host_ms, still=args.still)
+    target_m = None if args.no_target else args.target
+    procedure = AxisTest(
+        args.rounds, args.seconds, args.host_ms, target_m=target_m, still=args.still
+    )
     return perform(procedure, args)
