@@ -27,6 +27,14 @@ LEARNED_S = 6.0  # by then it knows its vehicle
 FLOWN_S = 12.0
 ATTITUDE_S, ORDER_S = 0.04, 0.1
 EARTH_FRAME = 4 | 8 | 16 | 64
+# The search without orders (Figure 28), and how long a round of it takes at most: 300 ms each, and
+# a reading that hears nothing.
+FIGURE_8 = (
+    *((1330, 1500), (1380, 1500), (1400, 1500), (1400, 1400), (1380, 1400), (1330, 1400)),
+    *((1330, 1300), (1380, 1300), (1400, 1300)),
+)
+FIGURE_8_S = 12 * 0.4
+FRAME_US = 25_000.0
 # A beam of 40 degrees.
 HALF_BEAM_RAD = math.radians(20.0)
 LEADER = Target((3.0, 0.0, 0.0))
@@ -64,6 +72,7 @@ class Flight:
     """A board on a vehicle; its sonar hears a leader 3 m north. Orders say so, if there are any."""
 
     ordered: bool
+    deaf: bool = False
     pings: list[tuple[float, Ned, bool]] = field(default_factory=list)  # time, axis, heard
 
     def __post_init__(self) -> None:
@@ -77,7 +86,7 @@ class Flight:
         turn = leaning(t_s - LEARNED_S)
         axis = body_to_ned(self._gimbal.axis_body(), turn.roll, turn.pitch, turn.yaw)
         range_m, off_rad = target_range_m(Pose(HERE, axis), LEADER)
-        heard = off_rad <= HALF_BEAM_RAD
+        heard = off_rad <= HALF_BEAM_RAD and not self.deaf
         self.pings.append((t_s * 1e6, axis, heard))
         return range_m if heard else None
 
@@ -85,9 +94,12 @@ class Flight:
         """Learn the vehicle, then fly."""
         self.bench.run(LEARNED_S)
         self.pings.clear()
-        steps = round(FLOWN_S / STEP_S)
-        for k in range(steps):
-            t_s = k * STEP_S
+        self.go_on(0.0, FLOWN_S)
+
+    def go_on(self, begun_s: float, seconds: float) -> None:
+        """Fly on, that long after it began."""
+        for k in range(round(seconds / STEP_S)):
+            t_s = begun_s + k * STEP_S
             if self._asked and k % round(ATTITUDE_S / STEP_S) == 0:
                 self._tell_attitude(t_s)
             if self.ordered and k % round(ORDER_S / STEP_S) == 0:
@@ -188,3 +200,26 @@ def test_the_board_has_time_and_memory_for_it(looking: Flight) -> None:
     assert looking.bench.board.overruns(AUTOPILOT_PORT) == 0
     assert looking.bench.board.meters().stack_headroom_bytes > 1024
     assert looking.bench.board.meters().restarts == 0
+
+
+def test_a_second_after_the_last_order_it_searches_as_without_orders() -> None:
+    """Attitude goes on; the leader is gone, or it would be held where it is heard."""
+    flight = Flight(ordered=True, deaf=True)
+    flight.bench.run(LEARNED_S)
+    flight.go_on(0.0, 2.0)
+    ended_us = flight.bench.t_us
+    flight.ordered = False
+    flight.go_on(2.0, 1.1 + FIGURE_8_S)
+    points = set(FIGURE_8)
+    assert not points.issuperset(aims(flight, ended_us, ended_us + 0.8e6))
+    # The last order came up to 0.1 s before, and new pulses wait for their frame.
+    assert set(aims(flight, ended_us + 1.05e6, flight.bench.t_us)) == points
+
+
+def aims(flight: Flight, from_us: float, until_us: float) -> list[tuple[int, int]]:
+    """The pulses that went out then, in order."""
+    return [
+        (round(pan_us), round(tilt_us))
+        for t_us, pan_us, tilt_us in flight.bench.aims(from_us)
+        if t_us < until_us
+    ]
