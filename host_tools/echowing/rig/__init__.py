@@ -25,7 +25,7 @@ PROCEDURES = {
     "scan-test": "measure the search: its twelve points, their dwell and their coverage "
     "(Figure 17)",
     "latency-test": "measure the time from command to acknowledgement and from reading to report",
-    "axis-test": "check that the gimbal looks where it is ordered to, and stays there while the "
-    "vehicle is turned by hand",
+    "axis-test": "check that the gimbal looks where it is ordered to, by echoes, too, and stays "
+    "there while the vehicle is turned by hand",
     "soak": "watch the board for hours and count every message, gap and fault",
 }
