@@ -12,6 +12,7 @@ from echowing.setup.applet import applet_parameters
 
 DETECT, INSET = "ECHO_DETECT", "ECHO_INSET"
 TRACK_RANGE, BEAM_WIDTH = "TRACK_RANGE", "BEAM_WIDTH"
+TOLERANCE = 1e-4  # of what a 32-bit float makes of a decimal number
 # The co-processor's table, BEAM_WIDTH.
 MOST_WIDE_DEG = 120.0
 
@@ -25,8 +26,8 @@ class BySonar:
     why: str
 
     def fits(self, value: float) -> bool:
-        """Whether a vehicle's value does, but for what a 32-bit float makes of it."""
-        return abs(value - self.value) <= self.differs + 1e-4
+        """Whether a vehicle's value does."""
+        return abs(value - self.value) <= self.differs + TOLERANCE
 
 
 def applet_by_sonar(sonar: SonarBelief) -> dict[str, BySonar]:

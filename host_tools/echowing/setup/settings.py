@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from echowing.applets import FORMAT, identify
 from echowing.mavlink.vehicle_limits import ACCELERATION, JERK, LEAN, VehicleLimit
 from echowing.setup.applet import AppletParameter, applet_parameters
-from echowing.setup.by_sonar import BySonar, applet_by_sonar
+from echowing.setup.by_sonar import TOLERANCE, BySonar, applet_by_sonar
 from echowing.setup.readout import Readout
 from echowing.sonar_file import MAVLINK_TYPE
 
@@ -42,7 +42,6 @@ RTL_SPEED_MPS = 5.0  # WP_SPD's half: what the applet's doc suggests
 LEAST_LIMITS = {ACCELERATION: 5.0, JERK: 20.0, LEAN: 45.0}
 GUIDED_BY_WAYPOINTS = 64  # GUID_OPTIONS bit 6
 GUIDED_TIMEOUT_S, LONGEST_GUIDED_TIMEOUT_S = 3.0, 5.0  # GUID_TIMEOUT: its default, its range's end
-TOLERANCE = 1e-4  # of what a 32-bit float makes of a decimal number
 
 
 @dataclass(frozen=True, slots=True)
