@@ -222,6 +222,13 @@ def test_a_lap_and_the_answer_come_first_and_the_theses_tables_behind_a_fold(
     assert places == sorted(places)
 
 
+def test_flights_that_are_compared_are_called_as_in_the_readme(tmp_path: Path) -> None:
+    alone, ours = replace(flight("gray"), law="none"), replace(flight("echowing"), law="hold")
+    write_report(tmp_path / "r.html", [alone, ours])
+    text = (tmp_path / "r.html").read_text(encoding="utf-8")
+    assert "Separation error: GPS alone and Echowing" in text
+
+
 def test_labels_tell_flights_apart() -> None:
     assert flight_label(flight("echowing", seed=7)) == "echowing, banded law, seed 7"
 

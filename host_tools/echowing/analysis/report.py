@@ -138,8 +138,9 @@ def _comparison_section(flights: Sequence[Flight], figures: dict[str, plots.Figu
     for number, other in enumerate(others, 1):
         pair = [base, other]
         labels = [flight_label(flight) for flight in pair]
+        names = [called(flight.name, flight.law) for flight in pair]
         figures[f"compare-{number}"] = plots.separation_error(
-            pair, labels, f"Separation error: {base.name} and {other.name}"
+            pair, labels, f"Separation error: {names[0]} and {names[1]}"
         )
         boxes.append(box(f"compare-{number}"))
     return (
