@@ -23,7 +23,7 @@ The applet stops by the same rule (`guard.stoppable_mps` in `lua/echowing.lua`);
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from echowing.flight.half_planes import (
@@ -152,25 +152,34 @@ def keep_apart(
         if mps > 0.0 and other.in_the_way:
             aim = _turned_right(aim, wall)
     calling = [other for other, mps in zip(others, short_mps, strict=True) if mps > 0.0]
-    yielding = [_wall(*_yielding(one, answer), least_m, own_mps) for one in others]
-    if all(other.led and not other.watched for other in calling):
-        flown = _making_room(aim, walls, yielding, worst)
-    else:
-        flown = _changed(aim, walls, yielding, worst)
+    all_make_room = all(other.led and not other.watched for other in calling)
+    flown = (_making_room if all_make_room else _changed)(
+        aim,
+        walls,
+        lambda: [_wall(*_yielding(one, answer), least_m, own_mps) for one in others],
+        worst,
+    )
     return (*flown, wanted_mps[2]), others[worst]
 
 
-def _making_room(aim: Level, walls: Sequence[Wall], yielding: Sequence[Wall], worst: int) -> Level:
+def _making_room(
+    aim: Level, walls: Sequence[Wall], yielding: Callable[[], Sequence[Wall]], worst: int
+) -> Level:
     """Among others that are led too, all of whom make room: no faster than planned, or a retreat.
 
     One that flees faster calls on the next to flee, and so on through a formation.
     """
     most_mps = max(math.hypot(*aim), RETREAT_MOST_MPS)
-    flown = nearest(aim, walls, most_mps) or nearest(aim, yielding, most_mps)
-    return flown or breaking_least(yielding, most_mps, yielding[worst])
+    flown = nearest(aim, walls, most_mps)
+    if flown is None:
+        walls = yielding()
+        flown = nearest(aim, walls, most_mps)
+    return flown or breaking_least(walls, most_mps, walls[worst])
 
 
-def _changed(aim: Level, walls: Sequence[Wall], yielding: Sequence[Wall], worst: int) -> Level:
+def _changed(
+    aim: Level, walls: Sequence[Wall], yielding: Callable[[], Sequence[Wall]], worst: int
+) -> Level:
     """The plan changed by as little as others call for, or by as much as a correction may."""
     around = _around(aim, walls)
     calls_for_mps = [SAME_MPS + max(0.0, short) for _, _, short in around]
@@ -178,7 +187,7 @@ def _changed(aim: Level, walls: Sequence[Wall], yielding: Sequence[Wall], worst:
     near_mps = min(far_mps, CORNER * sum(calls_for_mps))
     change = nearest(NO_CHANGE, around, near_mps)
     if change is None:
-        around = _around(aim, yielding)
+        around = _around(aim, yielding())
         change = nearest(NO_CHANGE, around, near_mps) or nearest(NO_CHANGE, around, far_mps)
     change = change or breaking_least(around, far_mps, around[worst])
     return aim[0] + change[0], aim[1] + change[1]
