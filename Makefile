@@ -52,6 +52,7 @@ lint: setup-test ## run formatters and linters; changes nothing
 
 pages: setup ## write the pages that are made from the code
 	$(BIN)/python -m echowing.docs.keys host_tools
+	$(BIN)/python -m echowing.docs.constants host_tools
 	$(BIN)/python -m echowing.docs.shapes host_tools/pictures/shapes.svg
 
 format: setup-test ## apply the formatters

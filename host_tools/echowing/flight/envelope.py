@@ -51,7 +51,7 @@ FASTEST_MPS = 5.0
 # What two walls up to 135 degrees apart leave is no further from the plan than this times what each
 # calls for.
 CORNER = math.sqrt(2.0)
-
+# The plan as it is.
 NO_CHANGE = (0.0, 0.0)
 
 

@@ -22,6 +22,7 @@ LINK_SIGMA_M = 0.37
 WASH_M = 1.0 + 2.0 * IN_SLOT_M
 # Two copters are not below each other within this height.
 LEVEL_M = 0.5
+# Its number here; that of a slot counts from 1.
 LEADER = 0
 
 

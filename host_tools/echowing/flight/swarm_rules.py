@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 Horizontal = tuple[float, float]
 
+# What a rule says that has nothing to say.
 NOWHERE: Horizontal = (0.0, 0.0)
 # Nearer, two places are the same: no direction leads from one to the other.
 SAME_PLACE_M = 0.01
