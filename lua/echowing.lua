@@ -245,10 +245,10 @@ end
 -- Speeds are along the beam, which is at the leader's bearing. Times are in ms; nil is "never".
 local own = { mps = 0, north_mps = 0, east_mps = 0, accel_mps2 = 0 } -- this vehicle's motion; at_ms: when
 -- Where the sonar looks, a unit vector. It is fixed to the nose, or a gimbal that a link tells turns it.
-local look = { north = 1, east = 0 }
+local look = { north = 1, east = 0, turn_rps = 0 }
 local track = { -- what the sonar reads (averages, single readings), and where the leader is by that, and how fast
-    board_ms = 0, late_ms = 0, quickest_ms = 0, leader_mps = 0, seen_ms = 0, readings = 0, spike_ms = 0,
-    noise_m = 0.0,
+    board_ms = 0, late_ms = 0, quickest_ms = 0, leader_mps = 0, seen_mps = 0, seen_ms = 0, readings = 0,
+    spike_ms = 0, noise_m = 0.0,
 }
 local hold = { mps = 0 } -- moves points along the beam
 local guard = {} -- keeps away from the leader
@@ -328,7 +328,7 @@ do
             local change_mps2 = clamp((mps - before_mps) * 1000 / dt_ms, -C.DECEL, C.DECEL)
             own.accel_mps2 = own.accel_mps2 + (change_mps2 - own.accel_mps2) * dt_ms / (dt_ms + 100)
         end
-        track.turn(before_mps - own.mps)
+        track.turn(before_mps - own.mps, dt_ms * 0.001)
         own.mps, own.north_mps, own.east_mps, own.at_ms = mps, north_mps, east_mps, t_ms
     end
 
@@ -405,7 +405,13 @@ do
             point_ms = stream.at_ms
             carry_on(t_ms, untold_ms, far_m, north_mps, east_mps)
         end
-        if is_within(look_rad, 2 * pi) then look.north, look.east = cos(look_rad), sin(look_rad) end
+        if is_within(look_rad, 2 * pi) then
+            -- Smoothed over 0.15 s: points tell the bearing in steps, 8 a second. A step of 15 degrees is a correction.
+            local turned_rad = look.north * sin(look_rad) - look.east * cos(look_rad)
+            look.turn_rps = (dt_s > 0.2 or abs(turned_rad) > 0.26) and 0
+                or look.turn_rps + (turned_rad - look.turn_rps * dt_s) / (dt_s + 0.15)
+            look.north, look.east = cos(look_rad), sin(look_rad)
+        end
         own.ahead = cos(look_rad - nose_rad) > 0.9 -- the nose is within 25 degrees
     end
 end
@@ -524,12 +530,15 @@ do
         track.leader_mps, track.own_mps, track.at_ms = leader_mps, own.mps, t_ms
     end
 
-    -- The beam has turned: by so much the speeds along it are others.
-    function track.turn(by_mps)
+    -- The beam has turned: by so much the speeds along it are others. The leader's by more: what passes straight by goes
+    -- apart ever faster. Without it the track of one that passed at 3 m with 3 m/s was off by 3 m/s2.
+    function track.turn(by_mps, dt_s)
         hold.mps = hold.mps + by_mps
         for _, name in ipairs(SPEEDS) do
             if track[name] then track[name] = track[name] + by_mps end
         end
+        local apart_mps = (track.range_m or 0) * look.turn_rps * look.turn_rps * dt_s
+        track.leader_mps, track.seen_mps = track.leader_mps + apart_mps, track.seen_mps + apart_mps
     end
 
     -- The track begins anew, with the leader's speed.
@@ -697,19 +706,6 @@ do
         return max(C.DIST, stream.at_ms and stream.opens_m or 0)
     end
 
-    -- Whether the leader most likely goes on with its mission.
-    local function flies_on()
-        return hold.distance_m() <= C.DIST and track.leader_mps > -0.5
-    end
-
-    -- Too near to a leader for which the slot was not opened, and that does not fly back, a share of the distance is
-    -- flown back: at a corner in full the vehicle would fly back from a leader that only turns, lean by it, and lose
-    -- it.
-    local function eased(wanted_m)
-        if not flies_on() or track.range_m < C.CLOSE then return wanted_m end
-        return max(wanted_m, 0.4 * wanted_m)
-    end
-
     -- Where the point belongs along the beam (metres ahead of here), and its speed there: at the wanted distance from
     -- the leader and as fast as the leader. ahead_m, mps: the same of the streamed point. While the sonar sees nothing,
     -- of the track and the point whichever is the more cautious (in a line the track: all points of a line go back at
@@ -718,13 +714,13 @@ do
     -- further, and no faster.
     local function along_beam(ahead_m, mps, braking_mps2, t_ms)
         -- From where both will be once this vehicle leans.
-        local wanted_m = track.range_m + 0.5 * braking_mps2 * LEAN_S * LEAN_S - hold.distance_m()
+        local wanted_m = track.range_m - hold.distance_m()
+            + (track.leader_mps - own.mps + 0.5 * braking_mps2 * LEAN_S) * LEAN_S
         local unseen_ms = t_ms - track.seen_ms
         if unseen_ms > 300 and stream.manner ~= 2 then
             wanted_m = max(min(wanted_m, ahead_m), ahead_m - 5)
-            return min(eased(wanted_m), ahead_m + 1), min(track.leader_mps, mps)
+            return min(wanted_m, ahead_m + 1), min(track.leader_mps, mps)
         end
-        wanted_m = eased(wanted_m)
         if wanted_m > ahead_m + 1 then return ahead_m + 1, min(mps, track.leader_mps) end
         if wanted_m < ahead_m - 5 then return ahead_m - 5, mps end
         return wanted_m, min(track.leader_mps, mps + 1)
@@ -749,7 +745,7 @@ do
         if not ahead_m then return false end
         -- A leader that brakes is answered with its own deceleration.
         local braking_mps2 = stream.manner == 2 and 0 or track.braking_mps2(t_ms)
-        local wanted_m, wanted_mps
+        local wanted_m, wanted_mps, least_mps
         if stream.manner == 1 then
             -- The ground tool leads it past another vehicle, which the applet does not know: the point as it is, but
             -- towards the leader no faster than it can still stop. Guided flies 1 m/s for each metre to the point, and
@@ -759,6 +755,15 @@ do
             wanted_mps = min(mps, track.leader_mps + guard.stoppable_mps(track.range_m) - ahead_m)
         else
             wanted_m, wanted_mps = along_beam(ahead_m, mps, braking_mps2, t_ms)
+            -- In a line, and at its head, back no faster than the point, or than the leader comes, by 0.4 m/s and by
+            -- what is missing to the close distance: a retreat that is not needed meets whoever flies behind, who flies
+            -- back harder still. How another follower comes the ground tool knows sooner than the track. The place is
+            -- moved no further than that, either: over a metre back against a velocity ahead is flown back at first.
+            if stream.manner > 1 then
+                local comes_mps = stream.manner == 2 and mps or min(mps, track.leader_mps)
+                least_mps = min(0, comes_mps) - 0.4 - max(0, C.CLOSE - track.range_m)
+                wanted_m = max(wanted_m, least_mps)
+            end
             if stream.manner == 2 then
                 -- In a line behind another follower: as fast as the point, which is the leader's speed for all of them at
                 -- the same moment. Who answers the braking of the one ahead brakes harder than that one, and the next
@@ -771,16 +776,7 @@ do
         local quickens_mps2 = t_ms - stream.at_ms < 300 and stream.quickens_mps2 or 0
         if braking_mps2 < 0 then quickens_mps2 = min(quickens_mps2, braking_mps2) end
         wanted_mps = wanted_mps + quickens_mps2 * LEAN_S
-        -- In a line, and at its head, back no faster than the point, or than the leader comes, by 0.4 m/s and by what is
-        -- missing to the close distance: a retreat that is not needed meets whoever flies behind, who flies back harder
-        -- still. How another follower comes the ground tool knows sooner than the track. The place is moved no further
-        -- than that, either: over a metre back against a velocity ahead is flown back at first.
-        if stream.manner > 1 then
-            local comes_mps = stream.manner == 2 and mps or min(mps, track.leader_mps)
-            local least_mps = min(0, comes_mps) - 0.4 - max(0, C.CLOSE - track.range_m)
-            wanted_m = max(wanted_m, least_mps)
-            wanted_mps = max(wanted_mps, least_mps - wanted_m)
-        end
+        if least_mps then wanted_mps = max(wanted_mps, least_mps - wanted_m) end
         local by_m, by_mps = wanted_m - ahead_m, wanted_mps - mps
         position:x(position:x() + north_m + by_m * look.north)
         position:y(position:y() + east_m + by_m * look.east)

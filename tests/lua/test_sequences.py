@@ -106,11 +106,11 @@ class Watch:
         assert r.host.error is None, r.host.error
         self.check_texts()
         if self.tables is None and r.host.local_value("control") is not None:
-            names = ("control", "guard", "hold", "C", "track", "own")
+            names = ("control", "guard", "hold", "C", "track", "own", "stream")
             self.tables = tuple(map(r.host.local_value, names))
         if self.tables is None:  # restarted, and not yet run
             return
-        control, guard, hold, limits, track, own = self.tables
+        control, guard, hold, limits, track, own, stream = self.tables
         if not control.active:
             assert r.parameter_mps == pytest.approx(10.0)
             assert r.mirror_mps == 0.0
@@ -119,7 +119,7 @@ class Watch:
         assert FLOOR_MPS - SLACK <= low - SLACK <= r.speed_mps <= high + SLACK
         assert r.parameter_mps == pytest.approx(r.speed_mps, abs=SLACK)
         assert r.mirror_mps == pytest.approx(10.0)
-        if hold.active:
+        if hold.active and not stream.holding:  # points have not fallen silent
             self.check_held()
         elif hold.is_wanted() and r.speed_mps == pytest.approx(
             max(low, min(high, limits.SPD_LOST))
