@@ -406,10 +406,11 @@ do
             carry_on(t_ms, untold_ms, far_m, north_mps, east_mps)
         end
         if is_within(look_rad, 2 * pi) then
-            -- Smoothed over 0.15 s: points tell the bearing in steps, 8 a second. A step of 15 degrees is a correction.
+            -- Smoothed over 0.3 s: points tell the bearing in steps, 8 a second, each a little off. A step of 15 degrees is
+            -- a correction.
             local turned_rad = look.north * sin(look_rad) - look.east * cos(look_rad)
             look.turn_rps = (dt_s > 0.2 or abs(turned_rad) > 0.26) and 0
-                or look.turn_rps + (turned_rad - look.turn_rps * dt_s) / (dt_s + 0.15)
+                or look.turn_rps + (turned_rad - look.turn_rps * dt_s) / (dt_s + 0.3)
             look.north, look.east = cos(look_rad), sin(look_rad)
         end
         own.ahead = cos(look_rad - nose_rad) > 0.9 -- the nose is within 25 degrees
