@@ -28,12 +28,16 @@ VERSIONS = {heap.NEWEST: (4, 8), heap.MIDDLE: (4, 6), heap.OLDEST: (4, 5)}
 
 @pytest.fixture
 def needs(tmp_path: Path) -> Measure:
-    """What a small script with these lines needs; where a heap is given, in that heap."""
+    """What a small script with these lines needs where there is plenty.
 
-    def measured(lines: str, firmware: str = heap.NEWEST, heap_bytes: int = 0) -> heap.Need:
-        applet = tmp_path / "small.lua"
+    heap_bytes: the heap it flies in; 0: its least one is looked for, too, in dozens of flights.
+    """
+
+    def measured(lines: str, firmware: str = heap.NEWEST, heap_bytes: int = PLENTY) -> heap.Need:
+        applet, record = tmp_path / "small.lua", tmp_path / "record"
         applet.write_text(SMALL % lines, encoding="utf-8")
-        return heap.need(applet, heap_bytes, firmware)
+        heap.record_start(applet, record)
+        return heap.fly_recorded(applet, record, heap_bytes, firmware)
 
     return measured
 
@@ -77,7 +81,7 @@ def test_older_versions_fill_more_of_it(needs: Measure) -> None:
     What made 4.6 smaller than 4.5 saved 9.3, 2 and 2.9 kB by its commits (b64ed6ca56, 9cbec043d0,
     8e303675fe).
     """
-    newest, middle, oldest = (needs("", one, PLENTY).load_peak_bytes for one in heap.FIRMWARES)
+    newest, middle, oldest = (needs("", one).load_peak_bytes for one in heap.FIRMWARES)
     assert middle - newest > 6000
     assert 12_000 < oldest - middle < 18_000
 
@@ -86,8 +90,7 @@ def test_older_versions_have_a_library_more(needs: Measure) -> None:
     """UTF-8, until 4.6."""
     taken_off = "utf8 = nil"
     newest, middle, oldest = (
-        needs("", one, PLENTY).live_bytes - needs(taken_off, one, PLENTY).live_bytes
-        for one in heap.FIRMWARES
+        needs("", one).live_bytes - needs(taken_off, one).live_bytes for one in heap.FIRMWARES
     )
     assert newest <= 0
     assert min(middle, oldest) > 300
@@ -99,14 +102,16 @@ def test_a_script_has_a_string_library_of_its_own(needs: Measure) -> None:
     assert needs("kept[1] = ('x'):rep(2)").live_bytes - needs(given_back).live_bytes > 32 * 20
 
 
-def test_a_heap_that_is_too_small_is_told() -> None:
-    too_small = heap.need(lua_folder() / "echowing.lua", 43 * 1024)  # the default of an F427
+def test_a_heap_that_is_too_small_is_told(recorded: dict[str, Path]) -> None:
+    default_bytes = 43 * 1024  # of an F427
+    file = "echowing.lua"
+    too_small = heap.fly_recorded(lua_folder() / file, recorded[file], default_bytes)
     assert "not enough memory" in (too_small.trouble or "")
 
 
 def test_numbers_and_pointers_take_32_bits(needs: Measure) -> None:
-    one = needs("kept[1] = kept")
-    thousand = needs("for i = 1, 1000 do kept[i] = kept end")
+    one = needs("kept[1] = kept", heap_bytes=0)
+    thousand = needs("for i = 1, 1000 do kept[i] = kept end", heap_bytes=0)
     # A value takes 8 bytes, and a table with 1000 of them has room for 1024.
     assert thousand.live_bytes - one.live_bytes == 1023 * 8
     # While it grows, half of it is there twice.
@@ -139,8 +144,8 @@ def test_holes_count_as_the_first_that_is_large_enough_is_taken(needs: Measure) 
 for i = 1, 300 do kept[i] = string.rep('x', 100) .. i end
 for i = 1, 300, 2 do kept[i] = nil end
 """
-    short = needs(holes + "kept[1] = string.rep('y', 60)")
-    long = needs(holes + "kept[1] = string.rep('y', 12000)")
+    short = needs(holes + "kept[1] = string.rep('y', 60)", heap_bytes=0)
+    long = needs(holes + "kept[1] = string.rep('y', 12000)", heap_bytes=0)
     assert long.peak_bytes < 204800
     assert long.least_bytes - short.least_bytes > 12000
 
@@ -160,6 +165,6 @@ def test_the_engine_is_the_vehicles(tmp_path: Path, lines: str, trouble: str) ->
     good, bad, record = tmp_path / "good.lua", tmp_path / "bad.lua", tmp_path / "record"
     good.write_text(SMALL % "", encoding="utf-8")
     bad.write_text(SMALL % lines, encoding="utf-8")
-    heap.record_flight(good, record)
+    heap.record_start(good, record)
     assert heap.fly_recorded(good, record).trouble is None
     assert trouble in (heap.fly_recorded(bad, record).trouble or "")
