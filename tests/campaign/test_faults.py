@@ -36,7 +36,10 @@ def _flown(text: str) -> FlightRecord:
 
 
 def flown(*faults: dict[str, object], **changes: object) -> FlightRecord:
-    """Each flight is flown once for all the tests that look at it."""
+    """Each flight is flown once for all the tests that look at it.
+
+    duration_s: where nothing is looked at later, the flight ends there.
+    """
     return _flown(scenario(*faults, **changes).model_dump_json(exclude_unset=True))
 
 
@@ -62,7 +65,8 @@ def test_an_outage_of_the_leaders_radio_makes_its_data_stale_and_then_ends() -> 
 
 
 def test_an_outage_up_to_a_follower_loses_its_points_and_not_its_reports() -> None:
-    record = flown({"kind": "outage", "vehicle": 2, "at_s": 12.0, "for_s": 4.0, "way": "up"})
+    outage = {"kind": "outage", "vehicle": 2, "at_s": 12.0, "for_s": 4.0, "way": "up"}
+    record = flown(outage, duration_s=16.5)
 
     assert record.stream_age_s[between(record, 15.0, 16.0)].min() > 2.5
     assert said(record, "stream lost, holding here")
@@ -175,17 +179,18 @@ def test_what_a_broken_sonar_hears(fault: dict[str, object], heard: str) -> None
 
 
 def test_an_unplugged_sonar_and_a_dead_board_are_announced() -> None:
-    unplugged = flown({"kind": "sonar_unplugged", "vehicle": 2, "at_s": 10.0, "for_s": 6.0})
-    dead = flown({"kind": "coprocessor_off", "vehicle": 2, "at_s": 10.0, "for_s": 6.0})
+    off = {"vehicle": 2, "at_s": 10.0, "for_s": 6.0}
+    unplugged = flown({"kind": "sonar_unplugged", **off}, duration_s=16.5)
+    dead = flown({"kind": "coprocessor_off", **off}, duration_s=20.0)
 
     # ECHO_NODATA_T is 1 s, and the autopilot gives a rangefinder half a second.
     assert 10.5 < said(dead, "no sonar data")[0] < 12.5
     assert said(unplugged, "searching") or said(unplugged, "no sonar data")
-    assert np.isfinite(dead.sonar_m[between(dead, 17.0, 24.0), 0]).any()
+    assert np.isfinite(dead.sonar_m[between(dead, 17.0, 20.0), 0]).any()
 
 
 def test_a_board_that_starts_anew_ranges_again_within_seconds() -> None:
-    record = flown({"kind": "coprocessor_reset", "vehicle": 2, "at_s": 10.0})
+    record = flown({"kind": "coprocessor_reset", "vehicle": 2, "at_s": 10.0}, duration_s=15.0)
 
     assert np.isfinite(record.sonar_m[between(record, 12.0, 15.0), 0]).any()
 
@@ -256,7 +261,7 @@ def test_a_tool_that_is_ended_stops_its_follower_and_then_itself() -> None:
 
 
 def test_a_killed_tool_says_and_sends_nothing_until_it_is_started_again() -> None:
-    record = flown({"kind": "tool_killed", "at_s": 10.0, "for_s": 5.0})
+    record = flown({"kind": "tool_killed", "at_s": 10.0, "for_s": 5.0}, duration_s=18.0)
 
     assert not [point for point in record.points if 10.1 < point.time_s < 15.0]
     assert [point for point in record.points if point.time_s > 17.0]
@@ -268,7 +273,7 @@ def test_what_a_leader_does_instead_of_its_path() -> None:
     """A leader northwards at 2 m/s; it brakes and speeds up within some seconds."""
 
     def north_mps(kind: str, **values: float) -> float:
-        record = flown({"kind": kind, "at_s": 10.0, "for_s": 5.0, **values})
+        record = flown({"kind": kind, "at_s": 10.0, "for_s": 5.0, **values}, duration_s=15.0)
         return float(record.velocity_ned_mps[between(record, 14.0, 15.0), 0, 0].mean())
 
     assert north_mps("leader_reverses", speed_mps=1.5) == pytest.approx(-1.5, abs=0.2)
@@ -281,7 +286,9 @@ def test_what_a_leader_does_instead_of_its_path() -> None:
 
 def test_an_attack_leads_at_where_the_follower_was() -> None:
     record = flown(
-        {"kind": "leader_attacks", "at_s": 8.0, "for_s": 4.0, "speed_mps": 1.0}, leader=HOVERS
+        {"kind": "leader_attacks", "at_s": 8.0, "for_s": 4.0, "speed_mps": 1.0},
+        leader=HOVERS,
+        duration_s=12.0,
     )
     to_it = record.position_ned_m[79, 1] - record.position_ned_m[79, 0]
     flown_mps = record.velocity_ned_mps[between(record, 11.0, 12.0), 0].mean(axis=0)

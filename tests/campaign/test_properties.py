@@ -399,7 +399,7 @@ def test_a_promised_text_that_is_missing_is_found() -> None:
 
 
 def test_the_mean_error_counts_where_nothing_is_wrong() -> None:
-    table = {"title": "t", "duration_s": 60.0, **CLEAR}
+    table = {"title": "t", "duration_s": 40.0, **CLEAR}  # JUDGED_S, and before it the approach
     record = fly_recorded(scenario_of(table, "test"), 3)
     assert mean_error(record) == []
 
