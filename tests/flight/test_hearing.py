@@ -149,7 +149,7 @@ def flown(*changes: str) -> tuple[Heard, list[str]]:
 
 def test_a_flight_with_a_bad_sonar_says_so_and_one_with_a_good_one_does_not() -> None:
     good, said = flown()
-    noisy, of_noise = flown("sonar.noise_m=0.08")
+    noisy, of_noise = flown("sonar.noise_m=0.08", "duration_s=30")  # it is said once engaged
 
     assert good.share is not None and good.share > 0.75
     assert good.scatter_m is not None and good.scatter_m < 0.03

@@ -52,7 +52,7 @@ def test_the_binary_keeps_its_distance() -> None:
 
 def test_a_flight_of_the_binary_is_deterministic() -> None:
     first, second = (
-        fly(load_scenario("echowing", ["duration_s=12"]), 1, firmware="avr").summaries[0]
+        fly(load_scenario("echowing", ["duration_s=8"]), 1, firmware="avr").summaries[0]
         for _ in range(2)
     )
 

@@ -154,7 +154,7 @@ def test_a_recorded_track_leads(tmp_path: Path) -> None:
     track.write_text(f"time_s,north_m,east_m,down_m,yaw_rad\n{rows}\n", encoding="utf-8")
     set_track = ("--set", 'leader.path="track"', "--set", f'leader.track="{track}"')
 
-    found = json.loads(succeeded("sim", "echowing", *set_track, "--duration", "50", "--json"))
+    found = json.loads(succeeded("sim", "echowing", *set_track, "--duration", "30", "--json"))
 
     assert found["mean_abs_error_m"] < 1.5
 
@@ -162,7 +162,7 @@ def test_a_recorded_track_leads(tmp_path: Path) -> None:
 def test_a_flights_telemetry_can_lead_another(flight: Path) -> None:
     set_track = ("--set", 'leader.path="track"', "--set", f'leader.track="{flight}/leader.tlog"')
 
-    found = json.loads(succeeded("sim", "echowing", *set_track, "--duration", "40", "--json"))
+    found = json.loads(succeeded("sim", "echowing", *set_track, "--duration", "25", "--json"))
 
     assert found["min_separation_m"] > 1.0
 

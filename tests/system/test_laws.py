@@ -12,7 +12,8 @@ from .flown import flown
 
 pytestmark = pytest.mark.seconds(50)
 FEW, SEEDS = range(1, 3), range(1, 8)
-SHORT = "duration_s=90"
+# Two corners of its leader; by then the other laws are ten times as far off as ours.
+SHORT = "duration_s=60"
 GRAY_SEEDS = range(1, 13)
 LOCKED_S = 100.0
 GUARD_MPS = 5.0  # ECHO_SPD_MAX, with which the guard backs off

@@ -25,6 +25,7 @@ pytestmark = pytest.mark.seconds(18)
 STEP_S = 0.002
 LEARNED_S = 6.0  # by then it knows its vehicle
 FLOWN_S = 12.0
+SWING_RPS = 1.5  # of the vehicle that leans and yaws
 ATTITUDE_S, ORDER_S = 0.04, 0.1
 EARTH_FRAME = 4 | 8 | 16 | 64
 # The search without orders (Figure 28), and how long a round of it takes at most: 300 ms each, and
@@ -54,7 +55,7 @@ class Turn:
 def leaning(t_s: float) -> Turn:
     """Leans as a copter does that brakes and speeds up; its nose swings by 45 degrees each way."""
     roll, pitch, yaw = math.radians(12.0), math.radians(15.0), math.radians(45.0)
-    w = 1.5
+    w = SWING_RPS
     return Turn(
         roll * math.sin(2 * w * t_s),
         pitch * math.cos(w * t_s),
@@ -90,11 +91,11 @@ class Flight:
         self.pings.append((t_s * 1e6, axis, heard))
         return range_m if heard else None
 
-    def fly(self) -> None:
+    def fly(self, seconds: float = FLOWN_S) -> None:
         """Learn the vehicle, then fly."""
         self.bench.run(LEARNED_S)
         self.pings.clear()
-        self.go_on(0.0, FLOWN_S)
+        self.go_on(0.0, seconds)
 
     def go_on(self, begun_s: float, seconds: float) -> None:
         """Fly on, that long after it began."""
@@ -175,7 +176,7 @@ def test_it_keeps_hearing_its_leader(looking: Flight) -> None:
 
 def test_a_gimbal_fixed_to_the_body_loses_it() -> None:
     flight = Flight(ordered=False)
-    flight.fly()
+    flight.fly(math.tau / SWING_RPS)  # each swing is as the one before
     assert flight.heard_share() < 0.7
     assert any(range_cm > 765 for range_cm in flight.bench.ranges_cm(since_us=LEARNED_S * 1e6))
 
