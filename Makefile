@@ -4,6 +4,9 @@
 .DEFAULT_GOAL := help
 BIN := .venv/bin
 export PATH := $(CURDIR)/$(BIN):$(PATH)
+# Else each worker of the tests, and each of the hundreds of processes that they start, compiles the
+# package anew.
+unexport PYTHONDONTWRITEBYTECODE
 # A file is one worker's, in the order of tests/conftest.py. Two cores carry four workers: the tests
 # of processes in real time mostly wait.
 WORKERS := -n 4 --dist loadfile --no-loadscope-reorder
