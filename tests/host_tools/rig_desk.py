@@ -84,7 +84,10 @@ class CoreWire:
         if not self.plugged:
             raise PortLostError("desk: unplugged")
         others, self.others = self.others, b""
-        heard = self._parser.parse_buffer(self.core.take(USB_PORT)) or []
+        said = self.core.take(USB_PORT)
+        if not said:  # as in most milliseconds
+            return others
+        heard = self._parser.parse_buffer(said) or []
         whole = [message for message in heard if message.get_type() != "BAD_DATA"]
         kept = [bytes(message.get_msgbuf()) for message in whole if not self.drop(message)]
         return others + b"".join(kept)

@@ -111,7 +111,8 @@ def test_a_law_is_flown_on_each_path_for_as_long_and_in_the_hostile_scenario_as_
     assert told == [((hostile, 2), HOSTILE), ((circle, 1), "circle")]
 
 
-def test_a_formation_flight_has_no_attack() -> None:
+def test_a_formation_flight_has_no_attack(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("echowing.bench.laws.DURATION_S", 30.0)
     flown = fly_law("bands", "stop-and-go", 1)
     assert (flown.law, flown.path) == ("bands", "stop-and-go")
     assert flown.attacked_m == math.inf

@@ -69,8 +69,11 @@ def test_its_parameters_are_those_of_its_table(tmp_path: Path) -> None:
         ("return = 3", r"my_law\.lua: failed after .* s: Lua: Error: .*my_law\.lua:\d+: "),
     ],
 )
-def test_a_law_that_fails_is_no_flight(line: str, says: str, tmp_path: Path) -> None:
+def test_a_law_that_fails_is_no_flight(
+    line: str, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The vehicle would go on with the speed that it had, and nobody would be told."""
+    monkeypatch.setattr("echowing.bench.laws.DURATION_S", 15.0)
     law = copy(tmp_path, law=line)
     with pytest.raises(EchowingError, match=says):
         fly_law(str(law), "rectangle", 1)
