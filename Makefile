@@ -7,9 +7,9 @@ export PATH := $(CURDIR)/$(BIN):$(PATH)
 # Else each worker of the tests, and each of the hundreds of processes that they start, compiles the
 # package anew.
 unexport PYTHONDONTWRITEBYTECODE
-# A file is one worker's, in the order of tests/conftest.py. Two cores carry four workers: the tests
+# A file is one worker's, in the order of tests/conftest.py. Two cores carry five workers: the tests
 # of processes in real time mostly wait.
-WORKERS := -n 4 --dist loadfile --no-loadscope-reorder
+WORKERS := -n 5 --dist loadfile --no-loadscope-reorder
 
 .PHONY: help demo campaign test test-long test-sitl bench release monitor fuzz lint format pages setup setup-test core clean
 

@@ -20,7 +20,7 @@ from echowing.sim.vehicle.modes import GUIDED, LAND, LOITER, STABILIZE
 
 from ..world import CLEAR
 
-pytestmark = pytest.mark.seconds(50)
+pytestmark = pytest.mark.seconds(40)
 
 HOVERS = {"path": "rectangle", "start_s": 1000.0}
 

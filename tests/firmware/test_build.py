@@ -21,6 +21,8 @@ from echowing.sim.boards import firmware
 from .fake_programmer import FakeProgrammer
 from .fake_rom_loader import FLASH_START, PAGE, FakeRomLoader
 
+pytestmark = pytest.mark.seconds(12)
+
 TOOLS = firmware.REPOSITORY / "firmware" / "tools"
 Run = Callable[..., subprocess.CompletedProcess[str]]
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = pytest.mark.seconds(60)
+pytestmark = pytest.mark.seconds(40)
 ROOT = Path(__file__).resolve().parents[2]
 SKETCH = ROOT / "firmware" / "echowing"
 MAVLINK_HEADERS = SKETCH / "src" / "mavlink" / "echowing" / "mavlink.h"

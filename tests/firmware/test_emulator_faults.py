@@ -7,6 +7,8 @@ import pytest
 
 from .bench import BOARD, IS_STM32, Bench, BenchSonar
 
+pytestmark = pytest.mark.seconds(16)
+
 NO_TARGET_CM = 766
 STALE_US = 300_000
 ACTIVE, CRITICAL = 4, 5

@@ -23,7 +23,7 @@ from .bench import (
     BenchSonar,
 )
 
-pytestmark = pytest.mark.seconds(25)
+pytestmark = pytest.mark.seconds(17)
 
 BOOTED_S = 1.2
 # What the board's UART takes at its setting for 115200 baud.

@@ -14,6 +14,8 @@ from echowing.sim.world.sonar import SERVO_SLEW_DPS
 
 from .bench import CONSOLE_PORT, IS_STM32, SLOWNESS, Bench, BenchSonar
 
+pytestmark = pytest.mark.seconds(11)
+
 # Thesis Appendix A: pan and tilt pulses, us, in the order of the figure 8.
 TWELVE_POINTS = [
     (1330, 1400),

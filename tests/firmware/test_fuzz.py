@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = pytest.mark.seconds(35)
+pytestmark = pytest.mark.seconds(20)
 FUZZ = Path(__file__).resolve().parent / "fuzz"
 
 

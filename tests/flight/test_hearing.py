@@ -16,6 +16,8 @@ from echowing.sonar_file import shipped_sonar
 
 from ..world import CLEARLY
 
+pytestmark = pytest.mark.seconds(13)
+
 # Half of the pings, two in a hundred wrong, 3 cm.
 BELIEF = replace(
     shipped_sonar(), heard=Curve((0.2, 4.0), (0.5, 0.5)), wrong_share=0.02, noise_m=0.03

@@ -10,7 +10,7 @@ from tests.flight.yard import POINT, TICK_S
 
 from echowing.flight.session import FollowSession
 
-pytestmark = pytest.mark.seconds(12)
+pytestmark = pytest.mark.seconds(5)
 
 SEEDS = range(4)
 TICKS = round(FLIGHT_S / TICK_S)

@@ -44,7 +44,7 @@ from echowing.sonar_file import shipped_sonar
 from .told import Told, at
 from .yard import FOLLOWER, LEADER, SECOND, Vehicle, Yard
 
-pytestmark = pytest.mark.seconds(20)
+pytestmark = pytest.mark.seconds(6)
 
 THIRD = 4
 WEIGHTS = Weights()

@@ -20,6 +20,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from echowing.tool.background import BackgroundLog, BackgroundView, Worker
 from echowing.tool.panel import Row
 
+pytestmark = pytest.mark.seconds(10)
+
 DEADLINE_S = 120.0
 FOLLOW = [sys.executable, "-m", "echowing", "follow", "--json", "--no-log"]
 

@@ -37,7 +37,7 @@ from echowing.sim.scenario import LAWS, load_scenario
 
 from ..world import CLEARLY
 
-pytestmark = pytest.mark.seconds(10)
+pytestmark = pytest.mark.seconds(6)
 
 
 def changes(*speeds_mps: float, duration_s: float = 60.0) -> float:

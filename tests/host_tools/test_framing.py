@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from echowing.sim.vehicle.framing import Framer
 from echowing.sim.world.cutter import ByteLoss, PacketCutter
 
-pytestmark = pytest.mark.seconds(15)
+pytestmark = pytest.mark.seconds(5)
 ROOT = Path(__file__).resolve().parents[2]
 BEAT = mavlink.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3)
 ATTITUDE = mavlink.MAVLink_attitude_message(7, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0)

@@ -17,6 +17,8 @@ from echowing.sim.flight import FormationFlight
 from echowing.sim.own_plan import OwnPlan, OwnPlanStep, Seen, Wish
 from echowing.sim.scenario import load_scenario
 
+pytestmark = pytest.mark.seconds(15)
+
 OURS = "return seen.ours"
 AT_WHOM_IT_WATCHES = """\
 north_m, east_m = seen.to_watched_m

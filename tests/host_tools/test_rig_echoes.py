@@ -28,7 +28,7 @@ from echowing.sim.world.sonar import (
 
 from .rig_desk import SLICE_S, CoreWire
 
-pytestmark = pytest.mark.seconds(35)
+pytestmark = pytest.mark.seconds(13)
 Pulses = tuple[float, float]
 Fault = Callable[[Pulses], Pulses]
 DISTANCE_M = 2.0

@@ -14,7 +14,7 @@ from hwtools.facts import Reach, gimbal_reach
 from hwtools.mount import number
 from hwtools.rig import PANNING, TILTING, Rig, rotation
 
-pytestmark = pytest.mark.seconds(45)  # with its folder
+pytestmark = pytest.mark.seconds(30)  # with its folder
 
 
 def moved(rig: Rig, name: str, by_mm: tuple[float, float, float]) -> Rig:

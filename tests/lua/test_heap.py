@@ -12,7 +12,7 @@ from tests.lua import heap
 from echowing.applets import APPLETS, Applet
 from echowing.paths import lua_folder
 
-pytestmark = pytest.mark.seconds(55)
+pytestmark = pytest.mark.seconds(25)
 
 SMALL = """
 local kept = {}

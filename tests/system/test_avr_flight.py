@@ -11,7 +11,7 @@ from echowing.sim.summary import FlownScenario, fly
 from ..world import CLEARLY
 from .flown import flown
 
-pytestmark = pytest.mark.seconds(25)
+pytestmark = pytest.mark.seconds(11)
 SEEDS = (1, 2, 3)
 NATIVE_SEEDS = range(1, 8)
 RADIUS_M, JOINED_S, FLOWN_S, SHORT_S = 3.0, 45.0, 150.0, 40.0

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-pytestmark = pytest.mark.seconds(45)
+pytestmark = pytest.mark.seconds(30)
 RECORDINGS = Path(__file__).parents[1] / "host_tools" / "data" / "sitl"
 
 

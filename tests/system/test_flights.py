@@ -17,7 +17,7 @@ from echowing.sim.wall import BODY_RADIUS_M
 from ..world import CLEARLY
 from .flown import flown
 
-pytestmark = pytest.mark.seconds(90)
+pytestmark = pytest.mark.seconds(60)
 
 
 @pytest.mark.parametrize(
@@ -106,7 +106,7 @@ def test_one_seed_gives_the_same_bytes_twice_and_another_gives_others(tmp_path: 
         return tmp_path / name
 
     def logs(name: str, seed: int) -> dict[str, bytes]:
-        fly(load_scenario("echowing", ["duration_s=15"]), seed, out=folder(name))
+        fly(load_scenario("echowing", ["duration_s=10"]), seed, out=folder(name))
         return written(name)
 
     def written(name: str) -> dict[str, bytes]:
@@ -118,7 +118,7 @@ def test_one_seed_gives_the_same_bytes_twice_and_another_gives_others(tmp_path: 
     assert logs("other", 2)["truth.csv"] != first["truth.csv"]
     # What other flights have left in memory changes nothing, nor does a process of its own.
     assert logs("again", 1) == first
-    alone = [sys.executable, "-m", "echowing", "sim", "echowing", "--duration", "15", "--json"]
+    alone = [sys.executable, "-m", "echowing", "sim", "echowing", "--duration", "10", "--json"]
     subprocess.run([*alone, "--seed", "1", "--out", folder("alone")], check=True)
     assert written("alone") == first
 

@@ -33,7 +33,7 @@ from .field import (
     mode_of,
 )
 
-pytestmark = pytest.mark.seconds(120)
+pytestmark = pytest.mark.seconds(150)
 
 
 def test_two_followers_fly_a_formation_file(world: World, tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from echowing.sim.summary import FlownScenario
 
 from .flown import flown
 
-pytestmark = pytest.mark.seconds(50)
+pytestmark = pytest.mark.seconds(15)
 FEW, SEEDS = range(1, 3), range(1, 8)
 # Two corners of its leader; by then the other laws are ten times as far off as ours.
 SHORT = "duration_s=60"

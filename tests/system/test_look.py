@@ -20,7 +20,7 @@ from echowing.sim.boards import firmware
 from echowing.sim.boards.coprocessor import AUTOPILOT_PORT
 from echowing.sim.world.sonar import Gimbal, Pose, Target, body_to_ned, target_range_m
 
-pytestmark = pytest.mark.seconds(18)
+pytestmark = pytest.mark.seconds(8)
 
 STEP_S = 0.002
 LEARNED_S = 6.0  # by then it knows its vehicle

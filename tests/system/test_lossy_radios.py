@@ -14,7 +14,7 @@ from echowing.sim.vehicle.autopilot import ORIGIN
 
 from ..world import CLEARLY
 
-pytestmark = pytest.mark.seconds(25)
+pytestmark = pytest.mark.seconds(13)
 
 FOLLOWER, SHORT = 2, "duration_s=40"
 RADIOS = ("radio.leader", "radio.follower", "wire")

@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 from tests.system.field import FOLLOWER, WORLD, Process, World, free_ports, is_followed
 
+pytestmark = pytest.mark.seconds(15)
+
 
 def test_the_printed_command_flies_and_the_leader_has_waited_for_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -12,7 +12,7 @@ from echowing.setup.apply import load
 
 from .field import FOLLOWER, Process, free_ports
 
-pytestmark = pytest.mark.seconds(90)
+pytestmark = pytest.mark.seconds(120)
 
 # Two rounds of reading and writing with a restart between, on a machine that has more to do.
 SET_UP_S = 180.0
