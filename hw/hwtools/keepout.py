@@ -87,17 +87,25 @@ def off_axis_deg(rig: Rig, points: Points, aim: Aim) -> float:
     axis = rotation(aim) @ np.array([1.0, 0.0, 0.0])
     away = points - (rig.pivot + rig.face_x * axis)
     along = away @ axis
+    ahead = along > 0.0
+    if ahead.any():  # what is not is at 90 degrees or more
+        away, along = away[ahead], along[ahead]
     across = np.sqrt(np.maximum(np.einsum("ij,ij->i", away, away) - along**2, 0.0))
     beside = np.maximum(across - mount.number("sonar_transducer_diameter_mm") / 2, 0.0)
-    return float(np.degrees(np.arctan2(beside, along)).min())
+    return float(np.degrees(np.arctan2(beside, along).min()))
 
 
 def _steps(most_deg: float) -> Points:
     return np.linspace(-most_deg, most_deg, 1 + round(2 * most_deg / STEP_DEG))
 
 
+@cache
+def _points(rig: Rig, solid: str) -> Points:
+    return sampled(rig.solids[solid], SAMPLE_MM)
+
+
 def _clear(rig: Rig, solid: str, aims: Iterable[Aim]) -> dict[Aim, float]:
-    points, half_deg = sampled(rig.solids[solid], SAMPLE_MM), beam_half_angle_deg()
+    points, half_deg = _points(rig, solid), beam_half_angle_deg()
     return {aim: off_axis_deg(rig, rig.turned(points, solid, aim), aim) - half_deg for aim in aims}
 
 
@@ -155,7 +163,7 @@ def _shadow_sentence(clear: dict[str, dict[Aim, float]]) -> str:
 def _place_rows(rig: Rig) -> Iterator[str]:
     """Yield how free the beam is with the face at other places, and at its own."""
     own_mm = mount.number("frame_face_ahead_mm")
-    aircraft = np.vstack([sampled(rig.solids[name], SAMPLE_MM) for name in AIRCRAFT])
+    aircraft = np.vstack([_points(rig, name) for name in AIRCRAFT])
     for place_mm in (*PLACES_MM, own_mm):
         points = aircraft + np.array([own_mm - place_mm, 0.0, 0.0])
         free = [free_pan_deg(rig, points, tilt) for tilt in TILTS_DEG]
