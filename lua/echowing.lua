@@ -759,11 +759,12 @@ do
             -- In a line, and at its head, back no faster than the point, or than the leader comes, by 0.4 m/s and by
             -- what is missing to the close distance: a retreat that is not needed meets whoever flies behind, who flies
             -- back harder still. How another follower comes the ground tool knows sooner than the track. The place is
-            -- moved no further than that, either: over a metre back against a velocity ahead is flown back at first.
+            -- moved no further than that, either: over a metre back against a velocity ahead is flown back at first. Of what
+            -- is missing four tenths are enough: with all of it the gaps of a column swung, by 0.16 m instead of 0.13.
             if stream.manner > 1 then
                 local comes_mps = stream.manner == 2 and mps or min(mps, track.leader_mps)
                 least_mps = min(0, comes_mps) - 0.4 - max(0, C.CLOSE - track.range_m)
-                wanted_m = max(wanted_m, least_mps)
+                wanted_m = max(wanted_m, 0.4 * wanted_m, least_mps)
             end
             if stream.manner == 2 then
                 -- In a line behind another follower: as fast as the point, which is the leader's speed for all of them at

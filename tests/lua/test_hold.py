@@ -741,9 +741,10 @@ def in_line(r: Rig, range_m: float, mps: float = LEADER_MPS) -> Target:
 def test_in_a_line_the_place_is_by_the_sonar_and_the_speed_by_the_point(
     rig: MakeRig, range_m: float, mps: float
 ) -> None:
-    """The one ahead flies 2 m/s, whatever the point says. Back by no more than 0.4 m."""
+    """The one ahead flies 2 m/s, whatever the point says. Back by four tenths of it."""
     target = in_line(rig(), range_m, mps)
-    assert target.north_m == pytest.approx(max(-0.4, range_m - 3.0), abs=0.03)
+    missing_m = range_m - 3.0
+    assert target.north_m == pytest.approx(max(missing_m, 0.4 * missing_m), abs=0.03)
     assert target.north_mps == pytest.approx(mps, abs=0.03)
 
 
@@ -814,7 +815,9 @@ def test_with_others_behind_the_place_is_moved_no_further_back_than_it_flies(
     """1.4 m back and 1 m/s ahead is flown back first: in a line at 1 m/s, into the next one."""
     r = rig()
     backs_off(r, 1.6, -0.6, manner, 0.2)
-    assert newest(r).north_m == pytest.approx(-1.0 if manner is Manner.HEAD else -0.4, abs=0.05)
+    shares_m = 0.4 * (1.6 - 3.0 - 0.3 * 0.6)
+    moved_m = shares_m if manner is Manner.HEAD else -0.4
+    assert newest(r).north_m == pytest.approx(moved_m, abs=0.05)
 
 
 @pytest.mark.parametrize(("manner", "flown_mps"), [(Manner.HEAD, 1.0), (Manner.KEEP_PACE, 2.0)])
