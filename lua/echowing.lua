@@ -532,7 +532,8 @@ do
     end
 
     -- The beam has turned: by so much the speeds along it are others. The leader's by more: what passes straight by goes
-    -- apart ever faster. Without it the track of one that passed at 3 m with 3 m/s was off by 3 m/s2.
+    -- apart ever faster. Without it the track of one that passed at 3 m with 3 m/s, and was heard once in three pings,
+    -- was off by 3 m/s.
     function track.turn(by_mps, dt_s)
         hold.mps = hold.mps + by_mps
         for _, name in ipairs(SPEEDS) do
