@@ -408,10 +408,11 @@ do
         if is_within(look_rad, 2 * pi) then
             -- Smoothed over 0.3 s: points tell the bearing in steps, 8 a second, each a little off. A step of 15 degrees is
             -- a correction.
-            local turned_rad = look.north * sin(look_rad) - look.east * cos(look_rad)
+            local north, east = cos(look_rad), sin(look_rad)
+            local turned_rad = look.north * east - look.east * north
             look.turn_rps = (dt_s > 0.2 or abs(turned_rad) > 0.26) and 0
                 or look.turn_rps + (turned_rad - look.turn_rps * dt_s) / (dt_s + 0.3)
-            look.north, look.east = cos(look_rad), sin(look_rad)
+            look.north, look.east = north, east
         end
         own.ahead = cos(look_rad - nose_rad) > 0.9 -- the nose is within 25 degrees
     end
@@ -720,8 +721,7 @@ do
             + (track.leader_mps - own.mps + 0.5 * braking_mps2 * LEAN_S) * LEAN_S
         local unseen_ms = t_ms - track.seen_ms
         if unseen_ms > 300 and stream.manner ~= 2 then
-            wanted_m = max(min(wanted_m, ahead_m), ahead_m - 5)
-            return min(wanted_m, ahead_m + 1), min(track.leader_mps, mps)
+            return max(min(wanted_m, ahead_m), ahead_m - 5), min(track.leader_mps, mps)
         end
         if wanted_m > ahead_m + 1 then return ahead_m + 1, min(mps, track.leader_mps) end
         if wanted_m < ahead_m - 5 then return ahead_m - 5, mps end
