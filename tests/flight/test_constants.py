@@ -23,6 +23,7 @@ def test_the_page_is_current() -> None:
             [("JOIN_MPS SLACK_M", "One, and on.")],
         ),
         ("# A.\nJOIN_MPS = 1.5\n# B.\nSLACK_M = 0.3\n", [("JOIN_MPS", "A."), ("SLACK_M", "B.")]),
+        ("# A.\nJOIN_MPS = 1.5\nSLACK_M = 0.3  # B.\n", [("JOIN_MPS", "A."), ("SLACK_M", "B.")]),
         ("x = 1.0\ndef f() -> None:\n    SLACK_M = 0.3\n", []),
     ],
 )

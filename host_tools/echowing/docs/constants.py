@@ -1,7 +1,8 @@
 """The page of the flight core's constants: `python -m echowing.docs.constants host_tools`.
 
-A module of `echowing.flight` names its numbers at its top, each with a comment above it that says
-where it comes from or what it is for; numbers without an empty line between them share one.
+A module of `echowing.flight` names its numbers at its top, each with a comment beside or above it
+that says where it comes from or what it is for; numbers without an empty line between them share
+the one above.
 """
 
 import ast
@@ -52,8 +53,11 @@ def constants_of(file: Path) -> Iterator[Constants]:
         numbers = {name: _told(value) for name, value in values.items() if _holds(value)}
         if not numbers:
             continue
-        first = _first_line(lines, statement.lineno - 1)
-        reason = " ".join(lines[one].lstrip("# ") for one in _comment(lines, first))
+        reason = lines[(statement.end_lineno or statement.lineno) - 1].partition("  # ")[2]
+        first = statement.lineno - 1
+        if not reason:
+            first = _first_line(lines, first)
+            reason = " ".join(lines[one].lstrip("# ") for one in _comment(lines, first))
         if not reason:
             raise EchowingError(
                 f"{file.name}:{statement.lineno}: {', '.join(numbers)} has no comment above it; "
