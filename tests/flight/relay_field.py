@@ -7,12 +7,12 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.flight.follower import FollowerPlan
 from echowing.flight.guard import Limits
 from echowing.flight.guidance import Slot
 from echowing.flight.readiness import Readiness
 from echowing.flight.relay import BESIDE_M, RELAY_SETTINGS, RelayGuide
 from echowing.flight.session import FollowSession
-from echowing.flight.state import FollowerPlan
 from echowing.geo import GlobalPosition, Ned, displace, ned_between
 from echowing.sim.vehicle.copter import Copter
 from echowing.sonar_file import shipped_sonar

@@ -23,10 +23,10 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from tests.flight.yard import FOLLOWER, HERE, LEADER, POINT, SECOND, TICK_S, Vehicle
 
+from echowing.flight.follower import FollowerPlan
 from echowing.flight.guard import FIELD_LIMITS
 from echowing.flight.guidance import GuidanceSettings, Slot
 from echowing.flight.session import FollowSession
-from echowing.flight.state import FollowerPlan
 from echowing.flight.switch import StopSwitch
 from echowing.geo import GlobalPosition, displace, distance_m, ned_between
 from echowing.mavlink.plausible import FIELDS, Door

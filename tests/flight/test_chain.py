@@ -7,17 +7,18 @@ from dataclasses import replace
 import pytest
 
 from echowing.flight.axis import Axis
-from echowing.flight.cloud import Off
+from echowing.flight.cloud import UNRANGED_SIGMA_M, Off
 from echowing.flight.envelope import Answer
+from echowing.flight.follower import FollowerPlan, FollowerState
 from echowing.flight.guidance import (
     GuidanceSettings,
     GuidedPoint,
     LeaderFix,
     Slot,
 )
+from echowing.flight.known import FLOWN_SHARE, Known
 from echowing.flight.plan import planned
 from echowing.flight.session import FollowSession
-from echowing.flight.state import FLOWN_SHARE, UNRANGED_SIGMA_M, FollowerPlan, FollowerState, Known
 from echowing.flight.steps import Allowed, Plan
 from echowing.geo import GlobalPosition, displace, ned_between
 from echowing.mavlink.messages import ForApplet, Manner

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from echowing.flight.cloud import UNRANGED_SIGMA_M
 from echowing.flight.envelope import (
     FASTEST_MPS,
     LEAST_M,
@@ -22,7 +23,6 @@ from echowing.flight.envelope import (
     keep_apart,
     straight_out,
 )
-from echowing.flight.state import UNRANGED_SIGMA_M
 from echowing.geo import Ned
 
 ANSWER = Answer()

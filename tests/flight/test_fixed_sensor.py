@@ -6,10 +6,10 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.flight.follower import FollowerPlan, FollowerState
 from echowing.flight.guard import Limits
 from echowing.flight.guidance import GuidanceSettings, Slot
 from echowing.flight.session import FIXED_HZ, FollowSession
-from echowing.flight.state import FollowerPlan, FollowerState
 from echowing.mavlink.messages import FORWARD, PROXIMITY_IDS_FROM
 from echowing.sonar_file import load_sonar
 
@@ -87,7 +87,7 @@ def test_single_readings_of_a_co_processor_do_not_count() -> None:
     follow.receive(told(sonar_reading(10.0, 2.8), component=CO_PROCESSOR), 10.0)
 
     follower = follow.followers[FOLLOWER]
-    assert follower.sonar_id is None  # nor does a gimbal get orders
+    assert follower.readings.sender_id is None  # nor does a gimbal get orders
     assert not follower.estimate.listens(10.0)
 
 

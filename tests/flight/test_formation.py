@@ -9,6 +9,7 @@ import pytest
 
 from echowing.commands.follow import options_of
 from echowing.errors import EchowingError
+from echowing.flight.cloud import UNRANGED_SIGMA_M
 from echowing.flight.envelope import SURE_SIGMAS, Other, certain_distance_m
 from echowing.flight.formation import (
     IN_SLOT_M,
@@ -19,7 +20,6 @@ from echowing.flight.formation import (
 )
 from echowing.flight.guidance import Slot, place_m
 from echowing.flight.shapes import SHAPES, shape
-from echowing.flight.state import UNRANGED_SIGMA_M
 from echowing.sim.scenario import load_scenario
 from echowing.sonar_file import shipped_sonar
 from echowing.tool.formation_file import FormationSection, load_formation

@@ -10,8 +10,8 @@ from echowing.flight.formation import check_gaps
 from echowing.flight.gaps import LEAVES_S, Gaps
 from echowing.flight.guidance import GuidanceSettings, LeaderFix, Slot, place_m
 from echowing.flight.joining import Joining
+from echowing.flight.known import Known
 from echowing.flight.shapes import shape
-from echowing.flight.state import Known
 from echowing.flight.steps import Phase, Standing
 from echowing.geo import displace, ned_between
 from echowing.sim.fault_section import FaultSection

@@ -11,6 +11,7 @@ from echowing.flight.axis import Axis
 from echowing.flight.clocks import UNHEARD_S
 from echowing.flight.closing import Closing
 from echowing.flight.envelope import OTHERS_MPS2, closing_limit_mps
+from echowing.flight.follower import FollowerPlan
 from echowing.flight.guard import (
     FIELD_LIMITS,
     REFUSED_FOR_S,
@@ -23,10 +24,10 @@ from echowing.flight.guard import (
     Limits,
 )
 from echowing.flight.guidance import GuidanceSettings, Slot
+from echowing.flight.known import Known
 from echowing.flight.plan import planned
 from echowing.flight.requests import RATE_WINDOW_S, RateWatch
 from echowing.flight.session import FollowSession
-from echowing.flight.state import FollowerPlan, Known
 from echowing.flight.switch import StopSwitch, parse_stop_switch
 from echowing.geo import GlobalPosition, displace, ned_between
 from echowing.mavlink.plausible import Door

@@ -3,6 +3,7 @@ from dataclasses import replace
 
 import pytest
 
+from echowing.flight.follower import FollowerPlan
 from echowing.flight.guidance import (
     GRAY,
     Course,
@@ -16,8 +17,8 @@ from echowing.flight.guidance import (
     predicted,
     slot_offset_m,
 )
+from echowing.flight.known import Known
 from echowing.flight.plan import planned
-from echowing.flight.state import FollowerPlan, Known
 from echowing.geo import GlobalPosition, Ned, displace, ned_between
 from echowing.sonar_file import shipped_sonar
 

@@ -8,6 +8,7 @@ import pytest
 
 from echowing.flight.belief import Curve
 from echowing.flight.clocks import SAY_AGAIN_S, UNHEARD_S
+from echowing.flight.cloud import UNRANGED_SIGMA_M
 from echowing.flight.health import (
     LASTS_S,
     RANGED_S,
@@ -17,7 +18,6 @@ from echowing.flight.health import (
     near_pairs,
     ranged,
 )
-from echowing.flight.state import UNRANGED_SIGMA_M
 from echowing.sonar_file import shipped_sonar
 
 LEADER = 1

@@ -7,11 +7,12 @@ import pytest
 from tests.flight.test_chain import HERE, known, taught
 
 from echowing.flight.cloud import SURE_AFTER_S
+from echowing.flight.follower import FollowerState
 from echowing.flight.formation import receivers_demand_m
 from echowing.flight.guidance import LeaderFix, Slot
 from echowing.flight.joining import JOINS_WITHIN_S, Joining
+from echowing.flight.known import Known
 from echowing.flight.plan import planned
-from echowing.flight.state import FollowerState, Known
 from echowing.flight.steps import Phase, Standing, Turn
 from echowing.geo import displace
 

@@ -10,6 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from echowing.flight.axis import Axis, axis_of
 from echowing.flight.cloud import SURE_AFTER_S
 from echowing.flight.estimate import Estimate
+from echowing.flight.follower import FollowerPlan
 from echowing.flight.guidance import GuidanceSettings, Slot
 from echowing.flight.look import (
     GLANCE_S,
@@ -22,7 +23,6 @@ from echowing.flight.look import (
     look_at,
 )
 from echowing.flight.session import FollowSession
-from echowing.flight.state import FollowerPlan
 from echowing.geo import GlobalPosition, displace
 from echowing.mavlink.messages import EARTH_FRAME
 from echowing.paths import repository_root

@@ -7,8 +7,8 @@ import pytest
 
 from echowing.flight.cloud import Off
 from echowing.flight.guidance import GuidanceSettings
+from echowing.flight.known import place_guides
 from echowing.flight.plan import GIVEN_UP_M, WITHIN_REACH_M, planned
-from echowing.flight.state import place_guides
 from echowing.geo import ned_between
 from echowing.sonar_file import Legs, load_sonar
 

@@ -5,10 +5,11 @@ import pytest
 
 from echowing.cli import main
 from echowing.errors import EchowingError
+from echowing.flight.follower import FollowerPlan
 from echowing.flight.guidance import LeaderFix, Slot
+from echowing.flight.known import Known
 from echowing.flight.plan import planned
 from echowing.flight.relay import RELAY_SETTINGS, RelayGuide, parse_ground
-from echowing.flight.state import FollowerPlan, Known
 from echowing.geo import GlobalPosition, Ned, displace, ned_between
 from echowing.sim.vehicle.copter import Copter
 from echowing.sonar_file import shipped_sonar

@@ -7,6 +7,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.flight.belief import Curve, SonarBelief
+from echowing.flight.follower import FollowerPlan
 from echowing.flight.guard import Limits
 from echowing.flight.guidance import GRAY, GuidanceSettings, Slot
 from echowing.flight.hearing import Heard
@@ -14,7 +15,6 @@ from echowing.flight.jumps import AGREEING_REPORTS
 from echowing.flight.leader_track import CLOCKS_AGREE_S, VehicleClock
 from echowing.flight.plan import planned, quickens_mps2
 from echowing.flight.session import FollowSession
-from echowing.flight.state import FollowerPlan
 from echowing.flight.steps import Phase, Standing
 from echowing.geo import GlobalPosition, displace, ned_between
 from echowing.mavlink.messages import EARTH_FRAME, FORWARD, TOOL_SYSTEM_ID, guides, sonar_range_m

@@ -3,12 +3,12 @@
 import pytest
 
 from echowing.flight.clocks import SAY_AGAIN_S
+from echowing.flight.cloud import UNRANGED_SIGMA_M
 from echowing.flight.envelope import LEAST_M, SURE_SIGMAS
 from echowing.flight.estimate import Estimate
 from echowing.flight.guard import Limits
 from echowing.flight.guidance import GuidedPoint
 from echowing.flight.spacing import Spacing
-from echowing.flight.state import UNRANGED_SIGMA_M
 from echowing.flight.steps import Allowed, Phase, Plan, Standing
 
 from .told import Told, at, from_here_m

@@ -5,9 +5,9 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.flight.follower import FollowerPlan
 from echowing.flight.guidance import GuidanceSettings, Slot
 from echowing.flight.session import FollowSession
-from echowing.flight.state import FollowerPlan
 from echowing.sonar_file import shipped_sonar
 
 LEADER, FOLLOWER = 1, 2

@@ -5,11 +5,11 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.flight.follower import FollowerPlan
 from echowing.flight.guard import Limits
 from echowing.flight.guidance import GuidanceSettings, Slot
 from echowing.flight.readiness import Readiness
 from echowing.flight.session import FollowSession
-from echowing.flight.state import FollowerPlan
 from echowing.flight.switch import StopSwitch
 from echowing.flight.take_off import STALE_S, WARNING_S, Lift, TakeOff
 from echowing.geo import ned_between

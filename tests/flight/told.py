@@ -3,9 +3,10 @@
 from dataclasses import dataclass, field
 from typing import Any
 
+from echowing.flight.follower import FollowerPlan, FollowerState
 from echowing.flight.guard import Guard, Limits
 from echowing.flight.guidance import GuidanceSettings, Slot
-from echowing.flight.state import FollowerPlan, FollowerState, Known
+from echowing.flight.known import Known
 from echowing.geo import GlobalPosition, displace, ned_between
 from echowing.sonar_file import shipped_sonar
 

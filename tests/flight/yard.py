@@ -8,11 +8,11 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.flight.belief import SonarBelief
+from echowing.flight.follower import FollowerPlan
 from echowing.flight.guard import Limits
 from echowing.flight.guidance import GuidanceSettings, Slot
 from echowing.flight.readiness import Readiness
 from echowing.flight.session import FollowSession
-from echowing.flight.state import FollowerPlan
 from echowing.geo import GlobalPosition, displace
 from echowing.mavlink.messages import POINT_FORMAT
 from echowing.mavlink.plausible import Door

@@ -12,10 +12,10 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.analysis.flown_sonar import flown_by
+from echowing.flight.follower import FollowerPlan
 from echowing.flight.guard import Limits
 from echowing.flight.guidance import GuidanceSettings, Slot
 from echowing.flight.session import FollowSession
-from echowing.flight.state import FollowerPlan
 from echowing.geo import ned_between
 from echowing.mavlink.links import Address, Link
 from echowing.mavlink.messages import TOOL_SYSTEM_ID

@@ -15,9 +15,9 @@ from echowing.commands.follow import options_of
 from echowing.docs.live_table import SETTLED_S, Photographer, drawn
 from echowing.errors import EchowingError
 from echowing.flight.belief import SonarBelief
+from echowing.flight.follower import FollowerPlan
 from echowing.flight.guidance import GuidanceSettings, Slot
 from echowing.flight.session import FollowSession
-from echowing.flight.state import FollowerPlan
 from echowing.mavlink.seats import LISTEN_S, VehicleFinder, parse_seat
 from echowing.sonar_file import load_sonar, shipped_sonar, write_sonar
 from echowing.stopping import StopRequest

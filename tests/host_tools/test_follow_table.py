@@ -16,9 +16,9 @@ from echowing.analysis.logs import read_flights
 from echowing.analysis.metrics import metrics
 from echowing.cli import main
 from echowing.errors import EchowingError
+from echowing.flight.follower import FollowerPlan
 from echowing.flight.guidance import GuidanceSettings, Slot
 from echowing.flight.session import FollowSession
-from echowing.flight.state import FollowerPlan
 from echowing.geo import GlobalPosition, displace
 from echowing.sonar_file import shipped_sonar
 from echowing.tool.log import FollowLog

@@ -12,10 +12,10 @@ import pytest
 
 from echowing.cli import main
 from echowing.errors import EchowingError
+from echowing.flight.cloud import UNRANGED_SIGMA_M
 from echowing.flight.envelope import LEAST_M
 from echowing.flight.formation import check_formation, sonars_demand_m
 from echowing.flight.guidance import place_m
-from echowing.flight.state import UNRANGED_SIGMA_M
 from echowing.planning.cost import Formation, Limits
 from echowing.planning.files import file_slots, formation_table
 from echowing.planning.optimise import METHODS, Counted, SpentError, best_of, compare

@@ -14,6 +14,7 @@ from echowing.analysis.flight import Floats
 from echowing.analysis.metrics import approach_s, metrics
 from echowing.campaign.promises import broken_promises
 from echowing.campaign.record import Bools, FlightRecord
+from echowing.flight.cloud import UNRANGED_SIGMA_M
 from echowing.flight.envelope import (
     OTHERS_MPS2,
     RETREAT_MOST_MPS,
@@ -23,7 +24,6 @@ from echowing.flight.envelope import (
 )
 from echowing.flight.handling import reaction_s
 from echowing.flight.lowest import LOWEST_M
-from echowing.flight.state import UNRANGED_SIGMA_M
 from echowing.mavlink.vehicle_limits import INPUT_TIME
 from echowing.sim.flight import SAMPLE_S
 from echowing.sim.scenario import Scenario

@@ -15,8 +15,10 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.flight.clocks import ASK_PERIOD_S
 from echowing.flight.engage import DIST
+from echowing.flight.follower import FollowerState
 from echowing.flight.guidance import Slot
-from echowing.flight.state import FollowerState, Say, place_guides
+from echowing.flight.known import place_guides
+from echowing.flight.said import Say
 from echowing.mavlink.messages import read_parameter
 
 Followers = Mapping[int, FollowerState]

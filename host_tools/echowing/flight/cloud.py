@@ -114,6 +114,11 @@ class Wandering:
     deaf_share: float = 0.02
 
 
+# Two receivers, and two barometers, between which no sonar measures.
+UNRANGED_SIGMA_M = math.sqrt(2.0) * Wandering().sigma_m
+UNRANGED_UP_SIGMA_M = math.sqrt(2.0) * Wandering().height_sigma_m
+
+
 @dataclass(frozen=True, slots=True)
 class Bystander:
     """Another vehicle that the sonar may hear.

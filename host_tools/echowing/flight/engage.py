@@ -23,16 +23,17 @@ from echowing.applets import (
     identify,
 )
 from echowing.flight.clocks import ASK_PERIOD_S
+from echowing.flight.follower import FollowerState
 from echowing.flight.formation import receivers_demand_m
 from echowing.flight.guard import Guard
 from echowing.flight.guidance import MOVING_MPS, Horizontal, LeaderFix, slot_offset_m
 from echowing.flight.handling import Handling, least_slot_m
 from echowing.flight.heights import Heights
+from echowing.flight.known import Known
 from echowing.flight.leader_speed import MOST_LEADER_MPS, LeaderSpeed
 from echowing.flight.lowest import LOWEST_M
 from echowing.flight.readiness import Readiness
-from echowing.flight.said import Said
-from echowing.flight.state import FollowerState, Known, Say
+from echowing.flight.said import Said, Say
 from echowing.geo import GlobalPosition, ned_between
 from echowing.mavlink.messages import read_parameter
 
@@ -722,7 +723,7 @@ def _unsure_of(handling: Handling) -> str:
 
 def _sonar(follower: FollowerState) -> list[Finding]:
     """No cell where it is read as its file says."""
-    if not follower.plan.sonar.fixed or not math.isfinite(follower.raw_at_s):
+    if not follower.plan.sonar.fixed or not follower.readings.were_single:
         return []
     wrong = (
         "its sonar is read by a co-processor, and by its file the autopilot reads it: start again "

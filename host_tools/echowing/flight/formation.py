@@ -9,9 +9,9 @@ from itertools import combinations
 from echowing.errors import EchowingError
 from echowing.flight.axis import apart_rad
 from echowing.flight.belief import SonarBelief
+from echowing.flight.cloud import UNRANGED_SIGMA_M
 from echowing.flight.envelope import SURE_SIGMAS
 from echowing.flight.guidance import SMALLEST_RADIUS_M, Slot, place_m
-from echowing.flight.state import UNRANGED_SIGMA_M
 
 # Each of two followers may be this far off its slot and still be in it.
 IN_SLOT_M = 0.5

@@ -11,7 +11,9 @@ from itertools import pairwise
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.flight.state import FollowerState, Known, Say
+from echowing.flight.follower import FollowerState
+from echowing.flight.known import Known
+from echowing.flight.said import Say
 
 NOTICE = mavlink.MAV_SEVERITY_NOTICE
 # A pilot who takes a follower for a moment, or a radio that is silent for one, leaves no gap.

@@ -15,10 +15,12 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.flight.clocks import UNHEARD_S
 from echowing.flight.envelope import LEAST_M
+from echowing.flight.follower import FollowerState
 from echowing.flight.homes import Homes
+from echowing.flight.known import Known
 from echowing.flight.lowest import LOWEST_M
 from echowing.flight.readiness import Readiness
-from echowing.flight.state import FollowerState, Known, Say
+from echowing.flight.said import Say
 from echowing.flight.steps import Command
 from echowing.flight.switch import StopSwitch, Switches
 from echowing.geo import GlobalPosition, displace, distance_m, nearer_than, ned_between

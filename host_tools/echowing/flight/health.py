@@ -28,8 +28,8 @@ import networkx as nx
 
 from echowing.flight.belief import SonarBelief
 from echowing.flight.clocks import UNHEARD_S
+from echowing.flight.cloud import UNRANGED_SIGMA_M
 from echowing.flight.said import Said
-from echowing.flight.state import UNRANGED_SIGMA_M
 from echowing.flight.steps import name_of
 from echowing.geo import Ned, wrap_angle_rad
 

@@ -2,8 +2,9 @@
 
 import math
 
+from echowing.flight.follower import FollowerState
+from echowing.flight.known import Known
 from echowing.flight.lowest import LOWEST_M
-from echowing.flight.state import FollowerState, Known
 
 # By so much the barometers of two vehicles in flight may disagree, and a vehicle climbs no faster
 # than this for it, so that nothing else notices.

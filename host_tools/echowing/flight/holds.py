@@ -3,11 +3,11 @@
 import math
 from dataclasses import replace
 
+from echowing.flight.follower import FollowerState
 from echowing.flight.guard import STILL_MPS, Guard
 from echowing.flight.guidance import Horizontal
 from echowing.flight.heights import Heights
 from echowing.flight.own_motion import NOT_YET_S
-from echowing.flight.state import FollowerState
 from echowing.flight.steps import Allowed, Hold
 from echowing.geo import GlobalPosition, displace, distance_m
 

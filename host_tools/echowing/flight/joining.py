@@ -9,9 +9,11 @@ there and lets the next one come in, and tries again later: never found, it is n
 
 import math
 
+from echowing.flight.cloud import UNRANGED_SIGMA_M
+from echowing.flight.follower import FollowerState
 from echowing.flight.formation import receivers_demand_m
 from echowing.flight.guidance import place_m
-from echowing.flight.state import UNRANGED_SIGMA_M, FollowerState, Known
+from echowing.flight.known import Known
 from echowing.flight.steps import Phase
 
 # A follower finds its leader within 7 s, with most sonars that are worse than believed within 20

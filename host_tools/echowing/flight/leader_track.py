@@ -22,6 +22,8 @@ OLDEST_KEEPS = 0.95
 
 # The round trip that is assumed until a TIMESYNC answer comes.
 USUAL_ROUND_TRIP_S = 0.5
+# A longer delay to the vehicle is not predicted: the leader may have turned by then.
+LONGEST_WAY_S = 1.0
 TIMESYNC_PERIOD_S = 1.0
 # Requests that may still be answered: no radio holds one back for longer than half a minute.
 ANSWERS_AWAITED = 30
@@ -52,6 +54,11 @@ class VehicleClock:
     def round_trip_s(self) -> float:
         """To the vehicle and back."""
         return USUAL_ROUND_TRIP_S if self._boot_at_s is None else self._best_round_trip_s
+
+    @property
+    def way_s(self) -> float:
+        """To the vehicle, or back."""
+        return min(LONGEST_WAY_S, self.round_trip_s / 2.0)
 
     def due(self, now_s: float) -> bool:
         """Whether to ask again; asking is noted."""

@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 from echowing.flight.axis import Axis, along, spread_rad, turns_rps
 from echowing.flight.cloud import Between
 from echowing.flight.estimate import Estimate
-from echowing.flight.state import FollowerState, Known
+from echowing.flight.follower import FollowerState
+from echowing.flight.known import Known
 from echowing.geo import Ned, ned_between, wrap_angle_rad
 
 # Under the first the direction is sure enough; a cone wider than the second would leave a leader

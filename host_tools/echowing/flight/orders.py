@@ -12,9 +12,9 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.flight.build_up import BuildUp
+from echowing.flight.follower import FollowerState
 from echowing.flight.reshape import Named
 from echowing.flight.session import FollowSession
-from echowing.flight.state import FollowerState
 
 HELD = "held by the operator"
 STOPPED = "stopped by the operator"

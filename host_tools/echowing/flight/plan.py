@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from echowing.flight.follower import FollowerState
 from echowing.flight.formation import receivers_demand_m
 from echowing.flight.guidance import (
     GuidanceSettings,
@@ -16,10 +17,10 @@ from echowing.flight.guidance import (
 )
 from echowing.flight.handling import least_slot_m
 from echowing.flight.hearing import Heard
+from echowing.flight.known import Known
 from echowing.flight.leader_track import MOST_MPS2
 from echowing.flight.look import Look
-from echowing.flight.said import Said
-from echowing.flight.state import FollowerState, Known, Say
+from echowing.flight.said import Said, Say
 from echowing.flight.steps import Plan
 from echowing.flight.swarm import Swarm
 from echowing.geo import displace, distance_m, ned_between
@@ -143,7 +144,7 @@ class Planner:
 
         Or that its co-processor's readings come and where it looks does not.
         """
-        undirected = follower.is_read(now_s) and not follower.estimate.points(now_s)
+        undirected = follower.readings.are_single(now_s) and not follower.estimate.points(now_s)
         self._tell_if_lasting(follower, "axis", UNDIRECTED if undirected else None, now_s)
         self._tell_if_lasting(follower, "hearing", None if undirected else heard.worse, now_s)
 

@@ -6,6 +6,7 @@ After thesis Appendix D; flown by the same follow session as a formation, with t
 import math
 
 from echowing.errors import EchowingError
+from echowing.flight.follower import Guide
 from echowing.flight.guidance import (
     GuidanceSettings,
     GuidedPoint,
@@ -13,7 +14,6 @@ from echowing.flight.guidance import (
     LeaderFix,
     Slot,
 )
-from echowing.flight.state import Guide
 from echowing.geo import GlobalPosition, displace, ned_between, relay_pos
 
 # Nothing here looks at the remote vehicle with a sonar, and no point runs ahead.

@@ -6,7 +6,8 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.flight.state import Known, Say
+from echowing.flight.known import Known
+from echowing.flight.said import Say
 from echowing.mavlink.messages import HEARTBEAT_PERIOD_S, message_interval, tool_heartbeat
 
 # Points are sent at 8 Hz, and each wants a position of its own. An autopilot that has restarted has

@@ -17,7 +17,8 @@ import networkx as nx
 from echowing.errors import EchowingError
 from echowing.flight.build_up import LONGEST_STEP_S, SLOT_MPS
 from echowing.flight.guidance import Slot, place_m
-from echowing.flight.state import Known, Say
+from echowing.flight.known import Known
+from echowing.flight.said import Say
 from echowing.flight.steps import Phase
 
 # Slots that pass each other are so far apart: what has to be certain, and a follower half a metre

@@ -1,8 +1,11 @@
 """What was said when, so that nothing is said again too soon. Pure."""
 
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 
 from echowing.flight.clocks import SAY_AGAIN_S
+
+# Tells the operator: when, and what.
+Say = Callable[[float, str], None]
 
 
 class Said:

@@ -21,18 +21,19 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.flight.engage import Engagement
+from echowing.flight.follower import FollowerPlan, FollowerState
 from echowing.flight.gaps import Gaps
 from echowing.flight.guard import Guard, Limits
 from echowing.flight.guidance import GuidanceSettings
 from echowing.flight.heights import Heights
 from echowing.flight.holds import Holds
+from echowing.flight.known import Known
 from echowing.flight.leader_track import LeaderTrack
 from echowing.flight.look import Look, look_at
 from echowing.flight.plan import Planner, quickens_mps2
 from echowing.flight.requests import Rate, Requests, positions
 from echowing.flight.reshape import Reshape
 from echowing.flight.spacing import Spacing
-from echowing.flight.state import FollowerPlan, FollowerState, Known
 from echowing.flight.steps import Allowed, Command, Plan
 from echowing.flight.supervisor import Supervisor
 from echowing.flight.swarm import Swarm
@@ -174,7 +175,7 @@ class FollowSession:
     def _follower_message(
         self, follower: FollowerState, kind: str, message: Any, now_s: float
     ) -> None:
-        follower.ranged(kind, message, now_s)
+        follower.readings.receive(kind, message, now_s)
         if kind == "PARAM_VALUE":
             follower.handling.receive(message.param_id, message.param_value)
         if kind == "GLOBAL_POSITION_INT":
@@ -295,9 +296,9 @@ class FollowSession:
 
     def _looking(self, follower: FollowerState, look: Look | None) -> list[tuple[int, Any]]:
         """Tell its gimbal where to look, whoever flies it."""
-        if look is None or follower.sonar_id is None:
+        system_id, sonar_id = follower.plan.system_id, follower.readings.sender_id
+        if look is None or sonar_id is None:
             return []
-        system_id, sonar_id = follower.plan.system_id, follower.sonar_id
         order = look_order(system_id, sonar_id, look.axis.quaternion, look.rate_rps, look.sigma_rad)
         return [(system_id, order)]
 

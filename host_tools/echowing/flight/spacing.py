@@ -13,12 +13,13 @@ from echowing.flight.envelope import (
     keep_apart,
     straight_out,
 )
+from echowing.flight.follower import FollowerState
 from echowing.flight.guard import Guard
 from echowing.flight.guidance import Horizontal
 from echowing.flight.jumps import SAME_RANGE_M
+from echowing.flight.known import Known
 from echowing.flight.plan import LEAST_MPS
 from echowing.flight.said import Said
-from echowing.flight.state import FollowerState, Known
 from echowing.flight.steps import Allowed, Phase, Plan, name_of
 from echowing.geo import GlobalPosition, Ned, displace, ned_between
 

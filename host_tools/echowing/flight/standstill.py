@@ -8,8 +8,9 @@ import math
 from typing import Any
 
 from echowing.flight.clocks import UNHEARD_S
+from echowing.flight.follower import FollowerState
 from echowing.flight.guard import Guard
-from echowing.flight.state import FollowerState, Known
+from echowing.flight.known import Known
 from echowing.geo import GlobalPosition
 from echowing.mavlink.messages import no_velocity, position_target
 

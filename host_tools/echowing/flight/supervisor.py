@@ -10,10 +10,12 @@ from typing import Any, ClassVar
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.flight.engage import Engagement
+from echowing.flight.follower import GUIDED_MODE, FollowerState
 from echowing.flight.guard import Guard, is_flying, mode_name
 from echowing.flight.holds import Holds
 from echowing.flight.joining import Joining
-from echowing.flight.state import GUIDED_MODE, FollowerState, Known, Say
+from echowing.flight.known import Known
+from echowing.flight.said import Say
 from echowing.flight.steps import Phase, Standing, Turn
 from echowing.flight.take_off import Lift, TakeOffs
 

@@ -16,9 +16,11 @@ from itertools import combinations
 import networkx as nx
 
 from echowing.flight.belief import SonarBelief
+from echowing.flight.cloud import UNRANGED_SIGMA_M
 from echowing.flight.envelope import FASTEST_MPS, SURE_SIGMAS
+from echowing.flight.follower import FollowerState
 from echowing.flight.guidance import GuidedPoint, Horizontal, LeaderFix, Slot, bearing_rad
-from echowing.flight.state import UNRANGED_SIGMA_M, FollowerState, Known
+from echowing.flight.known import Known
 from echowing.flight.swarm_rules import (
     Around,
     Seen,

@@ -15,7 +15,8 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.flight.clocks import ASK_PERIOD_S
-from echowing.flight.state import FollowerState, Say
+from echowing.flight.follower import FollowerState
+from echowing.flight.said import Say
 from echowing.mavlink.messages import command_long
 
 # From the announcement to the command: time to step back, and for the pilot to change his mind.

@@ -11,8 +11,10 @@ from typing import Any
 
 from echowing.flight.alignment import Report
 from echowing.flight.drift import Drift
+from echowing.flight.follower import FollowerState
 from echowing.flight.jumps import SAME_RANGE_M, UNCONFIRMED_S
-from echowing.flight.state import FollowerState, Known, Say
+from echowing.flight.known import Known
+from echowing.flight.said import Say
 from echowing.flight.streams import Streams
 from echowing.geo import displace
 
@@ -146,7 +148,7 @@ class Trust:
         learns = self._known.settings.learn_offset
         if not learns or not follower.estimate.hears(since_s):
             return False
-        return follower.ranges.unchanged(since_s)
+        return follower.readings.ranges.unchanged(since_s)
 
     def _settle_leaders_jump(self, now_s: float) -> None:
         """A jump that the sonar denies is the receiver's: it goes into everybody's estimate."""

@@ -8,11 +8,11 @@ import numpy as np
 
 from echowing.errors import EchowingError
 from echowing.flight.belief import SonarBelief
+from echowing.flight.cloud import UNRANGED_SIGMA_M
 from echowing.flight.envelope import LEAST_M, SURE_SIGMAS
 from echowing.flight.formation import IN_SLOT_M, sonars_demand_m
 from echowing.flight.guidance import Slot
 from echowing.flight.shapes import MOST_FOLLOWERS
-from echowing.flight.state import UNRANGED_SIGMA_M
 from echowing.planning.ties import (
     ALONG_SIGMA_M,
     LEADER,

@@ -4,7 +4,7 @@ Places are rows (back, right, up) in metres from the leader, who is row 0 and fl
 followers are rows 1 to N, from the front to the back. Each sonar ties the receivers of two vehicles
 together. A follower has one sonar and watches a vehicle before it, so N sonars tie N + 1 vehicles
 to a tree: between any two there is one way, and its variance is the sum over its sonars, as in
-`flight.state.Known.sigma_m` (resistances in series; a tree has none in parallel).
+`flight.known.Known.sigma_m` (resistances in series; a tree has none in parallel).
 """
 
 import math
@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from echowing.flight.belief import Curve
+from echowing.flight.cloud import UNRANGED_SIGMA_M
 from echowing.flight.formation import IN_SLOT_M
-from echowing.flight.state import UNRANGED_SIGMA_M
 
 Array = NDArray[np.float64]
 LEADER = 0

@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.applets import HOLD, IDENTIFYING, Applet, applets_among, identify
 from echowing.errors import EchowingError
-from echowing.flight.state import GUIDED_MODE
+from echowing.flight.follower import GUIDED_MODE
 from echowing.mavlink.messages import command_long, is_forward_rangefinder
 from echowing.setup.applet import CARD_FOLDERS, applet_parameters, applet_path, files_in
 from echowing.setup.checks import RC_CHANNELS, SERIAL_PORTS, ports_at_115200, signing_option

@@ -15,13 +15,13 @@ from pathlib import Path
 
 from echowing.analysis.flight import Flight
 from echowing.flight.envelope import LEAST_M
+from echowing.flight.follower import FollowerPlan, FollowerState
 from echowing.flight.formation import flown_up
 from echowing.flight.guard import FIELD_LIMITS, Limits
 from echowing.flight.guidance import MOVING_MPS, Horizontal, Slot, place_m
 from echowing.flight.lowest import LOWEST_M
 from echowing.flight.readiness import Readiness
 from echowing.flight.session import FollowSession
-from echowing.flight.state import FollowerPlan, FollowerState
 from echowing.flight.switch import StopSwitch
 from echowing.geo import Ned, ned_between
 from echowing.sim.aircraft import LeaderPilot, MakeCoprocessor, SimFollower, SimVehicle

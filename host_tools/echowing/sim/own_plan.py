@@ -16,12 +16,12 @@ from types import ModuleType
 from typing import Any
 
 from echowing.errors import EchowingError
+from echowing.flight.follower import FollowerState
 from echowing.flight.guard import FIELD_LIMITS
 from echowing.flight.guidance import GuidedPoint, Horizontal, LeaderFix
 from echowing.flight.look import Look
 from echowing.flight.plan import LEAST_MPS
 from echowing.flight.session import FASTEST_MPS, FollowSession
-from echowing.flight.state import FollowerState
 from echowing.flight.steps import Phase, Plan
 from echowing.geo import GlobalPosition, displace, ned_between
 

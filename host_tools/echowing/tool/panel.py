@@ -8,10 +8,10 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.flight.clocks import UNHEARD_S
+from echowing.flight.follower import FollowerState
 from echowing.flight.guard import is_flying, mode_name
 from echowing.flight.leader_track import VehicleClock
 from echowing.flight.session import FollowSession
-from echowing.flight.state import FollowerState
 from echowing.flight.steps import Phase, name_of
 from echowing.flight.supervisor import WAITS
 from echowing.geo import distance_m, ned_between

@@ -11,6 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.flight.belief import SonarBelief
 from echowing.flight.build_up import BuildUp
+from echowing.flight.follower import FollowerPlan, Guide
 from echowing.flight.guard import Limits
 from echowing.flight.guidance import GuidanceSettings, Slot
 from echowing.flight.health import Cohesion
@@ -18,7 +19,6 @@ from echowing.flight.orders import Orders
 from echowing.flight.reshape import Named
 from echowing.flight.session import FollowSession
 from echowing.flight.standstill import Standstill
-from echowing.flight.state import FollowerPlan, Guide
 from echowing.flight.take_off import TakeOff
 from echowing.geo import load_exact
 from echowing.mavlink.links import Address, Link, wait

@@ -4,9 +4,9 @@ import math
 from dataclasses import dataclass, fields
 from typing import Any
 
+from echowing.flight.follower import FollowerState
 from echowing.flight.guidance import LeaderFix, is_stale, predicted
 from echowing.flight.session import FollowSession
-from echowing.flight.state import FollowerState
 from echowing.geo import GlobalPosition, ned_between
 from echowing.tool.panel import Panel
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from echowing.flight.state import FollowerState
+from echowing.flight.follower import FollowerState
 from echowing.sim.vehicle.autopilot import Autopilot
 from echowing.sim.vehicle.modes import GUIDED, LOITER
 
