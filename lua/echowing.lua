@@ -716,9 +716,12 @@ do
     -- know why it is far from it, and further away from the leader, 5 m: a sonar that is stuck then moves the vehicle no
     -- further, and no faster.
     local function along_beam(ahead_m, mps, braking_mps2, t_ms)
-        -- From where both will be once this vehicle leans.
+        -- From where both will be once this vehicle leans. Of what is missing four tenths are flown back: with all of it
+        -- Guided flies further back than it is sent. The gaps of a column swung, by 0.16 m instead of 0.13, and one alone
+        -- that had come too near was next out of reach.
         local wanted_m = track.range_m - hold.distance_m()
             + (track.leader_mps - own.mps + 0.5 * braking_mps2 * LEAN_S) * LEAN_S
+        wanted_m = max(wanted_m, 0.4 * wanted_m)
         local unseen_ms = t_ms - track.seen_ms
         if unseen_ms > 300 and stream.manner ~= 2 then
             return max(min(wanted_m, ahead_m), ahead_m - 5), min(track.leader_mps, mps)
@@ -760,12 +763,11 @@ do
             -- In a line, and at its head, back no faster than the point, or than the leader comes, by 0.4 m/s and by
             -- what is missing to the close distance: a retreat that is not needed meets whoever flies behind, who flies
             -- back harder still. How another follower comes the ground tool knows sooner than the track. The place is
-            -- moved no further than that, either: over a metre back against a velocity ahead is flown back at first. Of what
-            -- is missing four tenths are enough: with all of it the gaps of a column swung, by 0.16 m instead of 0.13.
+            -- moved no further than that, either: over a metre back against a velocity ahead is flown back at first.
             if stream.manner > 1 then
                 local comes_mps = stream.manner == 2 and mps or min(mps, track.leader_mps)
                 least_mps = min(0, comes_mps) - 0.4 - max(0, C.CLOSE - track.range_m)
-                wanted_m = max(wanted_m, 0.4 * wanted_m, least_mps)
+                wanted_m = max(wanted_m, least_mps)
             end
             if stream.manner == 2 then
                 -- In a line behind another follower: as fast as the point, which is the leader's speed for all of them at

@@ -68,7 +68,18 @@ def test_no_step_reaches_back_to_the_session(module: str) -> None:
 
 def test_the_steps_are_in_the_order_of_the_tick() -> None:
     """Known, standing, plan, allowed, command: none of them imports a later one."""
-    order = ["cloud", "estimate", "state", "look", "supervisor", "plan", "spacing", "session"]
+    order = [
+        "cloud",
+        "estimate",
+        "readings",
+        "follower",
+        "known",
+        "look",
+        "supervisor",
+        "plan",
+        "spacing",
+        "session",
+    ]
     for number, module in enumerate(order):
         later = set(order[number + 1 :])
         assert not _all_within(module) & later

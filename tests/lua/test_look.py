@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from tests.lua.conftest import mavlink_frame
-from tests.lua.test_hold import HIGH, HOLDING, LEADER_MPS, NOTHING, newest
+from tests.lua.test_hold import BACK, HIGH, HOLDING, LEADER_MPS, NOTHING, newest
 
 from echowing.flight.axis import axis_of
 from echowing.mavlink.messages import WITHOUT_HEIGHT
@@ -59,7 +59,8 @@ def test_a_point_is_moved_along_the_leaders_bearing(
 
     along_m, across_m = parts(newest(r).north_m, newest(r).east_m)
     assert r.state == HOLDING
-    assert along_m == pytest.approx(range_m - 3.0, abs=0.02)
+    missing_m = range_m - 3.0
+    assert along_m == pytest.approx(max(missing_m, BACK * missing_m), abs=0.02)
     assert across_m == pytest.approx(-ahead_m * math.sin(ASIDE_RAD), abs=0.02)
 
 

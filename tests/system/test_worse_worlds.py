@@ -3,6 +3,8 @@
 RESULTS.md has twenty flights of each of the bench's (`echowing bench --only robust`).
 """
 
+from statistics import mean
+
 import pytest
 
 from echowing.bench.accuracy import Row, fly_row
@@ -19,23 +21,20 @@ FORGETFUL = Row(
     ("gps.sigma_m=1.5", "gps.tau_s=20", EXACTLY),
     WORST,
 )
-LONG = [
-    *((FORGETFUL, seed) for seed in (2, 3, 4, 5, 6)),
-    *((row, seed) for row in ROWS for seed in (1, 2)),
-]
+LONG = [(FORGETFUL, range(2, 7)), *((row, range(1, 3)) for row in ROWS)]
 
 
 # Seed 1 of the first came to 0.17 m when receivers of 0.8 m and 60 s were taken for granted.
 @pytest.mark.parametrize(
-    ("row", "seed"),
-    [(FORGETFUL, 1), *(pytest.param(*case, marks=pytest.mark.long) for case in LONG)],
-    ids=lambda one: one.name if isinstance(one, Row) else str(one),
+    ("row", "seeds"),
+    [(FORGETFUL, range(1, 2)), *(pytest.param(*case, marks=pytest.mark.long) for case in LONG)],
+    ids=lambda one: one.name if isinstance(one, Row) else f"{one[0]}-{one[-1]}",
 )
-def test_nobody_comes_near_and_the_leader_is_kept(row: Row, seed: int) -> None:
-    """A flight may have twice the error that is the goal of the mean of twenty."""
-    figures = fly_row(row, seed, [SHORT])
-    assert figures.least_m > LEAST_M
-    assert figures.mean_error_m < 2.0 * row.goal.mean_error_m
+def test_nobody_comes_near_and_the_leader_is_kept(row: Row, seeds: range) -> None:
+    """A few flights may have twice the mean error that is the goal of twenty."""
+    flights = [fly_row(row, seed, [SHORT]) for seed in seeds]
+    assert min(one.least_m for one in flights) > LEAST_M
+    assert mean(one.mean_error_m for one in flights) < 2.0 * row.goal.mean_error_m
 
 
 @pytest.mark.parametrize(

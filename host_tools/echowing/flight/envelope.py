@@ -23,7 +23,7 @@ The applet stops by the same rule (`guard.stoppable_mps` in `lua/echowing.lua`);
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from echowing.flight.half_planes import (
@@ -107,7 +107,11 @@ def certain_distance_m(other: Other) -> float:
 
 
 def closing_limit_mps(
-    certain_m: float, answer: Answer, least_m: float = LEAST_M, brakes_mps2: float = 0.0
+    certain_m: float,
+    answer: Answer,
+    least_m: float = LEAST_M,
+    brakes_mps2: float = 0.0,
+    retreat_per_s: float = RETREAT_PER_S,
 ) -> float:
     """The closing speed that is allowed at this distance; negative: fly away from the other.
 
@@ -117,7 +121,7 @@ def closing_limit_mps(
     is taken to keep its speed, and the slot is far enough away (`handling.least_slot_m`).
     """
     room_m = certain_m - least_m
-    retreat_mps = RETREAT_PER_S * min(0.0, room_m)
+    retreat_mps = retreat_per_s * min(0.0, room_m)
     gains_mps2 = answer.decel_mps2 - brakes_mps2
     if gains_mps2 <= 0.0:
         brakes_mps2, gains_mps2 = 0.0, answer.decel_mps2
@@ -139,8 +143,7 @@ def keep_apart(
     own_mps: its velocity now, NED. Closing speed above the limit is braked in addition, but not for
     others that are led: in a line each would fly back faster than the one before. Who is in the way
     counts as passed: the plan is turned right first. Where nothing near the plan fits, the others
-    that are led count as making room themselves. If only such call for a change, it flies no faster
-    than planned, or than a retreat.
+    that are led count as making room themselves.
     """
     walls = [_wall(other, answer, least_m, own_mps) for other in others]
     short_mps = [short_of_mps(wanted_mps, wall) for wall in walls]
@@ -151,46 +154,17 @@ def keep_apart(
     for wall, other, mps in zip(walls, others, short_mps, strict=True):
         if mps > 0.0 and other.in_the_way:
             aim = _turned_right(aim, wall)
-    calling = [other for other, mps in zip(others, short_mps, strict=True) if mps > 0.0]
-    all_make_room = all(other.led and not other.watched for other in calling)
-    flown = (_making_room if all_make_room else _changed)(
-        aim,
-        walls,
-        lambda: [_wall(*_yielding(one, answer), least_m, own_mps) for one in others],
-        worst,
-    )
-    return (*flown, wanted_mps[2]), others[worst]
-
-
-def _making_room(
-    aim: Level, walls: Sequence[Wall], yielding: Callable[[], Sequence[Wall]], worst: int
-) -> Level:
-    """Among others that are led too, all of whom make room: no faster than planned, or a retreat.
-
-    One that flees faster calls on the next to flee, and so on through a formation.
-    """
-    most_mps = max(math.hypot(*aim), RETREAT_MOST_MPS)
-    flown = nearest(aim, walls, most_mps)
-    if flown is None:
-        walls = yielding()
-        flown = nearest(aim, walls, most_mps)
-    return flown or breaking_least(walls, most_mps, walls[worst])
-
-
-def _changed(
-    aim: Level, walls: Sequence[Wall], yielding: Callable[[], Sequence[Wall]], worst: int
-) -> Level:
-    """The plan changed by as little as others call for, or by as much as a correction may."""
     around = _around(aim, walls)
     calls_for_mps = [SAME_MPS + max(0.0, short) for _, _, short in around]
     far_mps = max(FASTEST_MPS, *calls_for_mps)
     near_mps = min(far_mps, CORNER * sum(calls_for_mps))
     change = nearest(NO_CHANGE, around, near_mps)
     if change is None:
-        around = _around(aim, yielding())
+        yielding = [_wall(*_yielding(one, answer), least_m, own_mps) for one in others]
+        around = _around(aim, yielding)
         change = nearest(NO_CHANGE, around, near_mps) or nearest(NO_CHANGE, around, far_mps)
     change = change or breaking_least(around, far_mps, around[worst])
-    return aim[0] + change[0], aim[1] + change[1]
+    return (aim[0] + change[0], aim[1] + change[1], wanted_mps[2]), others[worst]
 
 
 def straight_out(
@@ -228,7 +202,10 @@ def _wall(other: Other, answer: Answer, least_m: float, own_mps: Ned | None) -> 
     north, east = (north / level_m, east / level_m) if level_m > 0.01 else (1.0, 0.0)
     its_mps = other.velocity_mps[0] * north + other.velocity_mps[1] * east
     certain_m = certain_distance_m(other)
-    limit_mps = closing_limit_mps(certain_m, answer, least_m, other.brakes_mps2)
+    # Two that are both led, and know of each other by the tool alone, fly back half as fast each:
+    # each answers a second late, and together they would swing.
+    per_s = RETREAT_PER_S / 2.0 if other.led and not other.watched else RETREAT_PER_S
+    limit_mps = closing_limit_mps(certain_m, answer, least_m, other.brakes_mps2, per_s)
     least_mps = its_mps - limit_mps - SAME_MPS
     if own_mps is None or other.led:
         return north, east, least_mps

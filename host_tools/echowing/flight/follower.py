@@ -65,19 +65,18 @@ class Guide(Protocol):
 class FollowerState:
     """What is known and wanted of one follower.
 
-    standing, allowed, command: what the last tick made of it (see `steps`); turn: what
-    lasts until its pilot has left Guided; hold: where it is held; guided: where it was led last;
-    in_guided: flies in Guided; position_at_s: when it was there by TIMESYNC, else when the report
-    came; proven_m: the part of `Known.doubted_m` that the sonar has settled; reversal_m: the
-    nearest slot from which it gets away if the leader turns round now; on_way_m: how far its slot
-    is on the way into another shape (`reshape`); opens: it was said that the
-    slot opens for a reversal; unsure: its newest report may be another vehicle's, with its id;
-    slews: its filter has reset its position since its last point;
-    away_beats: heartbeats in a row that were not of one that flies in Guided; level_m,
-    levelled_at_s: by how much it flies higher than planned, to be level with its leader, and when
-    that was set; worse_since_s: since when its sonar is worse than believed, and in what; heard_as:
-    its sonar as it is heard, while that carries no slot as near as its own, and by_ear_m: the
-    nearest slot then.
+    standing, allowed, command: what the last tick made of it (see `steps`); turn: what lasts until
+    its pilot has left Guided; hold: where it is held; guided: where it was led last; in_guided:
+    flies in Guided; position_at_s: when it was there by TIMESYNC, else when the report came;
+    proven_m: the part of `Known.doubted_m` that the sonar has settled; reversal_m: the nearest slot
+    from which it gets away if the leader turns round now; on_way_m: how far its slot is on the way
+    into another shape (`reshape`); opens: it was said that the slot opens for a reversal; unsure:
+    its newest report may be another vehicle's, with its id; slews: its filter has reset its
+    position since its last point; away_beats: heartbeats in a row that were not of one that flies
+    in Guided; level_m, levelled_at_s: by how much it flies higher than planned, to be level with
+    its leader, and when that was set; worse_since_s: since when its sonar is worse than believed,
+    and in what; heard_as: its sonar as it is heard, while that carries no slot as near as its own,
+    and by_ear_m: the nearest slot then.
     """
 
     plan: FollowerPlan
