@@ -24,6 +24,7 @@ OLDEST_KEEPS = 0.95
 USUAL_ROUND_TRIP_S = 0.5
 # A longer delay to the vehicle is not predicted: the leader may have turned by then.
 LONGEST_WAY_S = 1.0
+# So often it is asked for, as the quickest of several answers counts.
 TIMESYNC_PERIOD_S = 1.0
 # Requests that may still be answered: no radio holds one back for longer than half a minute.
 ANSWERS_AWAITED = 30
