@@ -6,8 +6,9 @@ import pytest
 
 from echowing.flight.alignment import Report
 from echowing.flight.clocks import LONGEST_GAP_S
-from echowing.flight.drift import MOST_M, Drift
+from echowing.flight.drift import Drift
 from echowing.flight.guidance import Horizontal
+from echowing.flight.jumps import DRIFTS_M
 from echowing.flight.receivers import FORGETS_S
 from echowing.geo import GlobalPosition, displace
 from echowing.sim.world import gps
@@ -69,7 +70,7 @@ def test_a_velocity_that_is_wrong_counts_for_no_more_than_receivers_may_drift() 
         place = displace(START, (0.5 * number, 0.0, 0.0))
         drift.reported(Report(0.25 * number, place, AT_REST, 0.0))
 
-    assert math.hypot(*drift.lately_m) == pytest.approx(MOST_M)
+    assert math.hypot(*drift.lately_m) == pytest.approx(DRIFTS_M)
 
 
 def test_over_a_longer_gap_it_may_have_turned_unseen() -> None:

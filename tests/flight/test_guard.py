@@ -442,6 +442,38 @@ def test_a_leader_that_the_sonar_hears_after_a_jump_is_where_it_is_seen() -> Non
     assert known.doubted_m(follower) == (0.0, 0.0)
 
 
+def test_a_sonar_settles_the_jumps_of_whom_it_hears_and_no_others() -> None:
+    """A line's second heard its first, believed the leader's new place, and came to 0.51 m of it.
+
+    The leader's receiver was 12 m off, and their pilots had let them follow again.
+    """
+    there = Field(Limits(min_separation_m=1.0), followers=(FOLLOWER, SECOND))
+    there.north_m[SECOND] = -8.0
+    there.fly(1.0)
+    known, (first, second) = there.session.known, there.session.followers.values()
+    known.watch({SECOND: first})
+    axis, believed_m = Axis(0.0), (4.0, 0.0, 0.0)
+
+    known.leader.total_m = (12.0, 0.0)
+    second.estimate.offset.heard(there.now_s, 4.0, axis, believed_m)
+    there.fly(TICK_S)
+    assert known.doubted_m(second) == known.doubted_m(first) == (-12.0, 0.0)
+
+    there.fly(1.0)
+    first.own_jump.total_m, first.own_jump.last_s = (5.0, 0.0), there.now_s
+    there.fly(TICK_S)
+    assert known.doubted_m(second) == (-12.0, 0.0)
+    assert known.unsettled_m(second) == (-5.0, 0.0), "heard before the jump"
+
+    second.estimate.offset.heard(there.now_s, 4.0, axis, believed_m)
+    there.fly(TICK_S)
+    assert known.unsettled_m(second) == (0.0, 0.0)
+
+    first.estimate.offset.heard(there.now_s, 4.0, axis, believed_m)
+    there.fly(TICK_S)
+    assert known.doubted_m(second) == known.doubted_m(first) == (0.0, 0.0)
+
+
 def test_a_jump_that_the_sonar_denied_leaves_one_place_of_the_leader() -> None:
     there = Field(Limits(min_separation_m=1.0))
     there.fly(1.0)

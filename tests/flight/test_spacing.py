@@ -177,6 +177,32 @@ def test_who_is_held_gives_way_to_nobody_that_is_led_past() -> None:
     assert into_the_second(told, spacing(told), 0.2).place == INTO_THE_SECOND
 
 
+def test_who_is_held_gives_way_to_one_that_its_applet_flies(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """That one takes no points: nobody else can make room."""
+    told = beside_a_second(phase=Phase.LED)
+    told.follower.standing = Standing(Phase.HELD)
+    assert told.guard is not None
+    monkeypatch.setattr(told.guard, "ignores_points", lambda system_id: system_id == SECOND)
+    assert into_the_second(told, spacing(told), 0.2).gives_way_to == "follower 3"
+
+
+def test_who_is_led_past_one_that_is_held_makes_all_the_room() -> None:
+    """Between two that are led each makes half of it; a held one gives way to neither."""
+    aways_mps = []
+    for phase in (Phase.LED, Phase.HELD):
+        told = beside_a_second(2.0, phase)
+        told.follower.standing = Standing(Phase.LED)
+        allowed = spacing(told).allowed(told.follower, Plan(at(-2.0, -40.0), None), 0.0)
+        assert allowed.gives_way_to == "follower 3"
+        back_m = -2.0 - from_here_m(allowed.place)[0]
+        aways_mps.append(told.follower.handling.closing.speed_mps(back_m))
+    half_mps, all_mps = aways_mps
+    assert half_mps > 0.5
+    assert all_mps == pytest.approx(2.0 * half_mps, rel=0.02)
+
+
 def test_two_that_are_held_keep_apart() -> None:
     """Fifty were held as their leader was stale: two that had come near each other met so."""
     told = beside_a_second()

@@ -12,17 +12,14 @@ import math
 from echowing.flight.alignment import Report
 from echowing.flight.clocks import LONGEST_GAP_S
 from echowing.flight.guidance import Horizontal
-from echowing.flight.jumps import beyond_movement_m, is_jump
+from echowing.flight.jumps import DRIFTS_M, beyond_movement_m, is_jump
 from echowing.flight.receivers import FORGETS_S
-
-# No receiver drifts further in a minute; a velocity may be wrong, or missing.
-MOST_M = 3.0
 
 
 class Drift:
     """How far the place that a vehicle reports has lately drifted.
 
-    lately_m: (north, east), in all at most `MOST_M`. It is forgotten as receivers forget what they
+    lately_m: (north, east), `DRIFTS_M` at the most. It is forgotten as receivers forget what they
     are off: velocities are off themselves, by 0.05 m/s for seconds at a time (0.6 m in sum then).
     """
 
@@ -41,9 +38,13 @@ class Drift:
         if 0.0 < elapsed_s <= LONGEST_GAP_S and not is_jump(before, report):
             new_north_m, new_east_m = beyond_movement_m(before, report)
             north_m, east_m = north_m + new_north_m, east_m + new_east_m
-        share = MOST_M / max(MOST_M, math.hypot(north_m, east_m))
+        share = DRIFTS_M / max(DRIFTS_M, math.hypot(north_m, east_m))
         self.lately_m = share * north_m, share * east_m
 
-    def jumped(self) -> None:
-        """Note that the next report may be of elsewhere: that does not count (`jumps`)."""
+    def jumped(self, slid_m: Horizontal = (0.0, 0.0)) -> None:
+        """Note that the next report may be of elsewhere: that does not count (`jumps`).
+
+        slid_m: nor does what has counted as drift and was the beginning of it.
+        """
         self._before = None
+        self.lately_m = self.lately_m[0] - slid_m[0], self.lately_m[1] - slid_m[1]

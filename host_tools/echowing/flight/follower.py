@@ -68,7 +68,7 @@ class FollowerState:
     standing, allowed, command: what the last tick made of it (see `steps`); turn: what lasts until
     its pilot has left Guided; hold: where it is held; guided: where it was led last; in_guided:
     flies in Guided; position_at_s: when it was there by TIMESYNC, else when the report came;
-    proven_m: the part of `Known.doubted_m` that the sonar has settled; reversal_m: the nearest slot
+    proven_m: the part of `Known.unsettled_m` that its sonar settled; reversal_m: the nearest slot
     from which it gets away if the leader turns round now; on_way_m: how far its slot is on the way
     into another shape (`reshape`); opens: it was said that the slot opens for a reversal; unsure:
     its newest report may be another vehicle's, with its id; slews: its filter has reset its

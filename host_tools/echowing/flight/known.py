@@ -420,16 +420,20 @@ class Known:
         return min(found, key=lambda one: one[1] - one[2], default=None)
 
     def doubted_m(self, follower: FollowerState) -> Horizontal:
-        """How far off a follower sees its leader, (north, east), if all jumps were errors.
+        """How far off a follower sees the leader, (north, east), if all jumps were errors."""
+        north_m, east_m = _summed([self.unsettled_m(one) for one in self.chain(follower)], ())
+        return north_m, east_m
+
+    def unsettled_m(self, follower: FollowerState) -> Horizontal:
+        """The same of whom its sonar looks at.
 
         The jumps of both receivers, less those that the sonar has settled.
         """
-        north, east = (-axis_m for axis_m in self.leader.total_m)
-        north, east = north + follower.own_jump.total_m[0], east + follower.own_jump.total_m[1]
-        for one in self.chain(follower):
-            (known_north, known_east), (north_m, east_m) = one.estimate.jumped_m, one.proven_m
-            north, east = north + known_north - north_m, east + known_east - east_m
-        return north, east
+        ahead, estimate = self.ahead_of(follower), follower.estimate
+        its_m = self.leader.total_m if ahead is None else ahead.own_jump.total_m
+        mine_m = follower.own_jump.total_m, estimate.jumped_m
+        north_m, east_m = _summed(mine_m, (its_m, follower.proven_m))
+        return north_m, east_m
 
     def feel_wind(self, follower: FollowerState, now_s: float) -> None:
         """How hard a follower can brake in this wind, on its way to the leader."""

@@ -123,9 +123,7 @@ class Spacing:
         goal = goal if follower.hold is None else follower.hold.place
         to_goal_m = ned_between(here, goal)
         for other in self._known.followers.values():
-            # A held follower stands; those led past it give way. Two that are held keep apart.
-            led_past = follower.standing.held and other.standing.phase is Phase.LED
-            if other is not follower and not led_past:
+            if other is not follower and self._makes_room(follower, other):
                 others.extend(self._other(follower, here, other, to_goal_m, arrives_s))
         return others
 
@@ -165,6 +163,19 @@ class Spacing:
         within_reach = ranged and follower.plan.slot.radius_m < follower.plan.sonar.reach_m
         return within_reach and not follower.estimate.hears(now_s)
 
+    def _makes_room(self, one: FollowerState, other: FollowerState) -> bool:
+        """Whether one keeps away from another: held it stands, and those led past it give way.
+
+        Two that are held keep apart, and it gives way to one that its applet flies by itself.
+        """
+        led_past = other.standing.phase is Phase.LED and not self._flies_itself(other)
+        return not (one.standing.held and led_past)
+
+    def _flies_itself(self, follower: FollowerState) -> bool:
+        """Whether its applet flies it, and takes no points."""
+        system_id = follower.plan.system_id
+        return self._guard is not None and self._guard.ignores_points(system_id)
+
     def _other(
         self,
         follower: FollowerState,
@@ -178,7 +189,7 @@ class Spacing:
         Where no sonar ranges it, nothing tells which place is right after a receiver has jumped.
         """
         system_id = other.plan.system_id
-        by_itself = self._guard is not None and self._guard.ignores_points(system_id)
+        by_itself = self._flies_itself(other)
         age_s, velocity = 0.0, (0.0, 0.0, 0.0)
         there, flown_mps = other.straight_on(arrives_s), other.velocity_mps
         if there is None:
@@ -201,8 +212,8 @@ class Spacing:
                 unsure_m,
                 age_s,
                 is_in_the_way(ned_between(here, place), to_goal_m),
-                # Its applet flies it, and knows of nobody beside it.
-                led=other.standing.sent_to and not by_itself,
+                # An applet that flies by itself knows of nobody beside it.
+                led=other.standing.sent_to and not by_itself and self._makes_room(other, follower),
                 stops_mps2=other.handling.answer.decel_mps2,
                 watched=self._known.ahead_of(follower) is other,
             )

@@ -84,7 +84,7 @@ class Trust:
         moved_m = None if self._doubt is None else follower.own_jump.reported(report)
         if moved_m is not None:
             follower.estimate.history.clear()
-            follower.drift.jumped()
+            follower.drift.jumped(follower.own_jump.slid_m)
             follower.slews = True
             if follower.hold is not None:
                 # It stands where it stood; only its coordinates have changed.
@@ -102,7 +102,8 @@ class Trust:
             return
         moved_m = jump.moved_m
         far_m = math.hypot(*moved_m)
-        denied = self._sonar_denies(follower, jump.since_s)
+        # One that slides is flown after its place: the range of before proves nothing.
+        denied = not jump.slides and self._sonar_denies(follower, jump.since_s)
         if not denied and now_s - jump.since_s < UNCONFIRMED_S:
             return
         jump.settled()
@@ -122,13 +123,17 @@ class Trust:
         )
 
     def _prove(self, follower: FollowerState, now_s: float) -> None:
-        """A leader that was heard since the last jump is where it is seen."""
-        heard = follower.estimate.offset.unheard_s(now_s) < now_s - follower.own_jump.last_s
+        """Whom its sonar has heard since the last jump is where he is seen."""
         ahead = self._known.ahead_of(follower)
-        jumps_s = self._known.leader.jump_since_s if ahead is None else ahead.own_jump.since_s
-        if not heard or jumps_s is not None:
+        last_s = follower.own_jump.last_s
+        if ahead is None:
+            # A leader that is believed elsewhere has not been heard since (`_believed_elsewhere`).
+            jumps = self._known.leader.jump_since_s is not None
+        else:
+            jumps, last_s = ahead.own_jump.since_s is not None, max(last_s, ahead.own_jump.last_s)
+        if jumps or follower.estimate.offset.unheard_s(now_s) >= now_s - last_s:
             return
-        north_m, east_m = self._known.doubted_m(follower)
+        north_m, east_m = self._known.unsettled_m(follower)
         follower.proven_m = follower.proven_m[0] + north_m, follower.proven_m[1] + east_m
 
     def _note_sonar(self, follower: FollowerState, now_s: float) -> None:
