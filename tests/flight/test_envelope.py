@@ -153,21 +153,21 @@ def test_all_directions_are_alike(wanted: Ned, other: Other, turn_rad: float) ->
     assert keep_apart(turned(wanted), [again], ANSWER)[0] == pytest.approx(turned(flown), abs=1e-5)
 
 
-def test_two_that_are_led_share_their_retreat() -> None:
+def test_two_that_make_room_share_their_retreat() -> None:
     """Each makes up half of what is missing, but for one that its sonar looks at: that is alone.
 
     Both made up all of it, a second late: among fifty behind radios that lose half (`many`) they
     swung by 2.5 m/s between neighbours.
     """
-    led = Other("another", (1.5, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0, 0.0, led=True)
+    one = Other("another", (1.5, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0, 0.0, makes_room=True)
 
     def retreat_mps(other: Other) -> float:
         return keep_apart((0.0, 0.0, 0.0), [other], ANSWER)[0][0]
 
     alone_mps = -closing_limit_mps(0.5, ANSWER)
-    assert retreat_mps(led) == pytest.approx(alone_mps / 2.0, abs=EPS_MPS)
-    for one in (replace(led, led=False), replace(led, watched=True)):
-        assert retreat_mps(one) == pytest.approx(alone_mps, abs=EPS_MPS)
+    assert retreat_mps(one) == pytest.approx(alone_mps / 2.0, abs=EPS_MPS)
+    for other in (replace(one, makes_room=False), replace(one, watched=True)):
+        assert retreat_mps(other) == pytest.approx(alone_mps, abs=EPS_MPS)
 
 
 def test_past_a_vehicle_the_plan_is_bent_not_stopped() -> None:
@@ -209,14 +209,14 @@ def test_between_two_that_come_from_both_sides_it_goes_aside(turn_rad: float) ->
     assert abs(flown[1]) == pytest.approx(FASTEST_MPS, abs=0.01)
 
 
-def test_where_nothing_fits_one_that_is_led_makes_room_itself() -> None:
+def test_where_nothing_fits_one_that_makes_room_does_so() -> None:
     """The leader backs onto it, another is close behind: it may count on that one's moving off."""
     leader = Other("the leader", (-1.2, 0.0, 0.0), (-1.0, 0.0, 0.0), 0.0, 0.0)
     behind = Other("follower 3", (3.0, 0.0, 0.0), (0.0, 0.0, 0.0), 2.5, 0.4)
 
     alone, _ = keep_apart((0.0, 0.0, 0.0), [leader], ANSWER)
     held, _ = keep_apart((0.0, 0.0, 0.0), [leader, behind], ANSWER)
-    led, _ = keep_apart((0.0, 0.0, 0.0), [leader, replace(behind, led=True)], ANSWER)
+    led, _ = keep_apart((0.0, 0.0, 0.0), [leader, replace(behind, makes_room=True)], ANSWER)
 
     assert led == alone
     assert held[0] > alone[0] + 0.3
@@ -224,13 +224,17 @@ def test_where_nothing_fits_one_that_is_led_makes_room_itself() -> None:
 
 @pytest.mark.parametrize("turn_rad", [0.2, -0.2])
 def test_rather_than_fly_out_aside_it_counts_on_one_behind_that_can_brake(turn_rad: float) -> None:
-    """The leader backs onto it, and the next one is behind it, 11 degrees aside, and is led."""
+    """The leader backs onto it, and the next one is behind it, 11 degrees aside, and makes room."""
     leader = Other("the leader", (-1.2, 0.0, 0.0), (-2.0, 0.0, 0.0), 0.0, 0.0)
     behind = Other("follower 3", level(turn_rad, 2.0), (0.0, 0.0, 0.0), 0.0, 0.0)
 
     aside, _ = keep_apart((0.0, 0.0, 0.0), [leader, behind], ANSWER)
-    limp, _ = keep_apart((0, 0, 0), [leader, replace(behind, led=True, stops_mps2=0.0)], ANSWER)
-    led, _ = keep_apart((0, 0, 0), [leader, replace(behind, led=True, stops_mps2=5.0)], ANSWER)
+    limp, _ = keep_apart(
+        (0, 0, 0), [leader, replace(behind, makes_room=True, stops_mps2=0.0)], ANSWER
+    )
+    led, _ = keep_apart(
+        (0, 0, 0), [leader, replace(behind, makes_room=True, stops_mps2=5.0)], ANSWER
+    )
 
     assert abs(aside[1]) > 2.0
     assert abs(led[1]) < 0.6 * abs(aside[1])

@@ -8,13 +8,11 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.flight.alignment import Report
-from echowing.flight.drift import Drift
 from echowing.flight.guidance import GuidanceSettings
 from echowing.flight.jumps import (
     AGREEING_REPORTS,
     UNCONFIRMED_S,
     BootClocks,
-    OwnJump,
     RangeMemory,
     is_jump,
 )
@@ -187,26 +185,14 @@ def test_a_place_that_slides_further_than_receivers_drift_has_jumped(
         assert yard.said("its receiver jumped by 3.1 m: held until its pilot has left Guided")
 
 
-def test_after_a_gap_between_reports_nothing_slides() -> None:
-    """Its velocity, which changed meanwhile, does not tell how it flew."""
-    jump, at_s, east_m = OwnJump(), 0.0, 0.0
-    for _ in range(10):
-        at_s, east_m = at_s + 1.0, east_m + 2.0
-        there = displace(HERE, (0.0, east_m, 0.0))
-        assert jump.reported(Report(at_s, there, (0.0, 0.0), 0.0)) is None
-
-
-def test_what_has_slid_and_counts_as_a_jump_is_no_drift_as_well() -> None:
-    jump, drift, north_m = OwnJump(), Drift(), 0.0
-    for tick in range(40):
-        north_m += 0.7 if 20 <= tick < 25 else 0.0
-        report = Report(tick * 0.25, displace(HERE, (north_m, 0.0, 0.0)), (0.0, 0.0), 0.0)
-        if jump.reported(report) is not None:
-            drift.jumped(jump.slid_m)
-            jump.settled()
-        drift.reported(report)
-    assert jump.total_m == pytest.approx((3.5, 0.0), abs=0.02)
-    assert drift.lately_m == pytest.approx((0.0, 0.0), abs=0.02)
+def test_a_leader_whose_place_slides_has_jumped() -> None:
+    yard = SonarYard()
+    yard.fly(6.0)
+    for _ in range(12):
+        yard.jump(LEADER, (4.1 / 12, 0.0, 0.0))
+        yard.fly(TICK_S)
+    assert yard.state().startswith("holding: leader jumped by 3.1 m")
+    assert yard.session.known.leader.total_m == pytest.approx((3.1, 0.0), abs=0.1)
 
 
 @pytest.mark.parametrize("system_id", [LEADER, FOLLOWER])

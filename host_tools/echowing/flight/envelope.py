@@ -74,8 +74,8 @@ class Other:
     much it may be nearer than that, one case in 160 left out; age_s: of its data when the order
     takes effect; in_the_way: the plan leads beyond it (see `is_in_the_way`), so it is passed;
     brakes_mps2: it may brake, turn round and come nearer at this acceleration from now on, 0: it
-    does not; led: by the same tool, which keeps it away from here too, and stops_mps2: how hard it
-    brakes then; watched: the sonar of this one looks at it.
+    does not; led: by the same tool; makes_room: that keeps it away from here too; stops_mps2: how
+    hard it brakes then; watched: the sonar of this one looks at it.
     """
 
     name: str
@@ -86,6 +86,7 @@ class Other:
     in_the_way: bool = False
     brakes_mps2: float = 0.0
     led: bool = False
+    makes_room: bool = False
     stops_mps2: float = OTHERS_MPS2
     watched: bool = False
 
@@ -143,7 +144,7 @@ def keep_apart(
     own_mps: its velocity now, NED. Closing speed above the limit is braked in addition, but not for
     others that are led: in a line each would fly back faster than the one before. Who is in the way
     counts as passed: the plan is turned right first. Where nothing near the plan fits, the others
-    that are led count as making room themselves.
+    that make room count as doing so.
     """
     walls = [_wall(other, answer, least_m, own_mps) for other in others]
     short_mps = [short_of_mps(wanted_mps, wall) for wall in walls]
@@ -202,9 +203,9 @@ def _wall(other: Other, answer: Answer, least_m: float, own_mps: Ned | None) -> 
     north, east = (north / level_m, east / level_m) if level_m > 0.01 else (1.0, 0.0)
     its_mps = other.velocity_mps[0] * north + other.velocity_mps[1] * east
     certain_m = certain_distance_m(other)
-    # Two that are both led, and know of each other by the tool alone, fly back half as fast each:
-    # each answers a second late, and together they would swing.
-    per_s = RETREAT_PER_S / 2.0 if other.led and not other.watched else RETREAT_PER_S
+    # Two that make room for each other, and know of each other by the tool alone, fly back half as
+    # fast each: each answers a second late, and together they would swing.
+    per_s = RETREAT_PER_S / 2.0 if other.makes_room and not other.watched else RETREAT_PER_S
     limit_mps = closing_limit_mps(certain_m, answer, least_m, other.brakes_mps2, per_s)
     least_mps = its_mps - limit_mps - SAME_MPS
     if own_mps is None or other.led:
@@ -230,9 +231,9 @@ def _around(aim: Level, walls: Sequence[Wall]) -> list[Wall]:
 def _yielding(other: Other, answer: Answer) -> tuple[Other, Answer]:
     """As it counts where nothing fits, and both vehicles' answer together.
 
-    One that is led makes room itself: at most one standard deviation counts against a way out.
+    Of one that makes room itself one standard deviation at most counts against a way out.
     """
-    if not other.led:
+    if not other.makes_room:
         return other, answer
     both = replace(answer, decel_mps2=answer.decel_mps2 + other.stops_mps2)
     return replace(other, nearer_m=other.nearer_m / SURE_SIGMAS, age_s=0.0), both

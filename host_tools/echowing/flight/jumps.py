@@ -10,7 +10,7 @@ import statistics
 from collections import deque
 
 from echowing.flight.alignment import Report
-from echowing.flight.clocks import LONGEST_GAP_S, REBOOT_S
+from echowing.flight.clocks import REBOOT_S
 from echowing.flight.guidance import Horizontal
 from echowing.geo import ned_between
 
@@ -87,7 +87,7 @@ class OwnJump:
 
     since_s: when a jump began that is not settled yet, None: there is none; moved_m: by how much,
     (north, east); total_m: the sum of all jumps, those back again included; last_s: when the last
-    was; slides: it is drawn out, over many reports; slid_m: what of it earlier ones had brought.
+    was; slides: it was drawn out, over many reports.
     """
 
     def __init__(self) -> None:
@@ -96,43 +96,29 @@ class OwnJump:
         self.total_m: Horizontal = (0.0, 0.0)
         self.last_s = -math.inf
         self.slides = False
-        self.slid_m: Horizontal = (0.0, 0.0)
         self._before: Report | None = None
-        self._slid: deque[tuple[float, Horizontal]] = deque()
 
     def reported(self, report: Report) -> Horizontal | None:
         """Take a report; returns by how much it has jumped, None: it has not."""
         before, self._before = self._before, report
         if before is None or report.time_s <= before.time_s:
             return None
-        off_m, began_s, self.slid_m = beyond_movement_m(before, report), before.time_s, (0.0, 0.0)
         if not is_jump(before, report):
-            if began_s < report.time_s - LONGEST_GAP_S:
-                self._slid.clear()
-                return None
-            self.slid_m, began_s = self._slid_before(began_s)
-            self._slid.append((before.time_s, off_m))
-            off_m = self.slid_m[0] + off_m[0], self.slid_m[1] + off_m[1]
-            if math.hypot(*off_m) <= DRIFTS_M:
-                return None
-            self.slides = True
-        self._slid.clear()
-        self.last_s = report.time_s
+            return None
+        off_m = beyond_movement_m(before, report)
+        self._moved(before.time_s, off_m, report.time_s)
+        return off_m
+
+    def slid(self, moved_m: Horizontal, now_s: float) -> None:
+        """Note that its place has slid by so much (`drift`)."""
+        self.slides = True
+        self._moved(now_s - SLIDES_S, moved_m, now_s)
+
+    def _moved(self, began_s: float, off_m: Horizontal, now_s: float) -> None:
+        self.last_s = now_s
         self.since_s = began_s if self.since_s is None else self.since_s
         self.moved_m = self.moved_m[0] + off_m[0], self.moved_m[1] + off_m[1]
         self.total_m = self.total_m[0] + off_m[0], self.total_m[1] + off_m[1]
-        return off_m
-
-    def _slid_before(self, now_s: float) -> tuple[Horizontal, float]:
-        """How far its place has slid until now, (north, east), and since when."""
-        while self._slid and now_s - self._slid[0][0] > SLIDES_S:
-            self._slid.popleft()
-        if not self._slid:
-            return (0.0, 0.0), now_s
-        north_m, east_m = (
-            math.fsum(axis) for axis in zip(*(m for _, m in self._slid), strict=True)
-        )
-        return (north_m, east_m), self._slid[0][0]
 
     def settled(self) -> None:
         """Note that the jump is settled."""

@@ -190,6 +190,7 @@ class Spacing:
         """
         system_id = other.plan.system_id
         by_itself = self._flies_itself(other)
+        led = other.standing.sent_to and not by_itself
         age_s, velocity = 0.0, (0.0, 0.0, 0.0)
         there, flown_mps = other.straight_on(arrives_s), other.velocity_mps
         if there is None:
@@ -213,7 +214,8 @@ class Spacing:
                 age_s,
                 is_in_the_way(ned_between(here, place), to_goal_m),
                 # An applet that flies by itself knows of nobody beside it.
-                led=other.standing.sent_to and not by_itself and self._makes_room(other, follower),
+                led=led,
+                makes_room=led and self._makes_room(other, follower),
                 stops_mps2=other.handling.answer.decel_mps2,
                 watched=self._known.ahead_of(follower) is other,
             )
