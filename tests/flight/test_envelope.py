@@ -153,20 +153,20 @@ def test_all_directions_are_alike(wanted: Ned, other: Other, turn_rad: float) ->
     assert keep_apart(turned(wanted), [again], ANSWER)[0] == pytest.approx(turned(flown), abs=1e-5)
 
 
-def test_two_that_make_room_share_their_retreat() -> None:
-    """Each makes up half of what is missing, but for one that its sonar looks at: that is alone.
+def test_from_one_that_only_the_tool_knows_it_flies_back_half_as_fast() -> None:
+    """Its answer is a second late, and 1.5 m/s for each metre would swing.
 
-    Both made up all of it, a second late: among fifty behind radios that lose half (`many`) they
-    swung by 2.5 m/s between neighbours.
+    Among fifty behind radios that lose half (`many`) neighbours swung by 2.5 m/s; where led ones
+    flew back from held ones in full two of three flights came to 0.79 and 1.08 m, not to 2 m.
     """
-    one = Other("another", (1.5, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0, 0.0, makes_room=True)
+    one = Other("another", (1.5, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0, 0.0, led=True)
 
     def retreat_mps(other: Other) -> float:
         return keep_apart((0.0, 0.0, 0.0), [other], ANSWER)[0][0]
 
     alone_mps = -closing_limit_mps(0.5, ANSWER)
     assert retreat_mps(one) == pytest.approx(alone_mps / 2.0, abs=EPS_MPS)
-    for other in (replace(one, makes_room=False), replace(one, watched=True)):
+    for other in (replace(one, led=False), replace(one, watched=True)):
         assert retreat_mps(other) == pytest.approx(alone_mps, abs=EPS_MPS)
 
 

@@ -185,16 +185,6 @@ def test_a_place_that_slides_further_than_receivers_drift_has_jumped(
         assert yard.said("its receiver jumped by 3.1 m: held until its pilot has left Guided")
 
 
-def test_a_leader_whose_place_slides_has_jumped() -> None:
-    yard = SonarYard()
-    yard.fly(6.0)
-    for _ in range(12):
-        yard.jump(LEADER, (4.1 / 12, 0.0, 0.0))
-        yard.fly(TICK_S)
-    assert yard.state().startswith("holding: leader jumped by 3.1 m")
-    assert yard.session.known.leader.total_m == pytest.approx((3.1, 0.0), abs=0.1)
-
-
 @pytest.mark.parametrize("system_id", [LEADER, FOLLOWER])
 @pytest.mark.parametrize("by_m", [2.0, 3.7])
 def test_a_receiver_that_jumps_by_a_few_metres_leads_nobody(system_id: int, by_m: float) -> None:

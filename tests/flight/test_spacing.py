@@ -1,15 +1,18 @@
 """The point that is sent where others are near; how near they may come is of `test_envelope`."""
 
+from collections.abc import Sequence
+
 import pytest
 
 from echowing.flight.clocks import SAY_AGAIN_S
 from echowing.flight.cloud import UNRANGED_SIGMA_M
-from echowing.flight.envelope import LEAST_M, SURE_SIGMAS
+from echowing.flight.envelope import LEAST_M, SURE_SIGMAS, Other
 from echowing.flight.estimate import Estimate
 from echowing.flight.guard import Limits
 from echowing.flight.guidance import GuidedPoint
 from echowing.flight.spacing import Spacing
 from echowing.flight.steps import Allowed, Phase, Plan, Standing
+from echowing.geo import Ned
 
 from .told import Told, at, from_here_m
 from .yard import FOLLOWER, LEADER, SECOND, Vehicle
@@ -188,19 +191,22 @@ def test_who_is_held_gives_way_to_one_that_its_applet_flies(
     assert into_the_second(told, spacing(told), 0.2).gives_way_to == "follower 3"
 
 
-def test_who_is_led_past_one_that_is_held_makes_all_the_room() -> None:
-    """Between two that are led each makes half of it; a held one gives way to neither."""
-    aways_mps = []
-    for phase in (Phase.LED, Phase.HELD):
-        told = beside_a_second(2.0, phase)
-        told.follower.standing = Standing(Phase.LED)
-        allowed = spacing(told).allowed(told.follower, Plan(at(-2.0, -40.0), None), 0.0)
-        assert allowed.gives_way_to == "follower 3"
-        back_m = -2.0 - from_here_m(allowed.place)[0]
-        aways_mps.append(told.follower.handling.closing.speed_mps(back_m))
-    half_mps, all_mps = aways_mps
-    assert half_mps > 0.5
-    assert all_mps == pytest.approx(2.0 * half_mps, rel=0.02)
+@pytest.mark.parametrize("phase", [Phase.LED, Phase.HELD])
+def test_who_is_led_past_another_counts_on_its_room_only_if_that_makes_some(
+    phase: Phase, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A held one gives way to nobody that is led."""
+    counted: list[bool] = []
+
+    def noted(wanted: Ned, others: Sequence[Other], *_: object) -> tuple[Ned, Other | None]:
+        counted.extend(one.makes_room for one in others if one.led)
+        return wanted, None
+
+    monkeypatch.setattr("echowing.flight.spacing.keep_apart", noted)
+    told = beside_a_second(2.0, phase)
+    told.follower.standing = Standing(Phase.LED)
+    spacing(told).allowed(told.follower, Plan(at(-2.0, -40.0), None), 0.0)
+    assert counted == [phase is Phase.LED]
 
 
 def test_two_that_are_held_keep_apart() -> None:

@@ -9,6 +9,7 @@ carrier (Hatch 1982).
 
 import math
 from collections import deque
+from typing import NamedTuple
 
 from echowing.flight.alignment import Report
 from echowing.flight.clocks import LONGEST_GAP_S
@@ -23,14 +24,14 @@ class Drift:
     lately_m: (north, east), `DRIFTS_M` at the most. It is forgotten as receivers forget what they
     are off: velocities are off themselves, by 0.05 m/s for seconds at a time (0.6 m in sum then).
     slid_m: how far the place has slid by the newest report, further than receivers drift; None: it
-    has not. That is a jump (`jumps`), and counts as none of it.
+    has not.
     """
 
     def __init__(self) -> None:
         self.lately_m: Horizontal = (0.0, 0.0)
         self.slid_m: Horizontal | None = None
         self._before: Report | None = None
-        self._steps: deque[tuple[float, Horizontal]] = deque()
+        self._steps: deque[_Step] = deque()
 
     def reported(self, report: Report) -> None:
         """Take a report, its time by the vehicle's own clock."""
@@ -41,27 +42,38 @@ class Drift:
         kept = math.exp(-max(0.0, elapsed_s) / FORGETS_S)
         north_m, east_m = kept * self.lately_m[0], kept * self.lately_m[1]
         if 0.0 < elapsed_s <= LONGEST_GAP_S and not is_jump(before, report):
-            new_north_m, new_east_m = self._step(before, report)
+            new_north_m, new_east_m = step_m = beyond_movement_m(before, report)
+            self._steps.append(_Step(before.time_s, step_m, self.lately_m))
+            self._look_for_slide(report.time_s)
             north_m, east_m = north_m + new_north_m, east_m + new_east_m
         else:
             self._steps.clear()
         share = DRIFTS_M / max(DRIFTS_M, math.hypot(north_m, east_m))
         self.lately_m = share * north_m, share * east_m
 
-    def _step(self, before: Report, report: Report) -> Horizontal:
-        """What a report adds: how it moves beyond its velocity; once it has slid, that back."""
-        step_m = beyond_movement_m(before, report)
-        while self._steps and report.time_s - self._steps[0][0] > SLIDES_S:
+    def _look_for_slide(self, now_s: float) -> None:
+        while now_s - self._steps[0].since_s > SLIDES_S:
             self._steps.popleft()
-        slid = [*(one for _, one in self._steps), step_m]
-        north_m, east_m = (math.fsum(axis_m) for axis_m in zip(*slid, strict=True))
-        if math.hypot(north_m, east_m) <= DRIFTS_M:
-            self._steps.append((before.time_s, step_m))
-            return step_m
-        self._steps.clear()
-        self.slid_m = north_m, east_m
-        return step_m[0] - north_m, step_m[1] - east_m
+        north_m, east_m = (
+            math.fsum(axis_m) for axis_m in zip(*(one.moved_m for one in self._steps), strict=True)
+        )
+        if math.hypot(north_m, east_m) > DRIFTS_M:
+            self.slid_m = north_m, east_m
 
     def jumped(self) -> None:
-        """Note that the next report may be of elsewhere: that does not count (`jumps`)."""
-        self._before = None
+        """Note that it has slid, or that the next report may be of elsewhere.
+
+        Neither counts: that is for `jumps`.
+        """
+        if self.slid_m is not None:
+            self.lately_m = self._steps[0].lately_m
+        self._before, self.slid_m = None, None
+        self._steps.clear()
+
+
+class _Step(NamedTuple):
+    """How a report moves beyond its velocity, since the one before; lately_m: the drift then."""
+
+    since_s: float
+    moved_m: Horizontal
+    lately_m: Horizontal

@@ -203,9 +203,8 @@ def _wall(other: Other, answer: Answer, least_m: float, own_mps: Ned | None) -> 
     north, east = (north / level_m, east / level_m) if level_m > 0.01 else (1.0, 0.0)
     its_mps = other.velocity_mps[0] * north + other.velocity_mps[1] * east
     certain_m = certain_distance_m(other)
-    # Two that make room for each other, and know of each other by the tool alone, fly back half as
-    # fast each: each answers a second late, and together they would swing.
-    per_s = RETREAT_PER_S / 2.0 if other.makes_room and not other.watched else RETREAT_PER_S
+    # Who is known by the tool alone is answered a second late: faster than that, two would swing.
+    per_s = RETREAT_PER_S / 2.0 if other.led and not other.watched else RETREAT_PER_S
     limit_mps = closing_limit_mps(certain_m, answer, least_m, other.brakes_mps2, per_s)
     least_mps = its_mps - limit_mps - SAME_MPS
     if own_mps is None or other.led:

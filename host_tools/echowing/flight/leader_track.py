@@ -150,11 +150,6 @@ class LeaderTrack:
         )
         if self._believable(fix):
             self.drift.reported(replace(report_of(fix), time_s=boot_s))
-            if self.drift.slid_m is not None:
-                # Believed report by report: it is over.
-                self.jump_m = self.drift.slid_m
-                self.jumps += 1
-                self._believed()
             age_s = 0.0 if self.fix is None else now_s - self.fix.time_s
             self.oldest_s = max(age_s, OLDEST_KEEPS * self.oldest_s)
             self.fix = fix

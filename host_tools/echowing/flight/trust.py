@@ -89,6 +89,8 @@ class Trust:
         if self._doubt is not None and follower.drift.slid_m is not None:
             moved_m = follower.drift.slid_m
             jump.slid(moved_m, report.time_s)
+            follower.drift.jumped()
+            drifted = replace(drifted, drifted_m=follower.drift.lately_m)
         if moved_m is not None:
             follower.estimate.history.clear()
             follower.slews = True
