@@ -109,6 +109,7 @@ APPLET = {
     "ECHO_ENABLE": (0.0, "its applet is off: param set ECHO_ENABLE 1"),
     "ECHO_STREAM_T": (0.0, "its stream watchdog is off: param set ECHO_STREAM_T 1"),
     "ECHO_INSET": (0.5, "its ECHO_INSET is 0.5 m and the sonar file's is 0.2 m"),
+    "ECHO_DETECT": (4.3, "its ECHO_DETECT is 4.3 m and the sonar file's is 4.5 m"),
     "ECHO_DIST": (4.0, "its ECHO_DIST is 4 m and its slot is 3 m from the leader"),
 }
 

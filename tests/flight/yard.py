@@ -61,6 +61,7 @@ class Vehicle:
             "ECHO_FORMAT": POINT_FORMAT,
             "ECHO_DIST": 3.0,
             "ECHO_INSET": 0.2,
+            "ECHO_DETECT": 4.5,
             "ECHO_STREAM_T": 1.0,
             **usual_parameters(),
             "WP_ACC": 5.0,

@@ -13,11 +13,13 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.applets import (
+    DETECT_DIFFERS_M,
     FORMAT,
     HOLD,
     IDENTIFYING,
     INSET_DIFFERS_M,
     LAW,
+    MOST_DETECT_M,
     SPEED,
     Applet,
     identify,
@@ -38,10 +40,11 @@ from echowing.geo import GlobalPosition, ned_between
 from echowing.mavlink.messages import read_parameter
 
 # The applet's parameters that are checked (lua/echowing.md), and those that tell which one it is.
-ENABLE, DIST, INSET, WATCHDOG = CHECKED = (
+ENABLE, DIST, INSET, DETECT, WATCHDOG = CHECKED = (
     "ECHO_ENABLE",
     "ECHO_DIST",
     "ECHO_INSET",
+    "ECHO_DETECT",
     "ECHO_STREAM_T",
 )
 APPLET = (*CHECKED, *IDENTIFYING)
@@ -511,7 +514,7 @@ class Engagement:
         vehicle = self._vehicles[system_id]
         known = vehicle.parameters
         findings = [Finding("applet", *_applet_state(vehicle, self._wanted_applet))]
-        if self.readiness.distance and DIST in known and INSET in known:
+        if self.readiness.distance and {DIST, INSET, DETECT} <= known.keys():
             distance = _distance(known, follower)
             findings += [] if distance is None else [distance]
         return findings
@@ -773,25 +776,25 @@ def _misfit(runs: Applet | None, wanted: Applet | None) -> str:
 
 def _distance(known: Mapping[str, float], follower: FollowerState) -> Finding | None:
     """The applet's distance against the slot's, where the sonar reaches the leader from there."""
-    radius_m, inset_m = follower.plan.slot.radius_m, follower.plan.sonar.inset_m
-    shown = f"{known[DIST]:.1f} m"
-    if not 0.0 < radius_m - inset_m < follower.plan.sonar.reach_m:
+    radius_m, sonar = follower.plan.slot.radius_m, follower.plan.sonar
+    if not 0.0 < radius_m - sonar.inset_m < sonar.reach_m:
         return None
-    if abs(known[INSET] - inset_m) > INSET_DIFFERS_M:
-        return Finding(
-            "distance",
-            shown,
-            f"its {INSET} is {known[INSET]:g} m and the sonar file's is {inset_m:g} m: give the "
-            f"file of its mount (--sonar), or param set {INSET} {inset_m:g}",
-        )
-    if abs(known[DIST] - radius_m) > DISTANCE_M:
-        return Finding(
-            "distance",
-            shown,
+    objection = ""
+    for name, of_file_m, differs_m in (
+        (DETECT, min(sonar.reach_m, MOST_DETECT_M), DETECT_DIFFERS_M),
+        (INSET, sonar.inset_m, INSET_DIFFERS_M),
+    ):
+        if abs(known[name] - of_file_m) > differs_m:
+            objection = (
+                f"its {name} is {known[name]:g} m and the sonar file's is {of_file_m:g} m: give "
+                f"the file of its mount (--sonar), or param set {name} {of_file_m:g}"
+            )
+    if not objection and abs(known[DIST] - radius_m) > DISTANCE_M:
+        objection = (
             f"its {DIST} is {known[DIST]:g} m and its slot is {radius_m:g} m from the leader: "
-            f"param set {DIST} {radius_m:g}, or change --radius",
+            f"param set {DIST} {radius_m:g}, or change --radius"
         )
-    return Finding("distance", shown)
+    return Finding("distance", f"{known[DIST]:.1f} m", objection)
 
 
 def _battery(name: str, vehicle: Vehicle) -> Finding:

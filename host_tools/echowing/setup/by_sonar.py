@@ -6,7 +6,7 @@
 import math
 from dataclasses import dataclass
 
-from echowing.applets import INSET_DIFFERS_M
+from echowing.applets import DETECT_DIFFERS_M, INSET_DIFFERS_M
 from echowing.flight.belief import SonarBelief
 from echowing.setup.applet import applet_parameters
 
@@ -34,7 +34,9 @@ def applet_by_sonar(sonar: SonarBelief) -> dict[str, BySonar]:
     """An applet's parameters that describe its sonar, as near as it takes them: both the same."""
     wanted = {
         DETECT: BySonar(
-            sonar.reach_m, 0.1, "gimbal, applet and tool must take the same readings for the leader"
+            sonar.reach_m,
+            DETECT_DIFFERS_M,
+            "gimbal, applet and tool must take the same readings for the leader",
         ),
         INSET: BySonar(
             sonar.inset_m,
