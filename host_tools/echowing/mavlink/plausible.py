@@ -137,6 +137,7 @@ PARAMETERS: dict[str, Span] = {
     "ECHO_FORMAT": (0.0, 255.0),
     "ECHO_GAIN_P": (0.0, 100.0),
     "ECHO_INSET": (-10.0, 10.0),
+    "ECHO_DETECT": (0.0, 100.0),
     "ECHO_STREAM_T": (0.0, 60.0),
     "RTL_ALT_M": (0.0, 3_000.0),
     "RTL_ALT": (0.0, 300_000.0),
