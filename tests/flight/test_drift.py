@@ -73,6 +73,7 @@ def test_a_velocity_that_is_wrong_counts_for_no_more_than_receivers_may_drift(mp
         slid.append(drift.slid_m)
         assert math.hypot(*drift.lately_m) <= DRIFTS_M + 1e-9
 
+    assert math.hypot(*drift.lately_m) == pytest.approx(DRIFTS_M)
     assert any(slid) is (mps > DRIFTS_M / SLIDES_S)
 
 
