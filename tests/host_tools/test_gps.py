@@ -79,7 +79,7 @@ def test_of_a_step_of_its_receiver_0_63_are_followed_in_time(follows_s: float) -
 
 
 def test_velocity_tells_of_the_drift_what_it_does_on_arducopter_sitl() -> None:
-    """Six vehicles on SITL 4.8: slope 0.49 to 0.64, correlation 0.78 to 0.85, off by 0.05 m/s."""
+    """SITL: slope 0.49 to 0.65, correlation 0.78 to 0.85, hovering 0.88, off by 0.05 m/s."""
     drift, step_s = drift_of(8, replace(WANDERS, velocity_sigma_mps=0.05)), 0.02
     flown = [(drift.step(step_s)[0], drift.velocity_mps[0]) for _ in range(200_000)]
     place_m, off_mps = np.array(flown[::5]).T
@@ -89,7 +89,21 @@ def test_velocity_tells_of_the_drift_what_it_does_on_arducopter_sitl() -> None:
 
     assert off_mps.std() == pytest.approx(0.046, abs=0.006)
     assert np.polyfit(moved_m, seen_m, 1)[0] == pytest.approx(0.56, abs=0.06)
-    assert np.corrcoef(moved_m, seen_m)[0, 1] == pytest.approx(0.82, abs=0.04)
+    assert np.corrcoef(moved_m, seen_m)[0, 1] == pytest.approx(0.84, abs=0.04)
+
+
+def test_a_step_draws_the_velocity_along_as_ekf3s() -> None:
+    """Of 2.7 m, hovering on SITL 4.6 and 4.8: by 0.49 m/s, and soon 0.09 m/s the other way."""
+    filter_, flown = Filter(1.5, 0.0), []
+    for _ in range(1_000):
+        filter_.step(2.7, 0.0, 0.01)
+        flown.append((filter_.error_m, filter_.error_mps))
+    place_m, off_mps = np.array(flown).T
+
+    assert off_mps.max() == pytest.approx(0.49, abs=0.05)
+    assert place_m[off_mps.argmax()] == pytest.approx(2.0, abs=0.4)
+    assert off_mps.min() == pytest.approx(-0.09, abs=0.03)
+    assert place_m.max() == pytest.approx(2.78, abs=0.15)
 
 
 def test_a_jump_comes_at_once() -> None:

@@ -1,10 +1,11 @@
 """How a receiver drifts, as the vehicle's own velocity tells. Pure.
 
 An autopilot's place follows its receiver's, whose errors wander and step. Its velocity is surer: so
-where its place moves otherwise than it says that it flies, the receiver has drifted. On ArduCopter
-SITL that and how the error changes within 3 s correlate by 0.8 (tests/sitl/follows.py). So places
-are smoothed by it before sonars and receivers are compared, as a receiver smooths its ranges by the
-carrier (Hatch 1982).
+where its place moves otherwise than it says that it flies, the receiver has drifted. The velocity
+is drawn along, which shows only half of a step; by how much follows from the half that shows. On
+ArduCopter SITL what shows and how the error changes within 3 s correlate by 0.8
+(tests/sitl/follows.py). So places are smoothed by it before sonars and receivers are compared, as a
+receiver smooths its ranges by the carrier (Hatch 1982).
 """
 
 import math
@@ -16,6 +17,12 @@ from echowing.flight.clocks import LONGEST_GAP_S
 from echowing.flight.guidance import Horizontal
 from echowing.flight.jumps import DRIFTS_M, SLIDES_S, beyond_movement_m, is_jump
 from echowing.flight.receivers import FORGETS_S
+
+# The autopilot's velocity is drawn along by 0.55 m/s for each metre that its place is, and is right
+# again in 1.7 s: so EKF3 follows steps of 0.5 to 3 m of its receiver (ArduCopter SITL 4.6 and 4.8).
+DRAWN_PER_S, RIGHTS_S = 0.55, 1.7
+# Slower it may be a velocity that errs by itself: three times 0.05 m/s.
+ERRS_MPS = 0.15
 
 
 class Drift:
@@ -31,6 +38,7 @@ class Drift:
         self.lately_m: Horizontal = (0.0, 0.0)
         self.slid_m: Horizontal | None = None
         self._before: Report | None = None
+        self._drawn_mps: Horizontal = (0.0, 0.0)
         self._steps: deque[_Step] = deque()
 
     def reported(self, report: Report) -> None:
@@ -45,11 +53,24 @@ class Drift:
             new_north_m, new_east_m = step_m = beyond_movement_m(before, report)
             self._steps.append(_Step(before.time_s, step_m, self.lately_m))
             self._look_for_slide(report.time_s)
-            north_m, east_m = north_m + new_north_m, east_m + new_east_m
+            drawn_north_m, drawn_east_m = self._drawn_along_m(step_m, elapsed_s)
+            north_m += new_north_m + drawn_north_m
+            east_m += new_east_m + drawn_east_m
         else:
+            self._drawn_mps = (0.0, 0.0)
             self._steps.clear()
         share = DRIFTS_M / max(DRIFTS_M, math.hypot(north_m, east_m))
         self.lately_m = share * north_m, share * east_m
+
+    def _drawn_along_m(self, step_m: Horizontal, elapsed_s: float) -> Horizontal:
+        """How far the place was drawn together with the velocity, which hides it."""
+        kept = math.exp(-elapsed_s / RIGHTS_S)
+        north_mps, east_mps = self._drawn_mps = (
+            kept * self._drawn_mps[0] + DRAWN_PER_S * step_m[0],
+            kept * self._drawn_mps[1] + DRAWN_PER_S * step_m[1],
+        )
+        certain_s = elapsed_s if math.hypot(north_mps, east_mps) > ERRS_MPS else 0.0
+        return certain_s * north_mps, certain_s * east_mps
 
     def _look_for_slide(self, now_s: float) -> None:
         while now_s - self._steps[0].since_s > SLIDES_S:
@@ -68,6 +89,7 @@ class Drift:
         if self.slid_m is not None:
             self.lately_m = self._steps[0].lately_m
         self._before, self.slid_m = None, None
+        self._drawn_mps = (0.0, 0.0)
         self._steps.clear()
 
 

@@ -103,26 +103,31 @@ class _Height:
 class Filter:
     """What the autopilot's filter makes of its receiver on one axis: metres, metres per second.
 
-    It takes the receiver's velocity for surer than its place. So where the place wanders, a part of
-    that shows in the velocity. The gains are those of EKF3 with its default noises
-    (EK3_POSNE_M_NSE, EK3_VELNE_M_NSE, EK3_ACC_P_NSE), slower or quicker as it follows: 0.63 of a
-    step after `follows_s`. How the error changes within 3 s, and how far the place moves otherwise
-    than its velocity says, correlate by 0.78 to 0.85 on ArduCopter SITL (tests/sitl/follows.py),
-    here by 0.83.
+    It takes the receiver's velocity for surer than its place. So where the place is drawn away, a
+    part of that shows in the velocity; and a part is taken for an accelerometer that is off, for
+    which the velocity soon turns round. The gains are fitted to EKF3 with its default noises: steps
+    of 0.5 to 3 m of the receiver of a vehicle that hovers (ArduCopter SITL 4.6 and 4.8, the same
+    digits) and the slow drift of four in a formation. They leave 0.05 m and 0.02 m/s. Slower or
+    quicker as it follows: 0.63 of a step after `follows_s`. How the error changes within 3 s, and
+    how far the place moves otherwise than its velocity says, correlate by 0.78 to 0.88 there
+    (tests/sitl/follows.py), here by 0.86.
     """
 
     def __init__(self, follows_s: float, error_m: float) -> None:
-        self.error_m, self.error_mps = error_m, 0.0
-        self._place_per_s, self._velocity_per_s = 0.71 / follows_s, 0.35 / follows_s
-        self._turns_per_s2 = 0.44 / follows_s**2
+        self.error_m, self.error_mps, self._leans_mps2 = error_m, 0.0, 0.0
+        self._place_per_s, self._velocity_per_s = 0.66 / follows_s, 0.42 / follows_s
+        self._turns_per_s2 = 0.60 / follows_s**2
+        self._leans_per_s3, self._rights_per_s = 0.14 / follows_s**3, 0.30 / follows_s
 
     def step(self, told_m: float, told_mps: float, dt_s: float) -> None:
         """Follow a receiver that errs by so much for `dt_s`."""
         behind_m, slow_mps = told_m - self.error_m, told_mps - self.error_mps
         self.error_m -= behind_m * math.expm1(-self._place_per_s * dt_s)
         self.error_m += self.error_mps * dt_s
-        self.error_mps += self._turns_per_s2 * behind_m * dt_s
+        self.error_mps += (self._turns_per_s2 * behind_m - self._leans_mps2) * dt_s
         self.error_mps -= slow_mps * math.expm1(-self._velocity_per_s * dt_s)
+        self._leans_mps2 += self._leans_per_s3 * behind_m * dt_s
+        self._leans_mps2 += self._leans_mps2 * math.expm1(-self._rights_per_s * dt_s)
 
 
 class _Axis:
