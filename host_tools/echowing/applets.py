@@ -45,9 +45,6 @@ APPLETS = (HOLD, SPEED)
 # The parameters that tell which applet runs. Before there were two, one
 # applet had all of them but the first.
 FORMAT, LAW, GAIN = IDENTIFYING = ("ECHO_FORMAT", "ECHO_LAW", "ECHO_GAIN_P")
-# By so much ECHO_INSET and ECHO_DETECT may differ from the sonar file's, and the most that
-# ECHO_DETECT takes.
-INSET_DIFFERS_M, DETECT_DIFFERS_M, MOST_DETECT_M = 0.1, 0.1, 7.6
 
 
 def applet_named(name: str) -> Applet:

@@ -126,6 +126,13 @@ def test_an_applet_that_does_not_fit_is_said_and_read_again_until_it_does(name: 
     assert yard.fly(READ_AGAIN_S + 1.0) != []
 
 
+def test_an_applet_whose_values_setup_check_takes_is_engaged() -> None:
+    """0.3 m are a little more in the 32 bits of a parameter: over a tenth off the file's 0.2 m."""
+    yard = Yard()
+    yard.vehicles[FOLLOWER].parameters["ECHO_INSET"] = 0.30000001
+    assert yard.fly(SOON_S) != []
+
+
 SPEED_APPLET = {"ECHO_LAW": 0.0}
 
 

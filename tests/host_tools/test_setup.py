@@ -17,10 +17,11 @@ from typing import Any
 
 import pytest
 
-from echowing.applets import APPLETS, MOST_DETECT_M, SPEED, Applet
+from echowing.applets import APPLETS, SPEED, Applet
 from echowing.cli import main
 from echowing.commands import setup
 from echowing.errors import EchowingError
+from echowing.flight.by_sonar import applet_by_sonar
 from echowing.paths import repository_root
 from echowing.setup.applet import applet_parameters
 from echowing.setup.apply import (
@@ -34,7 +35,6 @@ from echowing.setup.apply import (
     save,
     write_all,
 )
-from echowing.setup.by_sonar import applet_by_sonar
 from echowing.setup.checks import Finding, Verdict, examine, exit_code
 from echowing.setup.job import Work
 from echowing.setup.readout import CardApplet, Readout, Reports, Role
@@ -255,12 +255,6 @@ def test_apply_with_a_sonars_file_writes_what_check_asks_for(name: str, before_m
     after = ready(**{**carries, "ECHO_DETECT": before_m, **written})
     assert odd_ones(after) == {}
     assert changes_for(replace(after, sonar_named=True)) == []
-
-
-@pytest.mark.parametrize("applet", APPLETS)
-def test_follow_knows_the_most_that_an_applet_detects(applet: Applet) -> None:
-    rows = {row.name: row for row in applet_parameters(applet)}
-    assert rows["ECHO_DETECT"].high == MOST_DETECT_M == 7.6
 
 
 @pytest.mark.parametrize(

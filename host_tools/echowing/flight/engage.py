@@ -12,18 +12,8 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from echowing.applets import (
-    DETECT_DIFFERS_M,
-    FORMAT,
-    HOLD,
-    IDENTIFYING,
-    INSET_DIFFERS_M,
-    LAW,
-    MOST_DETECT_M,
-    SPEED,
-    Applet,
-    identify,
-)
+from echowing.applets import FORMAT, HOLD, IDENTIFYING, LAW, SPEED, Applet, identify
+from echowing.flight.by_sonar import DETECT, INSET, applet_by_sonar
 from echowing.flight.clocks import ASK_PERIOD_S
 from echowing.flight.follower import FollowerState
 from echowing.flight.formation import receivers_demand_m
@@ -40,13 +30,8 @@ from echowing.geo import GlobalPosition, ned_between
 from echowing.mavlink.messages import read_parameter
 
 # The applet's parameters that are checked (lua/echowing.md), and those that tell which one it is.
-ENABLE, DIST, INSET, DETECT, WATCHDOG = CHECKED = (
-    "ECHO_ENABLE",
-    "ECHO_DIST",
-    "ECHO_INSET",
-    "ECHO_DETECT",
-    "ECHO_STREAM_T",
-)
+ENABLE, DIST, WATCHDOG = "ECHO_ENABLE", "ECHO_DIST", "ECHO_STREAM_T"
+CHECKED = (ENABLE, DIST, INSET, DETECT, WATCHDOG)
 APPLET = (*CHECKED, *IDENTIFYING)
 # No applet has all of those: what has not come after so many requests counts as not there, until it
 # is read again. A radio that loses a fifth each way loses all three in 1 of 20 cases.
@@ -780,14 +765,11 @@ def _distance(known: Mapping[str, float], follower: FollowerState) -> Finding | 
     if not 0.0 < radius_m - sonar.inset_m < sonar.reach_m:
         return None
     objection = ""
-    for name, of_file_m, differs_m in (
-        (DETECT, min(sonar.reach_m, MOST_DETECT_M), DETECT_DIFFERS_M),
-        (INSET, sonar.inset_m, INSET_DIFFERS_M),
-    ):
-        if abs(known[name] - of_file_m) > differs_m:
+    for name, by_file in applet_by_sonar(sonar).items():
+        if not by_file.fits(known[name]):
             objection = (
-                f"its {name} is {known[name]:g} m and the sonar file's is {of_file_m:g} m: give "
-                f"the file of its mount (--sonar), or param set {name} {of_file_m:g}"
+                f"its {name} is {known[name]:g} m and the sonar file's is {by_file.value:g} m: "
+                f"give the file of its mount (--sonar), or param set {name} {by_file.value:g}"
             )
     if not objection and abs(known[DIST] - radius_m) > DISTANCE_M:
         objection = (

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from echowing.errors import EchowingError
-from echowing.setup.by_sonar import applet_by_sonar
+from echowing.flight.by_sonar import applet_by_sonar
 from echowing.setup.readout import Readout
 from echowing.setup.settings import same, settings_for
 

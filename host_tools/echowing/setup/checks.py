@@ -11,10 +11,10 @@ from enum import Enum
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from echowing.applets import HOLD, SPEED, Version, identify, is_outdated
+from echowing.flight.by_sonar import BySonar, applet_by_sonar, board_by_sonar
 from echowing.flight.leader_speed import MOST_LEADER_MPS
 from echowing.mavlink.messages import TOOL_SYSTEM_ID
 from echowing.setup.boards import Board
-from echowing.setup.by_sonar import BySonar, applet_by_sonar, board_by_sonar
 from echowing.setup.readout import CardApplet, Readout, Role
 from echowing.setup.settings import (
     BAUD_115200,

@@ -8,9 +8,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from echowing.applets import FORMAT, identify
+from echowing.flight.by_sonar import TOLERANCE, BySonar, applet_by_sonar
 from echowing.mavlink.vehicle_limits import ACCELERATION, JERK, LEAN, VehicleLimit
 from echowing.setup.applet import AppletParameter, applet_parameters
-from echowing.setup.by_sonar import TOLERANCE, BySonar, applet_by_sonar
 from echowing.setup.readout import Readout
 from echowing.sonar_file import MAVLINK_TYPE
 

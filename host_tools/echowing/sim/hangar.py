@@ -7,8 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from echowing.flight.by_sonar import TRACK_RANGE, applet_by_sonar, board_by_sonar
 from echowing.geo import Ned
-from echowing.setup.by_sonar import TRACK_RANGE, applet_by_sonar, board_by_sonar
 from echowing.setup.settings import LEAST_LIMITS
 from echowing.sim.aircraft import Body, MakeCoprocessor, SensorDriver, SimFollower, SimVehicle
 from echowing.sim.boards.coprocessor import NativeCoprocessor

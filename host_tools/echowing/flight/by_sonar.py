@@ -1,18 +1,20 @@
-"""The parameters of applet and co-processor that a sonar's file gives.
+"""The parameters of applet and co-processor that a sonar's file gives. Pure.
 
-`check` and `apply` go by it, and the simulator.
+`follow` goes by it, `setup check` and `setup apply`, and the simulator.
 """
 
 import math
 from dataclasses import dataclass
 
-from echowing.applets import DETECT_DIFFERS_M, INSET_DIFFERS_M
 from echowing.flight.belief import SonarBelief
-from echowing.setup.applet import applet_parameters
 
 DETECT, INSET = "ECHO_DETECT", "ECHO_INSET"
 TRACK_RANGE, BEAM_WIDTH = "TRACK_RANGE", "BEAM_WIDTH"
 TOLERANCE = 1e-4  # of what a 32-bit float makes of a decimal number
+# The applets take these, at the least and at the most (their tables).
+DETECTS_M, INSETS_M = (2.0, 7.6), (0.0, 1.0)
+# Vehicle and file may differ by so much.
+DIFFERS_M = 0.1
 # The co-processor's table, BEAM_WIDTH.
 MOST_WIDE_DEG = 120.0
 
@@ -32,22 +34,17 @@ class BySonar:
 
 def applet_by_sonar(sonar: SonarBelief) -> dict[str, BySonar]:
     """An applet's parameters that describe its sonar, as near as it takes them: both the same."""
-    wanted = {
+    return {
         DETECT: BySonar(
-            sonar.reach_m,
-            DETECT_DIFFERS_M,
+            _within(DETECTS_M, sonar.reach_m),
+            DIFFERS_M,
             "gimbal, applet and tool must take the same readings for the leader",
         ),
         INSET: BySonar(
-            sonar.inset_m,
-            INSET_DIFFERS_M,
+            _within(INSETS_M, sonar.inset_m),
+            DIFFERS_M,
             "applet and tool must make the same distance of a reading",
         ),
-    }
-    return {
-        row.name: BySonar(max(row.low, min(row.high, one.value)), one.differs, one.why)
-        for row in applet_parameters()
-        if (one := wanted.get(row.name)) is not None
     }
 
 
@@ -63,3 +60,7 @@ def board_by_sonar(sonar: SonarBelief) -> dict[str, BySonar]:
             min(MOST_WIDE_DEG, wide_deg), 1.0, "the field of view that it reports is the beam's"
         ),
     }
+
+
+def _within(span: tuple[float, float], value: float) -> float:
+    return max(span[0], min(span[1], value))
