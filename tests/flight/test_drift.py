@@ -6,9 +6,9 @@ import pytest
 
 from echowing.flight.alignment import Report
 from echowing.flight.clocks import LONGEST_GAP_S
-from echowing.flight.drift import Drift
+from echowing.flight.drift import DRIFTS_M, Drift
 from echowing.flight.guidance import Horizontal
-from echowing.flight.jumps import DRIFTS_M, SLIDES_S
+from echowing.flight.jumps import SLIDES_M, SLIDES_S
 from echowing.flight.receivers import FORGETS_S
 from echowing.geo import GlobalPosition, displace
 from echowing.sim.world import gps
@@ -83,7 +83,7 @@ def test_a_velocity_that_is_wrong_counts_for_no_more_than_receivers_may_drift(mp
         assert math.hypot(*drift.lately_m) <= DRIFTS_M + 1e-9
 
     assert math.hypot(*drift.lately_m) == pytest.approx(DRIFTS_M)
-    assert any(slid) is (mps > DRIFTS_M / SLIDES_S)
+    assert any(slid) is (mps > SLIDES_M / SLIDES_S)
 
 
 def test_a_receiver_that_slides_has_not_drifted() -> None:

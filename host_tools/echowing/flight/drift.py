@@ -15,12 +15,14 @@ from typing import NamedTuple
 from echowing.flight.alignment import Report
 from echowing.flight.clocks import LONGEST_GAP_S
 from echowing.flight.guidance import Horizontal
-from echowing.flight.jumps import DRIFTS_M, SLIDES_S, beyond_movement_m, is_jump
+from echowing.flight.jumps import SLIDES_M, SLIDES_S, beyond_movement_m, is_jump
 from echowing.flight.receivers import FORGETS_S
 
 # The autopilot's velocity is drawn along by 0.55 m/s for each metre that its place is, and is right
 # again in 1.7 s: so EKF3 follows steps of 0.5 to 3 m of its receiver (ArduCopter SITL 4.6 and 4.8).
 DRAWN_PER_S, RIGHTS_S = 0.55, 1.7
+# No receiver drifts further: two like ones got 14 m apart at the most (RESULTS.md).
+DRIFTS_M = 10.0
 # Slower it may be a velocity that errs by itself: three times 0.05 m/s.
 ERRS_MPS = 0.15
 
@@ -78,7 +80,7 @@ class Drift:
         north_m, east_m = (
             math.fsum(axis_m) for axis_m in zip(*(one.moved_m for one in self._steps), strict=True)
         )
-        if math.hypot(north_m, east_m) > DRIFTS_M:
+        if math.hypot(north_m, east_m) > SLIDES_M:
             self.slid_m = north_m, east_m
 
     def jumped(self) -> None:

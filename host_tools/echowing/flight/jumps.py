@@ -20,9 +20,9 @@ AGREEING_REPORTS = 8
 # rounded to a decimetre, wander less between two reports; a quicker answer to TIMESYNC moves a
 # clock by 0.3 s; and a vehicle that accelerates at 5 m/s2 and brakes within t is 5/4 t^2 off.
 JUMP_M, CLOCK_MOVES_S, UNSEEN_MPS2 = 1.5, 0.3, 1.25
-# No receiver drifts further in a minute (`drift`). One that has within so long slides: that is a
-# jump, which its autopilot's filter draws out (by 1.5 s on ArduCopter SITL, tests/sitl/follows.py).
-DRIFTS_M, SLIDES_S = 3.0, 2.0
+# One that has moved so far within so long slides: that is a jump, which its autopilot's filter
+# draws out (by 1.5 s on ArduCopter SITL, tests/sitl/follows.py).
+SLIDES_M, SLIDES_S = 3.0, 2.0
 
 # The range did not change if its median differs by less than this. That takes so many readings,
 # over so long, after the jump, and so many in the last second before it.
