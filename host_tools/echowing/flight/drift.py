@@ -9,13 +9,11 @@ receiver smooths its ranges by the carrier (Hatch 1982).
 """
 
 import math
-from collections import deque
-from typing import NamedTuple
 
 from echowing.flight.alignment import Report
 from echowing.flight.clocks import LONGEST_GAP_S
 from echowing.flight.guidance import Horizontal
-from echowing.flight.jumps import SLIDES_M, SLIDES_S, beyond_movement_m, is_jump
+from echowing.flight.jumps import beyond_movement_m, is_jump
 from echowing.flight.receivers import FORGETS_S
 
 # The autopilot's velocity is drawn along by 0.55 m/s for each metre that its place is, and is right
@@ -32,20 +30,16 @@ class Drift:
 
     lately_m: (north, east), `DRIFTS_M` at the most. It is forgotten as receivers forget what they
     are off: velocities are off themselves, by 0.05 m/s for seconds at a time (0.6 m in sum then).
-    slid_m: how far the place has slid by the newest report, further than receivers drift; None: it
-    has not.
     """
 
     def __init__(self) -> None:
         self.lately_m: Horizontal = (0.0, 0.0)
-        self.slid_m: Horizontal | None = None
         self._before: Report | None = None
         self._drawn_mps: Horizontal = (0.0, 0.0)
-        self._steps: deque[_Step] = deque()
 
     def reported(self, report: Report) -> None:
         """Take a report, its time by the vehicle's own clock."""
-        before, self._before, self.slid_m = self._before, report, None
+        before, self._before = self._before, report
         if before is None:
             return
         elapsed_s = report.time_s - before.time_s
@@ -53,14 +47,11 @@ class Drift:
         north_m, east_m = kept * self.lately_m[0], kept * self.lately_m[1]
         if 0.0 < elapsed_s <= LONGEST_GAP_S and not is_jump(before, report):
             new_north_m, new_east_m = step_m = beyond_movement_m(before, report)
-            self._steps.append(_Step(before.time_s, step_m, self.lately_m))
-            self._look_for_slide(report.time_s)
             drawn_north_m, drawn_east_m = self._drawn_along_m(step_m, elapsed_s)
             north_m += new_north_m + drawn_north_m
             east_m += new_east_m + drawn_east_m
         else:
             self._drawn_mps = (0.0, 0.0)
-            self._steps.clear()
         share = DRIFTS_M / max(DRIFTS_M, math.hypot(north_m, east_m))
         self.lately_m = share * north_m, share * east_m
 
@@ -74,30 +65,7 @@ class Drift:
         certain_s = elapsed_s if math.hypot(north_mps, east_mps) > ERRS_MPS else 0.0
         return certain_s * north_mps, certain_s * east_mps
 
-    def _look_for_slide(self, now_s: float) -> None:
-        while now_s - self._steps[0].since_s > SLIDES_S:
-            self._steps.popleft()
-        north_m, east_m = (
-            math.fsum(axis_m) for axis_m in zip(*(one.moved_m for one in self._steps), strict=True)
-        )
-        if math.hypot(north_m, east_m) > SLIDES_M:
-            self.slid_m = north_m, east_m
-
     def jumped(self) -> None:
-        """Note that it has slid, or that the next report may be of elsewhere.
-
-        Neither counts: that is for `jumps`.
-        """
-        if self.slid_m is not None:
-            self.lately_m = self._steps[0].lately_m
-        self._before, self.slid_m = None, None
+        """Note that the next report may be of elsewhere, which does not count: see `jumps`."""
+        self._before = None
         self._drawn_mps = (0.0, 0.0)
-        self._steps.clear()
-
-
-class _Step(NamedTuple):
-    """How a report moves beyond its velocity, since the one before; lately_m: the drift then."""
-
-    since_s: float
-    moved_m: Horizontal
-    lately_m: Horizontal

@@ -20,9 +20,6 @@ AGREEING_REPORTS = 8
 # rounded to a decimetre, wander less between two reports; a quicker answer to TIMESYNC moves a
 # clock by 0.3 s; and a vehicle that accelerates at 5 m/s2 and brakes within t is 5/4 t^2 off.
 JUMP_M, CLOCK_MOVES_S, UNSEEN_MPS2 = 1.5, 0.3, 1.25
-# One that has moved so far within so long slides: that is a jump, which its autopilot's filter
-# draws out (by 1.5 s on ArduCopter SITL, tests/sitl/follows.py).
-SLIDES_M, SLIDES_S = 3.0, 2.0
 
 # The range did not change if its median differs by less than this. That takes so many readings,
 # over so long, after the jump, and so many in the last second before it.
@@ -87,7 +84,7 @@ class OwnJump:
 
     since_s: when a jump began that is not settled yet, None: there is none; moved_m: by how much,
     (north, east); total_m: the sum of all jumps, those back again included; last_s: when the last
-    was; slides: it was drawn out, over many reports.
+    was.
     """
 
     def __init__(self) -> None:
@@ -95,7 +92,6 @@ class OwnJump:
         self.moved_m: Horizontal = (0.0, 0.0)
         self.total_m: Horizontal = (0.0, 0.0)
         self.last_s = -math.inf
-        self.slides = False
         self._before: Report | None = None
 
     def reported(self, report: Report) -> Horizontal | None:
@@ -106,23 +102,15 @@ class OwnJump:
         if not is_jump(before, report):
             return None
         off_m = beyond_movement_m(before, report)
-        self._moved(before.time_s, off_m, report.time_s)
-        return off_m
-
-    def slid(self, moved_m: Horizontal, now_s: float) -> None:
-        """Note that its place has slid by so much (`drift`)."""
-        self.slides = True
-        self._moved(now_s - SLIDES_S, moved_m, now_s)
-
-    def _moved(self, began_s: float, off_m: Horizontal, now_s: float) -> None:
-        self.last_s = now_s
-        self.since_s = began_s if self.since_s is None else self.since_s
+        self.last_s = report.time_s
+        self.since_s = before.time_s if self.since_s is None else self.since_s
         self.moved_m = self.moved_m[0] + off_m[0], self.moved_m[1] + off_m[1]
         self.total_m = self.total_m[0] + off_m[0], self.total_m[1] + off_m[1]
+        return off_m
 
     def settled(self) -> None:
         """Note that the jump is settled."""
-        self.since_s, self.moved_m, self.slides = None, (0.0, 0.0), False
+        self.since_s, self.moved_m = None, (0.0, 0.0)
 
 
 def is_jump(before: Report, after: Report, unseen_s: float = math.inf) -> bool:

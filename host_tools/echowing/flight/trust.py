@@ -81,25 +81,17 @@ class Trust:
 
     def follower_reported(self, follower: FollowerState, report: Report) -> None:
         """Take a follower's own report."""
-        jump = follower.own_jump
-        moved_m = None if self._doubt is None else jump.reported(report)
-        if moved_m is not None:
-            follower.drift.jumped()
-        drifted = follower.drifted(report)
-        if self._doubt is not None and follower.drift.slid_m is not None:
-            moved_m = follower.drift.slid_m
-            jump.slid(moved_m, report.time_s)
-            follower.drift.jumped()
-            drifted = replace(drifted, drifted_m=follower.drift.lately_m)
+        moved_m = None if self._doubt is None else follower.own_jump.reported(report)
         if moved_m is not None:
             follower.estimate.history.clear()
+            follower.drift.jumped()
             follower.slews = True
             if follower.hold is not None:
                 # It stands where it stood; only its coordinates have changed.
                 place = displace(follower.hold.place, (*moved_m, 0.0))
                 follower.hold = replace(follower.hold, place=place)
         place = self._known.in_height(follower.plan.system_id, report.position)
-        follower.estimate.reported(replace(drifted, position=place))
+        follower.estimate.reported(replace(follower.drifted(report), position=place))
 
     def settle(self, follower: FollowerState, now_s: float) -> None:
         """Decide on a follower's own jump once the sonar has had time to deny it."""
@@ -110,8 +102,7 @@ class Trust:
             return
         moved_m = jump.moved_m
         far_m = math.hypot(*moved_m)
-        # One that slides is flown after its place: the range of before proves nothing.
-        denied = not jump.slides and self._sonar_denies(follower, jump.since_s)
+        denied = self._sonar_denies(follower, jump.since_s)
         if not denied and now_s - jump.since_s < UNCONFIRMED_S:
             return
         jump.settled()
