@@ -58,10 +58,10 @@ def test_vehicles_that_hover_are_believed_and_nothing_is_said() -> None:
 
 @pytest.mark.parametrize(("who", "seen_m"), [(LEADER, 1.0), (FOLLOWER, -1.0)])
 def test_a_receiver_that_drifts_does_not_move_its_vehicle(who: int, seen_m: float) -> None:
-    """A metre in two seconds, while the vehicle says that it stands, and no sonar hears."""
+    """A metre in eight seconds, while the vehicle says that it stands, and no sonar hears."""
     there = Trusted()
-    for _ in range(round(2.0 / TICK_S)):
-        there.jump(who, 0.5 * TICK_S)
+    for _ in range(round(8.0 / TICK_S)):
+        there.jump(who, 0.125 * TICK_S)
         there.fly(TICK_S)
 
     assert there.follower.estimate.drifted_m == pytest.approx((seen_m, 0.0), abs=0.1)

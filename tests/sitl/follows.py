@@ -25,7 +25,10 @@ from pymavlink import DFReader
 from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter, lfiltic
 
+from echowing.flight.alignment import Report
+from echowing.flight.drift import Drift
 from echowing.flight.receivers import FORGETS_S
+from echowing.geo import GlobalPosition, displace
 
 Floats = NDArray[np.float64]
 FIELDS = {
@@ -116,7 +119,7 @@ def velocity_tells(log: Path) -> list[tuple[str, float, float]]:
 
 
 def velocity_leaves(logs: Sequence[Path]) -> tuple[float, float, float]:
-    """What of the errors is left if what velocities tell is taken off, and forgotten as they are.
+    """What of the errors is left if what the core takes for drift is taken off.
 
     The share of how far they wander (standard deviation), that of how far they move within 20 s,
     and how quickly what does so is forgotten (correlation time, seconds) where they are in 60 s.
@@ -130,8 +133,7 @@ def velocity_leaves(logs: Sequence[Path]) -> tuple[float, float, float]:
     wanders_m2, moves_m2 = np.zeros(2), np.zeros(2)
     later = round(REST_CHANGES_S / STEP_S)
     for log in logs:
-        for error_m, each_m in zip(*_errors_told_m(log), strict=True):
-            told_m = lfilter([1.0], [1.0, -math.exp(-STEP_S / FORGETS_S)], each_m)
+        for error_m, told_m in zip(_errors_told_m(log)[0], drifted_m(log), strict=True):
             both_m = np.stack((error_m, error_m - told_m))
             wanders_m2 += np.sum(both_m**2, axis=1)
             moves_m2 += np.sum((both_m[:, later:] - both_m[:, :-later]) ** 2, axis=1)
@@ -140,8 +142,27 @@ def velocity_leaves(logs: Sequence[Path]) -> tuple[float, float, float]:
     return math.sqrt(wanders), math.sqrt(moves), -REST_CHANGES_S / math.log1p(-moved)
 
 
+def drifted_m(log: Path) -> Floats:
+    """How far its receiver has drifted, as the core is told by its reports: (2, n)."""
+    place_m, _, mps = _flown(log)
+    drift, found = Drift(), []
+    for number, (place, velocity) in enumerate(zip(place_m.T, mps.T, strict=True)):
+        north_m, east_m = place
+        there = displace(GlobalPosition(*_read(log)["SIM"][0, 1:]), (north_m, east_m, 0.0))
+        drift.reported(Report(number * STEP_S, there, (velocity[0], velocity[1]), 0.0))
+        found.append(drift.lately_m)
+    return np.array(found).T[:, 1:]
+
+
 def _errors_told_m(log: Path) -> tuple[Floats, Floats]:
     """The estimate's error, and what velocity tells of its change: (2, n) each, every `STEP_S`."""
+    place_m, true_m, mps = _flown(log)
+    flown_m = (mps[:, 1:] + mps[:, :-1]) / 2.0 * STEP_S
+    return (place_m - true_m)[:, 1:], np.diff(place_m, axis=1) - flown_m
+
+
+def _flown(log: Path) -> tuple[Floats, Floats, Floats]:
+    """Where it believed to be, where it was, and its velocity: (2, n) each, every `STEP_S`."""
     told = _read(log)
     origin = told["SIM"][0, 1:]
     sim, pos = (_ned_m(told[name], origin) for name in ("SIM", "POS"))
@@ -154,8 +175,7 @@ def _errors_told_m(log: Path) -> tuple[Floats, Floats]:
     place_m, true_m, mps = (
         np.stack([axis_of(track, axis) for axis in (1, 2)]) for track in (pos, sim, velocity)
     )
-    flown_m = (mps[:, 1:] + mps[:, :-1]) / 2.0 * STEP_S
-    return (place_m - true_m)[:, 1:], np.diff(place_m, axis=1) - flown_m
+    return place_m, true_m, mps
 
 
 def velocity_errs_mps(log: Path) -> Floats:
