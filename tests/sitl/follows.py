@@ -145,10 +145,10 @@ def velocity_leaves(logs: Sequence[Path]) -> tuple[float, float, float]:
 def drifted_m(log: Path) -> Floats:
     """How far its receiver has drifted, as the core is told by its reports: (2, n)."""
     place_m, _, mps = _flown(log)
+    origin = GlobalPosition(*_read(log)["SIM"][0, 1:])
     drift, found = Drift(), []
-    for number, (place, velocity) in enumerate(zip(place_m.T, mps.T, strict=True)):
-        north_m, east_m = place
-        there = displace(GlobalPosition(*_read(log)["SIM"][0, 1:]), (north_m, east_m, 0.0))
+    for number, (north_m, east_m, *velocity) in enumerate(zip(*place_m, *mps, strict=True)):
+        there = displace(origin, (north_m, east_m, 0.0))
         drift.reported(Report(number * STEP_S, there, (velocity[0], velocity[1]), 0.0))
         found.append(drift.lately_m)
     return np.array(found).T[:, 1:]
